@@ -1,0 +1,53 @@
+# Every target makes the virtual environment it needs; nothing has to be installed by hand but Python 3.11 or 3.12, make and g++.
+# Folders bear some of these names too: without .PHONY `make reports` would say "up to date" and do nothing.
+.PHONY: reports test check bench validate wheel-test view clean
+
+PYTHON ?= $(shell for p in python3.11 python3.12 python3; do \
+	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 13))' 2>/dev/null && echo $$p && break; done)
+BIN := .venv/bin
+READY := .venv/.ready
+FOLDERS := pipelines baselines metrics reports
+OUT ?= out/demo
+
+# The evaluation: of DATA=<capture> under PROTOCOL=<name or file>, or of the demo capture.
+reports: $(READY)
+	$(BIN)/ggvs-eval run $(OUT) $(if $(DATA),--capture $(DATA)) $(if $(PROTOCOL),--protocol $(PROTOCOL))
+
+test: $(READY)
+	$(BIN)/python -m pytest
+
+check: $(READY) view
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	cd build/view && ../../$(BIN)/python -m mypy --config-file ../../setup.cfg ggvs_eval
+
+# Heavier proofs: speed against peers (out/bench.json), quality on real captures (out/validate.json).
+bench: $(READY)
+	$(BIN)/python -m benchmarks
+
+validate: $(READY)
+	$(BIN)/python -m ggvs_eval.pipelines.validate
+
+# What users get: the wheel, with no checkout in sight; its dependencies are those of .venv.
+wheel-test: $(READY)
+	rm -rf build/wheel && $(BIN)/pip wheel -q --no-deps -w build/wheel .
+	$(BIN)/python -m venv build/wheel/venv && build/wheel/venv/bin/pip install -q --no-deps build/wheel/*.whl
+	$(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))' \
+		> "$$(echo build/wheel/venv/lib/python3*/site-packages)/dependencies.pth"
+	cp -r tests build/wheel/tests
+	cd build/wheel && venv/bin/python -m pytest -q -c /dev/null --rootdir . -p no:cacheprovider tests
+
+# The package as setup.cfg installs it, in links, for the type checker.
+view:
+	rm -rf build/view && mkdir -p build/view/ggvs_eval
+	ln -s $(CURDIR)/ggvs_eval/* $(FOLDERS:%=$(CURDIR)/%) build/view/ggvs_eval/
+
+clean:
+	rm -rf .venv build out *.egg-info ggvs_eval/kernels/*.so
+
+$(READY): setup.cfg setup.py pyproject.toml $(wildcard ggvs_eval/kernels/*.cpp ggvs_eval/kernels/*.hpp)
+	@test -n "$(PYTHON)" || { echo "ggvs-eval needs Python 3.11 or 3.12 (Open3D has no wheel for others)"; exit 1; }
+	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	$(BIN)/pip install --disable-pip-version-check -q -e '.[dev]'
+	$(BIN)/python -m ggvs_eval.install
+	touch $@
