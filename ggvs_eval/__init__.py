@@ -1,0 +1,1 @@
+"""Offline-to-online evaluation of multi-view 3D video synthesis."""

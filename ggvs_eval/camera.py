@@ -1,0 +1,175 @@
+"""A calibrated pinhole camera and the few questions everybody asks it.
+
+Conventions (docs/conventions.md): OpenCV axes, world_to_camera, the centre of pixel (i, j) lies at (u, v) = (i + 0.5, j + 0.5),
+depth is z in the camera's frame, in world units.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.errors import CameraError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """One fixed camera of a rig, or one pose of a virtual one.
+
+    Attributes:
+        name: how the capture calls it, e.g. ``cam00``.
+        K: intrinsics in pixels, (3, 3), zero skew.
+        world_to_camera: rigid transform, (4, 4), OpenCV axes.
+        width: image width in pixels.
+        height: image height in pixels.
+        near: smallest depth of the scene seen from here, world units.
+        far: largest depth of the scene seen from here, world units.
+    """
+
+    name: str
+    K: Array
+    world_to_camera: Array
+    width: int
+    height: int
+    near: float
+    far: float
+
+    def __post_init__(self) -> None:
+        """Refuse what no later step could use, naming the camera."""
+        for name, shape in (("K", (3, 3)), ("world_to_camera", (4, 4))):
+            matrix = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
+            if matrix.shape != shape or not np.isfinite(matrix).all():
+                raise CameraError(
+                    f"camera {self.name}: {name} must be {shape} finite numbers, got {matrix.shape} with "
+                    f"{np.count_nonzero(~np.isfinite(matrix))} not finite; recalibrate or drop this camera"
+                )
+            matrix.setflags(write=False)
+            object.__setattr__(self, name, matrix)
+        self._check_values()
+
+    def _check_values(self) -> None:
+        rotation = self.rotation
+        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) or np.linalg.det(rotation) < 0:
+            raise CameraError(
+                f"camera {self.name}: the rotation must be orthonormal with determinant +1, got determinant "
+                f"{np.linalg.det(rotation):.4f}; check axis order and handedness of the pose file"
+            )
+        if self.width < 1 or self.height < 1 or self.K[0, 0] <= 0 or self.K[1, 1] <= 0:
+            raise CameraError(
+                f"camera {self.name}: size and focal lengths must be positive, got {self.width} x {self.height}, "
+                f"fx {self.K[0, 0]:g}, fy {self.K[1, 1]:g}"
+            )
+        if not 0 < self.near < self.far < np.inf:
+            raise CameraError(f"camera {self.name}: depth range must satisfy 0 < near < far, got {self.near:g} .. {self.far:g}")
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) in pixels."""
+        return self.width, self.height
+
+    @property
+    def rotation(self) -> Array:
+        """World-to-camera rotation, (3, 3)."""
+        return self.world_to_camera[:3, :3]
+
+    @property
+    def translation(self) -> Array:
+        """World-to-camera translation, (3,)."""
+        return self.world_to_camera[:3, 3]
+
+    @property
+    def centre(self) -> Array:
+        """Camera centre in the world, (3,)."""
+        return -self.rotation.T @ self.translation
+
+    @property
+    def axis(self) -> Array:
+        """Unit viewing direction in the world, (3,)."""
+        return self.rotation[2]
+
+    @property
+    def focal_px(self) -> float:
+        """Mean of the two focal lengths, pixels."""
+        return float(self.K[0, 0] + self.K[1, 1]) / 2
+
+    def project(self, points_world: Array) -> tuple[Array, Array]:
+        """Project points into the image.
+
+        Args:
+            points_world: (..., 3).
+
+        Returns:
+            Image coordinates (..., 2) in pixels (pixel centres at halves) and depth (...); points behind the camera have
+            depth <= 0 and meaningless coordinates.
+        """
+        points_camera = points_world @ self.rotation.T + self.translation
+        depth = points_camera[..., 2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            uv = points_camera[..., :2] / depth[..., None]
+        return uv * self.K[[0, 1], [0, 1]] + self.K[:2, 2], depth
+
+    def unproject(self, uv: Array, depth: Array) -> Array:
+        """Lift image coordinates to the world, the inverse of `project`.
+
+        Args:
+            uv: (..., 2) in pixels.
+            depth: (...), z in world units.
+
+        Returns:
+            Points in the world, (..., 3).
+        """
+        rays = (uv - self.K[:2, 2]) / self.K[[0, 1], [0, 1]]
+        points_camera = np.concatenate([rays * depth[..., None], depth[..., None]], axis=-1)
+        return (points_camera - self.translation) @ self.rotation
+
+    def pixel_centres(self) -> Array:
+        """Image coordinates of every pixel, (H, W, 2)."""
+        return np.stack(np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5), axis=-1)
+
+    def rays(self) -> Array:
+        """Direction of each pixel's ray in the world, (H, W, 3), scaled so that centre + depth * ray has that depth."""
+        return self.unproject(self.pixel_centres(), np.ones((self.height, self.width))) - self.centre
+
+    def resized(self, width: int, height: int) -> "Camera":
+        """The camera of the same image resampled to width x height."""
+        K = np.diag([width / self.width, height / self.height, 1.0]) @ self.K
+        return replace(self, K=K, width=width, height=height)
+
+    def cropped(self, left: int, top: int, width: int, height: int) -> "Camera":
+        """The camera of the window that starts at pixel (left, top)."""
+        K = self.K.copy()
+        K[:2, 2] -= (left, top)
+        return replace(self, K=K, width=width, height=height)
+
+
+def nearest_cameras(target: Camera, cameras: Iterable[Camera], count: int) -> list[Camera]:
+    """The `count` cameras whose centres lie nearest to the target's, nearest first, the target itself left out.
+
+    Ties are broken by name, so that equal inputs give equal lists.
+
+    Raises:
+        CameraError: fewer than `count` other cameras.
+    """
+    others = [camera for camera in cameras if camera.name != target.name]
+    if len(others) < count:
+        raise CameraError(f"camera {target.name}: wanted {count} source cameras, the capture has {len(others)} others")
+    return sorted(others, key=lambda camera: (float(np.linalg.norm(camera.centre - target.centre)), camera.name))[:count]
+
+
+def translated_path(camera: Camera, span: float, count: int) -> list[Camera]:
+    """A camera path for epipolar plane images: the camera moves along its own horizontal axis and never turns.
+
+    Args:
+        camera: stands in the middle of the path.
+        span: length of the path in world units.
+        count: number of poses, from left to right; they are called ``path0000``, ...
+    """
+    poses = []
+    for index, shift in enumerate(np.linspace(-span / 2, span / 2, count)):
+        world_to_camera = camera.world_to_camera.copy()
+        world_to_camera[0, 3] -= shift  # moving the camera to the right moves the world to its left
+        poses.append(replace(camera, name=f"path{index:04d}", world_to_camera=world_to_camera))
+    return poses

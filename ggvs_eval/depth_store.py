@@ -1,0 +1,145 @@
+"""Depth maps on disk, keyed by everything they were computed from.
+
+A store holds one folder per key and in it one file per instant and `spec.json`, which says in words what the key stands for. Files
+are written under a temporary name and renamed, so that a killed process leaves either the whole file or none.
+"""
+
+import hashlib
+import json
+import os
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.errors import DepthError
+
+Map = NDArray[np.float32]
+CONFIDENCE_STEPS = 255  # confidence is kept in 8 bit
+
+
+@dataclass(frozen=True, eq=False)
+class DepthMap:
+    """Depth of one image.
+
+    Attributes:
+        depth: z in the camera's frame, world units, 0 = invalid, (H, W) float32.
+        confidence: trust in it, in [0, 1], 0 where the depth is invalid, (H, W) float32.
+    """
+
+    depth: Map
+    confidence: Map
+
+
+def describe_depth(
+    camera: Camera, partners: list[Camera], digests: Mapping[str, str], options: Mapping[str, object]
+) -> dict[str, object]:
+    """Everything a depth map depends on, as it is written into `spec.json`.
+
+    Args:
+        camera: the camera whose depth is computed.
+        partners: the cameras it is matched with, in order.
+        digests: content of each of these cameras' frames, by name.
+        options: parameters and version of the algorithm, values that JSON knows.
+    """
+    cameras = [_describe_camera(each) | {"frames": digests[each.name]} for each in (camera, *partners)]
+    return {"camera": cameras[0], "partners": cameras[1:], "options": dict(options)}
+
+
+def _describe_camera(camera: Camera) -> dict[str, object]:
+    return {
+        "name": camera.name,
+        "size": list(camera.size),
+        "K": camera.K.tolist(),
+        "world_to_camera": camera.world_to_camera.tolist(),
+        "near": float(camera.near),
+        "far": float(camera.far),
+    }
+
+
+class DepthStore:
+    """A folder of depth maps.
+
+    Args:
+        root: the folder; created by the first `write`.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+
+    @staticmethod
+    def key(spec: Mapping[str, object]) -> str:
+        """The name of what `describe_depth` described: sha256 of its JSON text."""
+        return hashlib.sha256(json.dumps(spec, sort_keys=True, allow_nan=False).encode()).hexdigest()
+
+    def folder(self, key: str) -> Path:
+        """Where the depth maps of that key lie."""
+        return self.root / key[:24]
+
+    def path(self, key: str, frame: int) -> Path:
+        """The file of one instant."""
+        return self.folder(key) / f"{frame:06d}.npz"
+
+    def has(self, key: str, frame: int) -> bool:
+        """Whether that instant is stored."""
+        return self.path(key, frame).is_file()
+
+    def write_spec(self, spec: Mapping[str, object]) -> str:
+        """Open the folder of a spec, with a `spec.json` for its readers, and return its key."""
+        key = self.key(spec)
+        path = self.folder(key) / "spec.json"
+        if not path.is_file():
+            _write_atomically(path, (json.dumps({"key": key, **spec}, indent=1) + "\n").encode())
+        return key
+
+    def write(self, key: str, frame: int, depth_map: DepthMap) -> None:
+        """Store one instant; confidence is rounded to 8 bit."""
+        confidence = np.rint(depth_map.confidence * CONFIDENCE_STEPS).astype(np.uint8)
+        path = self.path(key, frame)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = _temporary(path)
+        with temporary.open("wb") as file:
+            np.savez(file, depth=depth_map.depth.astype(np.float32, copy=False), confidence=confidence)
+        temporary.replace(path)
+
+    def read(self, key: str, frame: int) -> DepthMap:
+        """Read one instant.
+
+        Raises:
+            DepthError: not stored, or damaged.
+        """
+        path = self.path(key, frame)
+        if not path.is_file():
+            raise DepthError(f"{path}: this depth map is not stored; prepare the capture first (ggvs-eval prepare)")
+        try:
+            with np.load(path, allow_pickle=False) as arrays:
+                depth, confidence = arrays["depth"], arrays["confidence"]
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+            raise DepthError(f"{path}: not a readable depth map ({error}); delete this file and prepare again") from error
+        _check(path, depth, confidence)
+        return DepthMap(depth, confidence.astype(np.float32) / np.float32(CONFIDENCE_STEPS))
+
+
+def _check(path: Path, depth: NDArray[np.generic], confidence: NDArray[np.generic]) -> None:
+    if depth.dtype != np.float32 or confidence.dtype != np.uint8 or depth.ndim != 2 or depth.shape != confidence.shape:
+        raise DepthError(
+            f"{path}: wanted float32 depth and uint8 confidence of one (H, W), got {depth.dtype} {depth.shape} and "
+            f"{confidence.dtype} {confidence.shape}; delete this file and prepare again"
+        )
+    if not np.isfinite(depth).all() or depth.min(initial=0) < 0:
+        raise DepthError(f"{path}: depth must be finite and not negative; delete this file and prepare again")
+
+
+def _temporary(path: Path) -> Path:
+    return path.with_name(f".{path.name}.{os.getpid()}.tmp")
+
+
+def _write_atomically(path: Path, content: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = _temporary(path)
+    temporary.write_bytes(content)
+    temporary.replace(path)

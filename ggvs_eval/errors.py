@@ -1,0 +1,40 @@
+"""What a user can mend: one family, each with a one-line message that says how.
+
+The command line prints these in one line and exits with 1. Anything else is our bug and keeps its traceback.
+"""
+
+
+class GgvsError(Exception):
+    """Base of every error that the user can mend."""
+
+
+class CaptureError(GgvsError):
+    """A capture on disk is incomplete, unreadable or contradicts itself."""
+
+
+class CameraError(GgvsError):
+    """A camera is not a camera: NaN, not a rotation, no size."""
+
+
+class ProtocolError(GgvsError):
+    """A protocol file has an unknown key, a wrong type or a value that makes no sense."""
+
+
+class DepthError(GgvsError):
+    """Depth cannot be computed for a camera, or a depth store does not fit the request."""
+
+
+class RenderError(GgvsError):
+    """Frames cannot be synthesised, or a folder of renders does not fit the protocol."""
+
+
+class MetricError(GgvsError):
+    """Inputs of a metric do not fit each other or the metric's definition."""
+
+
+class WeightsError(GgvsError):
+    """Network weights are absent, damaged or belong to another network."""
+
+
+class ResultsError(GgvsError):
+    """Results are absent, or two results must not stand in one table."""

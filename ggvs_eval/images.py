@@ -1,0 +1,67 @@
+"""8-bit images: what is measured is what lies on disk."""
+
+import os
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.errors import CaptureError
+
+Image8 = NDArray[np.uint8]
+ResizeFilter = Literal["area", "lanczos", "bicubic", "bilinear"]
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
+
+
+def quantise(image: NDArray[np.floating]) -> Image8:
+    """Round an image in [0, 1] to 8 bit, as it will be saved; what lies outside is clipped."""
+    return np.rint(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)
+
+
+def read_image(path: Path) -> Image8:
+    """Read an 8-bit RGB image, (H, W, 3).
+
+    Raises:
+        CaptureError: absent, damaged or not an image.
+    """
+    encoded = np.fromfile(path, dtype=np.uint8) if path.is_file() else np.empty(0, np.uint8)
+    image = cv2.imdecode(encoded, cv2.IMREAD_COLOR) if encoded.size else None
+    if image is None:
+        found = f"{encoded.size} bytes that do not decode" if encoded.size else "no such file, or an empty one"
+        raise CaptureError(f"{path}: wanted an image, got {found}; restore or render this frame again")
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+
+
+def write_image(path: Path, image: Image8) -> None:
+    """Write an 8-bit RGB image as PNG so that a killed process leaves either the whole file or none."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    _, encoded = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_PNG_COMPRESSION, 3])
+    temporary = path.with_suffix(f".{os.getpid()}.tmp")
+    temporary.write_bytes(encoded.tobytes())
+    temporary.replace(path)
+
+
+def resize(image: Image8, width: int, height: int, resize_filter: ResizeFilter) -> Image8:
+    """Resample an 8-bit image by a filter that is named in the protocol.
+
+    Args:
+        image: (H, W, 3) or (H, W), uint8.
+        width: wanted width in pixels.
+        height: wanted height in pixels.
+        resize_filter: ``area`` (box average), or ``lanczos``, ``bicubic``, ``bilinear`` with the filter's support scaled to the
+            reduction (antialiased, as Pillow does and as the DyNeRF loaders use it).
+    """
+    if image.shape[1::-1] == (width, height):
+        return image
+    if resize_filter == "area":
+        return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    from PIL import Image
+
+    filters = {
+        "lanczos": Image.Resampling.LANCZOS,
+        "bicubic": Image.Resampling.BICUBIC,
+        "bilinear": Image.Resampling.BILINEAR,
+    }
+    return np.asarray(Image.fromarray(image).resize((width, height), filters[resize_filter]))

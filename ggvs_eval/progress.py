@@ -1,0 +1,23 @@
+"""One progress bar for everything that takes longer than a blink."""
+
+from collections.abc import Iterable, Iterator
+from typing import TypeVar
+
+Item = TypeVar("Item")
+
+
+def track(items: Iterable[Item], description: str, total: int | None = None) -> Iterator[Item]:
+    """Yield the items with a bar, the elapsed time and the time left; silent where the output is not a terminal.
+
+    Args:
+        items: what is worked on; consumed lazily.
+        description: what is being done, a few words.
+        total: number of items where `len(items)` does not tell.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left"))
+    console = Console(stderr=True)
+    with Progress(*columns, TimeRemainingColumn(), console=console, disable=not console.is_terminal) as progress:
+        yield from progress.track(items, description=description, total=total)

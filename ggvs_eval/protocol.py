@@ -1,0 +1,200 @@
+"""The protocol: everything that a number depends on beside the frames themselves, in one hashed TOML file."""
+
+import dataclasses
+import difflib
+import hashlib
+import json
+import tomllib
+import types
+import typing
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+from ggvs_eval.errors import ProtocolError
+from ggvs_eval.images import ResizeFilter
+
+Table = TypeVar("Table")
+
+
+@dataclass(frozen=True)
+class Views:
+    """Which cameras are synthesised, each from the others (leave-one-out).
+
+    Attributes:
+        test: names of the target cameras.
+        chosen_by: who chose them and by which rule; the paper gives counts only.
+    """
+
+    test: tuple[str, ...]
+    chosen_by: str
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Which instants are synthesised: ``count`` from ``start`` on, consecutive."""
+
+    start: int
+    count: int
+
+
+@dataclass(frozen=True)
+class Synthesis:
+    """What a method is given.
+
+    Attributes:
+        k: number of source cameras, nearest by centre.
+        width: width of input and output images; 0 keeps the capture's.
+        height: height of input and output images; 0 keeps the capture's.
+        resize_filter: how the capture's frames reach that size.
+    """
+
+    k: int
+    width: int = 0
+    height: int = 0
+    resize_filter: ResizeFilter = "lanczos"
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """How the 8-bit frames on disk become numbers.
+
+    Attributes:
+        metrics: names of the metrics, see `ggvs_eval.metrics.registry.METRICS`.
+        width: both images are resized to this width before anything is measured; 0 keeps the rendered size.
+        height: likewise.
+        resize_filter: how they are resized.
+        lpips_net: backbone of LPIPS v0.1.
+        sted_pairing: frame pairs of ST-RRED: ``disjoint`` (0-1, 2-3, ...) or ``consecutive``.
+        ddof: delta degrees of freedom of the standard deviations SDT and SDV.
+        aggregation: order in which means are taken.
+    """
+
+    metrics: tuple[str, ...]
+    width: int = 0
+    height: int = 0
+    resize_filter: ResizeFilter = "area"
+    lpips_net: Literal["vgg", "alex"] = "vgg"
+    sted_pairing: Literal["disjoint", "consecutive"] = "disjoint"
+    ddof: int = 1
+    aggregation: Literal["frames, views, scenes"] = "frames, views, scenes"
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """One evaluation protocol; equal protocols have equal hashes, whatever file they came from.
+
+    Attributes:
+        name: what the protocol is called.
+        dataset: what tables call the data; published values stand beside measured ones only under the same name.
+    """
+
+    name: str
+    dataset: str
+    views: Views
+    frames: Frames
+    synthesis: Synthesis
+    measurement: Measurement
+
+    @property
+    def sha256(self) -> str:
+        """Hash of every value (not of the file's layout or comments); results carry it, tables refuse to mix it."""
+        return hashlib.sha256(json.dumps(dataclasses.asdict(self), sort_keys=True).encode()).hexdigest()
+
+    def to_toml(self) -> str:
+        """The protocol as a TOML file that `load_protocol` reads back."""
+        values = dataclasses.asdict(self)
+        lines = [f"{key} = {_toml_value(value)}" for key, value in values.items() if not isinstance(value, dict)]
+        for section, table in values.items():
+            if isinstance(table, dict):
+                lines += ["", f"[{section}]", *(f"{key} = {_toml_value(value)}" for key, value in table.items())]
+        return "\n".join(lines) + "\n"
+
+
+def load_protocol(source: str | Path) -> Protocol:
+    """Read a protocol from a TOML file, or one that ships with the package by its name (``demo``, ``dynerf``, ...).
+
+    Raises:
+        ProtocolError: no such file, not TOML, or an unknown, missing or mistyped key; the message names the nearest known one.
+    """
+    path = Path(source)
+    if path.suffix == ".toml":
+        if not path.is_file():
+            raise ProtocolError(f"{path}: no such protocol file; packaged ones are {', '.join(packaged_protocols())}")
+        text = path.read_text(encoding="utf-8")
+    else:
+        if str(source) not in packaged_protocols():
+            raise ProtocolError(
+                f"protocol {str(source)!r} is not packaged; use a .toml file or one of {', '.join(packaged_protocols())}"
+            )
+        text = (resources.files("ggvs_eval") / "protocols" / f"{source}.toml").read_text(encoding="utf-8")
+    try:
+        values = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ProtocolError(f"{source}: not valid TOML: {error}") from None
+    return _checked(_build(Protocol, values, str(source), ""), str(source))
+
+
+def packaged_protocols() -> list[str]:
+    """Names of the protocols that ship with the package."""
+    folder = resources.files("ggvs_eval") / "protocols"
+    return sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml"))
+
+
+def _build(kind: type[Table], values: dict[str, Any], file: str, section: str) -> Table:
+    """Turn a TOML table into a dataclass; every surprise is an error that names file, key and mend."""
+    fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    hints = typing.get_type_hints(kind)
+    for key in values:
+        if key not in fields:
+            nearest = difflib.get_close_matches(key, fields, n=1, cutoff=0.0)[0]
+            raise ProtocolError(f"{file}: unknown key {section}{key}; did you mean {section}{nearest}?")
+    required = [name for name, field in fields.items() if field.default is dataclasses.MISSING]
+    missing = [f"{section}{name}" for name in required if name not in values]
+    if missing:
+        raise ProtocolError(f"{file}: missing key {', '.join(missing)}; see the packaged protocols for an example")
+    converted = {key: _convert(hints[key], value, file, f"{section}{key}") for key, value in values.items()}
+    return kind(**converted)
+
+
+def _convert(wanted: Any, value: Any, file: str, key: str) -> Any:
+    """Check one value against the type of its field."""
+    origin, arguments = typing.get_origin(wanted), typing.get_args(wanted)
+    if dataclasses.is_dataclass(wanted) and isinstance(value, dict):
+        return _build(typing.cast(type, wanted), value, file, f"{key}.")
+    if origin is Literal and value in arguments:
+        return value
+    if origin is tuple and isinstance(value, list) and all(type(item) is arguments[0] for item in value):
+        return tuple(value)
+    if not isinstance(wanted, types.GenericAlias) and origin is None and type(value) is wanted:
+        return value
+    expected = f"one of {', '.join(map(repr, arguments))}" if origin is Literal else getattr(wanted, "__name__", str(wanted))
+    raise ProtocolError(f"{file}: {key} must be {expected}, got {value!r}")
+
+
+def _checked(protocol: Protocol, file: str) -> Protocol:
+    """Refuse values of the right type that make no sense."""
+    synthesis, measurement = protocol.synthesis, protocol.measurement
+    views = protocol.views.test
+    rules = {
+        "views.test must name each test view once, and at least one": views and len(set(views)) == len(views),
+        "frames.start must be at least 0 and frames.count at least 1": protocol.frames.start >= 0 and protocol.frames.count >= 1,
+        "synthesis.k must be at least 1": synthesis.k >= 1,
+        "synthesis.width and height must both be positive, or both 0": _is_size(synthesis.width, synthesis.height),
+        "measurement.width and height must both be positive, or both 0": _is_size(measurement.width, measurement.height),
+        "measurement.metrics must name at least one metric": measurement.metrics,
+        "measurement.ddof must be 0 or 1": measurement.ddof in (0, 1),
+    }
+    for rule, holds in rules.items():
+        if not holds:
+            raise ProtocolError(f"{file}: {rule}")
+    return protocol
+
+
+def _is_size(width: int, height: int) -> bool:
+    return (width > 0 and height > 0) or (width == 0 and height == 0)
+
+
+def _toml_value(value: Any) -> str:
+    return json.dumps(list(value) if isinstance(value, tuple) else value)

@@ -1,0 +1,115 @@
+"""Results: one tidy table of every measured value, with the provenance that makes it quotable."""
+
+import json
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from ggvs_eval.errors import ResultsError
+
+COLUMNS = ("dataset", "scene", "method", "variant", "view", "frame", "metric", "value")
+TABLE_FILE = "results.parquet"
+PROVENANCE_FILE = "results.json"
+
+
+@dataclass(frozen=True)
+class Results:
+    """Every value of one evaluation, and what it was measured from.
+
+    Attributes:
+        table: one row per value with the columns `COLUMNS`; ``view`` is None where a value belongs to the whole rig (SDV),
+            ``frame`` is -1 where it belongs to the whole sequence (STED, SDT).
+        provenance: ``protocol`` (values), ``protocol_sha256``, ``inputs`` (digest per camera), ``versions``.
+        not_computed: metric -> reason, for what was asked for and could not be had.
+    """
+
+    table: pd.DataFrame
+    provenance: dict[str, Any]
+    not_computed: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Refuse a table that lacks a column or its protocol."""
+        missing = [name for name in COLUMNS if name not in self.table.columns]
+        if missing or "protocol_sha256" not in self.provenance:
+            raise ResultsError(f"results lack {', '.join(missing) or 'provenance.protocol_sha256'}; score the run again")
+
+    def write(self, folder: Path) -> None:
+        """Write the table as Parquet and the provenance as JSON, each whole or not at all."""
+        folder.mkdir(parents=True, exist_ok=True)
+        self.table.to_parquet(folder / f"{TABLE_FILE}.tmp", index=False)
+        os.replace(folder / f"{TABLE_FILE}.tmp", folder / TABLE_FILE)
+        text = json.dumps({"provenance": self.provenance, "not_computed": self.not_computed}, indent=1, sort_keys=True)
+        (folder / f"{PROVENANCE_FILE}.tmp").write_text(text, encoding="utf-8")
+        os.replace(folder / f"{PROVENANCE_FILE}.tmp", folder / PROVENANCE_FILE)
+
+    @classmethod
+    def read(cls, folder: Path) -> "Results":
+        """Read what `write` wrote.
+
+        Raises:
+            ResultsError: no results in that folder, or damaged ones.
+        """
+        try:
+            table = pd.read_parquet(folder / TABLE_FILE)
+            sidecar = json.loads((folder / PROVENANCE_FILE).read_text(encoding="utf-8"))
+            return cls(table, sidecar["provenance"], sidecar["not_computed"])
+        except (OSError, ValueError, KeyError) as error:
+            raise ResultsError(f"{folder}: wanted {TABLE_FILE} and {PROVENANCE_FILE} ({error}); run `ggvs-eval score`") from None
+
+    def summary(self) -> pd.DataFrame:
+        """Mean of every metric per dataset, method and variant: over frames, then views, then scenes.
+
+        Returns:
+            Rows (dataset, method, variant), one column per metric, in the order in which they were first measured.
+        """
+        keys = ["dataset", "method", "variant", "metric", "scene"]
+        per_view = self.table.groupby([*keys, "view"], sort=False, dropna=False)["value"].mean()
+        per_scene = per_view.groupby(keys, sort=False).mean()
+        per_dataset = per_scene.groupby(keys[:4], sort=False).mean()
+        return per_dataset.unstack("metric", sort=False)
+
+    def per_view(self, metric: str) -> pd.DataFrame:
+        """Mean over frames of one metric: rows (method, variant), one column per view."""
+        rows = self.table[(self.table["metric"] == metric) & self.table["view"].notna()]
+        return rows.groupby(["method", "variant", "view"], sort=False)["value"].mean().unstack("view", sort=False)
+
+    def per_frame(self, metric: str, view: str) -> pd.DataFrame:
+        """One metric along time in one view: rows are frames, one column per (method, variant)."""
+        rows = self.table[(self.table["metric"] == metric) & (self.table["view"] == view) & (self.table["frame"] >= 0)]
+        return rows.pivot_table(index="frame", columns=["method", "variant"], values="value", sort=False)
+
+
+def merge_results(parts: Sequence[Results]) -> Results:
+    """Put results of several methods, scenes or machines into one.
+
+    Raises:
+        ResultsError: they were measured under different protocols; the message names both hashes.
+    """
+    hashes = {part.provenance["protocol_sha256"] for part in parts}
+    if len(hashes) != 1:
+        raise ResultsError(
+            f"results of different protocols do not belong in one table: {', '.join(sorted(digest[:12] for digest in hashes))}; "
+            "score them again under one protocol"
+        )
+    provenance = dict(parts[0].provenance)
+    provenance["inputs"] = {name: digest for part in parts for name, digest in part.provenance["inputs"].items()}
+    not_computed = {name: reason for part in parts for name, reason in part.not_computed.items()}
+    table = pd.concat([part.table for part in parts], ignore_index=True)
+    return Results(table.drop_duplicates(list(COLUMNS[:-1]), keep="last"), provenance, not_computed)
+
+
+def make_table(rows: Iterable[Sequence[Any]]) -> pd.DataFrame:
+    """Build the tidy table from rows in the order of `COLUMNS`."""
+    table = pd.DataFrame(list(rows), columns=list(COLUMNS))
+    return table.astype({"frame": "int64", "value": "float64"})
+
+
+def installed_versions() -> dict[str, str]:
+    """Versions of everything that can move a number."""
+    packages = ("ggvs-eval", "numpy", "opencv-python-headless", "torch", "scipy", "pyrtools", "av", "pandas")
+    return {name: metadata.version(name) for name in packages}

@@ -1,0 +1,149 @@
+"""Where everything of one run lies: one capture under one protocol, in a folder that any step can be resumed from.
+
+::
+
+    RUN/protocol.toml  capture.json              what was asked for, of which capture
+    RUN/truth/<view>/<frame>.png                 captured frames of the test views, at synthesis size
+    RUN/depth/<key>/<frame>.*                    depth store of the source cameras
+    RUN/renders/<method>/<view>/<frame>.png      synthesised frames, and job.json: identity, versions, seconds per stage
+    RUN/path/truth/<pose>.png                    a camera path at one instant: truth where there is one, poses in path.json
+    RUN/path/<method>/<pose>.png                 the same path synthesised, for epipolar plane images
+    RUN/scores/<view>/job.json                   values of every method in one view
+    RUN/results.parquet  results.json            every value in one table, and where it comes from
+    RUN/report/index.html                        the page
+"""
+
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ggvs_eval.errors import RenderError, ResultsError
+from ggvs_eval.images import Image8, read_image
+from ggvs_eval.protocol import Protocol, load_protocol
+
+JOB_FILE = "job.json"
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """Paths and small records of one run."""
+
+    root: Path
+
+    @property
+    def protocol_file(self) -> Path:
+        """The protocol as it was used."""
+        return self.root / "protocol.toml"
+
+    @property
+    def depth(self) -> Path:
+        """Root of the depth store."""
+        return self.root / "depth"
+
+    @property
+    def report(self) -> Path:
+        """Folder of the page and its tables."""
+        return self.root / "report"
+
+    def truth(self, view: str) -> Path:
+        """Captured frames of a test view."""
+        return self.root / "truth" / view
+
+    def renders(self, label: str, view: str) -> Path:
+        """Frames of one method (``method`` or ``method+variant``) in one test view."""
+        return self.root / "renders" / label / view
+
+    def path(self, label: str) -> Path:
+        """Frames of one method, or of the ``truth``, along the camera path."""
+        return self.root / "path" / label
+
+    def scores(self, view: str) -> Path:
+        """Values of every method in one view."""
+        return self.root / "scores" / view
+
+    def protocol(self) -> Protocol:
+        """The protocol of this run.
+
+        Raises:
+            ResultsError: the folder is not a run.
+        """
+        if not self.protocol_file.is_file():
+            raise ResultsError(f"{self.root}: not a run folder, it has no protocol.toml; make one with `ggvs-eval run`")
+        return load_protocol(self.protocol_file)
+
+    def capture_record(self) -> dict[str, Any]:
+        """Scene, layout, fps, units and cameras of the capture, as `ggvs-eval prepare` wrote them."""
+        return read_json(self.root / "capture.json")
+
+    def labels(self) -> list[str]:
+        """Methods that have renders here, in the order in which `ggvs-eval render` was asked for them."""
+        folder = self.root / "renders"
+        found = sorted(item.name for item in folder.iterdir() if not item.name.startswith(".")) if folder.is_dir() else []
+        order_file = self.root / "methods.json"
+        order = read_json(order_file)["labels"] if order_file.is_file() else []
+        return [label for label in order if label in found] + [label for label in found if label not in order]
+
+
+def frame_path(folder: Path, index: int) -> Path:
+    """Path of one frame in a folder of frames."""
+    return folder / f"{index:04d}.png"
+
+
+def read_frames(folder: Path, indices: range) -> list[Image8]:
+    """Read several frames at once; for few and small ones (slices, thumbnails)."""
+    return [read_image(frame_path(folder, index)) for index in indices]
+
+
+def missing_frames(folder: Path, indices: range) -> list[int]:
+    """Which of the wanted frames are not in a folder."""
+    return [index for index in indices if not frame_path(folder, index).is_file()]
+
+
+def require_frames(folders: dict[str, Path], indices: range) -> None:
+    """Refuse incomplete renders with the whole list of gaps.
+
+    Args:
+        folders: what each folder is, e.g. ``ours in cam00`` -> its path.
+        indices: frames that each must hold.
+
+    Raises:
+        RenderError: any gap.
+    """
+    gaps = {name: missing_frames(folder, indices) for name, folder in folders.items()}
+    listed = [f"{name} lacks {as_ranges(missing)}" for name, missing in gaps.items() if missing]
+    if listed:
+        root = next(iter(folders.values())).parents[1]
+        raise RenderError(f"{root}: frames are missing: {'; '.join(listed)}; render them")
+
+
+def as_ranges(indices: list[int]) -> str:
+    """Write sorted indices briefly: 0-3, 7, 9-11."""
+    parts: list[list[int]] = []
+    for index in indices:
+        if parts and index == parts[-1][-1] + 1:
+            parts[-1] = [parts[-1][0], index]
+        else:
+            parts.append([index])
+    return ", ".join("-".join(map(str, part)) for part in parts)
+
+
+def write_json(path: Path, record: Any) -> None:
+    """Write a JSON file whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary.write_text(json.dumps(record, indent=1), encoding="utf-8")
+    temporary.replace(path)
+
+
+def read_json(path: Path) -> Any:
+    """Read a JSON file that this package wrote.
+
+    Raises:
+        ResultsError: absent or damaged.
+    """
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ResultsError(f"{path}: cannot be read ({error}); delete it and run the step again") from None

@@ -1,0 +1,251 @@
+"""Video files as sources of frames: written so that equal frames give equal bytes, read so that frame t is frame t."""
+
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from ggvs_eval.digest import digest_files
+from ggvs_eval.errors import CaptureError
+from ggvs_eval.images import Image8
+
+if TYPE_CHECKING:
+    from av import VideoFrame
+    from av.container import InputContainer, OutputContainer
+    from av.video.stream import VideoStream
+
+MEND = "copy or encode this video again"
+KEY_FRAME_INTERVAL = 30
+
+
+def write_video(path: Path, frames: Iterable[Image8], fps: float, crf: float = 12) -> None:
+    """Encode frames as H.264 (yuv420p, BT.709, limited range) in an MP4 file.
+
+    One thread and fixed parameters: equal frames give equal bytes. The file appears under its name when it is whole.
+
+    Args:
+        path: file to write, usually ``*.mp4``.
+        frames: RGB images, all of one even size, (H, W, 3); consumed one at a time.
+        fps: frames per second.
+        crf: x264's constant rate factor; 12 is visually lossless, 0 the best the 4:2:0 format can do.
+
+    Raises:
+        CaptureError: no frames, an odd size, or frames that differ in size.
+    """
+    import av
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_suffix(f".{os.getpid()}.tmp")
+    try:
+        with av.open(str(temporary), "w", format="mp4", options={"fflags": "+bitexact"}) as container:
+            _encode(container, path, frames, fps, crf)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _encode(container: "OutputContainer", path: Path, frames: Iterable[Image8], fps: float, crf: float) -> None:
+    stream: VideoStream | None = None
+    size = (0, 0)
+    for index, image in enumerate(frames):
+        if stream is None:
+            size = (image.shape[1], image.shape[0])
+            stream = _add_stream(container, path, size, fps, crf)
+        if image.shape != (size[1], size[0], 3) or image.dtype != np.uint8:
+            wanted = f"wanted ({size[1]}, {size[0]}, 3) uint8 like frame 0, got {image.shape} {image.dtype}"
+            raise CaptureError(f"{path}: frame {index} does not fit: {wanted}; give all frames one size")
+        container.mux(stream.encode(_to_yuv(image)))
+    if stream is None:
+        raise CaptureError(f"{path}: wanted at least one frame to encode, got none; check the range of frames")
+    container.mux(stream.encode())
+
+
+def _add_stream(container: "OutputContainer", path: Path, size: tuple[int, int], fps: float, crf: float) -> "VideoStream":
+    from av.video.reformatter import ColorPrimaries, ColorRange, Colorspace, ColorTrc
+
+    if size[0] % 2 or size[1] % 2:
+        raise CaptureError(f"{path}: yuv420p wants even width and height, got {size[0]} x {size[1]}; crop or resize the frames")
+    stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
+    stream.width, stream.height = size
+    stream.pix_fmt = "yuv420p"
+    stream.codec_context.colorspace = Colorspace.ITU709
+    stream.codec_context.color_range = ColorRange.MPEG
+    stream.codec_context.color_primaries = ColorPrimaries.BT709
+    stream.codec_context.color_trc = ColorTrc.BT709
+    # x264's macroblock tree gives other bytes once in some dozens of runs, with one thread too (seen at 64 x 48).
+    stream.options = {
+        "crf": f"{crf:g}",
+        "preset": "medium",
+        "threads": "1",
+        "g": str(KEY_FRAME_INTERVAL),
+        "x264-params": "mbtree=0",
+    }
+    return stream
+
+
+def _to_yuv(image: Image8) -> "VideoFrame":
+    from av import VideoFrame
+    from av.video.reformatter import ColorRange, Colorspace
+
+    rgb = VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")
+    return rgb.reformat(
+        format="yuv420p", dst_colorspace=Colorspace.ITU709, dst_color_range=ColorRange.MPEG, interpolation=_exact_conversion()
+    )
+
+
+def _exact_conversion() -> int:
+    """Flags for swscale: its default path is 1.2 of 255 levels too dark, repeats chroma unfiltered and varies with the CPU."""
+    from av.video.reformatter import Interpolation
+
+    return Interpolation.BICUBIC | Interpolation.FULL_CHR_H_INT | Interpolation.ACCURATE_RND | Interpolation.BITEXACT
+
+
+class FrameTime(NamedTuple):
+    """When a frame is shown and handed to the decoder, in ticks of its stream."""
+
+    presented: int
+    decoded: int
+    is_key: bool
+
+
+@dataclass(frozen=True)
+class VideoFrames:
+    """The frames of a video file, a `FrameSource`. Frames are numbered in the order of presentation, from 0.
+
+    Colour range and matrix (BT.601, BT.709, ...) follow the file's tags; BT.601 limited range where it has none, as swscale does.
+
+    Attributes:
+        path: MP4 or MOV file.
+    """
+
+    path: Path
+
+    @property
+    def n_frames(self) -> int:
+        """Frames that are presented, counted in the file's index of samples.
+
+        Raises:
+            CaptureError: the file is not a video, or ends before its last frame.
+        """
+        return self._header[0]
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) in pixels."""
+        return self._header[1]
+
+    @property
+    def fps(self) -> float:
+        """Frames per second, the average over the file."""
+        return self._header[2]
+
+    @cached_property
+    def digest(self) -> str:
+        """Identifies the content; see `digest_files`."""
+        return digest_files([self.path])
+
+    def frames(self, start: int, stop: int) -> Iterator[Image8]:
+        """Decode frames start <= t < stop one by one, from the last key frame before `start`; one frame is held at a time.
+
+        Args:
+            start: first frame.
+            stop: one past the last frame.
+
+        Yields:
+            RGB uint8 images, (H, W, 3).
+
+        Raises:
+            CaptureError: frames the video does not have, or data that do not decode to exactly these frames. Flipped bits that
+                leave a stream which can be decoded pass unnoticed, since H.264 carries no checksum; they change the digest.
+        """
+        import av
+
+        if not 0 <= start <= stop <= self.n_frames:
+            raise CaptureError(f"{self.path}: wanted frames {start}..{stop - 1}, the video has {self.n_frames}")
+        if start == stop:
+            return
+        index, reason = start, "data missing or damaged"
+        for key in self._key_frames_before(start):
+            try:
+                for frame in islice(self._decode_from(key, index), stop - index):
+                    # A frame that is missing or concealed must not shift or spoil those after it.
+                    if frame.pts != self._timestamps[index].presented or frame.is_corrupt:
+                        break
+                    yield frame.to_ndarray(format="rgb24", interpolation=_exact_conversion()).astype(np.uint8, copy=False)
+                    index += 1
+            except av.error.FFmpegError as error:
+                reason = str(error.strerror)
+            if index == stop:
+                return
+        raise self._damaged(index, reason)
+
+    def _key_frames_before(self, start: int) -> list[int]:
+        """Where decoding may begin: at the last key frame or, where that one is not enough (intra refresh), at the first."""
+        last = max((index for index, frame in enumerate(self._timestamps[: start + 1]) if frame.is_key), default=0)
+        return [last, 0] if last else [0]
+
+    def _decode_from(self, key: int, start: int) -> "Iterator[VideoFrame]":
+        """Frames in the order of presentation from `start` on, decoded from the key frame `key` <= `start`."""
+        first, wanted = self._timestamps[key], self._timestamps[start].presented
+        with self._open() as container:
+            stream = container.streams.video[0]
+            stream.thread_type = "AUTO"
+            stream.codec_context.options = {"err_detect": "explode"}
+            # By decoding time: the presentation time of `start` may lie past the decoding time of the next key frame.
+            container.seek(first.decoded, stream=stream)
+            for packet in container.demux(stream):
+                # Frames shown before an open group's key frame refer to the group before it and cannot be decoded from here.
+                if packet.pts is None or packet.pts >= first.presented:
+                    yield from (frame for frame in packet.decode() if frame.pts is None or frame.pts >= wanted)
+
+    @cached_property
+    def _timestamps(self) -> list[FrameTime]:
+        """When each frame is decoded and presented, in the order of presentation."""
+        with self._open() as container:
+            timestamps = sorted(
+                FrameTime(packet.pts, packet.dts, packet.is_keyframe)
+                for packet in container.demux(video=0)
+                if packet.pts is not None and packet.dts is not None and not packet.is_discard
+            )
+        if len(timestamps) != self.n_frames:
+            raise self._damaged(len(timestamps), "packets missing")
+        return timestamps
+
+    @cached_property
+    def _header(self) -> tuple[int, tuple[int, int], float]:
+        """Frame count, size and rate; the frame data are not read, but must lie within the file."""
+        n_bytes = self.path.stat().st_size if self.path.is_file() else 0
+        with self._open() as container:
+            stream = container.streams.video[0]
+            samples = [sample for sample in stream.index_entries if not sample.is_discard]
+            whole = sum(sample.pos + sample.size <= n_bytes for sample in samples)
+            if not samples or whole < len(samples):
+                raise self._damaged(whole, f"the file ends after {n_bytes} bytes", len(samples))
+            return len(samples), (stream.width, stream.height), float(stream.average_rate or 0)
+
+    def _open(self) -> "InputContainer":
+        """Open the container, with its first stream a video."""
+        import av
+
+        if not self.path.is_file():
+            raise CaptureError(f"{self.path}: wanted a video, there is no such file; restore it or drop its camera")
+        try:
+            container = av.open(str(self.path))
+        except av.error.FFmpegError as error:
+            found = f"{self.path.stat().st_size} bytes that do not open ({error.strerror}), 0 frames can be decoded"
+            raise CaptureError(f"{self.path}: wanted a video, got {found}; the file is truncated or no video: {MEND}") from error
+        if not container.streams.video or "mp4" not in container.format.name:
+            found = f"{container.format.name} without index of frames" if container.streams.video else "no video stream"
+            container.close()
+            raise CaptureError(f"{self.path}: wanted an MP4 or MOV video, got {found}; copy it: ffmpeg -i IN -c copy OUT.mp4")
+        return container
+
+    def _damaged(self, n_decoded: int, reason: str, n_frames: int | None = None) -> CaptureError:
+        total = self.n_frames if n_frames is None else n_frames
+        return CaptureError(f"{self.path}: damaged, {n_decoded} of {total} frames can be decoded, then {reason}; {MEND}")

@@ -1,0 +1,70 @@
+"""Protocols: what is packaged loads, what is mistyped is refused with the mend."""
+
+import dataclasses
+
+import pytest
+
+from ggvs_eval.errors import ProtocolError
+from ggvs_eval.protocol import load_protocol, packaged_protocols
+
+
+@pytest.mark.parametrize("name", packaged_protocols())
+def test_packaged_protocols_survive_a_round_trip(name, tmp_path):
+    """A protocol written as TOML reads back equal, with an equal hash."""
+    protocol = load_protocol(name)
+    (tmp_path / "copy.toml").write_text(protocol.to_toml())
+
+    copy = load_protocol(tmp_path / "copy.toml")
+
+    assert copy == protocol
+    assert copy.sha256 == protocol.sha256
+
+
+def test_the_hash_depends_on_every_value():
+    """Changing any one value changes the hash."""
+    protocol = load_protocol("demo")
+    changed = [
+        dataclasses.replace(protocol, name="other"),
+        dataclasses.replace(protocol, frames=dataclasses.replace(protocol.frames, count=3)),
+        dataclasses.replace(protocol, measurement=dataclasses.replace(protocol.measurement, ddof=0)),
+        dataclasses.replace(protocol, synthesis=dataclasses.replace(protocol.synthesis, resize_filter="area")),
+    ]
+
+    assert len({item.sha256 for item in [protocol, *changed]}) == 5
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("k = 4", "kk = 4", r"unknown key synthesis.kk; did you mean synthesis.k\?"),
+        ("k = 4", "k = '4'", "synthesis.k must be int, got '4'"),
+        ("k = 4", "k = true", "synthesis.k must be int, got True"),
+        ("k = 4", "k = 0", "synthesis.k must be at least 1"),
+        ("count = 24", "", "missing key frames.count"),
+        ("count = 24", "count = 0", "frames.count at least 1"),
+        ('"lanczos"', '"lanzcos"', "synthesis.resize_filter must be one of 'area', 'lanczos'"),
+        ("[frames]", "[frame]", r"unknown key frame; did you mean frames\?"),
+        ('"cam03"', '"cam00"', "name each test view once"),
+        ("[frames]", "[frames", "not valid TOML"),
+    ],
+)
+def test_mistakes_are_refused_in_one_line(old, new, message, tmp_path):
+    """An unknown, missing or mistyped key names the file, the key and what was meant."""
+    from importlib import resources
+
+    text = (resources.files("ggvs_eval") / "protocols" / "demo.toml").read_text()
+    assert old in text
+    file = tmp_path / "mine.toml"
+    file.write_text(text.replace(old, new, 1))
+
+    with pytest.raises(ProtocolError, match=message) as caught:
+        load_protocol(file)
+
+    assert "mine.toml" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_unknown_name_lists_the_packaged_ones():
+    """Asking for a protocol that does not ship says which do."""
+    with pytest.raises(ProtocolError, match=r"'dinerf' is not packaged.*demo, dynerf"):
+        load_protocol("dinerf")
