@@ -1,0 +1,104 @@
+"""Reads a COLMAP model in a process of its own and prints it as JSON: pycolmap, once loaded, breaks the writing of PNG files.
+
+Command: ``python -m ggvs_eval.datasets.colmap_reader MODEL_DIR``
+"""
+
+import json
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from struct import error as StructError
+from struct import unpack_from
+from typing import Any
+
+import numpy as np
+
+FILES = ("cameras", "images", "points3D")
+PERCENTILES = (1, 50, 99)
+
+
+def read_reconstruction(folder: Path) -> list[dict[str, Any]]:
+    """The registered images of a sparse model in the order of their names.
+
+    Args:
+        folder: holds cameras, images and points3D, as text or binary.
+
+    Returns:
+        Per image its ``name``, the camera's ``model``, ``width``, ``height`` and ``params``, ``world_to_camera`` (3 x 4) and
+        ``depth_percentiles`` (1, 50, 99) of the points seen, world units; an empty list where it sees none.
+
+    Raises:
+        ValueError: a file is absent, ends early or contradicts another.
+    """
+    import pycolmap
+
+    suffix = ".bin" if (folder / "cameras.bin").is_file() else ".txt"
+    files = [folder / f"{name}{suffix}" for name in FILES]
+    missing = [file.name for file in files if not file.is_file()]
+    if missing:
+        raise ValueError(f"no {', '.join(missing)}")
+    if suffix == ".bin":
+        _check_length(files[1], _images_end)
+        _check_length(files[2], _points_end)
+    # These three say all; rigs and frames, which newer versions write beside them, would only be more that can be damaged.
+    with tempfile.TemporaryDirectory() as alone:
+        for file in files:
+            (Path(alone) / file.name).symlink_to(file.resolve())
+        reconstruction = pycolmap.Reconstruction(alone)
+    if suffix == ".bin":
+        end = 8 + sum(24 + 8 * len(camera.params) for camera in reconstruction.cameras.values())
+        _check_length(files[0], lambda _: end)
+    images = [image for image in reconstruction.images.values() if image.has_pose]
+    return [_describe_image(reconstruction, image) for image in sorted(images, key=lambda image: image.name)]
+
+
+def _describe_image(reconstruction: Any, image: Any) -> dict[str, Any]:
+    camera = reconstruction.cameras[image.camera_id]
+    pose = image.cam_from_world() if callable(image.cam_from_world) else image.cam_from_world
+    world_to_camera = np.asarray(pose.matrix())  # (3, 4)
+    seen = [point.point3D_id for point in image.points2D if point.has_point3D()]
+    points_world = np.array([reconstruction.points3D[point].xyz for point in seen]).reshape(-1, 3)
+    depth = points_world @ world_to_camera[2, :3] + world_to_camera[2, 3]
+    depth = depth[depth > 0]
+    return {
+        "name": image.name,
+        "model": camera.model.name,
+        "width": camera.width,
+        "height": camera.height,
+        "params": list(camera.params),
+        "world_to_camera": world_to_camera.tolist(),
+        "depth_percentiles": np.percentile(depth, PERCENTILES).tolist() if depth.size else [],
+    }
+
+
+def _check_length(file: Path, find_end: Callable[[bytes], int]) -> None:
+    """Refuse a binary file that is cut: pycolmap reads on past the end and invents the rest, or takes minutes to notice."""
+    content = file.read_bytes()
+    try:
+        whole = find_end(content) == len(content)
+    except (StructError, ValueError):
+        whole = False
+    if not whole:
+        raise ValueError(f"{file.name} is cut or damaged, its {len(content)} bytes do not fit its content")
+
+
+def _images_end(content: bytes) -> int:
+    """Walk over the images: 64 bytes of numbers, a name that ends with 0, a count, 24 bytes per point."""
+    at = 8
+    for _ in range(unpack_from("<Q", content)[0]):
+        at = content.index(b"\0", at + 64) + 1
+        at += 8 + 24 * unpack_from("<Q", content, at)[0]
+    return at
+
+
+def _points_end(content: bytes) -> int:
+    """Walk over the points: 43 bytes of numbers, a count, 8 bytes per observation."""
+    at = 8
+    for _ in range(unpack_from("<Q", content)[0]):
+        at += 51 + 8 * unpack_from("<Q", content, at + 43)[0]
+    return at
+
+
+if __name__ == "__main__":
+    print(json.dumps(read_reconstruction(Path(sys.argv[1]))))

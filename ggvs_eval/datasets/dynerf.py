@@ -1,0 +1,86 @@
+"""DyNeRF / Neural 3D Video captures: ``camXX.mp4`` with ``poses_bounds.npy``, and the frame folders other code makes of them."""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from ggvs_eval.capture import Capture
+from ggvs_eval.datasets.assemble import SizedSource, assemble_capture, choose_units
+from ggvs_eval.datasets.frames import ImageFrames
+from ggvs_eval.datasets.llff import llff_camera, read_llff_poses
+from ggvs_eval.errors import CaptureError
+from ggvs_eval.video import VideoFrames
+
+POSES = "poses_bounds.npy"
+FRAME_FOLDERS = ("frames", "frames_2", "frames_4", "frames_8")
+ARRANGEMENTS = "camXX.mp4, camXX/images/, frames/camXX/, frames_N/camXX/ or images/XX/"
+
+
+def refuse(path: Path) -> str | None:
+    """Why this folder is no DyNeRF capture; None where it is one."""
+    if not (path / POSES).is_file():
+        return f"no {POSES}"
+    return None if _find_sources(path) else f"{POSES}, but no frames ({ARRANGEMENTS})"
+
+
+def load(path: Path, units_per_metre: float | None) -> Capture:
+    """Open a DyNeRF capture with any number of cameras.
+
+    Args:
+        path: folder of the scene.
+        units_per_metre: world units per metre; guessed from the depth bounds when None.
+
+    Raises:
+        CaptureError: rows and cameras do not match, or a file is damaged.
+
+    Reading:
+        Row i belongs to the i-th camera in the order of names, never to the number in a name (numbers may be missing). One focal
+        length, principal point in the image centre, both scaled from the size in the file to the size of the frames.
+    """
+    sources = _find_sources(path)
+    poses = read_llff_poses(path / POSES)
+    if len(poses) != len(sources):
+        raise CaptureError(
+            f"{path / POSES}: wanted one row for each of the {len(sources)} cameras on disk ({_describe(list(sources))}), "
+            f"got {len(poses)} rows; restore the missing {'videos' if len(poses) > len(sources) else 'rows'}"
+        )
+    cameras = [llff_camera(pose, name, path / POSES) for pose, name in zip(poses, sources, strict=True)]
+    units = choose_units(path, units_per_metre, cameras)
+    return assemble_capture(path, "dynerf", cameras, list(sources.values()), units)
+
+
+def _find_sources(path: Path) -> dict[str, SizedSource]:
+    """The frames of each camera in the order of names, by the first arrangement that is there."""
+    for sources in _arrangements(path):
+        if sources:
+            _check_name_lengths(path, list(sources))
+            return dict(sorted(sources.items()))
+    return {}
+
+
+def _arrangements(path: Path) -> Iterator[dict[str, SizedSource]]:
+    yield {video.stem: VideoFrames(video) for video in path.glob("cam*.mp4") if _is_camera(video.stem)}
+    yield {folder.parent.name: ImageFrames(folder) for folder in path.glob("cam*/images") if _is_camera(folder.parent.name)}
+    for parent in (path / name for name in FRAME_FOLDERS):
+        yield {folder.name: ImageFrames(folder) for folder in parent.glob("cam*") if _is_camera(folder.name)}
+    yield {folder.name: ImageFrames(folder) for folder in path.glob("images/*") if folder.is_dir() and folder.name.isdecimal()}
+
+
+def _is_camera(name: str) -> bool:
+    return re.fullmatch(r"cam\d+", name) is not None
+
+
+def _check_name_lengths(path: Path, names: list[str]) -> None:
+    if len({len(name) for name in names}) > 1:
+        found = f"{min(names, key=len)} and {max(names, key=len)}"
+        raise CaptureError(
+            f"{path}: wanted camera numbers of one length, got {found}; add leading zeros, in the order of {POSES}"
+        )
+
+
+def _describe(names: list[str]) -> str:
+    """The names in a few words: first, last, and the numbers missing between them."""
+    numbers = {int(name.removeprefix("cam")) for name in names}
+    missing = sorted(set(range(min(numbers), max(numbers))) - numbers)
+    listed = f" without {', '.join(map(str, missing))}" if missing else ""
+    return f"{names[0]}..{names[-1]}{listed}"

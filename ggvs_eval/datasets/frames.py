@@ -1,0 +1,128 @@
+"""Images on disk as sources of frames: a folder with one image per instant, or a single image."""
+
+import re
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+
+from ggvs_eval.digest import digest_files
+from ggvs_eval.errors import CaptureError
+from ggvs_eval.images import IMAGE_SUFFIXES, Image8, read_image
+
+LISTED = 5
+
+
+@dataclass(frozen=True)
+class ImageFrames:
+    """The frames of one camera as images, a `FrameSource`.
+
+    A folder's frames are its images in the order of the last number in their names, whether that counts from 0 or 1, with or
+    without leading zeros; other files are ignored. Even steps are accepted, gaps are not: they would shift later frames in time.
+
+    Attributes:
+        path: folder of images, or one image.
+    """
+
+    path: Path
+
+    @property
+    def n_frames(self) -> int:
+        """Number of images."""
+        return len(self.files)
+
+    @cached_property
+    def files(self) -> tuple[Path, ...]:
+        """The images in the order of time.
+
+        Raises:
+            CaptureError: no image, two images for one instant, or a gap.
+        """
+        if self.path.is_file():
+            return (self.path,)
+        files = list_images(self.path)
+        if not files:
+            raise CaptureError(
+                f"{self.path}: wanted images ({', '.join(IMAGE_SUFFIXES)}), got none; restore this camera's frames"
+            )
+        if len(files) > 1:
+            self._check_numbers([_last_number(file) for file in files])
+        return tuple(sorted(files, key=_last_number))
+
+    @cached_property
+    def size(self) -> tuple[int, int]:
+        """(width, height) in pixels, read from the header of every image.
+
+        Raises:
+            CaptureError: images that differ in size, or a file that is no image.
+        """
+        sizes = {file: _image_size(file) for file in self.files}
+        (size, _), *others = Counter(sizes.values()).most_common()
+        if others:
+            odd = next(file for file in self.files if sizes[file] != size)
+            found = f"got {sizes[odd][0]} x {sizes[odd][1]}"
+            raise CaptureError(
+                f"{odd}: wanted {size[0]} x {size[1]} like the camera's other frames, {found}; resize or restore it"
+            )
+        return size
+
+    @cached_property
+    def digest(self) -> str:
+        """Identifies the content; see `digest_files`."""
+        return digest_files(self.files)
+
+    def frames(self, start: int, stop: int) -> Iterator[Image8]:
+        """Read frames start <= t < stop one by one, RGB uint8 (H, W, 3).
+
+        Raises:
+            CaptureError: frames that are not there, or an image that does not decode to the size of the others.
+        """
+        if not 0 <= start <= stop <= self.n_frames:
+            raise CaptureError(f"{self.path}: wanted frames {start}..{stop - 1}, the folder has {self.n_frames}")
+        for file in self.files[start:stop]:
+            image = read_image(file)
+            if image.shape[1::-1] != self.size:
+                found = f"{image.shape[1]} x {image.shape[0]}"
+                raise CaptureError(
+                    f"{file}: wanted {self.size[0]} x {self.size[1]} as its header says, got {found}; remove its EXIF rotation"
+                )
+            yield image
+
+    def _check_numbers(self, numbers: list[int]) -> None:
+        twice = sorted(number for number, count in Counter(numbers).items() if count > 1)
+        if twice:
+            listed = "no number" if twice[0] < 0 else f"the number {twice[0]}"
+            raise CaptureError(f"{self.path}: wanted one image per frame number, got several with {listed}; keep one of them")
+        ordered = sorted(numbers)
+        step = min(later - earlier for earlier, later in pairwise(ordered))
+        gaps = [f"{earlier} and {later}" for earlier, later in pairwise(ordered) if later - earlier != step]
+        if gaps:
+            listed = ", ".join(gaps[:LISTED]) + (", ..." if len(gaps) > LISTED else "")
+            found = f"{len(ordered)} images with gaps between {listed}"
+            raise CaptureError(
+                f"{self.path}: wanted frames numbered in even steps, got {found}; restore the frames or renumber them"
+            )
+
+
+def list_images(folder: Path) -> list[Path]:
+    """The images that lie in a folder, by name."""
+    return sorted(file for file in folder.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES) if folder.is_dir() else []
+
+
+def _last_number(file: Path) -> int:
+    numbers = re.findall(r"\d+", file.stem)
+    return int(numbers[-1]) if numbers else -1
+
+
+def _image_size(file: Path) -> tuple[int, int]:
+    """(width, height) without decoding the image."""
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(file) as image:
+            return image.size
+    except (OSError, UnidentifiedImageError) as error:
+        found = f"{file.stat().st_size} bytes that do not open" if file.is_file() else "no such file"
+        raise CaptureError(f"{file}: wanted an image, got {found}; restore this frame") from error

@@ -1,0 +1,129 @@
+"""Tiny valid captures of every layout, written as their authors lay them out."""
+
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.capture import Capture
+from ggvs_eval.datasets import open_capture
+from ggvs_eval.datasets.llff import llff_pose, write_llff_poses
+from ggvs_eval.errors import CaptureError
+from ggvs_eval.images import Image8, write_image
+from ggvs_eval.video import write_video
+
+WIDTH, HEIGHT, N_FRAMES, FPS = 64, 48, 5, 30.0
+NAMES = ("cam00", "cam01", "cam02", "cam03")
+
+
+def make_image(camera: int, frame: int, width: int = WIDTH, height: int = HEIGHT) -> Image8:
+    """A smooth picture whose mean colour tells the frame (red), the camera (green) and whose blue runs from left to right."""
+    image = np.empty((height, width, 3), np.uint8)
+    image[..., 0] = 30 + 20 * frame
+    image[..., 1] = 30 + 20 * camera
+    image[..., 2] = np.linspace(40, 200, width)
+    return image
+
+
+def make_rig(names: Sequence[str] = NAMES, width: int = WIDTH, height: int = HEIGHT) -> list[Camera]:
+    """Cameras in a row, each turned a little, near 2 and far 8."""
+    cameras = []
+    for index, name in enumerate(names):
+        angle_rad = 0.05 * (index - 1)
+        world_to_camera = np.eye(4)
+        cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
+        world_to_camera[:3, :3] = [[cosine, 0, -sine], [0, 1, 0], [sine, 0, cosine]]
+        world_to_camera[:3, 3] = -world_to_camera[:3, :3] @ [0.3 * index, 0.1 * index, 0.0]
+        K = np.array([[0.9 * width, 0, width / 2], [0, 0.9 * width, height / 2], [0, 0, 1.0]])
+        cameras.append(Camera(name, K, world_to_camera, width, height, 2.0, 8.0))
+    return cameras
+
+
+def write_poses(folder: Path, cameras: Sequence[Camera]) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    write_llff_poses(folder / "poses_bounds.npy", [llff_pose(camera) for camera in cameras])
+
+
+def write_videos(folder: Path, names: Sequence[str] = NAMES, n_frames: int = N_FRAMES) -> None:
+    for index, name in enumerate(names):
+        write_video(folder / f"{name}.mp4", (make_image(index, frame) for frame in range(n_frames)), FPS)
+
+
+def write_folders(folder: Path, names: Sequence[str] = NAMES, pattern: str = "{}/images", first: int = 0) -> None:
+    for index, name in enumerate(names):
+        for frame in range(N_FRAMES):
+            write_image(folder / pattern.format(name) / f"{first + frame:04d}.png", make_image(index, frame))
+
+
+def write_dynerf(folder: Path, names: Sequence[str] = NAMES) -> Path:
+    """The original layout: one video per camera, poses in the order of names."""
+    write_videos(folder, names)
+    write_poses(folder, make_rig(names))
+    return folder
+
+
+def write_colmap_model(folder: Path, image_names: Sequence[str], model: str = "PINHOLE", distortion: str = "") -> None:
+    """A sparse model in COLMAP's text form: the rig above, one shared camera, 60 points that every image sees."""
+    folder.mkdir(parents=True, exist_ok=True)
+    rig = make_rig(image_names)
+    K = rig[0].K
+    focal = f"{K[0, 0]} {K[1, 1]}" if model == "PINHOLE" else f"{K[0, 0]}"
+    camera_line = f"1 {model} {WIDTH} {HEIGHT} {focal} {K[0, 2]} {K[1, 2]} {distortion}"
+    (folder / "cameras.txt").write_text(f"# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n{camera_line}\n")
+    points_world = np.random.default_rng(0).uniform((-0.5, -0.5, 3.0), (1.0, 0.5, 6.0), (60, 3))
+    image_lines, tracks = [], " ".join(f"{image + 1} {{0}}" for image in range(len(rig)))
+    for image, camera in enumerate(rig):
+        numbers = " ".join(f"{value:.17g}" for value in (*_quaternion_wxyz(camera), *camera.translation))
+        uv = camera.project(points_world)[0]
+        seen = " ".join(f"{u:.6f} {v:.6f} {point + 1}" for point, (u, v) in enumerate(uv))
+        image_lines += [f"{image + 1} {numbers} 1 {image_names[image]}", seen]
+    (folder / "images.txt").write_text("\n".join(image_lines) + "\n")
+    point_lines = [f"{i + 1} {x:.9f} {y:.9f} {z:.9f} 9 9 9 0.5 {tracks.format(i)}" for i, (x, y, z) in enumerate(points_world)]
+    (folder / "points3D.txt").write_text("\n".join(point_lines) + "\n")
+
+
+def write_colmap(folder: Path, names: Sequence[str] = NAMES) -> Path:
+    """A COLMAP project of one instant: sparse/0 and one image per camera."""
+    write_colmap_model(folder / "sparse" / "0", [f"{name}.png" for name in names])
+    for index, name in enumerate(names):
+        write_image(folder / "images" / f"{name}.png", make_image(index, 0))
+    return folder
+
+
+def make_binary(model_folder: Path) -> None:
+    """Turn a text model into a binary one, by pycolmap in a process of its own."""
+    code = "import pycolmap, sys; pycolmap.Reconstruction(sys.argv[1]).write_binary(sys.argv[1])"
+    subprocess.run([sys.executable, "-c", code, str(model_folder)], check=True)
+    for file in model_folder.glob("*.txt"):
+        file.unlink()
+
+
+def _quaternion_wxyz(camera: Camera) -> np.ndarray:
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_matrix(camera.rotation).as_quat()[[3, 0, 1, 2]]
+
+
+def read_all(path: Path, layout: str | None) -> None:
+    capture = open_capture(path, layout)
+    for name in capture.camera_names:
+        list(capture.frames(name))
+
+
+def refusal(path: Path, layout: str | None = None) -> str:
+    """The one line with which the capture, or one of its frames, is refused."""
+    with pytest.raises(CaptureError) as caught:
+        read_all(path, layout)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert str(path) in message
+    return message
+
+
+def mean_colours(capture: Capture, name: str) -> list[tuple[int, ...]]:
+    """(frame, camera) as the pictures themselves tell them."""
+    return [tuple(round((float(image[..., c].mean()) - 30) / 20) for c in (0, 1)) for image in capture.frames(name)]
