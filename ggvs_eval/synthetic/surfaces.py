@@ -1,0 +1,165 @@
+"""Textured surfaces made of grids: panels, boxes, turned bodies and tubes, as trimesh meshes with texture coordinates.
+
+Room frame: metres, x right, y into the room, z up. Texture coordinates are metres on the surface, the second one upwards.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from ggvs_eval.images import Image8
+
+Array = NDArray[np.float64]
+Vector = Sequence[float] | Array
+Profile = Sequence[tuple[float, float]] | Array
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """How a surface answers light.
+
+    Attributes:
+        texture: albedo, sRGB uint8 (h, w, 3).
+        tile_m: width and height that one copy of the texture covers, metres; it repeats beyond.
+        specular: strength of the highlight, 0 for none.
+        shininess: exponent of the highlight.
+        emission: light sent out by itself, as a multiple of the texture.
+    """
+
+    texture: Image8
+    tile_m: tuple[float, float] = (1.0, 1.0)
+    specular: float = 0.0
+    shininess: float = 40.0
+    emission: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """One mesh of one material.
+
+    Attributes:
+        mesh: vertices with smooth normals, room frame, metres.
+        uv: texture coordinates of the vertices, metres, (V, 2).
+        material: how it answers light.
+    """
+
+    mesh: trimesh.Trimesh
+    uv: Array
+    material: Material
+
+    def moved(self, transform: Array) -> "Surface":
+        """The same surface after a rigid or scaling transform, (4, 4)."""
+        vertices = self.mesh.vertices @ transform[:3, :3].T + transform[:3, 3]
+        normals = self.mesh.vertex_normals @ np.linalg.inv(transform[:3, :3])
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        return replace(self, mesh=_mesh(vertices, self.mesh.faces, normals))
+
+
+def moved(surfaces: Sequence[Surface], transform: Array) -> list[Surface]:
+    """All surfaces after one transform, (4, 4)."""
+    return [surface.moved(transform) for surface in surfaces]
+
+
+def translation(x: float, y: float, z: float) -> Array:
+    """Transform that shifts, metres."""
+    return np.asarray(trimesh.transformations.translation_matrix((x, y, z)))
+
+
+def rotation(angle_rad: float, axis: Vector, pivot: Vector = (0.0, 0.0, 0.0)) -> Array:
+    """Transform that turns about an axis through a pivot."""
+    return np.asarray(trimesh.transformations.rotation_matrix(angle_rad, axis, pivot))
+
+
+def sheet(points: Array, uv: Array, material: Material, closed: bool = False) -> Surface:
+    """Surface through a grid of points.
+
+    Args:
+        points: (n, m, 3); the outside lies on the side of (along columns) x (along rows).
+        uv: (n, m, 2), metres.
+        material: how it answers light.
+        closed: the last column repeats the first one, with another texture coordinate.
+    """
+    along = np.gradient(points, axis=1)
+    if closed:
+        along[:, 0] = along[:, -1] = (points[:, 1] - points[:, -2]) / 2
+    normals = np.cross(along, np.gradient(points, axis=0))
+    normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-30)
+    index = np.arange(points.shape[0] * points.shape[1]).reshape(points.shape[:2])
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
+    faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
+    return Surface(_mesh(points.reshape(-1, 3), faces, normals.reshape(-1, 3)), uv.reshape(-1, 2), material)
+
+
+def panel(corner: Vector, edge_u: Vector, edge_v: Vector, material: Material, cell_m: float = 0.05) -> Surface:
+    """Flat rectangle from a corner along two edges; its outside is edge_u x edge_v, its texture starts at the corner."""
+    corner, edge_u, edge_v = (np.asarray(vector, np.float64) for vector in (corner, edge_u, edge_v))
+    lengths = np.linalg.norm(edge_u), np.linalg.norm(edge_v)
+    u, v = (np.linspace(0, 1, int(np.ceil(length / cell_m)) + 1) for length in lengths)
+    grid_u, grid_v = np.meshgrid(u, v)
+    points = corner + grid_u[..., None] * edge_u + grid_v[..., None] * edge_v
+    return sheet(points, np.stack([grid_u * lengths[0], grid_v * lengths[1]], -1), material)
+
+
+def box(low: Vector, high: Vector, material: Material, cell_m: float = 0.05) -> list[Surface]:
+    """The six sides of an axis-parallel box; the texture's rows run along the longer edge of each side, as grain does."""
+    low, high = np.asarray(low, np.float64), np.asarray(high, np.float64)
+    sides = []
+    for axis in range(3):
+        edges = [np.eye(3)[k] * (high - low)[k] for k in ((axis + 1) % 3, (axis + 2) % 3)]
+        for corner, pair in ((high - edges[0] - edges[1], edges), (low, edges[::-1])):
+            u, v = pair
+            if np.linalg.norm(v) > np.linalg.norm(u):
+                corner, u, v = corner + u, v, -u
+            sides.append(panel(corner, u, v, material, cell_m))
+    return sides
+
+
+def turned(profile: Profile, material: Material, sides: int = 24) -> Surface:
+    """Body of revolution about z.
+
+    Args:
+        profile: (n, 2) radius and height in metres, from the bottom upwards; radii of 0 close the body.
+        material: how it answers light.
+        sides: number of facets around.
+    """
+    profile = np.asarray(profile, np.float64)
+    radius, height = np.maximum(profile[:, 0], 1e-5)[:, None], profile[:, 1][:, None]
+    angle = np.linspace(0, 2 * np.pi, sides + 1)[None]
+    points = np.stack([radius * np.cos(angle), radius * np.sin(angle), height + 0 * angle], axis=-1)
+    points[:, -1] = points[:, 0]
+    steps = np.linalg.norm(np.diff(profile, axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(steps)])[:, None]
+    return sheet(points, np.stack([angle * radius.max() + 0 * along, along + 0 * angle], -1), material, closed=True)
+
+
+def ellipsoid(radii: Vector, material: Material, sides: int = 24) -> Surface:
+    """Ellipsoid about the origin with the given half axes, metres."""
+    angle = np.linspace(-np.pi / 2, np.pi / 2, sides // 2 + 1)
+    ball = turned(np.stack([np.cos(angle), np.sin(angle)], -1), material, sides)
+    scaled = ball.moved(np.diag([*radii, 1.0]))
+    return replace(scaled, uv=ball.uv * float(np.mean(np.asarray(radii))))
+
+
+def rod(start: Vector, end: Vector, radii: tuple[float, float], material: Material, sides: int = 12) -> Surface:
+    """Straight tapered rod with round ends between two points; radii at the start and at the end, metres."""
+    start, end = np.asarray(start, np.float64), np.asarray(end, np.float64)
+    length = float(np.linalg.norm(end - start))
+    cap = np.linspace(0, np.pi / 2, 4)
+    bottom = np.stack([radii[0] * np.sin(cap), -radii[0] * np.cos(cap)], -1)
+    top = np.stack([radii[1] * np.cos(cap), length + radii[1] * np.sin(cap)], -1)
+    middle = np.linspace(0, 1, max(2, int(length / 0.05) + 1))[1:-1, None]
+    profile = np.concatenate([bottom, bottom[-1] * (1 - middle) + top[0] * middle, top])
+    return turned(profile, material, sides).moved(_z_towards(start, end - start))
+
+
+def _z_towards(origin: Array, direction: Array) -> Array:
+    """Rigid transform that takes the z axis to a direction and the origin to a point."""
+    transform = np.asarray(trimesh.geometry.align_vectors((0.0, 0.0, 1.0), direction))
+    return translation(*origin) @ transform
+
+
+def _mesh(vertices: Array, faces: Array, normals: Array) -> trimesh.Trimesh:
+    return trimesh.Trimesh(vertices, faces, vertex_normals=normals, process=False, validate=False)
