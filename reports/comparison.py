@@ -1,0 +1,135 @@
+"""Frames and error maps of all methods, compressed until they fit into the page."""
+
+import math
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.errors import RenderError
+from ggvs_eval.images import Image8, read_image
+from ggvs_eval.progress import track
+from ggvs_eval.reports.data_uri import shrink, webp_bytes, webp_uri
+from ggvs_eval.reports.measured import MeasuredRun
+from ggvs_eval.run_folder import frame_path
+
+WIDTHS = (960, 800, 720, 640, 560, 480, 400, 320, 256, 192)
+FRAME_BYTES = 7_500_000
+FRAMES_AT_MOST = 900
+ERROR_SHARE = 0.5
+ERROR_FULL_SCALE = 64.0
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What the comparison of one run shows.
+
+    Attributes:
+        views: test views.
+        frames: frame numbers shown, every ``stride``-th one.
+        stride: 1 where all frames are shown.
+        width: width of the pictures, pixels.
+        height: their height.
+        keys: ``truth`` and the methods' labels.
+        names: what each is called.
+        images: view -> key -> one picture per frame shown.
+        errors: view -> label -> one error map per frame shown.
+    """
+
+    views: tuple[str, ...]
+    frames: tuple[int, ...]
+    stride: int
+    width: int
+    height: int
+    keys: tuple[str, ...]
+    names: tuple[str, ...]
+    images: dict[str, dict[str, list[str]]]
+    errors: dict[str, dict[str, list[str]]]
+
+
+def compare_frames(run: MeasuredRun, byte_budget: int = FRAME_BYTES) -> Comparison:
+    """Compress the frames of every method and the truth, and the errors against the truth, for the page.
+
+    Args:
+        run: a scored run.
+        byte_budget: what the frames may take, before base64; it decides their width. Error maps take about a quarter more.
+
+    Raises:
+        RenderError: a frame and its truth differ in size.
+    """
+    views, keys = run.protocol.views.test, ("truth", *run.labels)
+    stride = math.ceil(len(run.frames) * len(views) * len(keys) / FRAMES_AT_MOST)
+    frames = run.frames[::stride]
+    width, height = _fitting_size(run, byte_budget / (len(frames) * len(views) * len(keys)))
+    images: dict[str, dict[str, list[str]]] = {view: {key: [] for key in keys} for view in views}
+    errors: dict[str, dict[str, list[str]]] = {view: {label: [] for label in run.labels} for view in views}
+    instants = [(view, frame) for view in views for frame in frames]
+    with ThreadPoolExecutor(os.cpu_count()) as pool:  # OpenCV's codecs release the GIL
+        compressed = pool.map(partial(_compress, run, width), instants)
+        for (view, _), pictures in zip(instants, track(compressed, "compressing frames", len(instants)), strict=True):
+            for key, (picture, error) in pictures.items():
+                images[view][key].append(picture)
+                if key != "truth":
+                    errors[view][key].append(error)
+    return Comparison(views, tuple(frames), stride, width, height, keys, tuple(run.name(key) for key in keys), images, errors)
+
+
+def _compress(run: MeasuredRun, width: int, instant: tuple[str, int]) -> dict[str, tuple[str, str]]:
+    """Key -> compressed frame and error map of one view and frame; the truth has no error."""
+    view, frame = instant
+    files = {key: frame_path(folder, frame) for key, folder in run.frame_folders(view).items()}
+    truth = read_image(files["truth"])
+    pictures = {"truth": (webp_uri(shrink(truth, width)), "")}
+    for label in run.labels:
+        rendered = read_image(files[label])
+        error = error_map(rendered, truth, files[label])
+        pictures[label] = webp_uri(shrink(rendered, width)), webp_uri(shrink(error, round(width * ERROR_SHARE)))
+    return pictures
+
+
+def error_map(rendered: Image8, truth: Image8, file: Path) -> Image8:
+    """Mean absolute difference of the three channels in the colours of magma: black is 0, the brightest is `ERROR_FULL_SCALE`.
+
+    Args:
+        rendered: (H, W, 3), uint8.
+        truth: same shape.
+        file: where the rendered frame lies, for the message.
+
+    Raises:
+        RenderError: shapes differ.
+    """
+    if rendered.shape != truth.shape:
+        wanted, came = truth.shape[1::-1], rendered.shape[1::-1]
+        raise RenderError(
+            f"{file}: wanted {wanted[0]} x {wanted[1]} pixels as the truth has, got {came[0]} x {came[1]}; render it again"
+        )
+    difference = cv2.absdiff(rendered, truth).mean(axis=2)  # (H, W), 0..255
+    scaled = np.rint(np.minimum(difference / ERROR_FULL_SCALE, 1.0) * 255).astype(np.uint8)
+    return _magma(scaled)
+
+
+def error_scale(width: int = 256) -> Image8:
+    """The colours of `error_map` from 0 to its full scale, (1, width, 3)."""
+    return _magma(np.linspace(0, 255, width).round().astype(np.uint8)[None])
+
+
+def _magma(values: NDArray[np.uint8]) -> Image8:
+    """Colours of 8-bit values, (H, W) -> (H, W, 3)."""
+    return np.ascontiguousarray(cv2.applyColorMap(values, cv2.COLORMAP_MAGMA)[..., ::-1], dtype=np.uint8)
+
+
+def _fitting_size(run: MeasuredRun, bytes_per_frame: float) -> tuple[int, int]:
+    """The largest width, and its height, at which the middle frames take no more than their share on average."""
+    frame = run.frames[len(run.frames) // 2]
+    folders = [folder for view in run.protocol.views.test for folder in run.frame_folders(view).values()]
+    samples = [read_image(frame_path(folder, frame)) for folder in folders[:24]]
+    own = samples[0].shape[1]
+    for width in (own, *(width for width in WIDTHS if width < own)):
+        if np.mean([len(webp_bytes(shrink(sample, width))) for sample in samples]) <= bytes_per_frame:
+            break
+    return width, shrink(samples[0], width).shape[0]

@@ -1,0 +1,160 @@
+"""The page: one HTML file that carries everything it shows and opens without a network."""
+
+import base64
+import hashlib
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ggvs_eval.images import Image8
+from ggvs_eval.reports.comparison import ERROR_FULL_SCALE, FRAME_BYTES, Comparison, compare_frames, error_scale
+from ggvs_eval.reports.curves import COLOURS, DASHES, MARGIN, SIZE, Panel
+from ggvs_eval.reports.data_uri import png_uri, shrink, webp_uri
+from ggvs_eval.reports.measured import MeasuredRun
+from ggvs_eval.reports.published import CAVEATS, published_tables
+from ggvs_eval.reports.slice_figure import NO_TRUTH
+from ggvs_eval.reports.slices import Slices
+from ggvs_eval.reports.table import Table
+from ggvs_eval.run_folder import JOB_FILE
+
+TEMPLATES = Path(__file__).parent / "templates"
+CONTEXT_WIDTH = 480
+
+
+@dataclass(frozen=True)
+class RunSection:
+    """Everything that the page shows of one run.
+
+    Attributes:
+        run: the run.
+        view_tables: one per metric.
+        timing: time per stage.
+        slices: along the path and over time.
+        panels: error curves.
+    """
+
+    run: MeasuredRun
+    view_tables: tuple[Table, ...]
+    timing: Table
+    slices: Sequence[Slices]
+    panels: tuple[Panel, ...]
+
+
+def render_page(sections: Sequence[RunSection], tables: Sequence[Table], provenance: dict[str, Any]) -> str:
+    """Fill the templates.
+
+    Args:
+        sections: one per run.
+        tables: quality, consistency and whatever else was measured, over all runs.
+        provenance: of the merged results.
+
+    Returns:
+        The whole page; equal inputs give equal text.
+    """
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    environment = Environment(
+        loader=FileSystemLoader(TEMPLATES), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    script = (TEMPLATES / "page.js").read_text(encoding="utf-8")
+    comparisons = [compare_frames(section.run, FRAME_BYTES // len(sections)) for section in sections]
+    return environment.get_template("page.html.j2").render(
+        title=", ".join(dict.fromkeys(section.run.scene for section in sections)),
+        n_methods=len({label for section in sections for label in section.run.labels}),
+        css=(TEMPLATES / "page.css").read_text(encoding="utf-8"),
+        script=script,
+        script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii"),
+        sections=[
+            _section(index, section, comparison)
+            for index, (section, comparison) in enumerate(zip(sections, comparisons, strict=True))
+        ],
+        tables=tables,
+        leaders=leaders(tables),
+        provenance=provenance,
+        protocol=sections[0].run.protocol,
+        metrics=sections[0].run.metrics,
+        published=published_tables(),
+        caveats=CAVEATS,
+        has_published_rows=any(row.kind == "published" for table in tables for row in table.rows),
+        error_scale=png_uri(error_scale()),
+        error_full_scale=int(ERROR_FULL_SCALE),
+    )
+
+
+def leaders(tables: Sequence[Table]) -> list[tuple[str, list[str]]]:
+    """Who is best in what: name -> metrics, in the order of the rows; ties count for each."""
+    best: dict[str, list[str]] = {}
+    for table in tables:
+        for row in table.rows:
+            best.setdefault(row.name, []).extend(c.name for c, cell in zip(table.columns, row.cells, strict=True) if cell.best)
+    return [(name, metrics) for name, metrics in best.items() if metrics]
+
+
+def reproduce(run: MeasuredRun, capture: str) -> list[str]:
+    """The commands that make these numbers again; folders by their last name only, so that a page tells nothing of a machine."""
+    root = run.folder.root.name
+    ours = [label for label in run.labels if (run.folder.renders(label, run.protocol.views.test[0]) / JOB_FILE).is_file()]
+    foreign = [f"{label}=RENDERS/{label}" for label in run.labels if label not in ours]
+    commands = [["prepare", root, "--capture", Path(capture).name, "--protocol", f"{root}/protocol.toml"]]
+    commands += [["render", root, "--methods", *ours]] if ours else []
+    commands += [["score", root, *(["--renders", *foreign] if foreign else [])], ["report", root]]
+    return [shlex.join(["ggvs-eval", *command]) for command in commands]
+
+
+def _section(index: int, section: RunSection, comparison: Comparison) -> dict[str, Any]:
+    """What the templates need of one run, pictures as data addresses."""
+    run = section.run
+    capture = run.folder.capture_record()
+    return {
+        "id": f"run{index}",
+        "run": run,
+        "capture": {key: value for key, value in capture.items() if key != "path" and isinstance(value, str | int | float)},
+        "view_tables": section.view_tables,
+        "timing": section.timing,
+        "comparison": comparison,
+        "first_left": next((label for label in run.labels if label in run.ours), run.labels[0]),
+        "data": _viewer_data(run, comparison, float(capture.get("fps") or 0)),
+        "slices": [_slice_pictures(slices) for slices in section.slices],
+        "commands": reproduce(run, str(capture.get("path", "CAPTURE"))),
+        "has_path": any(slices.kind == "epi" for slices in section.slices),
+        "panels": section.panels,
+        "plot": {"size": SIZE, "margin": MARGIN, "dashes": DASHES, "colours": len(COLOURS)},
+    }
+
+
+def _viewer_data(run: MeasuredRun, comparison: Comparison, fps: float) -> dict[str, Any]:
+    """What page.js reads."""
+    return {
+        "views": comparison.views,
+        "frames": comparison.frames,
+        "fps": fps,
+        "start": run.frames[0],
+        "keys": comparison.keys,
+        "names": dict(zip(comparison.keys, comparison.names, strict=True)),
+        "images": comparison.images,
+        "errors": comparison.errors,
+    }
+
+
+def _slice_pictures(slices: Slices) -> dict[str, Any]:
+    height, width = slices.context.shape[:2]
+    return {
+        "kind": slices.kind,
+        "view": slices.view,
+        "row": slices.row,
+        "chosen_by": slices.chosen_by,
+        "title": slices.title,
+        "context": webp_uri(shrink(slices.context, CONTEXT_WIDTH)),
+        "size": (width, height),
+        "strips": [(strip.name, None if strip.image is None else png_uri(_tall(strip.image))) for strip in slices.strips],
+        "no_truth": NO_TRUTH,
+    }
+
+
+def _tall(image: Image8, height: int = 96) -> Image8:
+    """Repeat samples until a slice is tall enough to look at; no value is changed."""
+    return np.repeat(image, max(1, round(height / len(image))), axis=0)

@@ -1,0 +1,140 @@
+"""A table before it has a format: every cell is a value with its text and standing, or the reason why there is none."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+DECIMALS = {"PSNR": 2, "PSNR_cc": 2, "SSIM": 3, "LPIPS": 3, "L1": 2, "TCC": 3, "SDT": 3, "SDV": 3}
+SIGNIFICANT = 4
+
+RowKind = Literal["measured", "ours", "published"]
+
+
+@dataclass(frozen=True)
+class Column:
+    """Head of a column.
+
+    Attributes:
+        name: metric, view or stage.
+        unit: unit of its values; empty where there is none.
+        higher_is_better: direction; None where values are not ranked.
+        describe: what it is, one sentence.
+    """
+
+    name: str
+    unit: str = ""
+    higher_is_better: bool | None = None
+    describe: str = ""
+
+    @property
+    def arrow(self) -> str:
+        """Direction in which values get better; empty where they are not ranked."""
+        return {True: "↑", False: "↓", None: ""}[self.higher_is_better]
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One value as it is shown.
+
+    Attributes:
+        text: rounded value, or the reason why there is none; never empty.
+        value: unrounded; None where there is none.
+        best: no measured row of this column is better, to the printed digits.
+        shade: strength of the blue behind it, 0 to 1.
+    """
+
+    text: str
+    value: float | None = None
+    best: bool = False
+    shade: float = 0.0
+
+
+@dataclass(frozen=True)
+class Row:
+    """One method, measured or published."""
+
+    name: str
+    cells: tuple[Cell, ...]
+    kind: RowKind = "measured"
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows and columns with a title, and notes that belong below them.
+
+    Attributes:
+        key: short name for files, labels and anchors.
+        title: what stands above it.
+        caption: what it shows and how it was made.
+        columns: heads, without the column of names.
+        rows: measured rows first, published ones last.
+        dataset: what was measured on.
+    """
+
+    key: str
+    title: str
+    caption: str
+    columns: tuple[Column, ...]
+    rows: tuple[Row, ...]
+    dataset: str = ""
+
+
+def measured_cell(metric: str, value: float | None, reason: str) -> Cell:
+    """A cell with a rounded value, or with the reason for its absence."""
+    if value is None or math.isnan(value):
+        return Cell(f"not computed: {reason}")
+    return Cell(format_value(metric, value), value)
+
+
+def format_value(metric: str, value: float) -> str:
+    """Round as the paper does: fixed decimals per metric, four significant digits for what spans magnitudes (STED)."""
+    if math.isinf(value):
+        return "∞" if value > 0 else "−∞"
+    decimals = DECIMALS.get(metric)
+    if decimals is None:
+        magnitude = math.floor(math.log10(abs(value))) if value else 0
+        decimals = max(0, SIGNIFICANT - 1 - magnitude) if magnitude > -SIGNIFICANT else 2 * SIGNIFICANT
+    return f"{value:.{decimals}f}"
+
+
+def rank(columns: Sequence[Column], rows: Sequence[Row]) -> tuple[Row, ...]:
+    """Mark the best measured value of each column and shade the better half; published rows are left alone."""
+    ranked = [list(row.cells) for row in rows]
+    competing = [index for index, row in enumerate(rows) if row.kind != "published"]
+    for at, column in enumerate(columns):
+        having = [index for index in competing if ranked[index][at].value is not None]
+        if column.higher_is_better is None or len(having) < 2:
+            continue
+        for index, cell in zip(having, _ranked([ranked[i][at] for i in having], column.higher_is_better), strict=True):
+            ranked[index][at] = cell
+    return tuple(replace(row, cells=tuple(cells)) for row, cells in zip(rows, ranked, strict=True))
+
+
+def _ranked(cells: list[Cell], higher_is_better: bool) -> list[Cell]:
+    values = [cell.value for cell in cells if cell.value is not None]
+    low, high = min(values), max(values)
+    best = cells[values.index(high if higher_is_better else low)].text
+    spread = high - low
+    standings = [(value - low) / spread if spread and math.isfinite(spread) else 0.0 for value in values]
+    if not higher_is_better and spread:
+        standings = [1.0 - standing for standing in standings]
+    return [
+        replace(cell, best=cell.text == best, shade=shade(standing, higher_is_better))
+        for cell, standing in zip(cells, standings, strict=True)
+    ]
+
+
+def shade(standing: float, higher_is_better: bool) -> float:
+    """Strength of the blue behind a value, as the paper's tables colour their better half.
+
+    Args:
+        standing: 0 for the worst, 1 for the best value of the column, linear between.
+        higher_is_better: columns in which less is better fade faster.
+
+    Returns:
+        0 (no colour) up to the middle, then Schlick's gain curve up to 1, which is printed as rgb (0.75, 0.75, 1).
+    """
+    above = max(0.0, 2.0 * standing - 1.0)
+    gain = 1.0 - (0.75 if higher_is_better else 0.85)
+    return above / ((1.0 / gain - 2.0) * (1.0 - above) + 1.0)

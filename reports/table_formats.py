@@ -1,0 +1,139 @@
+"""Tables as Markdown, CSV and LaTeX."""
+
+import csv
+import io
+import re
+from collections.abc import Sequence
+
+from ggvs_eval.reports.table import Cell, Column, Row, Table
+
+LATEX_SPECIAL = {
+    "\\": r"\textbackslash{}",
+    "&": r"\&",
+    "%": r"\%",
+    "$": r"\$",
+    "#": r"\#",
+    "_": r"\_",
+    "{": r"\{",
+    "}": r"\}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+    "×": r"$\times$",
+    "−": "$-$",
+    "∞": r"$\infty$",
+    "≤": r"$\leq$",
+    "≥": r"$\geq$",
+}
+CSV_HEAD = ("table", "dataset", "method", "kind", "column", "unit", "higher_is_better", "value", "shown", "best", "note")
+LATEX_HEAD = r"""% \usepackage{booktabs}
+% \usepackage[table]{xcolor}
+% Blue: the better half of each column, proportional to its standing, on the scale of the paper's tables. Bold: the best.
+% Grey: published values, measured by others on other terms.
+"""
+
+
+def to_markdown(tables: Sequence[Table], notes: Sequence[str] = ()) -> str:
+    """GitHub's tables, best values bold, published rows in italics, notes as a closing list."""
+    parts = []
+    for table in tables:
+        heads = ["Method", *(_head(column) for column in table.columns)]
+        lines = [f"## {_markdown(_title(table))}", "", _markdown(table.caption), "", _markdown_row(heads)]
+        lines.append("|---|" + "---:|" * len(table.columns))
+        for row in table.rows:
+            lines.append(_markdown_row([_markdown_text(row, row.name), *(_markdown_cell(row, cell) for cell in row.cells)]))
+        parts.append("\n".join(lines))
+    closing = "\n".join(f"- {_markdown(note)}" for note in notes)
+    return "\n\n".join([*parts, *([closing] if closing else [])]) + "\n"
+
+
+def to_csv(tables: Sequence[Table]) -> str:
+    """One line per cell, values unrounded; where there is none the reason stands in ``note``."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(CSV_HEAD)
+    for table in tables:
+        for row in table.rows:
+            for column, cell in zip(table.columns, row.cells, strict=True):
+                head = [table.key, table.dataset, row.name, row.kind, column.name, column.unit, column.higher_is_better]
+                has = cell.value is not None
+                shown = [repr(cell.value), cell.text, cell.best, ""] if has else ["", "", False, cell.text]
+                writer.writerow([*head, *shown])
+    return text.getvalue()
+
+
+def to_latex(tables: Sequence[Table], notes: Sequence[str] = ()) -> str:
+    """``table`` environments for booktabs and xcolor, shaded as the paper's."""
+    comments = "".join(f"% {' '.join(note.split())}\n" for note in notes)
+    return LATEX_HEAD + comments + "\n" + "\n".join(_latex_table(table) for table in tables)
+
+
+def escape_latex(text: str) -> str:
+    """Text in which every character prints as itself."""
+    return "".join(LATEX_SPECIAL.get(character, character) for character in " ".join(text.split()))
+
+
+def _latex_table(table: Table) -> str:
+    arrows = {"↑": r"$\uparrow$", "↓": r"$\downarrow$", "": ""}
+    units = [f" ({escape_latex(column.unit)})" if column.unit else "" for column in table.columns]
+    heads = [f"{escape_latex(c.name)}{unit}{arrows[c.arrow]}" for c, unit in zip(table.columns, units, strict=True)]
+    body: list[str] = []
+    for above, row in zip((None, *table.rows), table.rows, strict=False):
+        if above is not None and row.kind == "published" and above.kind != "published":
+            body.append(r"\midrule")
+        body.append(" & ".join([_latex_text(row, row.name), *(_latex_cell(row, cell) for cell in row.cells)]) + r" \\")
+    label = re.sub(r"[^a-z0-9-]+", "-", f"{table.key}-{table.dataset}".lower()).strip("-")
+    lines = [
+        r"\begin{table}",
+        rf"\caption{{\label{{table:{label}}}\textbf{{{escape_latex(_title(table))}.}} {escape_latex(table.caption)}}}",
+        r"\centering\small",
+        rf"\begin{{tabular}}{{l{'c' * len(table.columns)}}}",
+        r"\toprule",
+        " & ".join(["Method", *heads]) + r" \\",
+        r"\midrule",
+        *body,
+        r"\bottomrule",
+        r"\end{tabular}",
+        r"\end{table}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _latex_cell(row: Row, cell: Cell) -> str:
+    text = _latex_text(row, cell.text)
+    text = rf"\textbf{{{text}}}" if cell.best else text
+    if not cell.shade:
+        return text
+    channel = 1.0 - 0.25 * cell.shade
+    return rf"\cellcolor[rgb]{{{channel:.3f}, {channel:.3f}, 1}}{text}"
+
+
+def _latex_text(row: Row, text: str) -> str:
+    return rf"\textcolor{{gray}}{{{escape_latex(text)}}}" if row.kind == "published" else escape_latex(text)
+
+
+def _title(table: Table) -> str:
+    return f"{table.title} ({table.dataset})" if table.dataset else table.title
+
+
+def _head(column: Column) -> str:
+    return " ".join(filter(None, [_markdown(column.name), f"({_markdown(column.unit)})" if column.unit else "", column.arrow]))
+
+
+def _markdown_cell(row: Row, cell: Cell) -> str:
+    return f"**{_markdown(cell.text)}**" if cell.best else _markdown_text(row, cell.text)
+
+
+def _markdown_text(row: Row, text: str) -> str:
+    return f"*{_markdown(text)}*" if row.kind == "published" else _markdown(text)
+
+
+def _markdown_row(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _markdown(text: str) -> str:
+    """Text in which nothing is markup: no table bar, no emphasis, no tag."""
+    escaped = re.sub(r"([\\`*_|\[\]])", r"\\\1", " ".join(text.split()))
+    return escaped.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
