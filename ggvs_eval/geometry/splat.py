@@ -1,0 +1,94 @@
+"""Forward rendering of pixel-sized Gaussians (paper 3.1): every source pixel becomes one opaque Gaussian as large as itself."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.errors import RenderError
+from ggvs_eval.geometry.pinhole import as_image, pinhole, rigid_between
+from ggvs_eval.kernels import LEVELS, get_level, get_threads
+
+MAX_FEATURES = 4
+
+
+@dataclass(frozen=True, eq=False)
+class PixelGaussians:
+    """One isotropic opaque Gaussian per valid pixel of a source view.
+
+    Attributes:
+        camera: the source camera.
+        depth: z in the source camera, (H, W) float32, world units, 0 = no Gaussian here.
+        features: what is blended, e.g. colour and a motion mask, (H, W, C) float32 with C from 1 to 4.
+    """
+
+    camera: Camera
+    depth: NDArray[np.float32]
+    features: NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Splat:
+    """What the Gaussians look like from the target camera.
+
+    Attributes:
+        features: (H', W', C) float32.
+        alpha: coverage, (H', W') float32, 0 to just below 1.
+        depth: z in the target camera, (H', W') float32, world units.
+    """
+
+    features: NDArray[np.float32]
+    alpha: NDArray[np.float32]
+    depth: NDArray[np.float32]
+
+
+def splat(
+    sources: Sequence[PixelGaussians], target: Camera, *, near: float, scale: float = 0.5, normalised: bool = True
+) -> Splat:
+    """Render the Gaussians of all sources together, sorted by depth and blended front to back.
+
+    One source gives that view's forward rendering; several give the paper's No Blending baseline.
+
+    Args:
+        sources: views with the same number of feature channels; sizes may differ.
+        target: the camera to render.
+        near: Gaussians at or before this depth in the target camera are left out, world units.
+        scale: standard deviation of a Gaussian in source pixels.
+        normalised: divide features and depth by alpha where alpha > 1/255, set them to 0 elsewhere; False keeps the plain sums.
+
+    Raises:
+        RenderError: no source, or features that fit neither the camera nor each other, or a near or scale that is not positive.
+
+    Reading:
+        The paper says that a Gaussian covers a pixel, not how large it is: 0.5 pixels standard deviation is sharp and still
+        closes the gaps of a 1.6-fold magnification. The forward pass is 3D Gaussian splatting's (0.3 px^2 added to the variance,
+        alpha at most 0.99 and at least 1/255, stop before transmittance falls below 1e-4), with two differences: a Gaussian ends
+        where its alpha reaches 1/255 and not also at the border of a 16-pixel tile, and the principal point may lie anywhere.
+        Results are normalised, since Eqs. 4 and 6 multiply by alpha again. Equal depths keep the order of sources and pixels.
+    """
+    from ggvs_eval.kernels import _core
+
+    channels = _common_channels(sources)
+    if not (near > 0 and scale > 0):
+        raise RenderError(f"splat: near and scale must be positive, got near {near:g}, scale {scale:g}")
+    views = [
+        (
+            pinhole(source.camera),
+            rigid_between(source.camera, target),
+            as_image(source.depth, source.camera, "depth", RenderError),
+            as_image(source.features, source.camera, "features", RenderError),
+        )
+        for source in sources
+    ]
+    level = LEVELS.index(get_level())
+    return Splat(*_core.splat(views, pinhole(target), near, scale, channels, normalised, get_threads(), level))
+
+
+def _common_channels(sources: Sequence[PixelGaussians]) -> int:
+    channels = {source.features.shape[2] if source.features.ndim == 3 else 0 for source in sources}
+    if len(channels) != 1 or not 1 <= min(channels) <= MAX_FEATURES:
+        shapes = ", ".join(str(source.features.shape) for source in sources) or "no source"
+        raise RenderError(f"splat: wanted features (H, W, C) with one C from 1 to {MAX_FEATURES} in all sources, got {shapes}")
+    return min(channels)

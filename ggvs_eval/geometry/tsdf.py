@@ -1,0 +1,164 @@
+"""The image-based TSDF (paper 3.2, supplement A.1-A.2): depth images fused along the target's rays, without a voxel grid.
+
+Reading:
+    * Eq. 9 prints z - D; the signed distance here is D - z, positive in front of the surface. With the printed sign the rule "no
+      weight below -tau" deletes free space, and a march steps backwards.
+    * Eq. 10 lacks the division by the sum of the weights; without it steps jump over surfaces once the weights sum above 2.5.
+    * "Advance by 0.8 s" alone approaches a surface and never crosses it: a step is at least 0.1 tau.
+    * A sample no view knows is passed by 0.8 tau and forgotten; a crossing counts only between two known samples. A surface
+      entered from behind is not a hit.
+    * D_k[u, v] is bilinear where the four neighbours are valid and differ by less than tau, else the nearest pixel's, so that no
+      surface appears between foreground and background; weights are the nearest pixel's.
+    * The previous frame's depth is one more depth camera at the previous target pose, so that a moving target is right too.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.errors import DepthError
+from ggvs_eval.geometry.pinhole import Pinhole, as_image, pinhole, rigid_between
+from ggvs_eval.kernels import LEVELS, get_level, get_threads
+
+MAX_VIEWS = 32
+
+
+@dataclass(frozen=True, eq=False)
+class DepthView:
+    """A source's depth in the fused field.
+
+    Attributes:
+        camera: the source camera.
+        depth: (H, W) float32, world units, 0 = invalid.
+        weight: omega_k of Eqs. 11-12, (H, W) float32, 0 = this pixel says nothing.
+    """
+
+    camera: Camera
+    depth: NDArray[np.float32]
+    weight: NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class PreviousDepth:
+    """The previous frame's result in the fused field (Eqs. 13-14): its weight is min(gain * accumulated_weight, limit).
+
+    Attributes:
+        camera: the target's pose at the previous frame.
+        depth: the previous `RayMarch.depth`, (H', W') float32, world units.
+        accumulated_weight: the previous `RayMarch.weight`, (H', W') float32.
+        gain: beta * max(1 - M, 0) for each ray of the current target, (H', W') float32.
+        limit: eta, the largest temporal weight.
+    """
+
+    camera: Camera
+    depth: NDArray[np.float32]
+    accumulated_weight: NDArray[np.float32]
+    gain: NDArray[np.float32]
+    limit: float
+
+
+@dataclass(frozen=True, eq=False)
+class RayMarch:
+    """The surface seen by the target camera.
+
+    Attributes:
+        depth: (H, W) float32, world units, 0 = no surface met.
+        weight: sum of all weights at the surface, temporal one included, (H, W) float32; the next frame's accumulated weight.
+    """
+
+    depth: NDArray[np.float32]
+    weight: NDArray[np.float32]
+
+
+def fusion_weights(depth: NDArray[np.float32], tau: float, depth_noise: float) -> NDArray[np.float32]:
+    """How far a depth pixel is trusted: min(noise / rms, 1), rms of its truncated differences to the 7 x 7 window (Eqs. 11-12).
+
+    Args:
+        depth: (H, W) float32, world units, 0 = invalid.
+        tau: truncation distance, world units.
+        depth_noise: the differences that are still trusted fully, world units (1 mm in the paper).
+
+    Returns:
+        (H, W) float32 from depth_noise / tau to 1, 0 where the depth is invalid. Invalid and outside neighbours count tau.
+    """
+    from ggvs_eval.kernels import _core
+
+    _check_positive(tau=tau, depth_noise=depth_noise)
+    if depth.ndim != 2:
+        raise DepthError(f"fusion weights: wanted a depth image (H, W), got {depth.shape}")
+    image = np.ascontiguousarray(depth, dtype=np.float32)
+    return _core.fusion_weights(image, tau, depth_noise, get_threads(), LEVELS.index(get_level()))
+
+
+def ray_march(
+    target: Camera,
+    views: Sequence[DepthView],
+    *,
+    tau: float,
+    previous: PreviousDepth | None = None,
+    skip_empty: bool = True,
+    step_fraction: float = 0.8,
+    min_step: float = 0.1,
+    bisections: int = 3,
+) -> RayMarch:
+    """Find the first surface of the fused field along each ray, from the target's near to its far depth (Eqs. 3, 9, 10, 13, 14).
+
+    Args:
+        target: the camera to render, at its current pose.
+        views: the K sources; sizes may differ.
+        tau: truncation distance, world units.
+        previous: the previous frame's result, if it shall hold the surface steady.
+        skip_empty: pass whole steps that no view can influence without sampling them; the result is the same, bit for bit.
+        step_fraction: of the fused distance, taken as a step.
+        min_step: smallest step, in tau.
+        bisections: of the interval around the zero crossing; its middle is the depth.
+
+    Raises:
+        DepthError: images that do not fit their cameras, too many views, or parameters for which the march would not end.
+    """
+    from ggvs_eval.kernels import _core
+
+    _check_positive(tau=tau, min_step=min_step, step_fraction=step_fraction)
+    if min_step > step_fraction:
+        raise DepthError(f"ray march: min_step must not exceed step_fraction, got {min_step:g} and {step_fraction:g}")
+    if tau * min_step < 1e-6 * target.far:
+        raise DepthError(f"ray march: steps of {min_step:g} tau = {tau * min_step:g} vanish beside the far depth {target.far:g}")
+    if len(views) + (previous is not None) > MAX_VIEWS:
+        raise DepthError(f"ray march: wanted at most {MAX_VIEWS} depth views, got {len(views)} and the previous depth")
+    fields = [_field(target, view.camera, view.depth, view.weight) for view in views]
+    if previous is not None:
+        gain = as_image(previous.gain, target, "gain", DepthError)
+        fields.append(_field(target, previous.camera, previous.depth, previous.accumulated_weight, gain, previous.limit))
+    settings = (tau, step_fraction, min_step, bisections, skip_empty, get_threads(), LEVELS.index(get_level()))
+    return RayMarch(*_core.ray_march(pinhole(target), (target.near, target.far), fields, *settings))
+
+
+Field = tuple[Pinhole, NDArray[np.float64], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32] | None, float]
+
+
+def _field(
+    target: Camera,
+    camera: Camera,
+    depth: NDArray,
+    weight: NDArray,
+    gain: NDArray[np.float32] | None = None,
+    limit: float = 0.0,
+) -> Field:
+    """One depth image as the kernel takes it; without a gain its weight is taken as it is."""
+    return (
+        pinhole(camera),
+        rigid_between(target, camera),
+        as_image(depth, camera, "depth", DepthError),
+        as_image(weight, camera, "weight", DepthError),
+        gain,
+        limit,
+    )
+
+
+def _check_positive(**values: float) -> None:
+    for name, value in values.items():
+        if not 0 < value < np.inf:
+            raise DepthError(f"TSDF: {name} must be positive and finite, got {value:g}")

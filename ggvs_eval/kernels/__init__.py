@@ -1,0 +1,61 @@
+"""Compiled kernels and the two settings they share: the number of threads and the instruction set.
+
+Results depend on neither, bit for bit: work is cut by image regions, not by threads, and no instruction set contracts or reorders
+arithmetic. The environment variables ``GGVS_EVAL_THREADS`` and ``GGVS_EVAL_SIMD`` (baseline, avx2, avx512) set the defaults.
+"""
+
+import os
+
+LEVELS = ("baseline", "avx2", "avx512")
+
+_settings: dict[str, int] = {}
+
+
+def set_threads(count: int) -> None:
+    """Use `count` threads in every kernel of this process from now on.
+
+    Raises:
+        ValueError: count is below 1.
+    """
+    if count < 1:
+        raise ValueError(f"threads: wanted at least 1, got {count}")
+    _settings["threads"] = count
+
+
+def get_threads() -> int:
+    """How many threads a kernel uses: as set, else ``GGVS_EVAL_THREADS``, else the CPUs this process may use."""
+    if "threads" not in _settings:
+        wanted = os.environ.get("GGVS_EVAL_THREADS", "")
+        if wanted and not wanted.isdecimal():
+            raise ValueError(f"GGVS_EVAL_THREADS: wanted a number of threads, got {wanted!r}")
+        set_threads(int(wanted) if wanted else _usable_cpus())
+    return _settings["threads"]
+
+
+def set_level(name: str) -> None:
+    """Use one instruction set of `LEVELS` from now on; meant for tests and for comparing machines.
+
+    Raises:
+        ValueError: unknown name, or this processor lacks it.
+    """
+    if name not in available_levels():
+        raise ValueError(f"instruction set: wanted one of {', '.join(available_levels())} on this processor, got {name!r}")
+    _settings["level"] = LEVELS.index(name)
+
+
+def get_level() -> str:
+    """The instruction set in use: as set, else ``GGVS_EVAL_SIMD``, else the best one of this processor."""
+    if "level" not in _settings:
+        set_level(os.environ.get("GGVS_EVAL_SIMD") or available_levels()[-1])
+    return LEVELS[_settings["level"]]
+
+
+def available_levels() -> tuple[str, ...]:
+    """The instruction sets this processor runs, slowest first."""
+    from ggvs_eval.kernels import _core
+
+    return LEVELS[: _core.best_level() + 1]
+
+
+def _usable_cpus() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,0 +1,28 @@
+// The table of inner loops: one per instruction set, the choice is made when the program runs.
+#pragma once
+#include "splat.hpp"
+#include "tsdf.hpp"
+
+namespace ggvs {
+
+struct Kernels {
+    void (*tile_ranges)(const Projector&, const float* depth, int column, int row, int count, TileRanges* out);
+    void (*ellipses)(const Projector&, const SplatSource&, int channels, const uint32_t* pixels, int count, int left, int top,
+                     Ellipse* out);
+    void (*blend_tile)(const Ellipse* list, const uint32_t* ordered, int count, int channels, float* blocks);
+    void (*finish_blocks)(float* blocks, int channels, bool normalised);
+    void (*fusion_row)(const FusionRow&);
+    void (*march_column)(const March&, const MarchColumn&, float* depth, float* weight);
+};
+
+extern const Kernels kBaselineKernels, kAvx2Kernels, kAvx512Kernels;
+
+enum Level { kBaseline = 0, kAvx2 = 1, kAvx512 = 2 };
+
+// The highest level this processor runs.
+int best_level();
+
+// Throws std::invalid_argument for a level this processor lacks.
+const Kernels& kernels_of(int level);
+
+}  // namespace ggvs

@@ -1,0 +1,41 @@
+// Eight lanes of AVX2; the names of simd_portable.hpp. No FMA: every level must give the same bits.
+#pragma once
+#include <immintrin.h>
+
+#include <cstdint>
+
+#define GGVS_INLINE static inline __attribute__((always_inline))
+
+namespace ggvs::GGVS_LEVEL {
+
+constexpr int kWidth = 8;
+using F = __m256;
+using I = int32_t __attribute__((vector_size(32)));
+using M = I;  // all bits of a lane set = true
+
+GGVS_INLINE F all(float x) { return _mm256_set1_ps(x); }
+GGVS_INLINE I all(int32_t x) { return (I)_mm256_set1_epi32(x); }
+GGVS_INLINE F load(const float* p) { return _mm256_loadu_ps(p); }
+GGVS_INLINE I load(const int32_t* p) { return (I)_mm256_loadu_si256((const __m256i*)p); }
+GGVS_INLINE void store(float* p, F x) { _mm256_storeu_ps(p, x); }
+GGVS_INLINE void store(int32_t* p, I x) { _mm256_storeu_si256((__m256i*)p, (__m256i)x); }
+
+GGVS_INLINE M less(F a, F b) { return (M)_mm256_cmp_ps(a, b, _CMP_LT_OQ); }
+GGVS_INLINE M at_most(F a, F b) { return (M)_mm256_cmp_ps(a, b, _CMP_LE_OQ); }
+GGVS_INLINE M both(M a, M b) { return a & b; }
+GGVS_INLINE M either(M a, M b) { return a | b; }
+GGVS_INLINE M but_not(M a, M b) { return a & ~b; }
+GGVS_INLINE M no_lanes() { return (M)_mm256_setzero_si256(); }
+GGVS_INLINE bool any(M m) { return _mm256_movemask_ps((__m256)m) != 0; }
+GGVS_INLINE I bits(F x) { return (I)x; }
+GGVS_INLINE F from_bits(I x) { return (F)x; }
+GGVS_INLINE F select(M m, F a, F b) { return _mm256_blendv_ps(b, a, (__m256)m); }
+GGVS_INLINE I select(M m, I a, I b) { return (I)_mm256_blendv_ps((__m256)b, (__m256)a, (__m256)m); }
+GGVS_INLINE F min(F a, F b) { return _mm256_min_ps(a, b); }
+GGVS_INLINE F max(F a, F b) { return _mm256_max_ps(a, b); }
+GGVS_INLINE F sqrt(F x) { return _mm256_sqrt_ps(x); }
+GGVS_INLINE I truncate(F x) { return (I)_mm256_cvttps_epi32(x); }
+GGVS_INLINE F to_float(I x) { return _mm256_cvtepi32_ps((__m256i)x); }
+GGVS_INLINE F gather(const float* p, I at) { return _mm256_i32gather_ps(p, (__m256i)at, 4); }
+
+}  // namespace ggvs::GGVS_LEVEL

@@ -1,0 +1,41 @@
+// Sixteen lanes of AVX-512; the names of simd_portable.hpp. No FMA: every level must give the same bits.
+#pragma once
+#include <immintrin.h>
+
+#include <cstdint>
+
+#define GGVS_INLINE static inline __attribute__((always_inline))
+
+namespace ggvs::GGVS_LEVEL {
+
+constexpr int kWidth = 16;
+using F = __m512;
+using I = int32_t __attribute__((vector_size(64)));
+using M = __mmask16;  // one bit per lane
+
+GGVS_INLINE F all(float x) { return _mm512_set1_ps(x); }
+GGVS_INLINE I all(int32_t x) { return (I)_mm512_set1_epi32(x); }
+GGVS_INLINE F load(const float* p) { return _mm512_loadu_ps(p); }
+GGVS_INLINE I load(const int32_t* p) { return (I)_mm512_loadu_si512(p); }
+GGVS_INLINE void store(float* p, F x) { _mm512_storeu_ps(p, x); }
+GGVS_INLINE void store(int32_t* p, I x) { _mm512_storeu_si512(p, (__m512i)x); }
+
+GGVS_INLINE M less(F a, F b) { return _mm512_cmp_ps_mask(a, b, _CMP_LT_OQ); }
+GGVS_INLINE M at_most(F a, F b) { return _mm512_cmp_ps_mask(a, b, _CMP_LE_OQ); }
+GGVS_INLINE M both(M a, M b) { return M(a & b); }
+GGVS_INLINE M either(M a, M b) { return M(a | b); }
+GGVS_INLINE M but_not(M a, M b) { return M(a & ~b); }
+GGVS_INLINE M no_lanes() { return 0; }
+GGVS_INLINE bool any(M m) { return m != 0; }
+GGVS_INLINE I bits(F x) { return (I)x; }
+GGVS_INLINE F from_bits(I x) { return (F)x; }
+GGVS_INLINE F select(M m, F a, F b) { return _mm512_mask_blend_ps(m, b, a); }
+GGVS_INLINE I select(M m, I a, I b) { return (I)_mm512_mask_blend_epi32(m, (__m512i)b, (__m512i)a); }
+GGVS_INLINE F min(F a, F b) { return _mm512_min_ps(a, b); }
+GGVS_INLINE F max(F a, F b) { return _mm512_max_ps(a, b); }
+GGVS_INLINE F sqrt(F x) { return _mm512_sqrt_ps(x); }
+GGVS_INLINE I truncate(F x) { return (I)_mm512_cvttps_epi32(x); }
+GGVS_INLINE F to_float(I x) { return _mm512_cvtepi32_ps((__m512i)x); }
+GGVS_INLINE F gather(const float* p, I at) { return _mm512_i32gather_ps((__m512i)at, p, 4); }
+
+}  // namespace ggvs::GGVS_LEVEL

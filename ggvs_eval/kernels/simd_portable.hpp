@@ -1,0 +1,52 @@
+// Four lanes in the compiler's vector extension: SSE2 on x86-64, NEON on aarch64, scalar code elsewhere.
+// The three simd_*.hpp offer the same names; the kernels are written once against them.
+#pragma once
+#include <cstdint>
+
+#define GGVS_INLINE static inline __attribute__((always_inline))
+
+namespace ggvs::GGVS_LEVEL {
+
+constexpr int kWidth = 4;
+using F = float __attribute__((vector_size(16)));
+using I = int32_t __attribute__((vector_size(16)));
+using M = I;  // all bits of a lane set = true
+
+GGVS_INLINE F all(float x) { return F{x, x, x, x}; }
+GGVS_INLINE I all(int32_t x) { return I{x, x, x, x}; }
+GGVS_INLINE F load(const float* p) {
+    F x;
+    __builtin_memcpy(&x, p, sizeof x);
+    return x;
+}
+GGVS_INLINE I load(const int32_t* p) {
+    I x;
+    __builtin_memcpy(&x, p, sizeof x);
+    return x;
+}
+GGVS_INLINE void store(float* p, F x) { __builtin_memcpy(p, &x, sizeof x); }
+GGVS_INLINE void store(int32_t* p, I x) { __builtin_memcpy(p, &x, sizeof x); }
+
+GGVS_INLINE M less(F a, F b) { return a < b; }
+GGVS_INLINE M at_most(F a, F b) { return a <= b; }
+GGVS_INLINE M both(M a, M b) { return a & b; }
+GGVS_INLINE M either(M a, M b) { return a | b; }
+GGVS_INLINE M but_not(M a, M b) { return a & ~b; }
+GGVS_INLINE M no_lanes() { return I{0, 0, 0, 0}; }
+GGVS_INLINE bool any(M m) {
+    int64_t halves[2];
+    __builtin_memcpy(halves, &m, sizeof m);
+    return (halves[0] | halves[1]) != 0;
+}
+GGVS_INLINE I bits(F x) { return (I)x; }
+GGVS_INLINE F from_bits(I x) { return (F)x; }
+GGVS_INLINE F select(M m, F a, F b) { return from_bits((m & bits(a)) | (~m & bits(b))); }
+GGVS_INLINE I select(M m, I a, I b) { return (m & a) | (~m & b); }
+GGVS_INLINE F min(F a, F b) { return a < b ? a : b; }
+GGVS_INLINE F max(F a, F b) { return a > b ? a : b; }
+GGVS_INLINE F sqrt(F x) { return F{__builtin_sqrtf(x[0]), __builtin_sqrtf(x[1]), __builtin_sqrtf(x[2]), __builtin_sqrtf(x[3])}; }
+GGVS_INLINE I truncate(F x) { return __builtin_convertvector(x, I); }
+GGVS_INLINE F to_float(I x) { return __builtin_convertvector(x, F); }
+GGVS_INLINE F gather(const float* p, I at) { return F{p[at[0]], p[at[1]], p[at[2]], p[at[3]]}; }
+
+}  // namespace ggvs::GGVS_LEVEL

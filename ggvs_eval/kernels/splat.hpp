@@ -1,0 +1,63 @@
+// Forward rendering of pixel-sized Gaussians: the data that pass between the driver (splat.cpp) and its SIMD parts
+// (splat_simd.hpp).
+#pragma once
+#include <cstdint>
+#include <vector>
+
+#include "camera.hpp"
+
+namespace ggvs {
+
+constexpr int kMaxFeatures = 4;
+constexpr int kTileWidth = 64, kTileHeight = 32;  // pixels of the target that stay in the first-level cache together
+constexpr int kBlock = 4;                         // a tile is made of 4 x 4-pixel blocks, 16 lanes in a row
+constexpr int kLanes = kBlock * kBlock;
+constexpr int kTileBlocks = kTileWidth * kTileHeight / kLanes;
+constexpr float kMinAlpha = 1.0f / 255.0f, kLog2MinAlpha = -7.99435344f;
+
+struct SplatSource {
+    Pinhole camera;
+    const double* to_target;  // source camera -> target camera, rigid 4x4
+    const float* depth;       // (height, width), 0 = invalid
+    const float* features;    // (height, width, channels)
+};
+
+struct SplatTarget {
+    Pinhole camera;
+    float near;
+};
+
+struct SplatImages {
+    float* features;  // (height, width, channels)
+    float* alpha;     // (height, width)
+    float* depth;     // (height, width)
+};
+
+// What one source's Gaussians need to become ellipses in the target image.
+struct Projector {
+    PixelMap map;        // to the target camera's frame
+    float sigma;         // standard deviation per unit of source depth: scale / focal length
+    float fx, fy;        // target
+    float cx, cy;        // target, already minus 0.5: integer pixel index = centre
+    float max_x, max_y;  // clamp of the ray slope in the Jacobian, 1.3 tan(fov / 2)
+    float near;
+    float last_x, last_y;  // largest pixel indices of the target
+};
+
+// A Gaussian in one tile's coordinates. log2 of its alpha at (x, y) is (xx dx + xy dy) dx + yy dy dy.
+struct alignas(16) Ellipse {
+    float u, v, xx, xy, yy, depth;
+    uint32_t blocks;  // first and last block it may touch, 8 bits each: x0, x1, y0, y1
+    float features[kMaxFeatures];
+};
+
+// Tile ranges of up to 16 neighbouring Gaussians; x0 > x1 where a Gaussian is invalid or invisible.
+struct TileRanges {
+    int32_t x0[kLanes], x1[kLanes], y0[kLanes], y1[kLanes];
+};
+
+// Source pixels packed as row << 16 | column.
+void splat(const std::vector<SplatSource>& sources, int channels, const SplatTarget& target, float scale, bool normalised,
+           SplatImages out, int threads, int level);
+
+}  // namespace ggvs

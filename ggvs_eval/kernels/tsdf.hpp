@@ -1,0 +1,91 @@
+// The image-based TSDF: fusion weights of a depth image and the march through the fused distance field.
+#pragma once
+#include <cstdint>
+#include <vector>
+
+#include "camera.hpp"
+
+namespace ggvs {
+
+constexpr int kWindow = 7, kReach = kWindow / 2;  // neighbourhood N of Eq. 12
+constexpr float kFarAway = 1e18f;                 // stands for an invalid depth: any difference to it exceeds tau
+constexpr int kMarchTile = 8;                     // target pixels that share one column of the occupancy grid
+constexpr int kSlabs = 512;                       // depth intervals of a column, about equal in log depth
+constexpr int kPacket = 4;                        // rays are marched in packets of 4 x 4 pixels or a part of it
+constexpr int kMaxViews = 32;
+
+// Eqs. 11-12 for one row of a padded image: `rows` points at 7 rows, the output's own in the middle, padded by 3 on the left.
+struct FusionRow {
+    const float* rows[kWindow];
+    float tau, scale;  // scale = 7 * depth noise
+    int width;
+    float* out;
+};
+
+// One depth image of the fused field. Its weight at a sample is min(gain[ray] * weight[pixel], limit).
+struct FieldView {
+    Pinhole camera;
+    const double* from_target;  // target camera -> this camera, rigid 4x4
+    const float* depth;         // (height, width), 0 = invalid
+    const float* weight;        // (height, width)
+    const float* gain;          // (target height, target width), or null for 1
+    float limit;
+    PixelMap map;  // filled by ray_march
+};
+
+struct March {
+    Pinhole target;
+    float near, far, tau;
+    float step_fraction, min_step;  // of the distance, and in tau
+    int bisections;
+    bool skip_empty;
+    std::vector<FieldView> views;
+};
+
+// Slab of a depth: the float's bits are a piecewise linear logarithm, monotone, the same on every machine.
+struct SlabScale {
+    int32_t first_bits;
+    float per_bit;
+};
+
+// One column's slabs: next_depth[i] = where the first occupied slab at or behind slab i begins.
+struct MarchColumn {
+    int left, top;
+    SlabScale slabs;
+    float next_depth[kSlabs];
+};
+
+struct Range {
+    float low, high;
+};
+
+struct Block {
+    int left, top, right, bottom;  // pixels, the last ones excluded
+};
+
+// Which slabs of which columns may hold a sample whose distance lies within the truncation of any view.
+class Occupancy {
+public:
+    Occupancy(const March& march, int threads);
+    MarchColumn column(int left, int top) const;
+
+private:
+    void mark_view(const FieldView& view, int first_row, int last_row);
+    void mark_block(const FieldView& view, const PixelMap& to_target, Block block, Range own, Range ring);
+    void mark_frustum(const PixelMap& to_target, Block block, Range shell);
+    void mark_columns(int x0, int x1, int y0, int y1, int first_slab, int last_slab);
+
+    const March& march_;
+    int across_, down_;
+    SlabScale slabs_;
+    std::vector<uint64_t> bits_;  // (down, across, kSlabs / 64)
+};
+
+SlabScale slab_scale(float near, float far);
+
+void fusion_weights(const float* depth, int width, int height, float tau, float depth_noise, float* out, int threads, int level);
+
+// Depth of the first surface along each ray (0 = none) and the sum of the weights there.
+void ray_march(March& march, float* depth, float* weight, int threads, int level);
+
+}  // namespace ggvs

@@ -1,0 +1,50 @@
+"""Random small scenes for the geometric kernels: cameras around a rough surface, off-centre and of different sizes."""
+
+from dataclasses import replace
+
+import numpy as np
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.geometry import PixelGaussians
+
+TAU = 0.05
+
+seeds = st.integers(0, 2**32 - 1)
+sizes = st.tuples(st.integers(1, 40), st.integers(1, 30))
+
+
+def random_camera(random: np.random.Generator, width: int, height: int, name: str = "camera") -> Camera:
+    """A camera near the origin that looks roughly along z, its principal point off the centre."""
+    focal = 1.1 * max(width, height, 12)
+    K = np.array([[focal, 0, width / 2 + random.normal()], [0, focal * 1.05, height / 2 + random.normal()], [0, 0, 1]])
+    world_to_camera = np.eye(4)
+    world_to_camera[:3, :3] = Rotation.from_rotvec(random.normal(0, 0.03, 3)).as_matrix()
+    world_to_camera[:3, 3] = random.normal(0, 0.08, 3)
+    return Camera(name, K, world_to_camera, width, height, 0.8, 4.0)
+
+
+def moved(camera: Camera, x: float, y: float = 0.0) -> Camera:
+    """The same camera `x` to its right and `y` down."""
+    world_to_camera = camera.world_to_camera.copy()
+    world_to_camera[:2, 3] -= x, y
+    return replace(camera, world_to_camera=world_to_camera)
+
+
+def random_depth(random: np.random.Generator, camera: Camera, noise: float = 0.003) -> np.ndarray:
+    """A tilted wall at z = 2, a box before it, noise and a few invalid pixels."""
+    rays = camera.rays()
+    normal = np.array([0.2, -0.1, 1.0])
+    wall = (2.0 - camera.centre @ normal) / (rays @ normal)
+    box = camera.centre + 1.5 * rays
+    depth = np.where((np.abs(box[..., 0]) < 0.25) & (np.abs(box[..., 1]) < 0.2), 1.5, wall)
+    depth = depth + random.normal(0, noise, depth.shape)
+    depth[random.random(depth.shape) < 0.03] = 0.0
+    return depth.astype(np.float32)
+
+
+def random_gaussians(random: np.random.Generator, camera: Camera, channels: int) -> PixelGaussians:
+    """A source view with random features."""
+    features = random.random((camera.height, camera.width, channels), dtype=np.float32)
+    return PixelGaussians(camera, random_depth(random, camera), features)

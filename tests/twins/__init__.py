@@ -1,0 +1,1 @@
+"""Slow, readable versions of the compiled kernels: they define what the kernels compute."""
