@@ -61,7 +61,7 @@ class Scene:
 
 def measure() -> dict[str, dict]:
     """Milliseconds and millimetres of our kernels and of their peers, name -> figure."""
-    scene = _scene(WIDTH)
+    scene = make_scene(WIDTH)
     splat_ms, tsdf_ms, step_ms = _best_ms(lambda: scene.splat(0)), _best_ms(scene.fuse), _best_ms(scene.step)
     peers = _open3d(scene)
     splat_twin_ms, tsdf_twin_ms = _twins_ms()
@@ -96,7 +96,8 @@ def _best_ms(job: Callable[[], object], seconds: float = 3.0) -> float:
     return min(times) * 1000
 
 
-def _scene(width: int) -> Scene:
+def make_scene(width: int) -> Scene:
+    """Four noisy depth cameras before walls and spheres, at `width` pixels of the full field of view."""
     cameras = [_camera(-0.3 + 0.2 * k, 0.25 * (-0.3 + 0.2 * k), width) for k in range(VIEWS)]
     depths = [_noisy(camera, seed) for seed, camera in enumerate(cameras)]
     image = np.random.default_rng(0).random((*depths[0].shape, 3), dtype=np.float32)
@@ -141,7 +142,7 @@ def _median_error_mm(depth: NDArray, truth: NDArray) -> float:
 def _twins_ms() -> tuple[float, float]:
     """What the twins would take for one splat and one TSDF depth at full size, from a 64 x 48 run."""
     splat_twin, tsdf_twin = (importlib.import_module(f"twins.{name}") for name in ("splat", "tsdf"))
-    scene = _scene(64)
+    scene = make_scene(64)
     source = PixelGaussians(scene.cameras[0], scene.depths[0], scene.image)
 
     def fuse() -> None:

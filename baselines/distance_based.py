@@ -1,0 +1,45 @@
+"""Distance-based blending: splatted views weighted by how far their cameras stand (after LLFF, Mildenhall et al. 2019)."""
+
+from collections.abc import Sequence
+from time import perf_counter
+
+import numpy as np
+
+from ggvs_eval.baselines.gaussians import near_plane, pixel_gaussians
+from ggvs_eval.baselines.method import Instant, Rendering
+from ggvs_eval.camera import Camera
+from ggvs_eval.geometry.splat import splat
+
+DEPTH_PLANES = 32  # LLFF's number of planes of a multi-plane image
+
+
+class DistanceBased:
+    """Ablation 'Distance-based Blending' of the paper.
+
+    Reading:
+        w_k = exp(-gamma |C_k - C_target|) with LLFF's gamma = f / (P z0), f in pixels, P planes (32), z0 the nearest depth.
+        There is no background term: what no view covers stays black.
+    """
+
+    def step(self, instant: Instant) -> Rendering:
+        """Synthesise one instant; nothing is remembered."""
+        started = perf_counter()
+        near = near_plane(instant)
+        splats = [splat([pixel_gaussians(source)], instant.target, near=near) for source in instant.sources]
+        splatted = perf_counter()
+        weights = distance_weights(instant.target, [source.camera for source in instant.sources])
+        total = np.full_like(splats[0].alpha, 1e-10)
+        colour = np.zeros_like(splats[0].features)
+        for weight, view in zip(weights, splats, strict=True):
+            share = np.float32(weight) * view.alpha  # (H, W)
+            total += share
+            colour += share[..., None] * view.features
+        image = colour / total[..., None]
+        return Rendering(image, None, {"splat": splatted - started, "blend": perf_counter() - splatted})
+
+
+def distance_weights(target: Camera, cameras: Sequence[Camera]) -> list[float]:
+    """LLFF's weight of each source camera; only their ratios matter, so the nearest one has weight 1."""
+    gamma = target.focal_px / (DEPTH_PLANES * min(camera.near for camera in cameras))
+    distances = np.array([np.linalg.norm(camera.centre - target.centre) for camera in cameras])
+    return list(np.exp(-gamma * (distances - distances.min())))

@@ -1,0 +1,25 @@
+"""Source views as pixel-sized Gaussians, the common ground of every method that splats."""
+
+import numpy as np
+
+from ggvs_eval.baselines.method import Instant, Map, SourceView
+from ggvs_eval.geometry.splat import PixelGaussians
+
+NEAR_M = 0.2  # Gaussians closer than this to the target camera are culled, as the reference rasteriser does
+
+
+def pixel_gaussians(source: SourceView, extra: Map | None = None) -> PixelGaussians:
+    """One Gaussian per source pixel with known depth; its features are the colour and, if given, one more channel.
+
+    Args:
+        source: the view, image (H, W, 3) uint8.
+        extra: another value per pixel, (H, W), float32.
+    """
+    colour = source.image.astype(np.float32) / 255.0
+    features = colour if extra is None else np.concatenate([colour, extra[..., None]], axis=-1)
+    return PixelGaussians(camera=source.camera, depth=source.depth, features=features)
+
+
+def near_plane(instant: Instant) -> float:
+    """Near plane in world units."""
+    return NEAR_M * instant.units_per_metre

@@ -1,0 +1,68 @@
+"""What every method is: something that turns the frames of one instant into the target view, and sees no further."""
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.images import Image8
+
+Map = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class SourceView:
+    """One source camera at one instant.
+
+    Attributes:
+        camera: its calibration.
+        image: captured frame, RGB uint8, (H, W, 3).
+        depth: depth from the offline half, (H, W), world units, 0 where unknown.
+        confidence: how far that depth is to be trusted, (H, W), in [0, 1].
+    """
+
+    camera: Camera
+    image: Image8
+    depth: Map
+    confidence: Map
+
+
+@dataclass(frozen=True)
+class Instant:
+    """All that a method is shown at one instant: nothing of the future, nothing of the target's image.
+
+    Attributes:
+        index: frame number; consecutive calls of `Method.step` have increasing numbers.
+        target: camera to synthesise; it may move from instant to instant.
+        sources: the K source views, nearest first.
+        units_per_metre: world units per metre.
+    """
+
+    index: int
+    target: Camera
+    sources: tuple[SourceView, ...]
+    units_per_metre: float
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """What a method gives back for one instant.
+
+    Attributes:
+        image: synthesised view, float32 RGB in [0, 1], (H, W, 3).
+        depth: geometry it used, (H, W), world units, 0 where it has none; None for methods without geometry in the target view.
+        seconds: time of each stage, in the method's own words, for the timing table.
+    """
+
+    image: Map
+    depth: Map | None = None
+    seconds: dict[str, float] = field(default_factory=dict)
+
+
+class Method(Protocol):
+    """A strictly online synthesiser; one object renders one sequence of one target."""
+
+    def step(self, instant: Instant) -> Rendering:
+        """Synthesise the target view of one instant from what was seen up to it."""

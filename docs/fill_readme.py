@@ -1,0 +1,79 @@
+"""Write the measured figures into README.md: ``python docs/fill_readme.py`` after `make reports bench validate`.
+
+The README's tables stand between ``<!-- name -->`` and ``<!-- /name -->``; nothing between them is typed by hand.
+"""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from ggvs_eval.results import Results
+from ggvs_eval.run_folder import RunFolder, read_json
+
+ROOT = Path(__file__).parents[1]
+OUT = ROOT / "out"
+SHOWN = ["PSNR", "PSNR_cc", "SSIM", "LPIPS", "L1", "TCC", "STED", "SDT", "SDV"]
+
+
+def main() -> None:
+    """Fill every table whose figures have been computed."""
+    tables = {
+        "demo": lambda: results_table(OUT / "demo"),
+        "real_frame": lambda: results_table(OUT / "real_frame"),
+        "real_frame_views": lambda: views_table(OUT / "real_frame"),
+        "validate": lambda: figures_table(OUT / "validate.json"),
+        "bench": lambda: figures_table(OUT / "bench.json"),
+    }
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    for name, make in tables.items():
+        pattern = re.compile(rf"(<!-- {name} -->\n).*?(<!-- /{name} -->)", re.DOTALL)
+        if not pattern.search(text):
+            raise SystemExit(f"README.md has no place for the table {name}")
+        table = make()
+        text = pattern.sub(lambda match, table=table: f"{match[1]}{table}\n{match[2]}", text)
+    (ROOT / "README.md").write_text(text, encoding="utf-8")
+
+
+def results_table(run: Path) -> str:
+    """Means of one run as Markdown, methods by their shown names."""
+    summary = Results.read(run).summary().droplevel("dataset")
+    columns = [name for name in SHOWN if name in summary.columns]
+    return _markdown(_named(summary[columns], run))
+
+
+def views_table(run: Path) -> str:
+    """PSNR per test view as Markdown."""
+    return _markdown(_named(Results.read(run).per_view("PSNR"), run))
+
+
+def figures_table(file: Path) -> str:
+    """The flat figures of `make bench` or `make validate` as Markdown."""
+    figures: dict[str, dict[str, Any]] = json.loads(file.read_text(encoding="utf-8"))
+    rows = ["| figure | value | target | peer | ratio |", "| --- | ---: | ---: | --- | ---: |"]
+    for name, figure in figures.items():
+        sign = "≥" if figure["higher_is_better"] else "≤"
+        target = "" if figure.get("target") is None else f"{sign} {figure['target']:.4g}"
+        peer = f"{figure['peer']}: {figure['peer_value']:.4g}" if figure.get("peer") else ""
+        ratio = f"{figure['ratio']:.3g}" if figure.get("ratio") is not None else ""
+        rows.append(f"| {name} | {figure['value']:.4g} {figure['unit']} | {target} | {peer} | {ratio} |")
+    return "\n".join(rows)
+
+
+def _named(table: pd.DataFrame, run: Path) -> pd.DataFrame:
+    names = read_json(RunFolder(run).root / "methods.json")["names"]
+    index = ["+".join(filter(None, label)) for label in table.index]
+    return table.set_axis([names.get(label, label) for label in index], axis=0)
+
+
+def _markdown(table: pd.DataFrame) -> str:
+    rows = ["| method | " + " | ".join(map(str, table.columns)) + " |", "| --- |" + " ---: |" * len(table.columns)]
+    for name, values in table.iterrows():
+        rows.append(f"| {name} | " + " | ".join(f"{value:.4g}" for value in values) + " |")
+    return "\n".join(rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""From a capture to numbers: the offline half, the online half, and the run itself."""

@@ -1,0 +1,1 @@
+"""The method of the paper: one step per instant."""

@@ -1,0 +1,67 @@
+"""Temporally filtered depth of the source cameras (Eq. 2)."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ggvs_eval.baselines.method import Map, SourceView
+from ggvs_eval.images import Image8
+from ggvs_eval.pipelines.online.masks import difference_mask
+
+
+@dataclass(frozen=True)
+class FilteredDepth:
+    """What the filter says of one source view: depth, and the mask it was filtered with, both (H, W)."""
+
+    depth: Map
+    mask: Map
+
+
+@dataclass
+class TemporalDepthFilter:
+    """Recursive filter with one state per camera; its memory does not grow with time.
+
+    Attributes:
+        lambda_t: see `difference_mask`.
+        beta: see `difference_mask`.
+        enabled: without it every depth passes as it is (ablation 'No Temporal Filtering').
+    """
+
+    lambda_t: float = 0.7
+    beta: float = 0.6
+    enabled: bool = True
+    _history: dict[str, tuple[int, Image8, Map]] = field(default_factory=dict)
+
+    def step(self, index: int, source: SourceView) -> FilteredDepth:
+        """Filter one source view of instant ``index``.
+
+        A camera that was not among the sources at the instant before starts anew: its history is stale.
+        """
+        known = self._history.get(source.camera.name)
+        if not self.enabled or known is None or known[0] != index - 1 or known[1].shape != source.image.shape:
+            filtered = FilteredDepth(source.depth, np.ones_like(source.depth))
+        else:
+            mask = difference_mask(source.image, known[1], lambda_t=self.lambda_t, beta=self.beta)
+            filtered = FilteredDepth(filter_depth(source.depth, known[2], mask), mask)
+        self._history[source.camera.name] = (index, source.image, filtered.depth)
+        return filtered
+
+
+def filter_depth(depth: Map, history: Map, mask: Map) -> Map:
+    """Mix new depth with its history: mask * depth + (1 - mask) * history (Eq. 2).
+
+    Args:
+        depth: depth at instant t, (H, W), 0 where unknown.
+        history: filtered depth at t - 1, (H, W), 0 where unknown.
+        mask: M^t, (H, W), in [0, 1].
+
+    Returns:
+        Filtered depth, (H, W), float32.
+
+    Reading:
+        Where only one of the two is known it is taken alone, history only where the mask does not say that everything moved.
+    """
+    mixed = mask * depth + (1.0 - mask) * history
+    mixed = np.where(history > 0, mixed, depth)
+    lost = (depth <= 0) & (mask < 1.0)
+    return np.where(lost, history, np.where(depth > 0, mixed, 0.0)).astype(np.float32)

@@ -1,0 +1,210 @@
+"""Prepare: what every method needs of a capture under a protocol - truth frames, source views, depth, a camera path."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ggvs_eval.camera import Camera, nearest_cameras, translated_path
+from ggvs_eval.capture import Capture
+from ggvs_eval.datasets import open_capture
+from ggvs_eval.datasets.frames import ImageFrames
+from ggvs_eval.datasets.path import CameraPath, open_path
+from ggvs_eval.depth_store import DepthStore
+from ggvs_eval.errors import CaptureError, ProtocolError
+from ggvs_eval.images import resize, write_image
+from ggvs_eval.pipelines.offline.depth import DepthOptions
+from ggvs_eval.pipelines.offline.prepare import DepthJob, depth_spec, plan_depth, prepare_depth
+from ggvs_eval.progress import track
+from ggvs_eval.protocol import Protocol
+from ggvs_eval.run_folder import RunFolder, frame_path, missing_frames, write_json
+
+
+@dataclass(frozen=True)
+class SourcePlan:
+    """How one target view is synthesised.
+
+    Attributes:
+        target: the camera to synthesise, at synthesis size.
+        jobs: depth of each source camera, nearest first; the target takes no part in any of it.
+        depth_keys: source camera -> key of its depth in the depth store.
+    """
+
+    target: Camera
+    jobs: tuple[DepthJob, ...]
+    depth_keys: dict[str, str]
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A run folder that is ready to render into, and the plan behind it.
+
+    Attributes:
+        run: the folder.
+        protocol: what is evaluated.
+        capture: the capture at synthesis size.
+        plans: test view -> how it is synthesised.
+        path: poses of the camera path, each with its plan.
+        path_frame: the instant at which the camera moves along the path.
+        path_images: what a camera would have seen there; None where nobody knows.
+    """
+
+    run: RunFolder
+    protocol: Protocol
+    capture: Capture
+    plans: dict[str, SourcePlan]
+    path: tuple[SourcePlan, ...]
+    path_frame: int
+    path_images: ImageFrames | None
+
+    @property
+    def frames(self) -> range:
+        """Frame numbers of the protocol."""
+        return range(self.protocol.frames.start, self.protocol.frames.start + self.protocol.frames.count)
+
+
+def prepare(
+    root: Path, capture_path: Path, protocol: Protocol, workers: int = 1, options: DepthOptions | None = None
+) -> Prepared:
+    """Write protocol, capture record, truth frames and depth into a run folder; what is there is kept.
+
+    Args:
+        root: the run folder; made if absent.
+        capture_path: the capture on disk.
+        protocol: what to evaluate.
+        workers: processes.
+        options: of the depth estimation.
+
+    Raises:
+        CaptureError: the capture is unreadable or lacks what the protocol asks for.
+        ProtocolError: the folder belongs to another protocol or capture.
+    """
+    capture = open_for(capture_path, protocol)
+    run = RunFolder(root)
+    _claim_folder(run, protocol, capture)
+    prepared = plan(run, protocol, capture, options or DepthOptions())
+    _write_truth(prepared)
+    _prepare_depth(prepared, options or DepthOptions(), workers)
+    return prepared
+
+
+def open_for(capture_path: Path, protocol: Protocol) -> Capture:
+    """Open a capture at the protocol's size and check that it has the views, frames and sources that are asked for."""
+    capture = open_capture(capture_path)
+    absent = [name for name in protocol.views.test if name not in capture.camera_names]
+    if absent:
+        raise CaptureError(
+            f"{capture.path}: protocol {protocol.name} tests {', '.join(absent)}, the capture has "
+            f"{', '.join(capture.camera_names)}; choose another protocol or edit views.test"
+        )
+    wanted = protocol.frames.start + protocol.frames.count
+    if wanted > capture.n_frames:
+        raise CaptureError(
+            f"{capture.path}: protocol {protocol.name} wants frames {protocol.frames.start}..{wanted - 1}, the capture has "
+            f"{capture.n_frames}; lower frames.count"
+        )
+    synthesis = protocol.synthesis
+    if synthesis.width:
+        return capture.resized(synthesis.width, synthesis.height, synthesis.resize_filter)
+    return capture
+
+
+def plan(run: RunFolder, protocol: Protocol, capture: Capture, options: DepthOptions) -> Prepared:
+    """Choose source cameras and depth partners of every test view and path pose."""
+    path = _camera_path(capture, protocol)
+    targets = [*(capture.camera(view) for view in protocol.views.test), *path.cameras]
+    jobs = plan_depth(capture, targets, protocol.synthesis.k, options)
+    keys = {job: DepthStore.key(depth_spec(capture, job, options)) for sources in jobs.values() for job in sources.values()}
+    plans = {
+        target.name: SourcePlan(
+            target,
+            tuple(jobs[target.name].values()),
+            {name: keys[job] for name, job in jobs[target.name].items()},
+        )
+        for target in targets
+    }
+    views = {view: plans[view] for view in protocol.views.test}
+    frame = min(max(round(path.time_s * capture.fps), protocol.frames.start), capture.n_frames - 1)
+    return Prepared(run, protocol, capture, views, tuple(plans[pose.name] for pose in path.cameras), frame, path.images)
+
+
+def _camera_path(capture: Capture, protocol: Protocol) -> CameraPath:
+    """The capture's own path where it has one, else a horizontal translation around the first test view.
+
+    Reading:
+        The paper moves the camera horizontally and does not say from where to where; ours spans the nearest cameras on both
+        sides, at the protocol's first instant.
+    """
+    middle = capture.camera(protocol.views.test[0])
+    if protocol.path.poses == 0:
+        return CameraPath((), None, 0.0)
+    known = open_path(capture.path)
+    if known is not None:
+        return replace(known, cameras=tuple(pose.resized(*middle.size) for pose in known.cameras))
+    neighbour = nearest_cameras(middle, capture.cameras, 2)[-1]
+    span = 2 * float(np.linalg.norm(neighbour.centre - middle.centre))
+    return CameraPath(tuple(translated_path(middle, span, protocol.path.poses)), None, 0.0)
+
+
+def _claim_folder(run: RunFolder, protocol: Protocol, capture: Capture) -> None:
+    """Make the folder this run's, or make sure that it already is."""
+    record = _capture_record(capture)
+    if run.protocol_file.is_file() and (run.protocol(), run.capture_record()["digests"]) != (protocol, record["digests"]):
+        raise ProtocolError(
+            f"{run.root}: holds a run of another protocol or capture ({run.protocol().name}); choose a new folder or delete it"
+        )
+    run.root.mkdir(parents=True, exist_ok=True)
+    write_json(run.root / "capture.json", record)
+    run.protocol_file.write_text(protocol.to_toml(), encoding="utf-8")
+
+
+def _capture_record(capture: Capture) -> dict[str, Any]:
+    cameras = {
+        camera.name: {
+            "K": camera.K.tolist(),
+            "world_to_camera": camera.world_to_camera.tolist(),
+            "size": list(camera.size),
+            "near": camera.near,
+            "far": camera.far,
+        }
+        for camera in capture.cameras
+    }
+    return {
+        "path": str(capture.path),
+        "scene": capture.scene,
+        "layout": capture.layout,
+        "fps": capture.fps,
+        "n_frames": capture.n_frames,
+        "units_per_metre": capture.units_per_metre,
+        "units_origin": capture.units_origin,
+        "cameras": cameras,
+        "digests": {name: capture.digest(name) for name in capture.camera_names},
+    }
+
+
+def _write_truth(prepared: Prepared) -> None:
+    """Write the captured frames of the test views, and the path's images where the capture has them."""
+    for view in track(prepared.protocol.views.test, "truth"):
+        folder = prepared.run.truth(view)
+        if missing_frames(folder, prepared.frames):
+            frames = prepared.capture.frames(view, prepared.frames.start, prepared.frames.stop)
+            for index, image in zip(prepared.frames, frames, strict=True):
+                write_image(frame_path(folder, index), image)
+    folder, images = prepared.run.path("truth"), prepared.path_images
+    if images is not None and missing_frames(folder, range(images.n_frames)):
+        size = prepared.path[0].target.size
+        for pose, image in enumerate(images.frames(0, images.n_frames)):
+            write_image(frame_path(folder, pose), resize(image, *size, prepared.protocol.synthesis.resize_filter))
+    centres = [plan.target.centre.tolist() for plan in prepared.path]
+    if centres:
+        write_json(prepared.run.root / "path" / "path.json", {"frame": prepared.path_frame, "centres": centres})
+
+
+def _prepare_depth(prepared: Prepared, options: DepthOptions, workers: int) -> None:
+    """Estimate what the plans need: all frames for the test views, one instant for the path."""
+    store = DepthStore(prepared.run.depth)
+    views = {job for plan in prepared.plans.values() for job in plan.jobs}
+    prepare_depth(prepared.capture, sorted(views), prepared.frames, store, options, workers)
+    path = {job for plan in prepared.path for job in plan.jobs} - views
+    prepare_depth(prepared.capture, sorted(path), range(prepared.path_frame, prepared.path_frame + 1), store, options, workers)

@@ -1,0 +1,135 @@
+"""Render: every test view, and a camera path, by every method; one job per (method, view)."""
+
+from collections.abc import Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from ggvs_eval.baselines.method import Instant, Method, SourceView
+from ggvs_eval.camera import Camera
+from ggvs_eval.capture import Capture
+from ggvs_eval.depth_store import DepthStore
+from ggvs_eval.images import quantise, write_image
+from ggvs_eval.pipelines.jobs import Job, code_digest, default_workers, run_jobs
+from ggvs_eval.pipelines.methods import find_method, split_label
+from ggvs_eval.pipelines.prepare import Prepared, SourcePlan
+from ggvs_eval.results import installed_versions
+from ggvs_eval.run_folder import frame_path, read_json, write_json
+
+
+def render(prepared: Prepared, labels: Sequence[str], workers: int = 1) -> int:
+    """Synthesise the protocol's views and the camera path by each method; what exists is not rendered again.
+
+    Args:
+        prepared: the run folder with truth and depth.
+        labels: methods, see `ggvs_eval.pipelines.methods.METHODS`.
+        workers: processes.
+
+    Returns:
+        Number of (method, view) jobs that were run.
+
+    Raises:
+        RenderError: unknown method, or jobs that failed; each is listed.
+    """
+    for label in labels:
+        find_method(label)
+    jobs = [_view_job(prepared, label, view, workers) for label in labels for view in prepared.protocol.views.test]
+    jobs += [_path_job(prepared, label, workers) for label in labels if prepared.path]
+    done = run_jobs(jobs, workers, "rendering")
+    order = prepared.run.root / "methods.json"
+    known = read_json(order)["labels"] if order.is_file() else []
+    merged = [*known, *(label for label in labels if label not in known)]
+    write_json(order, {"labels": merged})
+    return done
+
+
+def _view_job(prepared: Prepared, label: str, view: str, workers: int) -> Job:
+    """The job of one method in one test view over all frames of the protocol."""
+    plan, frames = prepared.plans[view], prepared.frames
+    work = partial(_render_view, label, prepared.capture, plan, frames, prepared.run.depth, workers)
+    return Job(f"{label} in {view}", prepared.run.renders(label, view), _identity(prepared, label, [plan]), work)
+
+
+def _path_job(prepared: Prepared, label: str, workers: int) -> Job:
+    """The job of one method along the camera path, at the first instant of the protocol."""
+    work = partial(_render_path, label, prepared.capture, prepared.path, prepared.path_frame, prepared.run.depth, workers)
+    return Job(f"{label} along the path", prepared.run.path(label), _identity(prepared, label, prepared.path), work)
+
+
+def _identity(prepared: Prepared, label: str, plans: Sequence[SourcePlan]) -> dict[str, Any]:
+    """Everything that the pixels depend on."""
+    sources = {(name, prepared.capture.digest(name), key) for plan in plans for name, key in plan.depth_keys.items()}
+    return {
+        "method": label,
+        "code": code_digest(*find_method(label).packages),
+        "targets": [_camera_values(plan.target) for plan in plans],
+        "sources": sorted(sources),
+        "frames": [prepared.frames.start, prepared.frames.stop, prepared.path_frame],
+        "units_per_metre": prepared.capture.units_per_metre,
+        "resize": prepared.capture.resize_filter,
+    }
+
+
+def _camera_values(camera: Camera) -> list[float]:
+    return [*camera.K.ravel(), *camera.world_to_camera.ravel(), *camera.size, camera.near, camera.far]
+
+
+def _render_view(
+    label: str, capture: Capture, plan: SourcePlan, frames: range, store: Path, workers: int, folder: Path
+) -> dict[str, Any]:
+    """Stream the source cameras through one method; only the frames of one instant are in memory."""
+    method = find_method(label).make()
+    instants = _instants(capture, plan, frames, DepthStore(store))
+    seconds = [_render_frame(method, instant, frame_path(folder, instant.index)) for instant in instants]
+    return _record(label, seconds, plan.target, workers)
+
+
+def _render_path(
+    label: str, capture: Capture, plans: Sequence[SourcePlan], frame: int, store: Path, workers: int, folder: Path
+) -> dict[str, Any]:
+    """Move the target camera along the path while time stands still; the method sees a scene in which nothing moves."""
+    method = find_method(label).make()
+    names = {name for plan in plans for name in plan.depth_keys}
+    images = {name: capture.frame(name, frame) for name in sorted(names)}
+    depths = DepthStore(store)
+    seconds = []
+    for pose, plan in enumerate(plans):
+        views = [
+            SourceView(capture.camera(name), images[name], stored.depth, stored.confidence)
+            for name, key in plan.depth_keys.items()
+            for stored in [depths.read(key, frame)]
+        ]
+        instant = Instant(pose, plan.target, tuple(views), capture.units_per_metre)
+        seconds.append(_render_frame(method, instant, frame_path(folder, pose)))
+    return _record(label, seconds, plans[0].target, workers)
+
+
+def _instants(capture: Capture, plan: SourcePlan, frames: range, store: DepthStore) -> Iterator[Instant]:
+    """Decode the sources of one target side by side, frame by frame."""
+    streams = [capture.frames(name, frames.start, frames.stop) for name in plan.depth_keys]
+    for index, images in zip(frames, zip(*streams, strict=True), strict=True):
+        depths = [store.read(key, index) for key in plan.depth_keys.values()]
+        sources = tuple(
+            SourceView(capture.camera(name), image, stored.depth, stored.confidence)
+            for name, image, stored in zip(plan.depth_keys, images, depths, strict=True)
+        )
+        yield Instant(index, plan.target, sources, capture.units_per_metre)
+
+
+def _render_frame(method: Method, instant: Instant, path: Path) -> dict[str, float]:
+    rendering = method.step(instant)
+    write_image(path, quantise(rendering.image))
+    return rendering.seconds
+
+
+def _record(label: str, seconds: Sequence[dict[str, float]], target: Camera, workers: int) -> dict[str, Any]:
+    """What job.json says beside the identity: how long each stage of each frame took, and with what."""
+    method, variant = split_label(label)
+    return {
+        "method": method,
+        "variant": variant,
+        "size": list(target.size),
+        "seconds": {stage: [frame[stage] for frame in seconds] for stage in seconds[0]},
+        "threads": max(default_workers() // workers, 1),
+        "versions": installed_versions(),
+    }

@@ -1,0 +1,189 @@
+"""The whole road on a small demo capture: prepare, render, score, report; resumed, refused, extended."""
+
+import dataclasses
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ggvs_eval.errors import CaptureError, ProtocolError, RenderError
+from ggvs_eval.images import read_image, write_image
+from ggvs_eval.pipelines.evaluate import evaluate, suggest_protocol
+from ggvs_eval.pipelines.methods import METHODS
+from ggvs_eval.pipelines.prepare import prepare
+from ggvs_eval.pipelines.render import render
+from ggvs_eval.pipelines.score import import_renders, score
+from ggvs_eval.protocol import Frames, Protocol, Synthesis, Views, load_protocol
+from ggvs_eval.results import Results
+from ggvs_eval.run_folder import RunFolder, frame_path
+from ggvs_eval.synthetic.demo import write_demo
+from ggvs_eval.synthetic.options import DemoOptions
+
+LABELS = ("no-blending", "ours-geometric")
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory) -> Path:
+    options = DemoOptions(width=128, height=96, n_frames=4, cameras_per_row=3, path_poses=5, supersampling=1)
+    return write_demo(tmp_path_factory.mktemp("capture") / "demo", options)
+
+
+@pytest.fixture(scope="module")
+def protocol() -> Protocol:
+    base = load_protocol("demo")
+    metrics = ("PSNR", "SSIM", "L1", "TCC", "STED", "SDT", "SDV")
+    return dataclasses.replace(
+        base,
+        views=Views(("cam00", "cam01"), "test"),
+        frames=Frames(0, 4),
+        synthesis=Synthesis(3),
+        measurement=dataclasses.replace(base.measurement, metrics=metrics),
+    )
+
+
+@pytest.fixture(scope="module")
+def finished(capture, protocol, tmp_path_factory) -> Path:
+    root = tmp_path_factory.mktemp("run") / "run"
+    evaluate(root, capture, protocol, LABELS, workers=2)
+    return root
+
+
+@pytest.fixture
+def run(finished, tmp_path) -> RunFolder:
+    shutil.copytree(finished, tmp_path / "run")
+    return RunFolder(tmp_path / "run")
+
+
+def modification_times(root: Path) -> dict[Path, int]:
+    return {
+        file: file.stat().st_mtime_ns
+        for file in root.rglob("*")
+        if file.suffix in (".png", ".npz") and "report" not in file.parts
+    }
+
+
+def test_everything_is_there(finished, protocol):
+    """A run leaves renders of every view and frame, a table of every metric, and a page."""
+    run = RunFolder(finished)
+    summary = Results.read(finished).summary()
+
+    for label in LABELS:
+        assert all(frame_path(run.renders(label, view), t).is_file() for view in protocol.views.test for t in range(4))
+        assert frame_path(run.path(label), 4).is_file()
+    assert set(summary.columns) >= set(protocol.measurement.metrics)
+    assert np.isfinite(summary[list(protocol.measurement.metrics)].to_numpy()).all()
+    assert (run.report / "index.html").stat().st_size > 10_000
+
+
+def test_a_second_call_computes_nothing(run, capture, protocol):
+    """Evaluating again leaves every depth map and every frame as it is."""
+    before = modification_times(run.root)
+
+    evaluate(run.root, capture, protocol, LABELS, workers=1)
+
+    assert modification_times(run.root) == before
+
+
+def test_a_lost_view_is_rendered_again_with_the_same_bits(run, capture, protocol):
+    """Deleting one job's folder brings back exactly that one, bit for bit, however many workers there are."""
+    folder = run.renders("ours-geometric", "cam01")
+    wanted = [read_image(frame_path(folder, t)) for t in range(4)]
+    shutil.rmtree(folder)
+
+    done = render(prepare(run.root, capture, protocol), LABELS, workers=1)
+
+    assert done == 1
+    for t in range(4):
+        np.testing.assert_array_equal(read_image(frame_path(folder, t)), wanted[t])
+
+
+def test_the_target_takes_no_part(finished):
+    """No depth of any source of a test view was matched against that view."""
+    run = RunFolder(finished)
+    prepared = prepare(finished, Path(run.capture_record()["path"]), run.protocol())
+
+    for view, plan in prepared.plans.items():
+        used = {name for job in plan.jobs for name in (job.camera_name, *job.partner_names)}
+        assert view not in used
+        assert len(plan.jobs) == 3
+
+
+def test_a_changed_frame_is_scored_again(run):
+    """Scores follow the frames on disk, whoever wrote them."""
+    before = Results.read(run.root).summary()["PSNR"]
+    write_image(frame_path(run.renders("no-blending", "cam00"), 2), np.zeros((96, 128, 3), np.uint8))
+
+    after = score(run).summary()["PSNR"]
+
+    assert after.loc[("Demo room", "no-blending", "")] < before.loc[("Demo room", "no-blending", "")]
+    assert after.loc[("Demo room", "ours-geometric", "")] == before.loc[("Demo room", "ours-geometric", "")]
+
+
+def test_frames_rendered_elsewhere_are_a_method(run, tmp_path):
+    """A folder of <view>/<frame>.png is scored beside the others; the truth itself scores best."""
+    shutil.copytree(run.root / "truth", tmp_path / "mine")
+
+    import_renders(run, "perfect", tmp_path / "mine")
+    summary = score(run).summary().droplevel("dataset")
+
+    assert summary.loc[("perfect", ""), "SSIM"] == 1.0
+    assert summary.loc[("perfect", ""), "L1"] == 0.0
+
+
+def test_every_gap_is_listed(run, tmp_path):
+    """Missing frames of foreign renders are an error that names view and frames; nothing is skipped."""
+    shutil.copytree(run.root / "truth", tmp_path / "mine")
+    for name in ("cam00/0001.png", "cam01/0002.png", "cam01/0003.png"):
+        (tmp_path / "mine" / name).unlink()
+
+    with pytest.raises(RenderError, match=r"mine in cam00 lacks 1; mine in cam01 lacks 2-3"):
+        import_renders(run, "mine", tmp_path / "mine")
+
+
+def test_a_wrong_size_is_refused(run, tmp_path):
+    """A frame of another size than the truth is named with both sizes."""
+    shutil.copytree(run.root / "truth", tmp_path / "mine")
+    write_image(tmp_path / "mine" / "cam00" / "0001.png", np.zeros((48, 64, 3), np.uint8))
+    import_renders(run, "mine", tmp_path / "mine")
+
+    with pytest.raises(RenderError, match=r"cam00/0001.png: wanted 128 x 96 pixels as the truth has, got 64 x 48"):
+        score(run)
+
+
+def test_a_folder_belongs_to_one_protocol(run, capture, protocol):
+    """Another protocol in the same folder is refused instead of mixed."""
+    other = dataclasses.replace(protocol, synthesis=Synthesis(2))
+
+    with pytest.raises(ProtocolError, match="another protocol or capture"):
+        prepare(run.root, capture, other)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"views": Views(("cam77",), "test")}, r"tests cam77, the capture has cam00, cam01"),
+        ({"frames": Frames(2, 9)}, r"wants frames 2..10, the capture has 4"),
+    ],
+)
+def test_what_the_capture_lacks_is_refused(changes, message, capture, protocol, tmp_path):
+    """A protocol that asks for absent views or frames says what there is."""
+    with pytest.raises(CaptureError, match=message):
+        prepare(tmp_path / "new", capture, dataclasses.replace(protocol, **changes))
+
+
+def test_a_protocol_is_suggested_by_rule(capture):
+    """A rig that no packaged protocol was made for gets every second camera, and the protocol says so."""
+    suggested = suggest_protocol(capture)
+
+    assert suggested.views.test == ("cam01", "cam03", "cam05")
+    assert suggested.views.chosen_by.startswith("by rule")
+    assert suggested.frames == Frames(0, 4)
+
+
+def test_methods_are_documented():
+    """Every method has a title and a line of description, and its label is fit for a folder's name."""
+    for label, spec in METHODS.items():
+        assert spec.title
+        assert spec.describe
+        assert label == label.lower().replace(" ", "-")

@@ -1,0 +1,86 @@
+"""Jobs: made once, whole or not at all, and a failure stops nothing but itself."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from ggvs_eval.errors import CaptureError, RenderError
+from ggvs_eval.pipelines.jobs import Job, run_jobs
+from ggvs_eval.run_folder import JOB_FILE, read_json
+
+
+def write_number(number: int, folder: Path) -> dict:
+    (folder / "number.txt").write_text(str(number))
+    return {"double": 2 * number}
+
+
+def fail(message: str, folder: Path) -> dict:
+    (folder / "half.txt").write_text("half")
+    raise CaptureError(message)
+
+
+def number_job(root: Path, number: int) -> Job:
+    return Job(f"number {number}", root / f"n{number}", {"number": number}, partial(write_number, number))
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_job_runs_once(workers, tmp_path):
+    """The second call finds every result and runs nothing; the record stands beside it."""
+    jobs = [number_job(tmp_path, number) for number in range(3)]
+
+    first, second = run_jobs(jobs, workers, ""), run_jobs(jobs, workers, "")
+
+    assert (first, second) == (3, 0)
+    assert read_json(tmp_path / "n2" / JOB_FILE)["double"] == 4
+    assert sorted(item.name for item in tmp_path.iterdir()) == ["n0", "n1", "n2"]
+
+
+def test_changed_inputs_run_again(tmp_path):
+    """A job with another identity replaces the old result."""
+    run_jobs([Job("n", tmp_path / "n", {"number": 1}, partial(write_number, 1))], 1, "")
+
+    done = run_jobs([Job("n", tmp_path / "n", {"number": 2}, partial(write_number, 2))], 1, "")
+
+    assert done == 1
+    assert (tmp_path / "n" / "number.txt").read_text() == "2"
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_failed_job_leaves_nothing_and_stops_nobody(workers, tmp_path):
+    """The others finish, the failed one leaves no folder, and one error lists what failed."""
+    broken = [Job(f"broken {i}", tmp_path / f"b{i}", {"broken": i}, partial(fail, f"cam{i:02d} is gone")) for i in range(2)]
+
+    with pytest.raises(RenderError, match=r"2 of 4 jobs failed.*cam00 is gone.*cam01 is gone|2 of 4.*cam01.*cam00"):
+        run_jobs([broken[0], number_job(tmp_path, 1), broken[1], number_job(tmp_path, 2)], workers, "")
+
+    assert sorted(item.name for item in tmp_path.iterdir()) == ["n1", "n2"]
+
+
+def test_a_killed_run_loses_only_the_job_in_hand(tmp_path):
+    """After kill -9 what was finished stays, and the next call runs the rest and cleans up."""
+    script = (
+        "import sys, time; from functools import partial; from pathlib import Path\n"
+        "from ggvs_eval.pipelines.jobs import Job, run_jobs\n"
+        "def work(number, folder):\n"
+        "    (folder / 'number.txt').write_text(str(number)); time.sleep(60 if number == 1 else 0)\n"
+        "    return {}\n"
+        "root = Path(sys.argv[1])\n"
+        "run_jobs([Job('', root / f'n{n}', {'number': n}, partial(work, n)) for n in range(3)], 1, '')\n"
+    )
+    process = subprocess.Popen([sys.executable, "-c", script, str(tmp_path)])
+    deadline = time.monotonic() + 60
+    while not list(tmp_path.glob(".n1.*.tmp")) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+
+    done = run_jobs([number_job(tmp_path, number) for number in range(3)], 1, "")
+
+    assert done == 2
+    assert sorted(item.name for item in tmp_path.iterdir()) == ["n0", "n1", "n2"]
