@@ -1,14 +1,15 @@
 """Depth maps on disk, keyed by everything they were computed from.
 
-A store holds one folder per key and in it one file per instant and `spec.json`, which says in words what the key stands for. Files
-are written under a temporary name and renamed, so that a killed process leaves either the whole file or none.
+A store holds one folder per key and in it one file per instant and `spec.json`, which says in words what the key stands for.
+Files are written under a temporary name and renamed, so that a killed process leaves either the whole file or none. Nothing is
+compressed: at 1345 x 1008 a map takes 6.8 MB and 2 ms, compressed 3.5 MB and 300 ms (lzf 3.9 MB, 190 ms).
 """
 
 import hashlib
 import json
 import os
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -36,7 +37,7 @@ class DepthMap:
 
 
 def describe_depth(
-    camera: Camera, partners: list[Camera], digests: Mapping[str, str], options: Mapping[str, object]
+    camera: Camera, partners: Sequence[Camera], digests: Mapping[str, str], options: Mapping[str, object]
 ) -> dict[str, object]:
     """Everything a depth map depends on, as it is written into `spec.json`.
 

@@ -4,12 +4,12 @@ import dataclasses
 import difflib
 import hashlib
 import json
+import pathlib
 import tomllib
 import types
 import typing
 from dataclasses import dataclass
 from importlib import resources
-from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 from ggvs_eval.errors import ProtocolError
@@ -57,6 +57,17 @@ class Synthesis:
 
 
 @dataclass(frozen=True)
+class CameraPath:
+    """A camera path that is synthesised at one instant, for epipolar plane images.
+
+    Attributes:
+        poses: number of virtual cameras; 0 for no path. A capture that carries a true path brings its own number.
+    """
+
+    poses: int = 48
+
+
+@dataclass(frozen=True)
 class Measurement:
     """How the 8-bit frames on disk become numbers.
 
@@ -96,6 +107,7 @@ class Protocol:
     frames: Frames
     synthesis: Synthesis
     measurement: Measurement
+    path: CameraPath = CameraPath()
 
     @property
     def sha256(self) -> str:
@@ -112,13 +124,13 @@ class Protocol:
         return "\n".join(lines) + "\n"
 
 
-def load_protocol(source: str | Path) -> Protocol:
+def load_protocol(source: str | pathlib.Path) -> Protocol:
     """Read a protocol from a TOML file, or one that ships with the package by its name (``demo``, ``dynerf``, ...).
 
     Raises:
         ProtocolError: no such file, not TOML, or an unknown, missing or mistyped key; the message names the nearest known one.
     """
-    path = Path(source)
+    path = pathlib.Path(source)
     if path.suffix == ".toml":
         if not path.is_file():
             raise ProtocolError(f"{path}: no such protocol file; packaged ones are {', '.join(packaged_protocols())}")
@@ -181,6 +193,7 @@ def _checked(protocol: Protocol, file: str) -> Protocol:
         "views.test must name each test view once, and at least one": views and len(set(views)) == len(views),
         "frames.start must be at least 0 and frames.count at least 1": protocol.frames.start >= 0 and protocol.frames.count >= 1,
         "synthesis.k must be at least 1": synthesis.k >= 1,
+        "path.poses must be 0 or at least 2": protocol.path.poses == 0 or protocol.path.poses >= 2,
         "synthesis.width and height must both be positive, or both 0": _is_size(synthesis.width, synthesis.height),
         "measurement.width and height must both be positive, or both 0": _is_size(measurement.width, measurement.height),
         "measurement.metrics must name at least one metric": measurement.metrics,

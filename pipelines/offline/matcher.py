@@ -1,0 +1,34 @@
+"""What any stereo matcher looks like to the rest: rectified pair in, disparity and confidence out."""
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.images import Image8
+
+Map = NDArray[np.float32]
+
+
+class StereoMatcher(Protocol):
+    """Finds for each pixel of the left image the one of the right image on the same row.
+
+    A matcher is a frozen dataclass: its fields are its parameters and enter the key of what is stored.
+    """
+
+    @property
+    def name(self) -> str:
+        """Names the algorithm and its version; changes whenever its results do."""
+
+    def match(self, left: Image8, right: Image8, d_min: int, d_max: int) -> tuple[Map, Map]:
+        """Match a rectified pair.
+
+        Args:
+            left: RGB, (H, W, 3).
+            right: RGB, (H, W, 3); the point at column x on the left lies at x - disparity.
+            d_min: smallest disparity, pixels.
+            d_max: largest disparity, pixels.
+
+        Returns:
+            Disparity of the left image in pixels, (H, W), 0 = rejected, and its confidence in [0, 1], (H, W).
+        """

@@ -1,0 +1,99 @@
+"""Which cameras to match a camera with, by what they see together.
+
+Replaces the paper's manual selection of stereo pairs.
+"""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ggvs_eval.camera import Array, Camera
+from ggvs_eval.errors import DepthError
+
+GRID = (16, 12)  # rays across and down
+DEPTHS = 6  # depths per ray, evenly spaced in inverse depth
+MAX_ANGLE_RAD = np.deg2rad(45.0)  # beyond, surfaces look too different
+MAX_NEAR_DISPARITY = 0.25  # of the image's width
+MIN_MEDIAN_DISPARITY = 0.006  # of the image's width; 8 px of 1352
+MIN_OVERLAP = 0.2
+SAME_SIDE = 0.6  # how much of a point's worth a partner on the same side of the camera takes away from the next one
+OTHER_SIDE = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Partner:
+    """How well a candidate serves a camera.
+
+    Attributes:
+        camera: the candidate.
+        worth: 0 outside its image, else the quality of the match there, for each sample point, (S,).
+        direction: from the camera to the candidate in the camera's image plane, unit vector, (2,).
+    """
+
+    camera: Camera
+    worth: Array
+    direction: Array
+
+
+def choose_partners(camera: Camera, candidates: Sequence[Camera], count: int, excluded: Collection[str] = ()) -> list[Camera]:
+    """Choose the cameras whose stereo with `camera` sees most of its view, from different sides, best first.
+
+    Partners are taken one by one. A candidate is worth the sum over points of the camera's view, at depths from near to far, of
+    the quality of its match where it sees the point; each partner already taken lowers what a point is still worth, more so from
+    the same side: what is hidden from a partner on the right, one on the left sees.
+
+    Args:
+        camera: the camera whose depth is wanted.
+        candidates: cameras to choose from; `camera` itself is passed over.
+        count: how many to choose at most; fewer come back where fewer can be matched.
+        excluded: names that must not be chosen (the target of a leave-one-out run).
+
+    Raises:
+        DepthError: no candidate can be matched at all.
+    """
+    passed_over = {camera.name, *excluded}
+    others = sorted((other for other in candidates if other.name not in passed_over), key=lambda other: other.name)
+    points = _sample_view(camera)
+    partners = [partner for other in others if (partner := _judge(camera, other, points)) is not None]
+    if not partners:
+        raise DepthError(
+            f"camera {camera.name}: none of {len(others)} other cameras sees {MIN_OVERLAP:.0%} of its view from less than "
+            f"{np.rad2deg(MAX_ANGLE_RAD):.0f} degrees away; its depth cannot be computed, leave it out or add cameras"
+        )
+    chosen: list[Partner] = []
+    while partners and len(chosen) < count:
+        best = max(partners, key=lambda partner: _gain(partner, chosen))
+        partners.remove(best)
+        chosen.append(best)
+    return [partner.camera for partner in chosen]
+
+
+def _sample_view(camera: Camera) -> Array:
+    """Points all over the camera's view at depths from near to far, (S, 3) in the world."""
+    across, down = ((np.arange(n) + 0.5) / n * size for n, size in zip(GRID, camera.size, strict=True))
+    u, v, inverse = np.meshgrid(across, down, np.linspace(1 / camera.near, 1 / camera.far, DEPTHS))
+    return camera.unproject(np.stack([u, v], axis=-1), 1 / inverse).reshape(-1, 3)
+
+
+def _judge(camera: Camera, other: Camera, points: Array) -> Partner | None:
+    """What `other` is worth to `camera`; None where a match makes no sense."""
+    uv, depth = other.project(points)
+    inside = (depth > 0) & ((uv > 0) & (uv < other.size)).all(axis=-1)  # (S,)
+    angle = np.arccos(np.clip(camera.axis @ other.axis, -1, 1))
+    offset = camera.rotation @ (other.centre - camera.centre)
+    distance = float(np.linalg.norm(offset[:2]))
+    if inside.mean() < MIN_OVERLAP or angle > MAX_ANGLE_RAD or distance <= abs(offset[2]):
+        return None
+    median_depth = 2 / (1 / camera.near + 1 / camera.far)
+    disparity = camera.focal_px * distance / np.array([camera.near, median_depth]) / camera.width
+    fitness = min(1.0, MAX_NEAR_DISPARITY / disparity[0]) * min(1.0, disparity[1] / MIN_MEDIAN_DISPARITY)
+    return Partner(other, inside * fitness * np.cos(angle), offset[:2] / distance)
+
+
+def _gain(partner: Partner, chosen: Sequence[Partner]) -> float:
+    left = np.ones_like(partner.worth)
+    for other in chosen:
+        same = max(0.0, float(partner.direction @ other.direction))
+        left *= 1 - (OTHER_SIDE + (SAME_SIDE - OTHER_SIDE) * same) * (other.worth > 0)
+    return float((partner.worth * left).sum())

@@ -1,0 +1,119 @@
+"""Fill a depth store: every camera and instant that the online part will ask for."""
+
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from multiprocessing import get_context
+
+import cv2
+
+from ggvs_eval.camera import Camera, nearest_cameras
+from ggvs_eval.capture import Capture
+from ggvs_eval.depth_store import DepthStore, describe_depth
+from ggvs_eval.pipelines.offline.depth import DepthEstimator, DepthOptions
+from ggvs_eval.pipelines.offline.pairing import choose_partners
+from ggvs_eval.progress import track
+
+
+@dataclass(frozen=True, order=True)
+class DepthJob:
+    """One camera and the partners its depth is computed with; equal jobs give equal depth.
+
+    Attributes:
+        camera_name: the camera whose depth is wanted.
+        partner_names: the cameras it is matched with, in order.
+    """
+
+    camera_name: str
+    partner_names: tuple[str, ...]
+
+
+def plan_depth(capture: Capture, targets: Sequence[Camera], k: int, options: DepthOptions) -> dict[str, dict[str, DepthJob]]:
+    """Which depth each target needs: of its k nearest cameras, matched with any camera but the target.
+
+    Args:
+        capture: the capture.
+        targets: cameras to be rendered, of the capture (left out of everything) or of a virtual path.
+        k: number of sources per target.
+        options: parameters.
+
+    Returns:
+        For each target's name its sources' names, nearest first, each with its job; equal jobs are shared between targets.
+
+    Raises:
+        CameraError: fewer than k sources.
+        DepthError: a source that no camera can be matched with.
+    """
+    plan = {}
+    for target in targets:
+        sources = nearest_cameras(target, capture.cameras, k)
+        partners = {source.name: choose_partners(source, capture.cameras, options.partners, {target.name}) for source in sources}
+        plan[target.name] = {name: DepthJob(name, tuple(each.name for each in chosen)) for name, chosen in partners.items()}
+    return plan
+
+
+def depth_spec(capture: Capture, job: DepthJob, options: DepthOptions) -> dict[str, object]:
+    """What a job's depth depends on; `DepthStore.key` makes its key of it."""
+    names = (job.camera_name, *job.partner_names)
+    camera, *partners = (capture.camera(name) for name in names)
+    described = options.describe() | {"resize_filter": capture.resize_filter}
+    return describe_depth(camera, partners, {name: capture.digest(name) for name in names}, described)
+
+
+def prepare_depth(
+    capture: Capture, jobs: Sequence[DepthJob], frames: range, store: DepthStore, options: DepthOptions, workers: int
+) -> None:
+    """Compute the depth of every job and frame that the store does not have.
+
+    Jobs run side by side, one process each, frames as a stream. A killed run goes on where it stopped; the result does not depend
+    on the number of workers.
+
+    Args:
+        capture: the capture.
+        jobs: what to compute; equal jobs are computed once.
+        frames: consecutive instants.
+        store: where depth maps go.
+        options: parameters.
+        workers: number of processes.
+
+    Raises:
+        DepthError: a job that cannot be computed.
+        CaptureError: frames that cannot be read.
+    """
+    missing = [job for job in dict.fromkeys(jobs) if _missing(store, _key(capture, job, options), frames)]
+    if not missing:
+        return
+    with ProcessPoolExecutor(
+        min(workers, len(missing)), mp_context=get_context("spawn"), initializer=cv2.setNumThreads, initargs=(1,)
+    ) as pool:
+        running = [pool.submit(_run, capture, job, frames, store, options) for job in missing]
+        try:
+            for done in track(as_completed(running), "depth maps per camera", total=len(running)):
+                done.result()
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
+def _run(capture: Capture, job: DepthJob, frames: range, store: DepthStore, options: DepthOptions) -> None:
+    """Compute what is missing of one job; runs in a worker."""
+    key = store.write_spec(depth_spec(capture, job, options))
+    missing = _missing(store, key, frames)
+    if not missing:
+        return
+    names = (job.camera_name, *job.partner_names)
+    camera, *partners = (capture.camera(name) for name in names)
+    estimator = DepthEstimator(camera, partners, options)
+    start, stop = min(missing), max(missing) + 1
+    streams = [capture.frames(name, start, stop) for name in names]
+    for frame, (image, *partner_images) in zip(range(start, stop), zip(*streams, strict=True), strict=True):
+        if frame in missing:
+            store.write(key, frame, estimator.estimate(image, partner_images))
+
+
+def _key(capture: Capture, job: DepthJob, options: DepthOptions) -> str:
+    return DepthStore.key(depth_spec(capture, job, options))
+
+
+def _missing(store: DepthStore, key: str, frames: range) -> set[int]:
+    return {frame for frame in frames if not store.has(key, frame)}

@@ -1,0 +1,192 @@
+"""Rectify a calibrated pair so that matching points lie on one row, and bring disparity back as depth.
+
+One rule serves horizontal, vertical and oblique pairs in either order: the canvas's x axis points from the reference camera to
+its partner, so that the reference always plays the left image. A partner on the left turns the canvas upside down, one above or
+below turns it on its side; a matcher does not mind. (cv2.stereoRectify knows horizontal and vertical pairs only, needs swapped
+roles and turned images for the rest, and either crops a converging rig or shrinks it to fit.)
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.camera import Array, Camera
+from ggvs_eval.errors import DepthError
+from ggvs_eval.images import Image8
+
+Map = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+MIN_RAY_Z = 0.1  # of a rectified ray; smaller ones would need a canvas more than ten focal lengths wide
+SAME_SURFACE_PX = 0.75  # neighbouring disparities that differ by less are one surface
+
+
+@dataclass(frozen=True, eq=False)
+class RectifiedPair:
+    """Everything about a pair that does not depend on its images.
+
+    Attributes:
+        left_map: where each canvas pixel lies in the reference image, (Hc, Wc, 2), array indices (pixel centres at integers).
+        right_map: the same for the partner, (Hc, Wc, 2).
+        left_inside: canvas pixels that the reference sees, (Hc, Wc).
+        right_inside: canvas pixels that the partner sees, (Hc, Wc).
+        canvas_map: where each pixel of the reference lies on the canvas, (H, W, 2), array indices.
+        depth_scale: depth of a reference pixel = depth_scale / disparity, (H, W), world units x pixels.
+        rotation: reference camera to rectified camera, (3, 3).
+        projection: intrinsics of the rectified cameras, (3, 3).
+        baseline: distance of the two centres, world units.
+        d_min: disparity of the farthest point of the reference, pixels.
+        d_max: disparity of its nearest point, pixels.
+    """
+
+    left_map: Map
+    right_map: Map
+    left_inside: Mask
+    right_inside: Mask
+    canvas_map: Map
+    depth_scale: Map
+    rotation: Array
+    projection: Array
+    baseline: float
+    d_min: int
+    d_max: int
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) of the canvas in pixels."""
+        return self.left_inside.shape[1], self.left_inside.shape[0]
+
+    def sees(self, disparity: Map) -> Mask:
+        """Canvas pixels that the reference sees and whose match at that disparity the partner sees, (Hc, Wc)."""
+        columns = np.rint(np.arange(self.size[0]) - disparity).astype(np.intp)  # (Hc, Wc)
+        matched = np.take_along_axis(self.right_inside, np.clip(columns, 0, self.size[0] - 1), axis=1)
+        return self.left_inside & matched & (columns >= 0) & (disparity > 0)
+
+    def warp_left(self, image: Image8) -> Image8:
+        """The reference image on the canvas."""
+        return _warp(image, self.left_map)
+
+    def warp_right(self, image: Image8) -> Image8:
+        """The partner's image on the canvas."""
+        return _warp(image, self.right_map)
+
+
+def rectify(reference: Camera, partner: Camera) -> RectifiedPair:
+    """Rectify a pair on a canvas that holds all of the reference that the partner can match.
+
+    Args:
+        reference: the camera whose depth is wanted; its near and far bound the disparities.
+        partner: any other camera.
+
+    Raises:
+        DepthError: the cameras share a centre, or look apart so far that no plane holds both images.
+    """
+    world_to_rectified, baseline = _rectifying_rotation(reference, partner)
+    rotation = world_to_rectified @ reference.rotation.T
+    rotation_partner = world_to_rectified @ partner.rotation.T
+    rays = _rays(reference) @ rotation.T  # (H, W, 3)
+    rays_partner = _rays(partner) @ rotation_partner.T
+    if min(rays[..., 2].min(), rays_partner[..., 2].min()) < MIN_RAY_Z:
+        raise DepthError(f"cameras {reference.name} and {partner.name} look too far apart to be matched; choose another partner")
+    focal_px = reference.focal_px
+    depth_scale = focal_px * baseline / rays[..., 2]  # (H, W)
+    d_min = int(np.floor(depth_scale.min() / reference.far))
+    d_max = int(np.ceil(depth_scale.max() / reference.near))
+    origin, size = _canvas(rays, rays_partner, focal_px, d_min, d_max)
+    projection = np.array([[focal_px, 0.0, -origin[0]], [0.0, focal_px, -origin[1]], [0.0, 0.0, 1.0]])
+    left_map, left_inside = _canvas_to_image(reference, rotation, projection, size)
+    right_map, right_inside = _canvas_to_image(partner, rotation_partner, projection, size)
+    canvas_uv = rays[..., :2] / rays[..., 2:] * focal_px - origin  # (H, W, 2), pixel centres at halves
+    return RectifiedPair(
+        left_map=left_map,
+        right_map=right_map,
+        left_inside=left_inside,
+        right_inside=right_inside,
+        canvas_map=(canvas_uv - 0.5).astype(np.float32),
+        depth_scale=depth_scale.astype(np.float32),
+        rotation=rotation,
+        projection=projection,
+        baseline=baseline,
+        d_min=d_min,
+        d_max=d_max,
+    )
+
+
+def depth_from_disparity(pair: RectifiedPair, disparity: Map, confidence: Map) -> tuple[Map, Map, Map]:
+    """Bring a disparity map on the canvas back to the pixels of the reference.
+
+    Disparity is interpolated where its neighbourhood is one surface and taken from the nearest canvas pixel elsewhere, so that no
+    depth appears between two surfaces.
+
+    Args:
+        pair: the rectification.
+        disparity: (Hc, Wc), pixels, 0 = invalid.
+        confidence: (Hc, Wc), in [0, 1].
+
+    Returns:
+        Depth z in the reference camera, (H, W), world units, 0 = invalid, its confidence and its disparity, (H, W) each.
+    """
+    nearest = _sample(disparity, pair.canvas_map, cv2.INTER_NEAREST)  # (H, W)
+    smooth = _sample(disparity, pair.canvas_map, cv2.INTER_LINEAR)
+    sampled = np.where(np.abs(smooth - nearest) < SAME_SURFACE_PX, smooth, nearest)
+    depth = np.divide(pair.depth_scale, sampled, out=np.zeros_like(sampled), where=sampled > 0)
+    return depth, np.where(sampled > 0, _sample(confidence, pair.canvas_map, cv2.INTER_NEAREST), np.float32(0)), sampled
+
+
+def _rectifying_rotation(reference: Camera, partner: Camera) -> tuple[Array, float]:
+    """World to rectified axes: x towards the partner, z as near as can be to both viewing directions."""
+    towards = partner.centre - reference.centre
+    baseline = float(np.linalg.norm(towards))
+    forward = reference.axis + partner.axis
+    if baseline < 1e-9 * reference.near or np.linalg.norm(np.cross(towards, forward)) < 1e-3 * baseline:
+        raise DepthError(
+            f"cameras {reference.name} and {partner.name} have no parallax (distance {baseline:g}); choose another partner"
+        )
+    x = towards / baseline
+    y = np.cross(forward, x)
+    y /= np.linalg.norm(y)
+    return np.stack([x, y, np.cross(x, y)]), baseline
+
+
+def _rays(camera: Camera) -> Array:
+    """Viewing rays in the camera's own frame, z = 1, (H, W, 3)."""
+    uv = (camera.pixel_centres() - camera.K[:2, 2]) / camera.K[[0, 1], [0, 1]]
+    return np.concatenate([uv, np.ones((camera.height, camera.width, 1))], axis=-1)
+
+
+def _canvas(rays: Array, rays_partner: Array, focal_px: float, d_min: int, d_max: int) -> tuple[Array, tuple[int, int]]:
+    """Origin and size of the window that holds every reference pixel with a possible match, and its matches."""
+    low, high = _bounds(rays, focal_px)
+    low_partner, high_partner = _bounds(rays_partner, focal_px)
+    left, right = max(low[0], low_partner[0] + d_min), min(high[0], high_partner[0] + d_max)
+    top, bottom = max(low[1], low_partner[1]), min(high[1], high_partner[1])
+    origin = np.floor([left - 0.5 - d_max, top - 0.5])
+    width, height = np.ceil([right + 0.5, bottom + 0.5]) - origin
+    if width <= 2 * d_max or height < 1:
+        overlap = f"{width - d_max:g} x {height:g} pixels"
+        raise DepthError(f"two rectified images overlap by {overlap}, too little to be matched; choose another partner")
+    return origin, (int(width), int(height))
+
+
+def _bounds(rays: Array, focal_px: float) -> tuple[Array, Array]:
+    uv = rays[..., :2] / rays[..., 2:] * focal_px
+    return uv.min(axis=(0, 1)), uv.max(axis=(0, 1))
+
+
+def _canvas_to_image(camera: Camera, rotation: Array, projection: Array, size: tuple[int, int]) -> tuple[Map, Mask]:
+    """Where the canvas pixels lie in the image (array indices), and which of them lie inside it."""
+    half = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])  # OpenCV has pixel centres at integers
+    u, v = cv2.initUndistortRectifyMap(camera.K - half, None, rotation, projection - half, size, cv2.CV_32FC1)
+    inside = (u >= 0) & (u <= camera.width - 1) & (v >= 0) & (v <= camera.height - 1)
+    return np.dstack([u, v]), inside
+
+
+def _warp(image: Image8, positions: Map) -> Image8:
+    # The stubs of cv2 do not know that one map may hold both coordinates.
+    return cv2.remap(image, positions, None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)  # type: ignore[call-overload]
+
+
+def _sample(values: Map, positions: Map, interpolation: int) -> Map:
+    """Values at positions of the canvas; 0 beside it."""
+    return cv2.remap(values, positions, None, interpolation, borderValue=0)  # type: ignore[call-overload]
