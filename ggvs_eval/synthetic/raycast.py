@@ -82,9 +82,7 @@ class View:
         if len(hits.ray):
             finish = read_finish(instant.moving, hits, self._pixel_m)
             rays = inside[hits.ray]
-            linear[rays] = radiance(
-                instant.moving, hits, finish, instant.moving_light, instant.highlights, self._fine_rays[rays]
-            )
+            linear[rays] = radiance(instant.moving, hits, finish, instant.moving_light, instant.highlights, self._fine_rays[rays])
 
 
 def depth_along(geometry: Geometry, eye: Array32, rays: Array32) -> Array32:

@@ -183,10 +183,9 @@ def _canvas_to_image(camera: Camera, rotation: Array, projection: Array, size: t
 
 
 def _warp(image: Image8, positions: Map) -> Image8:
-    # The stubs of cv2 do not know that one map may hold both coordinates.
-    return cv2.remap(image, positions, None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)  # type: ignore[call-overload]
+    return cv2.remap(image, positions, None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
 
 
 def _sample(values: Map, positions: Map, interpolation: int) -> Map:
     """Values at positions of the canvas; 0 beside it."""
-    return cv2.remap(values, positions, None, interpolation, borderValue=0)  # type: ignore[call-overload]
+    return cv2.remap(values, positions, None, interpolation, borderValue=0)

@@ -34,7 +34,7 @@ class SgbmMatcher:
 
     block: int = 3
     p1: int = 8
-    p2: int = 64
+    p2: int = 32
     levels: int = 3
     check_px: float = 1.0
     check_share: float = 0.03
@@ -54,9 +54,9 @@ class SgbmMatcher:
         for _ in range(1, self.levels):
             pyramid.append(tuple(cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA) for image in pyramid[-1]))
         disparity = confidence = np.zeros((1, 1), np.float32)
-        for level, pair in reversed(list(enumerate(pyramid))):
-            size, scale = pair[0].shape[::-1], 2**level
-            fine, fine_confidence = self._match_level(*pair, d_min // scale, -(-d_max // scale))
+        for level, (small_left, small_right) in reversed(list(enumerate(pyramid))):
+            size, scale = small_left.shape[::-1], 2**level
+            fine, fine_confidence = self._match_level(small_left, small_right, d_min // scale, -(-d_max // scale))
             kept = fine > 0
             disparity = np.where(kept, fine, 2 * _enlarge(disparity, size))
             coarse_confidence = self.coarse_confidence * cv2.resize(confidence, size, interpolation=cv2.INTER_NEAREST)

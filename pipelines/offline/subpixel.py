@@ -31,7 +31,8 @@ def refine_disparity(left: Image8, right: Image8, disparity: Map, window: int, i
     """
     reference, other = left.astype(np.float32), right.astype(np.float32)
     slope = cv2.Sobel(other, cv2.CV_32F, 1, 0, ksize=3, scale=1 / 8)
-    rows, columns = np.indices(disparity.shape, dtype=np.float32)
+    grid: Map = np.indices(disparity.shape, dtype=np.float32)
+    rows, columns = grid[0], grid[1]
     valid = disparity > 0
     if not valid.any():
         return disparity
@@ -54,7 +55,7 @@ def _solve(difference: Map, slope: Map, weight: Map, window: int) -> Map:
 
     mean_slope, mean_difference = mean(slope), mean(difference)
     covariance = mean(slope * difference) - mean_slope * mean_difference
-    variance = np.maximum(mean(slope * slope) - mean_slope * mean_slope, 0)
+    variance: Map = np.maximum(mean(slope * slope) - mean_slope * mean_slope, np.float32(0))
     return -covariance / (variance + np.float32(NOISE_SLOPE))
 
 
