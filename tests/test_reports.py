@@ -1,11 +1,9 @@
 """Reports of small run folders: every number where it belongs, nothing loaded, nothing left blank."""
 
-import csv
 import hashlib
 import re
 import shutil
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
@@ -17,36 +15,14 @@ from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.comparison import compare_frames, error_map
 from ggvs_eval.reports.curves import curve_panels
 from ggvs_eval.reports.measured import read_run
-from ggvs_eval.reports.published import published_rows, read_published
 from ggvs_eval.reports.report import write_report
-from ggvs_eval.reports.table import Cell, Column, Row, Table, format_value, rank, shade
-from ggvs_eval.reports.table_formats import escape_latex, to_latex, to_markdown
-from ggvs_eval.reports.tables import main_tables
-from ggvs_eval.reports.timing import timing_table
-from ggvs_eval.results import Results
+from ggvs_eval.reports.table_formats import escape_latex
 from ggvs_eval.run_folder import frame_path
+from page_reader import PageReader
 from run_folders import LABELS, NAMES, RunShape, write_run
 
 SMALL = RunShape(views=("cam00",), metrics=("PSNR", "LPIPS"), poses=0)
 NASTY = '<script>alert("x")</script> & | _100%_ $x^2$ {y} \\z #1 ~'
-
-
-class PageReader(HTMLParser):
-    """What a page would load, run and show."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.addresses: list[str] = []
-        self.tags: list[str] = []
-        self.texts: list[str] = []
-        self.feed(text)
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append(tag)
-        self.addresses += [value for name, value in attrs if name in {"src", "href", "srcset", "data", "action"}]
-
-    def handle_data(self, data):
-        self.texts.append(data.strip())
 
 
 @pytest.fixture(scope="module")
@@ -89,88 +65,6 @@ def test_places_linked_in_the_page_exist(report):
     assert all(f'id="{link}"' in text for link in links)
 
 
-def test_every_number_is_the_summary_rounded(run, report):
-    """Each cell of the main tables is the value of Results.summary, rounded as the table of decimals says."""
-    summary = Results.read(run).summary()
-    rows = list(csv.DictReader((report / "tables.csv").open(encoding="utf-8")))
-    page = PageReader((report / "index.html").read_text(encoding="utf-8"))
-    labels = {name: label for label, name in NAMES.items()}
-    main = [row for row in rows if row["table"] in {"quality", "consistency"}]
-    assert len(main) == len(LABELS) * 9
-    for row in main:
-        method, _, variant = labels[row["method"]].partition("+")
-        value = summary.loc[("Demo room", method, variant), row["column"]]
-        assert float(row["value"]) == value
-        assert row["shown"] == format_value(row["column"], value)
-        assert row["shown"] in page.texts
-        assert row["shown"] in (report / "tables.md").read_text(encoding="utf-8")
-        assert row["shown"] in (report / "tables.tex").read_text(encoding="utf-8")
-
-
-def test_views_have_their_own_numbers(run, report):
-    """Each cell of the table per view is the mean over the frames of that view."""
-    rows = list(csv.DictReader((report / "tables.csv").open(encoding="utf-8")))
-    values = Results.read(run).per_view("TCC")
-    shown = {(row["method"], row["column"]): float(row["value"]) for row in rows if row["table"] == "view-TCC"}
-    assert shown == {
-        (NAMES["+".join(filter(None, key))], view): values.loc[key, view] for key in values.index for view in ("cam00", "cam03")
-    }
-
-
-@pytest.mark.parametrize(
-    ("metric", "value", "text"),
-    [
-        ("PSNR", 31.1749, "31.17"),
-        ("SSIM", 0.9355, "0.935"),
-        ("L1", 5.0, "5.00"),
-        ("STED", 2796.4, "2796"),
-        ("STED", 68.7612, "68.76"),
-        ("STED", 0.56312, "0.5631"),
-        ("STED", 0.0, "0.000"),
-        ("PSNR", float("inf"), "∞"),
-    ],
-)
-def test_values_are_rounded_as_the_paper_does(metric, value, text):
-    """Decimals are fixed per metric; STED has four significant digits; a perfect picture has infinite PSNR."""
-    assert format_value(metric, value) == text
-
-
-def test_missing_metric_says_why(tmp_path):
-    """Where a metric could not be computed its reason stands in the cell, and no cell is blank or NaN."""
-    run = write_run(tmp_path / "run", SMALL, not_computed={"LPIPS": "weights absent, run `make install`"})
-    report = write_report([run]).parent
-    for name in ("index.html", "tables.md", "tables.csv", "tables.tex"):
-        text = re.sub(r"base64,[\w+/=]+", "", (report / name).read_text(encoding="utf-8"))
-        assert "not computed: weights absent" in text
-        assert not re.search(r"<td[^>]*>\s*</td>|\| +\||& +&|\bnan\b", text, re.IGNORECASE)
-
-
-def test_best_is_bold_and_the_better_half_blue():
-    """The best printed value is marked, ties together; published rows take no part, however good they are."""
-    cells = [Cell("1.0", 1.0), Cell("2.0", 2.0), Cell("3.0", 2.98), Cell("3.0", 3.0)]
-    rows = [Row(str(index), (cell,)) for index, cell in enumerate(cells)] + [Row("paper", (Cell("9.0", 9.0),), "published")]
-    ranked = [row.cells[0] for row in rank([Column("PSNR", "dB", True)], rows)]
-    assert [cell.best for cell in ranked] == [False, False, True, True, False]
-    assert [cell.shade > 0 for cell in ranked] == [False, False, True, True, False]
-    falling = [row.cells[0] for row in rank([Column("L1", "", False)], rows)]
-    assert [cell.best for cell in falling] == [True, False, False, False, False]
-
-
-def test_blue_is_the_papers():
-    """The shade follows the gain curve of the paper's TeX, here evaluated by hand at three quarters of the range."""
-    assert shade(0.5, True) == shade(0.2, False) == 0.0
-    assert shade(1.0, True) == shade(1.0, False) == 1.0
-    assert shade(0.75, True) == pytest.approx(0.5 / (2.0 * 0.5 + 1.0))
-    assert shade(0.75, False) == pytest.approx(0.5 / ((1 / 0.15 - 2) * 0.5 + 1.0))
-
-
-def test_alone_nobody_is_best(tmp_path):
-    """A single method is neither marked nor shaded, for want of a comparison."""
-    run = read_run(write_run(tmp_path / "run", RunShape(labels=("ours-geometric",))))
-    cells = [cell for table in main_tables([run], run.results) for row in table.rows for cell in row.cells]
-    assert not any(cell.best or cell.shade for cell in cells)
-
-
 def test_names_are_harmless(tmp_path):
     """Markup in the names of methods and scenes is shown, not obeyed, in every format."""
     names = tuple((NAMES | {"ours-geometric": NASTY}).items())
@@ -182,51 +76,6 @@ def test_names_are_harmless(tmp_path):
     assert PageReader(text).tags.count("script") == 2
     assert "<script" not in (report / "tables.md").read_text(encoding="utf-8")
     assert escape_latex(NASTY) in (report / "tables.tex").read_text(encoding="utf-8")
-
-
-def test_latex_escapes_every_special_character():
-    """Each character that TeX obeys prints as itself."""
-    assert escape_latex("a_b 50% & {x} #1 $y$ ~ ^ \\") == (
-        r"a\_b 50\% \& \{x\} \#1 \$y\$ \textasciitilde{} \textasciicircum{} \textbackslash{}"
-    )
-
-
-def test_latex_is_balanced(report):
-    """Every environment is closed, every row of a tabular has as many cells as columns."""
-    text = (report / "tables.tex").read_text(encoding="utf-8")
-    assert re.findall(r"\\begin\{(\w+)\}", text).count("table") == text.count(r"\end{table}")
-    for columns, body in re.findall(r"\\begin\{tabular\}\{(l+c*)\}(.*?)\\end\{tabular\}", text, re.DOTALL):
-        rows = [line for line in body.splitlines() if line.endswith(r"\\")]
-        assert {len(re.findall(r"(?<!\\)&", row)) for row in rows} == {len(columns) - 1}
-    assert re.search(r"\\cellcolor\[rgb\]\{0\.750, 0\.750, 1\}\\textbf\{", text)
-
-
-def test_published_rows_stand_beside_their_own_dataset_only():
-    """DyNeRF has the paper's rows with the paper's digits; a demo room has none; what the paper lacks is said."""
-    rows = published_rows("quality", "dynerf", ("PSNR", "PSNR_cc"))
-    assert [row.name for row in rows][-1] == "Ours (paper)"
-    assert [cell.text for cell in rows[-1].cells] == ["31.17", "not reported"]
-    assert {row.kind for row in rows} == {"published"}
-    assert published_rows("quality", "Demo room", ("PSNR",)) == ()
-
-
-def test_published_values_are_whole():
-    """The packaged tables hold 5 methods x 3 datasets x 4 metrics twice, 5 ablations x 4 metrics, and the stages' times."""
-    counts = {
-        name: sum(len(metrics) for methods in read_published(name).values() for metrics in methods.values())
-        for name in ("quality", "consistency", "ablation", "timing")
-    }
-    assert counts == {"quality": 60, "consistency": 60, "ablation": 20, "timing": 6}
-
-
-def test_published_rows_are_grey_everywhere(tmp_path):
-    """Beside measured DyNeRF values the paper's rows are set apart in the page, in Markdown and in LaTeX."""
-    report = write_report([write_run(tmp_path / "run", replace(SMALL, dataset="DyNeRF"))]).parent
-    assert '<tr class="published">' in (report / "index.html").read_text(encoding="utf-8")
-    assert "| *Ours (paper)* | *31.17* | *0.191* |" in (report / "tables.md").read_text(encoding="utf-8")
-    assert r"\textcolor{gray}{Ours (paper)} & \textcolor{gray}{31.17} & \textcolor{gray}{0.191}" in (
-        report / "tables.tex"
-    ).read_text(encoding="utf-8")
 
 
 def test_different_protocols_are_refused(run, tmp_path):
@@ -307,22 +156,6 @@ def test_page_tells_nothing_of_the_machine(run, report):
     assert "ggvs-eval prepare run --capture room" in text
 
 
-def test_times_leave_out_the_first_frame(run):
-    """Median and 95th percentile are over all frames but each view's first, and the total is the sum of the stages."""
-    table = timing_table(read_run(run))
-    assert [column.name for column in table.columns] == ["splat", "blend", "total"]
-    assert [cell.text for cell in table.rows[0].cells] == ["11.0 (12.0)", "22.0 (24.0)", "33.0 (36.0)"]
-    assert "K = 2, 64 × 48, 2 threads" in table.caption
-
-
-def test_frames_of_others_have_no_times(tmp_path):
-    """Frames that came without a record of their making say so instead of a time."""
-    run = write_run(tmp_path / "run")
-    for record in (run / "renders" / "no-blending").rglob("job.json"):
-        record.unlink()
-    assert {cell.text for cell in timing_table(read_run(run)).rows[0].cells} == {"not computed: no times recorded"}
-
-
 def test_error_map_is_black_where_right_and_bright_where_wrong(tmp_path):
     """Equal pixels are the first colour of magma, differences at or above the full scale the last, whatever their size."""
     truth = np.full((4, 6, 3), 100, np.uint8)
@@ -363,10 +196,3 @@ def test_curves_of_one_metric_share_their_axes(run):
     assert all(10 <= x <= 330 for x in points[::2])
     assert all(10 <= y <= 146 for y in points[1::2])
     assert [text for _, text in panels[0].value_ticks()] == ["0.3", "0.4", "0.5", "0.6", "0.7"]
-
-
-def test_empty_table_formats():
-    """A table without rows is still a valid table in Markdown and LaTeX."""
-    table = Table("quality", "Quality", "Nothing yet.", (Column("PSNR", "dB", True),), ())
-    assert "| Method | PSNR (dB) ↑ |" in to_markdown([table])
-    assert "Method & PSNR (dB)$\\uparrow$" in to_latex([table])
