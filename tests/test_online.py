@@ -132,7 +132,16 @@ def test_filtered_depth_mixes_by_the_mask():
     history = np.array([[4.0, 4.0, 4.0, 0.0]], np.float32)
     mask = np.array([[0.75, 0.6, 1.0, 0.6]], np.float32)
 
-    np.testing.assert_allclose(filter_depth(depth, history, mask), [[2.5, 4.0, 0.0, 2.0]])
+    np.testing.assert_allclose(filter_depth(depth, history, mask, np.inf), [[2.5, 4.0, 0.0, 2.0]])
+
+
+def test_two_surfaces_are_not_mixed():
+    """Depth that differs from its history by more than the tolerance is another surface and passes as it is."""
+    depth, history = np.array([[2.0, 2.0]], np.float32), np.array([[2.08, 2.12]], np.float32)
+
+    filtered = filter_depth(depth, history, np.full((1, 2), 0.6, np.float32), 0.05)
+
+    np.testing.assert_allclose(filtered, [[0.6 * 2.0 + 0.4 * 2.08, 2.0]], rtol=1e-6)
 
 
 def test_the_filter_converges_on_the_mean_of_noisy_depth():
@@ -140,10 +149,10 @@ def test_the_filter_converges_on_the_mean_of_noisy_depth():
     random = np.random.default_rng(0)
     filters, image = TemporalDepthFilter(), np.full((40, 40, 3), 90, np.uint8)
     for t in range(20):
-        depth = random.normal(SQUARE_Z, 0.1, (40, 40)).astype(np.float32)
+        depth = random.normal(SQUARE_Z, 0.02, (40, 40)).astype(np.float32)
         filtered = filters.step(t, SourceView(TARGET, image, depth, np.ones_like(depth))).depth
 
-    assert filtered.std() == pytest.approx(0.1 * np.sqrt(0.6 / 1.4), rel=0.1)
+    assert filtered.std() == pytest.approx(0.02 * np.sqrt(0.6 / 1.4), rel=0.1)
 
 
 def test_switched_off_the_filter_passes_depth_through():
