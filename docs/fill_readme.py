@@ -15,7 +15,7 @@ from ggvs_eval.run_folder import RunFolder, read_json
 
 ROOT = Path(__file__).parents[1]
 OUT = ROOT / "out"
-SHOWN = ["PSNR", "PSNR_cc", "SSIM", "LPIPS", "L1", "TCC", "STED", "SDT", "SDV"]
+DECIMALS = {"PSNR": 2, "PSNR_cc": 2, "SSIM": 3, "LPIPS": 3, "L1": 2, "TCC": 3, "STED": 2, "SDT": 3, "SDV": 3}
 
 
 def main() -> None:
@@ -40,7 +40,7 @@ def main() -> None:
 def results_table(run: Path) -> str:
     """Means of one run as Markdown, methods by their shown names."""
     summary = Results.read(run).summary().droplevel("dataset")
-    columns = [name for name in SHOWN if name in summary.columns]
+    columns = [name for name in DECIMALS if name in summary.columns]
     return _markdown(_named(summary[columns], run))
 
 
@@ -50,7 +50,7 @@ def views_table(run: Path) -> str:
 
 
 def figures_table(file: Path) -> str:
-    """The flat figures of `make bench` or `make validate` as Markdown."""
+    """The flat figures of `make bench` or `make validate` as Markdown; a ratio above 1 means better than the peer."""
     figures: dict[str, dict[str, Any]] = json.loads(file.read_text(encoding="utf-8"))
     rows = ["| figure | value | target | peer | ratio |", "| --- | ---: | ---: | --- | ---: |"]
     for name, figure in figures.items():
@@ -71,7 +71,8 @@ def _named(table: pd.DataFrame, run: Path) -> pd.DataFrame:
 def _markdown(table: pd.DataFrame) -> str:
     rows = ["| method | " + " | ".join(map(str, table.columns)) + " |", "| --- |" + " ---: |" * len(table.columns)]
     for name, values in table.iterrows():
-        rows.append(f"| {name} | " + " | ".join(f"{value:.4g}" for value in values) + " |")
+        cells = (f"{value:.{DECIMALS.get(column, DECIMALS['PSNR'])}f}" for column, value in values.items())
+        rows.append(f"| {name} | " + " | ".join(cells) + " |")
     return "\n".join(rows)
 
 

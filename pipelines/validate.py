@@ -1,6 +1,7 @@
 """``make validate``: the heavier proofs, on real input where it lies beside the checkout and on the demo capture.
 
-Prints tables and writes out/validate.json: name -> value, unit, target, direction, command, and the peer where there is one.
+Prints tables and writes out/validate.json: name -> value, unit, target, direction, command, and the peer where there is one with
+the ratio by which we are better.
 """
 
 import argparse
@@ -91,7 +92,7 @@ def _compared(data: str, means: pd.DataFrame, wanted: Targets, ours: tuple[str, 
             "command": COMMAND,
             "peer": "+".join(filter(None, peer)),
             "peer_value": other,
-            "ratio": value / other,
+            "ratio": value / other if higher else other / value,
         }
     return figures
 
