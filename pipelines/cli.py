@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from ggvs_eval.errors import GgvsError, ProtocolError
-from ggvs_eval.pipelines.jobs import default_workers
 from ggvs_eval.pipelines.methods import METHODS
+from ggvs_eval.processes import default_workers
 from ggvs_eval.synthetic.options import DemoOptions
 
 Folder = Annotated[Path, tyro.conf.Positional]

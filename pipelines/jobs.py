@@ -6,11 +6,10 @@ run again and what was killed is: results are written under a temporary name bes
 
 import hashlib
 import json
-import multiprocessing
 import os
 import shutil
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, as_completed
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -18,6 +17,7 @@ from typing import Any
 
 import ggvs_eval
 from ggvs_eval.errors import GgvsError, RenderError, ResultsError
+from ggvs_eval.processes import worker_pool
 from ggvs_eval.progress import track
 from ggvs_eval.run_folder import JOB_FILE, read_json, write_json
 
@@ -93,11 +93,6 @@ def run_jobs(jobs: Sequence[Job], workers: int, description: str) -> int:
     return len(open_jobs)
 
 
-def default_workers() -> int:
-    """Processes that suit this machine: one per CPU that we may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
-
-
 @cache
 def code_digest(*packages: str) -> str:
     """Hash of the source and compiled code of sub-packages, so that changed code means a changed job.
@@ -126,23 +121,10 @@ def _run_one(job: Job) -> str | None:
 
 
 def _run_in_pool(jobs: Sequence[Job], workers: int, description: str) -> list[str]:
-    """Run jobs in processes that share the CPUs evenly."""
-    threads = max(default_workers() // workers, 1)
-    pool = ProcessPoolExecutor(
-        min(workers, len(jobs)), multiprocessing.get_context("spawn"), initializer=_share_cpus, initargs=(threads,)
-    )
-    with pool:
+    """Run jobs in worker processes."""
+    with worker_pool(min(workers, len(jobs))) as pool:
         futures: list[Future[str | None]] = [pool.submit(_run_one, job) for job in jobs]
         return [failure for done in track(as_completed(futures), description, len(jobs)) if (failure := done.result())]
-
-
-def _share_cpus(threads: int) -> None:
-    """Give this worker process its share of the CPUs, before any library starts its own threads."""
-    for name in ("OMP_NUM_THREADS", "GGVS_EVAL_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        os.environ[name] = str(threads)
-    import cv2
-
-    cv2.setNumThreads(threads)
 
 
 def _sweep_leftovers(folder: Path) -> None:

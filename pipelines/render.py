@@ -10,9 +10,10 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.images import quantise, write_image
-from ggvs_eval.pipelines.jobs import Job, code_digest, default_workers, run_jobs
+from ggvs_eval.pipelines.jobs import Job, code_digest, run_jobs
 from ggvs_eval.pipelines.methods import find_method, split_label
 from ggvs_eval.pipelines.prepare import Prepared, SourcePlan
+from ggvs_eval.processes import default_workers
 from ggvs_eval.results import installed_versions
 from ggvs_eval.run_folder import frame_path, read_json, write_json
 

@@ -12,8 +12,8 @@ from typing import Any
 import pandas as pd
 
 from ggvs_eval.pipelines.evaluate import evaluate
-from ggvs_eval.pipelines.jobs import default_workers
 from ggvs_eval.pipelines.methods import METHODS
+from ggvs_eval.processes import default_workers
 from ggvs_eval.protocol import load_protocol
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import write_json

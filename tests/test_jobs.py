@@ -5,8 +5,10 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -23,6 +25,22 @@ def write_number(number: int, folder: Path) -> dict:
 def fail(message: str, folder: Path) -> dict:
     (folder / "half.txt").write_text("half")
     raise CaptureError(message)
+
+
+def wait_for(condition: Callable[[], Any], seconds: float = 60) -> Any:
+    deadline = time.monotonic() + seconds
+    while not (found := condition()) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    return found
+
+
+def is_running(pid: int) -> bool:
+    """Whether a process is there and not a zombie that nobody has collected."""
+    status = Path(f"/proc/{pid}/stat")
+    try:
+        return status.read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        return False
 
 
 def number_job(root: Path, number: int) -> Job:
@@ -62,6 +80,24 @@ def test_a_failed_job_leaves_nothing_and_stops_nobody(workers, tmp_path):
     assert sorted(item.name for item in tmp_path.iterdir()) == ["n1", "n2"]
 
 
+def test_workers_die_with_their_parent(tmp_path):
+    """After kill -9 of the main process its workers are gone within seconds, in the middle of a job or idle."""
+    script = (
+        "import os, sys, time; from pathlib import Path; from ggvs_eval.processes import worker_pool\n"
+        "if __name__ == '__main__':\n"
+        "    with worker_pool(2) as pool:\n"
+        "        Path(sys.argv[1], 'pid').write_text(str(pool.submit(os.getpid).result()))\n"
+        "        time.sleep(60)\n"
+    )
+    (tmp_path / "main.py").write_text(script)
+    process = subprocess.Popen([sys.executable, str(tmp_path / "main.py"), str(tmp_path)])
+    worker = int(wait_for(lambda: (tmp_path / "pid").is_file() and (tmp_path / "pid").read_text()))
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+
+    assert wait_for(lambda: not is_running(worker))
+
+
 def test_a_killed_run_loses_only_the_job_in_hand(tmp_path):
     """After kill -9 what was finished stays, and the next call runs the rest and cleans up."""
     script = (
@@ -74,9 +110,7 @@ def test_a_killed_run_loses_only_the_job_in_hand(tmp_path):
         "run_jobs([Job('', root / f'n{n}', {'number': n}, partial(work, n)) for n in range(3)], 1, '')\n"
     )
     process = subprocess.Popen([sys.executable, "-c", script, str(tmp_path)])
-    deadline = time.monotonic() + 60
-    while not list(tmp_path.glob(".n1.*.tmp")) and time.monotonic() < deadline:
-        time.sleep(0.02)
+    assert wait_for(lambda: list(tmp_path.glob(".n1.*.tmp")))
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
 

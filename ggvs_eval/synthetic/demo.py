@@ -5,10 +5,9 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import asdict, replace
 from functools import lru_cache
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +15,7 @@ import numpy as np
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.images import Image8, quantise, write_image
+from ggvs_eval.processes import worker_pool
 from ggvs_eval.progress import track
 from ggvs_eval.synthetic.exact_depth import DepthWriter, depth_path
 from ggvs_eval.synthetic.geometry import Array32
@@ -99,7 +99,7 @@ def _executor(workers: int) -> Executor:
     """Processes that start afresh: forked ones would inherit the threads of torch and OpenCV."""
     if workers == 1:
         return ThreadPoolExecutor(1)
-    return ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
+    return worker_pool(workers)
 
 
 def _film(executor: Executor, folder: Path, options: DemoOptions) -> None:

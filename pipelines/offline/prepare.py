@@ -1,17 +1,15 @@
 """Fill a depth store: every camera and instant that the online part will ask for."""
 
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import dataclass
-from multiprocessing import get_context
-
-import cv2
 
 from ggvs_eval.camera import Camera, nearest_cameras
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore, describe_depth
 from ggvs_eval.pipelines.offline.depth import DepthEstimator, DepthOptions
 from ggvs_eval.pipelines.offline.pairing import choose_partners
+from ggvs_eval.processes import worker_pool
 from ggvs_eval.progress import track
 
 
@@ -83,9 +81,7 @@ def prepare_depth(
     missing = [job for job in dict.fromkeys(jobs) if _missing(store, _key(capture, job, options), frames)]
     if not missing:
         return
-    with ProcessPoolExecutor(
-        min(workers, len(missing)), mp_context=get_context("spawn"), initializer=cv2.setNumThreads, initargs=(1,)
-    ) as pool:
+    with worker_pool(min(workers, len(missing))) as pool:
         running = [pool.submit(_run, capture, job, frames, store, options) for job in missing]
         try:
             for done in track(as_completed(running), "depth maps per camera", total=len(running)):
