@@ -26,7 +26,7 @@ bench: $(READY)
 	$(BIN)/python -m benchmarks
 
 validate: $(READY)
-	$(BIN)/python -m ggvs_eval.pipelines.validate
+	$(BIN)/python -m ggvs_eval.pipelines.validate $(if $(DATA),--data $(DATA))
 
 # What users get: the wheel, with no checkout in sight; its dependencies are those of .venv.
 wheel-test: $(READY)
