@@ -206,5 +206,5 @@ def _prepare_depth(prepared: Prepared, options: DepthOptions, workers: int) -> N
     store = DepthStore(prepared.run.depth)
     views = {job for plan in prepared.plans.values() for job in plan.jobs}
     prepare_depth(prepared.capture, sorted(views), prepared.frames, store, options, workers)
-    path = {job for plan in prepared.path for job in plan.jobs} - views
+    path = {job for plan in prepared.path for job in plan.jobs}  # its instant may lie outside the protocol's frames
     prepare_depth(prepared.capture, sorted(path), range(prepared.path_frame, prepared.path_frame + 1), store, options, workers)

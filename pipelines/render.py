@@ -52,7 +52,7 @@ def _view_job(prepared: Prepared, label: str, view: str, workers: int) -> Job:
 
 
 def _path_job(prepared: Prepared, label: str, workers: int) -> Job:
-    """The job of one method along the camera path, at the first instant of the protocol."""
+    """The job of one method along the camera path, at the one instant of the path."""
     work = partial(_render_path, label, prepared.capture, prepared.path, prepared.path_frame, prepared.run.depth, workers)
     return Job(f"{label} along the path", prepared.run.path(label), _identity(prepared, label, prepared.path), work)
 

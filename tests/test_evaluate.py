@@ -1,6 +1,7 @@
 """The whole road on a small demo capture: prepare, render, score, report; resumed, refused, extended."""
 
 import dataclasses
+import json
 import shutil
 from pathlib import Path
 
@@ -157,6 +158,19 @@ def test_a_folder_belongs_to_one_protocol(run, capture, protocol):
 
     with pytest.raises(ProtocolError, match="another protocol or capture"):
         prepare(run.root, capture, other)
+
+
+def test_the_path_may_show_another_instant_than_the_protocol(capture, protocol, tmp_path):
+    """A true camera path at an instant beyond the protocol's frames has its depth computed and is rendered."""
+    shutil.copytree(capture, tmp_path / "late")
+    note = json.loads((tmp_path / "late" / "demo.json").read_text())
+    (tmp_path / "late" / "demo.json").write_text(json.dumps(note | {"path_time_s": 0.1}))  # frame 3 at 30 fps
+    prepared = prepare(tmp_path / "run", tmp_path / "late", dataclasses.replace(protocol, frames=Frames(0, 2)))
+
+    render(prepared, ["no-blending"])
+
+    assert prepared.path_frame == 3
+    assert frame_path(prepared.run.path("no-blending"), 4).is_file()
 
 
 @pytest.mark.parametrize(
