@@ -1,6 +1,38 @@
-"""Tests import their scene and capture builders as plain modules, in the checkout and beside an installed wheel alike."""
+"""Fixtures that several test files share.
 
+Tests import their scene and capture builders as plain modules, in the checkout and beside an installed wheel alike.
+"""
+
+import shutil
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
 sys.path.insert(0, str(Path(__file__).parent))
+
+
+@pytest.fixture(scope="session")
+def written_dynerf(tmp_path_factory) -> Path:
+    """A tiny capture in DyNeRF's layout; nobody changes it."""
+    from captures import write_dynerf
+
+    return write_dynerf(tmp_path_factory.mktemp("captures") / "room")
+
+
+@pytest.fixture
+def dynerf(written_dynerf, tmp_path) -> Path:
+    """An intact capture to read or to damage."""
+    return Path(shutil.copytree(written_dynerf, tmp_path / "room"))
+
+
+@pytest.fixture
+def kernel_settings() -> Iterator[None]:
+    """Puts back the number of threads and the instruction set that a test changes."""
+    from ggvs_eval import kernels
+
+    threads, level = kernels.get_threads(), kernels.get_level()
+    yield
+    kernels.set_threads(threads)
+    kernels.set_level(level)

@@ -2,7 +2,6 @@
 
 import json
 import pickle
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -13,24 +12,12 @@ from captures import (
     make_rig,
     mean_colours,
     refusal,
-    write_dynerf,
     write_poses,
 )
 from ggvs_eval.datasets import DATASETS, open_capture
 from ggvs_eval.datasets.path import open_path
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.images import write_image
-
-
-@pytest.fixture(scope="module")
-def written(tmp_path_factory):
-    return write_dynerf(tmp_path_factory.mktemp("captures") / "room")
-
-
-@pytest.fixture
-def dynerf(written, tmp_path) -> Path:
-    """An intact capture to read or to damage."""
-    return Path(shutil.copytree(written, tmp_path / "room"))
 
 
 def test_registry_describes_each_layout():

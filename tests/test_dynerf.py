@@ -1,8 +1,5 @@
 """DyNeRF captures: camXX.mp4 or frame folders with poses_bounds.npy."""
 
-import shutil
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -23,17 +20,6 @@ from captures import (
 )
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.video import VideoFrames
-
-
-@pytest.fixture(scope="module")
-def written(tmp_path_factory):
-    return write_dynerf(tmp_path_factory.mktemp("captures") / "room")
-
-
-@pytest.fixture
-def dynerf(written, tmp_path) -> Path:
-    """An intact capture to read or to damage."""
-    return Path(shutil.copytree(written, tmp_path / "room"))
 
 
 def test_opens_as_filmed(dynerf):

@@ -1,4 +1,3 @@
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -17,12 +16,7 @@ from twins.splat import splat_twin
 ORACLE = Path(__file__).parent / "data" / "splat_case.npz"
 
 
-@pytest.fixture(autouse=True)
-def _settings_restored() -> Iterator[None]:
-    before = kernels.get_threads(), kernels.get_level()
-    yield
-    kernels.set_threads(before[0])
-    kernels.set_level(before[1])
+pytestmark = pytest.mark.usefixtures("kernel_settings")
 
 
 def flat_camera(width: int = 21, height: int = 21, focal: float = 20.0) -> Camera:

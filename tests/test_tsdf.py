@@ -1,4 +1,3 @@
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,12 +17,7 @@ from twins.tsdf import fusion_weights_twin, ray_march_twin
 ORACLE = Path(__file__).parent / "data" / "tsdf_case.npz"
 
 
-@pytest.fixture(autouse=True)
-def _settings_restored() -> Iterator[None]:
-    before = kernels.get_threads(), kernels.get_level()
-    yield
-    kernels.set_threads(before[0])
-    kernels.set_level(before[1])
+pytestmark = pytest.mark.usefixtures("kernel_settings")
 
 
 def random_views(random: np.random.Generator, size: tuple[int, int], count: int) -> list[DepthView]:
