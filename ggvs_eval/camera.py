@@ -52,6 +52,9 @@ class Camera:
 
     def _check_values(self) -> None:
         rotation = self.rotation
+        if not np.allclose(self.world_to_camera[3], (0, 0, 0, 1)):
+            found = self.world_to_camera[3].tolist()
+            raise CameraError(f"camera {self.name}: world_to_camera must end with the row 0 0 0 1, got {found}; transpose it")
         if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) or np.linalg.det(rotation) < 0:
             raise CameraError(
                 f"camera {self.name}: the rotation must be orthonormal with determinant +1, got determinant "

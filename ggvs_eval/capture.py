@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import CaptureError
@@ -27,6 +28,36 @@ class FrameSource(Protocol):
         """Decode frames start <= t < stop one by one, RGB uint8 (H, W, 3)."""
 
 
+class DepthSource(Protocol):
+    """Depth that a sensor measured beside the frames of one camera."""
+
+    @property
+    def n_frames(self) -> int:
+        """Number of depth maps."""
+
+    @property
+    def digest(self) -> str:
+        """Identifies the content."""
+
+    def depths(self, start: int, stop: int) -> Iterator[NDArray[np.float32]]:
+        """Read depth of frames start <= t < stop one by one: z in world units, 0 = unknown, float32 (H, W) like the frames."""
+
+
+@dataclass(frozen=True)
+class Extras:
+    """What some captures hold of a camera beside its frames; each None where there is none.
+
+    Attributes:
+        background: the scene without what moves, one frame.
+        mask: where the foreground is, white on black, one per frame.
+        depth: measured depth, one per frame.
+    """
+
+    background: FrameSource | None = None
+    mask: FrameSource | None = None
+    depth: DepthSource | None = None
+
+
 @dataclass(frozen=True)
 class Capture:
     """Synchronised fixed cameras that look at one dynamic scene.
@@ -42,6 +73,8 @@ class Capture:
         units_per_metre: world units per metre; metric constants of the method are multiplied by it.
         units_origin: where that number comes from, for the report.
         resize_filter: how frames are resampled when the cameras are resized.
+        extras: background, masks and sensor depth of each camera, same order; empty where the capture has none of them.
+        notes: what was left out and why, for people.
     """
 
     scene: str
@@ -54,6 +87,8 @@ class Capture:
     units_per_metre: float
     units_origin: str
     resize_filter: ResizeFilter = "lanczos"
+    extras: tuple[Extras, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def camera_names(self) -> tuple[str, ...]:
@@ -94,6 +129,18 @@ class Capture:
         """One frame of one camera; to walk through a video use `frames`, which decodes nothing twice."""
         return next(self.frames(name, index, index + 1))
 
+    def extras_of(self, name: str) -> Extras:
+        """Background, masks and sensor depth of one camera, as they lie on disk: at their own size, whatever the camera's."""
+        index = self._index(name)
+        return self.extras[index] if self.extras else Extras()
+
+    def background(self, name: str) -> Image8 | None:
+        """The static background of one camera at the size of that camera, (H, W, 3); None where the capture has none."""
+        source = self.extras_of(name).background
+        if source is None:
+            return None
+        return resize(next(source.frames(0, 1)), *self.camera(name).size, self.resize_filter)
+
     def digest(self, name: str) -> str:
         """Identifies the content of one camera's frames."""
         return self.sources[self._index(name)].digest
@@ -103,31 +150,20 @@ class Capture:
         cameras = tuple(camera.resized(width, height) for camera in self.cameras)
         return replace(self, cameras=cameras, resize_filter=resize_filter)
 
-    def without(self, names: Sequence[str]) -> "Capture":
-        """The same capture lacking some cameras."""
+    def without(self, names: Sequence[str], reason: str) -> "Capture":
+        """The same capture lacking some cameras; the reason becomes a note where there are any."""
+        if not set(names) & set(self.camera_names):
+            return self
         kept = [index for index, camera in enumerate(self.cameras) if camera.name not in names]
         return replace(
             self,
             cameras=tuple(self.cameras[index] for index in kept),
             sources=tuple(self.sources[index] for index in kept),
+            extras=tuple(self.extras[index] for index in kept) if self.extras else (),
+            notes=(*self.notes, f"{', '.join(names)} left out: {reason}"),
         )
 
     def _index(self, name: str) -> int:
         if name not in self.camera_names:
             raise CaptureError(f"{self.path}: no camera {name!r}; the capture has {', '.join(self.camera_names)}")
         return self.camera_names.index(name)
-
-
-def guess_units_per_metre(cameras: Sequence[Camera], median_depths: Sequence[float] | None = None) -> float:
-    """World units per metre where nothing better is known: the median depth of the scene is taken for 2 metres.
-
-    Args:
-        cameras: the rig.
-        median_depths: median scene depth per camera in world units; the geometric mean of near and far where absent.
-
-    Reading:
-        The paper's constants are metres and its COLMAP captures are not; method.md 3.2 resolves it by the ratio of ScanNet,
-        tau / median depth = 0.01. On the one rig with a known scale this gives 7.3 units per metre for 10.5 true ones.
-    """
-    depths = median_depths or [float(np.sqrt(camera.near * camera.far)) for camera in cameras]
-    return float(np.median(depths)) / 2.0

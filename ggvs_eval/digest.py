@@ -36,3 +36,8 @@ def digest_files(paths: Iterable[Path]) -> str:
             file.seek(-EDGE_BYTES, 2)
             total.update(file.read())
     return total.hexdigest()
+
+
+def digest_values(*values: str) -> str:
+    """SHA-256 over some texts, for content that is made of other content."""
+    return hashlib.sha256("\0".join(values).encode()).hexdigest()

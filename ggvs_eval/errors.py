@@ -7,6 +7,10 @@ The command line prints these in one line and exits with 1. Anything else is our
 class GgvsError(Exception):
     """Base of every error that the user can mend."""
 
+    def __str__(self) -> str:
+        """The message in one line of printable text, whatever names a damaged file has put into it."""
+        return "".join(sign if sign.isprintable() else " " for sign in super().__str__())
+
 
 class CaptureError(GgvsError):
     """A capture on disk is incomplete, unreadable or contradicts itself."""

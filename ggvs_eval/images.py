@@ -12,6 +12,7 @@ from ggvs_eval.errors import CaptureError
 
 Image8 = NDArray[np.uint8]
 ResizeFilter = Literal["area", "lanczos", "bicubic", "bilinear"]
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
@@ -27,11 +28,30 @@ def read_image(path: Path) -> Image8:
         CaptureError: absent, damaged or not an image.
     """
     encoded = np.fromfile(path, dtype=np.uint8) if path.is_file() else np.empty(0, np.uint8)
-    image = cv2.imdecode(encoded, cv2.IMREAD_COLOR) if encoded.size else None
+    image = decode_image(encoded, cv2.IMREAD_COLOR)
     if image is None:
         found = f"{encoded.size} bytes that do not decode" if encoded.size else "no such file, or an empty one"
         raise CaptureError(f"{path}: wanted an image, got {found}; restore or render this frame again")
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+
+
+def decode_image(encoded: NDArray[np.uint8], flags: int) -> NDArray[np.generic] | None:
+    """The image that a file's bytes hold, as ``cv2.imdecode`` gives it; None where they hold none."""
+    if not encoded.size or _is_cut_png(encoded.tobytes()):
+        return None
+    try:
+        return cv2.imdecode(encoded, flags)
+    except cv2.error:  # a header that claims more pixels than OpenCV is willing to allocate
+        return None
+
+
+def _is_cut_png(content: bytes) -> bool:
+    """Whether a chunk of a PNG file goes on past its end: OpenCV allocates what is claimed, 4 GB for a file of 200 bytes."""
+    at, kind = len(PNG_SIGNATURE), b""
+    while content.startswith(PNG_SIGNATURE) and at + 8 <= len(content) and kind != b"IEND":
+        kind = content[at + 4 : at + 8]
+        at += 12 + int.from_bytes(content[at : at + 4], "big")
+    return at > max(len(content), len(PNG_SIGNATURE))
 
 
 def write_image(path: Path, image: Image8) -> None:

@@ -1,21 +1,16 @@
 """The protocol: everything that a number depends on beside the frames themselves, in one hashed TOML file."""
 
 import dataclasses
-import difflib
 import hashlib
 import json
 import pathlib
-import tomllib
-import types
-import typing
 from dataclasses import dataclass
 from importlib import resources
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 from ggvs_eval.errors import ProtocolError
 from ggvs_eval.images import ResizeFilter
-
-Table = TypeVar("Table")
+from ggvs_eval.toml_tables import build_table, parse_toml
 
 
 @dataclass(frozen=True)
@@ -24,7 +19,7 @@ class Views:
 
     Attributes:
         test: names of the target cameras.
-        chosen_by: who chose them and by which rule; the paper gives counts only.
+        chosen_by: who chose them and by which rule; the paper gives counts only, so ours are marked ``chosen by us``.
     """
 
     test: tuple[str, ...]
@@ -141,48 +136,14 @@ def load_protocol(source: str | pathlib.Path) -> Protocol:
                 f"protocol {str(source)!r} is not packaged; use a .toml file or one of {', '.join(packaged_protocols())}"
             )
         text = (resources.files("ggvs_eval") / "protocols" / f"{source}.toml").read_text(encoding="utf-8")
-    try:
-        values = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ProtocolError(f"{source}: not valid TOML: {error}") from None
-    return _checked(_build(Protocol, values, str(source), ""), str(source))
+    values = parse_toml(text, str(source), ProtocolError)
+    return _checked(build_table(Protocol, values, str(source), "", ProtocolError), str(source))
 
 
 def packaged_protocols() -> list[str]:
     """Names of the protocols that ship with the package."""
     folder = resources.files("ggvs_eval") / "protocols"
     return sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml"))
-
-
-def _build(kind: type[Table], values: dict[str, Any], file: str, section: str) -> Table:
-    """Turn a TOML table into a dataclass; every surprise is an error that names file, key and mend."""
-    fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
-    hints = typing.get_type_hints(kind)
-    for key in values:
-        if key not in fields:
-            nearest = difflib.get_close_matches(key, fields, n=1, cutoff=0.0)[0]
-            raise ProtocolError(f"{file}: unknown key {section}{key}; did you mean {section}{nearest}?")
-    required = [name for name, field in fields.items() if field.default is dataclasses.MISSING]
-    missing = [f"{section}{name}" for name in required if name not in values]
-    if missing:
-        raise ProtocolError(f"{file}: missing key {', '.join(missing)}; see the packaged protocols for an example")
-    converted = {key: _convert(hints[key], value, file, f"{section}{key}") for key, value in values.items()}
-    return kind(**converted)
-
-
-def _convert(wanted: Any, value: Any, file: str, key: str) -> Any:
-    """Check one value against the type of its field."""
-    origin, arguments = typing.get_origin(wanted), typing.get_args(wanted)
-    if dataclasses.is_dataclass(wanted) and isinstance(value, dict):
-        return _build(typing.cast(type, wanted), value, file, f"{key}.")
-    if origin is Literal and value in arguments:
-        return value
-    if origin is tuple and isinstance(value, list) and all(type(item) is arguments[0] for item in value):
-        return tuple(value)
-    if not isinstance(wanted, types.GenericAlias) and origin is None and type(value) is wanted:
-        return value
-    expected = f"one of {', '.join(map(repr, arguments))}" if origin is Literal else getattr(wanted, "__name__", str(wanted))
-    raise ProtocolError(f"{file}: {key} must be {expected}, got {value!r}")
 
 
 def _checked(protocol: Protocol, file: str) -> Protocol:

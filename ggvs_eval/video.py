@@ -207,12 +207,17 @@ class VideoFrames:
     @cached_property
     def _timestamps(self) -> list[FrameTime]:
         """When each frame is decoded and presented, in the order of presentation."""
-        with self._open() as container:
-            timestamps = sorted(
-                FrameTime(packet.pts, packet.dts, packet.is_keyframe)
-                for packet in container.demux(video=0)
-                if packet.pts is not None and packet.dts is not None and not packet.is_discard
-            )
+        import av
+
+        try:
+            with self._open() as container:
+                timestamps = sorted(
+                    FrameTime(packet.pts, packet.dts, packet.is_keyframe)
+                    for packet in container.demux(video=0)
+                    if packet.pts is not None and packet.dts is not None and not packet.is_discard
+                )
+        except av.error.FFmpegError as error:
+            raise self._damaged(0, str(error.strerror)) from error
         if len(timestamps) != self.n_frames:
             raise self._damaged(len(timestamps), "packets missing")
         return timestamps
@@ -236,7 +241,7 @@ class VideoFrames:
         if not self.path.is_file():
             raise CaptureError(f"{self.path}: wanted a video, there is no such file; restore it or drop its camera")
         try:
-            container = av.open(str(self.path))
+            container = av.open(str(self.path), metadata_errors="replace")
         except av.error.FFmpegError as error:
             found = f"{self.path.stat().st_size} bytes that do not open ({error.strerror}), 0 frames can be decoded"
             raise CaptureError(f"{self.path}: wanted a video, got {found}; the file is truncated or no video: {MEND}") from error
@@ -244,6 +249,9 @@ class VideoFrames:
             found = f"{container.format.name} without index of frames" if container.streams.video else "no video stream"
             container.close()
             raise CaptureError(f"{self.path}: wanted an MP4 or MOV video, got {found}; copy it: ffmpeg -i IN -c copy OUT.mp4")
+        if container.streams.video[0].codec_context is None:
+            container.close()
+            raise CaptureError(f"{self.path}: wanted a video in a known code such as H.264, got an unknown one; {MEND}")
         return container
 
     def _damaged(self, n_decoded: int, reason: str, n_frames: int | None = None) -> CaptureError:

@@ -1,5 +1,6 @@
 """COLMAP captures: a sparse model with one image, image folder or video per camera."""
 
+import json
 import shutil
 import subprocess
 import sys
@@ -25,7 +26,9 @@ from captures import (
     write_videos,
 )
 from ggvs_eval.datasets import open_capture
+from ggvs_eval.datasets.colmap_model import read_model
 from ggvs_eval.images import write_image
+from lens_pictures import psnr, straight, through_lens
 
 FLAME_STEAK = Path(__file__).parents[2] / "shared" / "data" / "n3v_flame_steak"
 
@@ -110,12 +113,136 @@ def test_cropped_images(colmap):
     assert "cam01.png: frames of 64 x 44 have another shape than the 64 x 48" in refusal(colmap)
 
 
-def test_distorted_model(colmap):
-    """A model with lens distortion is refused with the command that undistorts it."""
-    write_colmap_model(colmap / "sparse" / "0", [f"{name}.png" for name in NAMES], "SIMPLE_RADIAL", "0.05")
+# Parameters after the size, in COLMAP's order, of a lens about as in the field.
+DISTORTED = {
+    "SIMPLE_RADIAL": "57 32 24 -0.1",
+    "RADIAL": "57 31 25 -0.15 0.03",
+    "OPENCV": "57 58 31 25 -0.15 0.03 0.001 -0.002",
+    "FULL_OPENCV": "57 58 31 25 -0.15 0.03 0.001 -0.002 0.01 0.02 0.01 -0.003",
+    "SIMPLE_RADIAL_FISHEYE": "57 32 24 -0.05",
+    "RADIAL_FISHEYE": "57 31 25 -0.05 0.01",
+    "OPENCV_FISHEYE": "57 58 31 25 -0.05 0.01 0.003 -0.001",
+}
+
+
+def rewrite_cameras(folder: Path, model: str, params: str) -> None:
+    """All images of one camera of this model."""
+    (folder / "sparse" / "0" / "cameras.txt").write_text(f"1 {model} {WIDTH} {HEIGHT} {params}\n")
+
+
+@pytest.fixture(scope="module")
+def pycolmap_points() -> dict[str, np.ndarray]:
+    """Where pycolmap itself sees some rays (x, y, 1) through each of the lenses; in a process of its own."""
+    code = (
+        "import json, sys, numpy, pycolmap;"
+        "models, rays = json.loads(sys.argv[1]);"
+        "found = lambda model, params: [[float(v) for v in numpy.ravel(pycolmap.Camera(model=model, width=64, height=48,"
+        " params=list(map(float, params.split()))).img_from_cam(numpy.array([*ray, 1.0])))] for ray in rays];"
+        "print(json.dumps({model: found(model, params) for model, params in models.items()}))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, json.dumps([DISTORTED, RAYS.tolist()])], capture_output=True, text=True, check=True
+    )
+    return {model: np.array(uv) for model, uv in json.loads(done.stdout).items()}
+
+
+RAYS = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 5), np.linspace(-0.4, 0.4, 5)), axis=-1).reshape(-1, 2)
+
+
+@pytest.mark.parametrize("model", DISTORTED)
+def test_distorted_models(colmap, pycolmap_points, model):
+    """Every model that OpenCV can express bends rays as pycolmap does, and frames come back as the pinhole images."""
+    rewrite_cameras(colmap, model, DISTORTED[model])
+    (view, *_) = read_model(colmap / "sparse" / "0")
+    pinhole = view.lens.undistorted_K()
+    uv = RAYS * pinhole[[0, 1], [0, 1]] + pinhole[:2, 2]
+    found = view.lens.distort(uv, pinhole)
+    np.testing.assert_allclose(found, pycolmap_points[model], atol=1e-6)
+    assert np.abs(found - uv).max() > 0.3
+    write_image(colmap / "images" / "cam02.png", through_lens(view.lens))
+    capture = open_capture(colmap)
+    np.testing.assert_allclose(capture.cameras[2].K, pinhole)
+    assert psnr(capture.frame("cam02", 0), straight(view.lens, pinhole)) > 42
+
+
+@pytest.mark.parametrize(
+    ("model", "params"), [("FOV", "57 58 32 24 0.2"), ("THIN_PRISM_FISHEYE", "57 58 32 24 0.1 0 0 0 0 0 0.01 0.01")]
+)
+def test_models_without_an_equivalent(colmap, model, params):
+    """Models that OpenCV cannot express are refused with the command that undistorts."""
+    rewrite_cameras(colmap, model, params)
     message = refusal(colmap)
-    assert "cam00 is SIMPLE_RADIAL" in message
-    assert "colmap image_undistorter" in message
+    assert f"got {model}; undistort images and model by 'colmap image_undistorter' first" in message
+    assert "cam00.png: wanted one of SIMPLE_PINHOLE, PINHOLE," in message
+
+
+@pytest.mark.parametrize(
+    ("params", "message"),
+    [
+        ("57 58 32 24 nan 0 0 0", "damaged COLMAP model"),
+        ("-57 58 32 24 0 0 0 0", "K must be fx 0 cx / 0 fy cy / 0 0 1"),
+        ("57 58 32 24 500 0 0 0", "leave blank pixels even at 4 times"),
+        ("57 58 32 24 0 0 0", "damaged COLMAP model"),
+    ],
+)
+def test_damaged_parameters(colmap, params, message):
+    """Parameters that make no lens are refused in one line."""
+    rewrite_cameras(colmap, "OPENCV", params)
+    assert message in refusal(colmap)
+
+
+@pytest.mark.parametrize("arrangement", ["single", "images/{}", "{}/images", "{}", "videos"])
+def test_frames_that_the_model_does_not_register(tmp_path, arrangement):
+    """What lies beside the frames of the registered cameras is left out and noted."""
+    write_colmap_model(tmp_path / "sparse", [f"{name}.png" for name in NAMES[:3]])
+    if arrangement == "single":
+        for index, name in enumerate(NAMES):
+            write_image(tmp_path / "images" / f"{name}.png", make_image(index, 0))
+    elif arrangement == "videos":
+        write_videos(tmp_path / "videos")
+    else:
+        write_folders(tmp_path, NAMES, arrangement)
+    capture = open_capture(tmp_path)
+    assert capture.camera_names == NAMES[:3]
+    assert capture.notes == ("cam03 left out: on disk, but not registered in the COLMAP model",)
+
+
+def test_nothing_is_noted_where_all_is_registered(colmap):
+    """Other folders beside the frames are no cameras."""
+    shutil.copytree(colmap / "images", colmap / "masks")
+    assert open_capture(colmap).notes == ()
+
+
+@pytest.mark.parametrize(
+    "name", ["../secret.png", "../../secret.png", "..", "../secret/0.png", "cam/../../secret.png", "/ABSOLUTE"]
+)
+@pytest.mark.parametrize("binary", [False, True])
+def test_names_do_not_lead_out_of_the_capture(tmp_path, name, binary):
+    """A hostile model finds no image, folder or video outside the capture."""
+    write_image(tmp_path / "secret.png", make_image(0, 0))
+    write_image(tmp_path / "secret" / "0.png", make_image(0, 0))
+    name = name.replace("/ABSOLUTE", str(tmp_path / "secret.png"))
+    write_colmap_model(tmp_path / "rig" / "sparse", [name])
+    (tmp_path / "rig" / "images").mkdir()
+    if binary:
+        make_binary(tmp_path / "rig" / "sparse")
+    assert "got none; put them in CAM.mp4" in refusal(tmp_path / "rig")
+
+
+def test_names_of_any_length(tmp_path):
+    """A name that no file system takes is a camera without frames."""
+    write_colmap_model(tmp_path / "sparse", ["x" * 5000 + ".png", "y/" * 3000 + "z.png"])
+    assert "got none; put them in" in refusal(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["cameras.bin", "images.bin", "points3D.bin"])
+def test_counts_beyond_all_measure(colmap, name):
+    """A file that claims 2^60 entries is refused without counting them."""
+    model = colmap / "sparse" / "0"
+    make_binary(model)
+    content = (model / name).read_bytes()
+    (model / name).write_bytes((1 << 60).to_bytes(8, "little") + content[8:])
+    assert "damaged COLMAP model" in refusal(colmap)
 
 
 def test_image_missing_on_disk(colmap):

@@ -2,6 +2,7 @@
 
 import json
 import pickle
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from captures import (
     make_rig,
     mean_colours,
     refusal,
+    write_colmap,
     write_poses,
 )
 from ggvs_eval.datasets import DATASETS, open_capture
@@ -34,7 +36,7 @@ def test_units_from_the_user_the_demo_or_a_guess(dynerf):
     (dynerf / "demo.json").write_text(json.dumps({"units_per_metre": 3.25}))
     noted = open_capture(dynerf)
     assert (noted.units_per_metre, noted.units_origin) == (3.25, "demo.json")
-    told = open_capture(dynerf, units_per_metre=10.5)
+    told = open_capture(dynerf, units=10.5)
     assert (told.units_per_metre, told.units_origin) == (10.5, "given by the user")
 
 
@@ -51,7 +53,7 @@ def test_damaged_demo_json(dynerf, text):
 def test_units_must_be_positive(dynerf, units):
     """A unit that is not a positive number is refused."""
     with pytest.raises(CaptureError, match="positive number of world units per metre"):
-        open_capture(dynerf, units_per_metre=units)
+        open_capture(dynerf, units=units)
 
 
 def test_no_folder_no_content_no_layout(tmp_path):
@@ -61,7 +63,7 @@ def test_no_folder_no_content_no_layout(tmp_path):
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "cam00.mp4").write_bytes(b"x")
     assert "there is none; check the path" in refusal(tmp_path / "absent")
-    assert "there is a file" in refusal(tmp_path / "file")
+    assert "file: no capture that can be read (not capture.toml: no capture.toml; " in refusal(tmp_path / "file")
     assert "the folder is empty" in refusal(tmp_path / "empty")
     message = refusal(tmp_path / "other")
     assert "not dynerf: no poses_bounds.npy" in message
@@ -76,7 +78,28 @@ def test_poses_without_frames(tmp_path):
 
 def test_unknown_layout(dynerf):
     """An unknown layout is refused with the nearest known one."""
-    assert "there are dynerf, colmap; did you mean 'dynerf'?" in refusal(dynerf, "dynerfs")
+    assert f"no layout 'dynerfs', there are {', '.join(DATASETS)}; did you mean 'dynerf'?" in refusal(dynerf, "dynerfs")
+    assert refusal(dynerf, "???").endswith(f"there are {', '.join(DATASETS)}")
+
+
+def test_every_layout_says_why_it_refused(tmp_path):
+    """Where none fits, each layout gives its reason."""
+    (tmp_path / "notes.txt").write_text("x")
+    message = refusal(tmp_path)
+    assert all(f"not {name}: " in message for name in DATASETS)
+    assert message.endswith("see docs/captures.md for the layouts")
+
+
+def test_a_whole_data_set(dynerf, tmp_path):
+    """Where a data set's root is named instead of a scene, the captures in it are listed, but not hundreds."""
+    root = tmp_path / "data_set"
+    write_colmap(root / "office")
+    shutil.copytree(dynerf, root / "coffee")
+    (root / "licence").mkdir()
+    assert refusal(root).endswith("name one of the captures in it: coffee, office")
+    for index in range(20):
+        shutil.copytree(dynerf, root / f"scene{index:02d}")
+    assert refusal(root).endswith("scene04, scene05, ...")
 
 
 def test_wanted_layout_that_does_not_fit(dynerf):

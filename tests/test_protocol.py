@@ -37,8 +37,8 @@ def test_the_hash_depends_on_every_value():
     ("old", "new", "message"),
     [
         ("k = 4", "kk = 4", r"unknown key synthesis.kk; did you mean synthesis.k\?"),
-        ("k = 4", "k = '4'", "synthesis.k must be int, got '4'"),
-        ("k = 4", "k = true", "synthesis.k must be int, got True"),
+        ("k = 4", "k = '4'", "synthesis.k must be a whole number, got '4'"),
+        ("k = 4", "k = true", "synthesis.k must be a whole number, got True"),
         ("k = 4", "k = 0", "synthesis.k must be at least 1"),
         ("count = 24", "", "missing key frames.count"),
         ("count = 24", "count = 0", "frames.count at least 1"),

@@ -6,11 +6,13 @@ from difflib import get_close_matches
 from pathlib import Path
 
 from ggvs_eval.capture import Capture
-from ggvs_eval.datasets import colmap, dynerf
+from ggvs_eval.datasets import capture_toml, colmap, d3dmv, dynerf, easymocap, multipleview, nerfstudio, rgbd, spaces
+from ggvs_eval.datasets.units import GivenUnits
 from ggvs_eval.errors import CaptureError
 
 # Streams known to be out of step with the rest of their capture, (scene, camera).
 UNSYNCED = {("coffee_martini", "cam13")}
+LISTED = 8
 
 
 @dataclass(frozen=True)
@@ -19,45 +21,50 @@ class DatasetSpec:
 
     Attributes:
         describe: the layout in one line, for help texts.
-        refuse: says why a folder is not of this layout, None where it is.
-        load: opens a folder of this layout; the second argument is the world units per metre or None.
+        refuse: says why a path is not of this layout, None where it is.
+        load: opens a path of this layout; the second argument is what the user knows of its units.
     """
 
     describe: str
     refuse: Callable[[Path], str | None]
-    load: Callable[[Path, float | None], Capture]
+    load: Callable[[Path, GivenUnits], Capture]
 
 
+# In the order in which they are tried: what is particular before what is general.
 DATASETS = {
+    "capture.toml": DatasetSpec("capture.toml, a rig of one's own", capture_toml.refuse, capture_toml.load),
+    "d3dmv": DatasetSpec("SCENE.h5 with SCENE_pb.npy, or frames/ and background/", d3dmv.refuse, d3dmv.load),
+    "spaces": DatasetSpec("models.json with cam_XX/ (Google Spaces)", spaces.refuse, spaces.load),
+    "rgbd": DatasetSpec("color/, depth/, pose/ and intrinsic/ (ScanNet), or images/, depth/, poses.txt", rgbd.refuse, rgbd.load),
+    "multipleview": DatasetSpec("sparse_/ with camXX/frame_00001.jpg", multipleview.refuse, multipleview.load),
     "dynerf": DatasetSpec(f"poses_bounds.npy with {dynerf.ARRANGEMENTS}", dynerf.refuse, dynerf.load),
+    "enerf-outdoor": DatasetSpec("intri.yml and extri.yml with images/XX/ (EasyMocap)", easymocap.refuse, easymocap.load),
     "colmap": DatasetSpec(f"sparse/0 with {colmap.ARRANGEMENTS}", colmap.refuse, colmap.load),
+    "nerfstudio": DatasetSpec("transforms.json with one image per camera", nerfstudio.refuse, nerfstudio.load),
 }
 
 
-def open_capture(
-    path: Path, layout: str | None = None, *, units_per_metre: float | None = None, drop_unsynced: bool = True
-) -> Capture:
-    """Open a capture folder.
+def open_capture(path: Path, layout: str | None = None, *, units: GivenUnits = None, drop_unsynced: bool = True) -> Capture:
+    """Open a capture.
 
     Args:
-        path: folder of one scene.
+        path: folder of one scene, or the file of one (``scene000.h5``).
         layout: a name in `DATASETS`; the first that fits when None.
-        units_per_metre: world units per metre where the user knows better than the capture.
+        units: world units per metre where the user knows better than the capture, or a TOML file that says how to measure them;
+            see `ggvs_eval.datasets.units.choose_units`.
         drop_unsynced: leave out cameras known to be out of step: cam13 of coffee_martini.
 
     Raises:
-        CaptureError: no such folder, no layout that fits (with the reason of each), or a capture that is damaged.
+        CaptureError: nothing there, no layout that fits (with the reason of each), or a capture that is damaged.
     """
-    if not path.is_dir():
-        raise CaptureError(
-            f"{path}: wanted a folder with a capture, there is {'a file' if path.exists() else 'none'}; check the path"
-        )
-    if not any(path.iterdir()):
+    if not path.exists():
+        raise CaptureError(f"{path}: wanted a folder with a capture, there is none; check the path")
+    if path.is_dir() and not any(path.iterdir()):
         raise CaptureError(f"{path}: wanted a capture, the folder is empty; put frames and poses there, or try 'ggvs-eval demo'")
     spec = DATASETS[_detect_layout(path, layout)]
-    capture = spec.load(path, units_per_metre)
+    capture = spec.load(path, units)
     unsynced = [camera for scene, camera in UNSYNCED if scene == capture.scene]
-    return capture.without(unsynced) if drop_unsynced else capture
+    return capture.without(unsynced, "known to be out of step with the others") if drop_unsynced else capture
 
 
 def _detect_layout(path: Path, wanted: str | None) -> str:
@@ -69,5 +76,14 @@ def _detect_layout(path: Path, wanted: str | None) -> str:
     fitting = [name for name, refusal in refusals.items() if refusal is None]
     if not fitting:
         reasons = "; ".join(f"not {name}: {refusal}" for name, refusal in refusals.items())
-        raise CaptureError(f"{path}: no capture that can be read ({reasons}); see docs/conventions.md for the layouts")
+        within = _captures_within(path)
+        mend = f"name one of the captures in it: {', '.join(within)}" if within else "see docs/captures.md for the layouts"
+        raise CaptureError(f"{path}: no capture that can be read ({reasons}); {mend}")
     return fitting[0]
+
+
+def _captures_within(path: Path) -> list[str]:
+    """Folders right below that hold a capture, when a whole data set was named instead of a scene."""
+    folders = sorted(folder for folder in path.iterdir() if folder.is_dir())[: 4 * LISTED] if path.is_dir() else []
+    found = [folder.name for folder in folders if any(spec.refuse(folder) is None for spec in DATASETS.values())]
+    return [*found[:LISTED], "..."] if len(found) > LISTED else found

@@ -1,85 +1,92 @@
 """What every adapter does last: cameras and frames must fit each other before they become a `Capture`."""
 
-import json
-import math
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.capture import Capture, FrameSource, guess_units_per_metre
-from ggvs_eval.datasets.frames import ImageFrames
+from ggvs_eval.capture import Capture, Extras, FrameSource
+from ggvs_eval.datasets.units import Units
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.video import VideoFrames
 
 # Image folders do not say their rate; every capture published in this layout was filmed at this one.
 FOLDER_FPS = 30.0
-NOTES = "demo.json"
-SizedSource = VideoFrames | ImageFrames
 
 
-@dataclass(frozen=True)
-class Units:
-    """World units per metre and where the number comes from."""
+class SizedSource(FrameSource, Protocol):
+    """A `FrameSource` that knows the size of its frames without decoding one."""
 
-    per_metre: float
-    origin: str
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) in pixels."""
 
 
-def assemble_capture(path: Path, layout: str, cameras: Sequence[Camera], sources: Sequence[SizedSource], units: Units) -> Capture:
+def assemble_capture(
+    path: Path,
+    layout: str,
+    cameras: Sequence[Camera],
+    sources: Sequence[SizedSource],
+    units: Units,
+    *,
+    scene: str | None = None,
+    fps: float | None = None,
+    extras: Sequence[Extras] = (),
+    notes: Sequence[str] = (),
+) -> Capture:
     """Check that all cameras have the same instants and bring each camera to the size of its frames.
 
+    Args:
+        path: the capture.
+        layout: name of its layout.
+        cameras: at the size they are calibrated for.
+        sources: frames of each camera.
+        units: world units per metre.
+        scene: what the scene is called; the last part of the path by default.
+        fps: frames per second where the layout says it; by default that of the videos, 30 for images.
+        extras: of each camera, or none.
+        notes: what was left out and why.
+
     Raises:
-        CaptureError: cameras that differ in frame count or rate, or frames of another shape than the calibration.
+        CaptureError: cameras that differ in frame count or rate, frames of another shape than the calibration, or two cameras of
+            one name.
     """
     names = [camera.name for camera in cameras]
+    twice = sorted(name for name, count in Counter(names).items() if count > 1)
+    if twice or not names:
+        found = f"several called {', '.join(twice)}" if twice else "none"
+        raise CaptureError(f"{path}: wanted cameras of different names, got {found}; correct the calibration")
+    unfit = [name for name in names if not _is_file_name(name)]
+    if unfit:
+        raise CaptureError(f"{path}: wanted camera names that can be file names, got {unfit[0]!r:.80}; rename this camera")
     n_frames = _common([source.n_frames for source in sources], names, path, "frame count", "cut them to a common length")
-    rates = [round(source.fps, 2) if isinstance(source, VideoFrames) else FOLDER_FPS for source in sources]
-    fps = _common(rates, names, path, "frame rate", "convert them to one rate")
+    rates = [fps or _rate(source) for source in sources]
+    rate = _common(rates, names, path, "frame rate", "convert them to one rate")
     return Capture(
-        scene=path.resolve().name,
+        scene=scene or path.resolve().name,
         layout=layout,
         path=path,
-        cameras=tuple(_fit_camera(camera, source) for camera, source in zip(cameras, sources, strict=True)),
+        cameras=tuple(_fit_camera(camera, source, path) for camera, source in zip(cameras, sources, strict=True)),
         sources=tuple[FrameSource, ...](sources),
         n_frames=int(n_frames),
-        fps=fps if n_frames > 1 else 0.0,
+        fps=rate if n_frames > 1 else 0.0,
         units_per_metre=units.per_metre,
         units_origin=units.origin,
+        extras=tuple(extras),
+        notes=tuple(notes),
     )
 
 
-def choose_units(
-    path: Path, given: float | None, cameras: Sequence[Camera], median_depths: Sequence[float] | None = None
-) -> Units:
-    """World units per metre: what the user says, else the capture's own ``demo.json``, else a guess from the depth of the scene.
-
-    Raises:
-        CaptureError: a number that is not positive, or a damaged ``demo.json``.
-    """
-    per_metre, origin = (read_note(path, "units_per_metre"), NOTES) if given is None else (given, "given by the user")
-    if per_metre is None:
-        return Units(guess_units_per_metre(cameras, median_depths), "guess: median scene depth taken for 2 m")
-    if not 0 < per_metre < math.inf:
-        found = f"{per_metre:g} ({origin})"
-        raise CaptureError(f"{path}: wanted a positive number of world units per metre, got {found}; correct or drop it")
-    return Units(per_metre, origin)
+def _is_file_name(name: str) -> bool:
+    """Results are written to files that are called after cameras; none may lead out of their folder."""
+    return bool(name) and name.isprintable() and Path(name).name == name and name != ".." and len(name.encode()) < 200
 
 
-def read_note(path: Path, key: str) -> float | None:
-    """A number that a synthetic capture notes about itself in ``demo.json``; None where there is no such file or note.
-
-    Raises:
-        CaptureError: the file is damaged or the note is no number.
-    """
-    file = path / NOTES
-    if not file.is_file():
-        return None
-    try:
-        note = dict(json.loads(file.read_text())).get(key)
-        return None if note is None else float(note)
-    except (ValueError, TypeError) as error:
-        raise CaptureError(f"{file}: wanted a number {key}, got: {error}; write the demo capture again") from error
+def _rate(source: FrameSource) -> float:
+    """Frames per second, of a video that may lie behind an undistortion."""
+    inner = getattr(source, "source", source)
+    return round(inner.fps, 2) if isinstance(inner, VideoFrames) else FOLDER_FPS
 
 
 def _common(values: Sequence[float], names: Sequence[str], path: Path, quantity: str, mend: str) -> float:
@@ -89,12 +96,13 @@ def _common(values: Sequence[float], names: Sequence[str], path: Path, quantity:
     return values[0]
 
 
-def _fit_camera(camera: Camera, source: SizedSource) -> Camera:
+def _fit_camera(camera: Camera, source: SizedSource, path: Path) -> Camera:
     """The camera at the size of its frames, which may be a uniformly scaled one."""
     width, height = source.size
     if abs(camera.height * width / camera.width - height) > 1:
         raise CaptureError(
-            f"{source.path}: frames of {width} x {height} have another shape than the {camera.width} x {camera.height} that "
-            f"{camera.name} is calibrated for; give the frames this calibration was made for, scaled but not cropped"
+            f"{getattr(source, 'path', path)}: frames of {width} x {height} have another shape than the "
+            f"{camera.width} x {camera.height} that {camera.name} is calibrated for; give the frames this calibration was made "
+            "for, scaled but not cropped"
         )
     return camera.resized(width, height)

@@ -39,6 +39,7 @@ def read_reconstruction(folder: Path) -> list[dict[str, Any]]:
     if missing:
         raise ValueError(f"no {', '.join(missing)}")
     if suffix == ".bin":
+        _check_count(files[0])
         _check_length(files[1], _images_end)
         _check_length(files[2], _points_end)
     # These three say all; rigs and frames, which newer versions write beside them, would only be more that can be damaged.
@@ -70,6 +71,13 @@ def _describe_image(reconstruction: Any, image: Any) -> dict[str, Any]:
         "world_to_camera": world_to_camera.tolist(),
         "depth_percentiles": np.percentile(depth, PERCENTILES).tolist() if depth.size else [],
     }
+
+
+def _check_count(file: Path) -> None:
+    """Refuse a number of cameras, at least 48 bytes each, that the file cannot hold: pycolmap would count up to it."""
+    content = file.read_bytes()
+    if len(content) < 8 or 8 + 48 * unpack_from("<Q", content)[0] > len(content):
+        raise ValueError(f"{file.name} is cut or damaged, its {len(content)} bytes do not fit the cameras it claims")
 
 
 def _check_length(file: Path, find_end: Callable[[bytes], int]) -> None:

@@ -5,9 +5,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from ggvs_eval.capture import Capture
-from ggvs_eval.datasets.assemble import SizedSource, assemble_capture, choose_units
+from ggvs_eval.datasets.assemble import SizedSource, assemble_capture
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.llff import llff_camera, read_llff_poses
+from ggvs_eval.datasets.units import GivenUnits, choose_units
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.video import VideoFrames
 
@@ -23,12 +24,12 @@ def refuse(path: Path) -> str | None:
     return None if _find_sources(path) else f"{POSES}, but no frames ({ARRANGEMENTS})"
 
 
-def load(path: Path, units_per_metre: float | None) -> Capture:
+def load(path: Path, units: GivenUnits) -> Capture:
     """Open a DyNeRF capture with any number of cameras.
 
     Args:
         path: folder of the scene.
-        units_per_metre: world units per metre; guessed from the depth bounds when None.
+        units: world units per metre or a file that says how to measure them; see `choose_units`.
 
     Raises:
         CaptureError: rows and cameras do not match, or a file is damaged.
@@ -45,8 +46,7 @@ def load(path: Path, units_per_metre: float | None) -> Capture:
             f"got {len(poses)} rows; restore the missing {'videos' if len(poses) > len(sources) else 'rows'}"
         )
     cameras = [llff_camera(pose, name, path / POSES) for pose, name in zip(poses, sources, strict=True)]
-    units = choose_units(path, units_per_metre, cameras)
-    return assemble_capture(path, "dynerf", cameras, list(sources.values()), units)
+    return assemble_capture(path, "dynerf", cameras, list(sources.values()), choose_units(path, units, cameras))
 
 
 def _find_sources(path: Path) -> dict[str, SizedSource]:

@@ -118,11 +118,13 @@ def _last_number(file: Path) -> int:
 
 def _image_size(file: Path) -> tuple[int, int]:
     """(width, height) without decoding the image."""
-    from PIL import Image, UnidentifiedImageError
+    from PIL import Image
 
     try:
-        with Image.open(file) as image:
+        with Image.open(file, formats=("PNG", "JPEG")) as image:
             return image.size
-    except (OSError, UnidentifiedImageError) as error:
-        found = f"{file.stat().st_size} bytes that do not open" if file.is_file() else "no such file"
+    except Exception as error:  # the parsers raise whatever a damaged header makes them stumble over
+        is_large = isinstance(error, Image.DecompressionBombError)
+        reason = "whose header claims more pixels than any camera has" if is_large else "that do not open"
+        found = f"{file.stat().st_size} bytes {reason}" if file.is_file() else "no such file"
         raise CaptureError(f"{file}: wanted an image, got {found}; restore this frame") from error

@@ -9,9 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.camera import Camera
+from ggvs_eval.datasets.array_file import map_array
 from ggvs_eval.errors import CameraError, CaptureError
 
 Array = NDArray[np.float64]
+LARGEST_RIG = 10_000
+# What is beyond is damage, and no square of it is finite.
+LARGEST_NUMBER = 1e100
 
 
 class LlffPose(NamedTuple):
@@ -41,7 +45,7 @@ def read_llff_poses(path: Path) -> list[LlffPose]:
         CaptureError: absent, no plain array of numbers, not N x 17, or a row that is not finite.
     """
     rows = _load_rows(path)
-    spoilt = np.flatnonzero(~np.isfinite(rows).all(axis=1))
+    spoilt = np.flatnonzero(~(np.abs(rows) < LARGEST_NUMBER).all(axis=1))
     if spoilt.size:
         listed = ", ".join(map(str, spoilt))
         raise CaptureError(f"{path}: wanted finite numbers, got NaN or infinity in row {listed} (from 0); calibrate again")
@@ -74,14 +78,13 @@ def llff_camera(pose: LlffPose, name: str, path: Path) -> Camera:
 
 def _load_rows(path: Path) -> Array:
     try:
-        rows = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        reason = str(error).splitlines()[0] if path.is_file() else "no such file"
+        rows = map_array(path)
+    except ValueError as error:
         raise CaptureError(
-            f"{path}: wanted an N x 17 array of numbers saved by numpy.save, got: {reason}; write it again"
+            f"{path}: wanted an N x 17 array of numbers saved by numpy.save, got: {error}; write it again"
         ) from error
-    if not isinstance(rows, np.ndarray) or rows.ndim != 2 or rows.shape[1] != 17 or not np.issubdtype(rows.dtype, np.number):
-        found = f"{rows.shape} {rows.dtype}" if isinstance(rows, np.ndarray) else "an archive of arrays"
+    if rows.ndim != 2 or rows.shape[1] != 17 or rows.dtype.kind not in "fiu" or len(rows) > LARGEST_RIG:
+        found = f"{rows.shape} {rows.dtype}"
         raise CaptureError(f"{path}: wanted an N x 17 array of numbers (LLFF), got {found}; write 15 pose numbers, near and far")
     return rows.astype(np.float64)
 

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.datasets.assemble import read_note
 from ggvs_eval.datasets.dynerf import POSES
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.llff import llff_camera, read_llff_poses
+from ggvs_eval.datasets.units import read_note
 from ggvs_eval.errors import CaptureError
 
 

@@ -1,0 +1,201 @@
+"""A rig of one's own: ``capture.toml`` says for every camera where its frames lie and how it is calibrated."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.capture import Capture, Extras
+from ggvs_eval.datasets.assemble import SizedSource, assemble_capture
+from ggvs_eval.datasets.colmap_model import undistorted
+from ggvs_eval.datasets.depth_range import rig_depth_range
+from ggvs_eval.datasets.frames import ImageFrames
+from ggvs_eval.datasets.units import GivenUnits, Units, choose_units
+from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.lens import Lens, LensModel
+from ggvs_eval.toml_tables import build_table, read_toml
+from ggvs_eval.video import VideoFrames
+
+Array = NDArray[np.float64]
+FILE = "capture.toml"
+Numbers = tuple[float, ...]
+Matrix = tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True)
+class LensTable:
+    """``distortion`` of a camera.
+
+    Attributes:
+        model: ``opencv`` or ``fisheye``.
+        coefficients: in OpenCV's order.
+    """
+
+    model: LensModel
+    coefficients: Numbers
+
+
+@dataclass(frozen=True)
+class CameraTable:
+    """One ``[[camera]]``.
+
+    Attributes:
+        name: of the camera.
+        frames: video, folder of images or image, relative to the file.
+        K: intrinsics, 3 x 3, pixels.
+        width: of the images the calibration was made for.
+        height: likewise.
+        world_to_camera: 4 x 4; this or camera_to_world.
+        camera_to_world: 4 x 4.
+        distortion: of the lens; none where absent.
+        near: smallest depth of the scene, world units; with far, or neither.
+        far: largest depth of the scene, world units.
+        background: image of the scene without what moves.
+        mask: masks of the foreground, one per frame: a video or a folder of images.
+    """
+
+    name: str
+    frames: str
+    K: Matrix
+    width: int
+    height: int
+    world_to_camera: Matrix | None = None
+    camera_to_world: Matrix | None = None
+    distortion: LensTable | None = None
+    near: float | None = None
+    far: float | None = None
+    background: str | None = None
+    mask: str | None = None
+
+
+@dataclass(frozen=True)
+class CaptureTable:
+    """The whole file.
+
+    Attributes:
+        camera: the rig, in this order.
+        scene: what the scene is called; the folder's name by default.
+        fps: frames per second where the frames are images.
+        units_per_metre: world units per metre.
+        pixel_centre: where the centre of the first pixel lies in the file's K: ``half`` (COLMAP) or ``whole`` (OpenCV).
+    """
+
+    camera: tuple[CameraTable, ...]
+    scene: str | None = None
+    fps: float | None = None
+    units_per_metre: float | None = None
+    pixel_centre: Literal["half", "whole"] = "half"
+
+
+def refuse(path: Path) -> str | None:
+    """Why this is no capture.toml; None where it is one."""
+    return None if _file(path).is_file() else f"no {FILE}"
+
+
+def load(path: Path, units: GivenUnits) -> Capture:
+    """Open a rig described by ``capture.toml``, the file itself or its folder.
+
+    Args:
+        path: the file or its folder.
+        units: world units per metre or a file that says how to measure them; see `choose_units`.
+
+    Raises:
+        CaptureError: an unknown, missing or mistyped key, or frames that do not fit.
+
+    Reading:
+        Without near and far the range of `rig_depth_range` is taken. Frames of a distorting lens are undistorted to the K of
+        `Lens.undistorted_K`, in which no pixel is blank.
+    """
+    file = _file(path)
+    table = build_table(CaptureTable, read_toml(file, CaptureError), str(file), "", CaptureError)
+    poses = [_pose(camera, file) for camera in table.camera]
+    if not poses:
+        raise CaptureError(f"{file}: wanted at least one [[camera]], got none; describe the rig, see docs/captures.md")
+    for key, value in (("fps", table.fps), ("units_per_metre", table.units_per_metre)):
+        if value is not None and value <= 0:
+            raise CaptureError(f"{file}: {key} must be positive, got {value:g}; correct or drop it")
+    lenses = [_lens(camera, table.pixel_centre, file) for camera in table.camera]
+    ranges = rig_depth_range(poses)
+    cameras = [_camera(*each, file) for each in zip(table.camera, lenses, poses, ranges, strict=True)]
+    sources = [
+        undistorted(_source(file, camera.frames), lens, pinhole.K)
+        for camera, lens, pinhole in zip(table.camera, lenses, cameras, strict=True)
+    ]
+    extras = [_extras(file, *each) for each in zip(table.camera, lenses, cameras, sources, strict=True)]
+    known = None if table.units_per_metre is None else Units(table.units_per_metre, FILE)
+    chosen = choose_units(file.parent, units, cameras, known=known)
+    scene = table.scene or file.parent.resolve().name
+    fps = None if any(isinstance(source, VideoFrames) for source in sources) else table.fps
+    return assemble_capture(file.parent, "capture.toml", cameras, sources, chosen, scene=scene, fps=fps, extras=extras)
+
+
+def _file(path: Path) -> Path:
+    return path / FILE if path.is_dir() else path if path.name == FILE else path.with_name(FILE + ".absent")
+
+
+def _pose(camera: CameraTable, file: Path) -> Array:
+    given = [matrix for matrix in (camera.world_to_camera, camera.camera_to_world) if matrix is not None]
+    if len(given) != 1:
+        raise CaptureError(f"{file}: camera {camera.name} wants one of world_to_camera and camera_to_world, got {len(given)}")
+    pose = _matrix(given[0], 4, f"{file}: pose of {camera.name}")
+    if not np.array_equal(pose[3], (0, 0, 0, 1)):
+        found = f"{pose[3].tolist()}; transpose it where points are rows"
+        raise CaptureError(f"{file}: the last row of the pose of {camera.name} must be 0 0 0 1, got {found}")
+    if camera.world_to_camera is not None:
+        return pose
+    if not 1e-9 < abs(np.linalg.det(pose)) < 1e9:
+        raise CaptureError(f"{file}: camera_to_world of {camera.name} cannot be inverted; correct it")
+    return np.asarray(np.linalg.inv(pose), dtype=np.float64)
+
+
+def _matrix(rows: Matrix, size: int, what: str) -> Array:
+    if [len(row) for row in rows] != [size] * size:
+        raise CaptureError(f"{what} must be {size} rows of {size} numbers, got rows of {[len(row) for row in rows]}")
+    return np.array(rows, dtype=np.float64)
+
+
+def _lens(camera: CameraTable, pixel_centre: str, file: Path) -> Lens:
+    K = _matrix(camera.K, 3, f"{file}: K of {camera.name}")
+    if pixel_centre == "whole":
+        K[:2, 2] += 0.5
+    table = camera.distortion or LensTable("opencv", (0.0,) * 4)
+    try:
+        return Lens(K, table.model, table.coefficients, camera.width, camera.height)
+    except CameraError as error:
+        raise CaptureError(f"{file}: camera {camera.name}: {error}") from error
+
+
+def _camera(table: CameraTable, lens: Lens, pose: Array, depths: tuple[float, float], file: Path) -> Camera:
+    if (table.near is None) != (table.far is None):
+        raise CaptureError(f"{file}: camera {table.name} wants near and far or neither; add the other")
+    near, far = depths if table.near is None or table.far is None else (table.near, table.far)
+    try:
+        return Camera(table.name, lens.undistorted_K(), pose, table.width, table.height, near, far)
+    except CameraError as error:
+        raise CaptureError(f"{file}: {error}") from error
+
+
+def _source(file: Path, relative: str) -> SizedSource:
+    path = file.parent / relative
+    if not relative or not _exists(path):
+        raise CaptureError(f"{file}: wanted frames in {relative!r:.200}, there is no such file or folder; correct the path")
+    return VideoFrames(path) if path.is_file() and path.suffix.lower() in (".mp4", ".mov", ".m4v") else ImageFrames(path)
+
+
+def _exists(path: Path) -> bool:
+    try:
+        return path.exists()
+    except OSError:  # a name too long for the file system
+        return False
+
+
+def _extras(file: Path, table: CameraTable, lens: Lens, camera: Camera, frames: SizedSource) -> Extras:
+    found = [undistorted(_source(file, each), lens, camera.K) if each else None for each in (table.background, table.mask)]
+    background, mask = found
+    if mask is not None and mask.n_frames != frames.n_frames:
+        counts = f"{mask.n_frames} for {frames.n_frames} frames"
+        raise CaptureError(f"{file}: wanted one mask of {table.name} per frame, got {counts}; restore them or drop the key")
+    return Extras(background=background, mask=mask)

@@ -1,0 +1,152 @@
+"""COLMAP sparse models as calibrated views: pose, pinhole intrinsics, lens and depth range of every registered image."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.datasets.assemble import SizedSource
+from ggvs_eval.datasets.undistort import UndistortedFrames
+from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.lens import Lens
+
+Array = NDArray[np.float64]
+
+# A little nearer and farther than all but the outermost hundredth of the points.
+NEAR_FACTOR, FAR_FACTOR = 0.8, 1.2
+READER_TIMEOUT_S = 600
+# COLMAP's camera models: how many focal lengths, and where its further parameters stand among OpenCV's coefficients.
+OPENCV_MODELS: dict[str, tuple[int, int, tuple[int, ...]]] = {
+    "SIMPLE_PINHOLE": (1, 4, ()),
+    "PINHOLE": (2, 4, ()),
+    "SIMPLE_RADIAL": (1, 4, (0,)),
+    "RADIAL": (1, 4, (0, 1)),
+    "OPENCV": (2, 4, (0, 1, 2, 3)),
+    "FULL_OPENCV": (2, 8, (0, 1, 2, 3, 4, 5, 6, 7)),
+}
+FISHEYE_MODELS: dict[str, tuple[int, int, tuple[int, ...]]] = {
+    "SIMPLE_RADIAL_FISHEYE": (1, 4, (0,)),
+    "RADIAL_FISHEYE": (1, 4, (0, 1)),
+    "OPENCV_FISHEYE": (2, 4, (0, 1, 2, 3)),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class CalibratedView:
+    """One registered image of a model.
+
+    Attributes:
+        image_name: as the model calls it.
+        world_to_camera: rigid transform, (4, 4).
+        lens: intrinsics and distortion at the size of the calibration.
+        depth_percentiles: 1st, 50th and 99th percentile of the depth of the points it sees, world units.
+    """
+
+    image_name: str
+    world_to_camera: Array
+    lens: Lens
+    depth_percentiles: tuple[float, float, float]
+
+    def camera(self, name: str, path: Path) -> Camera:
+        """The pinhole camera of this view's undistorted image; `path` is the file named in errors.
+
+        Reading:
+            near = 0.8 times the 1st, far = 1.2 times the 99th percentile of the depth of the points the view sees.
+        """
+        nearest, _, farthest = self.depth_percentiles
+        try:
+            K = self.lens.undistorted_K()
+            size = self.lens.width, self.lens.height
+            return Camera(name, K, self.world_to_camera, *size, NEAR_FACTOR * nearest, FAR_FACTOR * farthest)
+        except CameraError as error:
+            raise CaptureError(f"{path}: {name}: {error}") from error
+
+
+def read_model(folder: Path) -> list[CalibratedView]:
+    """The registered images of a model in the order of their names.
+
+    Args:
+        folder: holds cameras, images and points3D, as text or binary.
+
+    Raises:
+        CaptureError: damaged, empty, a camera model without an OpenCV equivalent, or an image that sees no point.
+    """
+    command = [sys.executable, "-m", "ggvs_eval.datasets.colmap_reader", str(folder)]
+    try:
+        done = subprocess.run(
+            command, capture_output=True, encoding="utf-8", errors="replace", check=False, timeout=READER_TIMEOUT_S
+        )
+    except subprocess.TimeoutExpired as error:
+        raise CaptureError(
+            f"{folder}: damaged COLMAP model, reading it took over {READER_TIMEOUT_S} s; export it again"
+        ) from error
+    if done.returncode:
+        reason = (done.stderr.strip().splitlines() or [f"the reader ended with {done.returncode}"])[-1]
+        raise CaptureError(f"{folder}: damaged COLMAP model, pycolmap says '{reason:.200}'; copy or export the model again")
+    images = json.loads(done.stdout)
+    if not images:
+        raise CaptureError(f"{folder}: wanted one registered image per fixed camera, got none; calibrate again")
+    return [_view(folder, image) for image in images]
+
+
+def undistorted(source: SizedSource, lens: Lens, K: Array) -> SizedSource:
+    """The frames as pinhole frames; the source itself where the lens does not distort.
+
+    Args:
+        source: frames at the size of the calibration, or uniformly scaled.
+        lens: at the size of the calibration.
+        K: of the pinhole image at the size of the calibration.
+    """
+    if lens.is_pinhole:
+        return source
+    width, height = source.size
+    scale = np.diag([width / lens.width, height / lens.height, 1.0])
+    return UndistortedFrames(source, lens.resized(width, height), scale @ K)
+
+
+def undistorted_sources(sources: Sequence[SizedSource], lenses: Sequence[Lens], cameras: Sequence[Camera]) -> list[SizedSource]:
+    """`undistorted` for all cameras of a rig."""
+    return [undistorted(source, lens, camera.K) for source, lens, camera in zip(sources, lenses, cameras, strict=True)]
+
+
+def _view(folder: Path, image: dict[str, Any]) -> CalibratedView:
+    name = image["name"]
+    if not image["depth_percentiles"]:
+        raise CaptureError(
+            f"{folder}: {name} sees none of the model's points, so its depth range is unknown; triangulate or drop it"
+        )
+    world_to_camera = np.vstack([image["world_to_camera"], [0.0, 0.0, 0.0, 1.0]])
+    try:
+        lens = lens_of_colmap(image["model"], image["params"], image["width"], image["height"])
+    except CameraError as error:
+        raise CaptureError(f"{folder}: {name}: {error}") from error
+    return CalibratedView(name, world_to_camera, lens, tuple(image["depth_percentiles"]))
+
+
+def lens_of_colmap(model: str, params: Sequence[float], width: int, height: int) -> Lens:
+    """The lens of a COLMAP camera.
+
+    Raises:
+        CameraError: a model that OpenCV cannot express, or parameters that do not fit it.
+    """
+    known = OPENCV_MODELS | FISHEYE_MODELS
+    if model not in known:
+        mend = "undistort images and model by 'colmap image_undistorter' first"
+        raise CameraError(f"wanted one of {', '.join(known)}, got {model}; {mend}")
+    n_focal, n_coefficients, positions = known[model]
+    if len(params) != n_focal + 2 + len(positions) or not np.isfinite(params).all():
+        raise CameraError(f"wanted {n_focal + 2 + len(positions)} finite parameters of {model}, got {list(params)}")
+    fx, fy = params[0], params[n_focal - 1]
+    cx, cy = params[n_focal : n_focal + 2]
+    coefficients = [0.0] * n_coefficients
+    for position, value in zip(positions, params[n_focal + 2 :], strict=True):
+        coefficients[position] = float(value)
+    K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    return Lens(K, "fisheye" if model in FISHEYE_MODELS else "opencv", tuple(coefficients), width, height)

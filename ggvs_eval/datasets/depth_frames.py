@@ -1,0 +1,105 @@
+"""Depth that a sensor measured, as 16-bit PNG files."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.datasets.frames import ImageFrames
+from ggvs_eval.digest import digest_values
+from ggvs_eval.errors import CaptureError
+from ggvs_eval.images import decode_image
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class DepthFrames:
+    """Depth maps of one camera, a `DepthSource`: each is brought to the grid of the camera's frames.
+
+    Attributes:
+        path: folder of PNG files in the order of the numbers in their names, or one PNG file.
+        scale_to_units: world units per step of the files, 0.001 for millimetres in a world of metres.
+        width: of the camera's frames, pixels.
+        height: of the camera's frames, pixels.
+        K: intrinsics of the camera's frames, (3, 3); None where both show the same field of view.
+        K_depth: intrinsics of the depth maps as they lie on disk, (3, 3); None likewise.
+
+    Reading:
+        Nearest value, never a mean: a mean of two depths lies where nothing is. The depth sensor is taken to stand in the
+        camera's centre and to look its way, so that each pixel's ray is followed through both intrinsics; rays that the sensor
+        does not see are unknown.
+    """
+
+    path: Path
+    scale_to_units: float
+    width: int
+    height: int
+    K: Array | None = None
+    K_depth: Array | None = None
+
+    @cached_property
+    def _images(self) -> ImageFrames:
+        return ImageFrames(self.path)
+
+    @property
+    def n_frames(self) -> int:
+        """Number of depth maps."""
+        return self._images.n_frames
+
+    @cached_property
+    def digest(self) -> str:
+        """Identifies the files and what is done to them."""
+        matrices = [np.zeros(9) if K is None else K.ravel() for K in (self.K, self.K_depth)]
+        values = [self.scale_to_units, self.width, self.height, *np.concatenate(matrices)]
+        return digest_values(self._images.digest, *(f"{value:.17g}" for value in values))
+
+    def depths(self, start: int, stop: int) -> Iterator[NDArray[np.float32]]:
+        """Read depth of frames start <= t < stop one by one: z in world units, 0 = unknown, float32 (height, width).
+
+        Raises:
+            CaptureError: maps that are not there, or a file that is no 16-bit PNG.
+        """
+        if not 0 <= start <= stop <= self.n_frames:
+            raise CaptureError(f"{self.path}: wanted depth maps {start}..{stop - 1}, the folder has {self.n_frames}")
+        for file in self._images.files[start:stop]:
+            yield self._on_grid(read_depth_png(file))
+
+    def _on_grid(self, steps: NDArray[np.uint16]) -> NDArray[np.float32]:
+        columns, rows = (self._found_at(axis, steps.shape[1 - axis]) for axis in (0, 1))
+        depth = steps[np.clip(rows, 0, steps.shape[0] - 1)][:, np.clip(columns, 0, steps.shape[1] - 1)]  # (height, width)
+        seen_columns, seen_rows = (
+            (at >= 0) & (at < length) for at, length in ((columns, steps.shape[1]), (rows, steps.shape[0]))
+        )
+        depth = np.where(seen_rows[:, None] & seen_columns, depth, 0)
+        return (depth * self.scale_to_units).astype(np.float32)
+
+    def _found_at(self, axis: int, length_depth_px: int) -> NDArray[np.int64]:
+        """In which column (axis 0) or row (axis 1) of the depth map each column or row of the frame looks."""
+        length_px = (self.width, self.height)[axis]
+        centres = np.arange(length_px) + 0.5
+        if self.K is None or self.K_depth is None:
+            return np.floor(centres * length_depth_px / length_px).astype(np.int64)
+        rays = (centres - self.K[axis, 2]) / self.K[axis, axis]
+        return np.floor(rays * self.K_depth[axis, axis] + self.K_depth[axis, 2]).astype(np.int64)
+
+
+def read_depth_png(path: Path) -> NDArray[np.uint16]:
+    """Read a 16-bit PNG as it is, (H, W) uint16.
+
+    Raises:
+        CaptureError: absent, damaged, or no image of one 16-bit channel.
+    """
+    encoded = np.fromfile(path, dtype=np.uint8) if path.is_file() else np.empty(0, np.uint8)
+    steps = decode_image(encoded, cv2.IMREAD_UNCHANGED)
+    if steps is None:
+        found = f"{encoded.size} bytes that do not decode" if encoded.size else "no such file, or an empty one"
+        raise CaptureError(f"{path}: wanted a depth map, got {found}; export this frame again")
+    if steps.dtype != np.uint16 or steps.ndim != 2:
+        found = f"{steps.dtype} {steps.shape}"
+        raise CaptureError(f"{path}: wanted a depth map of one 16-bit channel, got {found}; export it without conversion")
+    return steps.astype(np.uint16, copy=False)

@@ -1,0 +1,117 @@
+"""A depth range for cameras whose capture gives none: from where the rig looks, or from a cloud of points."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.errors import CaptureError
+
+Array = NDArray[np.float64]
+
+# The scene is assumed to lie between these multiples of the distance to the point that the rig looks at.
+NEAR_FACTOR, FAR_FACTOR = 0.25, 4.0
+# A rig that looks at no common point sees the scene from these many times the spacing of its cameras on.
+NEAR_SPACINGS, FAR_SPACINGS = 5.0, 500.0
+LEAST_CONVERGENCE_RAD = 0.02
+LARGEST_NUMBER = 1e100
+# Cameras around a scene are at most twice as far apart as the middle is far, and that if they are two that face each other.
+LEAST_DEPTH_SPACINGS = 0.4
+LARGEST_MISS = 0.5
+
+
+def rig_depth_range(poses: Sequence[Array]) -> list[tuple[float, float]]:
+    """Near and far of each camera from the poses alone.
+
+    Args:
+        poses: world_to_camera of every camera, each (4, 4).
+
+    Returns:
+        (near, far) per camera, world units.
+
+    Reading:
+        Where the optical axes converge in front of most cameras, the depth of that point times 1/4 and 4, which holds a person in
+        a room as well as a street; where they do not, or miss that point by over half its depth, 5 and 500 times the median
+        distance of neighbouring cameras. One camera alone, or all in one place, gets 0.1 and 100.
+    """
+    if any(pose.shape != (4, 4) or not (np.abs(pose) < LARGEST_NUMBER).all() for pose in poses):
+        return [(0.1, 100.0)] * len(poses)  # no poses at all; `Camera` says so better
+    rotations = np.stack([pose[:3, :3] for pose in poses])
+    centres = np.stack([-pose[:3, :3].T @ pose[:3, 3] for pose in poses])
+    spacing = _median_spacing(centres)
+    if spacing == 0:
+        return [(0.1, 100.0)] * len(poses)
+    axes = rotations[:, 2]
+    towards = _looked_at(centres, axes) - centres
+    depths = (towards * axes).sum(axis=1)
+    typical = float(np.median(depths))
+    missed = float(np.median(np.linalg.norm(towards - depths[:, None] * axes, axis=1)))
+    is_seen = typical > LEAST_DEPTH_SPACINGS * spacing and missed < LARGEST_MISS * typical
+    if _convergence_rad(axes) < LEAST_CONVERGENCE_RAD or not is_seen:
+        return [(NEAR_SPACINGS * spacing, FAR_SPACINGS * spacing)] * len(poses)
+    # A camera that looks elsewhere gets the range of the others.
+    trusted = np.where((depths > typical / FAR_FACTOR) & (depths < typical * FAR_FACTOR), depths, typical)
+    return [(float(NEAR_FACTOR * depth), float(FAR_FACTOR * depth)) for depth in trusted]
+
+
+def _looked_at(centres: Array, axes: Array) -> Array:
+    """The point nearest to all optical axes, (3,)."""
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    return np.linalg.lstsq(across.sum(axis=0), np.einsum("nij,nj->i", across, centres), rcond=None)[0]
+
+
+def _median_spacing(centres: Array) -> float:
+    if len(centres) < 2:
+        return 0.0
+    distances = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
+    np.fill_diagonal(distances, np.inf)
+    return float(np.median(distances.min(axis=1)))
+
+
+def _convergence_rad(axes: Array) -> float:
+    """Median angle between the axes and their mean."""
+    mean = axes.mean(axis=0)
+    mean /= max(float(np.linalg.norm(mean)), 1e-12)  # cameras around the scene look in directions that cancel out
+    return float(np.median(np.arccos(np.clip(axes @ mean, -1, 1))))
+
+
+def points_depth_range(points_world: Array, pose: Array, K: Array, size: tuple[int, int]) -> tuple[float, float, float] | None:
+    """1st, 50th and 99.9th percentile of the depth of the points in a camera's view; None where it sees none.
+
+    Args:
+        points_world: (N, 3).
+        pose: world_to_camera, (4, 4).
+        K: intrinsics, (3, 3).
+        size: of the image, pixels.
+    """
+    points_camera = points_world @ pose[:3, :3].T + pose[:3, 3]
+    points_camera = points_camera[points_camera[:, 2] > 0]
+    with np.errstate(over="ignore"):
+        uv = points_camera[:, :2] / points_camera[:, 2:] * K[[0, 1], [0, 1]] + K[:2, 2]
+    depths = points_camera[((uv >= 0) & (uv <= size)).all(axis=1), 2]
+    if not depths.size:
+        return None
+    nearest, median, farthest = np.percentile(depths, [1.0, 50.0, 99.9])
+    return float(nearest), float(median), float(farthest)
+
+
+def read_points(path: Path) -> Array:
+    """The vertices of a PLY file, (N, 3).
+
+    Raises:
+        CaptureError: damaged, or no finite point.
+    """
+    import trimesh
+
+    try:
+        # Without materials: a texture that the file names may lie anywhere.
+        cloud = trimesh.load(path, process=False, skip_materials=True)
+        points = np.asarray(getattr(cloud, "vertices", ()), dtype=np.float64)
+    except Exception as error:  # the reader raises whatever a damaged file makes it stumble over
+        raise CaptureError(
+            f"{path}: wanted a PLY point cloud, got: {' '.join(str(error).split())[:120] or type(error).__name__}; restore it"
+        ) from error
+    if points.ndim != 2 or points.shape[-1] != 3 or not np.isfinite(points).all() or not len(points):
+        raise CaptureError(f"{path}: wanted finite points, got {points.shape} with NaN, infinity or nothing; restore it")
+    return points

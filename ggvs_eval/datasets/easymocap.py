@@ -1,0 +1,157 @@
+"""EasyMocap captures, as ENeRF-Outdoor is distributed: ``intri.yml``, ``extri.yml`` and ``images/XX/``."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.capture import Capture, Extras
+from ggvs_eval.datasets.arrangements import listed
+from ggvs_eval.datasets.array_file import map_array
+from ggvs_eval.datasets.assemble import SizedSource, assemble_capture
+from ggvs_eval.datasets.colmap_model import undistorted, undistorted_sources
+from ggvs_eval.datasets.depth_range import points_depth_range, read_points, rig_depth_range
+from ggvs_eval.datasets.easymocap_yaml import EasyMocapView, read_views
+from ggvs_eval.datasets.frames import ImageFrames, list_images
+from ggvs_eval.datasets.units import METRIC, GivenUnits, choose_units
+from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.lens import Lens
+
+Array = NDArray[np.float64]
+INTRINSICS, EXTRINSICS = "intri.yml", "extri.yml"
+MASK_FOLDERS = ("mask", "masks", "bgmtv2", "schp")
+BACKGROUND_FOLDERS = ("bkgd", "background")
+HULLS, BACKGROUND_POINTS = "vhull", "background.ply"
+# ENeRF-Outdoor is played back at this rate; other captures in this layout say nothing.
+OUTDOOR_FPS = 60.0
+# People move beyond the hulls of the frames that are there, and surfaces end beyond their points.
+MARGIN = 0.1
+
+
+def refuse(path: Path) -> str | None:
+    """Why this is no EasyMocap capture; None where it is one."""
+    missing = [name for name in (INTRINSICS, EXTRINSICS) if not (path / name).is_file()]
+    if missing:
+        return f"no {' and '.join(missing)}"
+    return None if any(folder.is_dir() for folder in path.glob("images/*")) else "no folders images/XX/"
+
+
+def load(path: Path, units: GivenUnits) -> Capture:
+    """Open an EasyMocap capture; frames and backgrounds are undistorted as they are read.
+
+    Args:
+        path: folder of one sequence.
+        units: world units per metre or a file that says how to measure them; see `choose_units`.
+
+    Raises:
+        CaptureError: a damaged file, a camera without frames or frames without a camera.
+
+    Reading:
+        The pinhole image keeps the lens's K, as ENeRF undistorts; pixels the lens did not see are black. A sequence with visual
+        hulls is ENeRF-Outdoor: metric, 60 frames per second. Depth range: see `_depth_ranges`.
+    """
+    views = read_views(path / INTRINSICS, path / EXTRINSICS)
+    sources = _frames(path, [view.name for view in views])
+    lenses = [view.lens(source.size) for view, source in zip(views, sources, strict=True)]
+    is_outdoor = (path / HULLS).is_dir()
+    cameras = _cameras(path, views, lenses, _depth_ranges(path, views, lenses))
+    pinhole = undistorted_sources(sources, lenses, cameras)
+    chosen = choose_units(path, units, cameras, known=METRIC if is_outdoor else None)
+    fps = OUTDOOR_FPS if is_outdoor else None
+    extras = _extras(path, {view.name: lens for view, lens in zip(views, lenses, strict=True)}, sources[0].n_frames)
+    return assemble_capture(path, "enerf-outdoor", cameras, pinhole, chosen, fps=fps, extras=extras)
+
+
+def _frames(path: Path, names: Sequence[str]) -> list[ImageFrames]:
+    """The frames of each camera, none missing on either side."""
+    folders = {folder.name for folder in path.glob("images/*") if folder.is_dir()}
+    unmatched = sorted(set(names) ^ folders)
+    if unmatched:
+        found = listed([f"{name} ({INTRINSICS if name in names else 'images/'} only)" for name in unmatched])
+        raise CaptureError(f"{path}: wanted a folder images/XX/ per camera of {INTRINSICS}, got {found}; restore or remove these")
+    return [ImageFrames(path / "images" / name) for name in names]
+
+
+def _cameras(
+    path: Path, views: Sequence[EasyMocapView], lenses: Sequence[Lens], ranges: Sequence[tuple[float, float]]
+) -> list[Camera]:
+    cameras = []
+    for view, lens, depths in zip(views, lenses, ranges, strict=True):
+        try:
+            cameras.append(Camera(view.name, lens.K, view.world_to_camera, lens.width, lens.height, *depths))
+        except CameraError as error:
+            raise CaptureError(f"{path / EXTRINSICS}: {error}") from error
+    return cameras
+
+
+def _depth_ranges(path: Path, views: Sequence[EasyMocapView], lenses: Sequence[Lens]) -> list[tuple[float, float]]:
+    """Near and far of each camera.
+
+    Reading:
+        What extri.yml says (n_, f_) where it does; else the nearest corner of the people's hulls, with a margin, to the far end
+        of background.ply as each camera sees it; what of these is absent is taken from `rig_depth_range`.
+    """
+    poses = [view.world_to_camera for view in views]
+    ranges = rig_depth_range(poses)
+    corners = _hull_corners(path)
+    background = read_points(path / BACKGROUND_POINTS) if (path / BACKGROUND_POINTS).is_file() else None
+    found = []
+    for view, lens, (near, far) in zip(views, lenses, ranges, strict=True):
+        if view.near_far is not None:
+            found.append(view.near_far)
+            continue
+        depths = corners @ view.world_to_camera[2, :3] + view.world_to_camera[2, 3]
+        is_in_front = bool(corners.size and depths.min() > 0)
+        if is_in_front:
+            near, far = depths.min() * (1 - MARGIN), max(far, depths.max() * (1 + MARGIN))
+        seen = None
+        if background is not None:
+            seen = points_depth_range(background, view.world_to_camera, lens.K, (lens.width, lens.height))
+        if seen is not None:
+            near = near if is_in_front else seen[0] * (1 - MARGIN)
+            far = max(seen[2], depths.max(initial=0.0)) * (1 + MARGIN)
+        found.append((float(near), float(far)))
+    return found
+
+
+def _hull_corners(path: Path) -> Array:
+    """The corners of the hulls' bounds in all frames, (N, 3), world."""
+    corners = []
+    for file in sorted((path / HULLS).glob("*.npy")):
+        try:
+            bounds = map_array(file)
+        except ValueError as error:
+            raise CaptureError(f"{file}: wanted bounds saved by numpy.save, got: {error}; restore it") from error
+        if bounds.shape != (2, 3) or bounds.dtype.kind not in "fiu" or not np.isfinite(bounds).all():
+            found = f"{bounds.shape} {bounds.dtype}{', not all finite' * (bounds.shape == (2, 3))}"
+            raise CaptureError(f"{file}: wanted (2, 3) finite numbers, the least and greatest corner, got {found}; restore it")
+        corners.append([[bounds[i, 0], bounds[j, 1], bounds[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+    return np.array(corners, dtype=np.float64).reshape(-1, 3)
+
+
+def _extras(path: Path, lenses: Mapping[str, Lens], n_frames: int) -> list[Extras]:
+    """Backgrounds and masks, where the sequence has them; backgrounds must be there for all cameras or none."""
+    backgrounds = _backgrounds(path, lenses)
+    folder = next((path / name for name in MASK_FOLDERS if (path / name).is_dir()), None)
+    extras = []
+    for name, lens in lenses.items():
+        has_mask = folder is not None and bool(list_images(folder / name))
+        mask = undistorted(ImageFrames(folder / name), lens, lens.K) if folder and has_mask else None
+        if mask is not None and mask.n_frames != n_frames:
+            found = f"{mask.n_frames} for {n_frames} frames"
+            raise CaptureError(f"{folder}: wanted one mask of {name} per frame, got {found}; restore them or remove the folder")
+        extras.append(Extras(background=backgrounds.get(name), mask=mask))
+    return extras
+
+
+def _backgrounds(path: Path, lenses: Mapping[str, Lens]) -> dict[str, SizedSource]:
+    folder = next((path / name for name in BACKGROUND_FOLDERS if (path / name).is_dir()), None)
+    files = {file.stem: file for file in list_images(folder)} if folder else {}
+    missing = [name for name in lenses if name not in files]
+    if files and missing:
+        raise CaptureError(
+            f"{folder}: wanted a background of every camera, none of {listed(missing)}; restore or remove them all"
+        )
+    return {name: undistorted(ImageFrames(files[name]), lens, lens.K) for name, lens in lenses.items() if files}

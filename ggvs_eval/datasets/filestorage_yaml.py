@@ -1,0 +1,132 @@
+"""The part of OpenCV's YAML that camera files are written in, read without OpenCV.
+
+cv2.FileStorage ends the process on some damaged files: deep nesting overflows its stack, and about one mutation in a thousand
+makes it abort. Nothing here recurses, follows an anchor or allocates by what a file claims.
+"""
+
+import re
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.errors import CaptureError
+
+Array = NDArray[np.float64]
+LARGEST_FILE_BYTES = 1 << 22
+# OpenCV's letters of element types; two or more channels per element do not occur in camera files.
+ELEMENT_TYPES = "ucwsifdhlLIbB"
+ENTRY = re.compile(r"""(["']?)([^\s"'\[\]{}#%:-][^\s"'\[\]{}:]*)\1[ \t]*:(?:[ \t]+(.*))?""")
+FIELD = re.compile(r"(rows|cols|dt|data)[ \t]*:[ \t]*(\[[^\[\]]*\]|[^\s\[\]]+)")
+
+
+class FileStorageYaml:
+    """Numbers, matrices and sequences of texts by their key; every surprise is a `CaptureError`."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        lines = _read_text(path).splitlines()
+        if not lines or not lines[0].lstrip("\ufeff").startswith(("%YAML:1.0", "%YAML 1.")):
+            raise self._refused("OpenCV YAML, which begins with %YAML:1.0", repr(lines[0][:40]) if lines else "no line")
+        self._entries: dict[str, str] = {}
+        self._split(lines[1:])
+
+    def texts(self, key: str) -> list[str]:
+        """A sequence of texts; empty where it is absent or something else."""
+        value = self._entries.get(key, "").strip()
+        if value.startswith("[") and value.endswith("]"):
+            items = value[1:-1].split(",")
+        else:
+            lines = [line.strip() for line in value.splitlines()]
+            items = [line[1:] for line in lines] if all(line.startswith("- ") for line in lines) else []
+        return [_unquoted(item) for item in items]
+
+    def has(self, key: str) -> bool:
+        """Whether there is such an entry."""
+        return key in self._entries
+
+    def number(self, key: str) -> float | None:
+        """A positive number; None where it is absent."""
+        if not self.has(key):
+            return None
+        value = _number(self._entries[key])
+        if not 0 < value < 1e9:
+            raise self._refused(f"a positive number {key}", self._entries[key] or "nothing")
+        return value
+
+    def matrix(self, key: str, shape: tuple[int, int] | None) -> Array:
+        """A matrix of finite numbers of this shape, or lying; of any shape where None."""
+        if not self.has(key):
+            raise self._refused(f"an entry {key}", "none")
+        fields = self._fields(key)
+        items = [item for item in fields["data"].strip("[]").split(",") if item.strip()]
+        size = f"{fields['rows']} x {fields['cols']}"
+        if not fields["rows"].isdecimal() or not fields["cols"].isdecimal() or len(size) > 12:
+            raise self._refused(f"rows and cols of {key}", size)
+        rows, columns = int(fields["rows"]), int(fields["cols"])
+        if len(items) != rows * columns or not items:
+            raise self._refused(f"{size} numbers in {key}", f"{len(items)}")
+        if shape is not None and len(items) != shape[0] * shape[1]:
+            raise self._refused(f"{shape[0]} x {shape[1]} numbers in {key}", size)
+        matrix = np.array([_number(item) for item in items])
+        if not np.isfinite(matrix).all():
+            raise self._refused(f"finite numbers in {key}", items[int(np.flatnonzero(~np.isfinite(matrix))[0])])
+        return matrix.reshape(shape or (rows, columns))
+
+    def _fields(self, key: str) -> dict[str, str]:
+        """The four fields of a matrix as texts."""
+        value = self._entries[key]
+        fields = dict(FIELD.findall(value))
+        if not value.startswith("!!opencv-matrix") or len(fields) < 4 or not fields["data"].startswith("["):
+            raise self._refused(f"!!opencv-matrix with rows, cols, dt and data in {key}", value or "nothing")
+        if _unquoted(fields["dt"]) not in ELEMENT_TYPES:
+            raise self._refused(f"one number per element in {key}, such as dt: d", f"dt: {fields['dt']}")
+        return fields
+
+    def _split(self, lines: list[str]) -> None:
+        """Cut the file at the lines that begin a key; what is indented, or goes on with a list, belongs to the key before."""
+        bodies: dict[str, list[str]] = {}
+        body: list[str] | None = None
+        for line in lines:
+            if not line.strip() or line.startswith(("#", "---", "...")):
+                continue
+            match = ENTRY.fullmatch(line.rstrip())
+            if match and match[2] in bodies:
+                raise self._refused("every key once", f"{match[2]} twice")
+            if match:
+                body = bodies[match[2]] = [(match[3] or "").strip()]
+            elif body is None or not line.startswith((" ", "\t", "-", "]")):
+                raise self._refused("lines of the form 'key: value'", repr(line[:60]))
+            else:
+                body.append(line)
+        self._entries = {key: "\n".join(body).strip() for key, body in bodies.items()}
+
+    def _refused(self, wanted: str, found: str) -> CaptureError:
+        return refused(self._path, wanted, found)
+
+
+def refused(path: Path, wanted: str, found: str) -> CaptureError:
+    """The error of a camera file that holds something else than was wanted."""
+    return CaptureError(f"{path}: wanted {wanted}, got {' '.join(found.split())[:160]}; restore or export the file again")
+
+
+def _number(text: str) -> float:
+    """A number as OpenCV writes it, NaN where the text is none: ``1.``, ``-.Inf``."""
+    plain = re.fullmatch(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", text.strip())
+    return float(plain[0]) if plain else float("nan")
+
+
+def _unquoted(text: str) -> str:
+    stripped = text.strip()
+    return stripped[1:-1] if len(stripped) > 1 and stripped[0] in "\"'" and stripped[-1] == stripped[0] else stripped
+
+
+def _read_text(path: Path) -> str:
+    size = path.stat().st_size if path.is_file() else -1
+    if not 0 < size <= LARGEST_FILE_BYTES:
+        found = "no such file" if size < 0 else f"{size} bytes"
+        raise CaptureError(f"{path}: wanted a camera file below {LARGEST_FILE_BYTES >> 20} MiB, got {found}; restore it")
+    try:
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise CaptureError(f"{path}: wanted a text file, got bytes that are no UTF-8 ({error.reason}); restore it") from error

@@ -1,0 +1,174 @@
+"""Frames in the HDF5 files of the compressed D3DMV: read one at a time, and from files that nobody vouches for."""
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ggvs_eval.digest import digest_files, digest_values
+from ggvs_eval.errors import CaptureError
+from ggvs_eval.images import Image8
+
+LISTED = 8
+# What a file claims is believed up to here; one frame of 16k x 5k, or one chunk of several smaller ones.
+LARGEST_BLOCK_BYTES = 1 << 28
+# Deflate, shuffle, checksum, LZF. Others would load code from a plug-in.
+KNOWN_FILTERS = {1, 2, 3, 32000}
+# What h5py raises on damaged files, as flipping bytes in thousands of them has shown.
+H5_ERRORS = (OSError, RuntimeError, LookupError, ValueError, TypeError, ArithmeticError, MemoryError)
+
+
+class _Stored(NamedTuple):
+    """What a dataset of the compressed files holds: its axes in words, the length of the last, and whether frames are an axis."""
+
+    axes: str
+    channels: int
+    timed: bool
+
+
+STORED = {
+    "rgb": _Stored("(cameras, frames, H, W, 3)", 3, True),
+    "fg_rgb": _Stored("(cameras, frames, H, W, 4)", 4, True),
+    "bg_rgb": _Stored("(cameras, H, W, 3)", 3, False),
+}
+
+
+@dataclass(frozen=True)
+class H5Frames:
+    """The frames of one camera in a compressed file, a `FrameSource` that holds one frame and, between uses, no open file.
+
+    Of ``fg_rgb`` the alpha is given, white where the foreground is; ``bg_rgb`` is a single frame.
+
+    Attributes:
+        path: the HDF5 file.
+        dataset: ``rgb``, ``fg_rgb`` or ``bg_rgb``.
+        camera: index of the camera in it.
+    """
+
+    path: Path
+    dataset: str
+    camera: int
+
+    @cached_property
+    def _shape(self) -> tuple[int, ...]:
+        with _opened(self.path, self.dataset) as stored:
+            return tuple(stored.shape)
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """Number of cameras in the dataset, and of frames where these are one of its axes."""
+        return self._shape[:-3]
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames."""
+        return self._shape[1] if STORED[self.dataset].timed else 1
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) in pixels."""
+        return self._shape[-2], self._shape[-3]
+
+    @cached_property
+    def digest(self) -> str:
+        """Identifies the file, see `digest_files`, and the part of it that is read."""
+        return digest_values(digest_files([self.path]), self.dataset, str(self.camera))
+
+    def frames(self, start: int, stop: int) -> Iterator[Image8]:
+        """Read frames start <= t < stop one by one, RGB uint8 (H, W, 3).
+
+        Raises:
+            CaptureError: frames that are not there, or damaged data.
+        """
+        if not 0 <= start <= stop <= self.n_frames:
+            raise CaptureError(f"{self.path}: wanted frames {start}..{stop - 1} of {self.dataset}, it has {self.n_frames}")
+        with _opened(self.path, self.dataset) as stored:
+            for frame in range(start, stop):
+                image = stored[(self.camera, frame) if STORED[self.dataset].timed else self.camera]
+                yield np.repeat(image[..., 3:], 3, axis=-1) if image.shape[-1] == 4 else image
+
+
+def h5_parts(path: Path) -> dict[str, list[H5Frames]]:
+    """The frames of every camera, for each of the known datasets that a file holds.
+
+    Raises:
+        CaptureError: no file, no ``rgb``, or datasets of other types, shapes or lengths than their names promise.
+    """
+    with _opened_file(path) as file:
+        names = [name for name in STORED if name == "rgb" or file.id.links.exists(name.encode())]
+    parts = {name: H5Frames(path, name, 0) for name in names}
+    wanted = parts["rgb"].counts
+    for name, part in parts.items():
+        if part.counts != wanted[: len(part.counts)]:
+            mend = "write both from the same frames"
+            raise CaptureError(f"{path}: wanted {name} for the (cameras, frames) {wanted} of rgb, got {part.counts}; {mend}")
+    return {name: [H5Frames(path, name, camera) for camera in range(wanted[0])] for name in names}
+
+
+@contextmanager
+def _opened_file(path: Path) -> Iterator[Any]:
+    """The open HDF5 file; what h5py raises while it is used becomes one line."""
+    import h5py
+
+    try:
+        # Half-read chunks of several frames stay in the cache, so that nothing is unpacked twice.
+        with h5py.File(path, "r", locking=False, rdcc_nbytes=LARGEST_BLOCK_BYTES // 4) as file:
+            yield file
+    except H5_ERRORS as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise CaptureError(f"{path}: wanted an HDF5 file of D3DMV, got damage: {reason}; copy the file again") from error
+
+
+@contextmanager
+def _opened(path: Path, part: str) -> Iterator[Any]:
+    """One dataset of the file, checked before anything of it is read."""
+    import h5py
+
+    with _opened_file(path) as file:
+        if not file.id.links.exists(part.encode()):
+            raise CaptureError(
+                f"{path}: wanted a dataset {part!r}, there is {', '.join(list(file)[:LISTED]) or 'none'}; copy again"
+            )
+        # Links are looked at, not followed: they may lead into any other file.
+        linked = file.id.links.get_info(part.encode()).type != h5py.h5l.TYPE_HARD
+        stored = None if linked else file[part]
+        problem = _problem(stored, part, path) if isinstance(stored, h5py.Dataset) else "a link or group"
+        if problem:
+            wanted = f"{part} to be uint8 {STORED[part].axes}, in this file"
+            raise CaptureError(f"{path}: wanted {wanted}, got {problem}; convert the scene again")
+        yield stored
+
+
+def _problem(stored: Any, part: str, path: Path) -> str | None:
+    """What speaks against a dataset, by its header and index alone; None where nothing does."""
+    shape, chunks = stored.shape, stored.chunks
+    if stored.is_virtual or stored.external:
+        return "data that lie in another file"
+    if stored.dtype != np.uint8 or shape is None or len(shape) != 4 + STORED[part].timed or shape[-1] != STORED[part].channels:
+        return f"{stored.dtype} {shape}"
+    if min(shape) < 1 or math.prod(shape[-3:]) > LARGEST_BLOCK_BYTES or math.prod(chunks or (1,)) > LARGEST_BLOCK_BYTES:
+        return f"shape {shape} in chunks of {chunks}"
+    if chunks is None:
+        n_bytes = math.prod(shape)
+        return f"{n_bytes} bytes in a smaller file" if n_bytes > path.stat().st_size else None
+    layout = stored.id.get_create_plist()
+    filters = {layout.get_filter(index)[0] for index in range(layout.get_nfilters())}
+    if not filters <= KNOWN_FILTERS:
+        return f"the unknown compression {min(filters - KNOWN_FILTERS)}"
+    return _chunk_problem(stored)
+
+
+def _chunk_problem(stored: Any) -> str | None:
+    """Whether chunks are missing, or so large that unpacking them might never end."""
+    sizes: list[int] = []
+    stored.id.chunk_iter(lambda chunk: sizes.append(chunk.size))
+    wanted = math.prod(-(-length // chunk) for length, chunk in zip(stored.shape, stored.chunks, strict=True))
+    if len(sizes) != wanted:
+        return f"{len(sizes)} of {wanted} chunks, an unfinished file"
+    largest = 2 * math.prod(stored.chunks) + 4096
+    return f"a chunk of {max(sizes)} packed bytes that holds no more than {largest // 2}" if max(sizes) > largest else None

@@ -1,0 +1,233 @@
+"""RGB-D sequences: one moving camera with a depth sensor before a still scene, as ScanNet and HoloLens export them."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.capture import Capture, Extras
+from ggvs_eval.datasets.assemble import assemble_capture
+from ggvs_eval.datasets.depth_frames import DepthFrames, read_depth_png
+from ggvs_eval.datasets.frames import ImageFrames, list_images
+from ggvs_eval.datasets.units import METRIC, GivenUnits, choose_units
+from ggvs_eval.errors import CameraError, CaptureError
+
+SCANNET = ("color", "depth", "pose", "intrinsic")
+HOLOLENS = ("images", "depth", "poses.txt", "K.txt")
+METRES_PER_STEP = 0.001
+# A little nearer and farther than all but the outermost hundredth of the measured depths, of at most so many frames.
+NEAR_FACTOR, FAR_FACTOR = 0.8, 1.2
+SAMPLED_FRAMES = 32
+# A principal point farther off the middle, in widths of the image, belongs to images of another size.
+LARGEST_OFFSET = 0.15
+# A sensor this far off the camera, in metres or radians, would shift depth by a pixel or more.
+LARGEST_EXTRINSIC = 1e-3
+LISTED = 8
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class _Sequence:
+    """What a folder of either layout holds, by frame number.
+
+    Attributes:
+        images: colour image of each frame.
+        depths: depth map of each frame.
+        poses: camera_to_world of each frame, (4, 4); not finite where tracking was lost.
+        K: intrinsics of the images, (3, 3), and the file that says so.
+        K_depth: intrinsics of the depth maps likewise; None where they have the images' field of view.
+    """
+
+    images: dict[int, Path]
+    depths: dict[int, Path]
+    poses: dict[int, Array]
+    K: tuple[Array, Path]
+    K_depth: tuple[Array, Path] | None
+
+
+def refuse(path: Path) -> str | None:
+    """Why this folder is no RGB-D sequence; None where it is one."""
+    if _fits(path, SCANNET) or _fits(path, HOLOLENS):
+        return None
+    return f"neither {'/, '.join(SCANNET)}/ nor {', '.join(HOLOLENS)}"
+
+
+def load(path: Path, units: GivenUnits) -> Capture:
+    """Open a sequence; every frame is one camera of a single instant, called by its number in six digits, with its depth.
+
+    Args:
+        path: folder of the sequence.
+        units: world units per metre or a file that says how to measure them; the poses are metric when None.
+
+    Raises:
+        CaptureError: fewer than two frames with a pose, or a file that is missing or damaged.
+
+    Reading:
+        Frames without a finite pose are left out; `skipped_frames` lists them. Row i of ``poses.txt`` is the i-th image in the
+        order of numbers: with these poses depth warped between frames of the HoloLens sequence agrees, also across its missing
+        number; with the rows before or after it does not. Intrinsics are taken with pixel centres at halves. All cameras have one
+        depth range, 0.8 times the smallest 1st and 1.2 times the largest 99th percentile among 32 evenly spaced depth maps: long
+        sequences have thousands.
+    """
+    sequence = _read_sequence(path)
+    kept = [number for number, pose in sequence.poses.items() if np.isfinite(pose).all()]
+    if len(kept) < 2:
+        raise CaptureError(
+            f"{path}: wanted at least 2 frames with a finite pose, got {len(kept)} of {len(sequence.poses)}; track again"
+        )
+    sources = [ImageFrames(sequence.images[number]) for number in kept]
+    size = _common_size(sources)
+    _check_intrinsics(*sequence.K, size)
+    if sequence.K_depth:
+        _check_intrinsics(*sequence.K_depth, ImageFrames(sequence.depths[kept[0]]).size)
+    limits = _depth_range(path, [sequence.depths[number] for number in kept])
+    cameras = [_make_camera(path, number, sequence, size, limits) for number in kept]
+    extras = [Extras(depth=_depth_source(sequence, number, size)) for number in kept]
+    return assemble_capture(path, "rgbd", cameras, sources, choose_units(path, units, cameras, known=METRIC), extras=extras)
+
+
+def skipped_frames(path: Path) -> list[str]:
+    """The frames that `load` leaves out because their pose is not finite, by name.
+
+    Raises:
+        CaptureError: a file is missing or damaged.
+    """
+    return [_name(number) for number, pose in _read_sequence(path).poses.items() if not np.isfinite(pose).all()]
+
+
+def _fits(path: Path, names: Sequence[str]) -> bool:
+    return all((path / name).exists() for name in names)
+
+
+def _read_sequence(path: Path) -> _Sequence:
+    scannet = _fits(path, SCANNET)
+    colour, depth, *_ = SCANNET if scannet else HOLOLENS
+    images = _numbered(path / colour, list_images(path / colour))
+    depths = _numbered(path / depth, sorted((path / depth).glob("*.png")))
+    _check_complete(images, depths, path / depth, "depth map")
+    if not scannet:
+        return _Sequence(images, depths, _read_pose_rows(path / HOLOLENS[2], list(images)), _read_K(path / HOLOLENS[3]), None)
+    files = _numbered(path / "pose", sorted((path / "pose").glob("*.txt")))
+    _check_complete(images, files, path / "pose", "pose")
+    for kind in ("color", "depth"):
+        _check_extrinsic(path / "intrinsic" / f"extrinsic_{kind}.txt")
+    K, K_depth = (_read_K(path / "intrinsic" / f"intrinsic_{kind}.txt") for kind in ("color", "depth"))
+    return _Sequence(images, depths, {number: _read_matrix(files[number], (4,)) for number in images}, K, K_depth)
+
+
+def _numbered(folder: Path, files: Sequence[Path]) -> dict[int, Path]:
+    """The files by the last number in their names, in the order of numbers."""
+    found: dict[int, Path] = {}
+    for file in files:
+        numbers = re.findall(r"\d+", file.stem)
+        if not numbers or int(numbers[-1]) in found:
+            problem = f"a second one in {file.name}" if numbers else f"none in {file.name}"
+            raise CaptureError(f"{folder}: wanted one number per frame, got {problem}; remove or rename it")
+        found[int(numbers[-1])] = file
+    return dict(sorted(found.items()))
+
+
+def _check_complete(images: dict[int, Path], files: dict[int, Path], folder: Path, what: str) -> None:
+    missing = [str(number) for number in images if number not in files]
+    if missing or not images:
+        listed = ", ".join(missing[:LISTED]) + (", ..." if len(missing) > LISTED else "")
+        found = f"none for {listed}" if missing else "no images"
+        raise CaptureError(
+            f"{folder}: wanted a {what} for each of the {len(images)} images, got {found}; export the frames again"
+        )
+
+
+def _read_pose_rows(file: Path, numbers: list[int]) -> dict[int, Array]:
+    values = _read_values(file)
+    if values.size != 16 * len(numbers):
+        wanted = f"16 numbers for each of the {len(numbers)} images"
+        raise CaptureError(f"{file}: wanted {wanted}, got {values.size / 16:g} rows of 16; restore what is missing")
+    return dict(zip(numbers, values.reshape(-1, 4, 4), strict=True))
+
+
+def _read_K(file: Path) -> tuple[Array, Path]:
+    matrix = _read_matrix(file, (3, 4))
+    K = matrix[:3, :3]
+    if not np.isfinite(matrix).all() or (K[2] != [0, 0, 1]).any() or K[0, 1] or K[1, 0] or min(K[0, 0], K[1, 1]) <= 0:
+        raise CaptureError(f"{file}: wanted pinhole intrinsics without skew, got {K.round(3).tolist()}; export them again")
+    return K, file
+
+
+def _check_extrinsic(file: Path) -> None:
+    """Which way a pose between sensor and camera would run is nowhere said, so that none but the usual identity is taken."""
+    offset = np.abs(_read_matrix(file, (4,)) - np.eye(4)).max() if file.is_file() else 0.0
+    if not offset <= LARGEST_EXTRINSIC:
+        raise CaptureError(
+            f"{file}: wanted the identity, got {offset:g} off it; register the depth maps to the colour camera first"
+        )
+
+
+def _read_matrix(file: Path, sides: tuple[int, ...]) -> Array:
+    values = _read_values(file)
+    if values.size not in [side * side for side in sides]:
+        wanted = " or ".join(f"{side} x {side}" for side in sides)
+        raise CaptureError(f"{file}: wanted a matrix of {wanted} numbers, got {values.size} numbers; export it again")
+    return values.reshape(2 * [round(values.size**0.5)])
+
+
+def _read_values(file: Path) -> Array:
+    try:
+        return np.array([float(word) for word in file.read_text(encoding="utf-8").split()], dtype=np.float64)
+    except (OSError, ValueError) as error:
+        reason = "no such file" if isinstance(error, FileNotFoundError) else str(error)
+        raise CaptureError(f"{file}: wanted a text file of numbers, got: {reason:.120}; export it again") from error
+
+
+def _common_size(sources: Sequence[ImageFrames]) -> tuple[int, int]:
+    size = sources[0].size
+    for source in sources:
+        if source.size != size:
+            wanted, found = (f"{width} x {height}" for width, height in (size, source.size))
+            raise CaptureError(f"{source.path}: wanted {wanted} like the first image, got {found}; export the frames again")
+    return size
+
+
+def _check_intrinsics(K: Array, file: Path, size: tuple[int, int]) -> None:
+    """Text files of intrinsics do not say for which size they are; resized images show by the principal point."""
+    offsets = [abs(K[axis, 2] - size[axis] / 2) / size[axis] for axis in (0, 1)]
+    if max(offsets) > LARGEST_OFFSET:
+        wanted, found = f"a principal point near the middle of {size[0]} x {size[1]} images", f"({K[0, 2]:g}, {K[1, 2]:g})"
+        raise CaptureError(f"{file}: wanted {wanted}, got {found}; scale the intrinsics as the images were scaled")
+
+
+def _depth_range(path: Path, files: Sequence[Path]) -> tuple[float, float]:
+    chosen = np.unique(np.linspace(0, len(files) - 1, SAMPLED_FRAMES).round().astype(int))
+    known = [steps[steps > 0] for steps in (read_depth_png(files[index]) for index in chosen)]
+    percentiles = [np.percentile(steps, (1, 99)) for steps in known if steps.size]
+    if not percentiles:
+        raise CaptureError(f"{path / 'depth'}: wanted measured depth, got none in {len(chosen)} maps; export the depth again")
+    nearest, farthest = np.min(percentiles, axis=0)[0], np.max(percentiles, axis=0)[1]
+    return float(NEAR_FACTOR * METRES_PER_STEP * nearest), float(FAR_FACTOR * METRES_PER_STEP * farthest)
+
+
+def _make_camera(path: Path, number: int, sequence: _Sequence, size: tuple[int, int], limits: tuple[float, float]) -> Camera:
+    camera_to_world = sequence.poses[number]
+    if not np.allclose(camera_to_world[3], [0, 0, 0, 1]):
+        found = f"the last row {camera_to_world[3].tolist()}"
+        raise CaptureError(f"{path}: wanted a camera-to-world matrix for frame {number}, got {found}; export the poses again")
+    world_to_camera = np.eye(4)
+    world_to_camera[:3, :3] = camera_to_world[:3, :3].T
+    world_to_camera[:3, 3] = -camera_to_world[:3, :3].T @ camera_to_world[:3, 3]
+    try:
+        return Camera(_name(number), sequence.K[0], world_to_camera, *size, *limits)
+    except CameraError as error:
+        raise CaptureError(f"{path}: pose of frame {number}: {error}") from error
+
+
+def _depth_source(sequence: _Sequence, number: int, size: tuple[int, int]) -> DepthFrames:
+    file = sequence.depths[number]
+    matrices = (sequence.K[0], sequence.K_depth[0]) if sequence.K_depth else (None, None)
+    return DepthFrames(file, METRES_PER_STEP, *size, *matrices)
+
+
+def _name(number: int) -> str:
+    return f"{number:06d}"

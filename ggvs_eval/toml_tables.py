@@ -1,0 +1,91 @@
+"""TOML tables as frozen dataclasses: every surprise is an error that names file, key and mend."""
+
+import dataclasses
+import difflib
+import sys
+import tomllib
+import types
+import typing
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+from ggvs_eval.errors import GgvsError
+
+Table = TypeVar("Table")
+
+
+def parse_toml(text: str, file: str, error: type[GgvsError]) -> dict[str, Any]:
+    """The values of a TOML text.
+
+    Raises:
+        error: not TOML.
+    """
+    try:
+        return tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError) as reason:
+        raise error(f"{file}: not valid TOML: {reason}") from None
+
+
+def read_toml(path: Path, error: type[GgvsError]) -> dict[str, Any]:
+    """The values of a TOML file.
+
+    Raises:
+        error: absent, not text, or not TOML.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as reason:
+        raise error(f"{path}: wanted a TOML file, got: {reason}; restore or write it") from reason
+    return parse_toml(text, str(path), error)
+
+
+def build_table(kind: type[Table], values: dict[str, Any], file: str, section: str, error: type[GgvsError]) -> Table:
+    """Turn a TOML table into a dataclass, checking names and types.
+
+    Args:
+        kind: a dataclass; its fields may be bool, int, float (finite), str, Literal, tuple[X, ...], X | None and dataclasses.
+        values: the table.
+        file: named in errors.
+        section: prefix of the keys in errors, "" or "name.".
+        error: raised for an unknown, missing or mistyped key; the message names the nearest known one.
+    """
+    fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    hints = typing.get_type_hints(kind)
+    for key in values:
+        if key not in fields:
+            nearest = difflib.get_close_matches(key, fields, n=1, cutoff=0.0)[0]
+            raise error(f"{file}: unknown key {section}{key}; did you mean {section}{nearest}?")
+    defaults = (dataclasses.MISSING, dataclasses.MISSING)
+    required = [name for name, field in fields.items() if (field.default, field.default_factory) == defaults]
+    missing = [f"{section}{name}" for name in required if name not in values]
+    if missing:
+        raise error(f"{file}: missing key {', '.join(missing)}; add it, the known keys are {', '.join(fields)}")
+    converted = {key: _convert(hints[key], value, file, f"{section}{key}", error) for key, value in values.items()}
+    return kind(**converted)
+
+
+def _convert(wanted: Any, value: Any, file: str, key: str, error: type[GgvsError]) -> Any:
+    """Check one value against the type of its field."""
+    origin, arguments = typing.get_origin(wanted), typing.get_args(wanted)
+    if origin is types.UnionType:
+        wanted = next(each for each in arguments if each is not types.NoneType)
+        return _convert(wanted, value, file, key, error)
+    if dataclasses.is_dataclass(wanted) and isinstance(value, dict):
+        return build_table(typing.cast(type, wanted), value, file, f"{key}.", error)
+    if origin is tuple and isinstance(value, list):
+        return tuple(_convert(arguments[0], item, file, f"{key}[{index}]", error) for index, item in enumerate(value))
+    if origin is Literal and value in arguments:
+        return value
+    if wanted is float and type(value) in (int, float) and abs(value) <= sys.float_info.max:
+        return float(value)
+    if origin is None and type(value) is wanted and wanted is not float:
+        return value
+    expected = f"one of {', '.join(map(repr, arguments))}" if origin is Literal else _type_name(wanted)
+    raise error(f"{file}: {key} must be {expected}, got {value!r:.80}")
+
+
+def _type_name(wanted: Any) -> str:
+    if typing.get_origin(wanted) is tuple:
+        return f"a list of {_type_name(typing.get_args(wanted)[0])}"
+    names = {float: "a finite number", int: "a whole number", str: "a text", bool: "true or false"}
+    return names.get(wanted, "a table" if dataclasses.is_dataclass(wanted) else str(wanted))
