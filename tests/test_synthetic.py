@@ -9,10 +9,14 @@ import numpy as np
 import pytest
 
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.synthetic.demo import DemoOptions, camera_gains, film, lit_room, write_demo
+from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.exact_depth import read_exact_depth
+from ggvs_eval.synthetic.film import Footage, lit_room
+from ggvs_eval.synthetic.options import DemoOptions
 from ggvs_eval.synthetic.raycast import render_view
 from ggvs_eval.synthetic.rig import UNITS_PER_METRE, eye_in_room, llff_poses, rays_in_room, rig, sideways_path
+from ggvs_eval.synthetic.sensor import camera_gains
+from ggvs_eval.synthetic.shots import rig_shots
 from ggvs_eval.video import VideoFrames
 
 TINY = DemoOptions(width=64, height=48, n_frames=3, cameras_per_row=2, path_poses=2)
@@ -33,6 +37,12 @@ def demo(tmp_path_factory):
 @pytest.fixture(scope="module")
 def cameras():
     return rig(seed=0, width=160, height=120, cameras_per_row=12)
+
+
+def film(options, camera, instants):
+    """The frames of one camera of the rig that shows the given instants."""
+    shot = replace(rig_shots(options)[camera], instants=tuple(range(len(instants))))
+    return list(Footage(options, shot, lambda index: instants[index]).frames())
 
 
 def digests(folder):
@@ -79,11 +89,10 @@ def test_identity_pose_is_down_right_backwards(cameras):
 
 def test_depth_file_holds_the_rendered_depth(demo):
     """The depth beside a video is the renderer's, bit for bit, and spans the noted range."""
-    camera = rig(TINY.seed, TINY.width, TINY.height, TINY.cameras_per_row)[1]
-    frames = list(film(TINY, camera, [lit_room(TINY.seed).at(index / TINY.fps) for index in range(2)]))
-    np.testing.assert_array_equal(read_exact_depth(demo, "cam01", 1), frames[1][1])
+    frames = film(TINY, 1, [lit_room(TINY.seed).at(index / TINY.fps) for index in range(2)])
+    np.testing.assert_array_equal(read_exact_depth(demo, "cam01", 1), frames[1].depth)
     near, far = np.load(demo / "poses_bounds.npy")[1, 15:]
-    np.testing.assert_allclose(np.percentile(frames[0][1], [1, 99.9]), [near, far])
+    np.testing.assert_allclose(np.percentile(frames[0].depth, [1, 99.9]), [near, far])
     with h5py.File(demo / "depth" / "cam01.h5") as file:
         assert file["depth"].shape == (3, 48, 64)
         assert file["depth"].chunks == (1, 48, 64)
@@ -163,11 +172,10 @@ def test_something_moves_and_most_does_not(cameras, instants):
 
 def test_noise_has_the_wanted_strength():
     """Noise is independent in time, and its measured standard deviation is the knob's."""
-    camera = rig(TINY.seed, TINY.width, TINY.height, TINY.cameras_per_row)[2]
     frozen = [lit_room(TINY.seed).at(0.0)] * 8
     noisy = replace(TINY, noise_sigma_255=4.0, exposure_spread=0.0)
-    frames = np.stack([image for image, _ in film(noisy, camera, frozen)]).astype(np.float64)
-    clean = next(film(CLEAN, camera, frozen))[0]
+    frames = np.stack([frame.image for frame in film(noisy, 2, frozen)]).astype(np.float64)
+    clean = film(CLEAN, 2, frozen[:1])[0].image
     unclipped = (clean > 20) & (clean < 235)
     assert frames.std(axis=0, ddof=1)[unclipped].mean() == pytest.approx(4.0, rel=0.05)
 

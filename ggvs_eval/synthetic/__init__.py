@@ -1,1 +1,1 @@
-"""A procedural dynamic room, seen by a rig like DyNeRF's, with exact depth: everything about it is known."""
+"""A procedural dynamic room, seen by a rig like DyNeRF's, in any layout, with exact depth: everything about it is known."""

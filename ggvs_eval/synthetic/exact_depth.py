@@ -29,8 +29,11 @@ class DepthWriter:
             self._file = h5py.File(path, "w", track_order=False)
             self._file.create_dataset("frames", data=np.array(frames, np.int64), track_times=False)
             size = (len(frames), height, width)
-            options = {"chunks": (1, height, width), "compression": "lzf", "shuffle": True, "track_times": False}
-            self._depth = self._file.create_dataset("depth", size, np.float32, **options)
+            # Not LZF, whose bytes depend on what was compressed before.
+            packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+            self._depth = self._file.create_dataset(
+                "depth", size, np.float32, chunks=(1, height, width), track_times=False, **packed
+            )
 
     def add(self, frame: int, depth: Array32) -> None:
         """Keep the depth of a video frame, (H, W), if it is one of those wanted."""

@@ -29,14 +29,14 @@ class Instant:
 
     Attributes:
         static: what never moves.
-        moving: what does.
-        static_light: irradiance of its vertices, RGB, (V, 3).
-        moving_light: irradiance of its vertices, RGB, (V', 3).
+        moving: what does; None where all of it is taken away.
+        static_light: irradiance of the static vertices, RGB, (V, 3).
+        moving_light: irradiance of the moving vertices, RGB, (V', 3).
         highlights: position and power of the strong lights, for specular reflection.
     """
 
     static: Geometry
-    moving: Geometry
+    moving: Geometry | None
     static_light: Array32
     moving_light: Array32
     highlights: list[Highlight]
@@ -67,6 +67,10 @@ class LitRoom:
         static_light = np.where(noticed, static_light, self._resting_light)
         direct = _sum_over_points(self._direct_transfer(moving, self.static, moving), power)
         return Instant(self.static, moving, static_light, direct + self._ambient_on(moving), self._highlights(power))
+
+    def empty(self) -> Instant:
+        """The room at time 0 without anything that moves and without its shadows."""
+        return Instant(self.static, None, self._resting_light, np.zeros((0, 3), np.float32), self._highlights(self._power(0.0)))
 
     def recall(self, time_s: float, static_light: Array32, moving_light: Array32) -> Instant:
         """The instant of which `at` gave these two, without computing them again."""

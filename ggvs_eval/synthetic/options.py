@@ -1,9 +1,12 @@
 """What can be chosen about the demo capture."""
 
+import math
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 from ggvs_eval.errors import CaptureError
 
+LayoutName = Literal["dynerf", "enerf-outdoor", "d3dmv", "colmap", "rgbd"]
 LEAST = {"width": 16, "height": 16, "n_frames": 1, "cameras_per_row": 2, "supersampling": 1, "path_poses": 0, "depth_stride": 0}
 
 
@@ -12,20 +15,27 @@ class DemoOptions:
     """What the demo capture looks like; equal options give equal bytes.
 
     Attributes:
+        layout: of the files, as the data set of that name is distributed; the scene is the same in each.
         seed: chooses the room, its contents, the rig's small errors and the noise.
-        width: of the videos, pixels, even.
-        height: of the videos, pixels, even.
-        n_frames: frames per camera.
+        width: of the images, pixels, even.
+        height: of the images, pixels, even.
+        n_frames: frames per camera; poses of the hand-held camera of rgbd.
         fps: frames per second.
-        cameras_per_row: cameras in each of the two rows.
+        cameras_per_row: cameras in each of the two rows; rgbd has one camera, cam00.
         noise_sigma_255: standard deviation of the sensor noise of every pixel and frame, of 255 levels; 0 for none.
         exposure_spread: standard deviation of the gain of each camera; its colour balance varies by half as much; 0 for none.
         crf: x264's rate factor of the videos.
         supersampling: rays per pixel along each side.
-        path_poses: positions of the true camera path; 0 for no path.
+        path_poses: positions of the true camera path beside the videos of dynerf and colmap; 0 for no path.
         depth_stride: exact depth is kept of every so many frames; 0 for no depth.
+        camera_gain: a fault, camera and factor: its images are so much brighter.
+        frame_offset: a fault, camera and frames: frame t of the camera shows the instant of frame t + offset.
+        calibration_error_px: a fault: cameras are written down with rotations that are wrong by this standard deviation about
+            each axis, in pixels at the image's centre. Images are not touched.
+        focal_error: a fault, camera and factor: its focal length is written down so much longer. Images are not touched.
     """
 
+    layout: LayoutName = "dynerf"
     seed: int = 0
     width: int = 480
     height: int = 360
@@ -38,9 +48,15 @@ class DemoOptions:
     supersampling: int = 2
     path_poses: int = 48
     depth_stride: int = 1
+    camera_gain: tuple[tuple[str, float], ...] = ()
+    frame_offset: tuple[tuple[str, int], ...] = ()
+    calibration_error_px: float = 0.0
+    focal_error: tuple[tuple[str, float], ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse what cannot be filmed."""
+        if self.layout not in get_args(LayoutName):
+            raise CaptureError(f"demo: wanted a layout of {', '.join(get_args(LayoutName))}, got {self.layout!r}")
         for name, least in LEAST.items():
             if getattr(self, name) < least:
                 raise CaptureError(f"demo: {name} must be at least {least}, got {getattr(self, name)}")
@@ -49,6 +65,36 @@ class DemoOptions:
         if self.fps <= 0 or self.noise_sigma_255 < 0 or self.exposure_spread < 0:
             values = f"{self.fps:g}, {self.noise_sigma_255:g}, {self.exposure_spread:g}"
             raise CaptureError(f"demo: fps must be positive, noise and exposure spread not negative, got {values}")
+        self._check_faults()
+
+    def _check_faults(self) -> None:
+        for option in ("camera_gain", "frame_offset", "focal_error"):
+            self._check_names(option, [name for name, _ in getattr(self, option)])
+        for option, pairs in (("camera_gain", self.camera_gain), ("focal_error", self.focal_error)):
+            for name, factor in pairs:
+                if not 0 < factor < math.inf:
+                    raise CaptureError(f"demo: {option} of {name} must be a positive factor, got {factor:g}; 1 changes nothing")
+        for name, offset in self.frame_offset:
+            if not isinstance(offset, int):
+                raise CaptureError(f"demo: frame_offset of {name} must be a whole number of frames, got {offset}")
+        if self.frame_offset and self.layout == "rgbd":
+            raise CaptureError("demo: frame_offset wants cameras that film together, rgbd has one at one instant; drop it")
+        if not 0 <= self.calibration_error_px < math.inf:
+            raise CaptureError(f"demo: calibration_error_px must not be negative, got {self.calibration_error_px:g}")
+
+    def _check_names(self, option: str, names: list[str]) -> None:
+        unknown = [name for name in names if name not in self.camera_names]
+        if unknown:
+            there = f"{self.camera_names[0]}..{self.camera_names[-1]}" if len(self.camera_names) > 1 else self.camera_names[0]
+            raise CaptureError(f"demo: {option} names {', '.join(unknown)}, the cameras are {there}; correct the name")
+        if len(set(names)) < len(names):
+            raise CaptureError(f"demo: {option} wants each camera once, got {', '.join(names)}; keep one value")
+
+    @property
+    def camera_names(self) -> list[str]:
+        """Names of the cameras in these options, whatever the layout calls them."""
+        count = 1 if self.layout == "rgbd" else 2 * self.cameras_per_row
+        return [f"cam{number:02d}" for number in range(count)]
 
     @property
     def path_frame(self) -> int:

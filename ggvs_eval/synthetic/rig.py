@@ -46,9 +46,13 @@ def rig(seed: int, width: int, height: int, cameras_per_row: int, near: float = 
         along -= along[top.index(0)]
         for number, distance in zip(numbers, along, strict=True):
             pose = _pose(distance, below, np.abs(along).max(), rng)
-            K = np.array([[FOCAL_PER_WIDTH * width, 0, width / 2], [0, FOCAL_PER_WIDTH * width, height / 2], [0, 0, 1]])
-            cameras.append(Camera(f"cam{number:02d}", K, pose, width, height, near, far))
+            cameras.append(Camera(f"cam{number:02d}", intrinsics(width, height), pose, width, height, near, far))
     return sorted(cameras, key=lambda camera: camera.name)
+
+
+def intrinsics(width: int, height: int) -> Array:
+    """K of every camera of the demo, pixels, (3, 3)."""
+    return np.array([[FOCAL_PER_WIDTH * width, 0, width / 2], [0, FOCAL_PER_WIDTH * width, height / 2], [0, 0, 1]])
 
 
 def _pose(along: float, below: float, outermost: float, rng: np.random.Generator) -> Array:
@@ -82,6 +86,13 @@ def sideways_path(camera: Camera, length: float, count: int) -> list[Camera]:
     return path
 
 
+def in_metres(camera: Camera) -> Camera:
+    """The same camera in a world whose unit is the metre; its axes and its origin stay."""
+    world_to_camera = camera.world_to_camera.copy()
+    world_to_camera[:3, 3] /= UNITS_PER_METRE
+    return replace(camera, world_to_camera=world_to_camera, near=camera.near / UNITS_PER_METRE, far=camera.far / UNITS_PER_METRE)
+
+
 def llff_poses(cameras: Sequence[Camera]) -> NDArray[np.float64]:
     """The rows of poses_bounds.npy: axes [down, right, backwards], centre, (H, W, f), near, far; (N, 17)."""
     rows = []
@@ -107,6 +118,17 @@ def rays_in_room(camera: Camera) -> Array32:
     return rays.reshape(-1, 3)
 
 
+def directions_in_room(camera: Camera, positions: Array) -> Array32:
+    """Rays through positions on the plane of depth 1, camera frame, (N, 2), as `rays_in_room` gives those of pixels, (N, 3)."""
+    directions = np.concatenate([positions, np.ones_like(positions[:, :1])], axis=1) @ camera.rotation
+    return np.asarray(directions @ WORLD_TO_ROOM[:3, :3].T, np.float32)
+
+
 def room_to_world(points_m: Array32) -> Array:
     """Points of the room, metres, in the world's units, (N, 3)."""
     return (points_m - WORLD_TO_ROOM[:3, 3]) @ np.linalg.inv(WORLD_TO_ROOM[:3, :3]).T
+
+
+def room_from_world(points: Array) -> Array:
+    """Points of the world in the room, metres, (N, 3)."""
+    return points @ WORLD_TO_ROOM[:3, :3].T + WORLD_TO_ROOM[:3, 3]
