@@ -1,0 +1,1 @@
+"""What would spoil results on a capture, found before it is used."""

@@ -1,0 +1,119 @@
+"""Epipolar geometry of two cameras: how well matched points agree with it, and where they lie."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.pipelines.check.features import LONGEST_SIDE_PX, Features, match_features
+
+Array = NDArray[np.float64]
+# Matches of one rigid scene agree with some epipolar geometry, whatever the calibration; fewer could agree by chance (it has
+# seven degrees of freedom and is chosen among thousands).
+FEWEST_MATCHES = 25
+SMALLEST_SHARE = 0.35
+# Localisation of SIFT, pixels of the image it was found in.
+CONSISTENT_PX = 1.5
+
+
+@dataclass(frozen=True, eq=False)
+class MatchedPair:
+    """Points that two cameras both see, free of mismatches as far as their own geometry tells.
+
+    Attributes:
+        first: index of a camera.
+        second: index of another.
+        uv_first: pixels, (M, 2).
+        uv_second: pixels, (M, 2).
+        colours_first: RGB around the points, 0..255, (M, 3).
+        colours_second: RGB around the points, 0..255, (M, 3).
+    """
+
+    first: int
+    second: int
+    uv_first: Array
+    uv_second: Array
+    colours_first: NDArray[np.float32]
+    colours_second: NDArray[np.float32]
+
+    def seen_from(self, camera: int) -> tuple[int, Array, Array]:
+        """The other camera, the points in `camera` and those in the other."""
+        if camera == self.first:
+            return self.second, self.uv_first, self.uv_second
+        return self.first, self.uv_second, self.uv_first
+
+
+def match_pair(first: int, second: int, one: Features, other: Features, longest_side_px: int) -> MatchedPair | None:
+    """Match two images; None where too few matches agree with each other to say anything.
+
+    Args:
+        first: index of the first camera.
+        second: index of the second.
+        one: features of the first image.
+        other: features of the second.
+        longest_side_px: of the images.
+    """
+    matches = match_features(one, other)
+    if len(matches) < FEWEST_MATCHES:
+        return None
+    uv_first, uv_second = one.uv[matches[:, 0]], other.uv[matches[:, 1]]
+    kept = consistent(uv_first, uv_second, CONSISTENT_PX * max(1.0, longest_side_px / LONGEST_SIDE_PX))
+    if kept.sum() < max(FEWEST_MATCHES, SMALLEST_SHARE * len(matches)):
+        return None
+    rows = matches[kept]
+    return MatchedPair(first, second, uv_first[kept], uv_second[kept], one.colours[rows[:, 0]], other.colours[rows[:, 1]])
+
+
+def consistent(uv_first: Array, uv_second: Array, tolerance_px: float) -> NDArray[np.bool_]:
+    """Which matches agree with the epipolar geometry that most of them share, found without any calibration, (M,)."""
+    try:
+        _, inliers = cv2.findFundamentalMat(uv_first, uv_second, cv2.USAC_MAGSAC, tolerance_px, 0.9999, 5000)
+    except cv2.error:  # OpenCV 5 raises where it finds no model at all
+        inliers = None
+    if inliers is None:
+        return np.zeros(len(uv_first), bool)
+    return np.asarray(inliers).ravel() > 0
+
+
+def epipolar_errors(one: Camera, other: Camera, uv_one: Array, uv_other: Array) -> Array:
+    """Distance of matched points from each other's epipolar lines under a calibration, pixels, (M,).
+
+    Root of the mean square of the distances in both images.
+    """
+    points_one, points_other = _homogeneous(uv_one), _homogeneous(uv_other)
+    lines_other = points_one @ fundamental_matrix(one, other).T  # (M, 3), in the other image
+    lines_one = points_other @ fundamental_matrix(one, other)
+    residual = np.einsum("mi,mi->m", points_other, lines_other)
+    squared_one, squared_other = (np.maximum((lines[:, :2] ** 2).sum(axis=1), 1e-30) for lines in (lines_one, lines_other))
+    return np.asarray(np.abs(residual) * np.sqrt((1 / squared_one + 1 / squared_other) / 2))
+
+
+def fundamental_matrix(one: Camera, other: Camera) -> Array:
+    """F with other^T F one = 0 for the homogeneous pixels of a point in both images, (3, 3)."""
+    rotation = other.rotation @ one.rotation.T
+    shift = other.translation - rotation @ one.translation
+    across = np.array([[0, -shift[2], shift[1]], [shift[2], 0, -shift[0]], [-shift[1], shift[0], 0]])
+    return np.asarray(np.linalg.inv(other.K).T @ across @ rotation @ np.linalg.inv(one.K))
+
+
+def ray_depths(one: Camera, other: Camera, uv_one: Array, uv_other: Array) -> tuple[Array, Array, Array]:
+    """Where the rays of matched points pass nearest to each other.
+
+    Returns:
+        Depth in the first camera, depth in the other, world units, (M,) each, negative behind a camera, and the angle between
+        the rays, radians, (M,).
+    """
+    ones = np.ones(len(uv_one))
+    rays_one, rays_other = one.unproject(uv_one, ones) - one.centre, other.unproject(uv_other, ones) - other.centre
+    baseline = other.centre - one.centre
+    a, b, c = ((p * q).sum(axis=1) for p, q in ((rays_one, rays_one), (rays_one, rays_other), (rays_other, rays_other)))
+    d, e = rays_one @ baseline, rays_other @ baseline
+    determinant = np.maximum(a * c - b * b, 1e-12 * a * c)
+    angle_rad = np.arcsin(np.sqrt(np.clip(determinant / (a * c), 0, 1)))
+    return (c * d - b * e) / determinant, (b * d - a * e) / determinant, angle_rad
+
+
+def _homogeneous(uv: Array) -> Array:
+    return np.concatenate([uv, np.ones((len(uv), 1))], axis=1)
