@@ -1,0 +1,90 @@
+"""Bringing one calibration into the world of another: the similarity that fits camera centres best."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ggvs_eval.camera import Array, Camera
+from ggvs_eval.errors import CameraError
+
+
+@dataclass(frozen=True, eq=False)
+class Similarity:
+    """The map x -> scale * rotation @ x + translation.
+
+    Attributes:
+        scale: positive.
+        rotation: (3, 3), determinant +1.
+        translation: (3,), in units of the target.
+    """
+
+    scale: float
+    rotation: Array
+    translation: Array
+
+    def apply(self, points: Array) -> Array:
+        """Move points, (..., 3)."""
+        return self.scale * points @ self.rotation.T + self.translation
+
+
+def align_similarity(source: Array, target: Array) -> Similarity:
+    """The similarity that takes source points to target points with the least sum of squared distances.
+
+    Closed form of Umeyama, "Least-squares estimation of transformation parameters between two point patterns", 1991: rotation
+    from the singular vectors of the covariance with the last one turned where that would mirror (eq. 39, 40), scale from its
+    singular values (eq. 42), translation from the means (eq. 41).
+
+    Args:
+        source: (N, 3), at least 3 points that do not lie on a line.
+        target: (N, 3), the point that each should meet.
+
+    Raises:
+        CameraError: too few points, or points on a line, which leave a rotation around it open.
+    """
+    source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
+    covariance = (target - target_mean).T @ (source - source_mean) / len(source)  # (3, 3)
+    left, singular, right = np.linalg.svd(covariance)
+    if len(source) < 3 or singular[1] <= 1e-9 * singular[0]:
+        raise CameraError(f"alignment: wanted 3 or more camera centres off a line, got {len(source)}; compare more cameras")
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left) * np.linalg.det(right))])
+    rotation = left @ np.diag(signs) @ right
+    scale = float((singular * signs).sum() / np.square(source - source_mean).sum(axis=1).mean())
+    return Similarity(scale, rotation, target_mean - scale * rotation @ source_mean)
+
+
+def rig_extent(cameras: Mapping[str, Camera]) -> float:
+    """The largest distance between two camera centres, world units."""
+    centres = np.array([camera.centre for camera in cameras.values()])
+    return float(np.linalg.norm(centres[:, None] - centres[None], axis=-1).max())
+
+
+def pose_differences(estimated: Mapping[str, Camera], given: Mapping[str, Camera]) -> tuple[Array, Array]:
+    """How far estimated poses lie from given ones after aligning the centres by a similarity.
+
+    Args:
+        estimated: cameras by name, in any world.
+        given: cameras by name; those that are in both are compared, in the order of `estimated`.
+
+    Returns:
+        Distances of centres in units of `given` (N,), and angles between orientations in radians (N,).
+
+    Raises:
+        CameraError: fewer than 3 common cameras, or all on a line.
+    """
+    names = [name for name in estimated if name in given]
+    if len(names) < 3:
+        raise CameraError(f"alignment: wanted 3 or more common cameras, got {', '.join(names) or 'none'}; compare the same rig")
+    similarity = align_similarity(
+        np.array([estimated[name].centre for name in names]), np.array([given[name].centre for name in names])
+    )
+    centres = similarity.apply(np.array([estimated[name].centre for name in names]))
+    distances = np.linalg.norm(centres - [given[name].centre for name in names], axis=1)
+    turns = [given[name].rotation @ similarity.rotation @ estimated[name].rotation.T for name in names]
+    return distances, np.array([_angle_rad(turn) for turn in turns])
+
+
+def _angle_rad(rotation: Array) -> float:
+    """Angle of a rotation; from the skew part too, since the cosine alone says nothing below 1e-8."""
+    skew = np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
+    return float(np.arctan2(np.linalg.norm(skew) / 2, (np.trace(rotation) - 1) / 2))

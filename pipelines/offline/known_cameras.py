@@ -1,0 +1,191 @@
+"""What is known of cameras before they are calibrated: lenses, and perhaps poses, from any file or capture that says so."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from ggvs_eval.camera import Array, Camera
+from ggvs_eval.capture import Capture
+from ggvs_eval.datasets import open_capture
+from ggvs_eval.datasets.capture_toml import LensTable
+from ggvs_eval.datasets.colmap import find_model
+from ggvs_eval.datasets.colmap_model import read_model
+from ggvs_eval.datasets.undistort import UndistortedFrames
+from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.lens import Lens
+from ggvs_eval.toml_tables import build_table, read_toml
+
+INTRINSICS = "intrinsics.toml"
+
+
+@dataclass(frozen=True, eq=False)
+class KnownCamera:
+    """What is known of one camera.
+
+    Attributes:
+        lens: intrinsics and distortion.
+        world_to_camera: (4, 4); None where only the lens is known.
+    """
+
+    lens: Lens
+    world_to_camera: Array | None
+
+
+@dataclass(frozen=True)
+class IntrinsicsTable:
+    """One ``[[camera]]`` of ``intrinsics.toml``.
+
+    Attributes:
+        name: of the camera.
+        width: of its images, pixels.
+        height: likewise.
+        K: intrinsics, 3 x 3, pixels, pixel centres at halves.
+        distortion: of the lens; none where absent.
+    """
+
+    name: str
+    width: int
+    height: int
+    K: tuple[tuple[float, ...], ...]
+    distortion: LensTable | None = None
+
+
+@dataclass(frozen=True)
+class IntrinsicsFile:
+    """The whole of ``intrinsics.toml``."""
+
+    camera: tuple[IntrinsicsTable, ...]
+
+
+def read_known(path: Path) -> dict[str, KnownCamera]:
+    """Cameras by name.
+
+    Args:
+        path: ``intrinsics.toml`` or another TOML file of that form, ``capture.toml``, a folder with ``intrinsics.toml``, a folder
+            with a COLMAP model, or any capture.
+
+    Raises:
+        CaptureError: nothing there that says something of cameras, or it is damaged.
+
+    Reading:
+        Lenses are those of the frames as they lie on disk: of a capture that is undistorted as it is read, the distorting ones.
+    """
+    if path.suffix == ".toml" and path.name != "capture.toml":
+        return _read_intrinsics(path)
+    if (path / INTRINSICS).is_file():
+        return _read_intrinsics(path / INTRINSICS)
+    model = path if any((path / f"cameras.{kind}").is_file() for kind in ("bin", "txt")) else find_model(path)
+    if model is not None:
+        views = read_model(model)
+        known = {_camera_name(view.image_name): KnownCamera(view.lens, view.world_to_camera) for view in views}
+        if len(known) < len(views):
+            raise CaptureError(f"{model}: wanted one image per camera, got several; calibrate with one instant")
+        return known
+    return _of_capture(open_capture(path.parent if path.name == "capture.toml" else path))
+
+
+def write_intrinsics(path: Path, lenses: Mapping[str, Lens]) -> None:
+    """Write pinhole intrinsics so that `read_known` reads them back.
+
+    Args:
+        path: the file.
+        lenses: by camera name; their coefficients are not written.
+    """
+    lines = ["# Pinhole intrinsics in pixels, pixel centres at halves (column i lies at u = i + 0.5)."]
+    for name, lens in lenses.items():
+        rows = ", ".join("[" + ", ".join(f"{float(value)!r}" for value in row) + "]" for row in lens.K)
+        quoted = name.replace("\\", "\\\\").replace('"', '\\"')
+        lines += ["", "[[camera]]", f'name = "{quoted}"', f"width = {lens.width}", f"height = {lens.height}", f"K = [{rows}]"]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def fit_known(path: Path, known: Mapping[str, KnownCamera], sizes: Mapping[str, tuple[int, int]]) -> dict[str, KnownCamera]:
+    """The known cameras at the size of the frames.
+
+    Args:
+        path: where they were read, for errors.
+        known: by name.
+        sizes: (width, height) of each camera's frames.
+
+    Raises:
+        CaptureError: nothing is known of a camera, or its frames have another shape.
+    """
+    missing = [name for name in sizes if name not in known]
+    if missing:
+        raise CaptureError(
+            f"{path}: wanted intrinsics of {', '.join(missing)}, it has {', '.join(known) or 'none'}; "
+            "call the cameras alike in both places"
+        )
+    fitted = {}
+    for name, (width, height) in sizes.items():
+        lens = known[name].lens
+        if abs(lens.height * width / lens.width - height) > 1:
+            found = f"frames of {width} x {height}"
+            raise CaptureError(
+                f"{path}: {name} is calibrated for {lens.width} x {lens.height}, got {found}; "
+                "give frames of that shape, scaled but not cropped"
+            )
+        fitted[name] = KnownCamera(lens.resized(width, height), known[name].world_to_camera)
+    return fitted
+
+
+def colmap_camera(lens: Lens) -> tuple[str, list[float]]:
+    """COLMAP's name and parameters of a lens.
+
+    Raises:
+        CameraError: a lens that COLMAP cannot express: skewed, or with more than eight coefficients.
+    """
+    if abs(lens.K[0, 1]) > 1e-9 or len(lens.coefficients) > 8:
+        found = f"skew {lens.K[0, 1]:g} and {len(lens.coefficients)} coefficients"
+        raise CameraError(f"lens: wanted no skew and at most 8 coefficients, got {found}; undistort the frames first")
+    pinhole = [float(value) for value in (lens.K[0, 0], lens.K[1, 1], lens.K[0, 2], lens.K[1, 2])]
+    if lens.is_pinhole:
+        return "PINHOLE", pinhole
+    coefficients = [float(value) for value in lens.coefficients]
+    if lens.model == "fisheye":
+        return "OPENCV_FISHEYE", pinhole + coefficients
+    if not any(coefficients[4:]):
+        return "OPENCV", pinhole + coefficients[:4]
+    return "FULL_OPENCV", pinhole + coefficients + [0.0] * (8 - len(coefficients))
+
+
+def _camera_name(image_name: str) -> str:
+    """``cam00.png`` and ``cam00/0000.png`` are both of camera cam00, as for the COLMAP adapter."""
+    name = PurePosixPath(image_name)
+    return name.parent.name or name.stem
+
+
+def _read_intrinsics(path: Path) -> dict[str, KnownCamera]:
+    table = build_table(IntrinsicsFile, read_toml(path, CaptureError), str(path), "", CaptureError)
+    names = [camera.name for camera in table.camera]
+    if len(set(names)) < len(names) or not names:
+        raise CaptureError(f"{path}: wanted cameras of different names, got {', '.join(names) or 'none'}; correct the names")
+    return {camera.name: KnownCamera(_lens(path, camera), None) for camera in table.camera}
+
+
+def _lens(path: Path, table: IntrinsicsTable) -> Lens:
+    distortion = table.distortion or LensTable("opencv", (0.0,) * 4)
+    try:
+        K = np.array(_rows(table.K), dtype=np.float64)
+        Camera(table.name, K, np.eye(4), table.width, table.height, 1.0, 2.0)  # refuses what is no camera
+        return Lens(K, distortion.model, distortion.coefficients, table.width, table.height)
+    except CameraError as error:
+        raise CaptureError(f"{path}: {table.name}: {error}") from error
+
+
+def _rows(rows: Sequence[Sequence[float]]) -> Sequence[Sequence[float]]:
+    """The rows of K, which must be even for an array to be made of them."""
+    if [len(row) for row in rows] != [3, 3, 3]:
+        raise CameraError(f"K must be 3 rows of 3 numbers, got rows of {[len(row) for row in rows]}; write all nine")
+    return rows
+
+
+def _of_capture(capture: Capture) -> dict[str, KnownCamera]:
+    known = {}
+    for camera, source in zip(capture.cameras, capture.sources, strict=True):
+        pinhole = Lens(camera.K, "opencv", (0.0,) * 4, *camera.size)
+        lens = source.lens if isinstance(source, UndistortedFrames) else pinhole
+        known[camera.name] = KnownCamera(lens, camera.world_to_camera)
+    return known
