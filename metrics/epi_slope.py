@@ -1,0 +1,107 @@
+"""Agreement of the lines in epipolar plane images with depth: near points must move faster, and by the right amount."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.errors import MetricError
+from ggvs_eval.metrics.epi_lines import Lines, find_lines
+from ggvs_eval.metrics.horizontal_path import HorizontalPath
+from ggvs_eval.metrics.inputs import Image
+
+BIN_PX = 1.0 / 1024
+WIDER_PX = 1.0
+
+
+@dataclass(frozen=True)
+class SlopeOptions:
+    """Where the images show a slope, and when it agrees.
+
+    Attributes:
+        least_texture_255: least root mean square gradient across a line, grey levels of 255 per pixel.
+        least_coherence: least coherence of a line, see `epi_coherence`.
+        tolerance_px: slopes that differ by no more agree, px per pose step.
+    """
+
+    least_texture_255: float = 4.0
+    least_coherence: float = 0.5
+    tolerance_px: float = 0.1
+
+
+@dataclass(frozen=True)
+class SlopeAgreement:
+    """How well the slopes that the images show fit those that depth predicts.
+
+    Attributes:
+        median_error_px: median absolute difference over the measured pixels, px per pose step; None where none was measured.
+        agreeing_share: pixels whose slope could be measured and agrees, of all pixels with a depth. Blur lowers it.
+        measured_share: pixels whose slope could be measured, of all pixels with a depth.
+        predicted_px: mean absolute predicted slope, px per pose step: the error of an image that never moves.
+    """
+
+    median_error_px: float | None
+    agreeing_share: float
+    measured_share: float
+    predicted_px: float
+
+
+def slope_agreement(
+    epis: Iterable[tuple[Image, NDArray[np.float32]]], path: HorizontalPath, options: SlopeOptions | None = None
+) -> SlopeAgreement:
+    """Compare the slope of the lines in epipolar plane images with the slope that depth predicts, -f * step / z.
+
+    Args:
+        epis: pairs of an EPI, (V, W, 3), uint8 in 0..255 or float in [0, 1], and the same rows of the poses' depth, (V, W)
+            float32, world units, 0 = unknown; consumed as a stream.
+        path: the geometry of the camera path.
+        options: thresholds; the defaults where None.
+
+    Returns:
+        The agreement over all pixels; the median is exact to 0.001 px.
+
+    Raises:
+        MetricError: no EPI, no depth, or EPIs that `find_lines` refuses.
+
+    Reading:
+        Not in the paper. Slopes are searched 1 px beyond those of near and far, and from there to 0, so that an image that
+        stands still shows it. The first and last two poses and a margin of columns have no whole window and no vote.
+    """
+    options = options or SlopeOptions()
+    low, high = path.slope_range_px
+    slope_range_px = min(low, 0.0) - WIDER_PX, max(high, 0.0) + WIDER_PX
+    bins = np.zeros(int((slope_range_px[1] - slope_range_px[0]) / BIN_PX) + 2, np.int64)
+    known = agreeing = 0
+    predicted_sum = 0.0
+    for epi, depth in epis:
+        if depth.shape != epi.shape[:2]:
+            raise MetricError(f"EPI slope: the EPI is {epi.shape}, its depth {depth.shape}; wanted one depth per pixel")
+        lines = find_lines(epi, slope_range_px)
+        predicted = path.slope_px(_inner(depth, lines))
+        has_depth = predicted != 0
+        error = np.abs(lines.slope_px - predicted)[has_depth & _is_measured(lines, options)]
+        bins += np.bincount(np.minimum(error / BIN_PX, len(bins) - 1).astype(np.int64), minlength=len(bins))
+        known += int(np.count_nonzero(has_depth))
+        agreeing += int(np.count_nonzero(error <= options.tolerance_px))
+        predicted_sum += float(np.abs(predicted).sum(dtype=np.float64))
+    if not known:
+        raise MetricError("EPI slope: no depth along the path; give depth maps of the poses to compare slopes with")
+    return SlopeAgreement(_median(bins), agreeing / known, int(bins.sum()) / known, predicted_sum / known)
+
+
+def _median(bins: NDArray[np.int64]) -> float | None:
+    """Middle of the bin that holds the (lower) median, px."""
+    count = int(bins.sum())
+    return (int(np.searchsorted(np.cumsum(bins), (count + 1) // 2)) + 0.5) * BIN_PX if count else None
+
+
+def _inner(depth: NDArray[np.float32], lines: Lines) -> NDArray[np.float32]:
+    """The part of an EPI's depth where lines were measured."""
+    return depth[2:-2, lines.first_column : depth.shape[1] - lines.first_column]
+
+
+def _is_measured(lines: Lines, options: SlopeOptions) -> NDArray[np.bool_]:
+    """Whether the texture and the coherence suffice to trust a slope."""
+    coherent = lines.across - lines.along >= options.least_coherence * (lines.across + lines.along)
+    return coherent & (lines.across >= options.least_texture_255**2)
