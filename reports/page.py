@@ -112,7 +112,7 @@ def _section(index: int, section: RunSection, comparison: Comparison) -> dict[st
     return {
         "id": f"run{index}",
         "run": run,
-        "capture": {key: value for key, value in capture.items() if key != "path" and isinstance(value, str | int | float)},
+        "capture": _facts(capture),
         "view_tables": section.view_tables,
         "timing": section.timing,
         "comparison": comparison,
@@ -124,6 +124,13 @@ def _section(index: int, section: RunSection, comparison: Comparison) -> dict[st
         "panels": section.panels,
         "plot": {"size": SIZE, "margin": MARGIN, "dashes": DASHES, "colours": len(COLOURS)},
     }
+
+
+def _facts(capture: dict[str, Any]) -> dict[str, str | int | float]:
+    """What is said of the capture, notes about what was left out included."""
+    facts = {key: value for key, value in capture.items() if key != "path" and isinstance(value, str | int | float)}
+    notes = "; ".join(capture.get("notes", ()))
+    return facts | ({"notes": notes} if notes else {})
 
 
 def _viewer_data(run: MeasuredRun, comparison: Comparison, fps: float) -> dict[str, Any]:

@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from ggvs_eval.statistics.bootstrap import LEVEL, Interval
+
 DECIMALS = {"PSNR": 2, "PSNR_cc": 2, "SSIM": 3, "LPIPS": 3, "L1": 2, "TCC": 3, "SDT": 3, "SDV": 3}
 SIGNIFICANT = 4
 
@@ -40,14 +42,29 @@ class Cell:
     Attributes:
         text: rounded value, or the reason why there is none; never empty.
         value: unrounded; None where there is none.
-        best: no measured row of this column is better, to the printed digits.
+        best: no measured row of this column is better, as far as can be told.
         shade: strength of the blue behind it, 0 to 1.
+        spread: rounded half width of its interval, ``± 0.21``; empty where there is none.
+        low: lower bound of the interval, unrounded; None where there is none.
+        high: upper bound; None likewise.
+        note: what the interval takes as given, or why there is none.
     """
 
     text: str
     value: float | None = None
     best: bool = False
     shade: float = 0.0
+    spread: str = ""
+    low: float | None = None
+    high: float | None = None
+    note: str = ""
+
+    @property
+    def hint(self) -> str:
+        """One line about the interval for who asks; empty where nothing is known of one."""
+        if self.low is None or self.high is None:
+            return f"no interval: {self.note}" if self.note else ""
+        return f"{100 * LEVEL:.0f} % interval {self.low:.6g} to {self.high:.6g}{', ' if self.note else ''}{self.note}"
 
 
 @dataclass(frozen=True)
@@ -80,34 +97,59 @@ class Table:
     dataset: str = ""
 
 
-def measured_cell(metric: str, value: float | None, reason: str) -> Cell:
-    """A cell with a rounded value, or with the reason for its absence."""
+def measured_cell(metric: str, value: float | None, reason: str, interval: Interval | None = None) -> Cell:
+    """A cell with a rounded value and its interval if there is one, or with the reason for its absence."""
     if value is None or math.isnan(value):
         return Cell(f"not computed: {reason}")
-    return Cell(format_value(metric, value), value)
+    if interval is None:
+        return Cell(format_value(metric, value), value)
+    spread = "" if interval.half_width is None else f"± {format_half_width(metric, value, interval.half_width)}"
+    return Cell(format_value(metric, value), value, False, 0.0, spread, interval.low, interval.high, interval.note)
 
 
 def format_value(metric: str, value: float) -> str:
     """Round as the paper does: fixed decimals per metric, four significant digits for what spans magnitudes (STED)."""
     if math.isinf(value):
         return "∞" if value > 0 else "−∞"
+    return f"{value:.{_decimals(metric, value)}f}"
+
+
+def format_half_width(metric: str, value: float, half_width: float) -> str:
+    """Half the width of an interval to the digits of its value, or to its first digit where that would print 0."""
+    if half_width <= 0.0:
+        return "0"
+    decimals = _decimals(metric, value)
+    if float(f"{half_width:.{decimals}f}") == 0.0:
+        decimals = -math.floor(math.log10(half_width))
+    return f"{half_width:.{decimals}f}"
+
+
+def _decimals(metric: str, value: float) -> int:
     decimals = DECIMALS.get(metric)
     if decimals is None:
         magnitude = math.floor(math.log10(abs(value))) if value else 0
         decimals = max(0, SIGNIFICANT - 1 - magnitude) if magnitude > -SIGNIFICANT else 2 * SIGNIFICANT
-    return f"{value:.{decimals}f}"
+    return decimals
 
 
-def rank(columns: Sequence[Column], rows: Sequence[Row]) -> tuple[Row, ...]:
-    """Mark the best measured value of each column and shade the better half; published rows are left alone."""
+def rank(columns: Sequence[Column], rows: Sequence[Row], told: Sequence[frozenset[int] | None] = ()) -> tuple[Row, ...]:
+    """Mark the best measured value of each column and shade the better half; published rows are left alone.
+
+    Args:
+        columns: heads.
+        rows: methods.
+        told: per column the indices of the rows that are best or cannot be told from the best, to which those are added that
+            print the same digits as the best; None, or nothing at all, leaves it at the printed digits.
+    """
     ranked = [list(row.cells) for row in rows]
     competing = [index for index, row in enumerate(rows) if row.kind != "published"]
     for at, column in enumerate(columns):
         having = [index for index in competing if ranked[index][at].value is not None]
         if column.higher_is_better is None or len(having) < 2:
             continue
+        best = told[at] if told else None
         for index, cell in zip(having, _ranked([ranked[i][at] for i in having], column.higher_is_better), strict=True):
-            ranked[index][at] = cell
+            ranked[index][at] = cell if best is None else replace(cell, best=cell.best or index in best)
     return tuple(replace(row, cells=tuple(cells)) for row, cells in zip(rows, ranked, strict=True))
 
 

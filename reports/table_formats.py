@@ -21,21 +21,26 @@ LATEX_SPECIAL = {
     "<": r"\textless{}",
     ">": r"\textgreater{}",
     "×": r"$\times$",
+    "±": r"$\pm$",
     "−": "$-$",
     "∞": r"$\infty$",
     "≤": r"$\leq$",
     "≥": r"$\geq$",
 }
-CSV_HEAD = ("table", "dataset", "method", "kind", "column", "unit", "higher_is_better", "value", "shown", "best", "note")
+CSV_HEAD = (
+    *("table", "dataset", "method", "kind", "column", "unit", "higher_is_better"),
+    *("value", "lo", "hi", "shown", "best", "note"),
+)
 LATEX_HEAD = r"""% \usepackage{booktabs}
 % \usepackage[table]{xcolor}
-% Blue: the better half of each column, proportional to its standing, on the scale of the paper's tables. Bold: the best.
+% Blue: the better half of each column, proportional to its standing, on the scale of the paper's tables.
+% Bold: the best, and what cannot be told from it.
 % Grey: published values, measured by others on other terms.
 """
 
 
 def to_markdown(tables: Sequence[Table], notes: Sequence[str] = ()) -> str:
-    """GitHub's tables, best values bold, published rows in italics, notes as a closing list."""
+    """GitHub's tables, best values bold, intervals behind them, published rows in italics, notes as a closing list."""
     parts = []
     for table in tables:
         heads = ["Method", *(_head(column) for column in table.columns)]
@@ -49,7 +54,7 @@ def to_markdown(tables: Sequence[Table], notes: Sequence[str] = ()) -> str:
 
 
 def to_csv(tables: Sequence[Table]) -> str:
-    """One line per cell, values unrounded; where there is none the reason stands in ``note``."""
+    """One line per cell, values and bounds unrounded; where there are none the reason stands in ``note``."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(CSV_HEAD)
@@ -57,10 +62,16 @@ def to_csv(tables: Sequence[Table]) -> str:
         for row in table.rows:
             for column, cell in zip(table.columns, row.cells, strict=True):
                 head = [table.key, table.dataset, row.name, row.kind, column.name, column.unit, column.higher_is_better]
-                has = cell.value is not None
-                shown = [repr(cell.value), cell.text, cell.best, ""] if has else ["", "", False, cell.text]
-                writer.writerow([*head, *shown])
+                writer.writerow([*head, *_csv_cell(cell)])
     return text.getvalue()
+
+
+def _csv_cell(cell: Cell) -> list[object]:
+    """Value, bounds, what is shown, whether it is best, and what the bounds take as given or why something is absent."""
+    if cell.value is None:
+        return ["", "", "", "", False, cell.text]
+    bounds = ["" if bound is None else repr(bound) for bound in (cell.low, cell.high)]
+    return [repr(cell.value), *bounds, cell.text, cell.best, cell.note if cell.low is not None else cell.hint]
 
 
 def to_latex(tables: Sequence[Table], notes: Sequence[str] = ()) -> str:
@@ -103,6 +114,7 @@ def _latex_table(table: Table) -> str:
 def _latex_cell(row: Row, cell: Cell) -> str:
     text = _latex_text(row, cell.text)
     text = rf"\textbf{{{text}}}" if cell.best else text
+    text += rf" {{\scriptsize {escape_latex(cell.spread)}}}" if cell.spread else ""
     if not cell.shade:
         return text
     channel = 1.0 - 0.25 * cell.shade
@@ -122,7 +134,8 @@ def _head(column: Column) -> str:
 
 
 def _markdown_cell(row: Row, cell: Cell) -> str:
-    return f"**{_markdown(cell.text)}**" if cell.best else _markdown_text(row, cell.text)
+    text = f"**{_markdown(cell.text)}**" if cell.best else _markdown_text(row, cell.text)
+    return f"{text} {cell.spread}" if cell.spread else text
 
 
 def _markdown_text(row: Row, text: str) -> str:

@@ -1,6 +1,8 @@
 """The tables of a report: quality, consistency, each view by itself, time per stage."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import cast
 
 import pandas as pd
@@ -9,11 +11,47 @@ from ggvs_eval.reports.measured import MeasuredRun, MetricNote, label_of
 from ggvs_eval.reports.published import published_rows
 from ggvs_eval.reports.table import Cell, Column, Row, Table, measured_cell, rank
 from ggvs_eval.results import Results
+from ggvs_eval.statistics.bootstrap import LEVEL, Interval, intervals
+from ggvs_eval.statistics.paired import Standing, rank_methods
 
 GROUPS = {
     "quality": ("Image quality", ("PSNR", "PSNR_cc", "SSIM", "LPIPS", "L1")),
     "consistency": ("Temporal and view consistency", ("TCC", "STED", "SDT", "SDV")),
 }
+
+
+@dataclass(frozen=True)
+class Certainty:
+    """What is known of one metric's numbers beside the numbers.
+
+    Attributes:
+        intervals: label -> interval, or why there is none.
+        standing: who is best and who ties; None where there are fewer than two methods.
+    """
+
+    intervals: Mapping[str, Interval]
+    standing: Standing | None
+
+    @property
+    def told(self) -> frozenset[str] | None:
+        """Labels of the best and its ties; None where nobody could be compared with the best."""
+        if self.standing is None or (self.standing.comparisons and not self.standing.p_values):
+            return None
+        return self.standing.ties
+
+    @property
+    def refusal(self) -> str:
+        """Why some method has no interval; empty where all have one."""
+        return next((interval.note for interval in self.intervals.values() if interval.low is None), "")
+
+    def interval(self, label: str) -> Interval | None:
+        """Interval of a method; its note also says why it was not compared with the best."""
+        found = self.intervals.get(label)
+        why = "" if self.standing is None else self.standing.untested.get(label, "")
+        if found is None or not why or why == found.note:
+            return found
+        note = "; ".join(filter(None, (found.note, f"not compared with the best: {why}")))
+        return Interval(found.value, found.low, found.high, note)
 
 
 def main_tables(runs: Sequence[MeasuredRun], results: Results) -> tuple[Table, ...]:
@@ -50,12 +88,46 @@ def _main_table(
 ) -> Table:
     columns = tuple(metric_column(runs[0].metrics[metric]) for metric in metrics)
     here = cast(pd.DataFrame, summary.xs(dataset, level="dataset"))
-    rows = measured_rows(runs, here, metrics, metrics, results)
+    certain = {metric: _certainty(runs[0].metrics[metric], results, dataset) for metric in metrics}
+    rows = measured_rows(runs, here, metrics, metrics, results, certain)
+    told = [_told_rows(certain[metric], row_labels(runs, here)) for metric in metrics]
     published = published_rows(key, dataset, metrics) if key in GROUPS else ()
     protocol = runs[0].protocol
     frames, views = _count(protocol.frames.count, "frame"), _count(len(protocol.views.test), "view")
-    caption = f"Mean over {frames}, then {views}, then scenes; K = {protocol.synthesis.k} source views."
-    return Table(key, title, caption, columns, rank(columns, rows) + published, dataset)
+    means = f"Mean over {frames}, then {views}, then scenes; K = {protocol.synthesis.k} source views."
+    caption = " ".join([means, *_certainty_captions(certain)])
+    return Table(key, title, caption, columns, rank(columns, rows, told) + published, dataset)
+
+
+def _certainty(note: MetricNote, results: Results, dataset: str) -> Certainty:
+    found = intervals(results, note.name, dataset)
+    several = sum(not math.isnan(one.value) for one in found.values()) > 1
+    standing = rank_methods(results, note.name, note.higher_is_better, dataset) if several else None
+    return Certainty(found, standing)
+
+
+def _told_rows(certainty: Certainty, labels: Sequence[str]) -> frozenset[int] | None:
+    """Places of the best and its ties among the rows."""
+    told = certainty.told
+    return None if told is None else frozenset(at for at, label in enumerate(labels) if label in told)
+
+
+def _certainty_captions(certain: Mapping[str, Certainty]) -> list[str]:
+    """What ± and bold mean in this table, and what has no interval."""
+    level = f"{100 * LEVEL:.0f} %"
+    known = [one for certainty in certain.values() for one in certainty.intervals.values() if one.low is not None]
+    given = "".join(f", {note}" for note in dict.fromkeys(interval.note.partition(";")[0] for interval in known) if note)
+    captions = [f"±: {level} interval, block bootstrap{given}."] if known else []
+    ranked = [certainty for certainty in certain.values() if certainty.standing]
+    if any(certainty.told for certainty in ranked):
+        captions.append(f"Bold: best, and what cannot be told from it (paired block bootstrap, {level}).")
+    by_digits = [metric for metric, certainty in certain.items() if certainty.standing and certainty.told is None]
+    if by_digits:
+        captions.append(f"Bold in {', '.join(by_digits)}: best to the printed digits, nothing could be compared.")
+    reasons: dict[str, list[str]] = {}
+    for metric, certainty in certain.items():
+        reasons.setdefault(certainty.refusal, []).append(metric)
+    return captions + [f"No interval for {', '.join(names)}: {reason}." for reason, names in reasons.items() if reason]
 
 
 def view_tables(run: MeasuredRun) -> tuple[Table, ...]:
@@ -79,8 +151,19 @@ def metric_column(note: MetricNote) -> Column:
     return Column(note.name, note.unit, note.higher_is_better, note.describe)
 
 
+def row_labels(runs: Sequence[MeasuredRun], values: pd.DataFrame) -> list[str]:
+    """Labels of the rows of a table: the runs' methods in their order, then what else has values."""
+    measured = [label_of(method, variant) for method, variant in values.index]
+    return list(dict.fromkeys([label for run in runs for label in run.labels] + measured))
+
+
 def measured_rows(
-    runs: Sequence[MeasuredRun], values: pd.DataFrame, keys: Sequence[str], metrics: Sequence[str], results: Results
+    runs: Sequence[MeasuredRun],
+    values: pd.DataFrame,
+    keys: Sequence[str],
+    metrics: Sequence[str],
+    results: Results,
+    certain: Mapping[str, Certainty] | None = None,
 ) -> tuple[Row, ...]:
     """A row per method, in the order of the runs' methods.
 
@@ -90,22 +173,28 @@ def measured_rows(
         keys: columns of `values` to show.
         metrics: metric of each of these columns.
         results: knows why a value may be absent.
+        certain: metric -> what is known of its numbers; None shows numbers alone.
     """
     by_label = {label_of(method, variant): values.loc[(method, variant)] for method, variant in values.index}
     rows = []
-    for label in dict.fromkeys([label for run in runs for label in run.labels] + list(by_label)):
+    for label in row_labels(runs, values):
         names = next((run for run in runs if label in run.labels), runs[0])
         cells = [
-            _cell(metric, by_label[label].get(key) if label in by_label else None, results)
+            _cell(
+                metric,
+                by_label[label].get(key) if label in by_label else None,
+                results,
+                certain[metric].interval(label) if certain else None,
+            )
             for key, metric in zip(keys, metrics, strict=True)
         ]
         rows.append(Row(names.name(label), tuple(cells), "ours" if label in names.ours else "measured"))
     return tuple(rows)
 
 
-def _cell(metric: str, value: float | None, results: Results) -> Cell:
+def _cell(metric: str, value: float | None, results: Results, interval: Interval | None) -> Cell:
     reason = results.not_computed.get(metric, "no value in the results; run `ggvs-eval score` again")
-    return measured_cell(metric, None if value is None else float(value), reason)
+    return measured_cell(metric, None if value is None else float(value), reason, interval)
 
 
 def _count(number: int, noun: str) -> str:

@@ -5,16 +5,19 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.measured import read_run
 from ggvs_eval.reports.published import published_rows, read_published
 from ggvs_eval.reports.report import write_report
-from ggvs_eval.reports.table import Cell, Column, Row, Table, format_value, rank, shade
+from ggvs_eval.reports.table import Cell, Column, Row, Table, format_half_width, format_value, rank, shade
 from ggvs_eval.reports.table_formats import escape_latex, to_latex, to_markdown
 from ggvs_eval.reports.tables import main_tables
 from ggvs_eval.reports.timing import timing_table
 from ggvs_eval.results import Results
+from ggvs_eval.statistics.bootstrap import intervals
 from page_reader import PageReader
 from run_folders import LABELS, NAMES, RunShape, write_run
 
@@ -100,6 +103,17 @@ def test_best_is_bold_and_the_better_half_blue():
     assert [cell.best for cell in falling] == [True, False, False, False, False]
 
 
+def test_told_ties_are_bold_beside_equal_digits():
+    """Rows that cannot be told from the best are marked like it, and so is what prints the same; shades stay by value."""
+    rows = [Row(str(index), (Cell(f"{value:.1f}", value),)) for index, value in enumerate((1.0, 2.8, 2.98, 3.0))]
+    column = [Column("PSNR", "dB", True)]
+    assert [row.cells[0].best for row in rank(column, rows, [frozenset({1, 3})])] == [False, True, True, True]
+    assert [row.cells[0].best for row in rank(column, rows, [frozenset({3})])] == [False, False, True, True]
+    assert [row.cells[0].best for row in rank(column, rows, [None])] == [False, False, True, True]
+    shades = [[row.cells[0].shade for row in rank(column, rows, told)] for told in ((), [frozenset({0, 3})])]
+    assert shades[0] == shades[1]
+
+
 def test_blue_is_the_papers():
     """The shade follows the gain curve of the paper's TeX, here evaluated by hand at three quarters of the range."""
     assert shade(0.5, True) == shade(0.2, False) == 0.0
@@ -181,3 +195,92 @@ def test_empty_table_formats():
     table = Table("quality", "Quality", "Nothing yet.", (Column("PSNR", "dB", True),), ())
     assert "| Method | PSNR (dB) ↑ |" in to_markdown([table])
     assert "Method & PSNR (dB)$\\uparrow$" in to_latex([table])
+
+
+@pytest.mark.parametrize(
+    ("metric", "value", "half_width", "text"),
+    [
+        ("PSNR", 31.17, 0.2149, "0.21"),
+        ("SSIM", 0.935, 0.00021, "0.0002"),
+        ("STED", 2796.4, 31.4, "31"),
+        ("STED", 68.76, 3.0, "3.00"),
+        ("PSNR", 31.17, 0.0, "0"),
+    ],
+)
+def test_intervals_have_the_digits_of_their_values(metric, value, half_width, text):
+    """A half width has the decimals of its value, or its first digit where those would print zero."""
+    assert format_half_width(metric, value, half_width) == text
+
+
+def test_intervals_stand_in_every_format(run, report):
+    """Each cell of the main tables has the bootstrap's interval: behind ± where people read, as bounds in the CSV."""
+    results, labels = Results.read(run), {name: label for label, name in NAMES.items()}
+    main = [row for row in csv.DictReader((report / "tables.csv").open(encoding="utf-8")) if row["table"] == "quality"]
+    page = PageReader((report / "index.html").read_text(encoding="utf-8"))
+    markdown, latex = ((report / f"tables.{kind}").read_text(encoding="utf-8") for kind in ("md", "tex"))
+    assert len(main) == len(LABELS) * 5
+    for row in main:
+        interval = intervals(results, row["column"], "Demo room")[labels[row["method"]]]
+        assert (float(row["lo"]), float(row["hi"])) == (interval.low, interval.high)
+        assert row["note"] == interval.note == "given this scene, these 2 views"
+        half = format_half_width(row["column"], interval.value, interval.half_width)
+        bold = row["best"] == "True"
+        assert f"± {half}" in page.texts
+        assert f"| {'**' if bold else ''}{row['shown']}{'**' if bold else ''} ± {half} |" in markdown
+        assert rf"{row['shown']}{'}' if bold else ''} {{\scriptsize $\pm$ {half}}}" in latex
+    said = "given this scene, these 2 views. Bold: best, and what cannot be told from it (paired block bootstrap, 95 %)."
+    assert said in markdown
+    assert said.replace("%", r"\%") in latex
+    assert any(said in text for text in page.texts)
+
+
+def write_tied_run(root: Path, dataset: str = "Demo room") -> Path:
+    """A run in which the first two methods differ by noise on views that differ a lot, and the third is a little worse."""
+    views, frames = tuple(f"cam{view:02}" for view in range(6)), 12
+    write_run(root, RunShape(views, Frames(2, frames), 32, 32, 0, metrics=("PSNR",), dataset=dataset))
+    found, random = Results.read(root), np.random.default_rng(4)
+    shared = np.repeat(30.0 + 3.0 * random.standard_normal(len(views)), frames)
+    offsets = np.repeat([0.0, 0.0, -0.5], len(shared))
+    values = np.tile(shared, 3) + offsets + 0.2 * random.standard_normal(len(offsets))
+    Results(found.table.assign(value=values), found.provenance).write(root)
+    return root
+
+
+def test_ties_are_bold_together(tmp_path):
+    """What cannot be told from the best is bold like it, though it prints fewer decibels; published rows stay out."""
+    run = read_run(write_tied_run(tmp_path / "run", "DyNeRF"))
+    (table,) = main_tables([run], run.results)
+    cells = {row.name: row.cells[0] for row in table.rows}
+    assert {name for name, cell in cells.items() if cell.best} == {NAMES["no-blending"], NAMES["ours-geometric"]}
+    assert len({cells[NAMES[label]].text for label in LABELS}) == 3
+    published = [cell for name, cell in cells.items() if name.endswith("(paper)")]
+    assert published
+    assert all((cell.spread, cell.low, cell.hint) == ("", None, "") for cell in published)
+
+
+def test_what_has_no_interval_says_why(tmp_path):
+    """With one frame the best is bold to the printed digits, no cell has bounds, and caption, page and CSV say why."""
+    shape = RunShape(frames=Frames(0, 1), metrics=("PSNR", "SSIM"), poses=0)
+    report = write_report([write_run(tmp_path / "run", shape)]).parent
+    markdown = (report / "tables.md").read_text(encoding="utf-8")
+    assert "No interval for PSNR, SSIM: 1 frame; an interval needs 2." in markdown
+    assert "Bold in PSNR, SSIM: best to the printed digits, nothing could be compared." in markdown
+    assert "±" not in markdown
+    assert 'title="no interval: 1 frame; an interval needs 2"' in (report / "index.html").read_text(encoding="utf-8")
+    main = [row for row in csv.DictReader((report / "tables.csv").open(encoding="utf-8")) if row["table"] == "quality"]
+    assert {(row["lo"], row["hi"], row["note"]) for row in main} == {("", "", "no interval: 1 frame; an interval needs 2")}
+    assert sum(row["best"] == "True" for row in main) == 2
+
+
+def test_a_method_measured_on_other_frames_is_not_called_worse_or_equal(tmp_path):
+    """A rival that lacks a frame is neither bold nor silently dropped: its cell says why it was not compared."""
+    root = write_tied_run(tmp_path / "run")
+    found = Results.read(root)
+    gone = (found.table["method"] == "no-blending") & (found.table["frame"] == 5)
+    Results(found.table[~gone], found.provenance).write(root)
+    run = read_run(root)
+    cells = {row.name: row.cells[0] for row in main_tables([run], run.results)[0].rows}
+    other = cells[NAMES["no-blending"]]
+    assert other.spread
+    assert "not compared with the best: room: not the same views and frames (6 x 11 and 6 x 12)" in other.hint
+    assert (cells[NAMES["ours-geometric"]].best, other.best) == (True, False)

@@ -1,0 +1,151 @@
+"""Is one method better than another, or is that chance: paired comparisons on the same views and frames."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ggvs_eval.errors import ResultsError
+from ggvs_eval.results import Results
+from ggvs_eval.statistics.bootstrap import LEVEL, RESAMPLES, resample
+from ggvs_eval.statistics.pooled_table import PooledTable, pool_table
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The difference of two methods, first minus second.
+
+    Attributes:
+        difference: of their numbers.
+        low: lower bound of its interval; None where there is none.
+        high: upper bound; None likewise.
+        p_value: two-sided bootstrap p value of no difference; None likewise.
+        note: what is taken as given (``given this scene, these 3 views``), or why there is no interval.
+    """
+
+    difference: float
+    low: float | None
+    high: float | None
+    p_value: float | None
+    note: str
+
+    @property
+    def is_tie(self) -> bool | None:
+        """Whether the interval spans 0; None where there is no interval."""
+        return None if self.low is None or self.high is None else self.low <= 0.0 <= self.high
+
+
+@dataclass(frozen=True)
+class Standing:
+    """Who is best in one metric, and who cannot be told from the best.
+
+    Attributes:
+        best: labels with the best number; several only where they are equal to the bit.
+        ties: labels of the best and of all that tie with it.
+        comparisons: label -> its difference to the best, for every other method.
+        p_values: label -> its p value after Holm's correction for the number of comparisons, where there is one.
+        untested: label -> why it could not be compared.
+    """
+
+    best: frozenset[str]
+    ties: frozenset[str]
+    comparisons: Mapping[str, Comparison]
+    p_values: Mapping[str, float]
+    untested: Mapping[str, str]
+
+
+def compare(
+    results: Results, metric: str, first: str, second: str, dataset: str, level: float = LEVEL, resamples: int = RESAMPLES
+) -> Comparison:
+    """Compare two methods on the same views and frames, both under the same resamples.
+
+    Args:
+        results: every measured value.
+        metric: name as in the table.
+        first: label, ``method`` or ``method+variant``.
+        second: label of the other.
+        dataset: which data set of the table.
+        level: confidence.
+        resamples: of the bootstrap.
+
+    Raises:
+        ResultsError: one of them has no values.
+    """
+    table = pool_table(results, metric, dataset)
+    for label in (first, second):
+        if label not in table.values:
+            raise ResultsError(f"{metric} of {label}: no values on {dataset}; there are {', '.join(table.values) or 'none'}")
+    return _compare(table, first, second, level, resamples)
+
+
+def rank_methods(
+    results: Results, metric: str, higher_is_better: bool, dataset: str, level: float = LEVEL, resamples: int = RESAMPLES
+) -> Standing:
+    """Find the best method of a table and compare every other one with it.
+
+    Args:
+        results: every measured value.
+        metric: name as in the table.
+        higher_is_better: direction.
+        dataset: which data set of the table.
+        level: confidence, of all comparisons together.
+        resamples: of the bootstrap.
+
+    Raises:
+        ResultsError: nobody has a value.
+
+    Reading:
+        A method ties with the best unless Holm's corrected p value is below 1 - level: the more methods, the harder to be told
+        from the best. Methods that could not be compared are ties only where their number is the same.
+    """
+    table = pool_table(results, metric, dataset)
+    values = {label: value for label, value in table.values.items() if not np.isnan(value)}
+    if not values:
+        raise ResultsError(f"{metric}: no values on {dataset}; score it")
+    top = (max if higher_is_better else min)(values.values())
+    best = [label for label, value in values.items() if value == top]
+    comparisons = {label: _compare(table, label, best[0], level, resamples) for label in values if label not in best}
+    tested = {label: one.p_value for label, one in comparisons.items() if one.p_value is not None}
+    p_values = dict(zip(tested, holm(list(tested.values())), strict=True))
+    tied = [label for label, p_value in p_values.items() if p_value >= 1.0 - level]
+    untested = {label: one.note for label, one in comparisons.items() if one.p_value is None}
+    return Standing(frozenset(best), frozenset(best + tied), comparisons, p_values, untested)
+
+
+def best_and_ties(results: Results, metric: str, higher_is_better: bool, dataset: str | None = None) -> frozenset[str]:
+    """Labels of the best method and of all that cannot be told from it, see `rank_methods`.
+
+    Raises:
+        ResultsError: nobody has a value, or no data set is named and the results know several.
+    """
+    known = sorted(results.table["dataset"].unique())
+    if dataset is None and len(known) != 1:
+        raise ResultsError(f"{metric}: the results know {', '.join(known) or 'no data set'}; say which data set")
+    return rank_methods(results, metric, higher_is_better, dataset or known[0]).ties
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """P values corrected for their number so that one false alarm among all is as rare as it was in one (Holm 1979)."""
+    corrected = [0.0] * len(p_values)
+    largest = 0.0
+    for rank, at in enumerate(sorted(range(len(p_values)), key=lambda index: p_values[index])):
+        largest = max(largest, min(1.0, (len(p_values) - rank) * p_values[at]))
+        corrected[at] = largest
+    return corrected
+
+
+def _compare(table: PooledTable, first: str, second: str, level: float, resamples: int) -> Comparison:
+    """Bootstrap the difference: what moves both methods alike cancels before anything is drawn."""
+    values = table.values[first], table.values[second]
+    difference = 0.0 if values[0] == values[1] else values[0] - values[1]  # two infinite numbers are equal too
+    try:
+        ours, theirs = table.scenes_of(first), table.scenes_of(second)
+        if [one.scene for one in ours] != [one.scene for one in theirs]:
+            raise ResultsError(f"{first} and {second} were not measured on the same scenes; score both on each")
+        spread = resample([one.minus(other) for one, other in zip(ours, theirs, strict=True)], resamples)
+    except ResultsError as refusal:
+        return Comparison(difference, None, None, None, str(refusal))
+    half = spread.half_width(level)
+    exceeded = int((np.abs(spread.deviations) >= abs(difference)).sum())
+    p_value = (1 + exceeded) / (1 + len(spread.deviations))
+    return Comparison(difference, difference - half, difference + half, p_value, spread.note)
