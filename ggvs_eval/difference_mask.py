@@ -2,14 +2,14 @@
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from ggvs_eval.baselines.method import Map
 from ggvs_eval.images import Image8
 
 REDUCTION = 4  # masks are computed at a quarter of the image size
 
 
-def difference_mask(current: Image8, previous: Image8, *, lambda_t: float = 0.7, beta: float = 0.6) -> Map:
+def difference_mask(current: Image8, previous: Image8, *, lambda_t: float = 0.7, beta: float = 0.6) -> NDArray[np.float32]:
     """Weight of the new depth against the filtered history, per pixel of one source camera (Eq. 1).
 
     Args:

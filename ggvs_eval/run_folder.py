@@ -3,11 +3,13 @@
 ::
 
     RUN/protocol.toml  capture.json              what was asked for, of which capture
-    RUN/truth/<view>/<frame>.png                 captured frames of the test views, at synthesis size
+    RUN/truth/<camera>/<frame>.png               captured frames of the cameras that take part, at synthesis size
     RUN/depth/<key>/<frame>.*                    depth store of the source cameras
     RUN/renders/<method>/<view>/<frame>.png      synthesised frames, and job.json: identity, versions, seconds per stage
     RUN/path/truth/<pose>.png                    a camera path at one instant: truth where there is one, poses in path.json
     RUN/path/<method>/<pose>.png                 the same path synthesised, for epipolar plane images
+    RUN/path_depth/<pose>.npy                    depth along the path, the same for all methods
+    RUN/path_scores/<method>/job.json            view consistency of every method along the path
     RUN/scores/<view>/job.json                   values of every method in one view
     RUN/results.parquet  results.json            every value in one table, and where it comes from
     RUN/report/index.html                        the page
@@ -58,6 +60,20 @@ class RunFolder:
     def path(self, label: str) -> Path:
         """Frames of one method, or of the ``truth``, along the camera path."""
         return self.root / "path" / label
+
+    @property
+    def path_record(self) -> Path:
+        """Where the poses of the camera path lie, and the source cameras of each."""
+        return self.root / "path" / "path.json"
+
+    @property
+    def path_depth(self) -> Path:
+        """Depth along the camera path, the same for all methods."""
+        return self.root / "path_depth"
+
+    def path_scores(self, label: str) -> Path:
+        """Values of one method, or of the ``truth``, along the camera path."""
+        return self.root / "path_scores" / label
 
     def scores(self, view: str) -> Path:
         """Values of every method in one view."""

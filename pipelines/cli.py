@@ -1,5 +1,6 @@
 """The command line. Known errors are one line and exit code 1; anything else is our bug and keeps its traceback."""
 
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -7,40 +8,34 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from ggvs_eval.capture import Capture
 from ggvs_eval.errors import GgvsError, ProtocolError
+from ggvs_eval.pipelines.cli_captures import BY_DEFAULT, Folder, Reading, calibrate, check, demo, undistort
 from ggvs_eval.pipelines.methods import METHODS
 from ggvs_eval.processes import default_workers
+from ggvs_eval.protocol import Protocol
 from ggvs_eval.synthetic.options import DemoOptions
 
-Folder = Annotated[Path, tyro.conf.Positional]
 Labels = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"{{{','.join(METHODS)}}}")]
 ALL_METHODS = tuple(METHODS)
 
 
-def demo(out: Folder, options: tyro.conf.OmitArgPrefixes[DemoOptions] = DemoOptions()) -> None:  # noqa: B008 - frozen
-    """Write the demo capture: a procedural dynamic room in DyNeRF's layout, with exact depth beside it.
-
-    Args:
-        out: folder to write; absent, or holding this very demo.
-        options: what the room, the rig and the sensors are like.
-    """
-    from ggvs_eval.synthetic.demo import write_demo
-
-    print(write_demo(out, options, default_workers()))
-
-
-def prepare(run: Folder, capture: Path, protocol: str | None = None, jobs: int = default_workers()) -> None:
+def prepare(
+    run: Folder, capture: Path, protocol: str | None = None, reading: Reading = BY_DEFAULT, jobs: int = default_workers()
+) -> None:
     """Read a capture under a protocol and write what every method needs: truth frames, source views, depth.
 
     Args:
         run: run folder to make or to go on with.
         capture: folder of the capture; its layout is detected.
         protocol: a .toml file or a packaged name; by default the packaged one that fits the capture.
+        reading: how the capture is read.
         jobs: processes.
     """
     from ggvs_eval.pipelines.prepare import prepare as write
 
-    print(write(run, capture, _protocol(protocol, capture), jobs).run.root)
+    opened = reading.open(capture)
+    print(write(run, opened, _protocol(protocol, opened), jobs).run.root)
 
 
 def render(run: Folder, methods: Labels = ALL_METHODS, jobs: int = default_workers()) -> None:
@@ -57,25 +52,43 @@ def render(run: Folder, methods: Labels = ALL_METHODS, jobs: int = default_worke
     print(f"{synthesise(reopen(run, jobs), methods, jobs)} jobs rendered in {run}")
 
 
-def score(run: Folder, renders: tuple[str, ...] = (), jobs: int = default_workers()) -> None:
-    """Measure all renders of a run, and frames that others rendered, under the run's protocol.
+def score(
+    folder: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")] = None,
+    renders: tuple[str, ...] = (),
+    capture: Path | None = None,
+    protocol: str | None = None,
+    run: Path | None = None,
+    allow_partial: bool = False,
+    reading: Reading = BY_DEFAULT,
+    jobs: int = default_workers(),
+) -> None:
+    """Measure all renders of a run, and frames that others rendered, under one protocol.
 
     Args:
-        run: run folder that `prepare` has made.
-        renders: NAME=FOLDER of your own frames, FOLDER/<view>/<frame>.png with four digits; they become a method of the run.
+        folder: run folder to score; --run says the same.
+        renders: NAME=PATH of your own frames, which become a method of the run: a folder <view>/<frame>.png or .jpg, a video
+            or numpy stack per view, renders/ beside gt/ as 3DGS writes them, a run folder, NerfBaselines output, or an archive.
+        capture: what was rendered; makes a run folder of its captured frames where there is none.
+        protocol: a .toml file or a packaged name; the run's own, or the packaged one that fits the capture, by default.
+        run: run folder to make or to go on with; scores/CAPTURE by default.
+        allow_partial: score what there is of incomplete renders; their row is marked.
+        reading: how the capture is read.
         jobs: processes.
     """
-    from ggvs_eval.pipelines.score import import_renders
+    from ggvs_eval.pipelines.renders.import_renders import import_renders
+    from ggvs_eval.pipelines.renders.run_for import named_renders, run_for
     from ggvs_eval.pipelines.score import score as measure
-    from ggvs_eval.run_folder import RunFolder
 
-    for item in renders:
-        name, separator, folder = item.partition("=")
-        if not separator:
-            raise ProtocolError(f"--renders wants NAME=FOLDER, got {item!r}")
-        import_renders(RunFolder(run), name, Path(folder))
-    results = measure(RunFolder(run), jobs)
+    if folder and run:
+        raise ProtocolError(f"wanted one run folder, got {folder} and --run {run}; give one of them")
+    target = run_for(run or folder, reading.open(capture) if capture else None, protocol, jobs)
+    for name, path in named_renders(renders).items():
+        for note in import_renders(target, name, path, allow_partial, jobs)["notes"]:
+            print(f"{name}: {note}", file=sys.stderr)
+    results = measure(target, jobs)
     print(results.summary().droplevel("dataset").round(4).to_string())
+    for label, mark in results.provenance["partial"].items():
+        print(f"{label} is {mark}")
     for metric, reason in results.not_computed.items():
         print(f"{metric} not computed: {reason}")
 
@@ -112,6 +125,7 @@ def run(
     capture: Path | None = None,
     protocol: str | None = None,
     methods: Labels = ALL_METHODS,
+    reading: Reading = BY_DEFAULT,
     jobs: int = default_workers(),
 ) -> None:
     """Do it all: prepare, render, score, report. A second call does only what is missing.
@@ -121,25 +135,56 @@ def run(
         capture: folder of the capture; without one the demo capture is made beside the run folder.
         protocol: a .toml file or a packaged name; by default the packaged one that fits the capture.
         methods: which methods.
+        reading: how the capture is read.
         jobs: processes.
     """
     from ggvs_eval.pipelines.evaluate import evaluate
 
-    if capture is None:
-        from ggvs_eval.synthetic.demo import write_demo
+    opened = reading.open(capture or _demo_beside(run, jobs))
+    print(evaluate(run, opened, _protocol(protocol, opened), methods, jobs))
 
-        capture = write_demo(run.with_name(f"{run.name}-capture"), DemoOptions(), jobs)
-    print(evaluate(run, capture, _protocol(protocol, capture), methods, jobs))
+
+def sweep(
+    name: Annotated[str, tyro.conf.Positional],
+    out: Folder,
+    capture: Path | None = None,
+    protocol: str | None = None,
+    reading: Reading = BY_DEFAULT,
+    jobs: int = default_workers(),
+) -> None:
+    """Evaluate every row of a sweep under each of its variants and print one table of all.
+
+    Args:
+        name: a packaged sweep (ablations, k) or a .toml file.
+        out: folder of the sweep; each variant is a run folder in it.
+        capture: folder of the capture; without one the demo capture is made beside it.
+        protocol: what the variants start from; by default the packaged one that fits the capture.
+        reading: how the capture is read.
+        jobs: processes.
+    """
+    from ggvs_eval.pipelines.sweep import run_sweep
+    from ggvs_eval.sweep import load_sweep
+
+    wanted = load_sweep(name)
+    opened = reading.open(capture or _demo_beside(out, jobs))
+    result = run_sweep(out, opened, wanted, _protocol(protocol, opened), jobs)
+    print(result.table.round(4).to_string())
+    for title, reason in result.not_computed.items():
+        print(f"{title} not computed: {reason}")
 
 
 COMMANDS: dict[str, Callable[..., Any]] = {
     "demo": demo,
+    "check": check,
+    "calibrate": calibrate,
+    "undistort": undistort,
     "prepare": prepare,
     "render": render,
     "score": score,
     "report": report,
     "slice": draw_slice,
     "run": run,
+    "sweep": sweep,
 }
 
 
@@ -154,10 +199,19 @@ def run_command(arguments: list[str] | None = None) -> None:
         )
     except GgvsError as error:
         sys.exit(f"ggvs-eval: {error}")
+    except BrokenPipeError:  # `ggvs-eval ... | head`; what is still buffered must not fail at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
 
 
-def _protocol(source: str | None, capture: Path) -> Any:
-    from ggvs_eval.pipelines.evaluate import suggest_protocol
+def _demo_beside(run: Path, jobs: int) -> Path:
+    from ggvs_eval.synthetic.demo import write_demo
+
+    return write_demo(run.with_name(f"{run.name}-capture"), DemoOptions(), jobs)
+
+
+def _protocol(source: str | None, capture: Capture) -> Protocol:
+    from ggvs_eval.pipelines.suggest_protocol import suggest_protocol
     from ggvs_eval.protocol import load_protocol
 
     return load_protocol(source) if source else suggest_protocol(capture)

@@ -8,15 +8,16 @@ import numpy as np
 
 from ggvs_eval.camera import Camera, nearest_cameras, translated_path
 from ggvs_eval.capture import Capture
-from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.path import CameraPath, open_path
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import CaptureError, ProtocolError
 from ggvs_eval.images import resize, write_image
+from ggvs_eval.pipelines.frame_cache import cache_frames
 from ggvs_eval.pipelines.offline.depth import DepthOptions
 from ggvs_eval.pipelines.offline.prepare import DepthJob, depth_spec, plan_depth, prepare_depth
-from ggvs_eval.progress import track
+from ggvs_eval.pipelines.path_depth import write_path_depth
+from ggvs_eval.pipelines.score_path import write_path_record
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import RunFolder, frame_path, missing_frames, write_json
 
@@ -43,7 +44,7 @@ class Prepared:
     Attributes:
         run: the folder.
         protocol: what is evaluated.
-        capture: the capture at synthesis size.
+        capture: the capture at synthesis size, its frames read from the run folder.
         plans: test view -> how it is synthesised.
         path: poses of the camera path, each with its plan.
         path_frame: the instant at which the camera moves along the path.
@@ -64,14 +65,12 @@ class Prepared:
         return range(self.protocol.frames.start, self.protocol.frames.start + self.protocol.frames.count)
 
 
-def prepare(
-    root: Path, capture_path: Path, protocol: Protocol, workers: int = 1, options: DepthOptions | None = None
-) -> Prepared:
+def prepare(root: Path, capture: Capture, protocol: Protocol, workers: int = 1, options: DepthOptions | None = None) -> Prepared:
     """Write protocol, capture record, truth frames and depth into a run folder; what is there is kept.
 
     Args:
         root: the run folder; made if absent.
-        capture_path: the capture on disk.
+        capture: the capture at its own size.
         protocol: what to evaluate.
         workers: processes.
         options: of the depth estimation.
@@ -80,18 +79,41 @@ def prepare(
         CaptureError: the capture is unreadable or lacks what the protocol asks for.
         ProtocolError: the folder belongs to another protocol or capture.
     """
-    capture = open_for(capture_path, protocol)
+    capture = fit_capture(capture, protocol)
     run = RunFolder(root)
     _claim_folder(run, protocol, capture)
-    prepared = plan(run, protocol, capture, options or DepthOptions())
-    _write_truth(prepared)
+    planned = plan(run, protocol, capture, options or DepthOptions())
+    prepared = replace(planned, capture=cache_frames(capture, _wanted_frames(planned), run.root / "truth", workers))
+    _write_path_truth(prepared)
     _prepare_depth(prepared, options or DepthOptions(), workers)
+    if prepared.path:
+        poses = [(plan.target, plan.depth_keys) for plan in prepared.path]
+        write_path_depth(prepared.capture, poses, prepared.path_frame, DepthStore(run.depth), run.path_depth)
     return prepared
 
 
-def open_for(capture_path: Path, protocol: Protocol) -> Capture:
-    """Open a capture at the protocol's size and check that it has the views, frames and sources that are asked for."""
-    capture = open_capture(capture_path)
+def prepare_truth(root: Path, capture: Capture, protocol: Protocol, workers: int = 1) -> RunFolder:
+    """Write protocol, capture record and truth frames of the test views into a run folder: what scoring alone needs.
+
+    Args:
+        root: the run folder; made if absent. `prepare` can go on with it.
+        capture: the capture at its own size.
+        protocol: what to evaluate.
+        workers: processes.
+
+    Raises:
+        CaptureError: the capture is unreadable or lacks what the protocol asks for.
+        ProtocolError: the folder belongs to another protocol or capture.
+    """
+    capture, run = fit_capture(capture, protocol), RunFolder(root)
+    _claim_folder(run, protocol, capture)
+    frames = range(protocol.frames.start, protocol.frames.start + protocol.frames.count)
+    cache_frames(capture, dict.fromkeys(protocol.views.test, frames), run.root / "truth", workers)
+    return run
+
+
+def fit_capture(capture: Capture, protocol: Protocol) -> Capture:
+    """The capture at the protocol's size, after a check that it has the views and frames that are asked for."""
     absent = [name for name in protocol.views.test if name not in capture.camera_names]
     if absent:
         raise CaptureError(
@@ -178,27 +200,30 @@ def _capture_record(capture: Capture) -> dict[str, Any]:
         "n_frames": capture.n_frames,
         "units_per_metre": capture.units_per_metre,
         "units_origin": capture.units_origin,
+        "notes": list(capture.notes),
         "cameras": cameras,
         "digests": {name: capture.digest(name) for name in capture.camera_names},
     }
 
 
-def _write_truth(prepared: Prepared) -> None:
-    """Write the captured frames of the test views, and the path's images where the capture has them."""
-    for view in track(prepared.protocol.views.test, "truth"):
-        folder = prepared.run.truth(view)
-        if missing_frames(folder, prepared.frames):
-            frames = prepared.capture.frames(view, prepared.frames.start, prepared.frames.stop)
-            for index, image in zip(prepared.frames, frames, strict=True):
-                write_image(frame_path(folder, index), image)
+def _wanted_frames(planned: Prepared) -> dict[str, list[int]]:
+    """Which frames of which cameras take part: test views, source cameras and those that their depth is matched with."""
+    wanted: dict[str, list[int]] = {view: list(planned.frames) for view in planned.plans}
+    for plans, frames in ((planned.plans.values(), list(planned.frames)), (planned.path, [planned.path_frame])):
+        for job in {job for plan in plans for job in plan.jobs}:
+            for name in (job.camera_name, *job.partner_names):
+                wanted[name] = sorted({*wanted.get(name, []), *frames})
+    return wanted
+
+
+def _write_path_truth(prepared: Prepared) -> None:
+    """Write the path's images where the capture has them, and where its poses lie."""
     folder, images = prepared.run.path("truth"), prepared.path_images
     if images is not None and missing_frames(folder, range(images.n_frames)):
         size = prepared.path[0].target.size
         for pose, image in enumerate(images.frames(0, images.n_frames)):
             write_image(frame_path(folder, pose), resize(image, *size, prepared.protocol.synthesis.resize_filter))
-    centres = [plan.target.centre.tolist() for plan in prepared.path]
-    if centres:
-        write_json(prepared.run.root / "path" / "path.json", {"frame": prepared.path_frame, "centres": centres})
+    write_path_record(prepared.run, prepared.path_frame, [(plan.target, list(plan.depth_keys)) for plan in prepared.path])
 
 
 def _prepare_depth(prepared: Prepared, options: DepthOptions, workers: int) -> None:

@@ -5,12 +5,15 @@ the ratio by which we are better.
 """
 
 import argparse
+import shutil
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
+from ggvs_eval.datasets import open_capture
 from ggvs_eval.pipelines.evaluate import evaluate
 from ggvs_eval.pipelines.methods import METHODS
 from ggvs_eval.processes import default_workers
@@ -37,6 +40,7 @@ def main() -> None:
     figures = validate_demo(arguments.out / "demo")
     real = arguments.data / "n3v_flame_steak"
     if real.is_dir():
+        figures |= validate_calibration(real, arguments.out / "calibration")
         figures |= validate_real_frame(real, arguments.out / "real_frame")
     else:
         print(f"real frame: not computed: no capture at {real}; give --data")
@@ -44,10 +48,39 @@ def main() -> None:
     print(arguments.out / "validate.json")
 
 
+def validate_calibration(capture: Path, out: Path) -> Figures:
+    """Cameras found from the images alone, against those that come with the capture."""
+    from ggvs_eval.pipelines.offline.calibrate import CalibrationOptions, calibrate, measure_against
+
+    shutil.rmtree(out, ignore_errors=True)
+    given = open_capture(capture)
+    start = time.perf_counter()
+    found = measure_against(given, calibrate(capture / "images", out, CalibrationOptions(shared_intrinsics=True)))
+    found["seconds"] = time.perf_counter() - start
+    targets: dict[str, tuple[float | None, bool]] = {
+        "n_registered": (float(len(given.cameras)), True),
+        "mean_reprojection_error_px": (1.0, False),
+        "centre_error_percent_max": (1.0, False),
+        "rotation_error_deg_max": (0.2, False),
+        "seconds": (None, False),
+    }
+    print(pd.Series({name: found[name] for name in targets}, name="calibration").round(4).to_string())
+    return {
+        f"calibration.{name}": {
+            "value": found[name],
+            "unit": name.rsplit("_", 1)[-1],
+            "target": target,
+            "higher_is_better": higher,
+            "command": COMMAND,
+        }
+        for name, (target, higher) in targets.items()
+    }
+
+
 def validate_real_frame(capture: Path, run: Path) -> Figures:
     """One real instant, leave-one-out on nine views; the target takes no part in any depth."""
     labels = [label for label in METHODS if "+" not in label]  # variants differ over time only
-    evaluate(run, capture, load_protocol("real_frame"), labels, default_workers())
+    evaluate(run, open_capture(capture), load_protocol("real_frame"), labels, default_workers())
     results = Results.read(run)
     for metric in ("PSNR", "PSNR_cc", "SSIM", "LPIPS", "L1"):
         if metric not in results.not_computed:
@@ -63,7 +96,7 @@ def validate_demo(run: Path) -> Figures:
     from ggvs_eval.synthetic.options import DemoOptions
 
     capture = write_demo(run.with_name(f"{run.name}-capture"), DemoOptions())
-    evaluate(run, capture, load_protocol("demo"), list(METHODS), default_workers())
+    evaluate(run, open_capture(capture), load_protocol("demo"), list(METHODS), default_workers())
     means = _means(Results.read(run))
     print(means.round(4).to_string())
     wanted: Targets = {"PSNR": (None, True), "TCC": (None, True), "STED": (None, False)}

@@ -8,13 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ggvs_eval.capture import Capture
+from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError, ProtocolError, RenderError
 from ggvs_eval.images import read_image, write_image
-from ggvs_eval.pipelines.evaluate import evaluate, suggest_protocol
+from ggvs_eval.pipelines.evaluate import evaluate, reopen
 from ggvs_eval.pipelines.methods import METHODS
 from ggvs_eval.pipelines.prepare import prepare
 from ggvs_eval.pipelines.render import render
-from ggvs_eval.pipelines.score import import_renders, score
+from ggvs_eval.pipelines.renders.import_renders import import_renders
+from ggvs_eval.pipelines.score import score
+from ggvs_eval.pipelines.suggest_protocol import suggest_protocol
 from ggvs_eval.protocol import Frames, Protocol, Synthesis, Views, load_protocol
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder, frame_path
@@ -25,9 +29,9 @@ LABELS = ("no-blending", "ours-geometric")
 
 
 @pytest.fixture(scope="module")
-def capture(tmp_path_factory) -> Path:
+def capture(tmp_path_factory) -> Capture:
     options = DemoOptions(width=128, height=96, n_frames=4, cameras_per_row=3, path_poses=5, supersampling=1)
-    return write_demo(tmp_path_factory.mktemp("capture") / "demo", options)
+    return open_capture(write_demo(tmp_path_factory.mktemp("capture") / "demo", options))
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +58,12 @@ def finished(capture, protocol, tmp_path_factory) -> Path:
 def run(finished, tmp_path) -> RunFolder:
     shutil.copytree(finished, tmp_path / "run")
     return RunFolder(tmp_path / "run")
+
+
+def copy_truth(run: RunFolder, folder: Path) -> None:
+    """Renders that are the captured frames of the test views themselves."""
+    for view in run.protocol().views.test:
+        shutil.copytree(run.truth(view), folder / view)
 
 
 def modification_times(root: Path) -> dict[Path, int]:
@@ -101,8 +111,7 @@ def test_a_lost_view_is_rendered_again_with_the_same_bits(run, capture, protocol
 
 def test_the_target_takes_no_part(finished):
     """No depth of any source of a test view was matched against that view."""
-    run = RunFolder(finished)
-    prepared = prepare(finished, Path(run.capture_record()["path"]), run.protocol())
+    prepared = reopen(finished, workers=1)
 
     for view, plan in prepared.plans.items():
         used = {name for job in plan.jobs for name in (job.camera_name, *job.partner_names)}
@@ -123,7 +132,7 @@ def test_a_changed_frame_is_scored_again(run):
 
 def test_frames_rendered_elsewhere_are_a_method(run, tmp_path):
     """A folder of <view>/<frame>.png is scored beside the others; the truth itself scores best."""
-    shutil.copytree(run.root / "truth", tmp_path / "mine")
+    copy_truth(run, tmp_path / "mine")
 
     import_renders(run, "perfect", tmp_path / "mine")
     summary = score(run).summary().droplevel("dataset")
@@ -134,7 +143,7 @@ def test_frames_rendered_elsewhere_are_a_method(run, tmp_path):
 
 def test_every_gap_is_listed(run, tmp_path):
     """Missing frames of foreign renders are an error that names view and frames; nothing is skipped."""
-    shutil.copytree(run.root / "truth", tmp_path / "mine")
+    copy_truth(run, tmp_path / "mine")
     for name in ("cam00/0001.png", "cam01/0002.png", "cam01/0003.png"):
         (tmp_path / "mine" / name).unlink()
 
@@ -144,12 +153,11 @@ def test_every_gap_is_listed(run, tmp_path):
 
 def test_a_wrong_size_is_refused(run, tmp_path):
     """A frame of another size than the truth is named with both sizes."""
-    shutil.copytree(run.root / "truth", tmp_path / "mine")
+    copy_truth(run, tmp_path / "mine")
     write_image(tmp_path / "mine" / "cam00" / "0001.png", np.zeros((48, 64, 3), np.uint8))
-    import_renders(run, "mine", tmp_path / "mine")
 
-    with pytest.raises(RenderError, match=r"cam00/0001.png: wanted 128 x 96 pixels as the truth has, got 64 x 48"):
-        score(run)
+    with pytest.raises(RenderError, match=r"mine in cam00: 1 \(64 x 48 instead of 128 x 96\)"):
+        import_renders(run, "mine", tmp_path / "mine")
 
 
 def test_a_folder_belongs_to_one_protocol(run, capture, protocol):
@@ -162,10 +170,11 @@ def test_a_folder_belongs_to_one_protocol(run, capture, protocol):
 
 def test_the_path_may_show_another_instant_than_the_protocol(capture, protocol, tmp_path):
     """A true camera path at an instant beyond the protocol's frames has its depth computed and is rendered."""
-    shutil.copytree(capture, tmp_path / "late")
+    shutil.copytree(capture.path, tmp_path / "late")
     note = json.loads((tmp_path / "late" / "demo.json").read_text())
     (tmp_path / "late" / "demo.json").write_text(json.dumps(note | {"path_time_s": 0.1}))  # frame 3 at 30 fps
-    prepared = prepare(tmp_path / "run", tmp_path / "late", dataclasses.replace(protocol, frames=Frames(0, 2)))
+    late = open_capture(tmp_path / "late")
+    prepared = prepare(tmp_path / "run", late, dataclasses.replace(protocol, frames=Frames(0, 2)))
 
     render(prepared, ["no-blending"])
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ggvs_eval.baselines.method import Map, SourceView
+from ggvs_eval.difference_mask import difference_mask
 from ggvs_eval.images import Image8
-from ggvs_eval.pipelines.online.masks import difference_mask
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,71 @@
+"""A sweep: which methods stand in a table, and over which numbers of source cameras; one TOML file."""
+
+import dataclasses
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+
+from ggvs_eval.errors import ProtocolError
+from ggvs_eval.protocol import Protocol
+from ggvs_eval.toml_tables import build_table, parse_toml, read_toml
+
+
+@dataclass(frozen=True)
+class SweepRow:
+    """One row of the table.
+
+    Attributes:
+        title: what the paper calls it.
+        method: label of the method; one that is not built yet is reported as not computed.
+    """
+
+    title: str
+    method: str
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """What to compare.
+
+    Attributes:
+        name: of the sweep.
+        describe: one line.
+        row: the methods, in the order of the table.
+        k: numbers of source cameras; the protocol's own where empty.
+    """
+
+    name: str
+    describe: str
+    row: tuple[SweepRow, ...]
+    k: tuple[int, ...] = ()
+
+    def protocols(self, protocol: Protocol) -> dict[str, Protocol]:
+        """One protocol per variant, by the name of its run folder: ``k4``, or the protocol's own name."""
+        if not self.k:
+            return {protocol.name: protocol}
+        return {f"k{k}": dataclasses.replace(protocol, synthesis=dataclasses.replace(protocol.synthesis, k=k)) for k in self.k}
+
+
+def load_sweep(source: str) -> Sweep:
+    """Read a sweep from a TOML file, or one that ships with the package by its name (``ablations``, ``k``).
+
+    Raises:
+        ProtocolError: no such file, not TOML, or an unknown, missing or mistyped key.
+    """
+    if source.endswith(".toml"):
+        values = read_toml(Path(source), ProtocolError)
+    elif source in packaged_sweeps():
+        file = resources.files("ggvs_eval") / "sweeps" / f"{source}.toml"
+        values = parse_toml(file.read_text(encoding="utf-8"), source, ProtocolError)
+    else:
+        raise ProtocolError(f"sweep {source!r} is not packaged; use a .toml file or one of {', '.join(packaged_sweeps())}")
+    sweep = build_table(Sweep, values, source, "", ProtocolError)
+    if not sweep.row or any(k < 1 for k in sweep.k):
+        raise ProtocolError(f"{source}: wanted at least one [[row]] and k of at least 1, got {len(sweep.row)} rows, k {sweep.k}")
+    return sweep
+
+
+def packaged_sweeps() -> list[str]:
+    """Names of the sweeps that ship with the package."""
+    folder = resources.files("ggvs_eval") / "sweeps"
+    return sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml"))

@@ -1,0 +1,133 @@
+"""The verbs of the command line that deal with captures alone: demo, check, calibrate, undistort."""
+
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from ggvs_eval.capture import Capture
+from ggvs_eval.datasets import DATASETS, open_capture
+from ggvs_eval.datasets.units import GivenUnits
+from ggvs_eval.errors import CaptureError
+from ggvs_eval.pipelines.offline.calibrate import CalibrationOptions
+from ggvs_eval.pipelines.offline.undistort import UndistortOptions
+from ggvs_eval.processes import default_workers
+from ggvs_eval.synthetic.options import DemoOptions
+
+Folder = Annotated[Path, tyro.conf.Positional]
+Layout = Annotated[str | None, tyro.conf.arg(metavar=f"{{{','.join(DATASETS)}}}")]
+
+
+@dataclass(frozen=True)
+class CaptureOptions:
+    """How a capture is read.
+
+    Attributes:
+        layout: how it lies on disk; found out by default.
+        units: world units per metre, or a TOML file with a known baseline or two marked points (docs/captures.md).
+        keep_unsynced: keep cameras that are known to be out of step (cam13 of coffee_martini).
+    """
+
+    layout: Layout = None
+    units: str | None = None
+    keep_unsynced: bool = False
+
+    def open(self, path: Path) -> Capture:
+        """Open a capture and tell what was left out of it."""
+        capture = open_capture(path, self.layout, units=self.given_units(), drop_unsynced=not self.keep_unsynced)
+        for note in capture.notes:
+            print(f"{path}: {note}", file=sys.stderr)
+        return capture
+
+    def given_units(self) -> GivenUnits:
+        """The number or the file that the user gave."""
+        if self.units is None or self.units.endswith(".toml"):
+            return None if self.units is None else Path(self.units)
+        try:
+            return float(self.units)
+        except ValueError as error:
+            raise CaptureError(f"--units wants a number or a .toml file, got {self.units!r}") from error
+
+
+Reading = tyro.conf.OmitArgPrefixes[CaptureOptions]
+Calibrating = tyro.conf.OmitArgPrefixes[CalibrationOptions]
+BY_DEFAULT = CaptureOptions()
+
+
+def demo(
+    out: Folder,
+    options: tyro.conf.OmitArgPrefixes[DemoOptions] = DemoOptions(),  # noqa: B008 - frozen
+    seconds: float | None = None,
+) -> None:
+    """Write the demo capture: a procedural dynamic room in the layout of a data set, with exact depth beside it.
+
+    Args:
+        out: folder to write; absent, or holding this very demo.
+        options: what the room, the rig and the sensors are like.
+        seconds: length of the videos, instead of --n-frames.
+    """
+    from ggvs_eval.synthetic.demo import write_demo
+
+    if seconds is not None:
+        options = replace(options, n_frames=round(seconds * options.fps))
+    print(write_demo(out, options, default_workers()))
+
+
+def check(capture: Folder, reading: Reading = BY_DEFAULT, out: Path | None = None, jobs: int = default_workers()) -> None:
+    """Look for what would spoil results: frames, poses, intrinsics, timing, colour, epipolar geometry, overlap.
+
+    Prints a verdict per question, writes them as JSON, and ends with 1 where a verdict is bad.
+
+    Args:
+        capture: the capture.
+        reading: how it is read.
+        out: JSON file; CAPTURE.check.json in the current folder by default.
+        jobs: processes.
+    """
+    from ggvs_eval.pipelines.check.check import run_check
+
+    out = out or Path(f"{capture.resolve().name}.check.json")
+    found, table = run_check(capture, out, layout=reading.layout, units=reading.given_units(), workers=jobs)
+    print(table)
+    print(out)
+    if not found.is_usable:
+        sys.exit(1)
+
+
+def calibrate(frames: Folder, out: Folder, options: Calibrating = CalibrationOptions()) -> None:  # noqa: B008 - frozen
+    """Find the cameras of a fixed rig from one instant, with COLMAP, and write them as a capture that every verb reads.
+
+    Args:
+        frames: videos, folders of images or one image per camera.
+        out: capture to write, absent or empty.
+        options: what is known and what is assumed.
+    """
+    from ggvs_eval.pipelines.offline.calibrate import calibrate as find_cameras
+
+    found = find_cameras(frames, out, options)
+    for name, reason in found.missing.items():
+        print(f"{name} left out: {reason}", file=sys.stderr)
+    error = f"mean reprojection error {found.mean_reprojection_error_px:.3f} px over {found.n_points} points"
+    print(f"{found.path}: {len(found.cameras)} cameras, {error}")
+
+
+def undistort(
+    source: Folder,
+    out: Folder,
+    lenses: Path | None = None,
+    options: tyro.conf.OmitArgPrefixes[UndistortOptions] = UndistortOptions(),  # noqa: B008 - frozen
+) -> None:
+    """Write raw videos of known lenses as pinhole videos, with the new intrinsics beside them for `calibrate`.
+
+    Args:
+        source: folder of raw videos, with --lenses; or any capture whose layout knows its lenses.
+        out: folder to write, absent or empty.
+        lenses: intri.yml (EasyMocap), calib_1080.pkl or calib_2k.pkl (D3DMV; read, never unpickled), or a TOML file.
+        options: how frames are written.
+    """
+    from ggvs_eval.pipelines.offline.undistort import undistort_videos
+
+    written = undistort_videos(source, lenses, out, options)
+    print(f"{written.path}: {len(written.cameras)} cameras of {written.n_frames} frames")

@@ -1,0 +1,70 @@
+"""Depth along a camera path that belongs to no method: what the view-consistency measures of all methods are told."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.capture import Capture
+from ggvs_eval.depth_store import DepthStore
+from ggvs_eval.errors import DepthError
+from ggvs_eval.geometry.tsdf import DepthView, fusion_weights, ray_march
+from ggvs_eval.pipelines.online.geometry_guided import OnlineOptions
+from ggvs_eval.progress import track
+
+
+def write_path_depth(
+    capture: Capture, poses: Sequence[tuple[Camera, dict[str, str]]], frame: int, store: DepthStore, folder: Path
+) -> None:
+    """Fuse the depth of each pose's source cameras and write it; what is there is kept.
+
+    Args:
+        capture: at synthesis size.
+        poses: each pose with its source cameras and the keys of their depth.
+        frame: the instant of the path.
+        store: depth of the source cameras.
+        folder: where ``<pose>.npy`` goes, (H, W) float32, world units, 0 = unknown.
+
+    Reading:
+        A method's own depth would hide its contradictions from the measures; this one is the same for all. It is fused as the
+        online method does it (Eq. 3), without history.
+    """
+    missing = [index for index in range(len(poses)) if not pose_file(folder, index).is_file()]
+    folder.mkdir(parents=True, exist_ok=True)
+    for index in track(missing, "depth along the path"):
+        target, keys = poses[index]
+        depth = _fused_depth(capture, target, keys, frame, store)
+        temporary = pose_file(folder, index).with_suffix(".tmp")
+        with temporary.open("wb") as file:
+            np.save(file, depth)
+        temporary.replace(pose_file(folder, index))
+
+
+def read_path_depth(folder: Path, pose: int) -> NDArray[np.float32]:
+    """What `write_path_depth` wrote for one pose.
+
+    Raises:
+        DepthError: absent or damaged.
+    """
+    file = pose_file(folder, pose)
+    try:
+        return np.asarray(np.load(file, allow_pickle=False), dtype=np.float32)
+    except (OSError, ValueError, EOFError) as error:
+        raise DepthError(f"{file}: wanted depth of a path's pose, got: {error}; delete it and run `ggvs-eval prepare`") from error
+
+
+def pose_file(folder: Path, pose: int) -> Path:
+    """File of one pose's depth."""
+    return folder / f"{pose:04d}.npy"
+
+
+def _fused_depth(capture: Capture, target: Camera, keys: dict[str, str], frame: int, store: DepthStore) -> NDArray[np.float32]:
+    options = OnlineOptions()
+    tau, noise = (length * capture.units_per_metre for length in (options.tau_m, options.depth_noise_m))
+    views = []
+    for name, key in keys.items():
+        depth = store.read(key, frame).depth
+        views.append(DepthView(capture.camera(name), depth, fusion_weights(depth, tau, noise)))
+    return ray_march(target, views, tau=tau).depth

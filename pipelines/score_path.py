@@ -1,0 +1,97 @@
+"""Score the camera path: view consistency of each method's images along it, without any truth."""
+
+from collections.abc import Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.digest import digest_files
+from ggvs_eval.images import read_image
+from ggvs_eval.metrics.path_scores import PathPose, score_path
+from ggvs_eval.pipelines.jobs import Job, code_digest, run_jobs
+from ggvs_eval.pipelines.path_depth import pose_file, read_path_depth
+from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, missing_frames, read_json, write_json
+
+PATH_VIEW = "path"  # stands in the table's column of views
+TRUTH = "truth"
+
+
+def write_path_record(run: RunFolder, frame: int, poses: Sequence[tuple[Camera, Sequence[str]]]) -> None:
+    """Note where the path's poses lie and which source cameras each has; nothing where there is no path.
+
+    Args:
+        run: the run folder.
+        frame: the instant of the path.
+        poses: each pose with the names of its source cameras, nearest first.
+    """
+    if not poses:
+        return
+    cameras = [
+        {
+            "K": camera.K.tolist(),
+            "world_to_camera": camera.world_to_camera.tolist(),
+            "size": list(camera.size),
+            "near": camera.near,
+            "far": camera.far,
+        }
+        for camera, _ in poses
+    ]
+    centres = [camera.centre.tolist() for camera, _ in poses]
+    record = {"frame": frame, "centres": centres, "cameras": cameras, "sources": [list(sources) for _, sources in poses]}
+    write_json(run.path_record, record)
+
+
+def score_paths(run: RunFolder, labels: Sequence[str], workers: int = 1) -> dict[str, dict[str, Any]]:
+    """Measure the path of every method that has one, and of the truth where the capture has true images of it.
+
+    Args:
+        run: the run folder.
+        labels: methods.
+        workers: processes.
+
+    Returns:
+        label (or ``truth``) -> ``values``, a list of (measure, pose or -1, value), and ``not_computed``, measure -> reason. Empty
+        where there is no path.
+    """
+    if not run.path_record.is_file():
+        return {}
+    n_poses = len(read_json(run.path_record)["cameras"])
+    rendered = [label for label in (TRUTH, *labels) if not missing_frames(run.path(label), range(n_poses))]
+    run_jobs([_job(run, label, n_poses) for label in rendered], workers, "scoring the path")
+    return {label: read_json(run.path_scores(label) / JOB_FILE) for label in rendered}
+
+
+def _job(run: RunFolder, label: str, n_poses: int) -> Job:
+    frames = [frame_path(run.path(label), pose) for pose in range(n_poses)]
+    depths = [pose_file(run.path_depth, pose) for pose in range(n_poses)]
+    identity = {
+        "rendered": digest_files(frames),
+        "depth": digest_files([file for file in depths if file.is_file()]),
+        "path": digest_files([run.path_record]),
+        "code": code_digest("ggvs_eval.metrics"),
+    }
+    return Job(f"path of {label}", run.path_scores(label), identity, partial(_score, run, label))
+
+
+def _score(run: RunFolder, label: str, _folder: Path) -> dict[str, Any]:
+    scores = score_path(_poses(run, label))
+    values = [(name, -1 if pose is None else pose, value) for name, pose, value in scores.values]
+    return {"values": values, "not_computed": scores.not_computed, "rows": list(scores.rows), "n_switches": scores.n_switches}
+
+
+def _poses(run: RunFolder, label: str) -> Iterator[PathPose]:
+    record = read_json(run.path_record)
+    for index, (values, sources) in enumerate(zip(record["cameras"], record["sources"], strict=True)):
+        camera = Camera(
+            f"path{index:04d}",
+            np.array(values["K"]),
+            np.array(values["world_to_camera"]),
+            *values["size"],
+            values["near"],
+            values["far"],
+        )
+        depth = read_path_depth(run.path_depth, index) if pose_file(run.path_depth, index).is_file() else None
+        yield PathPose(camera, read_image(frame_path(run.path(label), index)), depth, sources)

@@ -1,0 +1,85 @@
+"""Run a sweep: the whole evaluation once per variant of the protocol, and one table of all of them."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from ggvs_eval.capture import Capture
+from ggvs_eval.pipelines.methods import METHODS, split_label
+from ggvs_eval.pipelines.prepare import prepare
+from ggvs_eval.pipelines.render import render
+from ggvs_eval.pipelines.score import score
+from ggvs_eval.protocol import Protocol
+from ggvs_eval.results import Results
+from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
+from ggvs_eval.sweep import Sweep, SweepRow
+
+SHARED_FOLDERS = ("truth", "depth")
+
+
+@dataclass(frozen=True)
+class SweepResult:
+    """What came out of a sweep.
+
+    Attributes:
+        table: one line per variant and row: mean of each metric, and seconds per frame.
+        not_computed: title of a row -> reason.
+        runs: the run folder of each variant.
+    """
+
+    table: pd.DataFrame
+    not_computed: dict[str, str]
+    runs: dict[str, Path]
+
+
+def run_sweep(root: Path, capture: Capture, sweep: Sweep, protocol: Protocol, workers: int) -> SweepResult:
+    """Evaluate every row under every variant; what exists is not computed again.
+
+    Frames and depth are shared between the variants, so that K = 2 finds what K = 6 has computed.
+
+    Args:
+        root: folder of the sweep; each variant is a run folder in it.
+        capture: what to evaluate on.
+        sweep: rows and variants.
+        protocol: what the variants start from.
+        workers: processes.
+
+    Raises:
+        GgvsError: as of the single steps.
+    """
+    rows = [row for row in sweep.row if row.method in METHODS]
+    absent = {row.title: f"this version has no method {row.method!r}" for row in sweep.row if row not in rows}
+    runs, parts = {}, []
+    for variant, variant_protocol in sweep.protocols(protocol).items():
+        runs[variant] = root / variant
+        _share_folders(root, runs[variant])
+        render(prepare(runs[variant], capture, variant_protocol, workers), [row.method for row in rows], workers)
+        parts.append(_lines(variant, RunFolder(runs[variant]), score(RunFolder(runs[variant]), workers), rows))
+    table = pd.concat(parts)
+    table.to_csv(root / "sweep.csv")
+    return SweepResult(table, absent, runs)
+
+
+def _share_folders(root: Path, run: Path) -> None:
+    run.mkdir(parents=True, exist_ok=True)
+    for name in SHARED_FOLDERS:
+        (root / name).mkdir(exist_ok=True)
+        if not (run / name).exists():
+            (run / name).symlink_to(Path("..") / name, target_is_directory=True)
+
+
+def _lines(variant: str, run: RunFolder, results: Results, rows: list[SweepRow]) -> pd.DataFrame:
+    """The rows of one variant by their titles, with the time of a frame."""
+    summary = results.summary().droplevel("dataset")
+    lines = pd.DataFrame([summary.loc[split_label(row.method)] for row in rows], index=[row.title for row in rows])
+    lines["s/frame"] = [_seconds_per_frame(run, row.method) for row in rows]
+    lines.index = pd.MultiIndex.from_product([[variant], lines.index], names=["variant", "method"])
+    return lines
+
+
+def _seconds_per_frame(run: RunFolder, label: str) -> float:
+    """Median over all frames of all views."""
+    records = [read_json(run.renders(label, view) / JOB_FILE)["seconds"] for view in run.protocol().views.test]
+    return float(np.median([sum(stages) for record in records for stages in zip(*record.values(), strict=True)]))
