@@ -1,11 +1,12 @@
 """A scored run folder as the reports see it: who was measured, under what name, and what each number means."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.protocol import Protocol
+from ggvs_eval.reports.references import Reference, read_references
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder, read_json, require_frames
 
@@ -49,6 +50,7 @@ class MeasuredRun:
         names: label -> name to show.
         ours: labels of the paper's method and its variants.
         metrics: metric -> its note.
+        references: grey rows that belong to no method.
     """
 
     folder: RunFolder
@@ -58,6 +60,7 @@ class MeasuredRun:
     names: Mapping[str, str]
     ours: frozenset[str]
     metrics: Mapping[str, MetricNote]
+    references: tuple[Reference, ...] = ()
 
     @property
     def scene(self) -> str:
@@ -97,6 +100,7 @@ def read_run(root: Path) -> MeasuredRun:
     methods = read_json(folder.root / METHODS_FILE)
     notes = {name: MetricNote(name, **note) for name, note in read_json(folder.root / METRICS_FILE).items()}
     run = MeasuredRun(folder, protocol, results, tuple(folder.labels()), methods["names"], frozenset(methods["ours"]), notes)
+    run = replace(run, references=read_references(folder))
     for view in protocol.views.test:
         named = {f"{run.name(label)} in {view}": path for label, path in run.frame_folders(view).items()}
         require_frames(named, run.frames)

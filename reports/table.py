@@ -10,7 +10,7 @@ from ggvs_eval.statistics.bootstrap import LEVEL, Interval
 DECIMALS = {"PSNR": 2, "PSNR_cc": 2, "SSIM": 3, "LPIPS": 3, "L1": 2, "TCC": 3, "SDT": 3, "SDV": 3}
 SIGNIFICANT = 4
 
-RowKind = Literal["measured", "ours", "published"]
+RowKind = Literal["measured", "ours", "published", "reference"]
 
 
 @dataclass(frozen=True)
@@ -69,11 +69,16 @@ class Cell:
 
 @dataclass(frozen=True)
 class Row:
-    """One method, measured or published."""
+    """One method, measured or published, or a reference that is no method."""
 
     name: str
     cells: tuple[Cell, ...]
     kind: RowKind = "measured"
+
+    @property
+    def is_grey(self) -> bool:
+        """Whether it only stands beside what was measured, and competes with nothing."""
+        return self.kind in ("published", "reference")
 
 
 @dataclass(frozen=True)
@@ -133,7 +138,7 @@ def _decimals(metric: str, value: float) -> int:
 
 
 def rank(columns: Sequence[Column], rows: Sequence[Row], told: Sequence[frozenset[int] | None] = ()) -> tuple[Row, ...]:
-    """Mark the best measured value of each column and shade the better half; published rows are left alone.
+    """Mark the best measured value of each column and shade the better half; grey rows are left alone.
 
     Args:
         columns: heads.
@@ -142,7 +147,7 @@ def rank(columns: Sequence[Column], rows: Sequence[Row], told: Sequence[frozense
             print the same digits as the best; None, or nothing at all, leaves it at the printed digits.
     """
     ranked = [list(row.cells) for row in rows]
-    competing = [index for index, row in enumerate(rows) if row.kind != "published"]
+    competing = [index for index, row in enumerate(rows) if not row.is_grey]
     for at, column in enumerate(columns):
         having = [index for index in competing if ranked[index][at].value is not None]
         if column.higher_is_better is None or len(having) < 2:

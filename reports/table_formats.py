@@ -91,7 +91,7 @@ def _latex_table(table: Table) -> str:
     heads = [f"{escape_latex(c.name)}{unit}{arrows[c.arrow]}" for c, unit in zip(table.columns, units, strict=True)]
     body: list[str] = []
     for above, row in zip((None, *table.rows), table.rows, strict=False):
-        if above is not None and row.kind == "published" and above.kind != "published":
+        if above is not None and row.is_grey and not above.is_grey:
             body.append(r"\midrule")
         body.append(" & ".join([_latex_text(row, row.name), *(_latex_cell(row, cell) for cell in row.cells)]) + r" \\")
     label = re.sub(r"[^a-z0-9-]+", "-", f"{table.key}-{table.dataset}".lower()).strip("-")
@@ -122,7 +122,7 @@ def _latex_cell(row: Row, cell: Cell) -> str:
 
 
 def _latex_text(row: Row, text: str) -> str:
-    return rf"\textcolor{{gray}}{{{escape_latex(text)}}}" if row.kind == "published" else escape_latex(text)
+    return rf"\textcolor{{gray}}{{{escape_latex(text)}}}" if row.is_grey else escape_latex(text)
 
 
 def _title(table: Table) -> str:
@@ -139,7 +139,7 @@ def _markdown_cell(row: Row, cell: Cell) -> str:
 
 
 def _markdown_text(row: Row, text: str) -> str:
-    return f"*{_markdown(text)}*" if row.kind == "published" else _markdown(text)
+    return f"*{_markdown(text)}*" if row.is_grey else _markdown(text)
 
 
 def _markdown_row(cells: Sequence[str]) -> str:

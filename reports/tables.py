@@ -9,6 +9,7 @@ import pandas as pd
 
 from ggvs_eval.reports.measured import MeasuredRun, MetricNote, label_of
 from ggvs_eval.reports.published import published_rows
+from ggvs_eval.reports.references import reference_rows
 from ggvs_eval.reports.table import Cell, Column, Row, Table, measured_cell, rank
 from ggvs_eval.results import Results
 from ggvs_eval.statistics.bootstrap import LEVEL, Interval, intervals
@@ -16,8 +17,16 @@ from ggvs_eval.statistics.paired import Standing, rank_methods
 
 GROUPS = {
     "quality": ("Image quality", ("PSNR", "PSNR_cc", "SSIM", "LPIPS", "L1")),
-    "consistency": ("Temporal and view consistency", ("TCC", "STED", "SDT", "SDV")),
+    "consistency": ("Temporal and view consistency", ("TCC", "STED", "STED_ssn", "Flicker", "SDT", "SDV")),
+    "path": (
+        "View consistency along the camera path, without truth",
+        (
+            *("EPI_coherence", "EPI_line_texture", "EPI_slope_error", "EPI_slope_agreeing"),
+            *("reprojection", "reprojection_visible", "switch_ratio", "switch_excess"),
+        ),
+    ),
 }
+PUBLISHED_GROUPS = ("quality", "consistency")
 
 
 @dataclass(frozen=True)
@@ -91,12 +100,15 @@ def _main_table(
     certain = {metric: _certainty(runs[0].metrics[metric], results, dataset) for metric in metrics}
     rows = measured_rows(runs, here, metrics, metrics, results, certain)
     told = [_told_rows(certain[metric], row_labels(runs, here)) for metric in metrics]
-    published = published_rows(key, dataset, metrics) if key in GROUPS else ()
+    references = [reference for run in runs for reference in run.references]
+    grey = reference_rows(references, key, metrics)
+    grey += published_rows(key, dataset, metrics) if key in PUBLISHED_GROUPS else ()
     protocol = runs[0].protocol
     frames, views = _count(protocol.frames.count, "frame"), _count(len(protocol.views.test), "view")
     means = f"Mean over {frames}, then {views}, then scenes; K = {protocol.synthesis.k} source views."
-    caption = " ".join([means, *_certainty_captions(certain)])
-    return Table(key, title, caption, columns, rank(columns, rows, told) + published, dataset)
+    notes = [f"{reference.name}: {reference.note}" for reference in references if reference.group == key]
+    caption = " ".join([means, *_certainty_captions(certain), *dict.fromkeys(notes)])
+    return Table(key, title, caption, columns, rank(columns, rows, told) + grey, dataset)
 
 
 def _certainty(note: MetricNote, results: Results, dataset: str) -> Certainty:
@@ -135,7 +147,7 @@ def view_tables(run: MeasuredRun) -> tuple[Table, ...]:
     tables = []
     for metric in run.protocol.measurement.metrics:
         values = run.results.per_view(metric)
-        if values.empty:
+        if values.empty or not set(run.protocol.views.test) & set(values.columns):
             continue
         note, views = run.metrics[metric], run.protocol.views.test
         columns = tuple(Column(view, note.unit, note.higher_is_better) for view in views)

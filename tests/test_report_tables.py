@@ -167,7 +167,7 @@ def test_published_values_are_whole():
 def test_published_rows_are_grey_everywhere(tmp_path):
     """Beside measured DyNeRF values the paper's rows are set apart in the page, in Markdown and in LaTeX."""
     report = write_report([write_run(tmp_path / "run", replace(SMALL, dataset="DyNeRF"))]).parent
-    assert '<tr class="published">' in (report / "index.html").read_text(encoding="utf-8")
+    assert '<tr class="published grey">' in (report / "index.html").read_text(encoding="utf-8")
     assert "| *Ours (paper)* | *31.17* | *0.191* |" in (report / "tables.md").read_text(encoding="utf-8")
     assert r"\textcolor{gray}{Ours (paper)} & \textcolor{gray}{31.17} & \textcolor{gray}{0.191}" in (
         report / "tables.tex"

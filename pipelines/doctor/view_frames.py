@@ -1,0 +1,114 @@
+"""Frames of one view as the doctor sees them: rendered beside captured, read when they are wanted."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.errors import RenderError
+from ggvs_eval.images import Image8
+
+FrameReader = Callable[[int], Image8]
+Array = NDArray[np.float32]
+# Everything but registration and coding is decided on pictures of this size, so that a dozen of them are a few megabytes.
+SMALL_SIDE_PX = 192
+LARGEST_OFFSET = 8
+
+
+@dataclass(frozen=True)
+class ViewFrames:
+    """One view: rendered and captured frames by their number.
+
+    Attributes:
+        rendered: frame number -> rendered frame, (H, W, 3) uint8 RGB.
+        truth: frame number -> captured frame of the same view, (H, W, 3) uint8 RGB.
+        frames: numbers of the rendered frames, in order.
+        truth_frames: numbers that `truth` can give, where these are more than `frames`; offsets at the ends need them.
+    """
+
+    rendered: FrameReader
+    truth: FrameReader
+    frames: range
+    truth_frames: range | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a view without frames."""
+        if len(self.frames) == 0:
+            raise RenderError("a view without frames; render it first")
+
+    @property
+    def known_truth(self) -> range:
+        """Numbers of the captured frames that can be read."""
+        return self.truth_frames or self.frames
+
+    def pairs(self, indices: list[int]) -> Iterator[tuple[Image8, Image8]]:
+        """Rendered and captured frame of some instants, one by one."""
+        return ((self.rendered(index), self.truth(index)) for index in indices)
+
+    def with_rendered(self, change: Callable[[Image8], Image8]) -> "ViewFrames":
+        """The same view with every rendered frame changed."""
+        original = self.rendered
+        return replace(self, rendered=lambda index: change(original(index)))
+
+    def with_truth(self, truth: FrameReader) -> "ViewFrames":
+        """The same renders beside another camera's frames."""
+        return replace(self, truth=truth)
+
+    def moved(self, offset: int) -> "ViewFrames":
+        """The same renders as frames of the instants `offset` later, as far as the truth has them."""
+        original, known = self.rendered, self.known_truth
+        there = [index for index in self.frames if index + offset in known]
+        frames = range(there[0] + offset, there[-1] + offset + 1)
+        return replace(self, rendered=lambda index: original(index - offset), frames=frames)
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """A burst of neighbouring instants at small size.
+
+    Attributes:
+        indices: frame numbers of the rendered frames.
+        rendered: small rendered frames, (n, h, w, 3) float32 on the scale 0..255.
+        truth_indices: frame numbers of the captured frames, `LARGEST_OFFSET` more at either end where there are any.
+        truth: small captured frames, (m, h, w, 3) float32 on the scale 0..255.
+    """
+
+    indices: range
+    rendered: Array
+    truth_indices: range
+    truth: Array
+
+    @property
+    def truth_now(self) -> Array:
+        """The captured frames of the same instants, (n, h, w, 3)."""
+        first = self.indices.start - self.truth_indices.start
+        return self.truth[first : first + len(self.indices)]
+
+
+def take_sample(view: ViewFrames, count: int) -> Sample:
+    """Read a burst out of the middle of a view, one full-sized frame in memory at a time."""
+    frames, known = view.frames, view.known_truth
+    start = frames.start + (len(frames) - min(count, len(frames))) // 2
+    indices = range(start, start + min(count, len(frames)))
+    around = range(max(known.start, start - LARGEST_OFFSET), min(known.stop, indices.stop + LARGEST_OFFSET))
+    rendered = np.stack([shrink(view.rendered(index)) for index in indices])
+    return Sample(indices, rendered, around, np.stack([shrink(view.truth(index)) for index in around]))
+
+
+def shrink(image: Image8, longest_side_px: int = SMALL_SIDE_PX) -> Array:
+    """A picture reduced by box averages to a longest side, float32 on the scale 0..255; small ones stay as they are."""
+    height, width = image.shape[:2]
+    factor = longest_side_px / max(height, width)
+    pixels = image.astype(np.float32)
+    if factor >= 1:
+        return pixels
+    size = max(round(width * factor), 1), max(round(height * factor), 1)
+    return np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
+
+
+def spread(indices: range, count: int) -> list[int]:
+    """At most `count` numbers, evenly over a range."""
+    chosen = np.linspace(0, len(indices) - 1, min(count, len(indices)))
+    return [indices[round(position)] for position in chosen]

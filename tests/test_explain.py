@@ -1,0 +1,354 @@
+"""Every convention is recognised by a value computed independently of it; a wrong value is recognised by none."""
+
+import cv2
+import numpy as np
+import pytest
+from scipy import ndimage
+from skimage import data
+
+from ggvs_eval.errors import MetricError
+from ggvs_eval.metrics.fetch_lpips import NETS, weights_path
+from ggvs_eval.metrics.strred import luma, pool, strred
+from ggvs_eval.metrics.temporal import tcc
+from ggvs_eval.pipelines.doctor.explain import Convention, explain, explanation_table, printed
+from ggvs_eval.pipelines.doctor.recompute import ALL_VIEWS
+from ggvs_eval.pipelines.doctor.view_frames import ViewFrames
+
+SHAPE, N_FRAMES = (72, 96), 5
+VIEWS = ("cam00", "cam01", "cam02")
+
+
+def make_frames(view: int) -> tuple[np.ndarray, np.ndarray]:
+    """Rendered and true frames of one view: a window that wanders over a photograph; the rendering is soft, grainy, reddish."""
+    rng = np.random.default_rng(view)
+    truth, rendered = [], []
+    for t in range(N_FRAMES):
+        row, column = 60 + 50 * view + 2 * t, 80 + 3 * t
+        image = np.ascontiguousarray(data.astronaut()[row : row + SHAPE[0], column : column + SHAPE[1]])
+        soft = cv2.GaussianBlur(image, (0, 0), 0.8 + 0.2 * view) * (1.04, 1.0, 0.97)
+        truth.append(image)
+        rendered.append(np.rint(np.clip(soft + rng.normal(0, 3 + t, image.shape), 0, 255)).astype(np.uint8))
+    return np.stack(rendered), np.stack(truth)
+
+
+FRAMES = [make_frames(view) for view in range(len(VIEWS))]
+
+
+def views_of(names: tuple[str, ...] = VIEWS) -> dict[str, ViewFrames]:
+    return {
+        name: ViewFrames(lambda t, r=rendered: r[t], lambda t, c=truth: c[t], range(N_FRAMES))
+        for name, (rendered, truth) in zip(VIEWS, FRAMES, strict=True)
+        if name in names
+    }
+
+
+def explained(metric: str, value: float, digits: int = 5, names: tuple[str, ...] = VIEWS) -> set[str]:
+    """Names of the conventions that give a value over all views."""
+    found = explain(metric, f"{value:.{digits}f}", views_of(names))
+    return {one.name for one in found if one.matches and one.views == ALL_VIEWS}
+
+
+def mean_over_frames(measure) -> float:
+    """Mean of a measure of two frames over all frames of all views."""
+    return float(np.mean([measure(r, c) for rendered, truth in FRAMES for r, c in zip(rendered, truth, strict=True)]))
+
+
+def squared(rendered, truth) -> float:
+    return float(((rendered.astype(float) - truth) ** 2).mean())
+
+
+def decibels(squared_error) -> float:
+    return float(10 * np.log10(255**2 / squared_error))
+
+
+def grey(image, weights=(0.299, 0.587, 0.114)) -> np.ndarray:
+    return image.astype(float) @ np.array(weights)
+
+
+def inner(image) -> np.ndarray:
+    rows, columns = round(0.1 * SHAPE[0]), round(0.1 * SHAPE[1])
+    return image[rows:-rows, columns:-columns]
+
+
+PSNR = {
+    "RGB, mean of the frames' PSNR": lambda: mean_over_frames(lambda r, c: decibels(squared(r, c))),
+    "RGB, PSNR of the mean squared error": lambda: decibels(mean_over_frames(squared)),
+    "RGB, PSNR of each view's mean squared error": lambda: np.mean([decibels(squared(r, c)) for r, c in FRAMES]),
+    "luma (BT.601) in 0..255, mean of the frames' PSNR": lambda: mean_over_frames(
+        lambda r, c: decibels(squared(grey(r), grey(c)))
+    ),
+    "luma (BT.601) in 16..235, peak 255, mean of the frames' PSNR": lambda: mean_over_frames(
+        lambda r, c: decibels(squared(grey(r), grey(c)) * (219 / 255) ** 2)
+    ),
+    "RGB without a border of 10 %, mean of the frames' PSNR": lambda: mean_over_frames(
+        lambda r, c: decibels(squared(inner(r), inner(c)))
+    ),
+}
+
+
+@pytest.mark.parametrize("name", PSNR)
+def test_conventions_of_psnr(name):
+    """PSNR of frames, of the mean error, of luma and without the border are told apart."""
+    assert explained("psnr", PSNR[name]()) == {name}
+
+
+def test_colour_corrected_psnr_is_ours():
+    """The colour-corrected convention equals the metric of that name."""
+    from ggvs_eval.metrics.image import psnr_colour_corrected
+
+    value = mean_over_frames(psnr_colour_corrected)
+    assert explained("psnr", value, 3) == {"RGB after the best affine colour map, mean of the frames' PSNR"}
+
+
+def ssim_map(x, y, blur, peak=1.0, factor=1.0) -> np.ndarray:
+    """Wang's formula on images in 0..1 with any window."""
+    mean_x, mean_y = blur(x), blur(y)
+    covariance = factor * (blur(x * y) - mean_x * mean_y)
+    variances = factor * (blur(x * x) - mean_x**2 + blur(y * y) - mean_y**2)
+    a, b = (0.01 * peak) ** 2, (0.03 * peak) ** 2
+    return (2 * mean_x * mean_y + a) / (mean_x**2 + mean_y**2 + a) * (2 * covariance + b) / (variances + b)
+
+
+def gaussian(image, mode="reflect") -> np.ndarray:
+    taps = np.exp(-0.5 * (np.arange(-5, 6) / 1.5) ** 2)
+    for axis in (0, 1):
+        image = ndimage.correlate1d(image, taps / taps.sum(), axis=axis, mode=mode)
+    return image
+
+
+def box(image) -> np.ndarray:
+    return ndimage.uniform_filter(image, 7, axes=(0, 1))
+
+
+def ssim_of(blur, margin, peak=1.0, factor=1.0, prepare=lambda image: image / 255):
+    cut = slice(margin, -margin or None)
+    return lambda: mean_over_frames(lambda r, c: ssim_map(prepare(r), prepare(c), blur, peak, factor)[cut, cut].mean())
+
+
+def kornia_ssim(rendered, truth) -> float:
+    import torch
+    from kornia.metrics import ssim
+
+    first, second = (torch.from_numpy(image / 255).permute(2, 0, 1)[None] for image in (rendered, truth))
+    return float(ssim(first, second, window_size=11).mean())
+
+
+SAMPLE = 49 / 48
+SSIM = {
+    "Gaussian 11 x 11, valid positions, range 1": ssim_of(gaussian, 5),
+    "Gaussian 11 x 11, valid positions, range 2": ssim_of(gaussian, 5, peak=2),
+    "Gaussian 11 x 11, sample covariance, range 1": ssim_of(gaussian, 5, factor=121 / 120),
+    "Gaussian 11 x 11, zero-padded, range 1 (3DGS)": ssim_of(lambda image: gaussian(image, "constant"), 0),
+    "Gaussian 11 x 11, reflect-padded, range 1 (kornia)": lambda: mean_over_frames(kornia_ssim),
+    "Gaussian 11 x 11, valid positions, range 1, luma": ssim_of(gaussian, 5, prepare=lambda image: grey(image) / 255),
+    "uniform 7 x 7, range 1 (scikit-image on uint8)": ssim_of(box, 3, factor=SAMPLE),
+    "uniform 7 x 7, range 2 (scikit-image on float, no range given; EasyVolcap)": ssim_of(box, 3, 2, SAMPLE),
+    "uniform 7 x 7, population covariance, range 1": ssim_of(box, 3),
+    "uniform 7 x 7, range 1, luma": ssim_of(box, 3, 1, SAMPLE, lambda image: grey(image) / 255),
+    "uniform 7 x 7, range 1, without a border of 10 % (ENeRF)": ssim_of(box, 3, 1, SAMPLE, lambda image: inner(image) / 255),
+}
+
+
+@pytest.mark.parametrize("name", SSIM)
+def test_conventions_of_ssim(name):
+    """Windows, borders, data ranges, covariances and luma are told apart."""
+    assert name in explained("ssim", SSIM[name](), 6)
+    # The photograph fills its range but for a few levels, which only the range of the true frame can be confused with.
+    assert {other for other in explained("ssim", SSIM[name](), 6) if "true frame" not in other} == {name}
+
+
+def test_dissimilarity_is_recognised():
+    """DSSIM with data range 2 is half of what its SSIM lacks to 1."""
+    value = (1 - ssim_of(box, 3, 2, SAMPLE)()) / 2
+    (name,) = explained("ssim", value, 6)
+
+    assert name.startswith("DSSIM = (1 - SSIM) / 2, uniform 7 x 7, range 2")
+
+
+def absolute(rendered, truth) -> float:
+    return float(np.abs(rendered.astype(float) - truth).mean())
+
+
+L1 = {
+    "mean over pixels and channels, 0..255": lambda: mean_over_frames(absolute),
+    "mean over pixels and channels, 0..1": lambda: mean_over_frames(absolute) / 255,
+    "sum over channels, mean over pixels, 0..255": lambda: 3 * mean_over_frames(absolute),
+    "sum over channels, mean over pixels, 0..1": lambda: 3 * mean_over_frames(absolute) / 255,
+    "without a border of 10 %, 0..255": lambda: mean_over_frames(lambda r, c: absolute(inner(r), inner(c))),
+}
+
+
+@pytest.mark.parametrize("name", L1)
+def test_conventions_of_l1(name):
+    """Units, channel sums and the border are told apart."""
+    assert explained("l1", L1[name]()) == {name}
+
+
+def change_similarity(prepare, blur=gaussian, margin=5, peak=1.0, factor=1.0) -> float:
+    """Mean SSIM of neighbouring frames' changes, pictures of change made by `prepare(first, second)` in 0..1."""
+    cut = slice(margin, -margin or None)
+    pairs = [(prepare(r[t], r[t + 1]), prepare(c[t], c[t + 1])) for r, c in FRAMES for t in range(N_FRAMES - 1)]
+    return float(np.mean([ssim_map(x, y, blur, peak, factor)[cut, cut].mean() for x, y in pairs]))
+
+
+def change(first, second) -> np.ndarray:
+    return np.abs(second.astype(float) - first) / 255
+
+
+TCC = {
+    "Gaussian 11 x 11, zero-padded, range 1": lambda: change_similarity(change, lambda i: gaussian(i, "constant"), 0),
+    "Gaussian 11 x 11, valid positions, range 2": lambda: change_similarity(change, peak=2),
+    "uniform 7 x 7, range 1": lambda: change_similarity(change, box, 3, 1, SAMPLE),
+    "uniform 7 x 7, range 2": lambda: change_similarity(change, box, 3, 2, SAMPLE),
+    "mean of the channels' changes": lambda: change_similarity(lambda a, b: change(a, b).mean(axis=-1)),
+    "differences of 8 bit that wrap around": lambda: change_similarity(lambda a, b: (b - a) / 255),
+}
+
+
+@pytest.mark.parametrize("name", TCC)
+def test_conventions_of_tcc(name):
+    """SSIMs of changes, changes of grey, and wrapped differences are told apart."""
+    assert explained("tcc", TCC[name]()) == {name}
+
+
+def test_ties_are_all_listed():
+    """Where no channel is below zero, cutting off there changes nothing, and both conventions are named."""
+    value = float(np.mean([tcc(rendered, truth) for rendered, truth in FRAMES]))
+    names = explained("tcc", value)
+
+    assert names == {
+        "Gaussian 11 x 11, valid positions, range 1, each channel cut off at 0",
+        "Gaussian 11 x 11, valid positions, range 1, not cut off",
+    }
+    assert "2 conventions" in explanation_table("tcc", f"{value:.5f}", explain("tcc", f"{value:.5f}", views_of()))
+
+
+def sted_of(pairing="disjoint", weights=None, scale=1.0, pooled=lambda result: result.strred) -> float:
+    planes = [[[(luma(f) if weights is None else grey(f, weights)) * scale for f in side] for side in pair] for pair in FRAMES]
+    return float(np.mean([pooled(strred(rendered, truth, pairing)) for rendered, truth in planes]))
+
+
+STED = {
+    "disjoint pairs, mean x mean, luma BT.601, 0..255": lambda: sted_of(),
+    "consecutive pairs, mean x mean, luma BT.601, 0..255": lambda: sted_of("consecutive"),
+    "consecutive pairs, mean of products, luma BT.601, 0..255": lambda: sted_of(
+        "consecutive", pooled=lambda result: np.mean(result.pairs[:, 0] * result.pairs[:, 1])
+    ),
+    "disjoint pairs, single number (ssn), mean x mean, luma BT.601, 0..255": lambda: sted_of(
+        pooled=lambda result: pool(result.pairs).strred_ssn
+    ),
+    "disjoint pairs, mean x mean, luma BT.709, 0..255": lambda: sted_of(weights=(0.2126, 0.7152, 0.0722)),
+    "disjoint pairs, mean x mean, luma BT.601, 0..1": lambda: sted_of(scale=1 / 255),
+}
+
+
+@pytest.mark.parametrize("name", STED)
+def test_conventions_of_sted(name):
+    """Pairing, pooling, output, luma and scale are told apart."""
+    assert explained("sted", STED[name](), 7 if "0..1" in name else 4) == {name}
+
+
+ERRORS = np.array([[absolute(r, c) for r, c in zip(*frames, strict=True)] for frames in FRAMES])
+SPREADS = {
+    ("sdt", "mean over the views of each one's spread over time, ddof 1, L1 in 0..255"): ERRORS.std(axis=1, ddof=1).mean(),
+    ("sdt", "mean over the views of each one's spread over time, ddof 0, L1 in 0..255"): ERRORS.std(axis=1).mean(),
+    ("sdt", "spread over time of the mean over the views, ddof 1, L1 in 0..255"): ERRORS.mean(axis=0).std(ddof=1),
+    ("sdt", "spread of all frames of all views together, ddof 0, L1 in 0..1"): ERRORS.std() / 255,
+    ("sdv", "mean over time of the spread over the views, ddof 1, L1 in 0..255"): ERRORS.std(axis=0, ddof=1).mean(),
+    ("sdv", "mean over time of the spread over the views, ddof 0, L1 in 0..255"): ERRORS.std(axis=0).mean(),
+    ("sdv", "spread over the views of the mean over time, ddof 1, L1 in 0..255"): ERRORS.mean(axis=1).std(ddof=1),
+}
+
+
+@pytest.mark.parametrize(("metric", "name"), SPREADS)
+def test_conventions_of_the_spreads(metric, name):
+    """Divisor, order of mean and spread, and unit of SDT and SDV are told apart."""
+    assert explained(metric, float(SPREADS[metric, name]), 7) == {name}
+
+
+@pytest.mark.skipif(not all(weights_path(net).is_file() for net in NETS), reason="no LPIPS weights here")
+def test_conventions_of_lpips():
+    """Networks and input ranges are told apart; feeding [0, 1] equals halving the contrast about mid-grey in [-1, 1]."""
+    from ggvs_eval.metrics.lpips import lpips
+
+    rendered, truth = (frames[0] for frames in FRAMES[0])
+    view = {"cam00": ViewFrames(lambda t: rendered, lambda t: truth, range(1))}
+    unscaled = [(image.astype(np.float32) + 255) / 510 for image in (rendered, truth)]
+    values = {"VGG, inputs in [-1, 1]": lpips(rendered, truth, "vgg"), "AlexNet, inputs in [0, 1]": lpips(*unscaled, "alex")}
+
+    for name, value in values.items():
+        assert [one.name for one in explain("lpips", f"{value:.5f}", view) if one.matches] == [name]
+
+
+def test_a_value_of_one_view_names_the_view():
+    """A quoted value that one view alone gives is explained by that view."""
+    value = np.mean([decibels(squared(r, c)) for r, c in zip(*FRAMES[1], strict=True)])
+    (found,) = (one for one in explain("PSNR", f"{value:.4f}", views_of()) if one.matches)
+
+    assert (found.views, found.name, found.is_ours) == ("cam01", "RGB, mean of the frames' PSNR", True)
+
+
+def test_a_wrong_value_is_explained_by_nothing():
+    """A value that no convention gives is said to be none's, and the nearest is told."""
+    value = PSNR["RGB, mean of the frames' PSNR"]() + 7.77
+    found = explain("psnr", f"{value:.3f}", views_of())
+    text = explanation_table("psnr", f"{value:.3f}", found)
+
+    assert not any(one.matches for one in found)
+    assert text.startswith(f"none of the known conventions gives PSNR {value:.3f}; the nearest is ")
+    assert max(map(len, text.splitlines()[1:])) <= 130
+
+
+def test_masked_conventions():
+    """With masks, PSNR inside the mask is told from frames that are black outside of it, which inflates."""
+    rendered, truth = FRAMES[0]
+    mask = np.zeros(SHAPE, bool)
+    mask[20:50, 30:70] = True
+    masks = {"cam00": lambda index: mask}
+    inside = np.mean([decibels(squared(r[mask], c[mask])) for r, c in zip(rendered, truth, strict=True)])
+    black = np.mean([decibels(squared(r * mask[..., None], c * mask[..., None])) for r, c in zip(rendered, truth, strict=True)])
+
+    def names(value: float) -> list[str]:
+        return [one.name for one in explain("psnr", f"{value:.4f}", views_of(VIEWS[:1]), masks) if one.matches]
+
+    assert names(inside) == ["pixels inside the mask, mean of the frames' PSNR"]
+    assert names(black) == ["frames black outside the mask, mean of the frames' PSNR"]
+    assert any("black outside" in one.name for one in explain("ssim", "0.9", views_of(VIEWS[:1]), masks))
+
+
+@pytest.mark.parametrize(
+    ("quoted", "value", "tolerance"), [("31.170", 31.17, 5e-4), ("0.94", 0.94, 5e-3), ("27", 27, 0.5), ("1.2e-3", 1.2e-3, 5e-5)]
+)
+def test_printed_digits_set_the_tolerance(quoted, value, tolerance):
+    """Half of the last printed digit is the tolerance; trailing zeros count."""
+    assert printed(quoted) == (pytest.approx(value), pytest.approx(tolerance, rel=1e-5))
+
+
+@pytest.mark.parametrize(
+    ("metric", "quoted", "names", "message"),
+    [
+        ("vmaf", "90", VIEWS, "no conventions known of 'vmaf'"),
+        ("psnr", "high", VIEWS, "wanted a number"),
+        ("psnr", "inf", VIEWS, "wanted a number"),
+        ("psnr", "30", (), "no views"),
+        ("sdv", "0.1", VIEWS[:1], "needs 2"),
+    ],
+)
+def test_what_cannot_be_explained_is_refused(metric, quoted, names, message):
+    """Unknown metrics, words for numbers, no views, and spreads of one are refused in one line."""
+    with pytest.raises(MetricError, match=message):
+        explain(metric, quoted, views_of(names))
+
+
+def test_the_table_marks_matches_and_ours():
+    """The matching convention stands first with a sign, and ours is marked wherever it stands."""
+    conventions = [
+        Convention("first way", ALL_VIEWS, 1.0, False, True),
+        Convention("second way", ALL_VIEWS, 2.0, True, False),
+        Convention("second way", "cam00", 3.0, False, False),
+    ]
+    text = explanation_table("psnr", "2.0", conventions)
+    body = text.splitlines()[4:]
+
+    assert text.startswith("PSNR 2.0 is second way")
+    assert [("=" in line, "ours" in line) for line in body] == [(True, False), (False, True)]
