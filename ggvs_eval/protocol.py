@@ -71,8 +71,12 @@ class Measurement:
         width: both images are resized to this width before anything is measured; 0 keeps the rendered size.
         height: likewise.
         resize_filter: how they are resized.
+        ssim: which SSIM, see `ggvs_eval.metrics.ssim_variants.SSIM_VARIANTS`.
         lpips_net: backbone of LPIPS v0.1.
         sted_pairing: frame pairs of ST-RRED: ``disjoint`` (0-1, 2-3, ...) or ``consecutive``.
+        sted_pooling: ``means`` (mean spatial times mean temporal difference) or ``products`` (mean of the pairs' products).
+        colour_scope: one affine map per ``view`` or per ``frame`` for the colour-corrected metrics.
+        ceilings: also estimate what perfect renderings would score, for the rows beside the tables.
         ddof: delta degrees of freedom of the standard deviations SDT and SDV.
         aggregation: order in which means are taken.
     """
@@ -81,8 +85,12 @@ class Measurement:
     width: int = 0
     height: int = 0
     resize_filter: ResizeFilter = "area"
+    ssim: Literal["gaussian-valid", "gaussian-zero", "uniform7", "uniform7-range2"] = "gaussian-valid"
     lpips_net: Literal["vgg", "alex"] = "vgg"
     sted_pairing: Literal["disjoint", "consecutive"] = "disjoint"
+    sted_pooling: Literal["means", "products"] = "means"
+    colour_scope: Literal["view", "frame"] = "view"
+    ceilings: bool = True
     ddof: int = 1
     aggregation: Literal["frames, views, scenes"] = "frames, views, scenes"
 

@@ -10,6 +10,8 @@
     RUN/path/<method>/<pose>.png                 the same path synthesised, for epipolar plane images
     RUN/path_depth/<pose>.npy                    depth along the path, the same for all methods
     RUN/path_scores/<method>/job.json            view consistency of every method along the path
+    RUN/disoccluded/<view>/<frame>.png           white where no source camera sees the view
+    RUN/ceilings/<view>/job.json                 what perfect renderings of the view would score
     RUN/scores/<view>/job.json                   values of every method in one view
     RUN/results.parquet  results.json            every value in one table, and where it comes from
     RUN/report/index.html                        the page
@@ -60,6 +62,14 @@ class RunFolder:
     def path(self, label: str) -> Path:
         """Frames of one method, or of the ``truth``, along the camera path."""
         return self.root / "path" / label
+
+    def disoccluded(self, view: str) -> Path:
+        """Masks of what no source camera sees of a test view."""
+        return self.root / "disoccluded" / view
+
+    def ceilings(self, view: str) -> Path:
+        """What perfect renderings of a test view would score."""
+        return self.root / "ceilings" / view
 
     @property
     def path_record(self) -> Path:

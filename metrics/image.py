@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 
 from ggvs_eval import kernels
 from ggvs_eval.errors import MetricError
+from ggvs_eval.metrics.colour_correction import apply_colour_map, fit_colour_map, unit_range
 from ggvs_eval.metrics.inputs import Image, check_pair, white_level
 
 PSNR_CEILING_DB = 100.0
@@ -30,7 +31,7 @@ def psnr(rendered: Image, truth: Image) -> float:
         lies above: with 8 bits that is less than one step in one value of 25 000. A view's score is the mean of its PSNRs.
     """
     check_pair(rendered, truth)
-    return _decibels(_mean_squared_error(rendered, truth), white_level(truth))
+    return decibels(_mean_squared_error(rendered, truth), white_level(truth))
 
 
 def l1(rendered: Image, truth: Image) -> float:
@@ -47,7 +48,8 @@ def l1(rendered: Image, truth: Image) -> float:
         The paper prints no unit. Only 0..255 with the mean (not the sum) over channels fits its PSNR: 31.17 dB beside 5.09.
     """
     check_pair(rendered, truth)
-    return cv2.norm(rendered, truth, cv2.NORM_L1) / truth.size * 255.0 / white_level(truth)
+    total = float(cv2.norm(*same_kind(rendered, truth), cv2.NORM_L1))
+    return require_finite(total / truth.size * 255.0 / white_level(truth), "L1")
 
 
 def ssim(rendered: Image, truth: Image) -> float:
@@ -68,7 +70,7 @@ def ssim(rendered: Image, truth: Image) -> float:
         The paper names no variant. Taken: 11 x 11 Gaussian window, sigma 1.5, valid positions only, K = (0.01, 0.03), data
         range 1. Zero padding, a uniform window or data range 2, all in use, score 0.01 to 0.08 more on the same frame.
     """
-    return float(ssim_per_channel(rendered, truth).mean())
+    return require_finite(float(ssim_per_channel(rendered, truth).mean()), "SSIM")
 
 
 def ssim_per_channel(rendered: Image, truth: Image) -> NDArray[np.float64]:
@@ -87,8 +89,6 @@ def ssim_per_channel(rendered: Image, truth: Image) -> NDArray[np.float64]:
 def psnr_colour_corrected(rendered: Image, truth: Image) -> float:
     """PSNR after the affine colour map (3 x 4) that fits the rendered pixels best to the truth.
 
-    Takes out what no method can know, the colour difference between the target camera and its sources, and nothing local.
-
     Args:
         rendered: one frame (H, W, 3) or the frames of one view (T, H, W, 3), uint8 in 0..255 or float in [0, 1].
         truth: same shape and kind.
@@ -100,56 +100,42 @@ def psnr_colour_corrected(rendered: Image, truth: Image) -> float:
         MetricError: shapes or kinds differ.
 
     Reading:
-        Not in the paper. The map is a linear least-squares fit in sRGB, its result clipped to black and white and not rounded.
+        See `ColourMoments`; the corrected frame is clipped to black and white and not rounded.
     """
     check_pair(rendered, truth, ndim=4 if truth.ndim == 4 else 3)
     rendered_frames, truth_frames = (image.reshape(-1, *truth.shape[-3:]) for image in (rendered, truth))
     colour_map = fit_colour_map(rendered_frames, truth_frames)
-    white = white_level(truth)
-    return float(
-        np.mean(
-            [
-                _decibels(_mean_squared_error(_apply(colour_map, frame, white), target.astype(np.float32)), white)
-                for frame, target in zip(rendered_frames, truth_frames, strict=True)
-            ]
-        )
-    )
+    frames = zip(rendered_frames, truth_frames, strict=True)
+    return float(np.mean([psnr(apply_colour_map(colour_map, frame), unit_range(target)) for frame, target in frames]))
 
 
-def fit_colour_map(rendered: Image, truth: Image) -> NDArray[np.float64]:
-    """Least-squares affine map from rendered to true colours.
+def same_kind(rendered: Image, truth: Image) -> tuple[Image, Image]:
+    """Both images as they are if 8-bit, else as float64: OpenCV compares one type only, and not every width of float."""
+    if truth.dtype == np.uint8:
+        return rendered, truth
+    return rendered.astype(np.float64, copy=False), truth.astype(np.float64, copy=False)
 
-    Args:
-        rendered: frames (T, H, W, 3).
-        truth: same shape.
 
-    Returns:
-        (3, 4) so that truth is about map @ (r, g, b, white); the shortest such map where the colours do not span the space.
+def require_finite(value: float, metric: str) -> float:
+    """The value of a metric, or an error where a frame of floats held NaN or infinity: no score is NaN in silence.
+
+    Raises:
+        MetricError: the value is not finite.
     """
-    white = white_level(truth)
-    moments = np.zeros((7, 7))  # of (rendered rgb, 1, true rgb), all in [0, 1]
-    for rows in zip(_pixel_rows(rendered), _pixel_rows(truth), strict=True):
-        ones = np.full((len(rows[0]), 1), white)
-        values = np.concatenate([rows[0], ones, rows[1]], axis=1) / white  # (N, 7) float64
-        moments += values.T @ values
-    return (np.linalg.pinv(moments[:4, :4], rcond=1e-12, hermitian=True) @ moments[:4, 4:]).T
-
-
-def _pixel_rows(frames: Image, rows_at_once: int = 64) -> list[Image]:
-    """Views of at most `rows_at_once` image rows as lists of pixels (N, 3), so that float64 copies stay small."""
-    starts = range(0, frames.shape[1], rows_at_once)
-    return [frame[start : start + rows_at_once].reshape(-1, 3) for frame in frames for start in starts]
-
-
-def _apply(colour_map: NDArray[np.float64], frame: Image, white: float) -> NDArray[np.float32]:
-    scaled = np.concatenate([colour_map[:, :3], colour_map[:, 3:] * white], axis=1)
-    return np.clip(cv2.transform(frame.astype(np.float32), scaled.astype(np.float32)), 0.0, white)
+    if not np.isfinite(value):
+        raise MetricError(f"{metric}: the frames hold values that are not finite; render them again")
+    return value
 
 
 def _mean_squared_error(rendered: Image, truth: Image) -> float:
-    return cv2.norm(rendered, truth, cv2.NORM_L2SQR) / truth.size
+    return float(cv2.norm(*same_kind(rendered, truth), cv2.NORM_L2SQR)) / truth.size
 
 
-def _decibels(mean_squared_error: float, white: float) -> float:
-    ceiling = 10.0 ** (-PSNR_CEILING_DB / 10.0)
-    return float(-10.0 * np.log10(max(mean_squared_error / white**2, ceiling)))
+def decibels(mean_squared_error: float, white: float) -> float:
+    """PSNR of a mean squared error of images whose white is `white`, at most `PSNR_CEILING_DB`.
+
+    Raises:
+        MetricError: the error is not finite.
+    """
+    floor = 10.0 ** (-PSNR_CEILING_DB / 10.0)
+    return float(-10.0 * np.log10(max(require_finite(mean_squared_error, "PSNR") / white**2, floor)))

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from ggvs_eval.errors import MetricError
 
+LARGEST_FLOAT = 2.0  # a little above 1 is a rendering that overshoots, more is another scale
 Image = NDArray[Any]  # uint8 in 0..255 or float in [0, 1]; `check_pair` sees to it
 
 
@@ -29,6 +30,8 @@ def check_pair(rendered: Image, truth: Image, ndim: int = 3) -> None:
     for name, image in (("rendered", rendered), ("truth", truth)):
         if image.dtype != np.uint8 and not np.issubdtype(image.dtype, np.floating):
             raise MetricError(f"{name}: wanted uint8 in 0..255 or float in [0, 1], got {image.dtype}")
+        if image.dtype != np.uint8 and LARGEST_FLOAT < image.max() < np.inf:
+            raise MetricError(f"{name}: wanted float in [0, 1], got up to {image.max():.4g}; divide by 255")
     if (rendered.dtype == np.uint8) != (truth.dtype == np.uint8):
         raise MetricError(f"rendered is {rendered.dtype}, truth is {truth.dtype}; quantise both or neither")
 

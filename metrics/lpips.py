@@ -8,6 +8,7 @@ import numpy as np
 
 from ggvs_eval.errors import MetricError, WeightsError
 from ggvs_eval.metrics.fetch_lpips import FETCH_COMMAND, LpipsNet, weights_path
+from ggvs_eval.metrics.image import require_finite
 from ggvs_eval.metrics.inputs import Image, check_pair, white_level
 
 if TYPE_CHECKING:
@@ -100,13 +101,20 @@ def lpips_features(image: Image, net: LpipsNet) -> "list[torch.Tensor]":
 
 
 def lpips_between(rendered: "list[torch.Tensor]", truth: "list[torch.Tensor]", net: LpipsNet) -> float:
-    """LPIPS of two frames from their `lpips_features`."""
+    """LPIPS of two frames from their `lpips_features`; those of an 8-bit truth serve float renders too.
+
+    Raises:
+        MetricError: the frames differ in size, or hold values that are not finite.
+    """
     import torch
 
+    if [layer.shape for layer in rendered] != [layer.shape for layer in truth]:
+        raise MetricError(f"LPIPS-{net}: the frames differ in size; resize or render again, metrics never resample")
     weights = load_weights(net)
     with torch.inference_mode():
         pairs = enumerate(zip(rendered, truth, strict=True))
-        return sum(_feature_distance(ours, theirs, weights[f"head{i}.weight"]) for i, (ours, theirs) in pairs)
+        distance = sum(_feature_distance(ours, theirs, weights[f"head{i}.weight"]) for i, (ours, theirs) in pairs)
+    return require_finite(distance, f"LPIPS-{net}")
 
 
 @lru_cache(maxsize=2)
@@ -139,7 +147,7 @@ def _network_input(image: Image) -> "torch.Tensor":
     """A frame as the networks were trained on it, (3, H, W) float32."""
     import torch
 
-    signed = torch.from_numpy(np.asarray(image, dtype=np.float32)) * (2.0 / white_level(image)) - 1.0
+    signed = torch.from_numpy(np.ascontiguousarray(image, dtype=np.float32)) * (2.0 / white_level(image)) - 1.0
     return ((signed - torch.tensor(COLOUR_SHIFT)) / torch.tensor(COLOUR_SCALE)).permute(2, 0, 1)
 
 

@@ -7,7 +7,7 @@ from typing import Literal
 
 from ggvs_eval.errors import MetricError
 
-Kind = Literal["frame", "pair", "view", "rig"]
+Kind = Literal["frame", "pair", "view", "rig", "path"]
 
 
 @dataclass(frozen=True)
@@ -17,7 +17,7 @@ class MetricSpec:
     Attributes:
         name: as in protocols and tables.
         kind: what one value belongs to: a ``frame``, a ``pair`` of neighbouring frames, a ``view`` (all its frames), or the
-            ``rig`` (all views).
+            ``rig`` (all views), or a camera ``path`` without truth.
         unit: unit of a value, empty where it has none.
         higher_is_better: direction of the arrow in tables.
         describe: one line for a reader who meets the metric for the first time.
@@ -33,6 +33,19 @@ class MetricSpec:
 
 
 _PAPER = "Ha et al. 2025, section 4"
+_VIEWS = "docs/view_consistency.md"
+_TIME = "docs/temporal_metrics.md"
+
+
+def _region_spec(measure: str, region: str) -> MetricSpec:
+    """A metric of one region of the image."""
+    units = {"PSNR": "dB", "SSIM": "", "L1": "grey levels of 255"}
+    where = {"static": "what stands still", "moving": "what moves", "disoccluded": "what no source camera sees"}[region]
+    inside = " in windows wholly inside it" if measure == "SSIM" else ""
+    describe = f"{measure} of {where}{inside}"
+    return MetricSpec(f"{measure}_{region}", "frame", units[measure], measure != "L1", describe, "regions by the masks of Eq. 1")
+
+
 _SPECS = (
     MetricSpec("PSNR", "frame", "dB", True, "peak signal-to-noise ratio of the 8-bit frame", _PAPER),
     MetricSpec("SSIM", "frame", "", True, "structural similarity, 11 x 11 Gaussian window, RGB mean", "Wang et al. 2004"),
@@ -43,7 +56,28 @@ _SPECS = (
     MetricSpec("STED_ssn", "view", "", False, "ST-RRED from single-number differences", "Soundararajan & Bovik 2013"),
     MetricSpec("SDT", "view", "grey levels of 255", False, "standard deviation of L1 over the frames of a view", _PAPER),
     MetricSpec("SDV", "rig", "grey levels of 255", False, "standard deviation of L1 over the views of an instant", _PAPER),
-    MetricSpec("PSNR_cc", "frame", "dB", True, "PSNR after the best affine colour map of the frame", "as gsplat's cc_psnr"),
+    MetricSpec(
+        "PSNR_cc", "frame", "dB", True, "PSNR after the best affine colour map of the view or frame", "as gsplat's cc_psnr"
+    ),
+    MetricSpec("SSIM_cc", "frame", "", True, "SSIM after an affine colour map", "as gsplat's cc_ssim"),
+    MetricSpec("LPIPS_cc", "frame", "", False, "LPIPS after an affine colour map", "as gsplat's cc_lpips"),
+    MetricSpec(
+        "Flicker", "view", "grey levels of 255", False, "change over time that the scene does not have, and lack of it", _TIME
+    ),
+    MetricSpec("Flicker_excess", "view", "grey levels of 255", False, "the same, signed: below 0 is frozen or blurred", _TIME),
+    *(_region_spec(measure, region) for region in ("static", "moving", "disoccluded") for measure in ("PSNR", "SSIM", "L1")),
+    MetricSpec("EPI_coherence", "path", "", True, "how straight the lines of epipolar plane images are", _VIEWS),
+    MetricSpec("EPI_line_texture", "path", "grey levels per px", True, "contrast across these lines; blur lowers it", _VIEWS),
+    MetricSpec("EPI_slope_error", "path", "px per pose", False, "their slope against that of the fused depth", _VIEWS),
+    MetricSpec("EPI_slope_agreeing", "path", "", True, "share of pixels whose slope agrees with the fused depth", _VIEWS),
+    MetricSpec(
+        "reprojection", "path", "grey levels of 255", False, "colour change of points seen from two neighbouring poses", _VIEWS
+    ),
+    MetricSpec("reprojection_visible", "path", "", True, "share of pixels that two neighbouring poses both see", _VIEWS),
+    MetricSpec("switch_ratio", "path", "", False, "change where the source cameras switch over change elsewhere", _VIEWS),
+    MetricSpec(
+        "switch_excess", "path", "grey levels of 255", False, "change where the source cameras switch minus elsewhere", _VIEWS
+    ),
 )
 METRICS: dict[str, MetricSpec] = {spec.name: spec for spec in _SPECS}
 

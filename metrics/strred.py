@@ -3,7 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal, NamedTuple
+from itertools import product
+from typing import Literal, NamedTuple, get_args
 
 import cv2
 import numpy as np
@@ -13,6 +14,7 @@ from ggvs_eval.errors import MetricError
 
 Array = NDArray[np.float64]
 Pairing = Literal["disjoint", "consecutive"]
+Pooling = Literal["means", "products"]
 
 MIN_SIDE_PX = 48  # two 3 x 3 blocks in a band of one eighth of the size; fewer have no statistics
 BLOCK = 3
@@ -43,7 +45,7 @@ class StRred:
     """The scores of one view.
 
     Attributes:
-        strred: mean spatial times mean temporal difference, the paper's STED; lower is better.
+        strred: spatial and temporal differences pooled as `pool` was asked to, the paper's STED; lower is better.
         strred_ssn: the same from the single-number differences.
         pairs: differences of each pair, (P, 4), in the order of `PairDifference`.
     """
@@ -53,7 +55,9 @@ class StRred:
     pairs: Array
 
 
-def strred(rendered: Sequence[NDArray], truth: Sequence[NDArray], pairing: Pairing = "disjoint") -> StRred:
+def strred(
+    rendered: Sequence[NDArray], truth: Sequence[NDArray], pairing: Pairing = "disjoint", pooling: Pooling = "means"
+) -> StRred:
     """Spatio-temporal reduced reference entropic difference of one view.
 
     Args:
@@ -61,13 +65,14 @@ def strred(rendered: Sequence[NDArray], truth: Sequence[NDArray], pairing: Pairi
         truth: captured frames of the same view and times.
         pairing: ``disjoint`` takes frames (0, 1), (2, 3), ... and leaves a last odd frame out; ``consecutive`` takes every
             neighbouring pair and the spatial part of the later frame.
+        pooling: see `pool`.
 
     Raises:
-        MetricError: shapes differ, fewer than 2 frames, or frames too small.
+        MetricError: shapes differ, fewer than 2 frames, frames too small, or values that are not finite.
 
     Reading:
         The paper's STED is taken for the second value of scikit-video's ``strred`` on luma in 0..255, per view: disjoint pairs,
-        mean times mean. Its sizes (16 to 2796) exclude luma in 0..1. ``consecutive`` is what Netflix's port does.
+        mean times mean. Its sizes (16 to 2796) exclude luma in 0..1. Netflix's port takes ``consecutive`` and ``products``.
     """
     if len(rendered) != len(truth):
         raise MetricError(f"STED: {len(rendered)} rendered frames, {len(truth)} true frames; score the same frames")
@@ -80,11 +85,17 @@ def strred(rendered: Sequence[NDArray], truth: Sequence[NDArray], pairing: Pairi
         pair_difference(*(reduced_references(*side, pairing) for side in zip(first, second, strict=True)))
         for first, second in neighbours
     ]
-    return pool(differences)
+    return pool(differences, pooling)
 
 
 def luma(rgb8: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """0.2989 R + 0.5870 G + 0.1140 B of an RGB image (H, W, 3), on the scale 0..255, not rounded."""
+    """0.2989 R + 0.5870 G + 0.1140 B of an RGB image (H, W, 3), on the scale 0..255, not rounded.
+
+    Raises:
+        MetricError: not an 8-bit image, whose luma would have another scale.
+    """
+    if rgb8.dtype != np.uint8 or rgb8.ndim != 3:
+        raise MetricError(f"STED: wanted RGB (H, W, 3) uint8 or luma (H, W) in 0..255, got {rgb8.shape} {rgb8.dtype}")
     weights = np.array([LUMA_WEIGHTS], dtype=np.float32)
     return np.asarray(cv2.transform(rgb8.astype(np.float32), weights), dtype=np.float32)
 
@@ -99,14 +110,16 @@ def spatial_band(luma_255: NDArray) -> Array:
         (ceil(H / 8), ceil(W / 8)).
 
     Raises:
-        MetricError: not a plane, or a side below 48 pixels.
+        MetricError: not a plane, a side below 48 pixels, or values that are not finite.
     """
     if luma_255.ndim != 2 or min(luma_255.shape) < MIN_SIDE_PX:
         raise MetricError(f"STED needs a plane of at least {MIN_SIDE_PX} x {MIN_SIDE_PX} pixels, got {luma_255.shape}")
-    first_lowpass, lowpass, band = _pyramid_kernels()
-    low = _correlate(luma_255.astype(np.float64), first_lowpass)
-    for _ in range(BAND_LEVEL - 1):
-        low = _correlate(low, lowpass)[::2, ::2]
+    if not np.isfinite(luma_255).all():
+        raise MetricError("STED: the frame holds values that are not finite; render it again")
+    _, lowpass, band = _pyramid_kernels()
+    low = _correlate_halved(luma_255, _first_two_lowpasses())
+    for _ in range(BAND_LEVEL - 2):
+        low = _correlate_halved(low, lowpass)
     return _correlate(low, band)
 
 
@@ -163,11 +176,27 @@ def pair_difference(rendered: Entropies, truth: Entropies) -> PairDifference:
     )
 
 
-def pool(differences: Sequence[PairDifference]) -> StRred:
-    """Scores of a view from the differences of its pairs: the mean over pairs of each part, then the product."""
+def pool(differences: Sequence[PairDifference], pooling: Pooling = "means") -> StRred:
+    """Scores of a view from the differences of its pairs.
+
+    Args:
+        differences: at least one.
+        pooling: ``means`` averages each part over the pairs and multiplies the averages; ``products`` multiplies the parts of
+            each pair and averages the products, as VMAF's tools do.
+
+    Raises:
+        MetricError: no pair, or no such pooling.
+    """
+    if pooling not in get_args(Pooling):
+        raise MetricError(f"STED: no pooling {pooling!r}; there are {', '.join(get_args(Pooling))}")
+    if not differences:
+        raise MetricError("STED: no pair of frames to pool; needs 2 frames")
     pairs = np.array(differences, dtype=np.float64).reshape(-1, 4)
-    spatial, temporal, spatial_single, temporal_single = pairs.mean(axis=0)
-    return StRred(float(spatial * temporal), float(spatial_single * temporal_single), pairs)
+    if pooling == "products":
+        full, single = (pairs[:, [0, 2]] * pairs[:, [1, 3]]).mean(axis=0)
+    else:
+        full, single = pairs[:, [0, 2]].mean(axis=0) * pairs[:, [1, 3]].mean(axis=0)
+    return StRred(float(full), float(single), pairs)
 
 
 def _as_luma(frame: NDArray) -> NDArray:
@@ -177,6 +206,26 @@ def _as_luma(frame: NDArray) -> NDArray:
 def _correlate(image: Array, kernel: Array) -> Array:
     """Correlation of the image reflected at its border (the edge not repeated), same size."""
     return np.asarray(cv2.filter2D(image, cv2.CV_64F, kernel, borderType=cv2.BORDER_REFLECT_101), dtype=np.float64)
+
+
+def _correlate_halved(image: NDArray, kernel: Array) -> Array:
+    """`_correlate` at every second row and column, the others never computed: each phase of the image has its share of taps."""
+    border = kernel.shape[0] // 2
+    padded = cv2.copyMakeBorder(image, border, border, border, border, cv2.BORDER_REFLECT_101)
+    rows, columns = ((size + 1) // 2 for size in image.shape)
+    halved = np.zeros((rows, columns))
+    for i, j in product(range(2), range(2)):
+        taps, phase = np.ascontiguousarray(kernel[i::2, j::2]), padded[i::2, j::2].astype(np.float64)
+        halved += cv2.filter2D(phase, cv2.CV_64F, taps, anchor=(0, 0), borderType=cv2.BORDER_CONSTANT)[:rows, :columns]
+    return halved
+
+
+@lru_cache(maxsize=1)
+def _first_two_lowpasses() -> Array:
+    """The first low-pass and the first halving's in one kernel (13 x 13); both are symmetric, so that reflection commutes."""
+    first_lowpass, lowpass, _ = _pyramid_kernels()
+    padded = np.pad(first_lowpass, lowpass.shape[0] // 2)
+    return np.asarray(cv2.filter2D(padded, cv2.CV_64F, lowpass, borderType=cv2.BORDER_CONSTANT), dtype=np.float64)
 
 
 @lru_cache(maxsize=1)

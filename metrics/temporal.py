@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.image import ssim_per_channel
+from ggvs_eval.metrics.image import require_finite, same_kind, ssim_per_channel
 from ggvs_eval.metrics.inputs import Image, check_pair
 
 
@@ -58,7 +58,7 @@ def temporal_change_ssim(rendered: Image, rendered_next: Image, truth: Image, tr
     check_pair(rendered, rendered_next)
     check_pair(truth, truth_next)
     changes = (_change(rendered, rendered_next), _change(truth, truth_next))
-    return float(np.maximum(ssim_per_channel(*changes), 0.0).mean())
+    return require_finite(float(np.maximum(ssim_per_channel(*changes), 0.0).mean()), "TCC")
 
 
 def sdt(l1_255: ArrayLike, ddof: int = 1) -> float:
@@ -78,9 +78,9 @@ def sdt(l1_255: ArrayLike, ddof: int = 1) -> float:
     errors = np.asarray(l1_255, dtype=np.float64)
     if errors.ndim != 2 or errors.shape[1] < 2:
         raise MetricError(f"SDT wants errors of shape (views, frames) with at least 2 frames, got {errors.shape}")
-    return float(errors.std(axis=1, ddof=ddof).mean())
+    return require_finite(float(errors.std(axis=1, ddof=ddof).mean()), "SDT")
 
 
 def _change(first: Image, second: Image) -> Image:
     """Absolute difference in the kind of the images; 8-bit ones do not wrap around."""
-    return cv2.absdiff(first, second)
+    return cv2.absdiff(*same_kind(first, second))

@@ -11,6 +11,7 @@ import tyro
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import GgvsError, ProtocolError
 from ggvs_eval.pipelines.cli_captures import BY_DEFAULT, Folder, Reading, calibrate, check, demo, undistort
+from ggvs_eval.pipelines.cli_renders import doctor, explain
 from ggvs_eval.pipelines.methods import METHODS
 from ggvs_eval.processes import default_workers
 from ggvs_eval.protocol import Protocol
@@ -185,6 +186,8 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "slice": draw_slice,
     "run": run,
     "sweep": sweep,
+    "doctor": doctor,
+    "explain": explain,
 }
 
 

@@ -13,6 +13,7 @@ from ggvs_eval.datasets.path import CameraPath, open_path
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import CaptureError, ProtocolError
 from ggvs_eval.images import resize, write_image
+from ggvs_eval.pipelines.disocclusion import write_disocclusions
 from ggvs_eval.pipelines.frame_cache import cache_frames
 from ggvs_eval.pipelines.offline.depth import DepthOptions
 from ggvs_eval.pipelines.offline.prepare import DepthJob, depth_spec, plan_depth, prepare_depth
@@ -86,6 +87,9 @@ def prepare(root: Path, capture: Capture, protocol: Protocol, workers: int = 1, 
     prepared = replace(planned, capture=cache_frames(capture, _wanted_frames(planned), run.root / "truth", workers))
     _write_path_truth(prepared)
     _prepare_depth(prepared, options or DepthOptions(), workers)
+    if any(name.endswith("_disoccluded") for name in protocol.measurement.metrics):
+        views = {view: (each.target, each.depth_keys) for view, each in prepared.plans.items()}
+        write_disocclusions(prepared.capture, views, prepared.frames, run.depth, run.root / "disoccluded", workers)
     if prepared.path:
         poses = [(plan.target, plan.depth_keys) for plan in prepared.path]
         write_path_depth(prepared.capture, poses, prepared.path_frame, DepthStore(run.depth), run.path_depth)

@@ -5,21 +5,21 @@ Each view is one job for all methods, because what the truth alone decides is th
 """
 
 import dataclasses
-import hashlib
-from collections.abc import Iterator, Sequence
-from functools import partial
-from pathlib import Path
+from collections import defaultdict
+from collections.abc import Sequence
 from typing import Any
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.images import Image8, read_image, resize
-from ggvs_eval.metrics.fetch_lpips import weights_path
 from ggvs_eval.metrics.registry import METRICS
-from ggvs_eval.pipelines.jobs import Job, code_digest, run_jobs
+from ggvs_eval.pipelines.jobs import run_jobs
 from ggvs_eval.pipelines.methods import METHODS, split_label
-from ggvs_eval.protocol import Measurement, Protocol
+from ggvs_eval.pipelines.renders.coverage import Coverage, read_coverage
+from ggvs_eval.pipelines.score_path import PATH_VIEW, score_paths
+from ggvs_eval.pipelines.score_references import score_ceilings, write_references
+from ggvs_eval.pipelines.score_view import view_job
+from ggvs_eval.protocol import Protocol
 from ggvs_eval.results import Results, installed_versions, make_table
-from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, read_json, require_frames, write_json
+from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
 
 
 def score(run: RunFolder, workers: int = 1) -> Results:
@@ -41,104 +41,20 @@ def score(run: RunFolder, workers: int = 1) -> Results:
             f"{run.root}: nothing to score, renders/ is empty; run `ggvs-eval render` or give --renders NAME=FOLDER"
         )
     frames = range(protocol.frames.start, protocol.frames.start + protocol.frames.count)
-    folders = {f"{label} in {view}": run.renders(label, view) for label in labels for view in protocol.views.test}
-    require_frames(folders, frames)
-    run_jobs([_score_job(run, protocol, labels, view) for view in protocol.views.test], workers, "scoring")
-    results = _collect(run, protocol, labels)
+    coverage = read_coverage(run, frames, labels)
+    coverage.require(run, protocol.views.test, labels)
+    run_jobs([view_job(run, protocol, coverage, labels, view) for view in protocol.views.test], workers, "scoring")
+    paths = score_paths(run, protocol, labels, workers)
+    results = _collect(run, protocol, coverage, labels, paths)
     results.write(run.root)
+    write_references(run, paths, score_ceilings(run, protocol, workers))
     _write_shown_names(run, protocol, labels)
     return results
 
 
-def import_renders(run: RunFolder, label: str, folder: Path) -> None:
-    """Make frames that others rendered, ``folder/<view>/<frame>.png``, a method of this run.
-
-    The frames are linked, not copied; every view and frame of the protocol must be there.
-
-    Raises:
-        RenderError: a gap, or a label that is taken.
-    """
-    protocol = run.protocol()
-    if label in METHODS or not label or label.startswith(".") or "/" in label:
-        raise RenderError(f"renders cannot be called {label!r}; choose a plain name that is not one of {', '.join(METHODS)}")
-    frames = range(protocol.frames.start, protocol.frames.start + protocol.frames.count)
-    require_frames({f"{label} in {view}": folder / view for view in protocol.views.test}, frames)
-    link = run.root / "renders" / label
-    link.parent.mkdir(parents=True, exist_ok=True)
-    if link.is_symlink():
-        link.unlink()
-    elif link.exists():
-        raise RenderError(f"{link} exists already; choose another name for these renders")
-    link.symlink_to(folder.resolve(), target_is_directory=True)
-
-
-def _score_job(run: RunFolder, protocol: Protocol, labels: Sequence[str], view: str) -> Job:
-    """The job of one view; a method in it is stale when a frame, the measurement or the metrics' code changes."""
-    frames = range(protocol.frames.start, protocol.frames.start + protocol.frames.count)
-    measurement = protocol.measurement
-    common = {
-        "truth": _digest(run.truth(view), frames),
-        "measurement": [str(value) for value in vars(measurement).values()],
-        "lpips_weights": weights_path(measurement.lpips_net).is_file(),
-        "code": code_digest("ggvs_eval.metrics"),
-    }
-    identities = {label: common | {"rendered": _digest(run.renders(label, view), frames)} for label in labels}
-    work = partial(_score_view, run, view, identities, frames, measurement)
-    return Job(f"scores of {view}", run.scores(view), identities, work)
-
-
-def _digest(folder: Path, frames: range) -> str:
-    digest = hashlib.sha256()
-    for index in frames:
-        digest.update(frame_path(folder, index).read_bytes())
-    return digest.hexdigest()
-
-
-def _score_view(
-    run: RunFolder, view: str, identities: dict[str, Any], frames: range, measurement: Measurement, _folder: Path
-) -> dict[str, Any]:
-    """Measure the methods of one view whose frames changed; frames are streamed, two instants in memory."""
-    from ggvs_eval.metrics.stream import MetricOptions, score_views
-
-    known = run.scores(view) / JOB_FILE
-    records = read_json(known)["methods"] if known.is_file() else {}
-    methods = {label: records[label] for label in identities if records.get(label, {}).get("identity") == identities[label]}
-    stale = [label for label in identities if label not in methods]
-    folders = [run.renders(label, view) for label in stale]
-    options = MetricOptions(lpips_net=measurement.lpips_net, sted_pairing=measurement.sted_pairing)
-    scored = score_views(_instants(folders, run.truth(view), frames, measurement), _per_view_metrics(measurement), options)
-    for label, scores in zip(stale, scored, strict=True):
-        values = [(name, -1 if index is None else frames[index], value) for name, index, value in scores.values]
-        methods[label] = {"identity": identities[label], "values": values, "not_computed": scores.not_computed}
-    return {"methods": methods}
-
-
-def _per_view_metrics(measurement: Measurement) -> list[str]:
-    """What a view alone can tell; SDT and SDV are standard deviations of L1 over the whole table, see `_deviations`."""
-    names = [name for name in measurement.metrics if name not in ("SDT", "SDV")]
-    return names if "L1" in names or len(names) == len(measurement.metrics) else [*names, "L1"]
-
-
-def _instants(
-    folders: Sequence[Path], truth: Path, frames: range, measurement: Measurement
-) -> Iterator[tuple[list[Image8], Image8]]:
-    """Every method's frame and the true one of each instant, at the size at which they are measured."""
-    for index in frames:
-        paths = [frame_path(folder, index) for folder in (*folders, truth)]
-        images = [read_image(path) for path in paths]
-        for path, image in zip(paths, images, strict=True):
-            if image.shape != images[-1].shape:
-                wanted, came = images[-1].shape[1::-1], image.shape[1::-1]
-                raise RenderError(
-                    f"{path}: wanted {wanted[0]} x {wanted[1]} pixels as the truth has, got {came[0]} x {came[1]}; "
-                    "render at the protocol's size"
-                )
-        if measurement.width:
-            images = [resize(image, measurement.width, measurement.height, measurement.resize_filter) for image in images]
-        yield images[:-1], images[-1]
-
-
-def _collect(run: RunFolder, protocol: Protocol, labels: Sequence[str]) -> Results:
+def _collect(
+    run: RunFolder, protocol: Protocol, coverage: Coverage, labels: Sequence[str], paths: dict[str, dict[str, Any]]
+) -> Results:
     """One tidy table of all jobs, with the deviations over time (SDT) and views (SDV) that need more than one of them."""
     capture = run.capture_record()
     records = {view: read_json(run.scores(view) / JOB_FILE)["methods"] for view in protocol.views.test}
@@ -146,19 +62,38 @@ def _collect(run: RunFolder, protocol: Protocol, labels: Sequence[str]) -> Resul
     not_computed: dict[str, str] = {}
     for label in labels:
         head = (protocol.dataset, capture["scene"], *split_label(label))
-        l1: dict[str, list[float]] = {}
+        l1: dict[str, dict[int, float]] = {}
+        own: list[tuple[Any, ...]] = []
+        reasons: dict[str, str] = {}
         for view, methods in records.items():
+            if label not in methods:  # partial renders may lack a view
+                continue
             values = methods[label]["values"]
-            rows += [(*head, view, frame, name, value) for name, frame, value in values]
-            l1[view] = [value for name, _, value in values if name == "L1"]
-            not_computed |= methods[label]["not_computed"]
-        rows += [(*head, *row) for row in _deviations(protocol, l1, not_computed)]
-    renders = {f"{label}/{view}": records[view][label]["identity"]["rendered"] for label in labels for view in records}
-    return Results(make_table(rows), _provenance(protocol, capture, renders), not_computed)
+            own += [(view, frame, name, value) for name, frame, value in values]
+            l1[view] = {frame: value for name, frame, value in values if name == "L1"}
+            reasons |= methods[label]["not_computed"]
+        own += _deviations(protocol, l1, reasons)
+        own += _along_path(protocol, paths.get(label), reasons)
+        rows += [(*head, *row) for row in own]
+        not_computed |= coverage.reasons(label, reasons, {name for _, _, name, _ in own})
+    renders = {
+        f"{label}/{view}": methods[label]["identity"]["rendered"]
+        for label in labels
+        for view, methods in records.items()
+        if label in methods
+    }
+    provenance = _provenance(protocol, capture, renders) | {"imported": coverage.imported, "partial": coverage.marks}
+    return Results(make_table(rows), provenance, not_computed)
 
 
-def _deviations(protocol: Protocol, l1: dict[str, list[float]], not_computed: dict[str, str]) -> list[tuple[Any, ...]]:
-    """Rows (view, frame, metric, value) of SDT and SDV."""
+def _deviations(protocol: Protocol, l1: dict[str, dict[int, float]], not_computed: dict[str, str]) -> list[tuple[Any, ...]]:
+    """Rows (view, frame, metric, value) of SDT and SDV, of whatever views and frames there are.
+
+    Args:
+        protocol: the metrics that are wanted.
+        l1: view -> frame -> L1.
+        not_computed: takes the reason where there is none.
+    """
     from ggvs_eval.metrics.temporal import sdt
     from ggvs_eval.metrics.views import sdv
 
@@ -167,13 +102,26 @@ def _deviations(protocol: Protocol, l1: dict[str, list[float]], not_computed: di
     if "SDT" in wanted and protocol.frames.count < 2:
         not_computed["SDT"] = f"{protocol.frames.count} frame; needs 2"
     elif "SDT" in wanted:
-        rows += [(view, -1, "SDT", sdt([values], ddof)) for view, values in l1.items()]
+        rows += [(view, -1, "SDT", sdt([list(values.values())], ddof)) for view, values in l1.items() if len(values) > 1]
     if "SDV" in wanted and len(l1) < 2:
         not_computed["SDV"] = f"{len(l1)} view; needs 2"
     elif "SDV" in wanted:
-        by_frame = zip(*l1.values(), strict=True)
-        rows += [(None, protocol.frames.start + t, "SDV", sdv([[v] for v in values], ddof)) for t, values in enumerate(by_frame)]
+        by_frame: dict[int, list[float]] = defaultdict(list)
+        for values in l1.values():
+            for frame, value in values.items():
+                by_frame[frame].append(value)
+        rows += [(None, t, "SDV", sdv([[v] for v in by_frame[t]], ddof)) for t in sorted(by_frame) if len(by_frame[t]) > 1]
     return rows
+
+
+def _along_path(protocol: Protocol, path: dict[str, Any] | None, not_computed: dict[str, str]) -> list[tuple[Any, ...]]:
+    """Rows (view, frame, metric, value) of the measures of a camera path, each over the whole path."""
+    wanted = [name for name in protocol.measurement.metrics if METRICS[name].kind == "path"]
+    if path is None:
+        not_computed.update(dict.fromkeys(wanted, "no images along a camera path"))
+        return []
+    not_computed.update({name: reason for name, reason in path["not_computed"].items() if name in wanted})
+    return [(PATH_VIEW, -1, name, value) for name, pose, value in path["values"] if pose < 0 and name in wanted]
 
 
 def _provenance(protocol: Protocol, capture: dict[str, Any], renders: dict[str, str]) -> dict[str, Any]:

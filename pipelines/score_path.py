@@ -11,8 +11,10 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.digest import digest_files
 from ggvs_eval.images import read_image
 from ggvs_eval.metrics.path_scores import PathPose, score_path
+from ggvs_eval.metrics.registry import METRICS
 from ggvs_eval.pipelines.jobs import Job, code_digest, run_jobs
 from ggvs_eval.pipelines.path_depth import pose_file, read_path_depth
+from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, missing_frames, read_json, write_json
 
 PATH_VIEW = "path"  # stands in the table's column of views
@@ -44,19 +46,20 @@ def write_path_record(run: RunFolder, frame: int, poses: Sequence[tuple[Camera, 
     write_json(run.path_record, record)
 
 
-def score_paths(run: RunFolder, labels: Sequence[str], workers: int = 1) -> dict[str, dict[str, Any]]:
+def score_paths(run: RunFolder, protocol: Protocol, labels: Sequence[str], workers: int = 1) -> dict[str, dict[str, Any]]:
     """Measure the path of every method that has one, and of the truth where the capture has true images of it.
 
     Args:
         run: the run folder.
+        protocol: asks for measures of the path, or does not.
         labels: methods.
         workers: processes.
 
     Returns:
         label (or ``truth``) -> ``values``, a list of (measure, pose or -1, value), and ``not_computed``, measure -> reason. Empty
-        where there is no path.
+        where there is no path, or the protocol asks for none of its measures.
     """
-    if not run.path_record.is_file():
+    if not run.path_record.is_file() or not any(METRICS[name].kind == "path" for name in protocol.measurement.metrics):
         return {}
     n_poses = len(read_json(run.path_record)["cameras"])
     rendered = [label for label in (TRUTH, *labels) if not missing_frames(run.path(label), range(n_poses))]
@@ -85,13 +88,8 @@ def _score(run: RunFolder, label: str, _folder: Path) -> dict[str, Any]:
 def _poses(run: RunFolder, label: str) -> Iterator[PathPose]:
     record = read_json(run.path_record)
     for index, (values, sources) in enumerate(zip(record["cameras"], record["sources"], strict=True)):
-        camera = Camera(
-            f"path{index:04d}",
-            np.array(values["K"]),
-            np.array(values["world_to_camera"]),
-            *values["size"],
-            values["near"],
-            values["far"],
-        )
+        width, height = values["size"]
+        K, world_to_camera = np.array(values["K"]), np.array(values["world_to_camera"])
+        camera = Camera(f"path{index:04d}", K, world_to_camera, width, height, values["near"], values["far"])
         depth = read_path_depth(run.path_depth, index) if pose_file(run.path_depth, index).is_file() else None
         yield PathPose(camera, read_image(frame_path(run.path(label), index)), depth, sources)

@@ -62,12 +62,12 @@ def compare_frames(run: MeasuredRun, byte_budget: int = FRAME_BYTES) -> Comparis
     Raises:
         RenderError: a frame and its truth differ in size.
     """
-    views, keys = run.protocol.views.test, ("truth", *run.labels)
+    views, keys = run.protocol.views.test, ("truth", *run.pictured)
     stride = math.ceil(len(run.frames) * len(views) * len(keys) / FRAMES_AT_MOST)
     frames = run.frames[::stride]
     width, height = _fitting_size(run, byte_budget / (len(frames) * len(views) * len(keys)))
     images: dict[str, dict[str, list[str]]] = {view: {key: [] for key in keys} for view in views}
-    errors: dict[str, dict[str, list[str]]] = {view: {label: [] for label in run.labels} for view in views}
+    errors: dict[str, dict[str, list[str]]] = {view: {label: [] for label in run.pictured} for view in views}
     instants = [(view, frame) for view in views for frame in frames]
     with ThreadPoolExecutor(os.cpu_count()) as pool:  # OpenCV's codecs release the GIL
         compressed = pool.map(partial(_compress, run, width), instants)
@@ -85,7 +85,7 @@ def _compress(run: MeasuredRun, width: int, instant: tuple[str, int]) -> dict[st
     files = {key: frame_path(folder, frame) for key, folder in run.frame_folders(view).items()}
     truth = read_image(files["truth"])
     pictures = {"truth": (webp_uri(shrink(truth, width)), "")}
-    for label in run.labels:
+    for label in run.pictured:
         rendered = read_image(files[label])
         error = error_map(rendered, truth, files[label])
         pictures[label] = webp_uri(shrink(rendered, width)), webp_uri(shrink(error, round(width * ERROR_SHARE)))

@@ -72,13 +72,25 @@ class MeasuredRun:
         """Numbers of the synthesised frames."""
         return range(self.protocol.frames.start, self.protocol.frames.start + self.protocol.frames.count)
 
+    @property
+    def partial(self) -> Mapping[str, str]:
+        """Methods whose renders lack views or frames -> what their numbers stand on."""
+        marks: dict[str, str] = self.results.provenance.get("partial", {})
+        return marks
+
+    @property
+    def pictured(self) -> tuple[str, ...]:
+        """Labels of the methods that have every frame, which alone can stand beside each other in pictures."""
+        return tuple(label for label in self.labels if label not in self.partial)
+
     def name(self, label: str) -> str:
-        """Name of a method to show; ``truth`` has one too."""
-        return "Truth" if label == "truth" else self.names.get(label, label)
+        """Name of a method to show; ``truth`` has one too, and partial renders say that they are."""
+        name = "Truth" if label == "truth" else self.names.get(label, label)
+        return f"{name} (partial)" if label in self.partial else name
 
     def frame_folders(self, view: str) -> dict[str, Path]:
-        """Folder of the captured frames of a view (key ``truth``, first) and of every method's."""
-        return {"truth": self.folder.truth(view)} | {label: self.folder.renders(label, view) for label in self.labels}
+        """Folder of the captured frames of a view (key ``truth``, first) and of every method's that has all of them."""
+        return {"truth": self.folder.truth(view)} | {label: self.folder.renders(label, view) for label in self.pictured}
 
 
 def read_run(root: Path) -> MeasuredRun:

@@ -116,7 +116,7 @@ def _section(index: int, section: RunSection, comparison: Comparison) -> dict[st
         "view_tables": section.view_tables,
         "timing": section.timing,
         "comparison": comparison,
-        "first_left": next((label for label in run.labels if label in run.ours), run.labels[0]),
+        "first_left": next((label for label in run.pictured if label in run.ours), (*run.pictured, "truth")[0]),
         "data": _viewer_data(run, comparison, float(capture.get("fps") or 0)),
         "slices": [_slice_pictures(slices) for slices in section.slices],
         "commands": reproduce(run, str(capture.get("path", "CAPTURE"))),

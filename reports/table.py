@@ -10,7 +10,7 @@ from ggvs_eval.statistics.bootstrap import LEVEL, Interval
 DECIMALS = {"PSNR": 2, "PSNR_cc": 2, "SSIM": 3, "LPIPS": 3, "L1": 2, "TCC": 3, "SDT": 3, "SDV": 3}
 SIGNIFICANT = 4
 
-RowKind = Literal["measured", "ours", "published", "reference"]
+RowKind = Literal["measured", "ours", "partial", "published", "reference"]
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,8 @@ def rank(columns: Sequence[Column], rows: Sequence[Row], told: Sequence[frozense
             print the same digits as the best; None, or nothing at all, leaves it at the printed digits.
     """
     ranked = [list(row.cells) for row in rows]
-    competing = [index for index, row in enumerate(rows) if not row.is_grey]
+    # Partial rows stand on fewer views or frames than the others.
+    competing = [index for index, row in enumerate(rows) if not row.is_grey and row.kind != "partial"]
     for at, column in enumerate(columns):
         having = [index for index in competing if ranked[index][at].value is not None]
         if column.higher_is_better is None or len(having) < 2:

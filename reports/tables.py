@@ -1,8 +1,8 @@
 """The tables of a report: quality, consistency, each view by itself, time per stage."""
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import cast
 
 import pandas as pd
@@ -10,14 +10,16 @@ import pandas as pd
 from ggvs_eval.reports.measured import MeasuredRun, MetricNote, label_of
 from ggvs_eval.reports.published import published_rows
 from ggvs_eval.reports.references import reference_rows
-from ggvs_eval.reports.table import Cell, Column, Row, Table, measured_cell, rank
+from ggvs_eval.reports.table import Cell, Column, Row, RowKind, Table, measured_cell, rank
 from ggvs_eval.results import Results
 from ggvs_eval.statistics.bootstrap import LEVEL, Interval, intervals
 from ggvs_eval.statistics.paired import Standing, rank_methods
 
+REGIONS = ("static", "moving", "disoccluded")
 GROUPS = {
     "quality": ("Image quality", ("PSNR", "PSNR_cc", "SSIM", "LPIPS", "L1")),
-    "consistency": ("Temporal and view consistency", ("TCC", "STED", "STED_ssn", "Flicker", "SDT", "SDV")),
+    "consistency": ("Temporal and view consistency", ("TCC", "STED", "STED_ssn", "Flicker", "Flicker_excess", "SDT", "SDV")),
+    "regions": ("Quality by region", tuple(f"{name}_{region}" for name in ("PSNR", "SSIM", "L1") for region in REGIONS)),
     "path": (
         "View consistency along the camera path, without truth",
         (
@@ -97,7 +99,8 @@ def _main_table(
 ) -> Table:
     columns = tuple(metric_column(runs[0].metrics[metric]) for metric in metrics)
     here = cast(pd.DataFrame, summary.xs(dataset, level="dataset"))
-    certain = {metric: _certainty(runs[0].metrics[metric], results, dataset) for metric in metrics}
+    partial = results.provenance.get("partial", {})
+    certain = {metric: _certainty(runs[0].metrics[metric], results, dataset, partial) for metric in metrics}
     rows = measured_rows(runs, here, metrics, metrics, results, certain)
     told = [_told_rows(certain[metric], row_labels(runs, here)) for metric in metrics]
     references = [reference for run in runs for reference in run.references]
@@ -106,16 +109,26 @@ def _main_table(
     protocol = runs[0].protocol
     frames, views = _count(protocol.frames.count, "frame"), _count(len(protocol.views.test), "view")
     means = f"Mean over {frames}, then {views}, then scenes; K = {protocol.synthesis.k} source views."
+    if key == "path":
+        means = f"Over the whole camera path, at one instant; K = {protocol.synthesis.k} source views."
     notes = [f"{reference.name}: {reference.note}" for reference in references if reference.group == key]
-    caption = " ".join([means, *_certainty_captions(certain), *dict.fromkeys(notes)])
+    marks = [f"{label} is {mark}; it is not ranked." for label, mark in partial.items()]
+    caption = " ".join([means, *marks, *_certainty_captions(certain), *dict.fromkeys(notes)])
     return Table(key, title, caption, columns, rank(columns, rows, told) + grey, dataset)
 
 
-def _certainty(note: MetricNote, results: Results, dataset: str) -> Certainty:
-    found = intervals(results, note.name, dataset)
+def _certainty(note: MetricNote, results: Results, dataset: str, partial: Collection[str]) -> Certainty:
+    whole = _whole(results, partial)
+    found = intervals(whole, note.name, dataset)
     several = sum(not math.isnan(one.value) for one in found.values()) > 1
-    standing = rank_methods(results, note.name, note.higher_is_better, dataset) if several else None
+    standing = rank_methods(whole, note.name, note.higher_is_better, dataset) if several else None
     return Certainty(found, standing)
+
+
+def _whole(results: Results, partial: Collection[str]) -> Results:
+    """The results without the methods that lack views or frames."""
+    labels = [label_of(*names) for names in zip(results.table["method"], results.table["variant"], strict=True)]
+    return replace(results, table=results.table[[label not in partial for label in labels]])
 
 
 def _told_rows(certainty: Certainty, labels: Sequence[str]) -> frozenset[int] | None:
@@ -197,15 +210,18 @@ def measured_rows(
                 by_label[label].get(key) if label in by_label else None,
                 results,
                 certain[metric].interval(label) if certain else None,
+                label in names.partial,
             )
             for key, metric in zip(keys, metrics, strict=True)
         ]
-        rows.append(Row(names.name(label), tuple(cells), "ours" if label in names.ours else "measured"))
+        kind: RowKind = "partial" if label in names.partial else "ours" if label in names.ours else "measured"
+        rows.append(Row(names.name(label), tuple(cells), kind))
     return tuple(rows)
 
 
-def _cell(metric: str, value: float | None, results: Results, interval: Interval | None) -> Cell:
-    reason = results.not_computed.get(metric, "no value in the results; run `ggvs-eval score` again")
+def _cell(metric: str, value: float | None, results: Results, interval: Interval | None, is_partial: bool) -> Cell:
+    absent = "partial renders" if is_partial else "no value in the results; run `ggvs-eval score` again"
+    reason = results.not_computed.get(metric, absent)
     return measured_cell(metric, None if value is None else float(value), reason, interval)
 
 

@@ -21,11 +21,13 @@ from ggvs_eval.pipelines.score import score
 from ggvs_eval.pipelines.suggest_protocol import suggest_protocol
 from ggvs_eval.protocol import Frames, Protocol, Synthesis, Views, load_protocol
 from ggvs_eval.results import Results
-from ggvs_eval.run_folder import RunFolder, frame_path
+from ggvs_eval.run_folder import RunFolder, frame_path, read_json
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.options import DemoOptions
 
 LABELS = ("no-blending", "ours-geometric")
+REGIONAL = ("PSNR_static", "PSNR_disoccluded")
+ALONG_PATH = ("EPI_coherence", "EPI_slope_error", "reprojection", "switch_ratio")
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +39,7 @@ def capture(tmp_path_factory) -> Capture:
 @pytest.fixture(scope="module")
 def protocol() -> Protocol:
     base = load_protocol("demo")
-    metrics = ("PSNR", "SSIM", "L1", "TCC", "STED", "SDT", "SDV")
+    metrics = ("PSNR", "SSIM", "L1", "TCC", "STED", "SDT", "SDV", "PSNR_cc", "Flicker", *REGIONAL, *ALONG_PATH)
     return dataclasses.replace(
         base,
         views=Views(("cam00", "cam01"), "test"),
@@ -85,6 +87,41 @@ def test_everything_is_there(finished, protocol):
     assert set(summary.columns) >= set(protocol.measurement.metrics)
     assert np.isfinite(summary[list(protocol.measurement.metrics)].to_numpy()).all()
     assert (run.report / "index.html").stat().st_size > 10_000
+
+
+def test_the_path_is_scored_without_truth_and_beside_it(finished):
+    """Every method has one value per measure over the whole path; the captured images along it are a reference, no method."""
+    table = Results.read(finished).table
+    along = table[table["metric"].isin(ALONG_PATH)]
+    references = {entry["name"]: entry for entry in read_json(finished / "references.json")}
+
+    assert set(along["view"]) == {"path"}
+    assert sorted(along.groupby("metric").size()) == [len(LABELS)] * len(ALONG_PATH)
+    assert references["Captured images"]["group"] == "path"
+    assert references["Captured images"]["values"]["EPI_slope_error"] >= 0
+    assert "truth" not in set(table["method"])
+
+
+def test_ceilings_stand_beside_the_scores(finished, protocol):
+    """A perfect rendering is estimated to score better than any method, and a second recording too; both stand in the tables."""
+    summary = Results.read(finished).summary()
+    entries = [entry for entry in read_json(finished / "references.json") if entry["name"].startswith("Ceiling")]
+    values = {metric: value for entry in entries for metric, value in entry["values"].items() if isinstance(value, float)}
+
+    assert {entry["group"] for entry in entries} == {"quality", "consistency"}
+    assert values["PSNR"] > summary["PSNR"].max()
+    assert values["TCC"] > summary["TCC"].max()
+    assert "Ceiling: second recording" in (RunFolder(finished).report / "tables.md").read_text(encoding="utf-8")
+
+
+def test_what_no_camera_sees_is_known_before_any_method_renders(finished, protocol):
+    """Masks of every view and frame lie in the run; methods are worse there than where the scene stands still."""
+    run, summary = RunFolder(finished), Results.read(finished).summary()
+    masks = [read_image(frame_path(run.disoccluded(view), t)) for view in protocol.views.test for t in range(4)]
+
+    assert {int(value) for mask in masks for value in np.unique(mask)} <= {0, 255}
+    assert 0 < np.mean([mask.mean() for mask in masks]) < 128
+    assert (summary["PSNR_disoccluded"] < summary["PSNR_static"]).all()
 
 
 def test_a_second_call_computes_nothing(run, capture, protocol):

@@ -15,7 +15,7 @@ from ggvs_eval.errors import MetricError, WeightsError
 from ggvs_eval.images import read_image
 from ggvs_eval.metrics import fetch_lpips
 from ggvs_eval.metrics.fetch_lpips import NETS, fetch_weights, read_checkpoint, unpickle_arrays, weights_path
-from ggvs_eval.metrics.lpips import load_weights, lpips
+from ggvs_eval.metrics.lpips import load_weights, lpips, lpips_between, lpips_features
 
 OFFICIAL_IMAGES = Path(__file__).parents[1] / "../shared/oracles/lpips"
 needs_weights = pytest.mark.skipif(
@@ -83,6 +83,62 @@ def test_equals_an_independent_forward_pass(net, golden):
     rendered, truth = photograph_pair()
     assert slow_lpips(rendered, truth, net) == pytest.approx(golden, abs=1e-6)
     assert lpips(rendered, truth, net) == pytest.approx(golden, rel=1e-5)
+
+
+def noisy_odd_pair(photograph):
+    """An odd-sized crop of a packaged photograph and the same with uniform noise, uint8."""
+    truth = photograph[100:161, 100:173]
+    noise = np.random.default_rng(0).integers(-20, 21, truth.shape)
+    return np.clip(truth.astype(int) + noise, 0, 255).astype(np.uint8), truth
+
+
+# From `slow_lpips`, float64, over the weights whose sha256 fetch_lpips.py states.
+@needs_weights
+@pytest.mark.parametrize(
+    ("photograph", "net", "golden"),
+    [
+        ("coffee", "vgg", 0.2614949339),
+        ("coffee", "alex", 0.1867605596),
+        ("chelsea", "vgg", 0.1854390072),
+        ("chelsea", "alex", 0.0821928649),
+    ],
+)
+def test_packaged_photographs_have_their_golden_values(photograph, net, golden):
+    """Noisy crops of 61 x 73 pixels score what the independent float64 pass gave for them."""
+    assert lpips(*noisy_odd_pair(getattr(data, photograph)()), net) == pytest.approx(golden, rel=1e-6)
+
+
+@needs_weights
+def test_features_of_the_truth_can_be_shared():
+    """One truth's features serve 8-bit renders with the bits of the plain call and float ones within float32's width."""
+    rendered, truth = photograph_pair()
+    theirs = lpips_features(truth, "alex")
+    wanted = lpips(rendered, truth, "alex")
+    assert lpips_between(lpips_features(rendered, "alex"), theirs, "alex") == wanted
+    floats = (rendered[:, ::-1] / 255).astype(np.float32)[:, ::-1]  # a mirrored view, its strides negative
+    assert lpips_between(lpips_features(floats, "alex"), theirs, "alex") == pytest.approx(wanted, rel=1e-5)
+    with pytest.raises(MetricError, match="LPIPS-alex: the frames differ in size"):
+        lpips_between(lpips_features(rendered[:40], "alex"), theirs, "alex")
+
+
+@needs_weights
+@pytest.mark.parametrize("level", [0, 128, 255])
+def test_flat_frames_have_a_finite_distance(level):
+    """Flat frames, equal or one level apart, are at distance 0 and at a small finite one."""
+    flat = np.full((40, 37, 3), level, np.uint8)
+    other = flat + np.uint8(1) if level < 255 else flat - np.uint8(1)
+    assert lpips(flat, flat, "alex") == 0.0
+    assert 0 < lpips(other, flat, "alex") < 0.01
+
+
+@needs_weights
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_values_that_are_not_finite_are_refused(value):
+    """NaN or infinity in one pixel is an error, not a NaN score."""
+    rendered, truth = (frame / 255 for frame in photograph_pair())
+    rendered[20, 20, 1] = value
+    with pytest.raises(MetricError, match="LPIPS-alex: the frames hold values that are not finite"):
+        lpips(rendered, truth, "alex")
 
 
 @needs_weights

@@ -13,7 +13,8 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from ggvs_eval import kernels
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.image import fit_colour_map, l1, psnr, psnr_colour_corrected, ssim, ssim_per_channel
+from ggvs_eval.metrics.colour_correction import ColourMoments, apply_colour_map, fit_colour_map, unit_range
+from ggvs_eval.metrics.image import l1, psnr, psnr_colour_corrected, ssim, ssim_per_channel
 
 DATA = Path(__file__).parent / "data"
 SKIMAGE = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False, "channel_axis": 2}
@@ -60,21 +61,26 @@ def test_ssim_equals_its_slow_twin_per_channel():
         np.testing.assert_allclose(ssim_per_channel(*pair), slow_ssim(*pair), atol=1e-6)
 
 
-def test_ssim_equals_kornia():
-    """SSIM equals the mean of kornia's valid-window map within its float32 accuracy."""
+@pytest.mark.parametrize("shape", [(11, 11), (37, 75), (80, 100)])
+def test_ssim_and_psnr_equal_kornia(shape):
+    """SSIM equals the mean of kornia's valid-window map, and PSNR kornia's, within its float32 accuracy."""
     import torch
+    from kornia.metrics import psnr as kornia_psnr
     from kornia.metrics import ssim as kornia_ssim
 
-    pair = noisy_pair(80, 100)
-    tensors = (torch.from_numpy(image).permute(2, 0, 1)[None].float() / 255 for image in pair)
+    pair = noisy_pair(*shape)
+    tensors = [torch.from_numpy(image).permute(2, 0, 1)[None].float() / 255 for image in pair]
     assert ssim(*pair) == pytest.approx(float(kornia_ssim(*tensors, window_size=11, padding="valid").mean()), abs=2e-5)
+    assert psnr(*pair) == pytest.approx(float(kornia_psnr(*tensors, max_val=1.0)), abs=1e-5)
 
 
-def test_ssim_equals_recorded_values():
-    """SSIM of recorded float images equals the recorded values of the valid 11 x 11 window."""
+def test_ssim_and_psnr_equal_recorded_values():
+    """SSIM of recorded float images equals the recorded values of the valid 11 x 11 window, PSNR that of a recorded clip."""
     images, wanted = np.load(DATA / "ssim_tcc_inputs.npz"), json.loads((DATA / "ssim_tcc_oracles.json").read_text())
     assert ssim(images["b"], images["a"]) == pytest.approx(wanted["noise.05"]["valid_11x11_gauss"], abs=1e-6)
     assert ssim(images["c"], images["a"]) == pytest.approx(wanted["blur1.5"]["valid_11x11_gauss"], abs=1e-6)
+    clip = [psnr(*frames) for frames in zip(images["rendered_video"], images["gt_video"], strict=True)]
+    assert np.mean(clip) == pytest.approx(wanted["psnr_per_frame_mean"], abs=1e-5)
 
 
 def test_ssim_has_the_same_bits_on_any_number_of_threads_and_instruction_set():
@@ -139,6 +145,48 @@ def test_laws_of_two_frames(seed, strength, height, width):
         assert psnr(rendered, truth) <= 20 * np.log10(255 / error) + 1e-9
 
 
+@settings(max_examples=80, deadline=None)
+@given(
+    seed=st.integers(0, 10_000),
+    height=st.integers(1, 30),
+    width=st.integers(1, 30),
+    levels=st.sampled_from([1, 2, 256]),
+    kind=st.sampled_from([np.uint8, np.float16, np.float32, np.float64]),
+)
+def test_frames_of_any_size_and_content_have_a_finite_score_or_a_reason(seed, height, width, levels, kind):
+    """From one pixel up, flat or noisy, 8-bit or any float: PSNR, L1 and PSNR_cc are finite; SSIM too, or says why not."""
+    rng = np.random.default_rng(seed)
+    rendered, truth = (rng.integers(0, levels, (height, width, 3)).astype(np.uint8) for _ in range(2))
+    if kind != np.uint8:
+        rendered, truth = (rendered / 255).astype(kind), (truth / 255).astype(kind)
+    assert 0 <= psnr(rendered, truth) <= 100
+    assert 0 <= l1(rendered, truth) <= 255
+    assert 0 <= psnr_colour_corrected(rendered, truth) <= 100
+    if min(height, width) < 11:
+        with pytest.raises(MetricError, match="SSIM needs 11 x 11 pixels"):
+            ssim(rendered, truth)
+    else:
+        assert -1 <= ssim(rendered, truth) <= 1
+        assert ssim(truth, truth) == 1.0
+
+
+@pytest.mark.parametrize("metric", [psnr, ssim, l1, psnr_colour_corrected])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_values_that_are_not_finite_are_refused(metric, value):
+    """One pixel of NaN or infinity in a frame of floats is an error, not a score."""
+    rendered, truth = (frame / 255 for frame in noisy_pair(20, 30))
+    rendered[7, 9, 1] = value
+    with pytest.raises(MetricError, match="the frames hold values that are not finite"):
+        metric(rendered, truth)
+
+
+def test_frames_of_different_floats_compare():
+    """float32 against float64 scores as float64 does, within the width of float32."""
+    rendered, truth = (frame / 255 for frame in noisy_pair(20, 30))
+    for metric in (psnr, ssim, l1, psnr_colour_corrected):
+        assert metric(rendered.astype(np.float32), truth) == pytest.approx(metric(rendered, truth), rel=1e-5)
+
+
 def test_more_noise_scores_worse():
     """PSNR and SSIM fall and L1 rises with the strength of the noise."""
     pairs = [noisy_pair(100, 100, strength) for strength in (2, 5, 12, 30, 70)]
@@ -185,6 +233,55 @@ def test_one_map_serves_a_whole_view():
     view, flicker = np.stack([truth, truth]), np.stack([truth, truth // 2])
     alone = np.mean([psnr_colour_corrected(frame, truth) for frame in flicker])
     assert psnr_colour_corrected(flicker, view) < alone - 10
+
+
+def test_moments_streamed_frame_by_frame_give_the_map_of_the_stack():
+    """Frames added one by one give the map that numpy fits to all of them, whatever their order, 8-bit or float."""
+    views = [noisy_pair(70, 50, strength, seed=3) for strength in (5, 20, 60)]
+    design = np.concatenate([rendered.reshape(-1, 3) for rendered, _ in views]) / 255
+    target = np.concatenate([truth.reshape(-1, 3) for _, truth in views]) / 255
+    wanted = np.linalg.lstsq(np.concatenate([design, np.ones((len(design), 1))], axis=1), target, rcond=None)[0].T
+    for pairs in (views, views[::-1], [(rendered / 255, truth / 255) for rendered, truth in views]):
+        moments = ColourMoments()
+        for rendered, truth in pairs:
+            moments.add(rendered, truth)
+        np.testing.assert_allclose(moments.map(), wanted, atol=1e-9)
+
+
+def test_ssim_of_the_corrected_frame():
+    """After the map an affine colour change costs SSIM nothing, and noise on top of it costs what it costs alone."""
+    noisy, truth = (frame / 255 for frame in noisy_pair(60, 80, strength=4))
+
+    def corrected_ssim(rendered):
+        moments = ColourMoments()
+        moments.add(rendered, truth)
+        return ssim(apply_colour_map(moments.map(), rendered), unit_range(truth))
+
+    change = np.array([[0.7, 0.1, 0.0], [0.0, 0.8, 0.0], [0.1, 0.0, 0.6]]).T
+    assert ssim(truth @ change + 0.05, truth) < 0.99
+    assert corrected_ssim(truth @ change + 0.05) > 0.99999
+    assert corrected_ssim(noisy @ change + 0.05) == pytest.approx(corrected_ssim(noisy), abs=1e-4)
+
+
+def test_corrected_colours_stay_between_black_and_white():
+    """A map that overshoots is clipped, in 8-bit and float frames alike, and the identity changes nothing."""
+    frame, _ = noisy_pair(12, 14)
+    identity = np.eye(3, 4)
+    np.testing.assert_array_equal(apply_colour_map(identity, frame), unit_range(frame))
+    np.testing.assert_array_equal(apply_colour_map(identity, unit_range(frame)), unit_range(frame))
+    bright = apply_colour_map(3 * identity, frame)
+    assert (bright.min() >= 0, bright.max()) == (True, 1.0)
+
+
+def test_moments_of_nothing_and_of_frames_that_do_not_fit_are_refused():
+    """A map wants pixels, and pairs of one size."""
+    moments = ColourMoments()
+    with pytest.raises(MetricError, match="no pixels were added"):
+        moments.map()
+    with pytest.raises(MetricError, match=r"rendered is \(20, 31, 3\)"):
+        moments.add(np.zeros((20, 31, 3), np.uint8), np.zeros((20, 30, 3), np.uint8))
+    with pytest.raises(MetricError, match=r"wanted RGB of shape \(frames, height, width, 3\)"):
+        fit_colour_map(np.zeros((20, 30, 3), np.uint8), np.zeros((20, 30, 3), np.uint8))
 
 
 @pytest.mark.parametrize("metric", [psnr, ssim, l1, psnr_colour_corrected])

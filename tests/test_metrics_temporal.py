@@ -12,15 +12,21 @@ from skimage import data
 from skimage.metrics import structural_similarity
 
 from ggvs_eval.errors import MetricError
+from ggvs_eval.metrics.colour_correction import apply_colour_map, fit_colour_map, unit_range
 from ggvs_eval.metrics.image import l1, psnr, psnr_colour_corrected, ssim
+from ggvs_eval.metrics.regions import masked_l1, masked_psnr, masked_ssim, moving_mask
 from ggvs_eval.metrics.registry import METRICS, select_metrics
-from ggvs_eval.metrics.stream import MetricOptions, score_view
+from ggvs_eval.metrics.scorers import MetricOptions
+from ggvs_eval.metrics.ssim_variants import ssim_variant
+from ggvs_eval.metrics.stream import fit_colour_maps, score_view, score_views
 from ggvs_eval.metrics.strred import strred
 from ggvs_eval.metrics.temporal import sdt, tcc, temporal_change_ssim
 from ggvs_eval.metrics.views import sdv
 
 DATA = Path(__file__).parent / "data"
-ALL_BUT_LPIPS = [name for name in METRICS if name != "LPIPS"]
+ALL_BUT_LPIPS = ["PSNR", "SSIM", "L1", "PSNR_cc", "TCC", "STED", "STED_ssn", "SDT", "SDV"]  # with a truth, view by view
+STED_PARTS = {f"{name}_{part}" for name in ("STED", "STED_ssn") for part in ("spatial", "temporal")}
+EACH_FRAME = MetricOptions(colour_scope="frame")
 SKIMAGE = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False, "data_range": 1, "channel_axis": 2}
 
 
@@ -84,6 +90,45 @@ def test_tcc_refuses_what_it_cannot_compare():
         tcc(rendered[:, :60], truth)
 
 
+@settings(max_examples=40, deadline=None)
+@given(
+    seed=st.integers(0, 10_000),
+    height=st.integers(1, 30),
+    width=st.integers(1, 30),
+    frames=st.integers(1, 4),
+    levels=st.sampled_from([1, 2, 256]),
+)
+def test_clips_of_any_size_and_content_have_a_finite_score_or_a_reason(seed, height, width, frames, levels):
+    """TCC lies in 0..1 and SDT is finite for flat and noisy clips of any length and size, or the reason is given."""
+    rng = np.random.default_rng(seed)
+    rendered, truth = (rng.integers(0, levels, (frames, height, width, 3)).astype(np.uint8) for _ in range(2))
+    errors = [[l1(*pair) for pair in zip(rendered, truth, strict=True)]]
+    if frames < 2:
+        with pytest.raises(MetricError, match="2 frames"):
+            sdt(errors)
+    else:
+        assert 0 <= sdt(errors) < np.inf
+    if frames < 2 or min(height, width) < 11:
+        with pytest.raises(MetricError, match=r"needs 2|SSIM needs 11 x 11 pixels"):
+            tcc(rendered, truth)
+    else:
+        assert 0 <= tcc(rendered, truth) <= 1
+        assert tcc(truth, truth) == 1.0
+
+
+def test_static_clips_score_one_and_errors_that_are_not_finite_are_refused():
+    """Two still clips change alike, by nothing, whatever they show; NaN in a frame or in an error is an error."""
+    rendered, truth = moving_view(frames=2)
+    assert tcc(rendered[[0, 0]], truth[[0, 0]]) == 1.0
+    assert tcc(np.full((2, 20, 20, 3), 9, np.uint8), np.full((2, 20, 20, 3), 200, np.uint8)) == 1.0
+    broken = rendered / 255
+    broken[1, 5, 5, 0] = np.nan
+    with pytest.raises(MetricError, match="TCC: the frames hold values that are not finite"):
+        tcc(broken, truth / 255)
+    with pytest.raises(MetricError, match=r"SDT: .* not finite"):
+        sdt([[1.0, np.nan]])
+
+
 @settings(max_examples=50, deadline=None)
 @given(
     bias=st.lists(st.floats(0, 50), min_size=2, max_size=6),
@@ -117,7 +162,7 @@ def test_sdt_and_sdv_refuse_a_single_frame_or_view():
 def test_stream_equals_the_metrics_called_by_hand():
     """Each streamed value is what the metric's own function gives on those frames."""
     rendered, truth = moving_view()
-    scores = score_view(zip(rendered, truth, strict=True), ALL_BUT_LPIPS)
+    scores = score_view(zip(rendered, truth, strict=True), ALL_BUT_LPIPS, EACH_FRAME)
     for name, metric in (("PSNR", psnr), ("SSIM", ssim), ("L1", l1), ("PSNR_cc", psnr_colour_corrected)):
         assert values_of(scores, name) == {t: metric(rendered[t], truth[t]) for t in range(5)}
     changes = {t: temporal_change_ssim(rendered[t], rendered[t + 1], truth[t], truth[t + 1]) for t in range(4)}
@@ -125,6 +170,89 @@ def test_stream_equals_the_metrics_called_by_hand():
     assert values_of(scores, "SDT") == {None: sdt([list(values_of(scores, "L1").values())])}
     assert values_of(scores, "SDV") == {}
     assert scores.not_computed == {}
+
+
+def test_stream_scores_odd_small_and_flat_views_without_nan():
+    """Through the stream too, views below 48 and below 11 pixels, flat and static ones have finite values or reasons."""
+    for size, names_refused in (
+        ((47, 53), {"STED", "STED_ssn"}),
+        ((10, 64), {"SSIM", "TCC", "STED", "STED_ssn"}),
+        ((49, 51), set()),
+    ):
+        for level in (0, 255):
+            frames = [(np.full((*size, 3), level, np.uint8), np.full((*size, 3), 255 - level, np.uint8))] * 3
+            scores = score_view(frames, ALL_BUT_LPIPS, EACH_FRAME)
+            assert np.isfinite([value for _, _, value in scores.values]).all()
+            assert names_refused <= set(scores.not_computed)
+            assert {"PSNR", "L1", "SDT"} & set(scores.not_computed) == set()
+
+
+def test_colours_are_corrected_by_the_map_of_the_view():
+    """With maps fitted over the view first, each frame is changed by that map; without them it is an error, not a guess."""
+    rendered, truth = moving_view()
+    rendered = np.stack([frame // 2 if t == 2 else frame // 4 * 3 + 20 for t, frame in enumerate(rendered)])
+    frames = [((rendered[t], truth[t]), truth[t]) for t in range(5)]
+    maps = fit_colour_maps(frames)
+    np.testing.assert_allclose(maps[0], fit_colour_map(rendered, truth), atol=1e-12)
+    ours, perfect = score_views(frames, ["PSNR_cc", "SSIM_cc"], colour_maps=maps)
+    corrected = [apply_colour_map(maps[0], frame) for frame in rendered]
+    for name, metric in (("PSNR_cc", psnr), ("SSIM_cc", ssim)):
+        assert values_of(ours, name) == {t: metric(corrected[t], unit_range(truth[t])) for t in range(5)}
+    assert np.mean(list(values_of(ours, "PSNR_cc").values())) == pytest.approx(psnr_colour_corrected(rendered, truth))
+    assert min(values_of(perfect, "PSNR_cc").values()) > 90
+    with pytest.raises(MetricError, match="colours are corrected per view; fit the maps first"):
+        score_views(frames, ["SSIM_cc"])
+
+
+def test_streamed_variants_are_those_that_were_asked_for():
+    """SSIM of each name, pooling by products and ddof 0 are what the metrics give when called so."""
+    rendered, truth = moving_view()
+    for name in ("gaussian-valid", "gaussian-zero", "uniform7", "uniform7-range2"):
+        scores = score_view(zip(rendered, truth, strict=True), ["SSIM"], MetricOptions(ssim=name))
+        assert values_of(scores, "SSIM") == {t: ssim_variant(rendered[t], truth[t], name) for t in range(5)}
+    options = MetricOptions(sted_pairing="consecutive", sted_pooling="products", ddof=0)
+    scores = score_view(zip(rendered, truth, strict=True), ["STED", "L1", "SDT"], options)
+    assert values_of(scores, "STED") == {None: strred(rendered, truth, "consecutive", "products").strred}
+    assert values_of(scores, "SDT") == {None: sdt([list(values_of(scores, "L1").values())], ddof=0)}
+
+
+def test_streamed_regions_are_the_masks_of_the_captured_frames():
+    """What moves is taken from the captured frame and the one before, the rest is static, and the first frame has neither."""
+    rendered, truth = (frames.copy() for frames in moving_view(frames=4, size=96))
+    truth[:, :, 40:], rendered[:, :, 40:] = truth[0, :, 40:], rendered[0, :, 40:]
+    hidden = np.zeros((96, 96), bool)
+    hidden[10:40, 10:60] = True
+    names = [f"{name}_{region}" for name in ("PSNR", "SSIM", "L1") for region in ("static", "moving", "disoccluded")]
+    scores = score_view(zip(rendered, truth, strict=True), names, disoccluded=[hidden] * 4)
+    assert scores.not_computed == {}
+    for name, metric in (("PSNR", masked_psnr), ("SSIM", masked_ssim), ("L1", masked_l1)):
+        moving = {t: moving_mask(truth[t], truth[t - 1]) for t in (1, 2, 3)}
+        assert values_of(scores, f"{name}_moving") == {t: metric(rendered[t], truth[t], mask) for t, mask in moving.items()}
+        assert values_of(scores, f"{name}_static") == {t: metric(rendered[t], truth[t], ~mask) for t, mask in moving.items()}
+        assert values_of(scores, f"{name}_disoccluded") == {t: metric(rendered[t], truth[t], hidden) for t in range(4)}
+
+
+def test_regions_without_a_pixel_have_a_reason():
+    """A view in which nothing moves has no score of what moves, and says why; its static part is scored."""
+    rendered, truth = moving_view(frames=1)
+    scores = score_view([(rendered[0], truth[0])] * 3, ["PSNR_moving", "PSNR_static", "PSNR_disoccluded"])
+    assert list(values_of(scores, "PSNR_static")) == [1, 2]
+    assert set(scores.not_computed) == {"PSNR_moving", "PSNR_disoccluded"}
+    assert "the region has 0 pixels" in scores.not_computed["PSNR_moving"]
+
+
+def test_what_the_truth_decides_is_computed_once_for_all_methods(monkeypatch):
+    """Three methods cost three bands of their own and one of the truth per frame, not six."""
+    from ggvs_eval.metrics import strred as module
+
+    calls = []
+    plain = module.spatial_band
+    monkeypatch.setattr(module, "spatial_band", lambda image: calls.append(1) or plain(image))
+    rendered, truth = moving_view(frames=2)
+    scores = score_views([((rendered[t], truth[t], rendered[t]), truth[t]) for t in range(2)], ["STED"])
+    assert len(calls) == 2 * (3 + 1)
+    wanted = strred(rendered, truth).strred
+    assert [values_of(one, "STED")[None] for one in scores] == [wanted, 0.0, wanted]
 
 
 @pytest.mark.parametrize(("pairing", "first_frames"), [("disjoint", [0, 2]), ("consecutive", [0, 1, 2, 3])])
@@ -143,7 +271,7 @@ def test_streamed_sted_can_be_pooled_again_from_its_parts(pairing, first_frames)
 def test_a_single_frame_has_no_temporal_metrics():
     """With one frame the frame metrics are there and each temporal one gives the reason."""
     rendered, truth = moving_view(frames=1)
-    scores = score_view(zip(rendered, truth, strict=True), ALL_BUT_LPIPS)
+    scores = score_view(zip(rendered, truth, strict=True), ALL_BUT_LPIPS, EACH_FRAME)
     assert {name for name, _, _ in scores.values} == {"PSNR", "SSIM", "L1", "PSNR_cc"}
     assert scores.not_computed == dict.fromkeys(("TCC", "STED", "STED_ssn", "SDT"), "1 frame; needs 2")
 
@@ -151,8 +279,8 @@ def test_a_single_frame_has_no_temporal_metrics():
 def test_two_frames_have_all_metrics():
     """Two frames are enough for every metric of a view."""
     rendered, truth = moving_view(frames=2)
-    scores = score_view(zip(rendered, truth, strict=True), ALL_BUT_LPIPS)
-    assert {name for name, _, _ in scores.values} == {*ALL_BUT_LPIPS, "STED_spatial", "STED_temporal"} - {"SDV"}
+    scores = score_view(zip(rendered, truth, strict=True), ALL_BUT_LPIPS, EACH_FRAME)
+    assert {name for name, _, _ in scores.values} == {*ALL_BUT_LPIPS, *STED_PARTS} - {"SDV"}
 
 
 def test_frames_too_small_for_one_metric_keep_the_others():

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from ggvs_eval.errors import ResultsError
-from ggvs_eval.metrics.stream import MetricOptions, score_view
+from ggvs_eval.metrics.scorers import MetricOptions
+from ggvs_eval.metrics.stream import score_view
 from ggvs_eval.metrics.temporal import sdt
 from ggvs_eval.metrics.views import sdv
 from ggvs_eval.statistics.blocks import block_length, block_weights

@@ -1,14 +1,18 @@
-"""ST-RRED against scikit-video's recorded intermediate and final values, and its laws."""
+"""ST-RRED against scikit-video's recorded intermediate and final values, Netflix's port, a real clip, and its laws."""
 
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import ndimage
 from skimage import data
 
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.strred import (
+    PairDifference,
     block_entropies,
     luma,
     pair_difference,
@@ -19,6 +23,7 @@ from ggvs_eval.metrics.strred import (
 )
 
 DATA = Path(__file__).parent / "data"
+REAL_CLIP = Path(__file__).parents[1] / "../shared/data/video_carphone"
 RECORDED = json.loads((DATA / "strred_oracles.json").read_text())
 CLIPS = ["carphone12", "synth_noise5", "synth_blur1p5", "synth_flicker5pct", "synth_oddsize_97x131", "const_ref_vs_noise"]
 
@@ -73,6 +78,62 @@ def test_scores_equal_scikit_video(name):
     np.testing.assert_allclose(scores.pairs, wanted["array"], atol=2e-3)
 
 
+# Both scores of the first 4 carphone frames cut to odd and small sizes: scikit-video 1.1.11, numpy 2.4.6, np.int and its like put
+# back, float32. At 48 pixels 16 patches make a 9 x 9 covariance, almost singular, and float32 keeps three digits.
+CROPS = {
+    (48, 48): (1421.95068, 1294.53345, 1e-3),
+    (64, 64): (1986.78833, 1739.68127, 5e-4),
+    (49, 95): (727.935913, 433.167603, 5e-4),
+    (144, 51): (319.975586, 61.1671219, 5e-4),
+    (143, 175): (186.976547, 7.20104504, 5e-4),
+}
+
+
+@pytest.mark.parametrize("size", CROPS)
+def test_small_and_odd_sizes_equal_scikit_video(size):
+    """Crops of the real clip, down to the smallest size that has a score, equal scikit-video's values on them."""
+    rendered, truth = (frames[:4, : size[0], : size[1]] for frames in clip("carphone12"))
+    scores, (wanted, wanted_single, tolerance) = strred(rendered, truth), CROPS[size]
+    assert scores.strred == pytest.approx(wanted, rel=tolerance)
+    assert scores.strred_ssn == pytest.approx(wanted_single, rel=5e-3)
+
+
+def test_scale_of_luma_is_part_of_the_score():
+    """The same clip in 0..1, which is not what the metric wants, scores what scikit-video gives for it: 360 times less."""
+    scores, wanted = strred(*(frames.astype(np.float32) / 255 for frames in clip("carphone12"))), RECORDED["carphone12_in_0_1"]
+    assert scores.strred == pytest.approx(wanted["strred"], rel=5e-4)
+    assert scores.strred_ssn == pytest.approx(wanted["strredssn"], rel=5e-3)
+
+
+@pytest.mark.parametrize("name", ["carphone_identical", "static_video", "const_vs_const"])
+def test_clips_without_a_difference_in_time_score_as_recorded(name):
+    """Equal, static and flat clips have the recorded parts, zero where nothing differs, and the score 0."""
+    rendered, truth = (frames[:4] for frames in clip("carphone12"))
+    clips = {
+        "carphone_identical": (truth, truth),
+        "static_video": (rendered[[0] * 4], truth[[0] * 4]),
+        "const_vs_const": (np.full((4, 96, 96), 90, np.uint8), np.full((4, 96, 96), 60, np.uint8)),
+    }
+    scores = strred(*clips[name])
+    assert scores.strred == scores.strred_ssn == RECORDED[name]["strred"] == 0.0
+    np.testing.assert_allclose(scores.pairs, RECORDED[name]["array"], atol=2e-3)
+
+
+@pytest.mark.skipif(not REAL_CLIP.is_dir(), reason="no ../shared/data/video_carphone beside this checkout")
+def test_real_clip_scores_as_recorded():
+    """All 120 frames of the carphone pair, decoded from the real files, have the recorded scores and 60 pairs."""
+    import av
+
+    def grey(name):
+        with av.open(str(REAL_CLIP / f"carphone_{name}.mp4")) as file:
+            return [frame.to_ndarray(format="gray") for frame in file.decode(video=0)]
+
+    scores, wanted = strred(grey("distorted"), grey("pristine")), RECORDED["carphone120_full"]
+    assert scores.strred == pytest.approx(wanted["strred"], rel=5e-4)
+    assert scores.strred_ssn == pytest.approx(wanted["strredssn"], rel=5e-3)
+    np.testing.assert_allclose(scores.pairs, wanted["array"], atol=2e-3)
+
+
 @pytest.mark.parametrize(("frames", "name"), [(2, "carphone_T2"), (5, "carphone_T5_odd")])
 def test_disjoint_pairs_leave_a_last_odd_frame_out(frames, name):
     """The first 2 and the first 5 frames score as recorded; of 5 frames the last one has no partner."""
@@ -88,6 +149,35 @@ def test_consecutive_pairs_equal_netflix_port():
     np.testing.assert_allclose(scores.pairs[:, 0], wanted["per_frame_srred"], atol=2e-3)
     np.testing.assert_allclose(scores.pairs[:, 1], wanted["per_frame_trred"], atol=2e-3)
     assert scores.strred == pytest.approx(wanted["product_of_means"], rel=5e-4)
+    products = strred(*clip("carphone12"), "consecutive", "products")
+    assert products.strred == pytest.approx(wanted["mean_of_products"], rel=5e-4)
+
+
+def test_products_are_averaged_after_multiplying():
+    """Of two pairs, pooling by products gives the mean of both products, pooling by means the product of both means."""
+    pairs = [PairDifference(1.0, 10.0, 0.5, 4.0), PairDifference(3.0, 30.0, 1.5, 8.0)]
+    means, products = pool(pairs), pool(pairs, "products")
+    assert (means.strred, means.strred_ssn) == (2 * 20, 1 * 6)
+    assert (products.strred, products.strred_ssn) == ((10 + 90) / 2, (2 + 12) / 2)
+    np.testing.assert_array_equal(means.pairs, products.pairs)
+
+
+def test_a_single_pair_pools_to_its_product_either_way():
+    """Two frames score the same under both poolings."""
+    rendered, truth = (frames[:2] for frames in clip("synth_noise5"))
+    assert strred(rendered, truth, pooling="products").strred == strred(rendered, truth).strred
+
+
+@pytest.mark.parametrize("size", [(96, 128), (97, 131), (48, 53)])
+def test_band_equals_the_pyramid_written_plainly(size):
+    """Halving within the filter gives what filtering everything in float64 and dropping every second value gives."""
+    recorded = np.load(DATA / "sp5_filters.npz")
+    image = np.random.default_rng(0).uniform(0, 255, size)
+    low = ndimage.correlate(image, recorded["lo0"], mode="mirror")
+    for _ in range(3):
+        low = ndimage.correlate(low, recorded["lo"], mode="mirror")[::2, ::2]
+    wanted = ndimage.correlate(low, recorded["bands_as_correlation_kernels"][0], mode="mirror")
+    np.testing.assert_allclose(spatial_band(image), wanted, atol=1e-3)
 
 
 def test_luma_is_weighted_and_not_rounded():
@@ -161,6 +251,56 @@ def test_what_cannot_be_scored_is_refused():
         strred(truth[:3], truth)
     with pytest.raises(MetricError, match="sizes must agree"):
         strred(truth[:, :72], truth)
+
+
+@pytest.mark.parametrize("side", [16, 24, 32, 40, 47])
+def test_frames_without_two_blocks_are_refused_not_scored_zero(side):
+    """Where scikit-video's 0 means that there was nothing to measure, we say so."""
+    truth = moving_clip(size=side)
+    assert RECORDED.get(f"small_{side}", {"strred": 0.0})["strred"] == 0.0
+    with pytest.raises(MetricError, match=rf"at least 48 x 48 pixels, got \({side}, {side}\)"):
+        strred(with_noise(truth, 9), truth)
+
+
+def test_values_that_are_not_finite_and_unknown_poolings_are_refused():
+    """NaN or infinity in one pixel, an unknown pooling and an empty pool are errors, never a NaN score."""
+    truth = moving_clip().astype(np.float64)[..., 0]
+    for value in (np.nan, np.inf):
+        broken = truth.copy()
+        broken[1, 50, 60] = value
+        with pytest.raises(MetricError, match="STED: the frame holds values that are not finite"):
+            strred(broken, truth)
+    with pytest.raises(MetricError, match=r"wanted RGB .* uint8 or luma .* in 0..255, got \(96, 96, 3\) float64"):
+        strred(moving_clip() / 255, moving_clip() / 255)
+    with pytest.raises(MetricError, match="no pooling 'median'; there are means, products"):
+        strred(truth, truth, pooling="median")
+    with pytest.raises(MetricError, match="no pair of frames to pool"):
+        pool([])
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 10_000),
+    height=st.integers(20, 90),
+    width=st.integers(20, 90),
+    frames=st.integers(1, 5),
+    levels=st.sampled_from([1, 2, 3, 256]),
+    pairing=st.sampled_from(["disjoint", "consecutive"]),
+    pooling=st.sampled_from(["means", "products"]),
+)
+def test_any_clip_has_a_finite_score_or_a_reason(seed, height, width, frames, levels, pairing, pooling):
+    """Clips of any size, length and content, flat ones among them, score a finite number >= 0 or are refused with a reason."""
+    rng = np.random.default_rng(seed)
+    rendered, truth = (rng.integers(0, levels, (frames, height, width, 3)).astype(np.uint8) for _ in range(2))
+    if frames < 2 or min(height, width) < 48:
+        with pytest.raises(MetricError, match=r"needs 2|at least 48 x 48"):
+            strred(rendered, truth, pairing, pooling)
+        return
+    scores = strred(rendered, truth, pairing, pooling)
+    assert np.isfinite(scores.pairs).all()
+    assert 0 <= scores.strred < np.inf
+    assert 0 <= scores.strred_ssn <= scores.strred + 1e-9
+    assert strred(truth, truth, pairing, pooling).strred == 0.0
 
 
 def test_smallest_frames_score():

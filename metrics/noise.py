@@ -1,0 +1,196 @@
+"""Noise of sensor and codec, measured on what stands still in a captured view, and further realisations of it."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.errors import MetricError
+from ggvs_eval.images import Image8
+from ggvs_eval.metrics.noise_blocks import (
+    MIN_BLOCKS,
+    ROUNDING_VARIANCE,
+    SCALES_PX,
+    Array,
+    ChangeTable,
+    Field,
+    check_frame,
+    enlarged,
+    level_centres,
+    octave_gains,
+    octave_responses,
+    octaves,
+    shares_of,
+)
+
+LONG_LAG = 24  # frames after which noise that a codec holds is taken to be renewed
+MIN_STATIC_SHARE = 0.05
+MAX_HELD = 0.98
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """Noise of one view: Gaussian, its strength by brightness, correlated over channels, space and time.
+
+    Attributes:
+        brightness_255: centres of the brightness bins, (B,), grey levels of 255.
+        sigma_255: standard deviation per bin and channel, (B, 3), without that of rounding; between centres it is interpolated.
+        axes: directions in RGB along which noise is uncorrelated, (3, 3), one per column.
+        octave_variance: variance along each axis of the noise whose grain is 1, 2, 4, ... 32 pixels, (6, 3).
+        octave_held: what each of these keeps from one frame to the next, a correlation in [0, 1), (6, 3).
+        static_share: share of the blocks, over all frames, that stood still and were used.
+        n_frames: frames seen.
+    """
+
+    brightness_255: Array
+    sigma_255: Array
+    axes: Array
+    octave_variance: Array
+    octave_held: Array
+    static_share: float
+    n_frames: int
+
+    @property
+    def spatial_correlation(self) -> float:
+        """Correlation of the noise of neighbouring pixels, mean of both directions and all channels; 0 for white noise."""
+        share = shares_of(self.octave_variance)
+        return float(share @ octave_responses()[1])
+
+    @property
+    def temporal_correlation(self) -> float:
+        """Correlation of the noise of one pixel in neighbouring frames, mean of the channels."""
+        total = self.octave_variance.sum()
+        return float((self.octave_variance * self.octave_held).sum() / total) if total > 0 else 0.0
+
+    def sigma_at(self, image: NDArray) -> Field:
+        """Standard deviation of the noise at each value of an image, same shape, grey levels of 255."""
+        levels = np.arange(256)
+        curves = np.stack([np.interp(levels, self.brightness_255, self.sigma_255[:, c]) for c in range(3)], axis=-1)
+        index = np.rint(np.clip(image, 0, 255)).astype(np.uint8)
+        return np.stack([cv2.LUT(index[..., c], curves[:, c].astype(np.float32)) for c in range(3)], axis=-1)
+
+    def sample(self, clean: NDArray, random: np.random.Generator) -> Image8:
+        """One noisy recording of a clean frame (H, W, 3) in 0..255, rounded to 8 bit."""
+        return next(self.sample_video([clean], random))
+
+    def sample_video(self, clean: Iterable[NDArray], random: np.random.Generator) -> Iterator[Image8]:
+        """A noisy recording of clean frames, one by one; what noise keeps over time is kept."""
+        noise = NoiseStream(self, random)
+        for frame in clean:
+            yield np.rint(np.clip(frame + noise.draw(frame), 0, 255)).astype(np.uint8)
+
+
+class NoiseStream:
+    """Noise for one frame after the other, all of one size.
+
+    Args:
+        model: what to draw.
+        random: source of all randomness; the same state gives the same noise, bit for bit.
+    """
+
+    def __init__(self, model: NoiseModel, random: np.random.Generator) -> None:
+        self._model = model
+        self._random = random
+        self._held: dict[int, Field] = {}
+        self._deviation = np.sqrt(np.maximum(np.einsum("ia,oa,ia->i", model.axes, model.octave_variance, model.axes), 1e-12))
+
+    def draw(self, clean: NDArray) -> Field:
+        """Noise of the next frame, (H, W, 3), grey levels of 255, to be added to `clean` (H, W, 3) in 0..255."""
+        height, width = clean.shape[:2]
+        unit = np.zeros((height, width, 3), np.float32)
+        for octave, variance in enumerate(self._model.octave_variance):
+            if variance.max() > 0:
+                unit += self._octave(octave, height, width)
+        return unit * (self._model.sigma_at(clean) / self._deviation.astype(np.float32))
+
+    def _octave(self, octave: int, height: int, width: int) -> Field:
+        """Noise of one grain, drawn on its own coarse grid and carried over from the frame before."""
+        grain = SCALES_PX[octave]
+        held = self._model.octave_held[octave].astype(np.float32)
+        rows, columns = -(-height // grain), -(-width // grain)
+        fresh = self._random.standard_normal((rows, columns, 3), dtype=np.float32)
+        before = self._held.get(octave)
+        state = fresh if before is None or not held.any() else held * before + np.sqrt(1 - held**2) * fresh
+        self._held[octave] = state
+        mixing = self._model.axes * np.sqrt(self._model.octave_variance[octave])  # (3, 3), axis to RGB
+        coarse = cv2.transform(state, mixing.astype(np.float32))
+        return np.asarray(enlarged(coarse, grain)[:height, :width] * np.float32(octave_gains()[octave]), dtype=np.float32)
+
+
+class NoiseEstimator:
+    """Noise of a view from its frames, one at a time; three frames are held.
+
+    Reading:
+        Static are blocks of 8 x 8 pixels whose mean squared change lies within the narrow peak that noise makes in the histogram
+        of such changes; each brightness has its own peak. The mean over the 192 values of a block scatters so little that the cut
+        above the peak takes off nothing of the noise, as a cut through single pixels would. Changes over 1 and over 24 frames
+        tell how much of the noise is held (H.264 copies blocks and their noise). Noise that never changes cannot be told from
+        the scene.
+    """
+
+    def __init__(self) -> None:
+        self._frames = 0
+        self._shape: tuple[int, ...] = ()
+        self._previous: Image8 | None = None
+        self._anchor: Image8 | None = None
+        self._short, self._long = ChangeTable(), ChangeTable()
+
+    def add(self, frame: Image8) -> None:
+        """Take the next frame, (H, W, 3) uint8.
+
+        Raises:
+            MetricError: not an 8-bit RGB image, another size than before, or smaller than 16 x 16.
+        """
+        check_frame(frame, self._shape)
+        self._shape = frame.shape
+        if self._previous is None or self._anchor is None:
+            self._anchor = frame
+        else:
+            self._short.add(frame, self._previous)
+            if self._frames % LONG_LAG == 0:
+                self._long.add(frame, self._anchor)
+                self._anchor = frame
+        self._previous = frame
+        self._frames += 1
+
+    def finish(self) -> NoiseModel:
+        """The noise of all frames.
+
+        Raises:
+            MetricError: fewer than 2 frames, or too little stands still.
+        """
+        if self._frames < 2:
+            raise MetricError(f"noise is seen in the change between frames: {self._frames} frame; needs 2")
+        limits = (self._long if self._long.n_blocks >= MIN_BLOCKS else self._short).limits()
+        used, seen = self._short.n_within(limits), self._short.n_blocks
+        if used < max(MIN_BLOCKS, MIN_STATIC_SHARE * seen):
+            wanted = f"wanted at least {MIN_STATIC_SHARE:.0%} of the blocks and {MIN_BLOCKS} of them to stand still"
+            raise MetricError(f"noise: {wanted}, got {used} of {seen}; give more frames, or a view with static content")
+        slow = self._long if self._long.n_within(limits) >= MIN_BLOCKS else self._short
+        return self._model(slow, limits, used / seen)
+
+    def _model(self, slow: "ChangeTable", limits: NDArray[np.int64], static_share: float) -> NoiseModel:
+        _, axes = np.linalg.eigh(slow.covariance(limits))
+        changing = octaves(self._short.variances(limits, axes))
+        variance = np.maximum(octaves(slow.variances(limits, axes)), changing)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            held = np.where(variance > 0, 1 - changing / variance, 0.0)
+        sigma = np.sqrt(np.maximum(slow.variance_by_level(limits) - ROUNDING_VARIANCE, 0))
+        return NoiseModel(level_centres(), sigma, axes, variance, np.clip(held, 0.0, MAX_HELD), float(static_share), self._frames)
+
+
+def estimate_noise(frames: Iterable[Image8]) -> NoiseModel:
+    """Noise of one captured view.
+
+    Args:
+        frames: (H, W, 3) uint8 in order, consumed as a stream.
+
+    Raises:
+        MetricError: see `NoiseEstimator`.
+    """
+    estimator = NoiseEstimator()
+    for frame in frames:
+        estimator.add(frame)
+    return estimator.finish()

@@ -1,0 +1,125 @@
+"""The SSIMs in use, by name: one formula, other windows, borders and ranges, and numbers up to 0.1 apart on the same frame."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.errors import MetricError
+from ggvs_eval.metrics.image import require_finite, ssim
+from ggvs_eval.metrics.inputs import Image, check_pair, white_level
+
+SsimName = Literal["gaussian-valid", "gaussian-zero", "uniform7", "uniform7-range2"]
+Plane = NDArray[np.float32]
+SIGMA_PX = 1.5
+ROWS_AT_ONCE = 32  # so that the planes in between stay in cache
+
+
+@dataclass(frozen=True)
+class SsimVariant:
+    """One SSIM.
+
+    Attributes:
+        window_px: side of the window.
+        is_gaussian: Gaussian of sigma 1.5, or uniform.
+        pads_with_zeros: whether windows reach over the border into black, or lie inside the image.
+        data_range: what the formula takes for white, images being in [0, 1].
+        unbiased: whether variances are divided by N - 1.
+        describe: who computes it so.
+    """
+
+    window_px: int
+    is_gaussian: bool
+    pads_with_zeros: bool
+    data_range: float
+    unbiased: bool
+    describe: str
+
+    def taps(self) -> NDArray[np.float64]:
+        """The window along one axis, sum 1."""
+        radius = self.window_px // 2
+        offsets = np.arange(-radius, radius + 1)
+        weights = np.exp(-0.5 * (offsets / SIGMA_PX) ** 2) if self.is_gaussian else np.ones(self.window_px)
+        return np.asarray(weights / weights.sum(), dtype=np.float64)
+
+
+SSIM_VARIANTS: dict[SsimName, SsimVariant] = {
+    "gaussian-valid": SsimVariant(11, True, False, 1.0, False, "Wang et al. 2004; this project's default"),
+    "gaussian-zero": SsimVariant(11, True, True, 1.0, False, "3D Gaussian splatting and what descends from it"),
+    "uniform7": SsimVariant(7, False, False, 1.0, True, "scikit-image's defaults with data_range=1"),
+    "uniform7-range2": SsimVariant(7, False, False, 2.0, True, "ENeRF's and EasyVolcap's evaluators; too large a range"),
+}
+
+
+def ssim_map(rendered: Image, truth: Image, name: SsimName = "gaussian-valid") -> NDArray[np.float32]:
+    """SSIM of every window.
+
+    Args:
+        rendered: (H, W, 3), uint8 in 0..255 or float in [0, 1].
+        truth: captured frame, same shape and kind.
+        name: which variant.
+
+    Returns:
+        (H, W, 3) where the border is padded, else (H - window + 1, W - window + 1, 3), one value per window, each within 1e-4 of
+        the formula in float64 and together within 1e-6.
+
+    Raises:
+        MetricError: shapes or kinds differ, or an image is smaller than the window.
+    """
+    check_pair(rendered, truth)
+    if name not in SSIM_VARIANTS:
+        raise MetricError(f"SSIM: no variant {name!r}; there are {', '.join(SSIM_VARIANTS)}")
+    variant = SSIM_VARIANTS[name]
+    height, width = truth.shape[:2]
+    if min(height, width) < variant.window_px:
+        raise MetricError(f"SSIM needs {variant.window_px} x {variant.window_px} pixels for its window, got {height} x {width}")
+    x, y = (_unit_range(image, variant) for image in (rendered, truth))
+    values = np.empty((len(x) - variant.window_px + 1, x.shape[1] - variant.window_px + 1, 3), dtype=np.float32)
+    for start in range(0, len(values), ROWS_AT_ONCE):
+        rows = slice(start, start + ROWS_AT_ONCE + variant.window_px - 1)
+        values[start : start + ROWS_AT_ONCE] = _similarity(x[rows], y[rows], variant)
+    return values
+
+
+def ssim_variant(rendered: Image, truth: Image, name: SsimName) -> float:
+    """Mean of `ssim_map` over windows and channels; the fast kernel where the variant is its own.
+
+    Raises:
+        MetricError: as of `ssim_map`, or values that are not finite.
+    """
+    if name == "gaussian-valid":
+        return ssim(rendered, truth)
+    return require_finite(float(ssim_map(rendered, truth, name).mean(dtype=np.float64)), "SSIM")
+
+
+def _unit_range(image: Image, variant: SsimVariant) -> Plane:
+    """The frame as floats in [0, 1], with the black border that the variant wants."""
+    unit = image.astype(np.float32) / np.float32(white_level(image))
+    border = variant.window_px // 2 if variant.pads_with_zeros else 0
+    return np.pad(unit, ((border, border), (border, border), (0, 0)))
+
+
+def _similarity(x: Plane, y: Plane, variant: SsimVariant) -> Plane:
+    """SSIM of the windows inside two images.
+
+    Written in the sum a and the difference d of the images: mean(x)^2 + mean(y)^2 is half of mean(a)^2 + mean(d)^2, and the same
+    holds for variances. Nothing small is then the difference of large numbers, so that float32 suffices.
+    """
+    unbias = np.float32(variant.window_px**2 / (variant.window_px**2 - 1) if variant.unbiased else 1.0)
+    c1, c2 = (np.float32((k * variant.data_range) ** 2) for k in (0.01, 0.03))
+    total, difference = x + y - 1, x - y  # the sum is centred, which its variance does not see
+    mean_total, mean_difference = _window_means(total, variant), _window_means(difference, variant)
+    squared_difference = mean_difference * mean_difference
+    variance_total = (_window_means(total * total, variant) - mean_total * mean_total) * unbias
+    variance_difference = (_window_means(difference * difference, variant) - squared_difference) * unbias
+    luminance = 1 - squared_difference / (((mean_total + 1) ** 2 + squared_difference) / 2 + c1)
+    contrast = 1 - variance_difference / ((variance_total + variance_difference) / 2 + c2)
+    return np.asarray(luminance * contrast, dtype=np.float32)
+
+
+def _window_means(image: Plane, variant: SsimVariant) -> Plane:
+    taps, radius = variant.taps(), variant.window_px // 2
+    means = cv2.sepFilter2D(image, cv2.CV_32F, taps, taps, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(means[radius:-radius, radius:-radius], dtype=np.float32)

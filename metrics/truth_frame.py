@@ -1,0 +1,64 @@
+"""A captured frame as the metrics see it, and what a metric that is fed frame by frame looks like."""
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.metrics import strred
+from ggvs_eval.metrics.fetch_lpips import LpipsNet
+from ggvs_eval.metrics.lpips import lpips_features
+from ggvs_eval.metrics.regions import Mask, Region, moving_mask
+
+if TYPE_CHECKING:
+    import torch
+
+Image8 = NDArray[np.uint8]
+Value = tuple[str, int | None, float]  # metric, frame (None: the whole view), value
+
+
+class TruthFrame:
+    """A captured frame with what the metrics derive from it alone, computed when first asked for."""
+
+    def __init__(self, image: Image8, previous: Image8 | None, disoccluded: Mask | None, lpips_net: LpipsNet) -> None:
+        """Take a frame, the one before it, and where no source camera sees it; None where there is no such thing."""
+        self.image = image
+        self._previous = previous
+        self._disoccluded = disoccluded
+        self._lpips_net = lpips_net
+
+    @cached_property
+    def lpips_features(self) -> "list[torch.Tensor]":
+        """What LPIPS compares."""
+        return lpips_features(self.image, self._lpips_net)
+
+    @cached_property
+    def band(self) -> strred.Array:
+        """What ST-RRED compares."""
+        return strred.spatial_band(strred.luma(self.image))
+
+    @cached_property
+    def _moving(self) -> Mask | None:
+        return None if self._previous is None else moving_mask(self.image, self._previous)
+
+    def region(self, region: Region) -> Mask | None:
+        """Where a region lies; None in the first frame, of which nobody knows what moves, and where masks are not known."""
+        if region == "disoccluded":
+            return self._disoccluded
+        return self._moving if region == "moving" or self._moving is None else ~self._moving
+
+
+class Scorer(Protocol):
+    """One or several metrics fed frame by frame."""
+
+    @property
+    def names(self) -> Sequence[str]:
+        """The metrics it computes."""
+
+    def add(self, index: int, rendered: Image8, truth: TruthFrame) -> list[Value]:
+        """Take the next frame and return what it completes."""
+
+    def finish(self) -> list[Value]:
+        """Return what only the whole view has."""

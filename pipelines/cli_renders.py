@@ -1,0 +1,101 @@
+"""The verbs of the command line that question frames: doctor and explain."""
+
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from ggvs_eval.errors import RenderError
+from ggvs_eval.pipelines.cli_captures import BY_DEFAULT, CaptureOptions, Folder, Reading
+from ggvs_eval.processes import default_workers
+from ggvs_eval.run_folder import RunFolder
+
+Quoted = Annotated[str, tyro.conf.Positional]
+Metric = Annotated[Literal["psnr", "ssim", "lpips", "l1", "tcc", "sted", "sdt", "sdv"], tyro.conf.Positional]
+
+
+def doctor(
+    renders: Folder,
+    capture: Path | None = None,
+    protocol: str | None = None,
+    run: Path | None = None,
+    reading: Reading = BY_DEFAULT,
+    jobs: int = default_workers(),
+) -> None:
+    """Find what is wrong with rendered frames before anybody believes their numbers.
+
+    Frame offset, wrong camera, exchanged colour channels, gamma, shifts of one or half a pixel, wrong resize, JPEG, frozen
+    frames, truth copied in. Ends with 1 where something is certain.
+
+    Args:
+        renders: frames in any form that `score` takes, with --capture; or a run folder, whose methods are all examined.
+        capture: what was rendered.
+        protocol: a .toml file or a packaged name; by default the packaged one that fits the capture.
+        run: run folder to make or to go on with; scores/CAPTURE by default.
+        reading: how the capture is read.
+        jobs: processes.
+    """
+    from ggvs_eval.pipelines.doctor.examine import examine
+    from ggvs_eval.pipelines.doctor.finding import findings_table
+    from ggvs_eval.pipelines.doctor.run_views import cameras_of_run, views_of_run
+
+    folder, labels = _rendered(renders, capture, protocol, run, reading, jobs)
+    certain = False
+    for label in labels:
+        findings = examine(views_of_run(folder, label), cameras_of_run(folder))
+        certain |= any(finding.verdict == "certain" for finding in findings)
+        print(f"{label}\n{findings_table(findings)}")
+    if certain:
+        sys.exit(1)
+
+
+def explain(
+    renders: Folder,
+    metric: Metric,
+    quoted: Quoted,
+    method: str | None = None,
+    capture: Path | None = None,
+    protocol: str | None = None,
+    run: Path | None = None,
+    reading: Reading = BY_DEFAULT,
+    jobs: int = default_workers(),
+) -> None:
+    """Recompute a number under every convention in use and say which one gives the value that somebody quotes.
+
+    Args:
+        renders: frames in any form that `score` takes, with --capture; or a run folder.
+        metric: family of the number.
+        quoted: the value as it is printed, with its digits.
+        method: which method of a run folder; needed where it has several.
+        capture: what was rendered.
+        protocol: a .toml file or a packaged name; by default the packaged one that fits the capture.
+        run: run folder to make or to go on with; scores/CAPTURE by default.
+        reading: how the capture is read.
+        jobs: processes.
+    """
+    from ggvs_eval.pipelines.doctor.explain import explain as recompute
+    from ggvs_eval.pipelines.doctor.explain import explanation_table
+    from ggvs_eval.pipelines.doctor.run_views import views_of_run
+
+    folder, labels = _rendered(renders, capture, protocol, run, reading, jobs)
+    if method is None and len(labels) != 1:
+        raise RenderError(f"{folder.root}: has {', '.join(labels)}; say which with --method")
+    print(explanation_table(metric, quoted, recompute(metric, quoted, views_of_run(folder, method or labels[0]))))
+
+
+def _rendered(
+    renders: Path, capture: Path | None, protocol: str | None, run: Path | None, reading: CaptureOptions, jobs: int
+) -> tuple[RunFolder, list[str]]:
+    """A run folder with the frames in question, and what they are called there."""
+    if (renders / "protocol.toml").is_file():
+        folder = RunFolder(renders)
+        return folder, folder.labels()
+    from ggvs_eval.pipelines.renders.import_renders import import_renders
+    from ggvs_eval.pipelines.renders.run_for import named_renders, run_for
+
+    folder = run_for(run, reading.open(capture) if capture else None, protocol, jobs)
+    ((label, path),) = named_renders((str(renders),)).items()
+    for note in import_renders(folder, label, path, workers=jobs)["notes"]:
+        print(f"{label}: {note}", file=sys.stderr)
+    return folder, [label]

@@ -1,0 +1,61 @@
+"""What no source camera sees of a test view: where methods must invent, whatever they are."""
+
+from collections.abc import Mapping
+from concurrent.futures import as_completed
+from pathlib import Path
+
+import numpy as np
+
+from ggvs_eval.baselines.gaussians import NEAR_M
+from ggvs_eval.camera import Camera
+from ggvs_eval.capture import Capture
+from ggvs_eval.depth_store import DepthStore
+from ggvs_eval.geometry.splat import PixelGaussians, splat
+from ggvs_eval.images import write_image
+from ggvs_eval.processes import worker_pool
+from ggvs_eval.progress import track
+from ggvs_eval.run_folder import frame_path, missing_frames
+
+COVERED_ALPHA = 0.5  # as the online method takes a pixel for covered
+
+
+def write_disocclusions(
+    capture: Capture, views: Mapping[str, tuple[Camera, dict[str, str]]], frames: range, store: Path, root: Path, workers: int
+) -> None:
+    """Write a mask of every frame of every test view; what is there is kept.
+
+    Args:
+        capture: at synthesis size.
+        views: test view -> its camera, its source cameras and the keys of their depth.
+        frames: consecutive instants.
+        store: root of the depth store.
+        root: where ``<view>/<frame>.png`` goes, white where no source sees the view.
+        workers: processes.
+
+    Reading:
+        The paper speaks of disoccluded regions and gives no mask. Here a pixel is disoccluded where no source view, splatted
+        forward by its estimated depth (Sec. 3.1), covers it by half; errors of that depth are part of the mask.
+    """
+    missing = {view: plan for view, plan in views.items() if missing_frames(root / view, frames)}
+    if not missing:
+        return
+    with worker_pool(min(workers, len(missing))) as pool:
+        running = [pool.submit(_write, capture, *plan, frames, store, root / view) for view, plan in missing.items()]
+        try:
+            for done in track(as_completed(running), "what no camera sees", total=len(running)):
+                done.result()
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
+def _write(capture: Capture, target: Camera, keys: dict[str, str], frames: range, store: Path, folder: Path) -> None:
+    depths, near = DepthStore(store), NEAR_M * capture.units_per_metre
+    for index in missing_frames(folder, frames):
+        covered = np.zeros((target.height, target.width), np.float32)
+        for name, key in keys.items():
+            depth = depths.read(key, index).depth
+            gaussians = PixelGaussians(capture.camera(name), depth, np.ones((*depth.shape, 1), np.float32))
+            covered = np.maximum(covered, splat([gaussians], target, near=near).alpha)
+        mask = np.where(covered < COVERED_ALPHA, 255, 0).astype(np.uint8)
+        write_image(frame_path(folder, index), np.repeat(mask[..., None], 3, axis=-1))

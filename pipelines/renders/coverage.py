@@ -1,0 +1,81 @@
+"""Which frames each method of a run has: all of the protocol's, or fewer where partial renders were allowed."""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ggvs_eval.run_folder import RunFolder, as_ranges, read_json, require_frames
+
+IMPORT_FILE = "import.json"
+SHOWN_FIELDS = ("kind", "source", "sha256", "notes")
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Frames that there are to score.
+
+    Attributes:
+        wanted: frame numbers of the protocol, which every method has but the partial ones.
+        partial: label of a partial method -> view -> its frames, rising.
+        marks: label of a partial method -> what its row stands on.
+        imported: label of a method that others rendered -> where it came from.
+    """
+
+    wanted: range
+    partial: Mapping[str, Mapping[str, Sequence[int]]]
+    marks: Mapping[str, str]
+    imported: Mapping[str, dict[str, Any]]
+
+    def frames(self, label: str, view: str) -> Sequence[int]:
+        """Frames of one method in one view, rising."""
+        return self.partial[label].get(view, ()) if label in self.partial else self.wanted
+
+    def stretches(self, label: str, view: str) -> tuple[range, ...]:
+        """The same as runs of consecutive frames: what changes from frame to frame is measured inside of each."""
+        found: list[range] = []
+        for frame in self.frames(label, view):
+            if found and found[-1].stop == frame:
+                found[-1] = range(found[-1].start, frame + 1)
+            else:
+                found.append(range(frame, frame + 1))
+        return tuple(found)
+
+    def require(self, run: RunFolder, views: Sequence[str], labels: Sequence[str]) -> None:
+        """Refuse a run in which frames are missing that should be there.
+
+        Raises:
+            RenderError: any gap.
+        """
+        whole = [label for label in labels if label not in self.partial]
+        if whole:
+            require_frames({f"{label} in {view}": run.renders(label, view) for label in whole for view in views}, self.wanted)
+        for label, by_view in self.partial.items():
+            for view, frames in by_view.items():
+                for stretch in self.stretches(label, view) if frames else ():
+                    require_frames({f"{label} in {view}": run.renders(label, view)}, stretch)
+
+    def reasons(self, label: str, reasons: Mapping[str, str], measured: Collection[str]) -> dict[str, str]:
+        """Metric -> why it could not be computed; of a partial method only what no view and no stretch could have."""
+        if label not in self.partial:
+            return dict(reasons)
+        return {name: f"{reason} (partial renders {label})" for name, reason in reasons.items() if name not in measured}
+
+    def identity(self, label: str, view: str) -> dict[str, str]:
+        """What a score depends on beside the pixels: which frames they are, where these are not the protocol's."""
+        return {"frames": as_ranges(list(self.frames(label, view)))} if label in self.partial else {}
+
+
+def read_coverage(run: RunFolder, wanted: range, labels: Sequence[str]) -> Coverage:
+    """What the imports of a run say of the frames they brought."""
+    records = {label: read_import(run, label) for label in labels}
+    known = {label: record for label, record in records.items() if record}
+    scene = run.capture_record()["scene"]
+    partial = {label: record["frames"] for label, record in known.items() if record["partial"]}
+    marks = {label: f"partial in {scene}: {known[label]['partial']}" for label in partial}
+    return Coverage(wanted, partial, marks, {label: {key: r[key] for key in SHOWN_FIELDS} for label, r in known.items()})
+
+
+def read_import(run: RunFolder, label: str) -> dict[str, Any] | None:
+    """The record of an import; None where the method was rendered here."""
+    file = run.root / "renders" / label / IMPORT_FILE
+    return dict(read_json(file)) if file.is_file() else None

@@ -1,0 +1,157 @@
+"""Renders of others become a method of a run: understood, checked against the protocol, and put in place whole or not at all."""
+
+import os
+import re
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from ggvs_eval.digest import digest_files, digest_values
+from ggvs_eval.errors import RenderError
+from ggvs_eval.pipelines.methods import METHODS
+from ggvs_eval.pipelines.renders.archive import Limits, is_archive, unpack
+from ggvs_eval.pipelines.renders.coverage import IMPORT_FILE, read_import
+from ggvs_eval.pipelines.renders.fit import Fit, fit, partial_text, require_whole
+from ggvs_eval.pipelines.renders.kinds import KINDS, detect
+from ggvs_eval.pipelines.renders.wanted import Found, RenderedView, Wanted, wanted_of
+from ggvs_eval.processes import worker_pool
+from ggvs_eval.run_folder import RunFolder, frame_path, write_json
+
+NAME = re.compile(r"\w[\w.+-]*")
+# An archive may hold renders, truth, depth and masks of each frame, with little that compresses.
+ARCHIVE_BYTES_PER_PIXEL = 24
+ARCHIVE_FILES_PER_FRAME = 12
+ARCHIVE_SLACK_FILES, ARCHIVE_SLACK_BYTES = 1000, 256 << 20
+
+
+def import_renders(run: RunFolder, label: str, path: Path, allow_partial: bool = False, workers: int = 1) -> dict[str, Any]:
+    """Make frames that others rendered a method of a run.
+
+    PNG files are linked and stay theirs; JPEG files, videos and arrays are written to PNG once. A second call with the same
+    files does nothing.
+
+    Args:
+        run: a folder with the captured frames of the protocol's views.
+        label: what to call the method.
+        path: folder, archive or file, see `kinds.KINDS`.
+        allow_partial: take what fits where not everything does; its row is marked.
+        workers: processes that decode videos and arrays, one view each.
+
+    Returns:
+        The record of the import, ``import.json``: kind, source, digests, notes, frames, and what the row stands on if partial.
+
+    Raises:
+        RenderError: a label that is taken, or renders that are unreadable or do not fit the protocol; everything missing,
+            extra or of wrong size is listed.
+    """
+    _check_label(label)
+    wanted = wanted_of(run, label)
+    target = run.root / "renders" / label
+    if not path.exists():
+        raise RenderError(f"{path}: wanted renders, there is no such folder or file; check the path")
+    if target.exists() and path.resolve() in (run.root.resolve(), target.resolve()):
+        raise RenderError(f"{path}: these renders are in the run {run.root} already; score it without --renders")
+    if target.exists() and not target.is_symlink() and read_import(run, label) is None:
+        raise RenderError(f"{target} exists already; choose another name for these renders")
+    _sweep(target)
+    unpacked = target.with_name(f".{label}.{os.getpid()}.unpacked.tmp")
+    try:
+        return _import(run, wanted, path, unpacked, allow_partial, workers)
+    finally:
+        shutil.rmtree(unpacked, ignore_errors=True)
+
+
+def _import(run: RunFolder, wanted: Wanted, path: Path, unpacked: Path, allow_partial: bool, workers: int) -> dict[str, Any]:
+    """Understand, check and put in place, unless it is there."""
+    packed = is_archive(path)
+    kind = "" if packed else detect(path, wanted)
+    sources = [path] if packed else KINDS[kind].files(path, wanted)
+    identity = _identity(wanted, path, sources, allow_partial)
+    known = read_import(run, wanted.label)
+    if known and known["identity"] == identity and _is_whole(run, wanted.label, known["frames"]):
+        return known
+    root = unpack(path, unpacked, _limits(wanted)) if packed else path
+    kind = kind or detect(root, wanted)
+    found = KINDS[kind].find(root, wanted, packed)
+    fitted = fit(found, wanted)
+    if not allow_partial:
+        require_whole(fitted, path)
+    record = {
+        "kind": KINDS[kind].describe + (" in an archive" if packed else ""),
+        "source": path.resolve().name,
+        "sha256": digest_values(*identity["files"], *identity["files"].values()),
+        "partial": partial_text(fitted, wanted),
+        "notes": [*found.notes, *_left_out(fitted)],
+        "frames": {view: list(frames) for view, frames in fitted.usable.items()},
+        "identity": identity,
+    }
+    return _put(run.root / "renders" / wanted.label, found, fitted, record, workers)
+
+
+def _put(target: Path, found: Found, fitted: Fit, record: dict[str, Any], workers: int) -> dict[str, Any]:
+    """Fill a folder beside the target, then let it take the target's place."""
+    temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+    shutil.rmtree(temporary, ignore_errors=True)
+    try:
+        views = {view: (found.views[view], frames) for view, frames in fitted.usable.items()}
+        notes = _write(views, temporary, workers)
+        record["notes"] += [f"{view}: {note}" for view, lines in notes.items() for note in lines]
+        write_json(temporary / IMPORT_FILE, record)
+        if target.is_symlink():
+            target.unlink()
+        shutil.rmtree(target, ignore_errors=True)
+        temporary.replace(target)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+    return record
+
+
+def _write(views: Mapping[str, tuple[RenderedView, tuple[int, ...]]], folder: Path, workers: int) -> dict[str, list[str]]:
+    """Write the frames of each view; gives back the notes of each."""
+    folder.mkdir(parents=True)
+    if workers == 1 or len(views) == 1:
+        return {view: rendered.write(folder / view, frames) for view, (rendered, frames) in views.items()}
+    with worker_pool(min(workers, len(views))) as pool:
+        running = {view: pool.submit(one.write, folder / view, frames) for view, (one, frames) in views.items()}
+        return {view: job.result() for view, job in running.items()}
+
+
+def _check_label(label: str) -> None:
+    if label in METHODS or label == "truth" or not NAME.fullmatch(label):
+        raise RenderError(f"renders cannot be called {label!r}; choose a plain name that is not one of {', '.join(METHODS)}")
+
+
+def _identity(wanted: Wanted, path: Path, sources: list[Path], allow_partial: bool) -> dict[str, Any]:
+    """Everything that the import depends on."""
+    names = [file.relative_to(path).as_posix() if file != path else path.name for file in sources]
+    return {
+        "files": {name: digest_files([file]) for name, file in zip(names, sources, strict=True)},
+        "frames": [wanted.frames.start, wanted.frames.stop],
+        "sizes": {view: list(wanted.sizes[view]) for view in wanted.views},
+        "allow_partial": allow_partial,
+    }
+
+
+def _is_whole(run: RunFolder, label: str, frames: Mapping[str, list[int]]) -> bool:
+    return all(frame_path(run.renders(label, view), frame).is_file() for view, there in frames.items() for frame in there)
+
+
+def _limits(wanted: Wanted) -> Limits:
+    """More than any renders of the whole capture need."""
+    n_frames = max(wanted.n_frames, len(wanted.frames))
+    n_pixels = n_frames * sum(width * height for width, height in wanted.sizes.values())
+    n_files = n_frames * len(wanted.views) * ARCHIVE_FILES_PER_FRAME + ARCHIVE_SLACK_FILES
+    return Limits(n_files, n_pixels * ARCHIVE_BYTES_PER_PIXEL + ARCHIVE_SLACK_BYTES)
+
+
+def _left_out(fitted: Fit) -> list[str]:
+    """What partial renders lack, for the record; nothing is cut short here."""
+    groups = {"missing": fitted.missing, "not usable": fitted.faulty, "not used": fitted.extras}
+    return [f"{title}: {item}" for title, items in groups.items() for item in items]
+
+
+def _sweep(target: Path) -> None:
+    """Remove what killed imports left."""
+    for leftover in target.parent.glob(f".{target.name}.*.tmp"):
+        shutil.rmtree(leftover, ignore_errors=True)

@@ -1,0 +1,53 @@
+"""Every kind of renders we read, and how the kind of a folder or file is found out."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from ggvs_eval.errors import RenderError
+from ggvs_eval.pipelines.renders import flat_set, nerfbaselines, view_folders, view_streams
+from ggvs_eval.pipelines.renders.wanted import Found, Wanted
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One way in which renders lie on disk.
+
+    Attributes:
+        describe: what messages and records call it.
+        refuse: why a path is not of this kind, in a few words; None if it is.
+        files: what it is made of; enough to notice a change.
+        find: views and frames; the flag says that the files are ours to move.
+    """
+
+    describe: str
+    refuse: Callable[[Path, Wanted], str | None]
+    files: Callable[[Path, Wanted], list[Path]]
+    find: Callable[[Path, Wanted, bool], Found]
+
+
+KINDS = {
+    "run": Kind("a run folder", view_folders.refuse_run, view_folders.run_files, view_folders.find_run),
+    "nerfbaselines": Kind("NerfBaselines output", nerfbaselines.refuse, nerfbaselines.files, nerfbaselines.find),
+    "flat": Kind("renders/ and gt/", flat_set.refuse, flat_set.files, flat_set.find),
+    "videos": Kind("one video per view", view_streams.refuse_videos, view_streams.video_files, view_streams.find_videos),
+    "arrays": Kind("one array per view", view_streams.refuse_arrays, view_streams.array_files, view_streams.find_arrays),
+    "folders": Kind("<view>/<frame>.png", view_folders.refuse, view_folders.files, view_folders.find),
+}
+
+
+def detect(path: Path, wanted: Wanted) -> str:
+    """The kind of some renders, a key of `KINDS`.
+
+    Raises:
+        RenderError: none fits, with the reason of each; or several do.
+    """
+    reasons = {name: kind.refuse(path, wanted) for name, kind in KINDS.items()}
+    fitting = [name for name, reason in reasons.items() if reason is None]
+    if len(fitting) == 1:
+        return fitting[0]
+    if fitting:
+        listed = " and ".join(KINDS[name].describe for name in fitting)
+        raise RenderError(f"{path}: holds {listed} at once; give a folder that holds one of them")
+    listed = "; ".join(f"{KINDS[name].describe}: {reason}" for name, reason in reasons.items())
+    raise RenderError(f"{path}: no renders of {', '.join(wanted.views)} that can be read: {listed}")

@@ -1,0 +1,56 @@
+"""The run folder that renders are scored in: one that there is, or one made of a capture and a protocol."""
+
+from pathlib import Path
+
+from ggvs_eval.capture import Capture
+from ggvs_eval.errors import ProtocolError
+from ggvs_eval.pipelines.prepare import prepare_truth
+from ggvs_eval.pipelines.suggest_protocol import suggest_protocol
+from ggvs_eval.protocol import load_protocol
+from ggvs_eval.run_folder import RunFolder
+
+SCORES_ROOT = Path("scores")
+
+
+def run_for(root: Path | None, capture: Capture | None, protocol: str | None, workers: int) -> RunFolder:
+    """Open a run folder, or make one that holds the captured frames of the test views and nothing else.
+
+    Args:
+        root: the folder; ``scores/<capture's folder>`` where None.
+        capture: what was rendered; None where the folder has a run.
+        protocol: a .toml file or a packaged name; the folder's own, or the packaged one that fits, where None.
+        workers: processes.
+
+    Raises:
+        ProtocolError: neither a folder nor a capture, or a folder of another protocol or capture.
+    """
+    if root is None and capture is None:
+        raise ProtocolError("wanted a run folder, or --capture CAPTURE and --protocol PROTOCOL to make one, got neither")
+    run = RunFolder(root or SCORES_ROOT / (capture.path.resolve().name if capture else ""))
+    known = run.protocol() if run.protocol_file.is_file() else None
+    asked = load_protocol(protocol) if protocol else known
+    if known and asked != known:
+        raise ProtocolError(
+            f"{run.root}: holds a run of protocol {known.name} ({known.sha256[:12]}), --protocol asks for another "
+            f"({asked.sha256[:12] if asked else ''}); give another folder with --run"
+        )
+    if capture:
+        prepare_truth(run.root, capture, asked or suggest_protocol(capture), workers)
+    return run
+
+
+def named_renders(items: tuple[str, ...]) -> dict[str, Path]:
+    """Name -> path of ``NAME=PATH`` or of a bare path, which is called by its last part.
+
+    Raises:
+        ProtocolError: one name for two.
+    """
+    named: dict[str, Path] = {}
+    for item in items:
+        name, separator, path = item.partition("=")
+        if not separator or "/" in name:  # a path may hold = too
+            name, path = Path(item).resolve().name.split(".")[0], item
+        if name in named:
+            raise ProtocolError(f"--renders: {named[name]} and {path} would both be called {name}; give NAME=PATH")
+        named[name] = Path(path)
+    return named

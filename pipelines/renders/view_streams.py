@@ -1,0 +1,121 @@
+"""Renders as one video, or one numpy stack, per view."""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from ggvs_eval.errors import RenderError
+from ggvs_eval.pipelines.renders.array_stack import ArrayStack, npz_members
+from ggvs_eval.pipelines.renders.numbering import number_stream
+from ggvs_eval.pipelines.renders.stream import FrameStream, StreamView
+from ggvs_eval.pipelines.renders.wanted import Found, RenderedView, Wanted
+from ggvs_eval.video import VideoFrames
+
+VIDEO_SUFFIXES = (".mp4", ".mov")
+ARRAY_SUFFIXES = (".npy", ".npz")
+VIDEO_NOTE = "decoded from video: what its coding lost counts against the method"
+ARRAY_NOTE = "written to PNG from an array, floats rounded to 8 bit"
+
+
+def refuse_videos(path: Path, wanted: Wanted) -> str | None:
+    """Why this is not one video per view; None if it is."""
+    if not path.is_dir():
+        return "not a folder"
+    return None if _of_views(path, VIDEO_SUFFIXES, wanted) else f"no {wanted.views[0]}.mp4 or the like"
+
+
+def video_files(path: Path, wanted: Wanted) -> list[Path]:
+    """The videos of the views."""
+    return _of_views(path, VIDEO_SUFFIXES, wanted)
+
+
+def find_videos(path: Path, wanted: Wanted, is_temporary: bool) -> Found:
+    """The views' videos: frame t of a video is frame start + t, or t where it holds the whole capture."""
+    del is_temporary  # decoded either way
+    by_view = _one_each(path, VIDEO_SUFFIXES, wanted)
+    streams = {view: (file.name, VideoFrames(file)) for view, file in by_view.items()}
+    counted = {view: (name, video, video.n_frames) for view, (name, video) in streams.items()}
+    return _found(counted, _strangers(path, VIDEO_SUFFIXES, wanted), VIDEO_NOTE, wanted)
+
+
+def refuse_arrays(path: Path, wanted: Wanted) -> str | None:
+    """Why this is not one array per view; None if it is."""
+    if path.is_file():
+        return None if path.suffix == ".npz" else "not an .npz file"
+    return None if _of_views(path, ARRAY_SUFFIXES, wanted) else f"no {wanted.views[0]}.npy or .npz"
+
+
+def array_files(path: Path, wanted: Wanted) -> list[Path]:
+    """The files that hold the arrays."""
+    return [path] if path.is_file() else _of_views(path, ARRAY_SUFFIXES, wanted)
+
+
+def find_arrays(path: Path, wanted: Wanted, is_temporary: bool) -> Found:
+    """The views' stacks (T, H, W, 3): ``<view>.npy``, ``<view>.npz`` with one array, or one ``.npz`` with an array per view."""
+    del is_temporary  # written to PNG either way
+    if path.is_file():
+        members = npz_members(path)
+        _refuse_twice(path, members)
+        stacks = {view: ArrayStack(path, view) for view in wanted.views if view in members}
+        strangers = [f"{path.name}[{member}]" for member in members if member not in wanted.views]
+    else:
+        stacks = {view: _stack(file) for view, file in _one_each(path, ARRAY_SUFFIXES, wanted).items()}
+        strangers = list(_strangers(path, ARRAY_SUFFIXES, wanted))
+    counted = {view: (stack.name, stack, stack.n_frames) for view, stack in stacks.items()}
+    return _found(counted, strangers, ARRAY_NOTE, wanted)
+
+
+def _found(counted: Mapping[str, tuple[str, FrameStream, int]], strangers: Iterable[str], note: str, wanted: Wanted) -> Found:
+    """Streams with their frames numbered."""
+    views: dict[str, RenderedView] = {}
+    extras, notes = list(strangers), []
+    for view, (name, stream, count) in counted.items():
+        numbered = number_stream(count, wanted.frames, wanted.n_frames, name)
+        views[view] = StreamView(stream, numbered.frames, note)
+        notes += [f"{view}: {numbered.note}"] if numbered.note else []
+        if numbered.extras:
+            extras.append(f"{Path(name).name}: {len(numbered.extras)} frames after the first {len(wanted.frames)}")
+    return Found(views, tuple(extras), tuple(notes))
+
+
+def _stack(file: Path) -> ArrayStack:
+    """The array of a file that is one view's."""
+    if file.suffix == ".npy":
+        return ArrayStack(file)
+    members = npz_members(file)
+    if len(members) != 1:
+        found = ", ".join(members[:9]) or "none"
+        raise RenderError(f"{file}: wanted one array, got {found}; save frames (T, H, W, 3) alone")
+    return ArrayStack(file, members[0])
+
+
+def _refuse_twice(path: Path, members: list[str]) -> None:
+    twice = sorted({member for member in members if members.count(member) > 1})
+    if twice:
+        raise RenderError(f"{path}: wanted one array per view, got several called {', '.join(twice)}; save it again")
+
+
+def _one_each(path: Path, suffixes: tuple[str, ...], wanted: Wanted) -> dict[str, Path]:
+    """View -> its file.
+
+    Raises:
+        RenderError: two files for one view.
+    """
+    by_view: dict[str, Path] = {}
+    for file in _of_views(path, suffixes, wanted):
+        if file.stem in by_view:
+            raise RenderError(f"{path}: wanted one file for {file.stem}, got {by_view[file.stem].name}, {file.name}; keep one")
+        by_view[file.stem] = file
+    return by_view
+
+
+def _of_views(path: Path, suffixes: tuple[str, ...], wanted: Wanted) -> list[Path]:
+    """Files that bear the name of a view."""
+    return [file for file in _all(path, suffixes) if file.stem in wanted.views]
+
+
+def _strangers(path: Path, suffixes: tuple[str, ...], wanted: Wanted) -> list[str]:
+    return [file.name for file in _all(path, suffixes) if file.stem not in wanted.views]
+
+
+def _all(path: Path, suffixes: tuple[str, ...]) -> list[Path]:
+    return sorted(file for file in path.iterdir() if file.suffix.lower() in suffixes) if path.is_dir() else []

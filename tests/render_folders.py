@@ -1,0 +1,127 @@
+"""Renders of two views and three frames in every layout that others write, and the run folder they are scored in."""
+
+import json
+import tarfile
+import zipfile
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from ggvs_eval.images import Image8, write_image
+from ggvs_eval.protocol import Frames, Measurement, Protocol, Synthesis, Views
+from ggvs_eval.run_folder import RunFolder, frame_path, write_json
+from ggvs_eval.video import write_video
+
+CAMERAS = ("cam00", "cam01", "cam02")
+VIEWS = ("cam02", "cam00")  # the protocol's order is not the alphabet's
+FRAMES = range(2, 5)
+N_FRAMES = 7
+WIDTH, HEIGHT = 64, 48
+METRICS = ("PSNR", "L1", "SDT", "SDV")
+Place = tuple[str, int]
+
+
+def make_run(root: Path, metrics: Sequence[str] = METRICS) -> RunFolder:
+    """A run folder as `prepare_truth` leaves it: the captured frames of the test views, nothing rendered."""
+    run = RunFolder(root)
+    measurement = Measurement(tuple(metrics))
+    protocol = Protocol(
+        "tiny", "Tiny room", Views(VIEWS, "by hand"), Frames(FRAMES.start, len(FRAMES)), Synthesis(2), measurement
+    )
+    for view in VIEWS:
+        for frame in FRAMES:
+            write_image(frame_path(run.truth(view), frame), truth(view, frame))
+    cameras = {name: {"size": [WIDTH, HEIGHT]} for name in CAMERAS}
+    record = {"scene": "room", "fps": 30.0, "n_frames": N_FRAMES, "cameras": cameras, "digests": dict.fromkeys(CAMERAS, "ab12")}
+    write_json(root / "capture.json", record)
+    run.protocol_file.write_text(protocol.to_toml(), encoding="utf-8")
+    return run
+
+
+@cache
+def truth(view: str, frame: int) -> Image8:
+    """A captured frame: a smooth random pattern of its camera, before which a bright square moves."""
+    coarse = np.random.default_rng(CAMERAS.index(view)).integers(20, 200, (6, 8, 3)).astype(np.uint8)
+    image = cv2.resize(coarse, (WIDTH, HEIGHT), interpolation=cv2.INTER_CUBIC)
+    image[10:15, 4 + 6 * frame : 20 + 6 * frame] = (250, 240, 60)
+    return image
+
+
+@cache
+def rendered(view: str, frame: int) -> Image8:
+    """A rendering of it: 3 levels too bright, and somewhat noisy."""
+    noise = np.random.default_rng([CAMERAS.index(view), frame]).integers(-2, 3, (HEIGHT, WIDTH, 3))
+    return np.clip(truth(view, frame) + 3 + noise, 0, 255).astype(np.uint8)
+
+
+def write_folders(
+    folder: Path, frames: Sequence[int] = FRAMES, numbers: Sequence[int] | None = None, pattern: str = "{view}/{number:04d}.png"
+) -> Path:
+    """``<view>/<frame>.png`` of the given frames, under other numbers or names where they are given."""
+    for view in VIEWS:
+        for frame, number in zip(frames, numbers or frames, strict=True):
+            write_picture(folder / pattern.format(view=view, number=number), rendered(view, frame))
+    return folder
+
+
+def write_picture(path: Path, image: Image8) -> None:
+    """PNG, or JPEG where the name says so."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.suffix == ".png":
+        write_image(path, image)
+    else:
+        cv2.imwrite(str(path), cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
+
+
+def write_videos(folder: Path, frames: Sequence[int] = FRAMES, views: Sequence[str] = VIEWS) -> Path:
+    for view in views:
+        write_video(folder / f"{view}.mp4", (rendered(view, frame) for frame in frames), 30.0, crf=0)
+    return folder
+
+
+def stack(view: str, dtype: str = "uint8", frames: Sequence[int] = FRAMES) -> np.ndarray:
+    """(T, H, W, 3), floats in [0, 1]."""
+    images = np.stack([rendered(view, frame) for frame in frames])
+    return images if dtype == "uint8" else (images / 255.0).astype(dtype)
+
+
+def write_flat(folder: Path, places: Sequence[Place], names: tuple[str, str] = ("renders", "gt")) -> Path:
+    """The pictures of these places, one behind the other, beside copies of the truth."""
+    for index, (view, frame) in enumerate(places):
+        write_image(folder / names[0] / f"{index:05d}.png", rendered(view, frame))
+        write_image(folder / names[1] / f"{index:05d}.png", truth(view, frame))
+    return folder
+
+
+def write_nerfbaselines(folder: Path, pattern: str = "{view}/{frame:04d}.png", copies: bool = True) -> Path:
+    """Predictions under the data set's relative names."""
+    for view in VIEWS:
+        for frame in FRAMES:
+            name = pattern.format(view=view, frame=frame)
+            write_image(folder / "color" / name, rendered(view, frame))
+            if copies:
+                write_image(folder / "gt-color" / name, truth(view, frame))
+    (folder / "info.json").write_text(json.dumps({"method": "some method", "nb_version": "1.2.5"}))
+    return folder
+
+
+def pack(folder: Path, archive: Path) -> Path:
+    """The folder's content as an archive of the kind that its name says."""
+    files = sorted(file for file in folder.rglob("*") if file.is_file())
+    if archive.suffix == ".zip":
+        with zipfile.ZipFile(archive, "w") as packed:
+            for file in files:
+                packed.write(file, file.relative_to(folder))
+    else:
+        with tarfile.open(archive, "w:gz") as tar:
+            for file in files:
+                tar.add(file, file.relative_to(folder).as_posix())
+    return archive
+
+
+def view_major() -> list[Place]:
+    """Every place, view after view in the protocol's order."""
+    return [(view, frame) for view in VIEWS for frame in FRAMES]
