@@ -31,7 +31,7 @@ class RunSection:
 
     Attributes:
         run: the run.
-        view_tables: one per metric.
+        view_tables: where the error varies, and one per metric.
         timing: time per stage.
         slices: along the path and over time.
         panels: error curves.

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.reports.curves import curve_panels, draw_curves
+from ggvs_eval.reports.decomposition_table import decomposition_table
 from ggvs_eval.reports.measured import MeasuredRun, read_run
 from ggvs_eval.reports.page import RunSection, render_page
 from ggvs_eval.reports.published import CAVEATS, SOURCE
@@ -46,7 +47,9 @@ def write_report(runs: Sequence[Path], out: Path | None = None) -> Path:
 
 
 def _section(run: MeasuredRun) -> RunSection:
-    return RunSection(run, view_tables(run), timing_table(run), all_slices(run), curve_panels(run))
+    decomposition = decomposition_table(run)
+    by_view = ((decomposition,) if decomposition else ()) + view_tables(run)
+    return RunSection(run, by_view, timing_table(run), all_slices(run), curve_panels(run))
 
 
 def _write_tables(sections: Sequence[RunSection], tables: Sequence[Table], sha256: str, out: Path) -> None:

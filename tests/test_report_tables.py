@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from ggvs_eval.protocol import Frames
+from ggvs_eval.reports.decomposition_table import decomposition_table
 from ggvs_eval.reports.measured import read_run
 from ggvs_eval.reports.published import published_rows, read_published
 from ggvs_eval.reports.report import write_report
@@ -284,3 +285,16 @@ def test_a_method_measured_on_other_frames_is_not_called_worse_or_equal(tmp_path
     assert other.spread
     assert "not compared with the best: room: not the same views and frames (6 x 11 and 6 x 12)" in other.hint
     assert (cells[NAMES["ours-geometric"]].best, other.best) == (True, False)
+
+
+def test_where_the_error_varies_adds_up(tmp_path):
+    """The shares of views, time and rest are those of the L1 matrix and add up to the whole; one frame has no such table."""
+    shape = RunShape(views=("cam00", "cam01"), metrics=("PSNR", "L1"), poses=0)
+    run = read_run(write_run(tmp_path / "run", shape))
+    table = decomposition_table(run)
+    assert table is not None
+    for row in table.rows:
+        assert sum(cell.value for cell in row.cells[1:]) == pytest.approx(100)
+    l1 = run.results.table.query("metric == 'L1'").groupby(["method", "variant"], sort=False)["value"].mean()
+    assert [row.cells[0].value for row in table.rows] == pytest.approx(list(l1))
+    assert decomposition_table(read_run(write_run(tmp_path / "one", replace(shape, frames=Frames(0, 1))))) is None
