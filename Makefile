@@ -13,8 +13,11 @@ OUT ?= out/demo
 reports: $(READY)
 	$(BIN)/ggvs-eval run $(OUT) $(if $(DATA),--capture $(DATA)) $(if $(PROTOCOL),--protocol $(PROTOCOL))
 
+# One process per core; the tests of a file stay together, as they share what takes long to make.
+PYTEST := -m pytest -n auto --dist loadfile
+
 test: $(READY)
-	$(BIN)/python -m pytest
+	$(BIN)/python $(PYTEST)
 
 check: $(READY) view
 	$(BIN)/ruff check .
@@ -35,7 +38,7 @@ wheel-test: $(READY)
 	$(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))' \
 		> "$$(echo build/wheel/venv/lib/python3*/site-packages)/dependencies.pth"
 	cp -r tests build/wheel/tests
-	cd build/wheel && venv/bin/python -m pytest -q -c /dev/null --rootdir . -p no:cacheprovider tests
+	cd build/wheel && venv/bin/python $(PYTEST) -q -c /dev/null --rootdir . -p no:cacheprovider tests
 
 # The package as setup.cfg installs it, in links, for the type checker.
 view:

@@ -15,7 +15,8 @@ from ggvs_eval.run_folder import RunFolder, read_json
 
 ROOT = Path(__file__).parents[1]
 OUT = ROOT / "out"
-DECIMALS = {"PSNR": 2, "PSNR_cc": 2, "SSIM": 3, "LPIPS": 3, "L1": 2, "TCC": 3, "STED": 2, "SDT": 3, "SDV": 3}
+DECIMALS = {"PSNR": 2, "PSNR_cc": 2, "SSIM": 3, "LPIPS": 3, "L1": 2, "TCC": 3, "STED": 2, "Flicker": 2, "SDT": 3, "SDV": 3}
+DECIMALS |= {"EPI_coherence": 3, "switch_ratio": 2}
 
 
 def main() -> None:

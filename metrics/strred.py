@@ -189,7 +189,7 @@ def pool(differences: Sequence[PairDifference], pooling: Pooling = "means") -> S
     """
     if pooling not in get_args(Pooling):
         raise MetricError(f"STED: no pooling {pooling!r}; there are {', '.join(get_args(Pooling))}")
-    if not differences:
+    if len(differences) == 0:
         raise MetricError("STED: no pair of frames to pool; needs 2 frames")
     pairs = np.array(differences, dtype=np.float64).reshape(-1, 4)
     if pooling == "products":

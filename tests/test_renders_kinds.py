@@ -259,3 +259,14 @@ def test_a_run_with_several_methods_is_asked_by_name(run, tmp_path):
     assert largest_difference(run) == 0
     with pytest.raises(RenderError, match="several methods; call it by one of their names: mine, worse"):
         import_renders(run, "third", other.root)
+
+
+@pytest.mark.parametrize("write", [write_folders, write_nerfbaselines])
+def test_a_relative_path_is_as_good_as_a_whole_one(run, tmp_path, monkeypatch, write):
+    """Renders are named as people type them, from where they stand."""
+    write(tmp_path / "theirs")
+    monkeypatch.chdir(tmp_path)
+
+    import_renders(run, "mine", Path("theirs"))
+
+    assert largest_difference(run) == 0
