@@ -49,8 +49,8 @@ class StredScorer:
         previous, self._previous = self._previous, bands
         if previous is None or (self._pairing == "disjoint" and index % 2 == 0):
             return []
-        references = (strred.reduced_references(a, b, self._pairing) for a, b in zip(previous, bands, strict=True))
-        difference = strred.pair_difference(*references)
+        ours = strred.reduced_references(previous[0], bands[0], self._pairing)
+        difference = strred.pair_difference(ours, truth.entropies(previous[1], self._pairing))
         self._differences.append(difference)
         parts = (
             ("STED", "_spatial", difference.spatial),

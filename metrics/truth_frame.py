@@ -28,6 +28,7 @@ class TruthFrame:
         self._previous = previous
         self._disoccluded = disoccluded
         self._lpips_net = lpips_net
+        self._entropies: strred.Entropies | None = None
 
     @cached_property
     def lpips_features(self) -> "list[torch.Tensor]":
@@ -38,6 +39,17 @@ class TruthFrame:
     def band(self) -> strred.Array:
         """What ST-RRED compares."""
         return strred.spatial_band(strred.luma(self.image))
+
+    def entropies(self, band_before: strred.Array, pairing: strred.Pairing) -> strred.Entropies:
+        """What ST-RRED keeps of the frame before and this one, the same for all methods.
+
+        Args:
+            band_before: `band` of the captured frame before.
+            pairing: one per view.
+        """
+        if self._entropies is None:
+            self._entropies = strred.reduced_references(band_before, self.band, pairing)
+        return self._entropies
 
     @cached_property
     def _moving(self) -> Mask | None:

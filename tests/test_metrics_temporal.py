@@ -242,15 +242,16 @@ def test_regions_without_a_pixel_have_a_reason():
 
 
 def test_what_the_truth_decides_is_computed_once_for_all_methods(monkeypatch):
-    """Three methods cost three bands of their own and one of the truth per frame, not six."""
+    """Three methods cost three bands per frame and entropies per pair of their own and one of the truth, not six."""
     from ggvs_eval.metrics import strred as module
 
-    calls = []
-    plain = module.spatial_band
+    calls, pairs = [], []
+    plain, plain_references = module.spatial_band, module.reduced_references
     monkeypatch.setattr(module, "spatial_band", lambda image: calls.append(1) or plain(image))
+    monkeypatch.setattr(module, "reduced_references", lambda *given: pairs.append(1) or plain_references(*given))
     rendered, truth = moving_view(frames=2)
     scores = score_views([((rendered[t], truth[t], rendered[t]), truth[t]) for t in range(2)], ["STED"])
-    assert len(calls) == 2 * (3 + 1)
+    assert (len(calls), len(pairs)) == (2 * (3 + 1), 3 + 1)
     wanted = strred(rendered, truth).strred
     assert [values_of(one, "STED")[None] for one in scores] == [wanted, 0.0, wanted]
 
