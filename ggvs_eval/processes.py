@@ -2,8 +2,12 @@
 
 import os
 import threading
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Sequence
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from multiprocessing import connection, get_context, parent_process
+from typing import Any
+
+from ggvs_eval.progress import track
 
 
 def default_workers() -> int:
@@ -21,6 +25,25 @@ def worker_pool(workers: int) -> ProcessPoolExecutor:
     """
     threads = max(default_workers() // workers, 1)
     return ProcessPoolExecutor(workers, get_context("spawn"), initializer=_start_worker, initargs=(threads,))
+
+
+def finish_all(pool: Executor, running: Sequence[Future[Any]], description: str) -> None:
+    """Wait for jobs with a progress bar; the first that fails cancels what has not begun.
+
+    Args:
+        pool: runs them.
+        running: the jobs.
+        description: what is being done, a few words.
+
+    Raises:
+        Exception: what the job that failed raised.
+    """
+    try:
+        for done in track(as_completed(running), description, total=len(running)):
+            done.result()
+    except BaseException:
+        pool.shutdown(cancel_futures=True)
+        raise
 
 
 def _start_worker(threads: int) -> None:

@@ -1,7 +1,6 @@
 """What no source camera sees of a test view: where methods must invent, whatever they are."""
 
 from collections.abc import Mapping
-from concurrent.futures import as_completed
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +11,7 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.geometry.splat import PixelGaussians, splat
 from ggvs_eval.images import write_image
-from ggvs_eval.processes import worker_pool
-from ggvs_eval.progress import track
+from ggvs_eval.processes import finish_all, worker_pool
 from ggvs_eval.run_folder import frame_path, missing_frames
 
 COVERED_ALPHA = 0.5  # as the online method takes a pixel for covered
@@ -41,12 +39,7 @@ def write_disocclusions(
         return
     with worker_pool(min(workers, len(missing))) as pool:
         running = [pool.submit(_write, capture, *plan, frames, store, root / view) for view, plan in missing.items()]
-        try:
-            for done in track(as_completed(running), "what no camera sees", total=len(running)):
-                done.result()
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+        finish_all(pool, running, "what no camera sees")
 
 
 def _write(capture: Capture, target: Camera, keys: dict[str, str], frames: range, store: Path, folder: Path) -> None:

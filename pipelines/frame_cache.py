@@ -1,14 +1,12 @@
 """Captured frames, decoded, undistorted and resized once: every later step of a run reads these."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import as_completed
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ggvs_eval.capture import Capture, FrameSource
 from ggvs_eval.images import Image8, read_image, write_image
-from ggvs_eval.processes import worker_pool
-from ggvs_eval.progress import track
+from ggvs_eval.processes import finish_all, worker_pool
 from ggvs_eval.run_folder import frame_path, missing_frames
 
 
@@ -60,12 +58,7 @@ def cache_frames(capture: Capture, wanted: Mapping[str, Sequence[int]], root: Pa
     if missing:
         with worker_pool(min(workers, len(missing))) as pool:
             running = [pool.submit(_write, capture, name, frames, root / name) for name, frames in missing.items()]
-            try:
-                for done in track(as_completed(running), "frames per camera", total=len(running)):
-                    done.result()
-            except BaseException:
-                pool.shutdown(cancel_futures=True)
-                raise
+            finish_all(pool, running, "frames per camera")
     sources: list[FrameSource] = [
         CachedFrames(root / name, capture.n_frames, source.digest) if name in wanted else source
         for name, source in zip(capture.camera_names, capture.sources, strict=True)

@@ -1,7 +1,6 @@
 """Fill a depth store: every camera and instant that the online part will ask for."""
 
 from collections.abc import Sequence
-from concurrent.futures import as_completed
 from dataclasses import dataclass
 
 from ggvs_eval.camera import Camera, nearest_cameras
@@ -9,8 +8,7 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore, describe_depth
 from ggvs_eval.pipelines.offline.depth import DepthEstimator, DepthOptions
 from ggvs_eval.pipelines.offline.pairing import choose_partners
-from ggvs_eval.processes import worker_pool
-from ggvs_eval.progress import track
+from ggvs_eval.processes import finish_all, worker_pool
 
 
 @dataclass(frozen=True, order=True)
@@ -83,12 +81,7 @@ def prepare_depth(
         return
     with worker_pool(min(workers, len(missing))) as pool:
         running = [pool.submit(_run, capture, job, frames, store, options) for job in missing]
-        try:
-            for done in track(as_completed(running), "depth maps per camera", total=len(running)):
-                done.result()
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+        finish_all(pool, running, "depth maps per camera")
 
 
 def _run(capture: Capture, job: DepthJob, frames: range, store: DepthStore, options: DepthOptions) -> None:

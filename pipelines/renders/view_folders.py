@@ -33,7 +33,7 @@ def find(path: Path, wanted: Wanted, is_temporary: bool) -> Found:
         if not pictures:
             continue
         numbered = number_files(pictures, wanted.frames, wanted.n_frames)
-        views[view] = PictureView(numbered.frames, is_temporary)
+        views[view] = PictureView({number: Path(file) for number, file in numbered.frames.items()}, is_temporary)
         extras += [f"{view}/{file.name}" for file in numbered.extras]
         notes += [f"{view}: {numbered.note}"] if numbered.note else []
     return Found(views, tuple(extras), tuple(notes))
