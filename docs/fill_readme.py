@@ -10,6 +10,7 @@ from typing import Any
 
 import pandas as pd
 
+from ggvs_eval.errors import ResultsError
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder, read_json
 
@@ -23,6 +24,8 @@ def main() -> None:
     """Fill every table whose figures have been computed."""
     tables = {
         "demo": lambda: results_table(OUT / "demo"),
+        "ceilings": lambda: ceilings_table(OUT / "demo"),
+        "calibration": lambda: figures_table(OUT / "validate.json", "calibration."),
         "real_frame": lambda: results_table(OUT / "real_frame"),
         "real_frame_views": lambda: views_table(OUT / "real_frame"),
         "validate": lambda: figures_table(OUT / "validate.json"),
@@ -33,7 +36,11 @@ def main() -> None:
         pattern = re.compile(rf"(<!-- {name} -->\n).*?(<!-- /{name} -->)", re.DOTALL)
         if not pattern.search(text):
             raise SystemExit(f"README.md has no place for the table {name}")
-        table = make()
+        try:
+            table = make()
+        except (FileNotFoundError, ResultsError) as error:
+            print(f"{name} is left as it is: {error}")
+            continue
         text = pattern.sub(lambda match, table=table: f"{match[1]}{table}\n{match[2]}", text)
     (ROOT / "README.md").write_text(text, encoding="utf-8")
 
@@ -50,9 +57,18 @@ def views_table(run: Path) -> str:
     return _markdown(_named(Results.read(run).per_view("PSNR"), run))
 
 
-def figures_table(file: Path) -> str:
+def ceilings_table(run: Path) -> str:
+    """What perfect renderings would score on the capture of one run, as Markdown."""
+    entries = [entry for entry in read_json(run / "references.json") if entry["group"] == "consistency"]
+    columns = list(entries[0]["values"])
+    values = [[entry["values"][column] for column in columns] for entry in entries]
+    return _markdown(pd.DataFrame(values, [entry["name"] for entry in entries], columns))
+
+
+def figures_table(file: Path, prefix: str = "") -> str:
     """The flat figures of `make bench` or `make validate` as Markdown; a ratio above 1 means better than the peer."""
-    figures: dict[str, dict[str, Any]] = json.loads(file.read_text(encoding="utf-8"))
+    known: dict[str, dict[str, Any]] = json.loads(file.read_text(encoding="utf-8"))
+    figures = {name: figure for name, figure in known.items() if name.startswith(prefix)}
     rows = ["| figure | value | target | peer | ratio |", "| --- | ---: | ---: | --- | ---: |"]
     for name, figure in figures.items():
         sign = "≥" if figure["higher_is_better"] else "≤"
