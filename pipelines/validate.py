@@ -64,11 +64,12 @@ def validate_calibration(capture: Path, out: Path) -> Figures:
         "rotation_error_deg_max": (0.2, False),
         "seconds": (None, False),
     }
+    units = dict(zip(targets, ("cameras", "px", "% of the extent", "deg", "s"), strict=True))
     print(pd.Series({name: found[name] for name in targets}, name="calibration").round(4).to_string())
     return {
         f"calibration.{name}": {
             "value": found[name],
-            "unit": name.rsplit("_", 1)[-1],
+            "unit": units[name],
             "target": target,
             "higher_is_better": higher,
             "command": COMMAND,
