@@ -2,13 +2,19 @@
 
 from pathlib import Path
 
-from benchmarks import bench_decoding, bench_geometry, bench_metrics, bench_online
+from benchmarks import bench_decoding, bench_depth, bench_geometry, bench_metrics, bench_online
 from ggvs_eval.run_folder import write_json
 
 
 def main() -> None:
     """Measure everything; one line per figure."""
-    figures = bench_geometry.measure() | bench_online.measure() | bench_metrics.measure() | bench_decoding.measure()
+    figures = (
+        bench_geometry.measure()
+        | bench_online.measure()
+        | bench_metrics.measure()
+        | bench_decoding.measure()
+        | bench_depth.measure()
+    )
     for name, figure in figures.items():
         peer = f"  {figure['peer']}: {figure['peer_value']:.4g}, ratio {figure['ratio']:.3g}" if figure.get("peer") else ""
         target = f"  (target {figure['target']:g})" if figure.get("target") is not None else ""

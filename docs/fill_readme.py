@@ -28,7 +28,8 @@ def main() -> None:
         "calibration": lambda: figures_table(OUT / "validate.json", "calibration."),
         "real_frame": lambda: results_table(OUT / "real_frame"),
         "real_frame_views": lambda: views_table(OUT / "real_frame"),
-        "validate": lambda: figures_table(OUT / "validate.json"),
+        "validate": lambda: figures_table(OUT / "validate.json", but=("calibration.", "depth.")),
+        "depth": lambda: figures_table(OUT / "validate.json", "depth."),
         "bench": lambda: figures_table(OUT / "bench.json"),
     }
     text = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -65,10 +66,10 @@ def ceilings_table(run: Path) -> str:
     return _markdown(pd.DataFrame(values, [entry["name"] for entry in entries], columns))
 
 
-def figures_table(file: Path, prefix: str = "") -> str:
+def figures_table(file: Path, prefix: str = "", but: tuple[str, ...] = ()) -> str:
     """The flat figures of `make bench` or `make validate` as Markdown; a ratio above 1 means better than the peer."""
     known: dict[str, dict[str, Any]] = json.loads(file.read_text(encoding="utf-8"))
-    figures = {name: figure for name, figure in known.items() if name.startswith(prefix)}
+    figures = {name: figure for name, figure in known.items() if name.startswith(prefix) and not name.startswith(but)}
     rows = ["| figure | value | target | peer | ratio |", "| --- | ---: | ---: | --- | ---: |"]
     for name, figure in figures.items():
         sign = "≥" if figure["higher_is_better"] else "≤"

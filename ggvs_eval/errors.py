@@ -40,5 +40,9 @@ class WeightsError(GgvsError):
     """Network weights are absent, damaged or belong to another network."""
 
 
+class TrainingError(GgvsError):
+    """A training cannot start or go on."""
+
+
 class ResultsError(GgvsError):
     """Results are absent, or two results must not stand in one table."""

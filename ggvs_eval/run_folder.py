@@ -4,7 +4,9 @@
 
     RUN/protocol.toml  capture.json              what was asked for, of which capture
     RUN/truth/<camera>/<frame>.png               captured frames of the cameras that take part, at synthesis size
-    RUN/depth/<key>/<frame>.*                    depth store of the source cameras
+    RUN/depth/<key>/<frame>.*                    depth store of the source cameras; depth.json says how it was found
+    RUN/depth_page/index.html                    the depth in pictures
+    RUN/fused/<frame>/points.ply  mesh.ply       one instant as a point cloud and a mesh, where asked for
     RUN/renders/<method>/<view>/<frame>.png      synthesised frames, and job.json: identity, versions, seconds per stage
     RUN/path/truth/<pose>.png                    a camera path at one instant: truth where there is one, poses in path.json
     RUN/path/<method>/<pose>.png                 the same path synthesised, for epipolar plane images
@@ -45,6 +47,11 @@ class RunFolder:
     def depth(self) -> Path:
         """Root of the depth store."""
         return self.root / "depth"
+
+    @property
+    def depth_record(self) -> Path:
+        """How that depth is found."""
+        return self.root / "depth.json"
 
     @property
     def report(self) -> Path:

@@ -10,8 +10,19 @@ import tyro
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import GgvsError, ProtocolError
-from ggvs_eval.pipelines.cli_captures import BY_DEFAULT, Folder, Reading, calibrate, check, demo, undistort
+from ggvs_eval.pipelines.cli_captures import (
+    BY_DEFAULT,
+    FOUND_BY_DEFAULT,
+    Finding,
+    Folder,
+    Reading,
+    calibrate,
+    check,
+    demo,
+    undistort,
+)
 from ggvs_eval.pipelines.cli_renders import doctor, explain
+from ggvs_eval.pipelines.cli_training import train
 from ggvs_eval.pipelines.methods import METHODS
 from ggvs_eval.processes import default_workers
 from ggvs_eval.protocol import Protocol
@@ -22,21 +33,38 @@ ALL_METHODS = tuple(METHODS)
 
 
 def prepare(
-    run: Folder, capture: Path, protocol: str | None = None, reading: Reading = BY_DEFAULT, jobs: int = default_workers()
+    run: Folder,
+    capture: Path,
+    protocol: str | None = None,
+    fuse: bool = False,
+    dense_workspace: Path | None = None,
+    reading: Reading = BY_DEFAULT,
+    depth: Finding = FOUND_BY_DEFAULT,
+    jobs: int = default_workers(),
 ) -> None:
-    """Read a capture under a protocol and write what every method needs: truth frames, source views, depth.
+    """Read a capture under a protocol and write what every method needs: truth frames, source views, depth, a page that shows it.
 
     Args:
         run: run folder to make or to go on with.
         capture: folder of the capture; its layout is detected.
         protocol: a .toml file or a packaged name; by default the packaged one that fits the capture.
+        fuse: also fuse the first instant into a point cloud and a mesh, RUN/fused/<frame>/{points,mesh}.ply.
+        dense_workspace: also write the first instant's depth as a COLMAP dense workspace into this folder.
         reading: how the capture is read.
+        depth: how depth is found.
         jobs: processes.
     """
+    from ggvs_eval.pipelines.depth_outputs import export_prepared, fuse_prepared, write_prepared_page
     from ggvs_eval.pipelines.prepare import prepare as write
 
     opened = reading.open(capture)
-    print(write(run, opened, _protocol(protocol, opened), jobs).run.root)
+    prepared = write(run, opened, _protocol(protocol, opened), jobs, depth)
+    print(write_prepared_page(prepared, depth.options().filled_confidence, jobs))
+    if fuse:
+        fused = fuse_prepared(prepared)
+        print(fused.points, fused.mesh, sep="\n")
+    if dense_workspace:
+        print(export_prepared(prepared, dense_workspace))
 
 
 def render(run: Folder, methods: Labels = ALL_METHODS, jobs: int = default_workers()) -> None:
@@ -127,6 +155,7 @@ def run(
     protocol: str | None = None,
     methods: Labels = ALL_METHODS,
     reading: Reading = BY_DEFAULT,
+    depth: Finding = FOUND_BY_DEFAULT,
     jobs: int = default_workers(),
 ) -> None:
     """Do it all: prepare, render, score, report. A second call does only what is missing.
@@ -137,12 +166,13 @@ def run(
         protocol: a .toml file or a packaged name; by default the packaged one that fits the capture.
         methods: which methods.
         reading: how the capture is read.
+        depth: how depth is found.
         jobs: processes.
     """
     from ggvs_eval.pipelines.evaluate import evaluate
 
     opened = reading.open(capture or _demo_beside(run, jobs))
-    print(evaluate(run, opened, _protocol(protocol, opened), methods, jobs))
+    print(evaluate(run, opened, _protocol(protocol, opened), methods, jobs, depth))
 
 
 def sweep(
@@ -151,6 +181,7 @@ def sweep(
     capture: Path | None = None,
     protocol: str | None = None,
     reading: Reading = BY_DEFAULT,
+    depth: Finding = FOUND_BY_DEFAULT,
     jobs: int = default_workers(),
 ) -> None:
     """Evaluate every row of a sweep under each of its variants and print one table of all.
@@ -161,6 +192,7 @@ def sweep(
         capture: folder of the capture; without one the demo capture is made beside it.
         protocol: what the variants start from; by default the packaged one that fits the capture.
         reading: how the capture is read.
+        depth: how depth is found.
         jobs: processes.
     """
     from ggvs_eval.pipelines.sweep import run_sweep
@@ -168,7 +200,7 @@ def sweep(
 
     wanted = load_sweep(name)
     opened = reading.open(capture or _demo_beside(out, jobs))
-    result = run_sweep(out, opened, wanted, _protocol(protocol, opened), jobs)
+    result = run_sweep(out, opened, wanted, _protocol(protocol, opened), jobs, depth)
     print(result.table.round(4).to_string())
     for title, reason in result.not_computed.items():
         print(f"{title} not computed: {reason}")
@@ -186,6 +218,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "slice": draw_slice,
     "run": run,
     "sweep": sweep,
+    "train": train,
     "doctor": doctor,
     "explain": explain,
 }

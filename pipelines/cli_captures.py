@@ -12,6 +12,7 @@ from ggvs_eval.datasets import DATASETS, open_capture
 from ggvs_eval.datasets.units import GivenUnits
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.pipelines.offline.calibrate import CalibrationOptions
+from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.offline.undistort import UndistortOptions
 from ggvs_eval.processes import default_workers
 from ggvs_eval.synthetic.options import DemoOptions
@@ -54,6 +55,8 @@ class CaptureOptions:
 Reading = tyro.conf.OmitArgPrefixes[CaptureOptions]
 Calibrating = tyro.conf.OmitArgPrefixes[CalibrationOptions]
 BY_DEFAULT = CaptureOptions()
+Finding = tyro.conf.OmitArgPrefixes[DepthChoice]
+FOUND_BY_DEFAULT = DepthChoice()
 
 
 def demo(

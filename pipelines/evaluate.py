@@ -7,6 +7,7 @@ from typing import Any
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
+from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.prepare import Prepared, prepare
 from ggvs_eval.pipelines.render import render
 from ggvs_eval.pipelines.score import score
@@ -14,7 +15,9 @@ from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import RunFolder
 
 
-def evaluate(root: Path, capture: Capture, protocol: Protocol, labels: Sequence[str], workers: int) -> Path:
+def evaluate(
+    root: Path, capture: Capture, protocol: Protocol, labels: Sequence[str], workers: int, depth: DepthChoice | None = None
+) -> Path:
     """Evaluate methods on a capture; a second call does only what is missing.
 
     Args:
@@ -23,11 +26,12 @@ def evaluate(root: Path, capture: Capture, protocol: Protocol, labels: Sequence[
         protocol: views, frames, sizes, metrics.
         labels: methods, see `ggvs_eval.pipelines.methods.METHODS`.
         workers: processes.
+        depth: how depth is found, see `DepthChoice`.
 
     Returns:
         Path of the report's page.
     """
-    prepared = prepare(root, capture, protocol, workers)
+    prepared = prepare(root, capture, protocol, workers, depth)
     render(prepared, labels, workers)
     score(RunFolder(root), workers)
     return report([root])

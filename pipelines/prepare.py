@@ -16,11 +16,12 @@ from ggvs_eval.images import resize, write_image
 from ggvs_eval.pipelines.disocclusion import write_disocclusions
 from ggvs_eval.pipelines.frame_cache import cache_frames
 from ggvs_eval.pipelines.offline.depth import DepthOptions
+from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.offline.prepare import DepthJob, depth_spec, plan_depth, prepare_depth
 from ggvs_eval.pipelines.path_depth import write_path_depth
 from ggvs_eval.pipelines.score_path import write_path_record
 from ggvs_eval.protocol import Protocol
-from ggvs_eval.run_folder import RunFolder, frame_path, missing_frames, write_json
+from ggvs_eval.run_folder import RunFolder, frame_path, missing_frames, read_json, write_json
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ class Prepared:
         return range(self.protocol.frames.start, self.protocol.frames.start + self.protocol.frames.count)
 
 
-def prepare(root: Path, capture: Capture, protocol: Protocol, workers: int = 1, options: DepthOptions | None = None) -> Prepared:
+def prepare(root: Path, capture: Capture, protocol: Protocol, workers: int = 1, depth: DepthChoice | None = None) -> Prepared:
     """Write protocol, capture record, truth frames and depth into a run folder; what is there is kept.
 
     Args:
@@ -74,19 +75,19 @@ def prepare(root: Path, capture: Capture, protocol: Protocol, workers: int = 1, 
         capture: the capture at its own size.
         protocol: what to evaluate.
         workers: processes.
-        options: of the depth estimation.
+        depth: how depth is found; as the folder says, or the default.
 
     Raises:
         CaptureError: the capture is unreadable or lacks what the protocol asks for.
         ProtocolError: the folder belongs to another protocol or capture.
     """
-    capture = fit_capture(capture, protocol)
-    run = RunFolder(root)
+    capture, run = fit_capture(capture, protocol), RunFolder(root)
     _claim_folder(run, protocol, capture)
-    planned = plan(run, protocol, capture, options or DepthOptions())
-    prepared = replace(planned, capture=cache_frames(capture, _wanted_frames(planned), run.root / "truth", workers))
+    options = _claim_depth(run, depth).options()
+    planned = plan(run, protocol, capture, options)
+    prepared = replace(planned, capture=cache_frames(capture, _wanted_frames(planned, options), run.root / "truth", workers))
     _write_path_truth(prepared)
-    _prepare_depth(prepared, options or DepthOptions(), workers)
+    _prepare_depth(prepared, options, workers)
     if any(name.endswith("_disoccluded") for name in protocol.measurement.metrics):
         views = {view: (each.target, each.depth_keys) for view, each in prepared.plans.items()}
         write_disocclusions(prepared.capture, views, prepared.frames, run.depth, run.root / "disoccluded", workers)
@@ -185,6 +186,19 @@ def _claim_folder(run: RunFolder, protocol: Protocol, capture: Capture) -> None:
     run.protocol_file.write_text(protocol.to_toml(), encoding="utf-8")
 
 
+def _claim_depth(run: RunFolder, wanted: DepthChoice | None) -> DepthChoice:
+    """How this folder's depth is found; methods of one table must have been given the same."""
+    if not run.depth_record.is_file():
+        write_json(run.depth_record, (wanted or DepthChoice()).record())
+    known = DepthChoice.from_record(read_json(run.depth_record))
+    if wanted not in (None, known):
+        raise ProtocolError(
+            f"{run.root}: holds a run whose depth is found by {known.options().matcher.name} ({run.depth_record.name}), wanted "
+            f"{wanted}; choose a new folder or delete it"
+        )
+    return known
+
+
 def _capture_record(capture: Capture) -> dict[str, Any]:
     cameras = {
         camera.name: {
@@ -210,10 +224,13 @@ def _capture_record(capture: Capture) -> dict[str, Any]:
     }
 
 
-def _wanted_frames(planned: Prepared) -> dict[str, list[int]]:
+def _wanted_frames(planned: Prepared, options: DepthOptions) -> dict[str, list[int]]:
     """Which frames of which cameras take part: test views, source cameras and those that their depth is matched with."""
     wanted: dict[str, list[int]] = {view: list(planned.frames) for view in planned.plans}
-    for plans, frames in ((planned.plans.values(), list(planned.frames)), (planned.path, [planned.path_frame])):
+    first_needed = options.time.first_needed
+    for_views = range(first_needed(planned.frames.start), planned.frames.stop)
+    for_path = range(first_needed(planned.path_frame), planned.path_frame + 1)
+    for plans, frames in ((planned.plans.values(), for_views), (planned.path, for_path)):
         for job in {job for plan in plans for job in plan.jobs}:
             for name in (job.camera_name, *job.partner_names):
                 wanted[name] = sorted({*wanted.get(name, []), *frames})

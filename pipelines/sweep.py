@@ -8,6 +8,7 @@ import pandas as pd
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.pipelines.methods import METHODS, split_label
+from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.prepare import prepare
 from ggvs_eval.pipelines.render import render
 from ggvs_eval.pipelines.score import score
@@ -34,7 +35,9 @@ class SweepResult:
     runs: dict[str, Path]
 
 
-def run_sweep(root: Path, capture: Capture, sweep: Sweep, protocol: Protocol, workers: int) -> SweepResult:
+def run_sweep(
+    root: Path, capture: Capture, sweep: Sweep, protocol: Protocol, workers: int, depth: DepthChoice | None = None
+) -> SweepResult:
     """Evaluate every row under every variant; what exists is not computed again.
 
     Frames and depth are shared between the variants, so that K = 2 finds what K = 6 has computed.
@@ -45,6 +48,7 @@ def run_sweep(root: Path, capture: Capture, sweep: Sweep, protocol: Protocol, wo
         sweep: rows and variants.
         protocol: what the variants start from.
         workers: processes.
+        depth: how depth is found, see `DepthChoice`.
 
     Raises:
         GgvsError: as of the single steps.
@@ -55,7 +59,7 @@ def run_sweep(root: Path, capture: Capture, sweep: Sweep, protocol: Protocol, wo
     for variant, variant_protocol in sweep.protocols(protocol).items():
         runs[variant] = root / variant
         _share_folders(root, runs[variant])
-        render(prepare(runs[variant], capture, variant_protocol, workers), [row.method for row in rows], workers)
+        render(prepare(runs[variant], capture, variant_protocol, workers, depth), [row.method for row in rows], workers)
         parts.append(_lines(variant, RunFolder(runs[variant]), score(RunFolder(runs[variant]), workers), rows))
     table = pd.concat(parts)
     table.to_csv(root / "sweep.csv")

@@ -14,6 +14,7 @@ from typing import Any
 import pandas as pd
 
 from ggvs_eval.datasets import open_capture
+from ggvs_eval.pipelines.depth_validation.judge import validate_depth
 from ggvs_eval.pipelines.evaluate import evaluate
 from ggvs_eval.pipelines.methods import METHODS
 from ggvs_eval.processes import default_workers
@@ -26,6 +27,7 @@ OURS = ("ours-geometric", "")
 NO_TEMPORAL = ("ours-geometric", "no-temporal")
 PEERS = (("distance-based", ""), ("no-blending", ""))
 REAL_FRAME_PSNR_DB = 28.0
+SHIPPED_MATCHERS = ("sgbm", "raft")
 
 Figures = dict[str, dict[str, Any]]
 Targets = Mapping[str, tuple[float | None, bool]]  # metric -> target (the peer's value where None), higher is better
@@ -38,6 +40,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out"), help="folder for validate.json and the run folders")
     arguments = parser.parse_args()
     figures = validate_demo(arguments.out / "demo")
+    figures |= validate_depth(arguments.data, arguments.out, SHIPPED_MATCHERS)
     real = arguments.data / "n3v_flame_steak"
     if real.is_dir():
         figures |= validate_calibration(real, arguments.out / "calibration")

@@ -243,12 +243,15 @@ def test_options_change_the_key(capture):
     """Every field of the options and of the matcher enters the key."""
     keys = {DepthStore.key(depth_spec(capture, JOBS[0], OPTIONS))}
     for field, value in vars(OPTIONS).items():
-        if field != "matcher":
+        if field not in ("matcher", "time", "sensor"):
             keys.add(DepthStore.key(depth_spec(capture, JOBS[0], replace(OPTIONS, **{field: value + 1}))))
+    for field, value in vars(OPTIONS.time).items():
+        changed = replace(OPTIONS, time=replace(OPTIONS.time, **{field: value + 1}))
+        keys.add(DepthStore.key(depth_spec(capture, JOBS[0], changed)))
     for field, value in vars(OPTIONS.matcher).items():
         changed = replace(OPTIONS, matcher=replace(OPTIONS.matcher, **{field: value + 1}))
         keys.add(DepthStore.key(depth_spec(capture, JOBS[0], changed)))
-    assert len(keys) == len(vars(OPTIONS)) + len(vars(OPTIONS.matcher))
+    assert len(keys) == len(vars(OPTIONS)) - 2 + len(vars(OPTIONS.matcher)) + len(vars(OPTIONS.time))
 
 
 def test_failure_in_a_worker_is_reported(capture, tmp_path):

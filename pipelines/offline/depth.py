@@ -1,7 +1,8 @@
-"""Depth of one camera from the images of its partners, frame by frame."""
+"""Depth of one camera from the images of its partners, by whatever matcher, frame by frame."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 
 import numpy as np
 
@@ -9,12 +10,37 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
 from ggvs_eval.images import Image8
-from ggvs_eval.pipelines.offline.fusion import drop_flying_pixels, fill_background, fuse, smooth_surfaces
-from ggvs_eval.pipelines.offline.matcher import Map, StereoMatcher
-from ggvs_eval.pipelines.offline.rectification import RectifiedPair, depth_from_disparity, rectify
+from ggvs_eval.pipelines.offline.fusion import drop_flying_pixels, fill_background, smooth_surfaces
+from ggvs_eval.pipelines.offline.matcher import StereoMatcher
+from ggvs_eval.pipelines.offline.pairwise import PairwiseEstimator
+from ggvs_eval.pipelines.offline.sensor_depth import SensorDepthOptions
 from ggvs_eval.pipelines.offline.sgbm import SgbmMatcher
 
-ALGORITHM = "rectify-match-fuse 1"  # counts up whenever equal options give other bits
+ALGORITHM = "match-fuse-finish 2"  # counts up whenever equal options give other bits
+
+
+@dataclass(frozen=True)
+class TimeOptions:
+    """How depth of consecutive instants depends on each other. By default it does not.
+
+    Attributes:
+        keyframe_every: instants from one that is computed from nothing to the next; what lies between may use the frame before.
+            1 computes every instant from nothing, so that any can be computed alone.
+        warm: matchers start from the disparity of the frame before.
+        reuse: depth is computed again only where the picture has changed since it was.
+        changed: a pixel has changed when its blurred difference exceeds this share of the value range.
+        grow_px: what lies this near to a changed pixel is computed again too.
+    """
+
+    keyframe_every: int = 1
+    warm: bool = False
+    reuse: bool = False
+    changed: float = 0.02
+    grow_px: int = 8
+
+    def first_needed(self, frame: int) -> int:
+        """The keyframe that `frame` goes back to: depth of an instant depends on the instants from there on."""
+        return frame - frame % self.keyframe_every
 
 
 @dataclass(frozen=True)
@@ -29,6 +55,8 @@ class DepthOptions:
         smooth: depth is averaged over neighbours that differ by about this share of it.
         smooth_radius_px: over neighbours this far away.
         filled_confidence: confidence of pixels filled from the background; 0 leaves them invalid.
+        time: how instants depend on each other.
+        sensor: how measured depth is filtered, which takes the place of stereo where the capture has it; None ignores it.
     """
 
     matcher: StereoMatcher = field(default_factory=SgbmMatcher)
@@ -38,10 +66,15 @@ class DepthOptions:
     smooth: float = 0.03
     smooth_radius_px: int = 4
     filled_confidence: float = 0.02
+    time: TimeOptions = field(default_factory=TimeOptions)
+    sensor: SensorDepthOptions | None = field(default_factory=SensorDepthOptions)
 
     def describe(self) -> dict[str, object]:
-        """All of it as values that JSON knows, with the versions of the algorithms; part of a depth map's key."""
-        return {"algorithm": ALGORITHM, "matcher_name": self.matcher.name, **asdict(self)}
+        """All that stereo depends on, as values that JSON knows, with the versions of the algorithms; part of the key."""
+        matcher = {name: value for name, value in vars(self.matcher).items() if not isinstance(value, Path)}
+        described = {"algorithm": ALGORITHM, "matcher_name": self.matcher.name, **asdict(self), "matcher": matcher}
+        del described["sensor"]
+        return described
 
 
 class DepthEstimator:
@@ -62,7 +95,7 @@ class DepthEstimator:
         self.camera = camera
         self.partners = tuple(partners)
         self.options = options
-        self._pairs = [rectify(camera, partner) for partner in partners]
+        self._raw = PairwiseEstimator(camera, partners, options.matcher, options.error_px, options.time.warm)
 
     def estimate(self, image: Image8, partner_images: Sequence[Image8]) -> DepthMap:
         """Depth at one instant.
@@ -72,26 +105,17 @@ class DepthEstimator:
             partner_images: what the partners saw at the same instant, in their order.
 
         Returns:
-            Depth, (H, W), and confidence: the share of partners that agree, weighted by their left-right agreement.
+            Depth, (H, W), without flying pixels, smoothed within surfaces and filled from the background, and its confidence.
 
         Raises:
             DepthError: an image does not have its camera's size.
         """
         self._check(image, partner_images)
-        options = self.options
-        estimates = [self._match(pair, image, other) for pair, other in zip(self._pairs, partner_images, strict=True)]
-        depths, confidences, disparities = (np.stack(maps) for maps in zip(*estimates, strict=True))  # (N, H, W) each
-        depth, confidence = fuse(depths, confidences, disparities, options.error_px)
-        depth = smooth_surfaces(drop_flying_pixels(depth, options.flying), options.smooth, options.smooth_radius_px)
-        confidence = np.where(depth > 0, confidence, np.float32(0))
-        return DepthMap(*fill_background(depth, confidence, options.filled_confidence))
+        return finish(self._raw.estimate(image, partner_images), self.options)
 
-    def _match(self, pair: RectifiedPair, image: Image8, partner_image: Image8) -> tuple[Map, Map, Map]:
-        """One partner's depth, confidence and disparity at the camera's pixels, (H, W) each."""
-        left, right = pair.warp_left(image), pair.warp_right(partner_image)
-        disparity, confidence = self.options.matcher.match(left, right, pair.d_min, pair.d_max)
-        disparity = np.where(pair.sees(disparity), disparity, np.float32(0))
-        return depth_from_disparity(pair, disparity, confidence)
+    def forget(self) -> None:
+        """Begin a new sequence."""
+        self._raw.forget()
 
     def _check(self, image: Image8, partner_images: Sequence[Image8]) -> None:
         if len(partner_images) != len(self.partners):
@@ -103,3 +127,10 @@ class DepthEstimator:
                     f"camera {camera.name}: wanted a uint8 image of {wanted}, got {each.dtype} {each.shape}; "
                     "resize the capture, not single images"
                 )
+
+
+def finish(raw: DepthMap, options: DepthOptions) -> DepthMap:
+    """What every matcher's depth needs: no flying pixels, smooth surfaces, gaps filled from the background."""
+    depth = smooth_surfaces(drop_flying_pixels(raw.depth, options.flying), options.smooth, options.smooth_radius_px)
+    confidence = np.where(depth > 0, raw.confidence, np.float32(0))
+    return DepthMap(*fill_background(depth, confidence, options.filled_confidence))

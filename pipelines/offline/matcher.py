@@ -20,7 +20,7 @@ class StereoMatcher(Protocol):
     def name(self) -> str:
         """Names the algorithm and its version; changes whenever its results do."""
 
-    def match(self, left: Image8, right: Image8, d_min: int, d_max: int) -> tuple[Map, Map]:
+    def match(self, left: Image8, right: Image8, d_min: int, d_max: int, previous: Map | None = None) -> tuple[Map, Map]:
         """Match a rectified pair.
 
         Args:
@@ -28,6 +28,7 @@ class StereoMatcher(Protocol):
             right: RGB, (H, W, 3); the point at column x on the left lies at x - disparity.
             d_min: smallest disparity, pixels.
             d_max: largest disparity, pixels.
+            previous: disparity of the left image of the frame before, (H, W), 0 = unknown; a matcher may start from it.
 
         Returns:
             Disparity of the left image in pixels, (H, W), 0 = rejected, and its confidence in [0, 1], (H, W).

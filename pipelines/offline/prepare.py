@@ -6,8 +6,10 @@ from dataclasses import dataclass
 from ggvs_eval.camera import Camera, nearest_cameras
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore, describe_depth
-from ggvs_eval.pipelines.offline.depth import DepthEstimator, DepthOptions
+from ggvs_eval.pipelines.offline.depth import DepthOptions
+from ggvs_eval.pipelines.offline.depth_stream import DepthStream
 from ggvs_eval.pipelines.offline.pairing import choose_partners
+from ggvs_eval.pipelines.offline.sensor_depth import SensorDepthEstimator
 from ggvs_eval.processes import finish_all, worker_pool
 
 
@@ -17,7 +19,7 @@ class DepthJob:
 
     Attributes:
         camera_name: the camera whose depth is wanted.
-        partner_names: the cameras it is matched with, in order.
+        partner_names: the cameras it is matched with, in order; none where a sensor measured its depth.
     """
 
     camera_name: str
@@ -43,16 +45,31 @@ def plan_depth(capture: Capture, targets: Sequence[Camera], k: int, options: Dep
     plan = {}
     for target in targets:
         sources = nearest_cameras(target, capture.cameras, k)
-        partners = {source.name: choose_partners(source, capture.cameras, options.partners, {target.name}) for source in sources}
-        plan[target.name] = {name: DepthJob(name, tuple(each.name for each in chosen)) for name, chosen in partners.items()}
+        plan[target.name] = {source.name: _plan_job(capture, source, target, options) for source in sources}
     return plan
+
+
+def _plan_job(capture: Capture, source: Camera, target: Camera, options: DepthOptions) -> DepthJob:
+    if _sensor(capture, source.name, options) is not None:
+        return DepthJob(source.name, ())
+    chosen = choose_partners(source, capture.cameras, options.partners, {target.name})
+    return DepthJob(source.name, tuple(each.name for each in chosen))
+
+
+def _sensor(capture: Capture, name: str, options: DepthOptions) -> SensorDepthEstimator | None:
+    """What filters the depth that a sensor measured; None where there is no such depth or it is not wanted."""
+    source = capture.extras_of(name).depth
+    return (
+        None if source is None or options.sensor is None else SensorDepthEstimator(capture.camera(name), source, options.sensor)
+    )
 
 
 def depth_spec(capture: Capture, job: DepthJob, options: DepthOptions) -> dict[str, object]:
     """What a job's depth depends on; `DepthStore.key` makes its key of it."""
     names = (job.camera_name, *job.partner_names)
     camera, *partners = (capture.camera(name) for name in names)
-    described = options.describe() | {"resize_filter": capture.resize_filter}
+    sensor = None if partners else _sensor(capture, camera.name, options)
+    described = (sensor or options).describe() | {"resize_filter": capture.resize_filter}
     return describe_depth(camera, partners, {name: capture.digest(name) for name in names}, described)
 
 
@@ -92,12 +109,18 @@ def _run(capture: Capture, job: DepthJob, frames: range, store: DepthStore, opti
         return
     names = (job.camera_name, *job.partner_names)
     camera, *partners = (capture.camera(name) for name in names)
-    estimator = DepthEstimator(camera, partners, options)
-    start, stop = min(missing), max(missing) + 1
-    streams = [capture.frames(name, start, stop) for name in names]
-    for frame, (image, *partner_images) in zip(range(start, stop), zip(*streams, strict=True), strict=True):
-        if frame in missing:
-            store.write(key, frame, estimator.estimate(image, partner_images))
+    sensor = None if partners else _sensor(capture, camera.name, options)
+    if sensor is not None:
+        for frame in sorted(missing):
+            store.write(key, frame, sensor.at(frame, capture.frame(camera.name, frame)))
+        return
+    stream = DepthStream(camera, partners, options)
+    start, stop = options.time.first_needed(min(missing)), max(missing) + 1
+    decoded = [capture.frames(name, start, stop) for name in names]
+    for frame, (image, *partner_images) in zip(range(start, stop), zip(*decoded, strict=True), strict=True):
+        depth_map = stream.step(frame, image, partner_images) if options.time.keyframe_every > 1 or frame in missing else None
+        if depth_map is not None and frame in missing:
+            store.write(key, frame, depth_map)
 
 
 def _key(capture: Capture, job: DepthJob, options: DepthOptions) -> str:

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from ggvs_eval.images import Image8
+from ggvs_eval.pipelines.offline.left_right import left_right_gap
 from ggvs_eval.pipelines.offline.matcher import Map
 from ggvs_eval.pipelines.offline.subpixel import refine_disparity
 
@@ -48,8 +49,8 @@ class SgbmMatcher:
         """Algorithm and version."""
         return "sgbm-3way-1"
 
-    def match(self, left: Image8, right: Image8, d_min: int, d_max: int) -> tuple[Map, Map]:
-        """Match a rectified pair, see StereoMatcher.match."""
+    def match(self, left: Image8, right: Image8, d_min: int, d_max: int, previous: Map | None = None) -> tuple[Map, Map]:
+        """Match a rectified pair, see StereoMatcher.match; the frame before is not needed."""
         pyramid = [tuple(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in (left, right))]
         for _ in range(1, self.levels):
             pyramid.append(tuple(cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA) for image in pyramid[-1]))
@@ -67,7 +68,7 @@ class SgbmMatcher:
         """Match grey images at one size; rejects what the right image does not confirm."""
         disparity = self._disparity(left, right, d_min, d_max)
         mirrored = self._disparity(np.fliplr(right), np.fliplr(left), d_min, d_max)
-        gap = _left_right_gap(disparity, np.fliplr(mirrored))
+        gap = left_right_gap(disparity, np.fliplr(mirrored))
         allowed = np.maximum(self.check_px, self.check_share * disparity)
         kept = np.where((disparity > 0) & (gap <= allowed), disparity, np.float32(0))
         refined = refine_disparity(left, right, kept, self.refine_window, self.refine_iterations)
@@ -102,11 +103,3 @@ def _enlarge(coarse: Map, size: tuple[int, int]) -> Map:
     nearest = cv2.resize(coarse, size, interpolation=cv2.INTER_NEAREST)
     smooth = cv2.resize(coarse, size, interpolation=cv2.INTER_LINEAR)
     return np.where(np.abs(smooth - nearest) < 0.75, smooth, nearest)
-
-
-def _left_right_gap(disparity: Map, disparity_right: Map) -> Map:
-    """How far the right image's disparity at the matched point is from the left one's, (H, W); inf where it has none."""
-    width = disparity.shape[1]
-    columns = np.rint(np.arange(width, dtype=np.float32) - disparity).astype(np.intp)
-    matched = np.take_along_axis(disparity_right, np.clip(columns, 0, width - 1), axis=1)
-    return np.where((matched > 0) & (columns >= 0), np.abs(disparity - matched), np.float32(np.inf))

@@ -1,0 +1,150 @@
+"""Seconds and memory of one depth map at 1345 x 1008 from four partners on two cores: ``python -m benchmarks.bench_depth``.
+
+Each matcher runs in a process of its own, one after another, on the same pictures: a floor, a wall and a box before it, painted
+with noise of two scales, seen by five cameras as far apart and as far from the scene as those of a real rig.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.images import Image8, quantise
+from ggvs_eval.pipelines.offline.depth import DepthEstimator, DepthOptions
+from ggvs_eval.pipelines.offline.matcher import StereoMatcher
+from ggvs_eval.pipelines.offline.matchers import find_matcher
+
+COMMAND = "python -m benchmarks.bench_depth"
+WIDTH, HEIGHT, FOCAL_PX = 1345, 1008, 730.0
+PLACES = ((0.0, 0.0), (-1.1, 0.0), (1.1, 0.0), (-2.2, 0.0), (0.0, 2.75))  # of the camera and its partners, world units
+WALL, FLOOR, BOX, BOX_HALF = 20.0, 6.0, 11.0, 2.5
+CORES, MAX_RUNS, ENOUGH_S = 2, 3, 60.0
+PEER = "sgbm"
+Options = Callable[[], DepthOptions]
+Figure = dict[str, Any]
+# What is timed; the first is the one that the others are compared with. A new matcher is one line.
+MATCHERS: Mapping[str, Options] = {
+    PEER: lambda: DepthOptions(matcher=find_matcher("sgbm")),
+    "raft": lambda: DepthOptions(matcher=find_matcher("raft")),
+    "raft-published-default": lambda: DepthOptions(matcher=_published_network()),
+}
+
+
+def _published_network() -> StereoMatcher:
+    """The authors' default configuration and iterations; its weights are random, which takes as long as trained ones."""
+    import tempfile
+
+    import torch
+
+    from ggvs_eval.pipelines.offline.raft.config import PUBLISHED
+    from ggvs_eval.pipelines.offline.raft.raft_stereo import RaftStereo
+
+    torch.manual_seed(0)
+    path = Path(tempfile.mkdtemp()) / "random.pth"
+    torch.save(RaftStereo(PUBLISHED["default"]).state_dict(), path)
+    return find_matcher(f"raft:{path}")
+
+
+def measure() -> dict[str, Figure]:
+    """Name -> figure; a matcher that fails, as one without weights does, is named and left out."""
+    found = {name: values for name in MATCHERS if (values := _in_a_child(name)) is not None}
+    figures: dict[str, Figure] = {}
+    for name, values in found.items():
+        for measured, unit in (("seconds", "s per depth map"), ("memory_mb", "MB at most")):
+            figures[f"depth.{measured}.{name}"] = _figure(name, values[measured], unit, found.get(PEER, {}).get(measured))
+    return figures
+
+
+def _figure(name: str, value: float, unit: str, peer_value: float | None) -> Figure:
+    entry: Figure = {"value": value, "unit": unit, "target": None, "higher_is_better": False, "command": COMMAND}
+    if name == PEER or peer_value is None:
+        return entry
+    return entry | {"peer": PEER, "peer_value": peer_value, "ratio": peer_value / value}
+
+
+def _in_a_child(name: str) -> dict[str, float] | None:
+    """What `_measure_here` prints in a process with two threads."""
+    threads = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "GGVS_EVAL_THREADS"), str(CORES))
+    command = [sys.executable, "-m", "benchmarks.bench_depth", name]
+    done = subprocess.run(command, env=os.environ | threads, capture_output=True, text=True, check=False)
+    if done.returncode:
+        reason = (done.stderr.strip().splitlines() or [f"the process ended with {done.returncode}"])[-1]
+        print(f"depth.{name} is left out: {reason}", file=sys.stderr)
+        return None
+    values: dict[str, float] = json.loads(done.stdout.strip().splitlines()[-1])
+    return values
+
+
+def _measure_here(name: str) -> dict[str, float]:
+    """Fastest of some calls, and the most memory that this process then held, libraries, weights and pictures included."""
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:CORES])
+    cv2.setNumThreads(CORES)
+    camera, *partners = cameras = [camera_at(*place) for place in PLACES]
+    texture = make_texture()
+    image, *partner_images = [look(each, texture) for each in cameras]
+    Path("/proc/self/clear_refs").write_text("5", encoding="ascii")  # painting the scene does not count
+    estimator = DepthEstimator(camera, partners, MATCHERS[name]())
+    times: list[float] = []
+    while not times or (len(times) < MAX_RUNS and sum(times) < ENOUGH_S):
+        start = time.perf_counter()
+        estimator.estimate(image, partner_images)
+        times.append(time.perf_counter() - start)
+    return {"seconds": min(times), "memory_mb": _peak_mb()}
+
+
+def _peak_mb() -> float:
+    """Largest resident size since the mark was reset; Linux only. ru_maxrss cannot be reset and starts from the parent's."""
+    status = Path("/proc/self/status").read_text(encoding="ascii")
+    return next(int(line.split()[1]) / 1024 for line in status.splitlines() if line.startswith("VmHWM"))
+
+
+def camera_at(x: float, y: float) -> Camera:
+    """A camera at (x, y, 0) that looks along z, turned a little towards the middle of the scene."""
+    turned, _ = cv2.Rodrigues(np.array([y, -x, 0.0]) * (0.5 / BOX))
+    world_to_camera = np.eye(4)
+    world_to_camera[:3, :3], world_to_camera[:3, 3] = turned, -turned @ [x, y, 0.0]
+    K = np.array([[FOCAL_PX, 0.0, WIDTH / 2], [0.0, FOCAL_PX, HEIGHT / 2], [0.0, 0.0, 1.0]])
+    return Camera(f"x{x:+.2f}y{y:+.2f}", K, world_to_camera, WIDTH, HEIGHT, 8.0, 25.0)
+
+
+def look(camera: Camera, texture: NDArray[np.float32]) -> Image8:
+    """What a camera sees, RGB, (H, W, 3); the texture lies over x + z and y + z, which no surface is parallel to."""
+    rays, centre = camera.rays(), camera.centre
+    with np.errstate(divide="ignore", invalid="ignore"):
+        floor = (FLOOR - centre[1]) / rays[..., 1]
+    depth = np.minimum((WALL - centre[2]) / rays[..., 2], np.where(floor > 0, floor, np.inf))  # (H, W)
+    box = (BOX - centre[2]) / rays[..., 2]
+    on_box = centre + box[..., None] * rays
+    depth = np.where((np.abs(on_box[..., :2]) < BOX_HALF).all(axis=-1), box, depth)
+    points = centre + depth[..., None] * rays
+    texels = (30 * (points[..., :2] + points[..., 2:]) + 512).astype(np.float32)
+    grey = cv2.remap(texture, texels, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+    return quantise(grey[..., None] * np.array([1.0, 0.9, 0.8]))
+
+
+def make_texture() -> NDArray[np.float32]:
+    """Noise of two scales, (2048, 2048), around 0.5."""
+    noise = np.random.default_rng(0).normal(size=(2048, 2048)).astype(np.float32)
+    fine, coarse = (cv2.GaussianBlur(noise, (0, 0), sigma) for sigma in (1.5, 12))
+    return np.asarray(0.5 + 0.1 * (fine / fine.std() + coarse / coarse.std()), np.float32)
+
+
+if __name__ == "__main__":
+    if len(sys.argv) > 1:
+        print(json.dumps(_measure_here(sys.argv[1])))
+    else:
+        for shown, figure in measure().items():
+            print(
+                f"{shown}: {figure['value']:.4g} {figure['unit']}"
+                + (f", ratio {figure['ratio']:.3g}" if "ratio" in figure else "")
+            )

@@ -1,0 +1,82 @@
+"""One mesh out of the depth maps of many cameras, by signed distances in sparse voxels."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.camera import Array, Camera
+from ggvs_eval.depth_store import Map
+from ggvs_eval.images import Image8
+
+BLOCK = 8  # voxels along the edge of a block, the unit in which Open3D allocates
+FEWEST_VIEWS = 0.5  # weight of a voxel is the number of cameras that measured it: one is enough
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """A coloured mesh.
+
+    Attributes:
+        vertices: world units, (V, 3).
+        colours: RGB in [0, 1], (V, 3).
+        triangles: indices of vertices, (F, 3), counter-clockwise seen from outside.
+    """
+
+    vertices: Array
+    colours: Array
+    triangles: NDArray[np.int64]
+
+
+def mesh_of(
+    cameras: Sequence[Camera], images: Sequence[Image8], depths: Sequence[Map], voxel: float, truncation: float, origin: Array
+) -> Mesh:
+    """Average the signed distances of all depth maps (Curless and Levoy) and extract their zero crossing.
+
+    Args:
+        cameras: what took the images.
+        images: RGB uint8, (H, W, 3).
+        depths: z in world units, 0 = takes no part, (H, W) float32.
+        voxel: edge of a voxel, world units.
+        truncation: distances are averaged this many voxels before and behind the surface.
+        origin: a place in the scene, (3,); Open3D computes in float32, and the world's own origin may be far away.
+
+    Returns:
+        The mesh in canonical order, so that equal inputs give equal bits: Open3D numbers its blocks as its threads meet them.
+    """
+    import open3d
+
+    core, grid_type = open3d.core, cast(Any, open3d.t.geometry.VoxelBlockGrid)  # its stubs refuse what its documentation shows
+    grid = grid_type(("tsdf", "weight", "color"), (core.float32,) * 3, ((1,), (1,), (3,)), voxel, BLOCK, 10_000)
+    for camera, image, depth in zip(cameras, images, depths, strict=True):
+        if depth.any():
+            _integrate(grid, camera, image, depth, truncation, origin)
+    mesh = grid.extract_triangle_mesh(FEWEST_VIEWS)
+    if "positions" not in mesh.vertex or not len(mesh.vertex.positions):
+        return Mesh(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3), np.int64))
+    vertices, colours = (each.numpy().astype(np.float64) for each in (mesh.vertex.positions, mesh.vertex.colors))
+    return _in_order(vertices + origin, np.clip(colours, 0, 1), mesh.triangle.indices.numpy().astype(np.int64))
+
+
+def _integrate(grid: Any, camera: Camera, image: Image8, depth: Map, truncation: float, origin: Array) -> None:
+    import open3d
+
+    tensor, picture = cast(Any, open3d.core.Tensor), cast(Any, open3d.t.geometry.Image)
+    world_to_camera = camera.world_to_camera.copy()
+    world_to_camera[:3, 3] += camera.rotation @ origin
+    depth_image, colour_image = picture(tensor(depth)), picture(tensor(image.astype(np.float32) / np.float32(255)))
+    pose = tensor(camera.K), tensor(world_to_camera)  # K as it is: a voxel reads the pixel that it falls into
+    limits = 1.0, 2 * float(depth.max()), truncation  # depth is in world units already, and none of it is too far
+    grid.integrate(grid.compute_unique_block_coordinates(depth_image, *pose, *limits), depth_image, colour_image, *pose, *limits)
+
+
+def _in_order(vertices: Array, colours: Array, triangles: NDArray[np.int64]) -> Mesh:
+    """Sort vertices by place, and triangles by their vertices; vertices at one place become one."""
+    rows, number = np.unique(np.concatenate([vertices, colours], axis=1), axis=0, return_inverse=True)
+    triangles = number[triangles]
+    triangles = triangles[(triangles != np.roll(triangles, 1, axis=1)).all(axis=1)]
+    first = triangles.argmin(axis=1)[:, None]
+    turned = np.take_along_axis(triangles, (first + np.arange(3)) % 3, axis=1)  # (F, 3), the same sense of rotation
+    return Mesh(rows[:, :3], rows[:, 3:], turned[np.lexsort(turned.T[::-1])])

@@ -1,0 +1,111 @@
+"""What `ggvs-eval prepare` makes of the depth beside storing it: the depth page, a fused instant, a COLMAP workspace."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from ggvs_eval.depth_store import DepthStore
+from ggvs_eval.errors import DepthError
+from ggvs_eval.pipelines.depth_export.dense_workspace import WorkspaceOptions, write_dense_workspace
+from ggvs_eval.pipelines.depth_export.fuse import FusedFiles, FuseOptions, fuse_instant
+from ggvs_eval.pipelines.depth_page.depth_page import write_depth_page
+from ggvs_eval.pipelines.depth_page.depth_record import StoredDepth
+from ggvs_eval.pipelines.offline.prepare import DepthJob
+from ggvs_eval.pipelines.prepare import Prepared, SourcePlan
+
+
+def write_prepared_page(prepared: Prepared, filled_confidence: float, workers: int = 1) -> Path:
+    """Write ``RUN/depth_page/`` of the first, middle and last instant.
+
+    Args:
+        prepared: the run.
+        filled_confidence: `DepthOptions.filled_confidence` of its depth.
+        workers: processes.
+
+    Returns:
+        The page.
+
+    Raises:
+        DepthError: depth that is not stored.
+        CaptureError: frames that cannot be read.
+    """
+    views, path = _keys(prepared.plans.values()), _keys(prepared.path)
+    frames = prepared.frames
+    shown = tuple(sorted({frames[0], frames[len(frames) // 2], frames[-1]}))
+    filmed = {job.camera_name for job in views}  # cameras that serve the path alone were prepared at its instant alone
+    stored = [StoredDepth(job, key, shown) for job, key in sorted(views.items())]
+    alone = {job: key for job, key in path.items() if job.camera_name not in filmed}
+    stored += [StoredDepth(job, key, (prepared.path_frame,)) for job, key in sorted(alone.items())]
+    folder, store = prepared.run.root / "depth_page", DepthStore(prepared.run.depth)
+    return write_depth_page(folder, prepared.capture, stored, store, filled_confidence, workers)
+
+
+def fuse_prepared(prepared: Prepared, frame: int | None = None, options: FuseOptions | None = None) -> FusedFiles:
+    """Write ``RUN/fused/<frame>/points.ply`` and ``mesh.ply`` of all cameras with depth at one instant.
+
+    Args:
+        prepared: the run.
+        frame: the instant; the protocol's first by default.
+        options: of the fusion.
+
+    Raises:
+        DepthError: an instant that was not prepared, or nothing that can be fused.
+    """
+    frame = prepared.frames[0] if frame is None else frame
+    chosen, store = _one_per_camera(prepared, frame), DepthStore(prepared.run.depth)
+    capture, names = prepared.capture, [job.camera_name for job in chosen]
+    return fuse_instant(
+        [capture.camera(name) for name in names],
+        [capture.frame(name, frame) for name in names],
+        [store.read(key, frame) for key in chosen.values()],
+        prepared.run.root / "fused" / f"{frame:04d}",
+        options,
+    )
+
+
+def export_prepared(prepared: Prepared, folder: Path, frame: int | None = None, options: WorkspaceOptions | None = None) -> Path:
+    """Write all cameras with depth at one instant as a COLMAP dense workspace.
+
+    Args:
+        prepared: the run.
+        folder: where to; absent or empty.
+        frame: the instant; the protocol's first by default.
+        options: of the export.
+
+    Raises:
+        DepthError: an instant that was not prepared, or a folder that holds something.
+    """
+    frame = prepared.frames[0] if frame is None else frame
+    chosen, store = _one_per_camera(prepared, frame), DepthStore(prepared.run.depth)
+    capture, names = prepared.capture, [job.camera_name for job in chosen]
+    return write_dense_workspace(
+        [capture.camera(name) for name in names],
+        [capture.frame(name, frame) for name in names],
+        [store.read(key, frame) for key in chosen.values()],
+        {job.camera_name: job.partner_names for job in chosen},
+        folder,
+        options,
+    )
+
+
+def _one_per_camera(prepared: Prepared, frame: int) -> dict[DepthJob, str]:
+    """Of each camera with depth at an instant the job with most partners, and its key, in the order of the capture.
+
+    Raises:
+        DepthError: no camera has depth there.
+    """
+    plans = [
+        *(prepared.plans.values() if frame in prepared.frames else ()),
+        *(prepared.path if frame == prepared.path_frame else ()),
+    ]
+    best: dict[str, tuple[DepthJob, str]] = {}
+    for job, key in sorted(_keys(plans).items(), key=lambda each: (-len(each[0].partner_names), each[0])):
+        best.setdefault(job.camera_name, (job, key))
+    if not best:
+        frames = prepared.frames
+        raise DepthError(f"{prepared.run.root}: wanted depth of frame {frame}, frames {frames[0]}..{frames[-1]} are prepared")
+    return dict(best[name] for name in prepared.capture.camera_names if name in best)
+
+
+def _keys(plans: Iterable[SourcePlan]) -> dict[DepthJob, str]:
+    """The key of each job that takes part in the plans."""
+    return {job: plan.depth_keys[job.camera_name] for plan in plans for job in plan.jobs}

@@ -1,0 +1,1 @@
+"""The judge of depth: matchers against measured disparity, sparse points, exact depth, and themselves over time."""

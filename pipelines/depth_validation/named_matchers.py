@@ -1,0 +1,22 @@
+"""The pipeline's options for matchers by name, and those of them that match a pair."""
+
+from collections.abc import Mapping
+
+from ggvs_eval.pipelines.offline.depth import DepthOptions
+from ggvs_eval.pipelines.offline.matcher import StereoMatcher
+from ggvs_eval.pipelines.offline.matchers import find_matcher
+
+
+def depth_options(name: str) -> DepthOptions:
+    """The pipeline's own options with the matcher of that name.
+
+    Raises:
+        DepthError: no matcher of that name.
+        WeightsError: its weights are absent or damaged.
+    """
+    return DepthOptions(matcher=find_matcher(name))
+
+
+def pairwise_matchers(options: Mapping[str, DepthOptions]) -> dict[str, StereoMatcher]:
+    """The matchers that match one rectified pair, by name."""
+    return {name: each.matcher for name, each in options.items()}

@@ -1,0 +1,52 @@
+"""The rendered rooms with exact depth: three for validation, by which parameters may be chosen, and the demo capture."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.capture import Capture
+from ggvs_eval.datasets import open_capture
+from ggvs_eval.synthetic.demo import write_demo
+from ggvs_eval.synthetic.options import DemoOptions
+
+VALIDATION_SEEDS = (101, 102, 103)
+FRAMES = 8  # of every room; both judges look at no more
+DEMO = "demo"
+
+
+@dataclass(frozen=True, eq=False)
+class FilmedRoom:
+    """A room on disk and what it was made by.
+
+    Attributes:
+        name: for people.
+        options: of its demo capture.
+        capture: as any method sees it, noise, gains and video coding included.
+    """
+
+    name: str
+    options: DemoOptions
+    capture: Capture
+
+    @property
+    def judged_cameras(self) -> Sequence[Camera]:
+        """Every sixth camera: both rows, their middle and their ends."""
+        return self.capture.cameras[::6]
+
+
+def film_rooms(out: Path, seeds: Sequence[int] = VALIDATION_SEEDS) -> list[FilmedRoom]:
+    """Write the rooms that are not there yet, and open all of them.
+
+    Args:
+        out: folder of the rooms; the demo capture lies where `make validate` and `ggvs-eval run` keep it.
+        seeds: of the validation rooms.
+    """
+    wanted = {f"room {seed}": (out / "rooms" / f"seed{seed}", room_options(seed)) for seed in seeds}
+    wanted[DEMO] = (out / "demo-capture", DemoOptions())
+    return [FilmedRoom(name, options, open_capture(write_demo(folder, options))) for name, (folder, options) in wanted.items()]
+
+
+def room_options(seed: int) -> DemoOptions:
+    """The demo's options for a validation room: few frames, no camera path."""
+    return DemoOptions(seed=seed, n_frames=FRAMES, path_poses=0)

@@ -1,0 +1,144 @@
+"""How much the depth of things that stand still flickers, before and after the temporal filter of the online half.
+
+A static pixel shows the same surface in the same light at all instants: its exact depth and its noise-free colour never change.
+Whatever its depth does over time comes from the sensor's noise, the video's coding, and what moves elsewhere in the pictures.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+
+from ggvs_eval.baselines.method import SourceView
+from ggvs_eval.camera import Camera
+from ggvs_eval.errors import DepthError
+from ggvs_eval.images import Image8
+from ggvs_eval.pipelines.depth_validation.figures import Figures, Measure, figures_of
+from ggvs_eval.pipelines.depth_validation.room_regions import Mask
+from ggvs_eval.pipelines.depth_validation.rooms import DEMO, FRAMES, FilmedRoom
+from ggvs_eval.pipelines.depth_validation.tables import Column, mean_of_rows, wide_table
+from ggvs_eval.pipelines.offline.depth import DepthOptions
+from ggvs_eval.pipelines.offline.depth_stream import DepthStream
+from ggvs_eval.pipelines.offline.matcher import Map
+from ggvs_eval.pipelines.offline.pairing import choose_partners
+from ggvs_eval.pipelines.online.depth_filter import TemporalDepthFilter
+from ggvs_eval.progress import track
+from ggvs_eval.synthetic.film import Footage, lit_room
+from ggvs_eval.synthetic.lighting import Instant
+from ggvs_eval.synthetic.shots import rig_shots
+
+MEASURES = (
+    Measure("spread_percent", "% of depth", higher_is_better=False),
+    Measure("spread_filtered_percent", "% of depth", higher_is_better=False),
+    Measure("share_of_unfiltered", "", higher_is_better=False),
+)
+STATIC = "static_percent"
+
+
+def judge_temporal(rooms: Sequence[FilmedRoom], options: Mapping[str, DepthOptions]) -> tuple[pd.DataFrame, Figures]:
+    """The first camera of every room over some frames.
+
+    Args:
+        rooms: with exact depth.
+        options: of each matcher, by name.
+
+    Returns:
+        A table, one row per room, columns (matcher, measure) beside the share of static pixels, and figures: of the demo
+        capture, and of the mean over the validation rooms.
+    """
+    rows: dict[str, dict[Column, float]] = {}
+    for room in rooms:
+        camera = room.capture.cameras[0]
+        static = film_static(room, camera)
+        rows[room.name] = {("", STATIC): 100 * float(static.mean())}
+        names = room.capture.camera_names
+        images = {name: np.stack(list(room.capture.frames(name, 0, FRAMES))) for name in names}
+        for matcher, each in options.items():
+            views = estimate_views(room, camera, images, each)
+            rows[room.name] |= {(matcher, measure): value for measure, value in measure_spread(views, static).items()}
+    table = wide_table(rows)
+    is_demo = table.index == DEMO
+    figures: Figures = {}
+    for group, part in (("rooms", table[~is_demo]), (DEMO, table[is_demo])):
+        if len(part):
+            figures |= figures_of(f"{group}.static", MEASURES, mean_of_rows(part))
+    return table, figures
+
+
+def estimate_views(room: FilmedRoom, camera: Camera, images: Mapping[str, Image8], options: DepthOptions) -> list[SourceView]:
+    """What the online half is shown of one camera, frame by frame.
+
+    Args:
+        room: the room.
+        camera: one of its cameras.
+        images: the first frames of every camera, (T, H, W, 3) each, by name.
+        options: of the matcher.
+    """
+    partners = choose_partners(camera, room.capture.cameras, options.partners)
+    stream = DepthStream(camera, partners, options)
+    views = []
+    for frame in track(range(FRAMES), f"{room.name} over time"):
+        found = stream.step(frame, images[camera.name][frame], [images[partner.name][frame] for partner in partners])
+        views.append(SourceView(camera, images[camera.name][frame], found.depth, found.confidence))
+    return views
+
+
+def measure_spread(views: Sequence[SourceView], static: Mask) -> dict[str, float]:
+    """Spread over time before and after the temporal filter with its own parameters, and the share that remains.
+
+    Args:
+        views: one camera at consecutive instants.
+        static: pixels that stand still, (H, W).
+    """
+    temporal_filter = TemporalDepthFilter()
+    filtered = [temporal_filter.step(index, view).depth for index, view in enumerate(views)]
+    before, after = (temporal_spread(np.stack(depths), static) for depths in ([view.depth for view in views], filtered))
+    values = (100 * before, 100 * after, after / before if before else float("nan"))
+    return {measure.name: value for measure, value in zip(MEASURES, values, strict=True)}
+
+
+def temporal_spread(depths: Map, static: Mask) -> float:
+    """Median over the static pixels of the standard deviation of depth over time, as a share of the mean depth.
+
+    Args:
+        depths: (T, H, W), world units, 0 = no depth; pixels that miss it at any instant are left out.
+        static: (H, W).
+
+    Reading:
+        The standard deviation of a sample (T - 1 in the denominator), as of the other measures over time.
+
+    Raises:
+        DepthError: fewer than two instants, another size, or no static pixel with depth throughout.
+    """
+    if len(depths) < 2 or depths.shape[1:] != static.shape:
+        raise DepthError(f"temporal spread: wanted two or more maps of {static.shape}, got {depths.shape}; give more frames")
+    judged = static & (depths > 0).all(axis=0)
+    if not judged.any():
+        raise DepthError("temporal spread: wanted static pixels with depth at all instants, got none; choose another camera")
+    values = depths[:, judged].astype(np.float64)  # (T, N)
+    return float(np.median(values.std(axis=0, ddof=1) / values.mean(axis=0)))
+
+
+def film_static(room: FilmedRoom, camera: Camera) -> Mask:
+    """Where nothing changes while the first frames are filmed, (H, W): seen without gain and noise."""
+    shot = next(shot for shot in rig_shots(room.options) if shot.camera.name == camera.name)
+    noise_free = replace(shot, sensor=None, instants=shot.instants[:FRAMES])
+    frames = list(track(Footage(room.options, noise_free, _lit(room)).frames(), f"{room.name} without noise", FRAMES))
+    return find_static(np.stack([frame.image for frame in frames]), np.stack([frame.depth for frame in frames]))
+
+
+def find_static(images: Image8, depths: Map) -> Mask:
+    """Pixels whose noise-free colour and exact depth are the same at all instants.
+
+    Args:
+        images: (T, H, W, 3).
+        depths: (T, H, W), 0 = unknown.
+    """
+    same: Mask = (images == images[:1]).all(axis=(0, -1)) & (depths == depths[:1]).all(axis=0) & (depths[0] > 0)
+    return same
+
+
+def _lit(room: FilmedRoom) -> Callable[[int], Instant]:
+    seed, fps = room.options.seed, room.options.fps
+    return lambda index: lit_room(seed).at(index / fps)

@@ -1,0 +1,45 @@
+"""Every way to find depth by the name that the command line uses."""
+
+import difflib
+from pathlib import Path
+
+from ggvs_eval.errors import DepthError
+from ggvs_eval.pipelines.offline.matcher import StereoMatcher
+from ggvs_eval.pipelines.offline.sgbm import SgbmMatcher
+
+DEFAULT_MATCHER = "sgbm"
+MATCHERS = {
+    "sgbm": "OpenCV's semi-global matching over an image pyramid, each partner on its own",
+    "raft": "the compact RAFT-Stereo that ships, started from semi-global matching",
+    "raft:CHECKPOINT": "RAFT-Stereo with a checkpoint of its authors, e.g. raft:raftstereo-middlebury.pth",
+}
+PUBLISHED_ITERATIONS = 32  # what the authors' networks are made for
+
+
+def find_matcher(name: str) -> StereoMatcher:
+    """The matcher of a name, see `MATCHERS`.
+
+    Raises:
+        DepthError: no matcher of that name.
+        WeightsError: no weights, or not RAFT-Stereo's.
+    """
+    kind, _, checkpoint = name.partition(":")
+    if kind == "raft":
+        return _raft(checkpoint)
+    if name == "sgbm":
+        return SgbmMatcher()
+    nearest = difflib.get_close_matches(name, MATCHERS, n=1)
+    hint = f"; did you mean {nearest[0]}?" if nearest else ""
+    raise DepthError(f"no stereo matcher {name!r}; there are {', '.join(MATCHERS)}{hint}")
+
+
+def _raft(checkpoint: str) -> StereoMatcher:
+    from ggvs_eval.pipelines.offline.raft.weights import load_network, shipped_weights, weights_digest
+    from ggvs_eval.pipelines.offline.raft_matcher import RaftMatcher
+
+    path = Path(checkpoint) if checkpoint else shipped_weights()
+    digest = weights_digest(path)
+    load_network(path)  # what is wrong with it is said before hours of work
+    if checkpoint:
+        return RaftMatcher(path, digest, iterations=PUBLISHED_ITERATIONS, from_matching=False)
+    return RaftMatcher(path, digest)

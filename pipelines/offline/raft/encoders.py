@@ -1,0 +1,110 @@
+"""What RAFT-Stereo sees of the images: features to correlate, and the context that its recurrent units start from.
+
+Names of modules are those of the published checkpoints.
+"""
+
+from collections.abc import Sequence
+
+from torch import Tensor, nn
+
+from ggvs_eval.pipelines.offline.raft.config import Norm, RaftConfig
+
+
+class ResidualBlock(nn.Module):
+    """Two 3x3 convolutions beside a shortcut, ReLU after each normalisation and after the sum."""
+
+    def __init__(self, width_in: int, width: int, norm: Norm, stride: int = 1) -> None:
+        super().__init__()
+        self.conv1 = nn.Conv2d(width_in, width, 3, stride, padding=1)
+        self.conv2 = nn.Conv2d(width, width, 3, padding=1)
+        self.norm1, self.norm2 = _normalisation(norm, width), _normalisation(norm, width)
+        self.relu = nn.ReLU()
+        self.downsample: nn.Module | None = None
+        if stride > 1 or width_in != width:
+            self.norm3 = _normalisation(norm, width)  # the checkpoints list it twice, under both names
+            self.downsample = nn.Sequential(nn.Conv2d(width_in, width, 1, stride), self.norm3)
+
+    def forward(self, features: Tensor) -> Tensor:
+        """(B, C, H, W) to (B, width, H / stride, W / stride)."""
+        residual = self.relu(self.norm1(self.conv1(features)))
+        residual = self.relu(self.norm2(self.conv2(residual)))
+        shortcut = features if self.downsample is None else self.downsample(features)
+        return self.relu(shortcut + residual)
+
+
+class Trunk(nn.Module):
+    """The three stages that both encoders begin with."""
+
+    def __init__(self, config: RaftConfig, norm: Norm) -> None:
+        super().__init__()
+        first, second, third = config.strides
+        narrow, middle, wide = config.trunk_widths
+        self.conv1 = nn.Conv2d(3, narrow, 7, first, padding=3)
+        self.norm1 = _normalisation(norm, narrow)
+        self.relu1 = nn.ReLU()
+        self.layer1 = _stage(narrow, narrow, norm, 1)
+        self.layer2 = _stage(narrow, middle, norm, second)
+        self.layer3 = _stage(middle, wide, norm, third)
+
+    def trunk(self, images: Tensor) -> Tensor:
+        """Images (B, 3, H, W) in [-1, 1] to features (B, C, H / factor, W / factor)."""
+        features: Tensor = self.relu1(self.norm1(self.conv1(images)))
+        for stage in (self.layer1, self.layer2, self.layer3):
+            features = stage(features)
+        return features
+
+
+class FeatureEncoder(Trunk):
+    """Features of one image, to be correlated with the other's ('fnet')."""
+
+    def __init__(self, config: RaftConfig) -> None:
+        super().__init__(config, "instance")
+        self.conv2 = nn.Conv2d(config.trunk_widths[-1], config.feature_width, 1)
+
+    def forward(self, images: Tensor) -> Tensor:
+        """Images (B, 3, H, W) to features (B, feature_width, H / factor, W / factor)."""
+        features: Tensor = self.conv2(self.trunk(images))
+        return features
+
+
+class ContextEncoder(Trunk):
+    """Hidden state and context of up to three recurrent levels from the reference image ('cnet').
+
+    All three levels exist whatever the configuration, as in the checkpoints; what is not used is not computed.
+    """
+
+    def __init__(self, config: RaftConfig) -> None:
+        super().__init__(config, config.context_norm)
+        norm, wide, width = config.context_norm, config.trunk_widths[-1], config.hidden_width
+        self.n_levels = config.n_gru_layers
+        self.layer4 = _stage(wide, wide, norm, 2)
+        self.layer5 = _stage(wide, wide, norm, 2)
+        self.outputs08 = nn.ModuleList(_head(wide, width, norm) for _ in ("hidden", "context"))
+        self.outputs16 = nn.ModuleList(_head(wide, width, norm) for _ in ("hidden", "context"))
+        self.outputs32 = nn.ModuleList(nn.Conv2d(wide, width, 3, padding=1) for _ in ("hidden", "context"))
+
+    def heads(self, features: Tensor) -> list[tuple[Tensor, Tensor]]:
+        """Trunk features to (hidden, context) before their activations, finest level first."""
+        levels: list[tuple[Sequence[nn.Module] | nn.ModuleList, nn.Module | None]] = [
+            (self.outputs08, None),
+            (self.outputs16, self.layer4),
+            (self.outputs32, self.layer5),
+        ]
+        pairs = []
+        for outputs, stage in levels[: self.n_levels]:
+            features = features if stage is None else stage(features)
+            hidden, context = (output(features) for output in outputs)
+            pairs.append((hidden, context))
+        return pairs
+
+
+def _stage(width_in: int, width: int, norm: Norm, stride: int) -> nn.Sequential:
+    return nn.Sequential(ResidualBlock(width_in, width, norm, stride), ResidualBlock(width, width, norm))
+
+
+def _head(width_in: int, width: int, norm: Norm) -> nn.Sequential:
+    return nn.Sequential(ResidualBlock(width_in, width_in, norm), nn.Conv2d(width_in, width, 3, padding=1))
+
+
+def _normalisation(norm: Norm, width: int) -> nn.Module:
+    return nn.BatchNorm2d(width) if norm == "batch" else nn.InstanceNorm2d(width)

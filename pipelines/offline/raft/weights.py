@@ -1,0 +1,86 @@
+"""Where the weights of RAFT-Stereo come from: the compact network that ships, or a checkpoint of the authors."""
+
+import hashlib
+import pickle
+from collections.abc import Mapping
+from functools import lru_cache
+from importlib import resources
+from pathlib import Path
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file
+
+from ggvs_eval.errors import WeightsError
+from ggvs_eval.pipelines.offline.raft.config import COMPACT, PUBLISHED, RaftConfig
+from ggvs_eval.pipelines.offline.raft.raft_stereo import RaftStereo
+
+SHIPPED = "raft-compact.safetensors"
+
+
+def shipped_weights() -> Path:
+    """File of the compact network's weights."""
+    return Path(str(resources.files("ggvs_eval.pipelines") / "weights" / SHIPPED))
+
+
+def weights_digest(path: Path) -> str:
+    """sha256 of a weights file, part of a depth map's key.
+
+    Raises:
+        WeightsError: no such file.
+    """
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise WeightsError(f"{path}: wanted weights of RAFT-Stereo, got no readable file ({error.strerror})") from error
+
+
+@lru_cache(maxsize=2)
+def load_network(path: Path) -> RaftStereo:
+    """The network of a weights file, in evaluation mode; its configuration is known from the tensors.
+
+    Args:
+        path: safetensors of ours, or a ``.pth`` of the authors: a state dict whose names may begin with ``module.``.
+
+    Raises:
+        WeightsError: absent, damaged, more than tensors inside, or tensors of no configuration of RAFT-Stereo.
+    """
+    tensors = {name.removeprefix("module."): tensor for name, tensor in _read(path).items()}
+    network = RaftStereo(_configuration(tensors, path))
+    network.load_state_dict({name: tensor.float() if tensor.is_floating_point() else tensor for name, tensor in tensors.items()})
+    return network.eval()
+
+
+def _read(path: Path) -> Mapping[str, torch.Tensor]:
+    """Tensors by name; nothing in the file is run."""
+    weights_digest(path)
+    if path.suffix == ".safetensors":
+        try:
+            return load_file(path)
+        except SafetensorError as error:
+            raise WeightsError(f"{path}: damaged ({error}); fetch it again") from error
+    try:
+        tensors = torch.load(path, map_location="cpu", weights_only=True)
+    except (RuntimeError, ValueError, EOFError, KeyError, OSError, pickle.UnpicklingError) as error:
+        reason = str(error).splitlines()[0]
+        raise WeightsError(f"{path}: not a file of tensors alone ({reason}); a checkpoint holds a state dict") from error
+    if not isinstance(tensors, dict) or not all(isinstance(value, torch.Tensor) for value in tensors.values()):
+        raise WeightsError(f"{path}: wanted a state dict (name -> tensor), got {type(tensors).__name__} of other things")
+    return tensors
+
+
+def _configuration(tensors: Mapping[str, torch.Tensor], path: Path) -> RaftConfig:
+    """The configuration whose parameters these are, by names and shapes."""
+    shapes = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
+    nearest, fewest = "", len(shapes) + 1
+    for title, config in {"compact": COMPACT, **PUBLISHED}.items():
+        with torch.device("meta"):
+            wanted = {name: tuple(tensor.shape) for name, tensor in RaftStereo(config).state_dict().items()}
+        different = {name for name in shapes.keys() | wanted.keys() if shapes.get(name) != wanted.get(name)}
+        if not different:
+            return config
+        if len(different) < fewest:
+            name = min(different)
+            nearest = f"{len(different)} differ from '{title}', first {name}: {shapes.get(name)}, wanted {wanted.get(name)}"
+            fewest = len(different)
+    raise WeightsError(f"{path}: {len(shapes)} tensors of no known RAFT-Stereo; {nearest or 'none of its names is known'}")

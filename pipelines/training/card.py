@@ -1,0 +1,75 @@
+"""The model card beside trained weights: what was learned from what, at which cost, and how well."""
+
+import csv
+import hashlib
+import platform
+from dataclasses import asdict, is_dataclass
+from pathlib import Path
+
+from ggvs_eval.pipelines.training.task import Task
+
+SHOWN_VALIDATIONS = 12
+
+
+def write_card(task: Task, folder: Path, command: str, note: str = "") -> Path:
+    """Write ``<task>.md`` from the logs of a training.
+
+    Args:
+        task: what was learned.
+        folder: of the training, with its logs and weights.
+        command: that made them.
+        note: what a reader should know beside.
+
+    Returns:
+        The card's file.
+    """
+    weights = folder / f"{task.name}.safetensors"
+    steps = _rows(folder / "log.csv")
+    hours = sum(float(row["seconds"]) for row in steps) / 3600
+    validations = _rows(folder / "validation.csv")
+    shown = validations[:: max(1, len(validations) // SHOWN_VALIDATIONS)]
+    lines = [
+        f"# {task.name}",
+        "",
+        *(line.strip() for line in (type(task).__doc__ or "").splitlines()[:1]),
+        "",
+        f"- Command: `{command}`",
+        f"- Steps: {len(steps)}, {hours:.1f} hours on {platform.machine()} ({platform.system()})",
+        f"- Weights: `{weights.name}`, {weights.stat().st_size / 2**20:.1f} MB, half precision, averaged over the last steps,",
+        f"  sha256 {hashlib.sha256(weights.read_bytes()).hexdigest()}",
+        f"- Data: {task.data}",
+        "- Licence: that of this package.",
+        *([f"- Note: {note}"] if note else []),
+        "",
+        "## Options",
+        "",
+        *(f"- {name}: {value}" for name, value in _options(task).items()),
+        "",
+        "## Validation",
+        "",
+        f"{task.judged_on}",
+        "",
+        *_table(shown if not validations or shown[-1] == validations[-1] else [*shown, validations[-1]]),
+    ]
+    card = folder / f"{task.name}.md"
+    card.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return card
+
+
+def _rows(path: Path) -> list[dict[str, str]]:
+    if not path.is_file():
+        return []
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def _options(task: Task) -> dict[str, object]:
+    return asdict(task) if is_dataclass(task) and not isinstance(task, type) else {}
+
+
+def _table(rows: list[dict[str, str]]) -> list[str]:
+    if not rows:
+        return ["not computed: the training has not reached its first validation"]
+    header = list(rows[0])
+    body = ["| " + " | ".join(row[name] for name in header) + " |" for row in rows]
+    return ["| " + " | ".join(header) + " |", "| " + " | ".join("---:" for _ in header) + " |", *body]

@@ -1,0 +1,68 @@
+"""What a training needs to go on exactly where it was."""
+
+import pickle
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import nn
+from torch.optim.swa_utils import AveragedModel
+
+from ggvs_eval.errors import TrainingError
+
+
+@dataclass
+class TrainingState:
+    """Everything that changes while training.
+
+    Attributes:
+        step: steps done.
+        network: the weights that are moved.
+        average: their running average.
+        optimiser: with its moments.
+    """
+
+    step: int
+    network: nn.Module
+    average: AveragedModel
+    optimiser: torch.optim.Optimizer
+
+
+def state_file(folder: Path) -> Path:
+    """Where the state of a training lies."""
+    return folder / "state.pt"
+
+
+def write_state(folder: Path, state: TrainingState) -> None:
+    """Write it under a temporary name and rename it, so that a kill leaves the old one or the new one."""
+    folder.mkdir(parents=True, exist_ok=True)
+    values = {
+        "step": state.step,
+        "network": state.network.state_dict(),
+        "average": state.average.state_dict(),
+        "optimiser": state.optimiser.state_dict(),
+    }
+    temporary = folder / ".state.tmp"
+    torch.save(values, temporary)
+    temporary.replace(state_file(folder))
+
+
+def read_state(folder: Path, fresh: TrainingState, device: torch.device) -> TrainingState:
+    """The state of a folder poured into a fresh one; the fresh one itself where there is none.
+
+    Raises:
+        TrainingError: damaged, or of another network.
+    """
+    path = state_file(folder)
+    if not path.is_file():
+        return fresh
+    try:
+        values = torch.load(path, map_location=device, weights_only=True)
+        fresh.network.load_state_dict(values["network"])
+        fresh.average.load_state_dict(values["average"])
+        fresh.optimiser.load_state_dict(values["optimiser"])
+        fresh.step = int(values["step"])
+    except (RuntimeError, KeyError, ValueError, TypeError, EOFError, pickle.UnpicklingError) as error:
+        reason = str(error).splitlines()[0]
+        raise TrainingError(f"{path}: not a state of this training ({reason}); choose another folder or delete it") from error
+    return fresh

@@ -1,0 +1,137 @@
+"""The training loop of every network here: AdamW, averaged weights, checkpoints, a log; a killed run goes on where it was."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from time import perf_counter
+from typing import Any, Literal
+
+import torch
+from torch import nn
+from torch.optim.swa_utils import AveragedModel
+
+from ggvs_eval.pipelines.training.batches import batches
+from ggvs_eval.pipelines.training.checkpoint import TrainingState, read_state, state_file, write_state
+from ggvs_eval.pipelines.training.log import TrainingLog
+from ggvs_eval.pipelines.training.task import Task
+from ggvs_eval.pipelines.training.weights import pour_weights, write_weights
+from ggvs_eval.progress import track
+
+Precision = Literal["auto", "float32", "bfloat16"]
+
+
+@dataclass(frozen=True)
+class TrainingOptions:
+    """How a training is run; nothing here changes what is learned but `steps`, `precision` and the device.
+
+    Attributes:
+        steps: of the whole training, those of earlier runs included.
+        device: ``cpu``, ``cuda``, or the better one by default.
+        precision: of convolutions; ``auto`` takes bfloat16 where the hardware multiplies it faster.
+        save_every: steps between checkpoints.
+        validate_every: steps between validations.
+        workers: processes that make batches.
+        compile: let torch compile the network first: some minutes once, a fifth less per step.
+        start_from: weights that a training without a state begins with, such as those that ship.
+    """
+
+    steps: int = 20000
+    device: str = "auto"
+    precision: Precision = "auto"
+    save_every: int = 100
+    validate_every: int = 500
+    workers: int = 1
+    compile: bool = False
+    start_from: Path | None = None
+
+
+def train(task: Task, folder: Path, options: TrainingOptions) -> Path:
+    """Train a network, or go on training it.
+
+    Args:
+        task: what is learned.
+        folder: gets ``state.pt`` (to go on from), ``log.csv``, ``validation.csv`` and ``<task>.safetensors``.
+        options: how.
+
+    Returns:
+        The file of the averaged weights.
+
+    Raises:
+        TrainingError: the folder's state belongs to another network, or is damaged.
+    """
+    device = torch.device(("cuda" if torch.cuda.is_available() else "cpu") if options.device == "auto" else options.device)
+    state = _start(task, folder, device, options.start_from)
+    log = TrainingLog(folder, state.step)
+    if options.compile:
+        state.network.compile(dynamic=False)
+    for step, batch in _remaining(task, state.step, options):
+        started = perf_counter()
+        figures = _step(task, state, batch, step, options, device)
+        log.step(step, figures | {"seconds": perf_counter() - started})
+        state.step = step + 1
+        last = state.step == options.steps
+        if last or state.step % options.validate_every == 0:
+            log.validation(state.step, task.validate(state.average.module))
+        if last or state.step % options.save_every == 0:
+            write_state(folder, state)
+            write_weights(folder / f"{task.name}.safetensors", state.average.module, {"steps": str(state.step)})
+    return folder / f"{task.name}.safetensors"
+
+
+def _start(task: Task, folder: Path, device: torch.device, start_from: Path | None) -> TrainingState:
+    """The folder's state, or a fresh one."""
+    network = task.network()
+    if start_from is not None and not state_file(folder).is_file():
+        pour_weights(start_from, network)
+    network = network.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+    average = AveragedModel(network, avg_fn=partial(_averaged, task.schedule.average), use_buffers=True)
+    schedule = task.schedule
+    optimiser = torch.optim.AdamW(network.parameters(), schedule.learning_rate, weight_decay=schedule.weight_decay)
+    state = TrainingState(0, network, average, optimiser)
+    return read_state(folder, state, device)
+
+
+def _averaged(decay: float, average: torch.Tensor, current: torch.Tensor, count: torch.Tensor | int) -> torch.Tensor:
+    """Running average that forgets faster at first, so that it does not keep the random weights it began with."""
+    if not average.is_floating_point():
+        return current
+    return torch.lerp(average, current, 1 - min(decay, (1 + int(count)) / (10 + int(count))))
+
+
+def _remaining(task: Task, start: int, options: TrainingOptions) -> Iterator[tuple[int, Any]]:
+    """Each step that is still to do, with its batch."""
+    steps = range(start, options.steps)
+    numbered = zip(steps, batches(task, start, options.steps, options.workers), strict=True)
+    yield from track(numbered, f"training {task.name}", len(steps))
+
+
+def _step(
+    task: Task, state: TrainingState, batch: Any, step: int, options: TrainingOptions, device: torch.device
+) -> dict[str, float]:
+    """Move the weights once."""
+    rate = task.schedule.rate(step, options.steps)
+    for group in state.optimiser.param_groups:
+        group["lr"] = rate
+    with torch.autocast(device.type, torch.bfloat16, enabled=uses_bfloat16(options.precision, device)):
+        loss, figures = task.loss(state.network, _to(batch, device))
+    state.optimiser.zero_grad(set_to_none=True)
+    loss.backward()
+    norm = nn.utils.clip_grad_norm_(state.network.parameters(), task.schedule.clip)
+    if torch.isfinite(norm):  # one bad batch must not spoil the weights for ever; the log shows it
+        state.optimiser.step()
+        state.average.update_parameters(state.network)
+    return {"loss": float(loss.detach()), **figures, "gradient_norm": float(norm), "learning_rate": rate}
+
+
+def uses_bfloat16(precision: Precision, device: torch.device) -> bool:
+    """Whether convolutions run in bfloat16; ``auto`` asks for hardware that multiplies it in tiles."""
+    if precision != "auto":
+        return precision == "bfloat16"
+    if device.type == "cuda":
+        return bool(torch.cuda.is_bf16_supported())
+    return bool(torch.cpu._is_amx_tile_supported())
+
+
+def _to(batch: Any, device: torch.device) -> Any:
+    return {name: tensor.to(device, non_blocking=True) for name, tensor in batch.items()}

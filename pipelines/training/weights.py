@@ -1,0 +1,41 @@
+"""Trained weights as they ship: half precision, safetensors."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
+from torch import nn
+
+from ggvs_eval.errors import WeightsError
+
+
+def write_weights(path: Path, network: nn.Module, notes: Mapping[str, str]) -> None:
+    """Write a network's weights in half precision, under a temporary name first.
+
+    Args:
+        path: the .safetensors file.
+        network: whose weights.
+        notes: texts for the file's header.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    tensors = {
+        name: (tensor.half() if tensor.is_floating_point() else tensor).contiguous().cpu()
+        for name, tensor in network.state_dict().items()
+    }
+    temporary = path.with_suffix(".tmp")
+    save_file(tensors, temporary, dict(notes))
+    temporary.replace(path)
+
+
+def pour_weights(path: Path, network: nn.Module) -> None:
+    """Give a network the weights of such a file.
+
+    Raises:
+        WeightsError: absent, damaged, or of another network.
+    """
+    try:
+        network.load_state_dict(load_file(path))
+    except (OSError, SafetensorError, RuntimeError) as error:
+        reason = str(error).splitlines()[0]
+        raise WeightsError(f"{path}: not the weights of this network ({reason}); give those that ship, or none") from error
