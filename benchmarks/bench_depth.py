@@ -8,6 +8,7 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -15,13 +16,15 @@ from typing import Any
 
 import cv2
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.images import Image8, quantise
 from ggvs_eval.pipelines.offline.depth import DepthEstimator, DepthOptions
-from ggvs_eval.pipelines.offline.matcher import StereoMatcher
 from ggvs_eval.pipelines.offline.matchers import find_matcher
+from ggvs_eval.pipelines.offline.raft.config import PUBLISHED
+from ggvs_eval.pipelines.offline.raft.raft_stereo import RaftStereo
 
 COMMAND = "python -m benchmarks.bench_depth"
 WIDTH, HEIGHT, FOCAL_PX = 1345, 1008, 730.0
@@ -35,23 +38,38 @@ Figure = dict[str, Any]
 MATCHERS: Mapping[str, Options] = {
     PEER: lambda: DepthOptions(matcher=find_matcher("sgbm")),
     "raft": lambda: DepthOptions(matcher=find_matcher("raft")),
-    "raft-published-default": lambda: DepthOptions(matcher=_published_network()),
 }
 
 
-def _published_network() -> StereoMatcher:
-    """The authors' default configuration and iterations; its weights are random, which takes as long as trained ones."""
-    import tempfile
+def measure_networks() -> dict[str, Figure]:
+    """Seconds of one pass over one pair at half size: the compact network against the authors' default, whose weights are random.
 
-    import torch
-
-    from ggvs_eval.pipelines.offline.raft.config import PUBLISHED
-    from ggvs_eval.pipelines.offline.raft.raft_stereo import RaftStereo
-
-    torch.manual_seed(0)
-    path = Path(tempfile.mkdtemp()) / "random.pth"
-    torch.save(RaftStereo(PUBLISHED["default"]).state_dict(), path)
-    return find_matcher(f"raft:{path}")
+    Random weights take as long as trained ones; each network makes the iterations that it is made for.
+    """
+    camera, partner = (camera_at(*place) for place in PLACES[:2])
+    texture, size = make_texture(), (WIDTH // 2, HEIGHT // 2)
+    left, right = (cv2.resize(look(each, texture), size, interpolation=cv2.INTER_AREA) for each in (camera, partner))
+    seconds = {}
+    with tempfile.TemporaryDirectory() as folder:
+        torch.manual_seed(0)
+        published = Path(folder) / "random.pth"
+        torch.save(RaftStereo(PUBLISHED["default"]).state_dict(), published)
+        for name in ("raft", f"raft:{published}"):
+            matcher = find_matcher(name)
+            start = time.perf_counter()
+            matcher.disparity(left, right, 0, 120)
+            seconds[name] = time.perf_counter() - start
+    compact, default = seconds.values()
+    entry: Figure = {
+        "value": compact,
+        "unit": "s per pass at 672x504",
+        "target": None,
+        "higher_is_better": False,
+        "command": COMMAND,
+    }
+    return {
+        "depth.network_seconds.raft": entry | {"peer": "published default", "peer_value": default, "ratio": default / compact}
+    }
 
 
 def measure() -> dict[str, Figure]:

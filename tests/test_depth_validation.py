@@ -446,9 +446,10 @@ def test_figures_name_the_baseline_as_peer():
     assert quoted["depth.pair.error.sgbm.vs.a-paper"]["ratio"] == pytest.approx(1.5)
 
 
-def test_sweeps_are_not_pairwise():
-    """A plane sweep is passed over where there is one pair only."""
-    assert list(pairwise_matchers({name: depth_options(name) for name in ("sweep", "sgbm")})) == ["sgbm"]
+def test_matchers_have_the_options_of_the_pipeline():
+    """The judge takes each matcher as the pipeline would."""
+    matchers = pairwise_matchers({name: depth_options(name) for name in ("raft", "sgbm")})
+    assert [each.name for each in matchers.values()] == ["raft-stereo-1", "sgbm-3way-1"]
 
 
 def test_what_is_absent_is_named(tmp_path, capsys):
