@@ -1,47 +1,78 @@
-"""The verb of the command line that trains the networks that ship."""
+"""The verb of the command line that trains the networks of this package."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from ggvs_eval.pipelines.cli_captures import Folder
+from ggvs_eval.processes import default_workers
+
+if TYPE_CHECKING:
+    from ggvs_eval.pipelines.training.task import Task
 
 Precision = Literal["auto", "float32", "bfloat16"]
 
 
 def train(
-    what: Annotated[Literal["stereo"], tyro.conf.Positional],
+    what: Annotated[Literal["stereo", "blend"], tyro.conf.Positional],
     out: Folder,
     steps: int = 20000,
     seed: int = 0,
+    views: int = 4,
+    width: int = 16,
+    tsdf_guidance: bool = True,
+    rooms: int = 60,
     device: str = "auto",
     precision: Precision = "auto",
     workers: int = 1,
     compile_network: bool = False,
     start_from: Path | None = None,
 ) -> None:
-    """Train a network that ships with the package; a second call goes on where the first one stopped.
+    """Train a network of this package; a second call goes on where the first one stopped.
 
     Args:
-        what: stereo: the compact RAFT-Stereo, on scenes that are made on the fly.
+        what: stereo: the compact RAFT-Stereo, on scenes made on the fly. blend: the blending network, on rooms that are filmed,
+            and whose depth is estimated, before the first step (blend-samples beside the folder).
         out: folder for the state to go on from, the weights, the logs and the model card.
         steps: of the whole training, those of earlier calls included.
         seed: of the weights and the scenes.
+        views: blend: source views, K.
+        width: blend: channels of the U-Net's first level.
+        tsdf_guidance: blend: with the fused depth among its inputs.
+        rooms: blend: rooms to film, about a minute and 50 MB each.
         device: cpu, cuda, or the better one by default.
         precision: of convolutions; auto takes bfloat16 where the hardware multiplies it faster.
-        workers: processes that make scenes.
+        workers: processes that make batches.
         start_from: weights to begin with where the folder holds no state, such as those that ship.
         compile_network: let torch compile it first: some minutes once, a fifth less per step.
     """
     from ggvs_eval.pipelines.training.card import write_card
     from ggvs_eval.pipelines.training.loop import TrainingOptions
     from ggvs_eval.pipelines.training.loop import train as go_on
-    from ggvs_eval.pipelines.training.stereo_task import StereoTask
 
-    task = StereoTask(seed=seed)
+    task = _stereo(seed) if what == "stereo" else _blend(out.parent / "blend-samples", seed, views, width, tsdf_guidance, rooms)
     options = TrainingOptions(
         steps=steps, device=device, precision=precision, workers=workers, compile=compile_network, start_from=start_from
     )
     command = f"ggvs-eval train {what} {out.name} --steps {steps} --seed {seed}"
     print(go_on(task, out, options), write_card(task, out, command), sep="\n")
+
+
+def _stereo(seed: int) -> "Task":
+    from ggvs_eval.pipelines.training.stereo_task import StereoTask
+
+    return StereoTask(seed=seed)
+
+
+def _blend(cache: Path, seed: int, views: int, width: int, tsdf_guidance: bool, rooms: int) -> "Task":
+    """The task with its samples in place."""
+    from ggvs_eval.pipelines.online.blend_network import BlendConfig
+    from ggvs_eval.pipelines.training.blend_rooms import RoomPlan, RoomSamples, validation_plan
+    from ggvs_eval.pipelines.training.blend_task import BlendTask
+
+    training = RoomSamples(cache, RoomPlan(rooms=rooms, views=views))
+    validation = RoomSamples(cache, validation_plan(views, "sgbm"))
+    for samples in (validation, training):
+        samples.prepare(default_workers())
+    return BlendTask(training, validation, BlendConfig(views, tsdf_guidance, width), seed=seed)

@@ -1,0 +1,96 @@
+"""The loss of the blending network (Eqs. 6-7)."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from ggvs_eval.pipelines.online.blend_network import BlendOutputs, compose_tensors, weighted_mean_tensor
+from ggvs_eval.pipelines.online.network_inputs import COVERED_ALPHA
+
+
+@dataclass(frozen=True)
+class BlendLossWeights:
+    """The paper's weights of the terms.
+
+    Attributes:
+        l1: mean absolute error of the colour.
+        ssim: 1 - SSIM.
+        depth: `depth_loss`.
+        mask: `mask_loss`.
+    """
+
+    l1: float = 0.8
+    ssim: float = 0.2
+    depth: float = 0.1
+    mask: float = 0.1
+
+
+def blend_loss(
+    outputs: BlendOutputs, batch: Mapping[str, Tensor], weights: BlendLossWeights, tsdf_guidance: bool
+) -> tuple[Tensor, dict[str, float]]:
+    """Eq. 7.
+
+    Args:
+        outputs: of the network.
+        batch: ``colours`` (B, K, 3, H, W) and ``alphas`` (B, K, H, W) of the splatted views, ``truth`` (B, 3, H, W), all in
+            [0, 1]; ``depths`` (B, K, H, W) and ``fused_depth`` (B, H, W) in the scene's own unit of length, 0 where unknown.
+        weights: of the terms.
+        tsdf_guidance: without it there is no fused depth to follow: the depth term is left out.
+
+    Returns:
+        The loss, and its terms for the log.
+    """
+    image = compose_tensors(outputs, batch["colours"], batch["alphas"])
+    terms = {
+        "l1": (image - batch["truth"]).abs().mean(),
+        "ssim": structural_loss(image, batch["truth"]),
+        "mask": mask_loss(outputs.background_weight, batch["alphas"]),
+    }
+    if tsdf_guidance:
+        terms["depth"] = depth_loss(batch["depths"], batch["fused_depth"], outputs.weights * batch["alphas"])
+    loss = torch.stack([getattr(weights, name) * term for name, term in terms.items()]).sum()
+    return loss, {f"{name}_loss": float(term.detach()) for name, term in terms.items()}
+
+
+def structural_loss(image: Tensor, truth: Tensor) -> Tensor:
+    """1 - SSIM, with the window and constants of the metric `ggvs_eval.metrics.image.ssim`.
+
+    Args:
+        image: (B, 3, H, W), at least 11 x 11.
+        truth: same shape.
+    """
+    from kornia.metrics import ssim
+
+    return 1 - ssim(image, truth, window_size=11, max_val=1.0, eps=0.0, padding="valid").mean()
+
+
+def depth_loss(depths: Tensor, fused_depth: Tensor, weights: Tensor) -> Tensor:
+    """How far the blended depth of the views lies from the fused one (Eq. 6).
+
+    Args:
+        depths: splatted depth of each view, (B, K, H, W), 0 where unknown.
+        fused_depth: (B, H, W), 0 where unknown.
+        weights: alpha_k w_k, (B, K, H, W).
+
+    Reading:
+        As printed the denominator lacks its sum over the views, and the sum over pixels is divided by H W K: kept, so the term
+        weighs a K-th of what its factor says. Depth is measured in each scene's own unit (`reference_depth`), else the loss
+        would depend on the scale of the world. Pixels count where the fused depth is known and a view has weight.
+    """
+    shown = weights * (depths > 0)
+    blended = weighted_mean_tensor(depths[:, :, None], shown)[:, 0]
+    counted = (fused_depth > 0) & (shown.sum(dim=1) > 1e-3)
+    return ((blended - fused_depth).abs() * counted).mean() / depths.shape[1]
+
+
+def mask_loss(background_weight: Tensor, alphas: Tensor) -> Tensor:
+    """How far the background's weight is from 1 where no view covers the pixel, and from 0 elsewhere.
+
+    Args:
+        background_weight: w_BG, (B, H, W).
+        alphas: coverage, (B, K, H, W).
+    """
+    empty = (alphas.amax(dim=1) < COVERED_ALPHA).float()
+    return (background_weight - empty).abs().mean()

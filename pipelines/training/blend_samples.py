@@ -1,0 +1,162 @@
+"""A training sample of the blending network: the views of one instant in a target view, and what the target's camera saw."""
+
+import os
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ggvs_eval.baselines.method import Instant, Map, SourceView
+from ggvs_eval.camera import Array, Camera
+from ggvs_eval.capture import Capture
+from ggvs_eval.depth_store import DepthMap
+from ggvs_eval.errors import TrainingError
+from ggvs_eval.images import Image8, quantise
+from ggvs_eval.pipelines.offline.depth import DepthEstimator, DepthOptions
+from ggvs_eval.pipelines.offline.pairing import choose_partners
+from ggvs_eval.pipelines.online.blending import Blender, BlendingInputs
+from ggvs_eval.pipelines.online.geometric_blender import GeometricBlender
+from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
+from ggvs_eval.pipelines.online.network_inputs import BlendMaps, blend_maps, reference_depth
+
+POSE_SIZE = 16
+
+
+@dataclass(frozen=True, eq=False)
+class BlendSample:
+    """One target view.
+
+    Attributes:
+        maps: what the network looks at.
+        truth: what the target's camera saw, (H, W, 3) uint8.
+        geometric: what the geometric blender makes of the same views, (H, W, 3) uint8; the network has to beat it.
+    """
+
+    maps: BlendMaps
+    truth: Image8
+    geometric: Image8
+
+
+class SampleMaker:
+    """Makes samples of one instant of a capture; depth that several targets share is computed once.
+
+    Args:
+        capture: at the size of the samples.
+        options: how depth is computed: by a matcher, as it will be when the network is used. The target takes no part in it.
+        frame: the instant.
+    """
+
+    def __init__(self, capture: Capture, options: DepthOptions, frame: int = 0) -> None:
+        self.capture = capture
+        self._options = options
+        self._frame = frame
+        self._images: dict[str, Image8] = {}
+        self._depths: dict[tuple[str, ...], DepthMap] = {}
+
+    def sample(self, target: Camera, sources: Sequence[Camera]) -> BlendSample:
+        """The sample of a target and its K source cameras; the target is none of them.
+
+        Reading:
+            The paper shifts the principal point to render a crop; a crop of the whole rendering shows the same.
+        """
+        views = tuple(self._source_view(source, target) for source in sources)
+        instant = Instant(self._frame, target, views, self.capture.units_per_metre)
+        recorder = _Recorder(GeometricBlender())
+        GeometryGuided(OnlineOptions(temporal=False), recorder).step(instant)
+        return BlendSample(blend_maps(recorder.inputs[-1]), self._image(target.name), quantise(recorder.images[-1]))
+
+    def _source_view(self, source: Camera, target: Camera) -> SourceView:
+        partners = choose_partners(source, self.capture.cameras, self._options.partners, {target.name})
+        key = (source.name, *(partner.name for partner in partners))
+        if key not in self._depths:
+            images = [self._image(partner.name) for partner in partners]
+            estimator = DepthEstimator(source, partners, self._options)
+            self._depths[key] = estimator.estimate(self._image(source.name), images)
+        found = self._depths[key]
+        return SourceView(source, self._image(source.name), found.depth, found.confidence)
+
+    def _image(self, name: str) -> Image8:
+        if name not in self._images:
+            self._images[name] = self.capture.frame(name, self._frame)
+        return self._images[name]
+
+
+class _Recorder:
+    """A blender that keeps what it was given and what another one made of it."""
+
+    def __init__(self, blender: Blender) -> None:
+        self.inputs: list[BlendingInputs] = []
+        self.images: list[Map] = []
+        self._blender = blender
+
+    def blend(self, inputs: BlendingInputs) -> Map:
+        """The other one's image."""
+        self.inputs.append(inputs)
+        self.images.append(self._blender.blend(inputs))
+        return self.images[-1]
+
+
+def write_sample(path: Path, sample: BlendSample) -> None:
+    """Write a sample so that a killed process leaves either the whole file or none.
+
+    Colours and coverage are kept in 8 bit, splatted depth in half precision, relative to the view's `reference_depth`. The fused
+    depth stays as it is, because its normals would show the rounding.
+    """
+    maps = sample.maps
+    unit = reference_depth(maps.fused_depth, maps.target)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    with temporary.open("wb") as file:
+        np.savez(
+            file,
+            cameras=np.stack([_camera_values(camera) for camera in (maps.target, *maps.sources)]),
+            names=np.array([camera.name for camera in (maps.target, *maps.sources)]),
+            unit=np.float64(unit),
+            colours=quantise(maps.colours),
+            depths=(maps.depths / np.float32(unit)).astype(np.float16),
+            alphas=quantise(maps.alphas),
+            fused_depth=maps.fused_depth,
+            truth=sample.truth,
+            geometric=sample.geometric,
+        )
+    temporary.replace(path)
+
+
+def read_sample(path: Path) -> BlendSample:
+    """Read what `write_sample` wrote.
+
+    Raises:
+        TrainingError: absent or damaged.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in stored.files}
+        target, *sources = (_camera(str(name), values) for name, values in zip(arrays["names"], arrays["cameras"], strict=True))
+        maps = BlendMaps(
+            target=target,
+            sources=tuple(sources),
+            colours=_unit_range(arrays["colours"]),
+            depths=arrays["depths"].astype(np.float32) * np.float32(arrays["unit"]),
+            alphas=_unit_range(arrays["alphas"]),
+            fused_depth=arrays["fused_depth"],
+        )
+        return BlendSample(maps, arrays["truth"], arrays["geometric"])
+    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise TrainingError(f"{path}: wanted a training sample, got none ({reason}); delete it and prepare again") from error
+
+
+def _unit_range(image: Image8) -> Map:
+    return image.astype(np.float32) / np.float32(255)
+
+
+def _camera_values(camera: Camera) -> Array:
+    """A camera as one row: K, pose, size and depth range."""
+    return np.array([*camera.K.ravel(), *camera.world_to_camera.ravel(), *camera.size, camera.near, camera.far])
+
+
+def _camera(name: str, values: Array) -> Camera:
+    K, pose, (width, height, near, far) = np.split(values, [9, 9 + POSE_SIZE])
+    return Camera(name, K.reshape(3, 3), pose.reshape(4, 4), int(width), int(height), float(near), float(far))

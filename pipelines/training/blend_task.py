@@ -1,0 +1,150 @@
+"""What the blending network learns: to make the target's picture of splatted views and fused depth."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from ggvs_eval.baselines.method import Map
+from ggvs_eval.errors import TrainingError
+from ggvs_eval.images import quantise
+from ggvs_eval.metrics.image import psnr, ssim
+from ggvs_eval.pipelines.online.blend_network import BlendConfig, BlendNetwork, read_outputs
+from ggvs_eval.pipelines.online.blend_weights import weights_name
+from ggvs_eval.pipelines.online.network_blender import blend_by
+from ggvs_eval.pipelines.online.network_inputs import guide_depth, input_channels, reference_depth
+from ggvs_eval.pipelines.training.blend_loss import BlendLossWeights, blend_loss
+from ggvs_eval.pipelines.training.blend_rooms import RoomSamples
+from ggvs_eval.pipelines.training.blend_samples import BlendSample
+from ggvs_eval.pipelines.training.task import Schedule
+
+
+@dataclass(frozen=True)
+class BlendTask:
+    """The training of the blending network.
+
+    Attributes:
+        training: samples to learn from; `RoomSamples.prepare` makes them.
+        validation: samples that are never learned from.
+        config: shape of the network.
+        seed: of the weights and the crops.
+        crop_width: of the crops, pixels.
+        crop_height: of the crops.
+        batch_size: crops per step.
+        weights: of the loss.
+        schedule: see `Schedule`; learning rate and weight decay are the paper's.
+    """
+
+    training: RoomSamples
+    validation: RoomSamples
+    config: BlendConfig = field(default_factory=BlendConfig)
+    seed: int = 0
+    crop_width: int = 320
+    crop_height: int = 240
+    batch_size: int = 4
+    weights: BlendLossWeights = field(default_factory=BlendLossWeights)
+    schedule: Schedule = field(default_factory=lambda: Schedule(learning_rate=2e-4, weight_decay=1e-5))
+
+    def __post_init__(self) -> None:
+        """Refuse what does not fit together."""
+        for samples in (self.training, self.validation):
+            plan = samples.plan
+            if plan.views != self.config.views:
+                raise TrainingError(f"a network for {self.config.views} views cannot learn from samples of {plan.views} views")
+            if plan.width < self.crop_width or plan.height < self.crop_height:
+                raise TrainingError(
+                    f"crops of {self.crop_width} x {self.crop_height} do not fit samples of {plan.width} x {plan.height}"
+                )
+
+    @property
+    def name(self) -> str:
+        """Names the weights."""
+        return weights_name(self.config.views, self.config.tsdf_guidance)
+
+    @property
+    def data(self) -> str:
+        """What it learns from."""
+        plan = self.training.plan
+        return (
+            f"{len(self.training)} views of {plan.rooms} procedural rooms (ggvs_eval.synthetic), depth by {plan.matcher} without "
+            "the target; no captured picture"
+        )
+
+    @property
+    def judged_on(self) -> str:
+        """What `validate` measures."""
+        plan = self.validation.plan
+        rooms = ", ".join(str(seed) for seed in plan.seeds)
+        return (
+            f"PSNR (dB) and SSIM of {len(self.validation)} whole views of rooms {rooms}, single instants, and `geometric_`: "
+            "of the geometric blender on the same views."
+        )
+
+    def network(self) -> nn.Module:
+        """A fresh network."""
+        torch.manual_seed(self.seed)
+        return BlendNetwork(self.config)
+
+    def batch(self, step: int) -> dict[str, Tensor]:
+        """Channels (B, 9 K + 1, H, W), and what `blend_loss` wants."""
+        rng = np.random.default_rng([self.seed, step])
+        crops = [self._crop(rng) for _ in range(self.batch_size)]
+        return {name: torch.from_numpy(np.stack([crop[name] for crop in crops])) for name in crops[0]}
+
+    def loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, Mapping[str, float]]:
+        """Eq. 7 and its terms."""
+        return blend_loss(read_outputs(network(batch["channels"])), batch, self.weights, self.config.tsdf_guidance)
+
+    def validate(self, network: nn.Module) -> Mapping[str, float]:
+        """Scores of the network and of the geometric blender, as an evaluation would measure them."""
+        assert isinstance(network, BlendNetwork)
+        sums = dict.fromkeys(("psnr_db", "ssim", "geometric_psnr_db", "geometric_ssim"), 0.0)
+        for index in range(len(self.validation)):
+            sample = self.validation.read(index)
+            images = {"": quantise(blend_by(network, sample.maps)), "geometric_": sample.geometric}
+            for prefix, image in images.items():
+                sums[f"{prefix}psnr_db"] += psnr(image, sample.truth)
+                sums[f"{prefix}ssim"] += ssim(image, sample.truth)
+        return {name: value / len(self.validation) for name, value in sums.items()}
+
+    def _crop(self, rng: np.random.Generator) -> dict[str, Map]:
+        """A random window of a random sample, perhaps mirrored, its colours in any order."""
+        sample = self.training.read(int(rng.integers(len(self.training))))
+        width, height = sample.maps.target.size
+        left, top = rng.integers(width - self.crop_width + 1), rng.integers(height - self.crop_height + 1)
+        arrays = crop_arrays(sample, (int(left), int(top), self.crop_width, self.crop_height), self.config)
+        return mirrored(recoloured(arrays, rng.permutation(3)), bool(rng.random() < 0.5))
+
+
+def crop_arrays(sample: BlendSample, window: tuple[int, int, int, int], config: BlendConfig) -> dict[str, Map]:
+    """What the network and its loss take of a window (left, top, width, height) of a sample.
+
+    Depths and distances are measured in the unit of the whole view, as they are when the network is used.
+    """
+    unit = reference_depth(guide_depth(sample.maps, config.tsdf_guidance), sample.maps.target)
+    maps = sample.maps.cropped(*window)
+    left, top, width, height = window
+    truth = sample.truth[top : top + height, left : left + width]
+    return {
+        "channels": input_channels(maps, config.tsdf_guidance, unit),
+        "colours": np.moveaxis(maps.colours, 3, 1),
+        "alphas": maps.alphas,
+        "depths": maps.depths / np.float32(unit),
+        "fused_depth": maps.fused_depth / np.float32(unit),
+        "truth": np.moveaxis(truth, 2, 0).astype(np.float32) / np.float32(255),
+    }
+
+
+def recoloured(arrays: Mapping[str, Map], order: np.ndarray) -> dict[str, Map]:
+    """The arrays of a crop with red, green and blue in another order."""
+    colours = arrays["colours"][:, order]
+    channels = arrays["channels"].copy()
+    channels[: colours.shape[0] * 3] = colours.reshape(-1, *colours.shape[2:])
+    return {**arrays, "channels": channels, "colours": colours, "truth": arrays["truth"][order]}
+
+
+def mirrored(arrays: Mapping[str, Map], mirror: bool) -> dict[str, Map]:
+    """The arrays of a crop, left and right swapped: no channel knows its side, angles and lengths stay what they are."""
+    return {name: np.ascontiguousarray(array[..., ::-1] if mirror else array) for name, array in arrays.items()}

@@ -1,0 +1,204 @@
+"""The blending network as a blender: composition, equal bits, its weights and whom it refuses."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import save_file
+
+from ggvs_eval.baselines.method import Instant
+from ggvs_eval.errors import RenderError, WeightsError
+from ggvs_eval.pipelines.one_thread import one_thread
+from ggvs_eval.pipelines.online.blend_network import (
+    BlendConfig,
+    BlendNetwork,
+    BlendOutputs,
+    compose_tensors,
+    read_outputs,
+)
+from ggvs_eval.pipelines.online.blend_weights import load_blend_network, shipped_blend_weights
+from ggvs_eval.pipelines.online.blending import BlendingInputs, compose
+from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
+from ggvs_eval.pipelines.online.network_blender import NetworkBlender, blend_by
+from ggvs_eval.pipelines.training.weights import write_weights
+from scenes import camera_at, instant
+
+TARGET = camera_at(0.0, name="target")
+SOURCES = [camera_at(-0.15), camera_at(0.3)]
+CONFIG = BlendConfig(views=2, width=4)
+
+
+@pytest.fixture(autouse=True)
+def alone():
+    """Small networks are faster with one thread."""
+    with one_thread():
+        yield
+
+
+@pytest.fixture
+def network() -> BlendNetwork:
+    """Seeded, for two views."""
+    torch.manual_seed(0)
+    return BlendNetwork(CONFIG)
+
+
+@pytest.fixture
+def weights(network, tmp_path):
+    """Its weights as they ship."""
+    path = tmp_path / "blend.safetensors"
+    write_weights(path, network, {})
+    return path
+
+
+class Keep:
+    """A blender that keeps what it is given."""
+
+    def blend(self, inputs: BlendingInputs) -> np.ndarray:
+        """Nothing to see."""
+        self.inputs = inputs
+        return np.zeros((*inputs.depth.shape, 3), np.float32)
+
+
+def inputs_of(moment: Instant) -> BlendingInputs:
+    """What the online method hands to its blender."""
+    keeper = Keep()
+    GeometryGuided(blender=keeper).step(moment)
+    return keeper.inputs
+
+
+def test_outputs_are_weights():
+    """Raw outputs of any size become weights that sum to 1 and a background in [0, 1]; equal logits weigh equally."""
+    raw = 20 * torch.randn(2, 7, 4, 5)
+    raw[0, :3] = 1.5
+    outputs = read_outputs(raw)
+    assert outputs.weights.shape == (2, 3, 4, 5)
+    assert outputs.background.shape == (2, 3, 4, 5)
+    torch.testing.assert_close(outputs.weights.sum(dim=1), torch.ones(2, 4, 5))
+    torch.testing.assert_close(outputs.weights[0], torch.full((3, 4, 5), 1 / 3))
+    for values in (outputs.weights, outputs.background_weight, outputs.background):
+        assert 0 <= float(values.min()) <= float(values.max()) <= 1
+
+
+def test_the_twin_composes_as_compose_does():
+    """The torch twin of `compose` gives its values, holes that no view covers included."""
+    rng = np.random.default_rng(0)
+    colours, background = rng.uniform(size=(3, 6, 7, 3)), rng.uniform(size=(6, 7, 3))
+    alphas, shares, background_weight = rng.uniform(size=(3, 6, 7)), rng.uniform(size=(3, 6, 7)), rng.uniform(size=(6, 7))
+    alphas[:, 2:4, 2:4] = 0
+    single = [array.astype(np.float32) for array in (colours, alphas, shares, background, background_weight)]
+    colours, alphas, shares, background, background_weight = single
+    expected = compose(list(colours), list(alphas * shares), background, background_weight)
+    outputs = BlendOutputs(*(torch.from_numpy(np.ascontiguousarray(array))[None] for array in (shares, background_weight)), None)
+    outputs = replace(outputs, background=torch.from_numpy(background).permute(2, 0, 1)[None])
+    found = compose_tensors(outputs, torch.from_numpy(colours).permute(0, 3, 1, 2)[None], torch.from_numpy(alphas)[None])
+    np.testing.assert_allclose(found[0].permute(1, 2, 0).numpy(), expected, atol=1e-6)
+
+
+def decisive(weights, tmp_path, bias: list[float]):
+    """Weights of a network that answers the same everywhere: the bias of its last layer."""
+    tensors = {name: tensor.float() for name, tensor in load_blend_network(weights).state_dict().items()}
+    tensors["unet.last.weight"] = torch.zeros_like(tensors["unet.last.weight"]).contiguous()
+    tensors["unet.last.bias"] = torch.tensor(bias)
+    path = tmp_path / "decisive.safetensors"
+    save_file({name: tensor.contiguous() for name, tensor in tensors.items()}, path)
+    return path
+
+
+def test_the_network_decides(weights, tmp_path):
+    """A network that chooses the nearest view shows its splat; one that chooses the background shows that."""
+    inputs = inputs_of(instant(0, TARGET, SOURCES))
+    nearest = NetworkBlender(decisive(weights, tmp_path, [40.0, -40.0, -40.0, 0, 0, 0])).blend(inputs)
+    covered = inputs.splats[0].alpha > 0.5
+    np.testing.assert_allclose(nearest[covered], inputs.splats[0].features[..., :3][covered], atol=1e-4)
+    (tmp_path / "other").mkdir()
+    black = NetworkBlender(decisive(weights, tmp_path / "other", [0.0, 0, 40, -40, -40, -40])).blend(inputs)
+    assert black.max() < 1e-6
+
+
+def test_equal_bits_for_any_number_of_threads(weights):
+    """The image is the same to the last bit with one thread and with three, and the number of threads is left as it was."""
+    inputs, images = inputs_of(instant(0, TARGET, SOURCES)), []
+    for threads in (1, 3):
+        torch.set_num_threads(threads)
+        images.append(NetworkBlender(weights).blend(inputs))
+        assert torch.get_num_threads() == threads
+    np.testing.assert_array_equal(images[0], images[1])
+
+
+def test_the_order_of_the_sources_does_not_matter(weights):
+    """Sources in another order give the same image: the network sees the nearest camera first."""
+    first, second = (
+        NetworkBlender(weights).blend(inputs_of(instant(0, TARGET, sources))) for sources in (SOURCES, SOURCES[::-1])
+    )
+    np.testing.assert_allclose(first, second, atol=1e-5)  # the ray march sums its views in the order it gets them
+
+
+def test_the_blender_is_a_part_of_the_method(weights):
+    """The online method takes it: image of the target's size, in [0, 1]."""
+    rendering = GeometryGuided(blender=NetworkBlender(weights)).step(instant(0, TARGET, SOURCES))
+    assert rendering.image.shape == (TARGET.height, TARGET.width, 3)
+    assert rendering.image.dtype == np.float32
+    assert 0 <= rendering.image.min() <= rendering.image.max() <= 1
+
+
+def test_another_number_of_views_is_refused(weights):
+    """A network for two views says so when it is given three."""
+    inputs = inputs_of(instant(0, TARGET, [*SOURCES, camera_at(0.45)]))
+    with pytest.raises(RenderError, match=r"blend\.safetensors: a blending network for 2 source views, got 3"):
+        NetworkBlender(weights).blend(inputs)
+
+
+@pytest.mark.parametrize("config", [CONFIG, BlendConfig(3, False, 6), BlendConfig(1, True, 4)])
+def test_the_configuration_is_known_from_the_tensors(config, tmp_path):
+    """Views, guidance and width come back from the file, and so do the weights, in half precision."""
+    network = BlendNetwork(config)
+    write_weights(tmp_path / "any.safetensors", network, {})
+    loaded = load_blend_network(tmp_path / "any.safetensors")
+    assert loaded.config == config
+    for name, tensor in network.state_dict().items():
+        torch.testing.assert_close(loaded.state_dict()[name], tensor.half().float(), msg=name)
+
+
+def test_weights_of_something_else_are_refused(network, tmp_path):
+    """Absent, damaged, other tensors, one tensor of another shape: one line each that names the file."""
+    missing = tmp_path / "missing.safetensors"
+    with pytest.raises(WeightsError, match=r"missing\.safetensors: wanted weights of a blending network, got no readable file"):
+        load_blend_network(missing)
+    for name, content, message in (
+        ("damaged", b"no tensors", "damaged, or not safetensors"),
+        ("pickle", b"\x80\x04K\x01.", "damaged, or not safetensors"),
+    ):
+        path = tmp_path / f"{name}.safetensors"
+        path.write_bytes(content)
+        with pytest.raises(WeightsError, match=rf"{name}\.safetensors: {message}"):
+            load_blend_network(path)
+    tensors = dict(network.state_dict())
+    for name, changed, message in (
+        ("other", {"weight": torch.zeros(2, 2)}, "1 tensors of no blending network"),
+        ("inputs", tensors | {"unet.down.0.0.weight": torch.zeros(4, 18, 3, 3)}, "want 19 inputs, or 16 without"),
+        ("shape", tensors | {"unet.up.0.0.bias": torch.zeros(7)}, r"1 tensors differ .*unet\.up\.0\.0\.bias: \(7,\), wanted"),
+        ("views", tensors | {"unet.last.weight": torch.zeros(4, 4, 1, 1)}, "4 outputs, 0 views"),
+    ):
+        path = tmp_path / f"{name}.safetensors"
+        save_file({key: value.contiguous() for key, value in changed.items()}, path)
+        with pytest.raises(WeightsError, match=message):
+            load_blend_network(path)
+
+
+def test_weights_that_do_not_ship_are_named():
+    """For a number of views nobody trained for, the message says what is there and what to do."""
+    with pytest.raises(WeightsError, match=r"no blending network for 31 source views ships .*blend-k31-no-tsdf\.safetensors"):
+        shipped_blend_weights(31, tsdf_guidance=False)
+
+
+def test_an_image_of_a_batch_is_the_blenders_image(network):
+    """Training composes by the twin what the blender composes by numpy: the same image within rounding."""
+    from ggvs_eval.pipelines.online.network_inputs import blend_maps, input_channels
+
+    maps = blend_maps(inputs_of(instant(0, TARGET, SOURCES)))
+    with torch.inference_mode():
+        outputs = read_outputs(network(torch.from_numpy(input_channels(maps))[None]))
+        colours = torch.from_numpy(maps.colours).permute(0, 3, 1, 2)[None]
+        twin = compose_tensors(outputs, colours, torch.from_numpy(maps.alphas)[None])[0]
+    np.testing.assert_allclose(blend_by(network.eval(), maps), twin.permute(1, 2, 0).numpy(), atol=1e-4)

@@ -1,0 +1,81 @@
+"""The U-Net of the blending network: shapes, size, padding, what its normalisation does."""
+
+import pytest
+import torch
+from torch.nn import functional
+
+from ggvs_eval.pipelines.one_thread import one_thread
+from ggvs_eval.pipelines.online.unet import UNet
+
+
+@pytest.fixture(autouse=True)
+def alone():
+    """Small networks are faster with one thread, a hundred times so beside other work."""
+    with one_thread():
+        yield
+
+
+def small_unet(inputs: int = 5, outputs: int = 3, width: int = 4) -> UNet:
+    """A seeded network."""
+    torch.manual_seed(0)
+    return UNet(inputs, outputs, width).eval()
+
+
+@pytest.mark.parametrize("size", [(1, 1), (32, 48), (33, 17), (70, 95)])
+def test_any_size_comes_back(size):
+    """Images whose sides are no multiples of 16, even single pixels, come out at their size and finite."""
+    with torch.inference_mode():
+        out = small_unet()(torch.rand(2, 5, *size))
+    assert out.shape == (2, 3, *size)
+    assert torch.isfinite(out).all()
+
+
+def test_the_size_of_the_network_is_known():
+    """The number of weights follows from the widths c, 2 c, 4 c, 8 c and 16 c; about 7.9 million for the paper's 37 inputs."""
+    inputs, outputs, width = 37, 8, 32
+    widths = [width * 2**level for level in range(5)]
+    pairs = list(zip([inputs, *widths[:-1]], widths, strict=True)) + [(3 * each, each) for each in widths[:-1]]
+    convolutions = sum(9 * (before * after + after * after) + 2 * after for before, after in pairs)
+    normalisations = sum(4 * after for _, after in pairs)
+    expected = convolutions + normalisations + (width + 1) * outputs
+    with torch.device("meta"):
+        found = sum(parameter.numel() for parameter in UNet(inputs, outputs, width).parameters())
+    assert found == expected
+    assert round(expected / 1e6, 1) == 7.9
+
+
+def test_padding_repeats_the_border():
+    """An image of 40 x 60 gives what the same image with its border repeated to 48 x 64 gives, cut out again."""
+    network, image = small_unet(), torch.rand(1, 5, 40, 60)
+    with torch.inference_mode():
+        around = network(functional.pad(image, (2, 2, 4, 4), mode="replicate"))
+        assert torch.equal(network(image), around[..., 4:44, 2:62])
+
+
+def test_the_first_block_ignores_brightness_and_contrast():
+    """Without biases, one normalisation group over all channels and pixels makes a block blind to the scale of its input."""
+    network, image = small_unet(), torch.rand(1, 5, 32, 32)
+    block = network.down[0]
+    torch.nn.init.zeros_(block[0].bias)
+    with torch.inference_mode():
+        torch.testing.assert_close(block(image * 10), block(image), atol=1e-3, rtol=1e-3)
+
+
+def test_every_weight_learns():
+    """A gradient reaches every parameter."""
+    network = small_unet()
+    network(torch.rand(1, 5, 32, 48)).square().sum().backward()
+    still = [name for name, parameter in network.named_parameters() if parameter.grad is None or not parameter.grad.abs().sum()]
+    assert still == []
+
+
+def test_skips_carry_detail():
+    """A single changed pixel changes the output there more than anywhere else."""
+    network, image = small_unet(width=8), torch.rand(1, 5, 64, 64)
+    changed = image.clone()
+    changed[..., 20, 30] += 1
+    with torch.inference_mode():
+        difference = (network(changed) - network(image)).abs().amax(dim=1)[0]
+    row, column = divmod(int(difference.argmax()), 64)
+    assert abs(row - 20) <= 2
+    assert abs(column - 30) <= 2
