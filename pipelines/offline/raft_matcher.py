@@ -35,12 +35,16 @@ class RaftMatcher:
         check_share: see check_px.
         refine_window: side of the window of the sub-pixel refinement on the images, pixels.
         refine_iterations: its iterations.
+
+    Reading:
+        The compact network is trained with 4 iterations. On its validation scenes 3, 5, 8 and 12 leave 1.596, 1.582, 1.581 and
+        1.589 px; 5 are taken.
     """
 
     weights: Path
     weights_sha256: str
-    iterations: int = 8
-    warm_iterations: int = 4
+    iterations: int = 5
+    warm_iterations: int = 3
     from_matching: bool = True
     largest_side_px: int = 1000
     check_px: float = 1.0

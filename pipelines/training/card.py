@@ -6,6 +6,8 @@ import platform
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
 
+from safetensors import safe_open
+
 from ggvs_eval.pipelines.training.task import Task
 
 SHOWN_VALIDATIONS = 12
@@ -24,8 +26,9 @@ def write_card(task: Task, folder: Path, command: str, note: str = "") -> Path:
         The card's file.
     """
     weights = folder / f"{task.name}.safetensors"
-    steps = _rows(folder / "log.csv")
-    hours = sum(float(row["seconds"]) for row in steps) / 3600
+    with safe_open(weights, "pt") as file:
+        steps = int(file.metadata()["steps"])
+    hours = sum(float(row["seconds"]) for row in _rows(folder / "log.csv")[:steps]) / 3600
     validations = _rows(folder / "validation.csv")
     shown = validations[:: max(1, len(validations) // SHOWN_VALIDATIONS)]
     lines = [
@@ -34,7 +37,7 @@ def write_card(task: Task, folder: Path, command: str, note: str = "") -> Path:
         *(line.strip() for line in (type(task).__doc__ or "").splitlines()[:1]),
         "",
         f"- Command: `{command}`",
-        f"- Steps: {len(steps)}, {hours:.1f} hours on {platform.machine()} ({platform.system()})",
+        f"- Steps: {steps}, {hours:.1f} hours on {platform.machine()} ({platform.system()})",
         f"- Weights: `{weights.name}`, {weights.stat().st_size / 2**20:.1f} MB, half precision, averaged over the last steps,",
         f"  sha256 {hashlib.sha256(weights.read_bytes()).hexdigest()}",
         f"- Data: {task.data}",
