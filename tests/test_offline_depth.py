@@ -243,7 +243,7 @@ def test_options_change_the_key(capture):
     """Every field of the options and of the matcher enters the key."""
     keys = {DepthStore.key(depth_spec(capture, JOBS[0], OPTIONS))}
     for field, value in vars(OPTIONS).items():
-        if field not in ("matcher", "time", "sensor"):
+        if field not in ("matcher", "time", "sensor", "consistency"):
             keys.add(DepthStore.key(depth_spec(capture, JOBS[0], replace(OPTIONS, **{field: value + 1}))))
     for field, value in vars(OPTIONS.time).items():
         changed = replace(OPTIONS, time=replace(OPTIONS.time, **{field: value + 1}))
@@ -251,7 +251,7 @@ def test_options_change_the_key(capture):
     for field, value in vars(OPTIONS.matcher).items():
         changed = replace(OPTIONS, matcher=replace(OPTIONS.matcher, **{field: value + 1}))
         keys.add(DepthStore.key(depth_spec(capture, JOBS[0], changed)))
-    assert len(keys) == len(vars(OPTIONS)) - 2 + len(vars(OPTIONS.matcher)) + len(vars(OPTIONS.time))
+    assert len(keys) == len(vars(OPTIONS)) - 3 + len(vars(OPTIONS.matcher)) + len(vars(OPTIONS.time))
 
 
 def test_failure_in_a_worker_is_reported(capture, tmp_path):
@@ -264,3 +264,27 @@ def test_missing_frames_in_a_worker_are_reported(capture, tmp_path):
     """Frames that the capture does not have end the run with a message that says which there are."""
     with pytest.raises(CaptureError, match=r"wanted frames 2\.\.4 .*has 3"):
         prepare_depth(capture, JOBS, range(2, 5), DepthStore(tmp_path), OPTIONS, workers=2)
+
+
+def test_sources_of_a_view_are_held_against_each_other(capture):
+    """Each source's depth is checked with that of the view's other sources, all found without the view itself."""
+    jobs = plan_depth(capture, [capture.camera("cam01")], 3, OPTIONS)["cam01"]
+    for name, job in jobs.items():
+        assert [other.camera_name for other in job.checked_with] == sorted(set(jobs) - {name})
+        assert all("cam01" not in other.partner_names for other in (job, *job.checked_with))
+    unchecked = plan_depth(capture, [capture.camera("cam01")], 3, replace(OPTIONS, consistency=None))["cam01"]
+    assert unchecked == {name: job.unchecked for name, job in jobs.items()}
+
+
+def test_checked_depth_has_a_key_of_its_own_and_comes_back(capture, tmp_path):
+    """Checked depth of a plane is no worse than what was found, lies beside it, and a lost instant comes back with equal bits."""
+    store, job = DepthStore(tmp_path), plan_depth(capture, [capture.camera("cam01")], 3, OPTIONS)["cam01"]["cam00"]
+    prepare_depth(capture, [job], range(2), store, OPTIONS, workers=2)
+    keys = [DepthStore.key(depth_spec(capture, each, OPTIONS)) for each in (job.unchecked, job)]
+    truth = plane_depth(capture.camera("cam00"), np.array([0.25, 0.15, 5.8]))
+    found, checked = (np.median(np.abs(store.read(key, 1).depth / truth - 1)) for key in keys)
+    assert checked <= found * 1.01
+    before = store.read(keys[1], 1).depth
+    store.path(keys[1], 1).unlink()
+    prepare_depth(capture, [job], range(2), store, OPTIONS, workers=1)
+    assert np.array_equal(store.read(keys[1], 1).depth, before)

@@ -10,6 +10,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
 from ggvs_eval.images import Image8
+from ggvs_eval.pipelines.offline.consistency import ConsistencyOptions
 from ggvs_eval.pipelines.offline.fusion import drop_flying_pixels, fill_background, smooth_surfaces
 from ggvs_eval.pipelines.offline.matcher import StereoMatcher
 from ggvs_eval.pipelines.offline.pairwise import PairwiseEstimator
@@ -56,6 +57,7 @@ class DepthOptions:
         smooth_radius_px: over neighbours this far away.
         filled_confidence: confidence of pixels filled from the background; 0 leaves them invalid.
         time: how instants depend on each other.
+        consistency: how depth is held against that of the other sources of a view; None leaves it as it is.
         sensor: how measured depth is filtered, which takes the place of stereo where the capture has it; None ignores it.
     """
 
@@ -67,13 +69,14 @@ class DepthOptions:
     smooth_radius_px: int = 4
     filled_confidence: float = 0.02
     time: TimeOptions = field(default_factory=TimeOptions)
+    consistency: ConsistencyOptions | None = field(default_factory=ConsistencyOptions)
     sensor: SensorDepthOptions | None = field(default_factory=SensorDepthOptions)
 
     def describe(self) -> dict[str, object]:
         """All that stereo depends on, as values that JSON knows, with the versions of the algorithms; part of the key."""
         matcher = {name: value for name, value in vars(self.matcher).items() if not isinstance(value, Path)}
         described = {"algorithm": ALGORITHM, "matcher_name": self.matcher.name, **asdict(self), "matcher": matcher}
-        del described["sensor"]
+        del described["sensor"], described["consistency"]  # they have specs of their own
         return described
 
 

@@ -1,13 +1,15 @@
 """Fill a depth store: every camera and instant that the online part will ask for."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 from ggvs_eval.camera import Camera, nearest_cameras
 from ggvs_eval.capture import Capture
-from ggvs_eval.depth_store import DepthStore, describe_depth
+from ggvs_eval.depth_store import DepthMap, DepthStore, describe_depth
+from ggvs_eval.pipelines.offline.consistency import check_consistency
 from ggvs_eval.pipelines.offline.depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth_stream import DepthStream
+from ggvs_eval.pipelines.offline.fusion import fill_background
 from ggvs_eval.pipelines.offline.pairing import choose_partners
 from ggvs_eval.pipelines.offline.sensor_depth import SensorDepthEstimator
 from ggvs_eval.processes import finish_all, worker_pool
@@ -20,10 +22,17 @@ class DepthJob:
     Attributes:
         camera_name: the camera whose depth is wanted.
         partner_names: the cameras it is matched with, in order; none where a sensor measured its depth.
+        checked_with: depth of other cameras that its own is held against; none for depth as it was found.
     """
 
     camera_name: str
     partner_names: tuple[str, ...]
+    checked_with: tuple["DepthJob", ...] = ()
+
+    @property
+    def unchecked(self) -> "DepthJob":
+        """The same depth as it was found."""
+        return replace(self, checked_with=())
 
 
 def plan_depth(capture: Capture, targets: Sequence[Camera], k: int, options: DepthOptions) -> dict[str, dict[str, DepthJob]]:
@@ -45,7 +54,8 @@ def plan_depth(capture: Capture, targets: Sequence[Camera], k: int, options: Dep
     plan = {}
     for target in targets:
         sources = nearest_cameras(target, capture.cameras, k)
-        plan[target.name] = {source.name: _plan_job(capture, source, target, options) for source in sources}
+        found = {source.name: _plan_job(capture, source, target, options) for source in sources}
+        plan[target.name] = {name: _checked(job, found, options) for name, job in found.items()}
     return plan
 
 
@@ -54,6 +64,12 @@ def _plan_job(capture: Capture, source: Camera, target: Camera, options: DepthOp
         return DepthJob(source.name, ())
     chosen = choose_partners(source, capture.cameras, options.partners, {target.name})
     return DepthJob(source.name, tuple(each.name for each in chosen))
+
+
+def _checked(job: DepthJob, found: Mapping[str, DepthJob], options: DepthOptions) -> DepthJob:
+    """A source's depth held against that of the view's other sources; in the order of names, so that near targets share it."""
+    others = tuple(found[name] for name in sorted(found) if name != job.camera_name)
+    return job if options.consistency is None else replace(job, checked_with=others)
 
 
 def _sensor(capture: Capture, name: str, options: DepthOptions) -> SensorDepthEstimator | None:
@@ -66,6 +82,9 @@ def _sensor(capture: Capture, name: str, options: DepthOptions) -> SensorDepthEs
 
 def depth_spec(capture: Capture, job: DepthJob, options: DepthOptions) -> dict[str, object]:
     """What a job's depth depends on; `DepthStore.key` makes its key of it."""
+    if job.checked_with and options.consistency is not None:
+        others = [_key(capture, other, options) for other in job.checked_with]
+        return depth_spec(capture, job.unchecked, options) | {"checked_with": others, "check": options.consistency.describe()}
     names = (job.camera_name, *job.partner_names)
     camera, *partners = (capture.camera(name) for name in names)
     sensor = None if partners else _sensor(capture, camera.name, options)
@@ -94,11 +113,41 @@ def prepare_depth(
         CaptureError: frames that cannot be read.
     """
     missing = [job for job in dict.fromkeys(jobs) if _missing(store, _key(capture, job, options), frames)]
+    checked = [job for job in missing if job.checked_with]
+    found = [each for job in missing for each in (job.unchecked, *job.checked_with)]
+    _in_workers(_run, capture, found, frames, store, options, workers, "depth maps per camera")
+    _in_workers(_check, capture, checked, frames, store, options, workers, "depth held against other cameras")
+
+
+def _in_workers(
+    work: Callable[[Capture, DepthJob, range, DepthStore, DepthOptions], None],
+    capture: Capture,
+    jobs: Sequence[DepthJob],
+    frames: range,
+    store: DepthStore,
+    options: DepthOptions,
+    workers: int,
+    title: str,
+) -> None:
+    """Do what is missing of some jobs, one process each."""
+    missing = [job for job in dict.fromkeys(jobs) if _missing(store, _key(capture, job, options), frames)]
     if not missing:
         return
     with worker_pool(min(workers, len(missing))) as pool:
-        running = [pool.submit(_run, capture, job, frames, store, options) for job in missing]
-        finish_all(pool, running, "depth maps per camera")
+        finish_all(pool, [pool.submit(work, capture, job, frames, store, options) for job in missing], title)
+
+
+def _check(capture: Capture, job: DepthJob, frames: range, store: DepthStore, options: DepthOptions) -> None:
+    """Hold what was found for one camera against the others; runs in a worker."""
+    if options.consistency is None:
+        return
+    key = store.write_spec(depth_spec(capture, job, options))
+    own, *others = ((each.camera_name, _key(capture, each, options)) for each in (job.unchecked, *job.checked_with))
+    for frame in sorted(_missing(store, key, frames)):
+        views = [(capture.camera(name), store.read(other, frame)) for name, other in others]
+        checked = check_consistency(capture.camera(own[0]), store.read(own[1], frame), views, options.consistency)
+        filled = fill_background(checked.depth, checked.confidence, options.filled_confidence)
+        store.write(key, frame, DepthMap(*filled))
 
 
 def _run(capture: Capture, job: DepthJob, frames: range, store: DepthStore, options: DepthOptions) -> None:
