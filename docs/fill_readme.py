@@ -18,6 +18,8 @@ ROOT = Path(__file__).parents[1]
 OUT = ROOT / "out"
 DECIMALS = {"PSNR": 2, "PSNR_cc": 2, "SSIM": 3, "LPIPS": 3, "L1": 2, "TCC": 3, "STED": 2, "Flicker": 2, "SDT": 3, "SDV": 3}
 DECIMALS |= {"EPI_coherence": 3, "switch_ratio": 2}
+# One region of the rooms stands for all; `python -m ggvs_eval.pipelines.depth_validation` prints the others.
+DEPTH_FIGURES = r"depth\.(motorcycle\.(epe_px|bad_[23]_percent)\.[^.]*$|sparse|rendering|(rooms|demo)\.whole_picture)"
 
 
 def main() -> None:
@@ -25,11 +27,11 @@ def main() -> None:
     tables = {
         "demo": lambda: results_table(OUT / "demo"),
         "ceilings": lambda: ceilings_table(OUT / "demo"),
-        "calibration": lambda: figures_table(OUT / "validate.json", "calibration."),
+        "calibration": lambda: figures_table(OUT / "validate.json", r"calibration\."),
         "real_frame": lambda: results_table(OUT / "real_frame"),
         "real_frame_views": lambda: views_table(OUT / "real_frame"),
-        "validate": lambda: figures_table(OUT / "validate.json", but=("calibration.", "depth.")),
-        "depth": lambda: figures_table(OUT / "validate.json", "depth."),
+        "validate": lambda: figures_table(OUT / "validate.json", r"(?!calibration|depth)"),
+        "depth": lambda: figures_table(OUT / "depth_validation" / "figures.json", DEPTH_FIGURES),
         "bench": lambda: figures_table(OUT / "bench.json"),
     }
     text = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -66,10 +68,12 @@ def ceilings_table(run: Path) -> str:
     return _markdown(pd.DataFrame(values, [entry["name"] for entry in entries], columns))
 
 
-def figures_table(file: Path, prefix: str = "", but: tuple[str, ...] = ()) -> str:
-    """The flat figures of `make bench` or `make validate` as Markdown; a ratio above 1 means better than the peer."""
+def figures_table(file: Path, names: str = "") -> str:
+    """Flat figures whose names begin with a pattern, as Markdown; a ratio above 1 means better than the peer."""
     known: dict[str, dict[str, Any]] = json.loads(file.read_text(encoding="utf-8"))
-    figures = {name: figure for name, figure in known.items() if name.startswith(prefix) and not name.startswith(but)}
+    figures = {name: figure for name, figure in known.items() if re.match(names, name)}
+    if not figures:
+        raise ResultsError(f"{file} holds no such figures")
     rows = ["| figure | value | target | peer | ratio |", "| --- | ---: | ---: | --- | ---: |"]
     for name, figure in figures.items():
         sign = "≥" if figure["higher_is_better"] else "≤"
