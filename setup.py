@@ -6,7 +6,11 @@ from pybind11.setup_helpers import ParallelCompile, Pybind11Extension
 from setuptools import setup
 
 KERNELS = Path("ggvs_eval/kernels")
-SOURCES = ("core", "splat", "tsdf", "occupancy", "warp", "dispatch", "level_baseline", "level_avx2", "level_avx512")
+SOURCES = (
+    *("core", "splat", "tsdf", "occupancy", "warp", "dispatch", "level_baseline", "level_avx2", "level_avx512"),
+    *("images", "filter", "blend", "push_pull"),
+)
+STEREO = ("stereo", "plane_sweep", "sgm", "weighted_median", "stereo_levels", "stereo_baseline", "stereo_avx2", "stereo_avx512")
 
 # No -march: the instruction set is chosen when the program runs (dispatch.cpp), so that one wheel serves every machine.
 # No contraction to fused multiply-adds: then every instruction set gives the same bits.
@@ -26,4 +30,4 @@ def extension(name: str, sources: tuple[str, ...]) -> Pybind11Extension:
 
 
 ParallelCompile("GGVS_EVAL_BUILD_JOBS").install()
-setup(ext_modules=[extension("_core", SOURCES), extension("_ssim", ("ssim",))])
+setup(ext_modules=[extension("_core", SOURCES), extension("_ssim", ("ssim",)), extension("_stereo", STEREO)])

@@ -8,6 +8,7 @@ import numpy as np
 from ggvs_eval.baselines.gaussians import near_plane, pixel_gaussians
 from ggvs_eval.baselines.method import Instant, Rendering
 from ggvs_eval.camera import Camera
+from ggvs_eval.geometry.per_pixel import weighted_mean
 from ggvs_eval.geometry.splat import splat
 
 DEPTH_PLANES = 32  # LLFF's number of planes of a multi-plane image
@@ -28,13 +29,7 @@ class DistanceBased:
         splats = [splat([pixel_gaussians(source)], instant.target, near=near) for source in instant.sources]
         splatted = perf_counter()
         weights = distance_weights(instant.target, [source.camera for source in instant.sources])
-        total = np.full_like(splats[0].alpha, 1e-10)
-        colour = np.zeros_like(splats[0].features)
-        for weight, view in zip(weights, splats, strict=True):
-            share = np.float32(weight) * view.alpha  # (H, W)
-            total += share
-            colour += share[..., None] * view.features
-        image = colour / total[..., None]
+        image = weighted_mean([view.features for view in splats], [view.alpha for view in splats], weights, black_weight=1e-10)
         return Rendering(image, None, {"splat": splatted - started, "blend": perf_counter() - splatted})
 
 

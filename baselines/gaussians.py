@@ -1,7 +1,5 @@
 """Source views as pixel-sized Gaussians, the common ground of every method that splats."""
 
-import numpy as np
-
 from ggvs_eval.baselines.method import Instant, Map, SourceView
 from ggvs_eval.geometry.splat import PixelGaussians
 
@@ -15,9 +13,7 @@ def pixel_gaussians(source: SourceView, extra: Map | None = None) -> PixelGaussi
         source: the view, image (H, W, 3) uint8.
         extra: another value per pixel, (H, W), float32.
     """
-    colour = source.image.astype(np.float32) / 255.0
-    features = colour if extra is None else np.concatenate([colour, extra[..., None]], axis=-1)
-    return PixelGaussians(camera=source.camera, depth=source.depth, features=features)
+    return PixelGaussians(camera=source.camera, depth=source.depth, features=source.image, extra=extra)
 
 
 def near_plane(instant: Instant) -> float:

@@ -1,41 +1,115 @@
-"""The whole online step at 1352 x 1014 with K = 4, stage by stage, decoding excluded: ``python -m benchmarks.bench_online``."""
+"""The whole online step, stage by stage, decoding excluded: ``python -m benchmarks.bench_online``.
 
+At 1352 x 1014 with K = 4, and at 640 x 360 with K = 2, where it should keep up with a slow camera.
+"""
+
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from benchmarks.bench_geometry import WIDTH, Scene, make_scene
+from benchmarks.bench_geometry import HEIGHT, WIDTH, Scene, make_scene
 from ggvs_eval.baselines.method import Instant, SourceView
-from ggvs_eval.images import quantise
+from ggvs_eval.camera import Camera
+from ggvs_eval.images import Image8, quantise
 from ggvs_eval.kernels import get_threads
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
 
-WARM_UP, STEPS = 2, 8
 COMMAND = "python -m benchmarks.bench_online"
+NOISE_LEVELS = 3  # of 255, drawn anew for every other frame: masks are then not all alike
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One size to measure at.
+
+    Attributes:
+        name: first part of the figures' names.
+        width: pixels of images and target.
+        height: pixels of images and target; the field of view of the full width is cut to it.
+        views: K.
+        steps: measured, after warm-up.
+        target_ms: wanted median of the whole step; None if frames per second are wanted.
+        target_hz: wanted frames per second, from the median.
+    """
+
+    name: str
+    width: int
+    height: int
+    views: int
+    steps: int
+    target_ms: float | None = None
+    target_hz: float | None = None
+
+
+WARM_UP = 2
+SETTINGS = (
+    Setting("online_step", WIDTH, HEIGHT, 4, 12, target_ms=700.0),
+    Setting("online_small_step", 640, 360, 2, 40, target_hz=8.0),
+)
 
 
 def measure() -> dict[str, dict[str, Any]]:
-    """Median milliseconds of the step and of its stages after warm-up; the scene stands still, which costs the same."""
-    scene, method = make_scene(WIDTH), GeometryGuided()
-    seconds = [method.step(_instant(scene, index)).seconds for index in range(WARM_UP + STEPS)][WARM_UP:]
-    stages = {stage: float(np.median([frame[stage] for frame in seconds])) * 1e3 for stage in seconds[0]}
-    total = float(np.median([sum(frame.values()) for frame in seconds])) * 1e3
-    figures = {f"online_step_{stage}": _figure(value, None) for stage, value in stages.items()}
-    return {"online_step": _figure(total, 1000.0)} | figures
+    """Median and 95th percentile of the step and of its stages after warm-up, in every setting, name -> figure."""
+    return {name: figure for setting in SETTINGS for name, figure in measure_setting(setting).items()}
 
 
-def _instant(scene: Scene, index: int) -> Instant:
-    image = quantise(scene.image)
-    views = zip(scene.cameras, scene.depths, strict=True)
-    sources = tuple(SourceView(camera, image, depth, np.ones_like(depth)) for camera, depth in views)
+def measure_setting(setting: Setting) -> dict[str, dict[str, Any]]:
+    """The figures of one setting; geometry stands still, which costs the same, and colours are noisy."""
+    scene, method = _scene(setting), GeometryGuided()
+    images = _images(scene)
+    instants = [_instant(scene, images[index % 2], index, setting.views) for index in range(WARM_UP + setting.steps)]
+    seconds = [method.step(instant).seconds for instant in instants][WARM_UP:]
+    totals = [sum(frame.values()) for frame in seconds]
+    figures = _quantiles(setting.name, totals, setting.target_ms)
+    for stage in seconds[0]:
+        figures |= _quantiles(f"{setting.name}_{stage}", [frame[stage] for frame in seconds], None)
+    rate = _figure(1.0 / float(np.median(totals)), "Hz", setting.target_hz, higher_is_better=True)
+    return figures | {f"{setting.name}_rate": rate}
+
+
+def _quantiles(name: str, seconds: list[float], target_ms: float | None) -> dict[str, dict[str, Any]]:
+    median_ms, late_ms = (float(value) for value in np.quantile(seconds, (0.5, 0.95)) * 1e3)
+    return {name: _figure(median_ms, "ms", target_ms), f"{name}_p95": _figure(late_ms, "ms", None)}
+
+
+def _scene(setting: Setting) -> Scene:
+    """The scene of `bench_geometry` at the setting's width, the middle rows of it."""
+    scene = make_scene(setting.width)
+    height = scene.image.shape[0]
+    top = (height - setting.height) // 2
+    rows = slice(top, top + setting.height)
+
+    def cut(camera: Camera) -> Camera:
+        return camera.cropped(0, top, setting.width, setting.height)
+
+    depths = [np.ascontiguousarray(depth[rows]) for depth in scene.depths]
+    return Scene(cut(scene.target), [cut(camera) for camera in scene.cameras], depths, np.ascontiguousarray(scene.image[rows]))
+
+
+def _images(scene: Scene) -> list[Image8]:
+    """Two noisy copies of the scene's image, which frames take in turn."""
+    random, image = np.random.default_rng(0), quantise(scene.image)
+    noises: list[NDArray[np.int64]] = [random.integers(-NOISE_LEVELS, NOISE_LEVELS + 1, image.shape) for _ in range(2)]
+    return [np.clip(image + noise, 0, 255).astype(np.uint8) for noise in noises]
+
+
+def _instant(scene: Scene, image: Image8, index: int, views: int) -> Instant:
+    """An instant of the `views` cameras nearest to the target."""
+    order = np.argsort([float(np.linalg.norm(camera.centre - scene.target.centre)) for camera in scene.cameras])[:views]
+    sources = tuple(
+        SourceView(scene.cameras[k], image, scene.depths[k], np.ones_like(scene.depths[k])) for k in (int(each) for each in order)
+    )
     return Instant(index, scene.target, sources, units_per_metre=1.0)
 
 
-def _figure(value: float, target: float | None) -> dict[str, Any]:
+def _figure(value: float, unit: str, target: float | None, higher_is_better: bool = False) -> dict[str, Any]:
     command = f"{COMMAND} ({get_threads()} threads)"
-    return {"value": value, "unit": "ms", "target": target, "higher_is_better": False, "command": command}
+    return {"value": value, "unit": unit, "target": target, "higher_is_better": higher_is_better, "command": command}
 
 
 if __name__ == "__main__":
     for name, figure in measure().items():
-        print(f"{name}: {figure['value']:.1f} ms")
+        target = f"  (target {figure['target']:g})" if figure["target"] is not None else ""
+        print(f"{name}: {figure['value']:.1f} {figure['unit']}{target}")

@@ -206,3 +206,34 @@ def test_depth_noise_does_not_open_holes():
     target = camera.resized(90, 60)
     covered = splat([PixelGaussians(camera, np.full((40, 60), 2, np.float32), source.features)], target, near=0.2).alpha
     assert covered.min() > 0.9
+
+
+@pytest.mark.parametrize("channels", [3, 4])
+def test_an_8_bit_image_splats_as_its_float_copy(channels):
+    """Levels 0 to 255, and an extra feature beside them, give the bits that floats of level / 255 give."""
+    random = np.random.default_rng(12)
+    source, target = random_camera(random, 50, 38), random_camera(random, 61, 45)
+    depth = random_depth(random, source)
+    image = random.integers(0, 256, (38, 50, 3)).astype(np.uint8)
+    extra = random.random((38, 50), dtype=np.float32) if channels == 4 else None
+    bytes_in = PixelGaussians(source, depth, image, extra)
+
+    ours = splat([bytes_in], target, near=0.2)
+    floats = splat([PixelGaussians(source, depth, bytes_in.float_features())], target, near=0.2)
+
+    assert bytes_in.channels == channels
+    for name in ("features", "alpha", "depth"):
+        np.testing.assert_array_equal(getattr(ours, name), getattr(floats, name))
+
+
+def test_an_extra_feature_goes_with_8_bit_images():
+    """Beside float features, and beside an image that is not RGB, an extra feature is refused."""
+    random = np.random.default_rng(13)
+    camera = random_camera(random, 8, 6)
+    depth, image = np.ones((6, 8), np.float32), np.zeros((6, 8, 3), np.uint8)
+    with pytest.raises(RenderError, match="an extra feature goes with an 8-bit image, got features of float32"):
+        splat([PixelGaussians(camera, depth, image.astype(np.float32), depth)], camera, near=0.2)
+    with pytest.raises(RenderError, match=r"wanted an 8-bit image \(H, W, 3\), got \(6, 8\)"):
+        splat([PixelGaussians(camera, depth, image[..., 0])], camera, near=0.2)
+    with pytest.raises(RenderError, match="extra feature must be 6 x 8"):
+        splat([PixelGaussians(camera, depth, image, depth[:5])], camera, near=0.2)

@@ -2,9 +2,10 @@
 
 from ggvs_eval.geometry.splat import PixelGaussians, Splat, splat
 from ggvs_eval.geometry.tsdf import DepthView, PreviousDepth, RayMarch, fusion_weights, ray_march
-from ggvs_eval.geometry.warp import Warp, warp
+from ggvs_eval.geometry.warp import CapturedView, Warp, look_up, warp
 
 __all__ = [
+    "CapturedView",
     "DepthView",
     "PixelGaussians",
     "PreviousDepth",
@@ -12,6 +13,7 @@ __all__ = [
     "Splat",
     "Warp",
     "fusion_weights",
+    "look_up",
     "ray_march",
     "splat",
     "warp",

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.pinhole import as_image, pinhole, rigid_between
+from ggvs_eval.images import Image8
 from ggvs_eval.kernels import LEVELS, get_level, get_threads
 
 MAX_FEATURES = 4
@@ -21,12 +22,27 @@ class PixelGaussians:
     Attributes:
         camera: the source camera.
         depth: z in the source camera, (H, W) float32, world units, 0 = no Gaussian here.
-        features: what is blended, e.g. colour and a motion mask, (H, W, C) float32 with C from 1 to 4.
+        features: what is blended, (H, W, C) float32 with C from 1 to 4; or an 8-bit image, (H, W, 3) uint8, whose levels count
+            as shares of 255.
+        extra: one more feature beside an 8-bit image, (H, W) float32, e.g. a motion mask.
     """
 
     camera: Camera
     depth: NDArray[np.float32]
-    features: NDArray[np.float32]
+    features: NDArray[np.float32] | Image8
+    extra: NDArray[np.float32] | None = None
+
+    @property
+    def channels(self) -> int:
+        """C, the extra one included; 0 if the features are no image."""
+        return (self.features.shape[2] if self.features.ndim == 3 else 0) + (self.extra is not None)
+
+    def float_features(self) -> NDArray[np.float32]:
+        """All features, (H, W, C) float32; a copy unless they are so already."""
+        if self.features.dtype != np.uint8:
+            return self.features.astype(np.float32, copy=False)
+        shares = self.features.astype(np.float32) / np.float32(255)
+        return shares if self.extra is None else np.concatenate([shares, self.extra[..., None]], axis=-1, dtype=np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +94,7 @@ def splat(
             pinhole(source.camera),
             rigid_between(source.camera, target),
             as_image(source.depth, source.camera, "depth", RenderError),
-            as_image(source.features, source.camera, "features", RenderError),
+            *_features(source),
         )
         for source in sources
     ]
@@ -86,8 +102,23 @@ def splat(
     return Splat(*_core.splat(views, pinhole(target), near, scale, channels, normalised, get_threads(), level))
 
 
+def _features(source: PixelGaussians) -> tuple[NDArray[np.float32] | Image8, NDArray[np.float32] | None]:
+    """Features and the extra one as the kernel takes them, without a copy where they lie as it wants them."""
+    if source.features.dtype != np.uint8:
+        return as_image(source.features, source.camera, "features", RenderError), None
+    if source.features.shape[:2] != (source.camera.height, source.camera.width):
+        as_image(source.features, source.camera, "features", RenderError)  # raises
+    extra = None if source.extra is None else as_image(source.extra, source.camera, "extra feature", RenderError)
+    return np.ascontiguousarray(source.features, np.uint8), extra
+
+
 def _common_channels(sources: Sequence[PixelGaussians]) -> int:
-    channels = {source.features.shape[2] if source.features.ndim == 3 else 0 for source in sources}
+    for source in sources:
+        if source.extra is not None and source.features.dtype != np.uint8:
+            raise RenderError(f"splat: an extra feature goes with an 8-bit image, got features of {source.features.dtype}")
+        if source.features.dtype == np.uint8 and source.features.shape[2:] != (3,):
+            raise RenderError(f"splat: wanted an 8-bit image (H, W, 3), got {source.features.shape}")
+    channels = {source.channels for source in sources}
     if len(channels) != 1 or not 1 <= min(channels) <= MAX_FEATURES:
         shapes = ", ".join(str(source.features.shape) for source in sources) or "no source"
         raise RenderError(f"splat: wanted features (H, W, C) with one C from 1 to {MAX_FEATURES} in all sources, got {shapes}")

@@ -1,5 +1,6 @@
 """Backward warping: what a source image shows at the surface that the target sees."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,7 +9,8 @@ from numpy.typing import NDArray
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.pinhole import as_image, pinhole, rigid_between
-from ggvs_eval.kernels import get_threads
+from ggvs_eval.images import Image8
+from ggvs_eval.kernels import LEVELS, get_level, get_threads
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,6 +24,23 @@ class Warp:
 
     colour: NDArray[np.float32]
     visibility: NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class CapturedView:
+    """A source view that `look_up` samples.
+
+    Attributes:
+        camera: the source camera.
+        image: (Hs, Ws, 3) uint8.
+        depth: the source's own depth, (Hs, Ws) float32, world units, 0 = invalid.
+        weight: how far the view counts beside the others where it is visible, at least 0.
+    """
+
+    camera: Camera
+    image: Image8
+    depth: NDArray[np.float32]
+    weight: float
 
 
 def warp(
@@ -63,3 +82,61 @@ def warp(
         as_image(source_depth, source, "source depth", RenderError),
     )
     return Warp(*_core.warp(*views, tolerance, bicubic, get_threads()))
+
+
+def look_up(
+    target: Camera,
+    target_depth: NDArray[np.float32],
+    views: Sequence[CapturedView],
+    background: NDArray[np.float32],
+    tolerance: float,
+) -> NDArray[np.float32]:
+    """Look the target's surface up in all source images at once: their weighted mean, over a background.
+
+    What `warp` does for each view (bicubic), the mean of their colours by visibility times weight, and the background as far as
+    the sum of those falls short of the largest weight, in one pass without images in between.
+
+    Args:
+        target: the camera to render.
+        target_depth: its depth, (H, W) float32, world units, 0 = unknown.
+        views: the source views, at least one with a positive weight; sizes may differ.
+        background: (H, W, 3) float32.
+        tolerance: as in `warp`, world units.
+
+    Returns:
+        (H, W, 3) float32.
+
+    Raises:
+        RenderError: images that do not fit their cameras or are not 8-bit RGB, a tolerance that is not positive, or no weight.
+    """
+    from ggvs_eval.kernels import _core
+
+    full_weight = max((view.weight for view in views), default=0.0)
+    if not (0 < tolerance < np.inf and 0 < full_weight < np.inf):
+        raise RenderError(f"look-up: tolerance and largest weight must be positive, got {tolerance:g} and {full_weight:g}")
+    if background.shape[2:] != (3,):
+        raise RenderError(f"look-up: wanted a background (H, W, 3), got {background.shape}")
+    fields = [
+        (
+            pinhole(view.camera),
+            rigid_between(target, view.camera),
+            _as_image8(view),
+            as_image(view.depth, view.camera, "source depth", RenderError),
+            view.weight,
+        )
+        for view in views
+    ]
+    depth = as_image(target_depth, target, "target depth", RenderError)
+    under = as_image(background, target, "background", RenderError)
+    level = LEVELS.index(get_level())
+    return _core.look_up(pinhole(target), depth, fields, under, tolerance, full_weight, get_threads(), level)
+
+
+def _as_image8(view: CapturedView) -> Image8:
+    camera, image = view.camera, view.image
+    if image.shape != (camera.height, camera.width, 3) or image.dtype != np.uint8 or image.size < 6:
+        raise RenderError(
+            f"camera {camera.name}: wanted a uint8 image ({camera.height}, {camera.width}, 3) of at least two pixels, "
+            f"got {image.dtype} {image.shape}"
+        )
+    return np.ascontiguousarray(image)

@@ -6,12 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 Image = NDArray[np.float32]
+Image8 = NDArray[np.uint8]
 Matrix = NDArray[np.float64]  # (4, 4), rigid
 Pinhole = tuple[float, float, float, float, int, int]  # fx, fy, cx, cy, width, height
 
 def best_level() -> int: ...
 def splat(
-    sources: Sequence[tuple[Pinhole, Matrix, Image, Image]],  # camera, to_target, depth, features
+    sources: Sequence[tuple[Pinhole, Matrix, Image, Image | Image8, Image | None]],  # camera, to_target, depth, features, extra
     target: Pinhole,
     near: float,
     scale: float,
@@ -44,3 +45,30 @@ def warp(
     bicubic: bool,
     threads: int,
 ) -> tuple[Image, Image]: ...
+def colour_difference(now: Image8, before: Image8, cells: tuple[int, int], mean: bool, threads: int) -> Image: ...
+def mix_depth(depth: Image, history: Image, mask: Image, tolerance: float, threads: int) -> Image: ...
+def weighted_mean(
+    views: Sequence[tuple[Image, Image, float]],  # colour, weight, factor
+    size: tuple[int, ...],
+    black_weight: float,
+    threads: int,
+) -> Image: ...
+def largest_feature(
+    views: Sequence[tuple[Image, Image]],  # features, alpha
+    channel: int,
+    size: tuple[int, ...],
+    least_alpha: float,
+    otherwise: float,
+    threads: int,
+) -> Image: ...
+def look_up(
+    target: Pinhole,
+    depth: Image,
+    views: Sequence[tuple[Pinhole, Matrix, Image8, Image, float]],  # camera, from_target, image, depth, factor
+    background: Image,
+    tolerance: float,
+    full_weight: float,
+    threads: int,
+    level: int,
+) -> Image: ...
+def push_pull(colour: Image, known: NDArray[np.bool_], threads: int) -> Image: ...

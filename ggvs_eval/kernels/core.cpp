@@ -1,12 +1,8 @@
-// Python bindings of the geometric kernels. Arrays are taken as they lie in memory: a wrong dtype, shape or layout is a
-// TypeError, never a silent copy. The GIL is released while a kernel runs.
-#include <pybind11/numpy.h>
-#include <pybind11/pybind11.h>
-
+// Python bindings of the geometric kernels; those of the image kernels stand in images.cpp. The GIL is released while one runs.
 #include <limits>
-#include <string>
-#include <vector>
 
+#include "camera_arguments.hpp"
+#include "images.hpp"
 #include "kernels.hpp"
 #include "warp.hpp"
 
@@ -15,53 +11,27 @@ using namespace py::literals;
 
 namespace {
 
-std::string describe(const py::array& array) {
-    return py::cast<std::string>(py::str(array.dtype())) + " " + py::cast<std::string>(py::str(array.attr("shape"))) +
-           (array.flags() & py::array::c_style ? "" : ", not C-contiguous");
-}
-
-// The data of a C-contiguous T array of exactly this shape.
-template <class T>
-const T* data_of(const py::handle& object, const char* name, const std::vector<py::ssize_t>& shape) {
-    py::tuple sizes(shape.size());
-    for (size_t n = 0; n < shape.size(); ++n) sizes[n] = shape[n];
-    const std::string wanted =
-        py::cast<std::string>(py::str(py::dtype::of<T>())) + " " + py::cast<std::string>(py::str(sizes)) + ", C-contiguous";
-    if (!py::isinstance<py::array>(object))
-        throw py::type_error(std::string(name) + ": wanted " + wanted + ", got " + Py_TYPE(object.ptr())->tp_name);
-    const py::array array = py::reinterpret_borrow<py::array>(object);
-    const bool same = py::isinstance<py::array_t<T>>(array) && (array.flags() & py::array::c_style) &&
-                      std::vector<py::ssize_t>(array.shape(), array.shape() + array.ndim()) == shape;
-    if (!same) throw py::type_error(std::string(name) + ": wanted " + wanted + ", got " + describe(array));
-    return static_cast<const T*>(array.data());
-}
-
-const float* image_of(const py::handle& object, const char* name, const ggvs::Pinhole& camera) {
-    return data_of<float>(object, name, {camera.height, camera.width});
-}
-
-// (fx, fy, cx, cy, width, height)
-ggvs::Pinhole pinhole(const py::handle& object) {
-    const auto [fx, fy, cx, cy, width, height] = py::cast<std::tuple<double, double, double, double, int, int>>(object);
-    if (width < 0 || height < 0 || width > 65535 || height > 65535)
-        throw py::value_error("images of at most 65535 x 65535 pixels");
-    return {fx, fy, cx, cy, width, height};
-}
-
-py::array_t<float> empty(std::vector<py::ssize_t> shape) { return py::array_t<float>(std::move(shape)); }
+using ggvs::data_of, ggvs::describe, ggvs::empty, ggvs::image_of, ggvs::pinhole_of;
 
 py::tuple splat(const py::sequence& sources, const py::handle& target, float near, float scale, int channels, bool normalised,
                 int threads, int level) {
     std::vector<ggvs::SplatSource> list;
     for (const py::handle& item : sources) {
         const py::tuple source = py::cast<py::tuple>(item);
-        ggvs::SplatSource s{pinhole(source[0]), data_of<double>(source[1], "to_target", {4, 4}), nullptr, nullptr};
+        ggvs::SplatSource s{pinhole_of(source[0]), data_of<double>(source[1], "to_target", {4, 4}), nullptr, nullptr, nullptr,
+                            nullptr, nullptr};
         s.depth = image_of(source[2], "depth", s.camera);
-        s.features = data_of<float>(source[3], "features", {s.camera.height, s.camera.width, channels});
+        if (py::isinstance<py::array_t<uint8_t>>(source[3])) {
+            s.colours = data_of<uint8_t>(source[3], "features", {s.camera.height, s.camera.width, 3});
+            if (!source[4].is_none()) s.extra = image_of(source[4], "extra", s.camera);
+            if (channels != (s.extra ? 4 : 3)) throw py::value_error("splat: wanted 3 channels, or 4 with an extra one");
+        } else {
+            s.features = data_of<float>(source[3], "features", {s.camera.height, s.camera.width, channels});
+        }
         list.push_back(s);
     }
     if (channels < 1 || channels > ggvs::kMaxFeatures) throw py::value_error("splat: wanted 1 to 4 feature channels");
-    const ggvs::SplatTarget to{pinhole(target), near};
+    const ggvs::SplatTarget to{pinhole_of(target), near};
     py::array_t<float> features = empty({to.camera.height, to.camera.width, channels});
     py::array_t<float> alpha = empty({to.camera.height, to.camera.width}), depth = empty({to.camera.height, to.camera.width});
     const ggvs::SplatImages out{features.mutable_data(), alpha.mutable_data(), depth.mutable_data()};
@@ -85,7 +55,7 @@ py::array_t<float> fusion_weights(const py::array& depth, float tau, float depth
 
 py::tuple ray_march(const py::handle& target, const py::tuple& range, const py::sequence& views, float tau, float step_fraction,
                     float min_step, int bisections, bool skip_empty, int threads, int level) {
-    ggvs::March march{pinhole(target),
+    ggvs::March march{pinhole_of(target),
                       py::cast<float>(range[0]),
                       py::cast<float>(range[1]),
                       tau,
@@ -96,7 +66,7 @@ py::tuple ray_march(const py::handle& target, const py::tuple& range, const py::
                       {}};
     for (const py::handle& item : views) {
         const py::tuple view = py::cast<py::tuple>(item);
-        ggvs::FieldView field{pinhole(view[0]),
+        ggvs::FieldView field{pinhole_of(view[0]),
                               data_of<double>(view[1], "from_target", {4, 4}),
                               nullptr,
                               nullptr,
@@ -124,7 +94,7 @@ py::tuple ray_march(const py::handle& target, const py::tuple& range, const py::
 
 py::tuple warp(const py::handle& target, const py::handle& target_depth, const py::handle& source, const py::handle& from_target,
                const py::handle& image, const py::handle& source_depth, float tolerance, bool bicubic, int threads) {
-    const ggvs::Pinhole to = pinhole(target), from = pinhole(source);
+    const ggvs::Pinhole to = pinhole_of(target), from = pinhole_of(source);
     const float* depth = image_of(target_depth, "target_depth", to);
     const ggvs::WarpSource s{from, data_of<double>(from_target, "from_target", {4, 4}),
                              data_of<float>(image, "image", {from.height, from.width, 3}),
@@ -150,4 +120,5 @@ PYBIND11_MODULE(_core, m) {
           "skip_empty"_a, "threads"_a, "level"_a);
     m.def("warp", &warp, "target"_a, "target_depth"_a, "source"_a, "from_target"_a, "image"_a, "source_depth"_a, "tolerance"_a,
           "bicubic"_a, "threads"_a);
+    ggvs::bind_images(m);
 }

@@ -1,5 +1,6 @@
 // The table of inner loops: one per instruction set, the choice is made when the program runs.
 #pragma once
+#include "blend.hpp"
 #include "splat.hpp"
 #include "tsdf.hpp"
 
@@ -13,6 +14,7 @@ struct Kernels {
     void (*finish_blocks)(float* blocks, int channels, bool normalised);
     void (*fusion_row)(const FusionRow&);
     void (*march_column)(const March&, const MarchColumn&, float* depth, float* weight);
+    void (*look_up_row)(const LookUp&, int y, float* out);
 };
 
 extern const Kernels kBaselineKernels, kAvx2Kernels, kAvx512Kernels;

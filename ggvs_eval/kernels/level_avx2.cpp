@@ -14,6 +14,7 @@
 #define GGVS_LEVEL avx2
 #include "simd_avx2.hpp"
 // After the vectors, whose names they use:
+#include "blend_simd.hpp"
 #include "splat_simd.hpp"
 #include "tsdf_simd.hpp"
 
@@ -26,7 +27,7 @@
 namespace ggvs {
 
 const Kernels kAvx2Kernels = {avx2::tile_ranges,   avx2::ellipses,   avx2::blend_tile,
-                              avx2::finish_blocks, avx2::fusion_row, avx2::march_column};
+                              avx2::finish_blocks, avx2::fusion_row, avx2::march_column, avx2::look_up_row};
 
 }  // namespace ggvs
 #endif

@@ -17,6 +17,7 @@
 #define GGVS_LEVEL avx512
 #include "simd_avx512.hpp"
 // After the vectors, whose names they use:
+#include "blend_simd.hpp"
 #include "splat_simd.hpp"
 #include "tsdf_simd.hpp"
 
@@ -29,7 +30,7 @@
 namespace ggvs {
 
 const Kernels kAvx512Kernels = {avx512::tile_ranges,   avx512::ellipses,   avx512::blend_tile,
-                                avx512::finish_blocks, avx512::fusion_row, avx512::march_column};
+                                avx512::finish_blocks, avx512::fusion_row, avx512::march_column, avx512::look_up_row};
 
 }  // namespace ggvs
 #endif

@@ -37,5 +37,6 @@ GGVS_INLINE F sqrt(F x) { return _mm256_sqrt_ps(x); }
 GGVS_INLINE I truncate(F x) { return (I)_mm256_cvttps_epi32(x); }
 GGVS_INLINE F to_float(I x) { return _mm256_cvtepi32_ps((__m256i)x); }
 GGVS_INLINE F gather(const float* p, I at) { return _mm256_i32gather_ps(p, (__m256i)at, 4); }
+GGVS_INLINE I gather_bytes(const uint8_t* p, I at) { return (I)_mm256_i32gather_epi32((const int*)p, (__m256i)at, 1); }
 
 }  // namespace ggvs::GGVS_LEVEL

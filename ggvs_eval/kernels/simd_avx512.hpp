@@ -37,5 +37,6 @@ GGVS_INLINE F sqrt(F x) { return _mm512_sqrt_ps(x); }
 GGVS_INLINE I truncate(F x) { return (I)_mm512_cvttps_epi32(x); }
 GGVS_INLINE F to_float(I x) { return _mm512_cvtepi32_ps((__m512i)x); }
 GGVS_INLINE F gather(const float* p, I at) { return _mm512_i32gather_ps((__m512i)at, p, 4); }
+GGVS_INLINE I gather_bytes(const uint8_t* p, I at) { return (I)_mm512_i32gather_epi32((__m512i)at, p, 1); }
 
 }  // namespace ggvs::GGVS_LEVEL

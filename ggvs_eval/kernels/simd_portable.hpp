@@ -48,5 +48,11 @@ GGVS_INLINE F sqrt(F x) { return F{__builtin_sqrtf(x[0]), __builtin_sqrtf(x[1]),
 GGVS_INLINE I truncate(F x) { return __builtin_convertvector(x, I); }
 GGVS_INLINE F to_float(I x) { return __builtin_convertvector(x, F); }
 GGVS_INLINE F gather(const float* p, I at) { return F{p[at[0]], p[at[1]], p[at[2]], p[at[3]]}; }
+// Four bytes from any address.
+GGVS_INLINE I gather_bytes(const uint8_t* p, I at) {
+    int32_t lanes[kWidth];
+    for (int lane = 0; lane < kWidth; ++lane) __builtin_memcpy(lanes + lane, p + at[lane], sizeof(int32_t));
+    return load(lanes);
+}
 
 }  // namespace ggvs::GGVS_LEVEL

@@ -103,22 +103,37 @@ void sort_by_depth(std::vector<uint64_t>& keys, std::vector<uint64_t>& swap) {
     }
 }
 
-void write_tile(const float* blocks, int channels, int left, int top, const Pinhole& camera, SplatImages out) {
-    const int floats = (2 + channels) * kLanes;
+// The features of some pixels of a block's row, channels side by side.
+template <int kChannels>
+void write_features(const float* from, int columns, float* out) {
+    for (int lane = 0; lane < columns; ++lane)
+        for (int c = 0; c < kChannels; ++c) out[lane * kChannels + c] = from[c * kLanes + lane];
+}
+
+template <int kChannels>
+void write_tile(const float* blocks, int left, int top, const Pinhole& camera, SplatImages out) {
+    constexpr int kFloats = (2 + kChannels) * kLanes;
     const int bottom = std::min(top + kTileHeight, camera.height), right = std::min(left + kTileWidth, camera.width);
     for (int y = top; y < bottom; ++y) {
-        for (int x = left; x < right; x += kBlock) {
-            const int block = (y - top) / kBlock * (kTileWidth / kBlock) + (x - left) / kBlock;
-            const float* from = blocks + block * floats + (y - top) % kBlock * kBlock;
+        const float* row = blocks + (y - top) / kBlock * (kTileWidth / kBlock) * kFloats + (y - top) % kBlock * kBlock;
+        for (int x = left; x < right; x += kBlock, row += kFloats) {
             const int64_t pixel = int64_t(y) * camera.width + x;
             const int columns = std::min(kBlock, right - x);
-            std::memcpy(out.alpha + pixel, from, columns * sizeof(float));
-            std::memcpy(out.depth + pixel, from + kLanes, columns * sizeof(float));
-            for (int lane = 0; lane < columns; ++lane)
-                for (int c = 0; c < channels; ++c) out.features[(pixel + lane) * channels + c] = from[(2 + c) * kLanes + lane];
+            std::memcpy(out.alpha + pixel, row, columns * sizeof(float));
+            std::memcpy(out.depth + pixel, row + kLanes, columns * sizeof(float));
+            float* features = out.features + pixel * kChannels;
+            // The usual whole row of a block has a length the compiler knows.
+            if (columns == kBlock) {
+                write_features<kChannels>(row + 2 * kLanes, kBlock, features);
+            } else {
+                write_features<kChannels>(row + 2 * kLanes, columns, features);
+            }
         }
     }
 }
+
+using WriteTile = void (*)(const float* blocks, int left, int top, const Pinhole& camera, SplatImages out);
+constexpr WriteTile kWriteTile[kMaxFeatures] = {write_tile<1>, write_tile<2>, write_tile<3>, write_tile<4>};
 
 // All that happens in one tile, steps 2 to 8.
 struct TileJob {
@@ -165,15 +180,18 @@ struct TileJob {
         for (int block = 0; block < kTileBlocks; ++block) std::fill_n(work.blocks.begin() + size_t(block) * floats, kLanes, 1.0f);
         kernels.blend_tile(work.list.data(), work.ordered.data(), int(count), channels, work.blocks.data());
         kernels.finish_blocks(work.blocks.data(), channels, normalised);
-        write_tile(work.blocks.data(), channels, left, top, target.camera, out);
+        kWriteTile[channels - 1](work.blocks.data(), left, top, target.camera, out);
     }
 };
 
 }  // namespace
 
-void splat(const std::vector<SplatSource>& sources, int channels, const SplatTarget& target, float scale, bool normalised,
+void splat(std::vector<SplatSource>& sources, int channels, const SplatTarget& target, float scale, bool normalised,
            SplatImages out, int threads, int level) {
     const Kernels& kernels = kernels_of(level);
+    float shares[256];
+    for (int colour = 0; colour < 256; ++colour) shares[colour] = float(colour) / 255.0f;
+    for (SplatSource& source : sources) source.shares = shares;
     std::vector<Projector> projectors;
     for (const SplatSource& source : sources) projectors.push_back(make_projector(source, target, scale));
     const Grid grid{(target.camera.width + kTileWidth - 1) / kTileWidth, (target.camera.height + kTileHeight - 1) / kTileHeight};

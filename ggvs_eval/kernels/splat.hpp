@@ -15,11 +15,15 @@ constexpr int kLanes = kBlock * kBlock;
 constexpr int kTileBlocks = kTileWidth * kTileHeight / kLanes;
 constexpr float kMinAlpha = 1.0f / 255.0f, kLog2MinAlpha = -7.99435344f;
 
+// The features are floats, or an 8-bit colour and perhaps one float more: then no image of floats is ever made.
 struct SplatSource {
     Pinhole camera;
     const double* to_target;  // source camera -> target camera, rigid 4x4
     const float* depth;       // (height, width), 0 = invalid
-    const float* features;    // (height, width, channels)
+    const float* features;    // (height, width, channels), or null
+    const uint8_t* colours;   // (height, width, 3), where features is null
+    const float* extra;       // (height, width), where features is null and there are four channels
+    const float* shares;      // of full colour, for each of the 256 levels; filled by splat
 };
 
 struct SplatTarget {
@@ -57,7 +61,7 @@ struct TileRanges {
 };
 
 // Source pixels packed as row << 16 | column.
-void splat(const std::vector<SplatSource>& sources, int channels, const SplatTarget& target, float scale, bool normalised,
+void splat(std::vector<SplatSource>& sources, int channels, const SplatTarget& target, float scale, bool normalised,
            SplatImages out, int threads, int level);
 
 }  // namespace ggvs

@@ -111,8 +111,14 @@ static void ellipses_of(const Projector& p, const SplatSource& source, const uin
             __builtin_memcpy(&e.blocks, &blocks[lane], sizeof e.blocks);
             e.u = fields[0][lane], e.v = fields[1][lane], e.depth = fields[5][lane];
             e.xx = fields[2][lane], e.xy = fields[3][lane], e.yy = fields[4][lane];
-            const float* features = source.features + int64_t(at[lane]) * kChannels;
-            for (int c = 0; c < kChannels; ++c) e.features[c] = features[c];
+            if (source.features) {
+                const float* features = source.features + int64_t(at[lane]) * kChannels;
+                for (int c = 0; c < kChannels; ++c) e.features[c] = features[c];
+            } else {
+                const uint8_t* colour = source.colours + int64_t(at[lane]) * 3;
+                for (int c = 0; c < kChannels && c < 3; ++c) e.features[c] = source.shares[colour[c]];
+                if (kChannels > 3) e.features[kChannels - 1] = source.extra[at[lane]];
+            }
         }
     }
 }

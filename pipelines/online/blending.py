@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-
 from ggvs_eval.baselines.method import Instant, Map
+from ggvs_eval.geometry.per_pixel import weighted_mean
 from ggvs_eval.geometry.splat import Splat
 
 
@@ -53,13 +52,3 @@ def compose(colours: Sequence[Map], weights: Sequence[Map], background: Map, bac
     """
     foreground = weighted_mean(colours, weights)
     return foreground + background_weight[..., None] * (background - foreground)
-
-
-def weighted_mean(colours: Sequence[Map], weights: Sequence[Map]) -> Map:
-    """Mean of the views' colours; black where no view has weight."""
-    total = np.full(weights[0].shape, 1e-6, np.float32)
-    mean = np.zeros_like(colours[0])
-    for colour, weight in zip(colours, weights, strict=True):
-        total += weight
-        mean += weight[..., None] * colour
-    return mean / total[..., None]

@@ -1,0 +1,79 @@
+"""Values of several views at the same target pixel made one."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.errors import RenderError
+from ggvs_eval.kernels import get_threads
+
+Map = NDArray[np.float32]
+
+
+def weighted_mean(
+    colours: Sequence[Map], weights: Sequence[Map], factors: Sequence[float] | None = None, *, black_weight: float = 1e-6
+) -> Map:
+    """Mean of the views' colours; black where no view has weight.
+
+    Args:
+        colours: each (H, W, C) with at least three channels, float32; the first three count.
+        weights: each (H, W), float32, at least 0; only their ratios matter.
+        factors: one more weight per view, 1 unless given.
+        black_weight: of a black view everywhere, so that no division is by zero.
+
+    Returns:
+        (H, W, 3), float32: sum of weighted colours over (sum of weights + black_weight).
+
+    Raises:
+        RenderError: no view, or not as many weights as colours.
+    """
+    from ggvs_eval.kernels import _core
+
+    factors = [1.0] * len(colours) if factors is None else factors
+    if not len(colours) == len(weights) == len(factors) > 0:
+        raise RenderError(
+            f"weighted mean: wanted a weight and a factor per view, got {len(colours)} views, {len(weights)} weights"
+        )
+    views = [
+        (_even(colour), np.ascontiguousarray(weight, np.float32), float(factor))
+        for colour, weight, factor in zip(colours, weights, factors, strict=True)
+    ]
+    return _core.weighted_mean(views, views[0][1].shape, black_weight, get_threads())
+
+
+def largest_feature(features: Sequence[Map], alphas: Sequence[Map], *, channel: int, least_alpha: float, otherwise: float) -> Map:
+    """Largest value of one feature among the views that cover a pixel.
+
+    Args:
+        features: of each splatted view, (H, W, C), float32.
+        alphas: coverage of each view, (H, W), float32.
+        channel: which feature.
+        least_alpha: coverage from which a view has a say.
+        otherwise: value where no view has one, or none that is positive.
+
+    Returns:
+        (H, W), float32.
+
+    Raises:
+        RenderError: no view, or not as many coverages as features.
+    """
+    from ggvs_eval.kernels import _core
+
+    if not len(features) == len(alphas) > 0:
+        raise RenderError(f"largest feature: wanted a coverage per view, got {len(features)} views, {len(alphas)} coverages")
+    views = [(_even(feature), np.ascontiguousarray(alpha, np.float32)) for feature, alpha in zip(features, alphas, strict=True)]
+    return _core.largest_feature(views, channel, views[0][1].shape, least_alpha, otherwise, get_threads())
+
+
+def _even(image: Map) -> Map:
+    """The image itself if its pixels lie evenly, as the first channels of a larger image do; else a copy."""
+    image = np.asarray(image, np.float32)
+    if (
+        image.ndim == 3
+        and image.strides[2] == 4
+        and image.strides[1] > 0
+        and image.strides[0] == image.shape[1] * image.strides[1]
+    ):
+        return image
+    return np.ascontiguousarray(image)

@@ -1,0 +1,33 @@
+"""The compiled stereo kernels; plane_sweep.hpp, sgm.hpp and weighted_median.hpp explain the arguments."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+Image = NDArray[np.float32]
+Bytes = NDArray[np.uint8]
+Row = NDArray[np.float32]
+Motion = NDArray[np.float32]  # (7,): start, slope and origin in x and y each, along
+Partner = tuple[Image, Row, Row, Bytes | None, Motion]  # image, first, last, visible, motion
+
+TILE_SIZE: tuple[int, int]  # columns, rows
+COST_LIMIT: int
+
+def sweep_planes(
+    reference: Image,
+    guide: Bytes,
+    partners: Sequence[Partner],
+    window: tuple[int, float, float, float],  # radius, colour_scale, distance_scale, noise
+    hidden_weight: float,
+    planes: tuple[float, float, int],  # first, step, count
+    ranges: NDArray[np.int32],
+    threads: int,
+    level: int,
+) -> Bytes: ...
+def aggregate(
+    costs: Bytes, guide: Bytes, small_step: int, large_steps: Bytes, threads: int, level: int
+) -> tuple[Image, Image]: ...
+def weighted_median(
+    surface: Image, guide: Bytes, planes: int, radius: int, colour_scale: float, tolerance: float, threads: int
+) -> Image: ...

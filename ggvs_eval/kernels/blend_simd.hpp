@@ -1,0 +1,143 @@
+// The look-up of captured views, written once for every instruction set (included by level_*.cpp after a simd_*.hpp).
+#pragma once
+#include "blend.hpp"
+
+namespace ggvs::GGVS_LEVEL {
+
+struct Colour {
+    F red, green, blue;
+};
+
+// A view's colours and weights in one packet of target pixels.
+struct Seen {
+    Colour colour;  // 0 .. 255
+    F weight;
+};
+
+// Four neighbours and their weights; the border is repeated.
+struct Corners {
+    I at[4];  // pixels
+    F share[4];
+};
+
+GGVS_INLINE Corners corners(const Pinhole& camera, F u, F v) {
+    const F zero = all(0.0f), one = all(1.0f), last_x = all(float(camera.width - 1)), last_y = all(float(camera.height - 1));
+    F x = min(max(u - all(0.5f), zero), last_x), y = min(max(v - all(0.5f), zero), last_y);
+    I x0 = truncate(x), y0 = truncate(y);
+    I x1 = truncate(min(to_float(x0) + one, last_x)), y1 = truncate(min(to_float(y0) + one, last_y));
+    F fx = x - to_float(x0), fy = y - to_float(y0);
+    I stride = all(int32_t(camera.width));
+    return {{y0 * stride + x0, y0 * stride + x1, y1 * stride + x0, y1 * stride + x1},
+            {(one - fy) * (one - fx), (one - fy) * fx, fy * (one - fx), fy * fx}};
+}
+
+// Bilinear where the four neighbours belong to one surface (valid, within the tolerance), else the nearest pixel's.
+GGVS_INLINE F depth_at(const LookUpView& view, const Corners& c, F u, F v, float tolerance) {
+    F d0 = gather(view.depth, c.at[0]), d1 = gather(view.depth, c.at[1]);
+    F d2 = gather(view.depth, c.at[2]), d3 = gather(view.depth, c.at[3]);
+    F low = min(min(d0, d1), min(d2, d3)), high = max(max(d0, d1), max(d2, d3));
+    F mean = c.share[0] * d0 + c.share[1] * d1 + c.share[2] * d2 + c.share[3] * d3;
+    M smooth = both(less(all(0.0f), low), less(high - low, all(tolerance)));
+    return select(smooth, mean, gather(view.depth, truncate(v) * all(int32_t(view.camera.width)) + truncate(u)));
+}
+
+// Four pixels of a line and their Catmull-Rom weights, as in warp.cpp; the border is repeated.
+struct Taps {
+    I at[4];
+    F share[4];
+};
+
+GGVS_INLINE Taps cubic_taps(F coordinate, int size) {
+    // The index before is found by truncation, which rounds down here: coordinates are not negative.
+    const F one = all(1.0f), half = all(0.5f), last = all(float(size - 1));
+    F first = to_float(truncate(coordinate + half)) - one, f = coordinate - half - first;
+    Taps taps;
+    for (int n = 0; n < 4; ++n) taps.at[n] = truncate(min(max(first + all(float(n - 1)), all(0.0f)), last));
+    taps.share[0] = f * (f * (one - half * f) - half);
+    taps.share[1] = one + f * f * (all(1.5f) * f - all(2.5f));
+    taps.share[2] = f * (half + f * (all(2.0f) - all(1.5f) * f));
+    taps.share[3] = f * f * (half * f - half);
+    return taps;
+}
+
+// Catmull-Rom, clipped to the range of colours.
+GGVS_INLINE Colour colour_at(const LookUpView& view, F u, F v) {
+    // Four bytes are read at a time; the last pixel has three, so they are read one byte earlier and shifted.
+    const I last = all(int32_t(3 * (int64_t(view.camera.width) * view.camera.height - 1))), low_byte = all(int32_t(255));
+    const Taps x = cubic_taps(u, view.camera.width), y = cubic_taps(v, view.camera.height);
+    Colour sum{all(0.0f), all(0.0f), all(0.0f)};
+    for (int n = 0; n < 16; ++n) {
+        I byte = (y.at[n / 4] * all(int32_t(view.camera.width)) + x.at[n % 4]) * all(int32_t(3));
+        M at_end = less(to_float(last - byte), all(1.0f));
+        I raw = gather_bytes(view.image, select(at_end, byte - all(int32_t(1)), byte));
+        raw = select(at_end, raw >> 8, raw);
+        F share = y.share[n / 4] * x.share[n % 4];
+        sum.red = sum.red + share * to_float(raw & low_byte);
+        sum.green = sum.green + share * to_float((raw >> 8) & low_byte);
+        sum.blue = sum.blue + share * to_float((raw >> 16) & low_byte);
+    }
+    const F zero = all(0.0f), most = all(255.0f);
+    return {min(max(sum.red, zero), most), min(max(sum.green, zero), most), min(max(sum.blue, zero), most)};
+}
+
+// What one view shows at the surface of target pixels (column, row) of this depth; without weight the colour means nothing.
+GGVS_INLINE Seen see(const LookUpView& view, F column, F row, F depth, float tolerance) {
+    const float *m = view.map.matrix, *o = view.map.offset;
+    F z = depth * (all(m[6]) * column + all(m[7]) * row + all(m[8])) + all(o[2]);
+    F u = (depth * (all(m[0]) * column + all(m[1]) * row + all(m[2])) + all(o[0])) / z;
+    F v = (depth * (all(m[3]) * column + all(m[4]) * row + all(m[5])) + all(o[1])) / z;
+    M across = both(at_most(all(0.0f), u), less(u, all(float(view.camera.width))));
+    M down = both(at_most(all(0.0f), v), less(v, all(float(view.camera.height))));
+    M inside = both(both(less(all(0.0f), depth), less(all(0.0f), z)), both(across, down));
+    Seen seen{{all(0.0f), all(0.0f), all(0.0f)}, all(0.0f)};
+    if (!any(inside)) return seen;
+    u = select(inside, u, all(0.5f));
+    v = select(inside, v, all(0.5f));
+    const Corners around = corners(view.camera, u, v);
+    F there = depth_at(view, around, u, v, tolerance);
+    F difference = there - z;
+    F excess = max(difference, all(0.0f) - difference) / all(tolerance);
+    F visibility = min(max(all(2.0f) - excess, all(0.0f)), all(1.0f));
+    M visible = both(inside, both(less(all(0.0f), there), less(all(0.0f), visibility)));
+    if (!any(visible)) return seen;
+    seen.weight = select(visible, visibility * all(view.factor), all(0.0f));
+    seen.colour = colour_at(view, u, v);
+    return seen;
+}
+
+// Pixels left .. left + count - 1 of a row.
+GGVS_INLINE void look_up_packet(const LookUp& job, int y, int left, int count, float* out) {
+    alignas(64) float column[kWidth], depth[kWidth] = {}, channels[3][kWidth], cover[kWidth];
+    const int64_t first = int64_t(y) * job.target.width + left;
+    for (int lane = 0; lane < kWidth; ++lane) column[lane] = float(left + lane) + 0.5f;
+    __builtin_memcpy(depth, job.depth + first, count * sizeof(float));
+    F red = all(0.0f), green = red, blue = red, total = red;
+    if (any(less(all(0.0f), load(depth)))) {
+        for (const LookUpView& view : job.views) {
+            Seen seen = see(view, load(column), all(float(y) + 0.5f), load(depth), job.tolerance);
+            red = red + seen.weight * seen.colour.red;
+            green = green + seen.weight * seen.colour.green;
+            blue = blue + seen.weight * seen.colour.blue;
+            total = total + seen.weight;
+        }
+    }
+    F per = all(1.0f) / ((total + all(1e-6f)) * all(255.0f));
+    store(channels[0], red * per);
+    store(channels[1], green * per);
+    store(channels[2], blue * per);
+    store(cover, min(total / all(job.full_weight), all(1.0f)));
+    for (int lane = 0; lane < count; ++lane) {
+        for (int c = 0; c < 3; ++c) {
+            const int64_t at = 3 * (first + lane) + c;
+            const float colour = channels[c][lane];
+            out[at] = colour + (1.0f - cover[lane]) * (job.background[at] - colour);
+        }
+    }
+}
+
+static void look_up_row(const LookUp& job, int y, float* out) {
+    const int width = job.target.width;
+    for (int x = 0; x < width; x += kWidth) look_up_packet(job, y, x, width - x < kWidth ? width - x : kWidth, out);
+}
+
+}  // namespace ggvs::GGVS_LEVEL

@@ -1,0 +1,142 @@
+// Python bindings of the kernels that work on images: filter, weighted means, look-up, holes.
+#include "images.hpp"
+
+#include <limits>
+
+#include "blend.hpp"
+#include "camera_arguments.hpp"
+#include "filter.hpp"
+#include "push_pull.hpp"
+
+namespace ggvs {
+namespace {
+
+using namespace py::literals;
+using Size = std::pair<int, int>;
+
+constexpr int kMostRows = 128;  // of one cell, see filter.cpp
+
+py::array_t<float> colour_difference_of(const py::array& now, const py::handle& before, Size cells, bool mean,
+                                        int threads) {
+    const auto [height, width] = size_of(now, "now");
+    const auto [down, across] = cells;
+    if (down < 1 || across < 1 || down > height || across > width || height > int64_t(kMostRows) * down)
+        throw py::value_error("colour_difference: cells must cover 1 to 128 rows and at least one column");
+    const ImagePair pair{data_of<uint8_t>(now, "now", {height, width, 3}), data_of<uint8_t>(before, "before", {height, width, 3}),
+                         width, height, across, down, mean};
+    py::array_t<float> out = empty({down, across});
+    float* data = out.mutable_data();
+    py::gil_scoped_release released;
+    ggvs::colour_difference(pair, data, threads);
+    return out;
+}
+
+py::array_t<float> mix_depth_of(const py::array& depth, const py::handle& history, const py::handle& mask, float tolerance,
+                             int threads) {
+    const auto [height, width] = size_of(depth, "depth");
+    const DepthPair pair{data_of<float>(depth, "depth", {height, width}), data_of<float>(history, "history", {height, width}),
+                         data_of<float>(mask, "mask", {height, width}), int64_t(height) * width, tolerance};
+    py::array_t<float> out = empty({height, width});
+    float* data = out.mutable_data();
+    py::gil_scoped_release released;
+    ggvs::mix_depth(pair, data, threads);
+    return out;
+}
+
+// Floats from pixel to pixel, of an image (H, W, C) whose channels lie side by side and whose pixels lie evenly.
+int pixel_stride(const py::array& image, const char* name) {
+    const py::ssize_t item = sizeof(float);
+    const bool even = image.ndim() == 3 && py::isinstance<py::array_t<float>>(image) && image.strides(2) == item &&
+                      image.strides(1) % item == 0 && image.strides(1) >= image.shape(2) * item &&
+                      image.strides(1) <= std::numeric_limits<int>::max() &&
+                      image.strides(0) == image.shape(1) * image.strides(1);
+    if (!even) throw py::type_error(std::string(name) + ": wanted float32 (H, W, C), pixels evenly spaced, got " + describe(image));
+    return int(image.strides(1) / item);
+}
+
+py::array_t<float> weighted_mean_of(const py::sequence& views, Size size, float black_weight, int threads) {
+    const auto [height, width] = size;
+    std::vector<WeightedView> list;
+    for (const py::handle& item : views) {
+        const py::tuple view = py::cast<py::tuple>(item);
+        const py::array colour = py::cast<py::array>(view[0]);
+        const int stride = pixel_stride(colour, "colour");
+        if (colour.shape(0) != height || colour.shape(1) != width || colour.shape(2) < 3)
+            throw py::type_error("colour: wanted at least three channels and the size of the weights, got " + describe(colour));
+        list.push_back({static_cast<const float*>(colour.data()), stride, data_of<float>(view[1], "weight", {height, width}),
+                        py::cast<float>(view[2])});
+    }
+    py::array_t<float> out = empty({height, width, 3});
+    float* data = out.mutable_data();
+    py::gil_scoped_release released;
+    ggvs::weighted_mean(list, int64_t(height) * width, black_weight, data, threads);
+    return out;
+}
+
+py::array_t<float> largest_feature_of(const py::sequence& views, int channel, Size size, float least_alpha, float otherwise,
+                                   int threads) {
+    const auto [height, width] = size;
+    std::vector<CoveredFeature> list;
+    for (const py::handle& item : views) {
+        const py::tuple view = py::cast<py::tuple>(item);
+        const py::array features = py::cast<py::array>(view[0]);
+        const int stride = pixel_stride(features, "features");
+        if (features.shape(0) != height || features.shape(1) != width || channel < 0 || channel >= features.shape(2))
+            throw py::type_error("features: wanted channel " + std::to_string(channel) + " and the size of alpha, got " +
+                                 describe(features));
+        list.push_back({static_cast<const float*>(features.data()) + channel, stride,
+                        data_of<float>(view[1], "alpha", {height, width})});
+    }
+    py::array_t<float> out = empty({height, width});
+    float* data = out.mutable_data();
+    py::gil_scoped_release released;
+    ggvs::largest_feature(list, int64_t(height) * width, least_alpha, otherwise, data, threads);
+    return out;
+}
+
+py::array_t<float> look_up_of(const py::handle& target, const py::handle& depth, const py::sequence& views,
+                           const py::handle& background, float tolerance, float full_weight, int threads, int level) {
+    const Pinhole to = pinhole_of(target);
+    LookUp job{to, image_of(depth, "depth", to), data_of<float>(background, "background", {to.height, to.width, 3}),
+               tolerance, full_weight, {}};
+    for (const py::handle& item : views) {
+        const py::tuple view = py::cast<py::tuple>(item);
+        const Pinhole from = pinhole_of(view[0]);
+        const int64_t pixels = int64_t(from.width) * from.height;
+        if (pixels < 2 || 3 * pixels > std::numeric_limits<int32_t>::max())
+            throw py::value_error("look_up: wanted images of at least two pixels and less than 2 GiB");
+        job.views.push_back({from, data_of<double>(view[1], "from_target", {4, 4}),
+                             data_of<uint8_t>(view[2], "image", {from.height, from.width, 3}),
+                             image_of(view[3], "source depth", from), py::cast<float>(view[4]), {}});
+    }
+    py::array_t<float> out = empty({to.height, to.width, 3});
+    float* data = out.mutable_data();
+    py::gil_scoped_release released;
+    ggvs::look_up(job, data, threads, level);
+    return out;
+}
+
+py::array_t<float> push_pull_of(const py::array& colour, const py::handle& known, int threads) {
+    const auto [height, width] = size_of(colour, "colour");
+    const HoledImage image{data_of<float>(colour, "colour", {height, width, 3}),
+                           reinterpret_cast<const uint8_t*>(data_of<bool>(known, "known", {height, width})), width, height};
+    py::array_t<float> out = empty({height, width, 3});
+    float* data = out.mutable_data();
+    py::gil_scoped_release released;
+    ggvs::push_pull(image, data, threads);
+    return out;
+}
+
+}  // namespace
+
+void bind_images(py::module_& m) {
+    m.def("colour_difference", &colour_difference_of, "now"_a, "before"_a, "cells"_a, "mean"_a, "threads"_a);
+    m.def("mix_depth", &mix_depth_of, "depth"_a, "history"_a, "mask"_a, "tolerance"_a, "threads"_a);
+    m.def("weighted_mean", &weighted_mean_of, "views"_a, "size"_a, "black_weight"_a, "threads"_a);
+    m.def("largest_feature", &largest_feature_of, "views"_a, "channel"_a, "size"_a, "least_alpha"_a, "otherwise"_a, "threads"_a);
+    m.def("look_up", &look_up_of, "target"_a, "depth"_a, "views"_a, "background"_a, "tolerance"_a, "full_weight"_a, "threads"_a,
+          "level"_a);
+    m.def("push_pull", &push_pull_of, "colour"_a, "known"_a, "threads"_a);
+}
+
+}  // namespace ggvs

@@ -1,0 +1,15 @@
+// The inner loops of the stereo kernels for any processor, in vectors of 16 bytes.
+#define GGVS_LEVEL baseline
+#include "simd_portable.hpp"
+#include "stereo_levels.hpp"
+// After the vectors, whose names they use:
+#include "sweep_window_simd.hpp"
+#include "sweep_warp_simd.hpp"
+#include "sweep_tile_simd.hpp"
+#include "sgm_simd.hpp"
+
+namespace ggvs {
+
+const StereoKernels kBaselineStereo = {baseline::sweep_tile, baseline::aggregate_row};
+
+}  // namespace ggvs

@@ -1,0 +1,17 @@
+// Which inner loops of the stereo kernels run.
+#include "stereo_levels.hpp"
+
+#include <stdexcept>
+
+namespace ggvs {
+
+const StereoKernels& stereo_kernels(int level) {
+#if defined(__x86_64__)
+    if (level == 2) return kAvx512Stereo;
+    if (level == 1) return kAvx2Stereo;
+#endif
+    if (level == 0) return kBaselineStereo;
+    throw std::invalid_argument("no such instruction set here");
+}
+
+}  // namespace ggvs

@@ -1,0 +1,18 @@
+// The table of inner loops of the stereo kernels: one per instruction set, the choice is made when the program runs.
+#pragma once
+#include "plane_sweep.hpp"
+#include "sgm.hpp"
+
+namespace ggvs {
+
+struct StereoKernels {
+    void (*sweep_tile)(const SweepTask&, const Tile&, uint8_t* costs, SweepWorkspace&);
+    void (*aggregate_row)(SgmPass&, int row);
+};
+
+extern const StereoKernels kBaselineStereo, kAvx2Stereo, kAvx512Stereo;
+
+// `level` as in ggvs_eval.kernels.LEVELS, which has asked the processor. Throws std::invalid_argument for any other.
+const StereoKernels& stereo_kernels(int level);
+
+}  // namespace ggvs
