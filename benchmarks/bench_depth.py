@@ -37,6 +37,7 @@ Figure = dict[str, Any]
 # What is timed; the first is the one that the others are compared with. A new matcher is one line.
 MATCHERS: Mapping[str, Options] = {
     PEER: lambda: DepthOptions(matcher=find_matcher("sgbm")),
+    "sweep": lambda: DepthOptions(matcher=find_matcher("sweep")),
     "raft": lambda: DepthOptions(matcher=find_matcher("raft")),
 }
 

@@ -16,7 +16,7 @@ import pandas as pd
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.pipelines.depth_validation.judge import validate_depth
 from ggvs_eval.pipelines.evaluate import evaluate
-from ggvs_eval.pipelines.methods import METHODS
+from ggvs_eval.pipelines.methods import usual_methods
 from ggvs_eval.processes import default_workers
 from ggvs_eval.protocol import load_protocol
 from ggvs_eval.results import Results
@@ -27,7 +27,7 @@ OURS = ("ours-geometric", "")
 NO_TEMPORAL = ("ours-geometric", "no-temporal")
 PEERS = (("distance-based", ""), ("no-blending", ""))
 REAL_FRAME_PSNR_DB = 28.0
-SHIPPED_MATCHERS = ("sgbm", "raft")
+SHIPPED_MATCHERS = ("sgbm", "sweep", "raft")
 
 Figures = dict[str, dict[str, Any]]
 Targets = Mapping[str, tuple[float | None, bool]]  # metric -> target (the peer's value where None), higher is better
@@ -83,7 +83,7 @@ def validate_calibration(capture: Path, out: Path) -> Figures:
 
 def validate_real_frame(capture: Path, run: Path) -> Figures:
     """One real instant, leave-one-out on nine views; the target takes no part in any depth."""
-    labels = [label for label in METHODS if "+" not in label]  # variants differ over time only
+    labels = [label for label in usual_methods() if "+" not in label]  # variants differ over time only
     evaluate(run, open_capture(capture), load_protocol("real_frame"), labels, default_workers())
     results = Results.read(run)
     for metric in ("PSNR", "PSNR_cc", "SSIM", "LPIPS", "L1"):
@@ -100,7 +100,7 @@ def validate_demo(run: Path) -> Figures:
     from ggvs_eval.synthetic.options import DemoOptions
 
     capture = write_demo(run.with_name(f"{run.name}-capture"), DemoOptions())
-    evaluate(run, open_capture(capture), load_protocol("demo"), list(METHODS), default_workers())
+    evaluate(run, open_capture(capture), load_protocol("demo"), usual_methods(), default_workers())
     means = _means(Results.read(run))
     print(means.round(4).to_string())
     wanted: Targets = {"PSNR": (None, True), "TCC": (None, True), "STED": (None, False)}

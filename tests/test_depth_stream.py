@@ -13,6 +13,7 @@ from ggvs_eval.pipelines.offline.depth_stream import DepthStream
 from ggvs_eval.pipelines.offline.matchers import MATCHERS, find_matcher
 from ggvs_eval.pipelines.offline.prepare import DepthJob, depth_spec, prepare_depth
 from ggvs_eval.pipelines.offline.sgbm import SgbmMatcher
+from ggvs_eval.pipelines.offline.sweep_options import PlaneSweep
 from stereo_scenes import look_from, paint, plane_depth, random_texture, write_capture
 
 CAMERA = look_from(0, 0, "camera").resized(600, 450)
@@ -102,6 +103,7 @@ def test_a_lost_instant_comes_back_with_equal_bits(tmp_path):
 def test_the_choice_of_the_command_line():
     """Names become matchers with all their parameters; a record reads back as the choice it was written from."""
     assert isinstance(DepthChoice().options().matcher, SgbmMatcher)
+    assert isinstance(DepthChoice("sweep").options().matcher, PlaneSweep)
     reused = DepthChoice("sgbm", reuse_static=True)
     assert reused.options().time.keyframe_every == KEYFRAME_EVERY
     assert DepthChoice.from_record(reused.record()) == reused
@@ -115,3 +117,5 @@ def test_unknown_matchers_and_weights_are_refused(tmp_path):
         find_matcher(f"raft:{tmp_path / 'nowhere.pth'}")
     with pytest.raises(DepthError, match=r"--stereo-weights are for the matcher raft, got the matcher raft:other.pth"):
         DepthChoice("raft:other.pth", tmp_path / "weights.pth").options()
+    with pytest.raises(DepthError, match="--stereo-weights are for the matcher raft, got the matcher sweep"):
+        DepthChoice("sweep", tmp_path / "weights.pth").options()

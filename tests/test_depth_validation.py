@@ -452,6 +452,11 @@ def test_matchers_have_the_options_of_the_pipeline():
     assert [each.name for each in matchers.values()] == ["raft-stereo-1", "sgbm-3way-1"]
 
 
+def test_the_sweep_matches_no_pairs():
+    """One rectified pair is nothing for the plane sweep, which the judge of pairs leaves out."""
+    assert list(pairwise_matchers({name: depth_options(name) for name in ("sweep", "sgbm")})) == ["sgbm"]
+
+
 def test_what_is_absent_is_named(tmp_path, capsys):
     """Without the real data nothing is computed, and the output says what is missing and where it was looked for."""
     figures = validate_depth(tmp_path / "data", tmp_path / "out", ["sgbm"], ["motorcycle", "sparse"])

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from ggvs_eval.pipelines.offline.depth import DepthOptions
 from ggvs_eval.pipelines.offline.matcher import StereoMatcher
 from ggvs_eval.pipelines.offline.matchers import find_matcher
+from ggvs_eval.pipelines.offline.sweep_options import PlaneSweep
 
 
 def depth_options(name: str) -> DepthOptions:
@@ -18,5 +19,5 @@ def depth_options(name: str) -> DepthOptions:
 
 
 def pairwise_matchers(options: Mapping[str, DepthOptions]) -> dict[str, StereoMatcher]:
-    """The matchers that match one rectified pair, by name."""
-    return {name: each.matcher for name, each in options.items()}
+    """The matchers that match one rectified pair, by name; the plane sweep wants calibrated partners."""
+    return {name: each.matcher for name, each in options.items() if not isinstance(each.matcher, PlaneSweep)}

@@ -14,8 +14,10 @@ from ggvs_eval.pipelines.offline.consistency import ConsistencyOptions
 from ggvs_eval.pipelines.offline.fusion import drop_flying_pixels, fill_background, smooth_surfaces
 from ggvs_eval.pipelines.offline.matcher import StereoMatcher
 from ggvs_eval.pipelines.offline.pairwise import PairwiseEstimator
+from ggvs_eval.pipelines.offline.plane_sweep import PlaneSweepEstimator
 from ggvs_eval.pipelines.offline.sensor_depth import SensorDepthOptions
 from ggvs_eval.pipelines.offline.sgbm import SgbmMatcher
+from ggvs_eval.pipelines.offline.sweep_options import PlaneSweep
 
 ALGORITHM = "match-fuse-finish 2"  # counts up whenever equal options give other bits
 
@@ -49,9 +51,9 @@ class DepthOptions:
     """How depth is computed.
 
     Attributes:
-        matcher: the stereo algorithm.
+        matcher: the stereo algorithm: of pairs, or the plane sweep over all partners at once.
         partners: how many cameras each one is matched with at most.
-        error_px: estimates of two partners agree when disparity errors of this size explain their difference.
+        error_px: of pairs: estimates of two partners agree when disparity errors of this size explain their difference.
         flying: a pixel flies when fewer than three neighbours lie within this share of its depth.
         smooth: depth is averaged over neighbours that differ by about this share of it.
         smooth_radius_px: over neighbours this far away.
@@ -61,7 +63,7 @@ class DepthOptions:
         sensor: how measured depth is filtered, which takes the place of stereo where the capture has it; None ignores it.
     """
 
-    matcher: StereoMatcher = field(default_factory=SgbmMatcher)
+    matcher: StereoMatcher | PlaneSweep = field(default_factory=SgbmMatcher)
     partners: int = 4
     error_px: float = 0.5
     flying: float = 0.03
@@ -98,7 +100,11 @@ class DepthEstimator:
         self.camera = camera
         self.partners = tuple(partners)
         self.options = options
-        self._raw = PairwiseEstimator(camera, partners, options.matcher, options.error_px, options.time.warm)
+        self._raw: PairwiseEstimator | PlaneSweepEstimator
+        if isinstance(options.matcher, PlaneSweep):
+            self._raw = PlaneSweepEstimator(camera, partners, options.matcher)
+        else:
+            self._raw = PairwiseEstimator(camera, partners, options.matcher, options.error_px, options.time.warm)
 
     def estimate(self, image: Image8, partner_images: Sequence[Image8]) -> DepthMap:
         """Depth at one instant.

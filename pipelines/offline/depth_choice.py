@@ -17,7 +17,7 @@ class DepthChoice:
     """How depth is found.
 
     Attributes:
-        matcher: sgbm, raft (compact, ships with the package) or raft:CHECKPOINT.
+        matcher: sgbm, sweep, raft (compact, ships with the package) or raft:CHECKPOINT.
         stereo_weights: a checkpoint of RAFT-Stereo's authors, e.g. raftstereo-middlebury.pth; the same as raft:CHECKPOINT.
         sensor: take the depth that a sensor measured where the capture has it (RGB-D), filtered, instead of stereo.
         reuse_static: compute depth again only where the picture changes, everything again every 16 instants.

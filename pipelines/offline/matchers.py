@@ -6,17 +6,19 @@ from pathlib import Path
 from ggvs_eval.errors import DepthError
 from ggvs_eval.pipelines.offline.matcher import StereoMatcher
 from ggvs_eval.pipelines.offline.sgbm import SgbmMatcher
+from ggvs_eval.pipelines.offline.sweep_options import PlaneSweep
 
 DEFAULT_MATCHER = "sgbm"
 MATCHERS = {
     "sgbm": "OpenCV's semi-global matching over an image pyramid, each partner on its own",
+    "sweep": "planes swept through all partners at once, then semi-global matching over the planes",
     "raft": "the compact RAFT-Stereo that ships, started from semi-global matching",
     "raft:CHECKPOINT": "RAFT-Stereo with a checkpoint of its authors, e.g. raft:raftstereo-middlebury.pth",
 }
 PUBLISHED_ITERATIONS = 32  # what the authors' networks are made for
 
 
-def find_matcher(name: str) -> StereoMatcher:
+def find_matcher(name: str) -> StereoMatcher | PlaneSweep:
     """The matcher of a name, see `MATCHERS`.
 
     Raises:
@@ -28,6 +30,8 @@ def find_matcher(name: str) -> StereoMatcher:
         return _raft(checkpoint)
     if name == "sgbm":
         return SgbmMatcher()
+    if name == "sweep":
+        return PlaneSweep()
     nearest = difflib.get_close_matches(name, MATCHERS, n=1)
     hint = f"; did you mean {nearest[0]}?" if nearest else ""
     raise DepthError(f"no stereo matcher {name!r}; there are {', '.join(MATCHERS)}{hint}")
