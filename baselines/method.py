@@ -1,7 +1,8 @@
 """What every method is: something that turns the frames of one instant into the target view, and sees no further."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,3 +67,14 @@ class Method(Protocol):
 
     def step(self, instant: Instant) -> Rendering:
         """Synthesise the target view of one instant from what was seen up to it."""
+
+
+@runtime_checkable
+class LookaheadMethod(Protocol):
+    """A reference that is not online: it is shown the whole sequence before its first step. Its spec must say so."""
+
+    def look_ahead(self, instants: Iterable[Instant]) -> None:
+        """Look at every instant once, the last one first."""
+
+    def step(self, instant: Instant) -> Rendering:
+        """Synthesise the target view of one instant."""

@@ -59,6 +59,23 @@ class Extras:
 
 
 @dataclass(frozen=True)
+class Retake:
+    """How a capture is shown otherwise than it was taken; `ggvs_eval.datasets.held_still.retake` does it.
+
+    Attributes:
+        hold_frames: number of instants for which one is held still; 0 lets time go on as it did.
+        hold_frame: which one is held still.
+        sensor_noise_255: standard deviation of noise on every camera and instant, truth included, of 255 levels.
+        noise_seed: of that noise.
+    """
+
+    hold_frames: int = 0
+    hold_frame: int = 0
+    sensor_noise_255: float = 0.0
+    noise_seed: int = 0
+
+
+@dataclass(frozen=True)
 class Capture:
     """Synchronised fixed cameras that look at one dynamic scene.
 
@@ -69,12 +86,13 @@ class Capture:
         cameras: calibrated cameras in the order of the capture.
         sources: frames of each camera, same order.
         n_frames: frames that every camera has.
-        fps: frames per second; 0 where the capture is a single instant.
+        fps: frames per second; 0 where the capture is a single instant, held still or not.
         units_per_metre: world units per metre; metric constants of the method are multiplied by it.
         units_origin: where that number comes from, for the report.
         resize_filter: how frames are resampled when the cameras are resized.
         extras: background, masks and sensor depth of each camera, same order; empty where the capture has none of them.
         notes: what was left out and why, for people.
+        retake: what was done to the frames; None where they are as they were taken.
     """
 
     scene: str
@@ -89,6 +107,7 @@ class Capture:
     resize_filter: ResizeFilter = "lanczos"
     extras: tuple[Extras, ...] = ()
     notes: tuple[str, ...] = ()
+    retake: Retake | None = None
 
     @property
     def camera_names(self) -> tuple[str, ...]:

@@ -17,10 +17,12 @@ class SweepRow:
     Attributes:
         title: what the paper calls it.
         method: label of the method; one that is not built yet is reported as not computed.
+        only_own_k: compute this row at the protocol's own number of source cameras and leave it out of the other variants.
     """
 
     title: str
     method: str
+    only_own_k: bool = False
 
 
 @dataclass(frozen=True)
@@ -31,19 +33,34 @@ class Sweep:
         name: of the sweep.
         describe: one line.
         row: the methods, in the order of the table.
-        k: numbers of source cameras; the protocol's own where empty.
+        k: numbers of source cameras; the protocol's own where empty, and beside these where a row wants it.
+        all_cameras: also with every camera as a source, but the one that is synthesised.
     """
 
     name: str
     describe: str
     row: tuple[SweepRow, ...]
     k: tuple[int, ...] = ()
+    all_cameras: bool = False
 
-    def protocols(self, protocol: Protocol) -> dict[str, Protocol]:
-        """One protocol per variant, by the name of its run folder: ``k4``, or the protocol's own name."""
-        if not self.k:
+    def protocols(self, protocol: Protocol, cameras: int) -> dict[str, Protocol]:
+        """One protocol per variant, by the name of its run folder: ``k4``, or the protocol's own name where only K = its own.
+
+        Args:
+            protocol: what the variants start from.
+            cameras: of the capture; a K of the sweep that it cannot serve has no variant.
+        """
+        own, most = protocol.synthesis.k, cameras - 1
+        wanted = {*self.k, *([own] if not self.k or any(row.only_own_k for row in self.row) else [])}
+        wanted |= {most} if self.all_cameras else set()
+        if wanted == {own}:
             return {protocol.name: protocol}
-        return {f"k{k}": dataclasses.replace(protocol, synthesis=dataclasses.replace(protocol.synthesis, k=k)) for k in self.k}
+        served = sorted(k for k in wanted if k <= most or k == own)
+        return {f"k{k}": dataclasses.replace(protocol, synthesis=dataclasses.replace(protocol.synthesis, k=k)) for k in served}
+
+    def rows(self, variant: Protocol, protocol: Protocol) -> tuple[SweepRow, ...]:
+        """The rows that a variant of a protocol has."""
+        return tuple(row for row in self.row if not row.only_own_k or variant.synthesis.k == protocol.synthesis.k)
 
 
 def load_sweep(source: str) -> Sweep:

@@ -23,13 +23,14 @@ from ggvs_eval.pipelines.cli_captures import (
 )
 from ggvs_eval.pipelines.cli_renders import doctor, explain
 from ggvs_eval.pipelines.cli_training import train
-from ggvs_eval.pipelines.methods import METHODS
+from ggvs_eval.pipelines.methods import METHODS, usual_methods
+from ggvs_eval.pipelines.online.synthesizer import DEFAULT_METHOD, online_method
 from ggvs_eval.processes import default_workers
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.synthetic.options import DemoOptions
 
 Labels = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"{{{','.join(METHODS)}}}")]
-ALL_METHODS = tuple(METHODS)
+USUAL_METHODS = usual_methods()
 
 
 def prepare(
@@ -67,7 +68,7 @@ def prepare(
         print(export_prepared(prepared, dense_workspace))
 
 
-def render(run: Folder, methods: Labels = ALL_METHODS, jobs: int = default_workers()) -> None:
+def render(run: Folder, methods: Labels = USUAL_METHODS, jobs: int = default_workers()) -> None:
     """Synthesise every test view of a prepared run by each method.
 
     Args:
@@ -153,7 +154,7 @@ def run(
     run: Folder,
     capture: Path | None = None,
     protocol: str | None = None,
-    methods: Labels = ALL_METHODS,
+    methods: Labels = USUAL_METHODS,
     reading: Reading = BY_DEFAULT,
     depth: Finding = FOUND_BY_DEFAULT,
     jobs: int = default_workers(),
@@ -178,7 +179,7 @@ def run(
 def sweep(
     name: Annotated[str, tyro.conf.Positional],
     out: Folder,
-    capture: Path | None = None,
+    capture: tuple[Path, ...] = (),
     protocol: str | None = None,
     reading: Reading = BY_DEFAULT,
     depth: Finding = FOUND_BY_DEFAULT,
@@ -187,23 +188,71 @@ def sweep(
     """Evaluate every row of a sweep under each of its variants and print one table of all.
 
     Args:
-        name: a packaged sweep (ablations, k) or a .toml file.
-        out: folder of the sweep; each variant is a run folder in it.
-        capture: folder of the capture; without one the demo capture is made beside it.
+        name: a packaged sweep (ablations, k, online, readings) or a .toml file.
+        out: folder of the sweep; each variant is a run folder in it, of several captures in a folder called like the capture.
+        capture: folder of the capture, or of several, whose means then stand beside them; without one the demo capture is made.
         protocol: what the variants start from; by default the packaged one that fits the capture.
         reading: how the capture is read.
         depth: how depth is found.
         jobs: processes.
     """
-    from ggvs_eval.pipelines.sweep import run_sweep
+    from ggvs_eval.pipelines.sweep import run_sweep, run_sweeps
     from ggvs_eval.sweep import load_sweep
 
     wanted = load_sweep(name)
-    opened = reading.open(capture or _demo_beside(out, jobs))
-    result = run_sweep(out, opened, wanted, _protocol(protocol, opened), jobs, depth)
+    opened = {path.resolve().name: reading.open(path) for path in capture or (_demo_beside(out, jobs),)}
+    if len(opened) < len(capture):
+        raise ProtocolError(f"wanted captures whose folders differ in name, got {', '.join(map(str, capture))}; rename one")
+    starts = {folder: (each, _protocol(protocol, each)) for folder, each in opened.items()}
+    if len(starts) > 1:
+        result = run_sweeps(out, starts, wanted, jobs, depth)
+    else:
+        ((only, start),) = starts.values()
+        result = run_sweep(out, only, wanted, start, jobs, depth)
     print(result.table.round(4).to_string())
     for title, reason in result.not_computed.items():
         print(f"{title} not computed: {reason}")
+
+
+def play(
+    source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE|RUN")],
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT.mp4")],
+    method: Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(METHODS)}}}")] = DEFAULT_METHOD,
+    k: int | None = None,
+    frames: int | None = None,
+    width: int | None = None,
+    reading: Reading = BY_DEFAULT,
+    depth: Finding = FOUND_BY_DEFAULT,
+    jobs: int = default_workers(),
+) -> None:
+    """Synthesise the view of a camera that goes round between the cameras of a rig into a video, and tell how fast.
+
+    Args:
+        source: a capture, whose frames and depth are kept beside the video (OUT-cache); or a run folder, which has both.
+        out: MP4 file to write.
+        method: by which method.
+        k: source views; those of the run's protocol, or 4, by default.
+        frames: instants from the first on, in which the camera goes round once; all, or 90 of a single instant, by default.
+        width: of the video in pixels; that of the captured frames by default.
+        reading: how a capture is read.
+        depth: how depth of a capture is found.
+        jobs: processes that prepare a capture; synthesis takes one instant after the other.
+    """
+    from ggvs_eval.pipelines.evaluate import reopen
+    from ggvs_eval.pipelines.play import record, require_writable
+    from ggvs_eval.pipelines.reel import PlayOptions, reel_of_capture, reel_of_run
+
+    online_method(method)
+    require_writable(out)
+    wanted = PlayOptions(k, frames, width)
+    if (source / "protocol.toml").is_file():
+        reel = reel_of_run(reopen(source, jobs), wanted)
+    else:
+        cache = out.with_name(f"{out.stem}-cache")
+        reel = reel_of_capture(reading.open(source), wanted, depth.options(), cache, jobs)
+    timing = record(reel, out, method)
+    size = "{} x {}".format(*reel.poses[0].size)
+    print(f"{out}: {len(reel.poses)} frames of {size} by {method}, K = {reel.k}", timing.table(), sep="\n")
 
 
 COMMANDS: dict[str, Callable[..., Any]] = {
@@ -218,6 +267,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "slice": draw_slice,
     "run": run,
     "sweep": sweep,
+    "play": play,
     "train": train,
     "doctor": doctor,
     "explain": explain,

@@ -7,8 +7,9 @@ from typing import Annotated
 
 import tyro
 
-from ggvs_eval.capture import Capture
+from ggvs_eval.capture import Capture, Retake
 from ggvs_eval.datasets import DATASETS, open_capture
+from ggvs_eval.datasets.held_still import retake
 from ggvs_eval.datasets.units import GivenUnits
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.pipelines.offline.calibrate import CalibrationOptions
@@ -35,13 +36,6 @@ class CaptureOptions:
     units: str | None = None
     keep_unsynced: bool = False
 
-    def open(self, path: Path) -> Capture:
-        """Open a capture and tell what was left out of it."""
-        capture = open_capture(path, self.layout, units=self.given_units(), drop_unsynced=not self.keep_unsynced)
-        for note in capture.notes:
-            print(f"{path}: {note}", file=sys.stderr)
-        return capture
-
     def given_units(self) -> GivenUnits:
         """The number or the file that the user gave."""
         if self.units is None or self.units.endswith(".toml"):
@@ -52,9 +46,36 @@ class CaptureOptions:
             raise CaptureError(f"--units wants a number or a .toml file, got {self.units!r}") from error
 
 
-Reading = tyro.conf.OmitArgPrefixes[CaptureOptions]
+@dataclass(frozen=True)
+class ReadingOptions(CaptureOptions):
+    """How a capture is read and shown.
+
+    Attributes:
+        hold_frames: hold one instant still for so many instants; 0 lets time go on.
+        hold_frame: the instant that is held still.
+        sensor_noise: add sensor noise of this standard deviation, of 255 levels, to every camera and instant, truth included.
+        noise_seed: of that noise.
+    """
+
+    hold_frames: int = 0
+    hold_frame: int = 0
+    sensor_noise: float = 0.0
+    noise_seed: int = 0
+
+    def open(self, path: Path) -> Capture:
+        """Open a capture and tell what was left out of it and what was done to it."""
+        capture = open_capture(path, self.layout, units=self.given_units(), drop_unsynced=not self.keep_unsynced)
+        capture = retake(capture, Retake(self.hold_frames, self.hold_frame, self.sensor_noise, self.noise_seed))
+        for note in capture.notes:
+            print(f"{path}: {note}", file=sys.stderr)
+        return capture
+
+
+Taken = tyro.conf.OmitArgPrefixes[CaptureOptions]
+AS_TAKEN = CaptureOptions()
+Reading = tyro.conf.OmitArgPrefixes[ReadingOptions]
+BY_DEFAULT = ReadingOptions()
 Calibrating = tyro.conf.OmitArgPrefixes[CalibrationOptions]
-BY_DEFAULT = CaptureOptions()
 Finding = tyro.conf.OmitArgPrefixes[DepthChoice]
 FOUND_BY_DEFAULT = DepthChoice()
 
@@ -78,7 +99,7 @@ def demo(
     print(write_demo(out, options, default_workers()))
 
 
-def check(capture: Folder, reading: Reading = BY_DEFAULT, out: Path | None = None, jobs: int = default_workers()) -> None:
+def check(capture: Folder, reading: Taken = AS_TAKEN, out: Path | None = None, jobs: int = default_workers()) -> None:
     """Look for what would spoil results: frames, poses, intrinsics, timing, colour, epipolar geometry, overlap.
 
     Prints a verdict per question, writes them as JSON, and ends with 1 where a verdict is bad.

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import tyro
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.pipelines.cli_captures import BY_DEFAULT, CaptureOptions, Folder, Reading
+from ggvs_eval.pipelines.cli_captures import BY_DEFAULT, Folder, Reading, ReadingOptions
 from ggvs_eval.processes import default_workers
 from ggvs_eval.run_folder import RunFolder
 
@@ -85,7 +85,7 @@ def explain(
 
 
 def _rendered(
-    renders: Path, capture: Path | None, protocol: str | None, run: Path | None, reading: CaptureOptions, jobs: int
+    renders: Path, capture: Path | None, protocol: str | None, run: Path | None, reading: ReadingOptions, jobs: int
 ) -> tuple[RunFolder, list[str]]:
     """A run folder with the frames in question, and what they are called there."""
     if (renders / "protocol.toml").is_file():

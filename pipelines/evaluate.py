@@ -5,8 +5,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ggvs_eval.capture import Capture
+from ggvs_eval.capture import Capture, Retake
 from ggvs_eval.datasets import open_capture
+from ggvs_eval.datasets.held_still import retake
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.prepare import Prepared, prepare
 from ggvs_eval.pipelines.render import render
@@ -44,9 +45,10 @@ def reopen(root: Path, workers: int) -> Prepared:
 
 
 def _recorded_capture(record: dict[str, Any]) -> Capture:
-    """The capture of a run folder, with the cameras and units it had when the run was prepared."""
+    """The capture of a run folder, with the cameras, units and noise it had when the run was prepared."""
     capture = open_capture(Path(record["path"]), record["layout"], units=record["units_per_metre"], drop_unsynced=False)
     capture = capture.without([name for name in capture.camera_names if name not in record["cameras"]], "")
+    capture = retake(capture, Retake(**(record.get("retake") or {})))
     return replace(capture, units_origin=record["units_origin"], notes=tuple(record["notes"]))
 
 

@@ -1,6 +1,6 @@
 """Prepare: what every method needs of a capture under a protocol - truth frames, source views, depth, a camera path."""
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -167,11 +167,17 @@ def _camera_path(capture: Capture, protocol: Protocol) -> CameraPath:
     if protocol.path.poses == 0:
         return CameraPath((), None, 0.0)
     known = open_path(capture.path)
-    if known is not None:
+    if known is not None and _shows_its_instant(capture, known):
         return replace(known, cameras=tuple(pose.resized(*middle.size) for pose in known.cameras))
     neighbour = nearest_cameras(middle, capture.cameras, 2)[-1]
     span = 2 * float(np.linalg.norm(neighbour.centre - middle.centre))
     return CameraPath(tuple(translated_path(middle, span, protocol.path.poses)), None, 0.0)
+
+
+def _shows_its_instant(capture: Capture, known: CameraPath) -> bool:
+    """Whether the capture's own path was filmed at an instant that can be seen: not where another one is held still."""
+    retake = capture.retake
+    return retake is None or not retake.hold_frames or round(known.time_s * capture.fps) == retake.hold_frame
 
 
 def _claim_folder(run: RunFolder, protocol: Protocol, capture: Capture) -> None:
@@ -219,6 +225,7 @@ def _capture_record(capture: Capture) -> dict[str, Any]:
         "units_per_metre": capture.units_per_metre,
         "units_origin": capture.units_origin,
         "notes": list(capture.notes),
+        "retake": capture.retake and asdict(capture.retake),
         "cameras": cameras,
         "digests": {name: capture.digest(name) for name in capture.camera_names},
     }

@@ -1,17 +1,18 @@
 """Render: every test view, and a camera path, by every method; one job per (method, view)."""
 
+import hashlib
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from ggvs_eval.baselines.method import Instant, Method, SourceView
+from ggvs_eval.baselines.method import Instant, LookaheadMethod, Method, SourceView
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.images import quantise, write_image
 from ggvs_eval.pipelines.jobs import Job, code_digest, run_jobs
-from ggvs_eval.pipelines.methods import find_method, split_label
+from ggvs_eval.pipelines.methods import find_method, split_label, weights_files
 from ggvs_eval.pipelines.prepare import Prepared, SourcePlan
 from ggvs_eval.processes import default_workers
 from ggvs_eval.results import installed_versions
@@ -63,6 +64,7 @@ def _identity(prepared: Prepared, label: str, plans: Sequence[SourcePlan]) -> di
     return {
         "method": label,
         "code": code_digest(*find_method(label).packages),
+        "weights": [hashlib.sha256(file.read_bytes()).hexdigest() for file in weights_files(label)],
         "targets": [_camera_values(plan.target) for plan in plans],
         "sources": sorted(sources),
         "frames": [prepared.frames.start, prepared.frames.stop, prepared.path_frame],
@@ -79,8 +81,11 @@ def _render_view(
     label: str, capture: Capture, plan: SourcePlan, frames: range, store: Path, workers: int, folder: Path
 ) -> dict[str, Any]:
     """Stream the source cameras through one method; only the frames of one instant are in memory."""
-    method = find_method(label).make()
-    instants = _instants(capture, plan, frames, DepthStore(store))
+    method, depths = find_method(label).make(), DepthStore(store)
+    if isinstance(method, LookaheadMethod):
+        backwards = (range(index, index + 1) for index in reversed(frames))
+        method.look_ahead(instant for each in backwards for instant in _instants(capture, plan, each, depths))
+    instants = _instants(capture, plan, frames, depths)
     seconds = [_render_frame(method, instant, frame_path(folder, instant.index)) for instant in instants]
     return _record(label, seconds, plan.target, workers)
 

@@ -15,6 +15,9 @@ TARGET = camera_at(0.0, name="target")
 SOURCES = [camera_at(-0.15), camera_at(0.15), camera_at(-0.45), camera_at(0.45)]
 
 
+ONLINE = [label for label, spec in METHODS.items() if spec.online]
+
+
 def psnr_db(image, truth) -> float:
     return float(-10 * np.log10(np.mean((image - truth / 255.0) ** 2)))
 
@@ -24,7 +27,7 @@ def play(label: str, positions: list[float], **options) -> list[np.ndarray]:
     return [method.step(instant(t, TARGET, SOURCES, x, **options)).image for t, x in enumerate(positions)]
 
 
-@pytest.mark.parametrize("label", METHODS)
+@pytest.mark.parametrize("label", ONLINE)
 def test_changing_the_future_does_not_change_the_present(label):
     """Two sequences that agree up to instant 2 give the same bits up to instant 2, and differ after."""
     first = play(label, [0.0, 0.1, 0.2, 0.3, 0.4])

@@ -2,12 +2,16 @@
 
 import dataclasses
 
+import numpy as np
 import pytest
 
+from ggvs_eval.capture import Retake
 from ggvs_eval.datasets import open_capture
+from ggvs_eval.datasets.held_still import retake
 from ggvs_eval.errors import ProtocolError
-from ggvs_eval.pipelines.methods import METHODS
-from ggvs_eval.pipelines.sweep import run_sweep
+from ggvs_eval.pipelines.cli import run_command
+from ggvs_eval.pipelines.methods import METHODS, find_method
+from ggvs_eval.pipelines.sweep import run_sweep, run_sweeps
 from ggvs_eval.protocol import Frames, Views, load_protocol
 from ggvs_eval.reports.published import read_published
 from ggvs_eval.sweep import Sweep, SweepRow, load_sweep, packaged_sweeps
@@ -29,23 +33,58 @@ def protocol():
 
 
 def test_the_ablation_table_has_the_papers_rows():
-    """The packaged table of ablations has the rows of the paper's, in their order."""
-    assert [row.title for row in load_sweep("ablations").row] == list(read_published("ablation")["DyNeRF"])
+    """The packaged table of ablations has the rows of the paper's, in their order, and before Ours the network without depth."""
+    titles = [row.title for row in load_sweep("ablations").row]
+    published = list(read_published("ablation")["DyNeRF"])
+
+    assert [title for title in titles if title in published] == published
+    assert titles[:6] == [*published[:4], "Naive Network (no depth)", "Ours"]
 
 
 @pytest.mark.parametrize("name", packaged_sweeps())
 def test_packaged_sweeps_name_methods_of_here_or_to_come(name):
     """Each packaged sweep has at least two rows that run; a label that does not is one of ours that is still to come."""
     rows = load_sweep(name).row
+    runs = [row for row in rows if row.method in METHODS or ("=" in row.method and find_method(row.method).ours)]
 
-    assert len([row for row in rows if row.method in METHODS]) >= 2
-    assert all(row.method.startswith("ours") for row in rows if row.method not in METHODS)
+    assert len(runs) >= 2
+    assert all(row.method == "naive" or row.method.startswith("ours+") or row.method == "ours" for row in rows if row not in runs)
+    assert len({row.title for row in rows}) == len(rows)
+
+
+def test_the_ablation_table_stands_at_the_protocols_own_k(protocol):
+    """Every row at K = 4, the protocol's own; Ours alone at 2 to 6 as well."""
+    sweep = load_sweep("ablations")
+    variants = sweep.protocols(protocol, cameras=10)
+
+    assert list(variants) == ["k2", "k3", "k4", "k5", "k6"]
+    assert sweep.rows(variants["k4"], protocol) == sweep.row
+    assert {row.title for row in sweep.rows(variants["k6"], protocol)} == {"Ours", "Ours (geometric weights)"}
+
+
+def test_the_price_of_being_online_is_asked_at_all_cameras(protocol):
+    """The sweep `online` has the protocol's K and every camera but the one that is synthesised."""
+    assert list(load_sweep("online").protocols(protocol, cameras=10)) == ["k4", "k9"]
+    assert list(load_sweep("online").protocols(protocol, cameras=5)) == [protocol.name]
+
+
+def test_a_row_may_stand_at_the_protocols_own_k_alone(protocol):
+    """Its K is a variant even where the sweep does not list it; a K that the capture cannot serve is none."""
+    sweep = Sweep("x", "x", (SweepRow("a", "no-blending", only_own_k=True), SweepRow("b", "ours-geometric")), k=(2, 9))
+    variants = sweep.protocols(protocol, cameras=6)
+
+    assert {name: each.synthesis.k for name, each in variants.items()} == {"k2": 2, "k4": 4}
+    assert [row.title for row in sweep.rows(variants["k2"], protocol)] == ["b"]
 
 
 def test_every_variant_is_a_line_and_absent_methods_are_named(capture, protocol, tmp_path):
     """K = 2 and 3 give two lines that differ, in run folders that share frames and depth; a method to come is not computed."""
-    rows = (SweepRow("Distance", "distance-based"), SweepRow("Naive network", "ours+no-depth"))
-    sweep = Sweep("k", "test", rows, k=(2, 3))
+    rows = (
+        SweepRow("Distance", "distance-based"),
+        SweepRow("Naive network", "ours+no-depth"),
+        SweepRow("Typo", "ours-geometric+tau=1"),
+    )
+    sweep = Sweep("k", "test", rows, k=(2, 3, 8))
 
     result = run_sweep(tmp_path / "sweep", capture, sweep, protocol, workers=1)
 
@@ -53,8 +92,41 @@ def test_every_variant_is_a_line_and_absent_methods_are_named(capture, protocol,
     assert result.table["PSNR"].nunique() == 2
     assert (result.table["s/frame"] > 0).all()
     assert "ours+no-depth" in result.not_computed["Naive network"]
+    assert "did you mean tau_m" in result.not_computed["Typo"]
+    assert "has 6 cameras" in result.not_computed["K = 8"]
     assert (tmp_path / "sweep" / "k2" / "depth").resolve() == (tmp_path / "sweep" / "k3" / "depth").resolve()
     assert (tmp_path / "sweep" / "sweep.csv").is_file()
+
+
+def test_several_captures_are_averaged(capture, protocol, tmp_path):
+    """Two captures: a table of each, and the mean of the lines that both have; measured differently they have no mean."""
+    sweep = Sweep("pair", "test", (SweepRow("Distance", "distance-based"), SweepRow("None", "no-blending")))
+    noisy = retake(capture, Retake(hold_frames=2, sensor_noise_255=20.0))
+
+    result = run_sweeps(tmp_path / "s", {"still": (noisy, protocol), "moving": (capture, protocol)}, sweep, workers=1)
+
+    psnr = result.table["PSNR"]
+    assert list(psnr.index.unique("capture")) == ["still", "moving", "mean"]
+    np.testing.assert_allclose(psnr["mean"], (psnr["still"] + psnr["moving"]) / 2)
+    assert (psnr["still"] < psnr["moving"]).all()
+    assert (tmp_path / "s" / "sweep.csv").is_file()
+    other = dataclasses.replace(protocol, measurement=dataclasses.replace(protocol.measurement, ddof=0))
+    with pytest.raises(ProtocolError, match="measured alike"):
+        run_sweeps(tmp_path / "t", {"a": (noisy, protocol), "b": (capture, other)}, sweep, workers=1)
+
+
+def test_a_sweep_without_a_method_is_refused(capture, protocol, tmp_path):
+    """Where no row can be computed nothing is prepared."""
+    with pytest.raises(ProtocolError, match="no row has a method"):
+        run_sweep(tmp_path / "s", capture, Sweep("x", "x", (SweepRow("Naive", "naive-to-come"),)), protocol, workers=1)
+    assert not (tmp_path / "s").exists()
+
+
+def test_captures_of_one_name_are_refused(capture, tmp_path):
+    """Their folders would be one."""
+    with pytest.raises(SystemExit) as ended:
+        run_command(["sweep", "k", str(tmp_path / "s"), "--capture", str(capture.path), str(capture.path)])
+    assert "differ in name" in str(ended.value.code)
 
 
 @pytest.mark.parametrize(
@@ -79,5 +151,5 @@ def test_mistakes_are_refused_in_one_line(text, message, tmp_path):
 
 def test_an_unknown_name_lists_what_is_packaged():
     """A sweep that is not packaged is refused with those that are."""
-    with pytest.raises(ProtocolError, match="ablations, k"):
+    with pytest.raises(ProtocolError, match="ablations, k, online, readings"):
         load_sweep("ablation")

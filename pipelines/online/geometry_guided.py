@@ -1,18 +1,23 @@
 """The paper's online method: one `step` per instant, from K source views with depth to the target view."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from time import perf_counter
+from typing import Literal
 
 import numpy as np
 
 from ggvs_eval.baselines.gaussians import near_plane, pixel_gaussians
 from ggvs_eval.baselines.method import Instant, Map, Rendering
 from ggvs_eval.camera import Camera
+from ggvs_eval.geometry.per_pixel import largest_feature
+from ggvs_eval.geometry.point_splat import splat_points
 from ggvs_eval.geometry.splat import Splat, splat
 from ggvs_eval.geometry.tsdf import DepthView, PreviousDepth, RayMarch, fusion_weights, ray_march
 from ggvs_eval.pipelines.online.blending import Blender, BlendingInputs
 from ggvs_eval.pipelines.online.depth_filter import FilteredDepth, TemporalDepthFilter
 from ggvs_eval.pipelines.online.geometric_blender import GeometricBlender
+from ggvs_eval.pipelines.online.printed_march import FieldReading, printed_march
 
 
 @dataclass(frozen=True)
@@ -29,8 +34,18 @@ class OnlineOptions:
         tau_m: truncation distance of the signed distance (Eqs. 9-10).
         depth_noise_m: depth noise in the fusion weight (Eqs. 11-12).
         covered_alpha: a pixel with less coverage by every view counts as empty.
+        mask_channels: how the difference of three colour channels becomes one number (Eq. 1), see `difference_mask`.
+        mask_views: how the splatted masks of K views become one, see `target_mask`.
+        splatted_depth: what is rendered forward: the ``new`` depth D^t, as printed, or the ``filtered`` one.
+        splatted_as: pixel-sized ``gaussians``, or ``points`` that end at the border of a pixel.
+        gaussian_scale_px: standard deviation of a Gaussian in source pixels.
+        min_step: smallest step of the ray march, in tau; the march as printed has none, and does not end.
+        signed_distance: see `FieldReading`; the march is slow with the one as printed.
+        normalised_field: see `FieldReading`; the march is slow without.
 
     Reading:
+        What each reading is worth is measured in docs/readings.md.
+
         The paper calls two constants beta and gives one value, 0.6, taken for the masks. ``beta_temporal`` is ours: of 0.6, 1 and
         2, the smallest for which the limit eta matters, 1 scored best on a validation room (demo seed 101, two views: STED
         12.93, 12.65, 13.51; PSNR 30.80, 30.78, 30.61 dB with Eq. 2 as printed; without temporal terms 14.09 and 30.91).
@@ -45,6 +60,14 @@ class OnlineOptions:
     tau_m: float = 0.02
     depth_noise_m: float = 0.001
     covered_alpha: float = 0.5
+    mask_channels: Literal["largest", "mean"] = "largest"
+    mask_views: Literal["largest", "mean"] = "largest"
+    splatted_depth: Literal["new", "filtered"] = "new"
+    splatted_as: Literal["gaussians", "points"] = "gaussians"
+    gaussian_scale_px: float = 0.5
+    min_step: float = 0.1
+    signed_distance: Literal["front", "printed"] = "front"
+    normalised_field: bool = True
 
 
 @dataclass(frozen=True)
@@ -69,7 +92,9 @@ class GeometryGuided:
         self.options = options or OnlineOptions()
         self.blender: Blender = blender or GeometricBlender()
         chosen = self.options
-        self._filter = TemporalDepthFilter(chosen.lambda_t, chosen.beta_mask, chosen.history_tolerance, chosen.temporal)
+        self._filter = TemporalDepthFilter(
+            chosen.lambda_t, chosen.beta_mask, chosen.history_tolerance, chosen.temporal, chosen.mask_channels
+        )
         self._previous: _Fused | None = None
 
     def step(self, instant: Instant) -> Rendering:
@@ -90,10 +115,15 @@ class GeometryGuided:
     def _splat(self, instant: Instant, filtered: list[FilteredDepth]) -> list[Splat]:
         """Render each view forward: colour, difference mask, coverage and depth (Sec. 3.1)."""
         near = near_plane(instant)
-        return [
-            splat([pixel_gaussians(source, view.mask)], instant.target, near=near)
-            for source, view in zip(instant.sources, filtered, strict=True)
-        ]
+        chosen, splats = self.options, []
+        for source, view in zip(instant.sources, filtered, strict=True):
+            shown = replace(source, depth=view.depth) if chosen.splatted_depth == "filtered" else source
+            gaussians = pixel_gaussians(shown, view.mask)
+            if chosen.splatted_as == "points":
+                splats.append(splat_points(gaussians, instant.target, near=near))
+            else:
+                splats.append(splat([gaussians], instant.target, near=near, scale=chosen.gaussian_scale_px))
+        return splats
 
     def _march(self, instant: Instant, filtered: list[FilteredDepth], splats: list[Splat]) -> RayMarch:
         """Fuse the filtered depths, and the previous fused depth, in the target view (Eqs. 3, 9-14)."""
@@ -103,7 +133,9 @@ class GeometryGuided:
             for source, view in zip(instant.sources, filtered, strict=True)
         ]
         previous = self._previous_depth(instant, splats)
-        march = ray_march(instant.target, views, tau=tau, previous=previous)
+        reading = FieldReading(self.options.signed_distance, self.options.normalised_field)
+        march_by = ray_march if reading == FieldReading() else partial(printed_march, reading=reading)
+        march = march_by(instant.target, views, tau=tau, previous=previous, min_step=self.options.min_step)
         self._previous = _Fused(instant.index, instant.target, march)
         return march
 
@@ -111,27 +143,41 @@ class GeometryGuided:
         """The fused depth of the instant before as one more depth camera, trusted where nothing moves (Eqs. 13-14)."""
         if not self.options.temporal or self._previous is None or self._previous.index != instant.index - 1:
             return None
-        still = np.maximum(1.0 - target_mask(splats, self.options.covered_alpha), 0.0)
+        mask = target_mask(splats, self.options.covered_alpha, self.options.mask_views)
+        gain = np.subtract(np.float32(1), mask, out=mask)
+        np.maximum(gain, np.float32(0), out=gain)
+        gain *= np.float32(self.options.beta_temporal)
         return PreviousDepth(
             camera=self._previous.target,
             depth=self._previous.march.depth,
             accumulated_weight=self._previous.march.weight,
-            gain=(self.options.beta_temporal * still).astype(np.float32),
+            gain=gain,
             limit=self.options.eta,
         )
 
 
-def target_mask(splats: list[Splat], covered_alpha: float) -> Map:
+def target_mask(splats: list[Splat], covered_alpha: float, views: Literal["largest", "mean"] = "largest") -> Map:
     """Motion in the target view: the largest splatted difference mask, 1 (all is new) where no view covers the pixel.
 
     Args:
         splats: forward renderings whose fourth feature is the difference mask.
         covered_alpha: coverage from which a view has a say.
+        views: ``largest``, or the ``mean`` over the views that cover the pixel.
 
     Returns:
         M^t in the target view, (H, W).
+
+    Reading:
+        The paper's channel-wise maximum is taken over the K splatted masks.
     """
-    mask = np.zeros_like(splats[0].alpha)
+    features, alphas = [view.features for view in splats], [view.alpha for view in splats]
+    if views == "largest":
+        return largest_feature(features, alphas, channel=3, least_alpha=covered_alpha, otherwise=1.0)
+    covering = np.zeros_like(alphas[0])
+    mask = np.zeros_like(covering)
     for view in splats:
-        np.maximum(mask, np.where(view.alpha >= covered_alpha, view.features[..., 3], 0.0), out=mask)
+        covers = view.alpha >= covered_alpha
+        covering += covers
+        mask += np.where(covers, view.features[..., 3], np.float32(0))
+    mask /= np.maximum(covering, np.float32(1))
     return np.where(mask > 0, mask, np.float32(1.0))

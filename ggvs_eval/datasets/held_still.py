@@ -1,0 +1,175 @@
+"""A capture shown otherwise than it was taken: one instant held still, or time as it was, with sensor noise on every frame.
+
+With an instant held still nothing moves, so that whatever moves in a rendering of it is the method's own flicker.
+"""
+
+import hashlib
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.capture import Capture, DepthSource, Extras, FrameSource, Retake
+from ggvs_eval.digest import digest_values
+from ggvs_eval.errors import CaptureError
+from ggvs_eval.images import Image8
+
+
+@dataclass(frozen=True)
+class NoisyFrames:
+    """Frames of one camera with noise of their own at each instant, a `FrameSource`.
+
+    Attributes:
+        source: the frames without.
+        camera_name: whose they are; every camera has its own noise.
+        sigma_255: standard deviation, of 255 levels.
+        seed: of the noise; with camera and frame number it decides every bit, in whatever order frames are asked for.
+    """
+
+    source: FrameSource
+    camera_name: str
+    sigma_255: float
+    seed: int
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames that can be read."""
+        return self.source.n_frames
+
+    @property
+    def digest(self) -> str:
+        """Identifies the content."""
+        return digest_values(self.source.digest, "noise", self.camera_name, repr(self.sigma_255), str(self.seed))
+
+    def frames(self, start: int, stop: int) -> Iterator[Image8]:
+        """Frames start <= t < stop one by one, RGB uint8 (H, W, 3)."""
+        for frame, image in enumerate(self.source.frames(start, stop), start):
+            yield self._expose(image, frame)
+
+    def _expose(self, image: Image8, frame: int) -> Image8:
+        camera = int.from_bytes(hashlib.sha256(self.camera_name.encode()).digest()[:8])
+        grain = np.random.default_rng([self.seed, camera, frame]).standard_normal(image.shape, np.float32)
+        return np.clip(np.rint(image + np.float32(self.sigma_255) * grain), 0, 255).astype(np.uint8)
+
+
+@dataclass(frozen=True)
+class HeldFrames:
+    """One frame of one camera, again and again, a `FrameSource`.
+
+    Attributes:
+        source: where it comes from.
+        frame: which one.
+        n_frames: how often.
+    """
+
+    source: FrameSource
+    frame: int
+    n_frames: int
+
+    @property
+    def digest(self) -> str:
+        """Identifies the content."""
+        return digest_values(self.source.digest, "held", str(self.frame), str(self.n_frames))
+
+    def frames(self, start: int, stop: int) -> Iterator[Image8]:
+        """The frame, decoded once, for each of start <= t < stop."""
+        if start < stop:
+            still = next(self.source.frames(self.frame, self.frame + 1))
+            for _ in range(start, stop):
+                yield still.copy()
+
+
+@dataclass(frozen=True)
+class HeldDepths:
+    """Measured depth of one instant, again and again, a `DepthSource`.
+
+    Attributes:
+        source: where it comes from.
+        frame: which one.
+        n_frames: how often.
+    """
+
+    source: DepthSource
+    frame: int
+    n_frames: int
+
+    @property
+    def digest(self) -> str:
+        """Identifies the content."""
+        return digest_values(self.source.digest, "held", str(self.frame), str(self.n_frames))
+
+    def depths(self, start: int, stop: int) -> Iterator[NDArray[np.float32]]:
+        """The depth, read once, for each of start <= t < stop."""
+        if start < stop:
+            still = next(self.source.depths(self.frame, self.frame + 1))
+            for _ in range(start, stop):
+                yield still.copy()
+
+
+def retake(capture: Capture, wanted: Retake) -> Capture:
+    """The same cameras with their frames as wanted, the frames that serve as truth included.
+
+    Args:
+        capture: as it was taken.
+        wanted: what is done to it; nothing with the defaults.
+
+    Raises:
+        CaptureError: an instant that the capture does not have, or a negative number.
+
+    Reading:
+        Noise falls on the pixels that the capture yields, before the protocol resizes them: averaging four pixels to one halves
+        it. It is the same at every brightness, rounded and clipped to 8 bit. Backgrounds, masks and measured depth get none.
+    """
+    _check(capture, wanted)
+    if wanted == Retake():
+        return capture
+    named = zip(capture.camera_names, capture.sources, strict=True)
+    held = capture.extras if not wanted.hold_frames else tuple(_held_extras(extras, wanted) for extras in capture.extras)
+    return replace(
+        capture,
+        sources=tuple(_retaken(name, source, wanted) for name, source in named),
+        extras=held,
+        n_frames=wanted.hold_frames or capture.n_frames,
+        retake=wanted,
+        notes=(*capture.notes, _describe(wanted)),
+    )
+
+
+def _check(capture: Capture, wanted: Retake) -> None:
+    """Refuse what cannot be."""
+    senseless = [f"{name} {value:g}" for name, value in asdict(wanted).items() if not 0 <= value < np.inf]
+    if senseless:
+        raise CaptureError(
+            f"{capture.path}: wanted numbers of at least 0 to hold frames and add noise, got {', '.join(senseless)}"
+        )
+    if wanted.hold_frame >= capture.n_frames:
+        raise CaptureError(f"{capture.path}: wanted frame {wanted.hold_frame} held still, the capture has {capture.n_frames}")
+    if wanted.hold_frame and not wanted.hold_frames:
+        raise CaptureError(
+            f"{capture.path}: frame {wanted.hold_frame} is to be held still, but not for how long; give hold_frames"
+        )
+    if capture.retake is not None:
+        raise CaptureError(f"{capture.path}: wanted a capture as it was taken, got one that is held still or noisy; open it anew")
+
+
+def _retaken(name: str, source: FrameSource, wanted: Retake) -> FrameSource:
+    held = HeldFrames(source, wanted.hold_frame, wanted.hold_frames) if wanted.hold_frames else source
+    return NoisyFrames(held, name, wanted.sensor_noise_255, wanted.noise_seed) if wanted.sensor_noise_255 else held
+
+
+def _held_extras(extras: Extras, wanted: Retake) -> Extras:
+    mask, depth = extras.mask, extras.depth
+    return replace(
+        extras,
+        mask=mask and HeldFrames(mask, wanted.hold_frame, wanted.hold_frames),
+        depth=depth and HeldDepths(depth, wanted.hold_frame, wanted.hold_frames),
+    )
+
+
+def _describe(wanted: Retake) -> str:
+    """For people."""
+    parts = [f"frame {wanted.hold_frame} held still for {wanted.hold_frames} instants"] if wanted.hold_frames else []
+    if wanted.sensor_noise_255:
+        parts.append(f"sensor noise of {wanted.sensor_noise_255:g}/255 added to every camera (seed {wanted.noise_seed})")
+    return ", ".join(parts)

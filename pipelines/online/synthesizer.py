@@ -1,0 +1,152 @@
+"""Live synthesis: images and depth of a rig go in, the view of a virtual camera comes out, instant by instant."""
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from ggvs_eval.baselines.method import Instant, LookaheadMethod, Map, Method, Rendering, SourceView
+from ggvs_eval.camera import Camera, nearest_cameras
+from ggvs_eval.depth_store import DepthMap
+from ggvs_eval.errors import CameraError, DepthError, RenderError
+from ggvs_eval.images import Image8
+from ggvs_eval.pipelines.methods import find_method
+
+DEFAULT_METHOD = "ours-geometric"
+
+
+class OnlineSynthesizer:
+    """A method behind a rig of fixed cameras.
+
+    Each step looks from the K cameras nearest to the target, so that the sources follow a target that moves. A camera that was no
+    source at the step before begins without history.
+
+    Args:
+        cameras: the rig, at the size of its images.
+        k: number of source views per step; may be set anew between steps.
+        units_per_metre: world units per metre.
+        method: a label of `ggvs_eval.pipelines.methods.METHODS`, or what makes a fresh method.
+
+    Raises:
+        CameraError: two cameras of one name, or fewer than `k`.
+        RenderError: unknown method, or one that is not online.
+    """
+
+    def __init__(
+        self,
+        cameras: Sequence[Camera],
+        k: int = 4,
+        units_per_metre: float = 1.0,
+        method: str | Callable[[], Method] = DEFAULT_METHOD,
+    ) -> None:
+        twice = [name for name, count in Counter(camera.name for camera in cameras).items() if count > 1]
+        if twice:
+            raise CameraError(f"rig: wanted each camera once, got {', '.join(twice)} several times; name cameras differently")
+        if not 0 < units_per_metre < np.inf:
+            raise CameraError(f"rig: wanted a positive number of world units per metre, got {units_per_metre:g}")
+        self.cameras = tuple(cameras)
+        self.units_per_metre = units_per_metre
+        self._make = online_method(method)
+        self.k = k
+        self.restart()
+
+    @property
+    def k(self) -> int:
+        """Number of source views per step."""
+        return self._k
+
+    @k.setter
+    def k(self, count: int) -> None:
+        if not 1 <= count <= len(self.cameras):
+            raise CameraError(f"rig: wanted 1 to {len(self.cameras)} source views, as many as there are cameras, got {count}")
+        self._k = count
+
+    def restart(self) -> None:
+        """Forget all that was seen: the next step is the first of another sequence."""
+        self._method = self._make()
+        self._index = 0
+
+    def sources(self, target: Camera) -> list[Camera]:
+        """The cameras that a step towards this target takes, nearest first; one of the target's own name is left out.
+
+        Raises:
+            CameraError: fewer than K are left.
+        """
+        return nearest_cameras(target, self.cameras, self.k)
+
+    def step(
+        self, images_by_camera: Mapping[str, Image8], depths_by_camera: Mapping[str, Map | DepthMap], target: Camera
+    ) -> Rendering:
+        """Synthesise the next instant. Arrays may be overwritten afterwards.
+
+        Args:
+            images_by_camera: what each camera saw, RGB uint8 (H, W, 3), at least of the cameras of `sources`.
+            depths_by_camera: depth of the same cameras, (H, W), world units, 0 = unknown; a `DepthMap` knows its confidence, that
+                of a bare array is 1.
+            target: the virtual camera, of any size; it may stand elsewhere at each step.
+
+        Raises:
+            CameraError: fewer than K cameras beside the target.
+            RenderError: an image that is missing or does not fit its camera.
+            DepthError: depth that is missing, does not fit its camera, is negative or not finite.
+        """
+        chosen = self.sources(target)
+        _check_names(images_by_camera, chosen, target, "an image")
+        _check_names(depths_by_camera, chosen, target, "depth")
+        views = tuple(_source_view(each, images_by_camera[each.name], depths_by_camera[each.name]) for each in chosen)
+        rendering = self._method.step(Instant(self._index, target, views, self.units_per_metre))
+        self._index += 1
+        return rendering
+
+
+def online_method(method: str | Callable[[], Method]) -> Callable[[], Method]:
+    """What makes a method, given its label or itself.
+
+    Raises:
+        RenderError: unknown method, or one that wants to see the whole sequence first.
+    """
+    make = find_method(method).make if isinstance(method, str) else method
+    if isinstance(make(), LookaheadMethod):
+        raise RenderError(f"method {method!r} looks at the whole sequence before its first step; choose one that is online")
+    return make
+
+
+def _check_names(given: Mapping[str, object], chosen: Sequence[Camera], target: Camera, what: str) -> None:
+    missing = [camera.name for camera in chosen if camera.name not in given]
+    if missing:
+        raise RenderError(
+            f"camera {target.name}: wanted {what} of each of its sources {', '.join(camera.name for camera in chosen)}, got none "
+            f"of {', '.join(missing)}; give those of the whole rig, or leave cameras without out of it"
+        )
+
+
+def _source_view(camera: Camera, image: Image8, found: Map | DepthMap) -> SourceView:
+    """A copy of what a camera gives, since methods remember it and cameras write into the same memory again."""
+    shape = (camera.height, camera.width)
+    image = np.asarray(image)
+    if image.shape != (*shape, 3) or image.dtype != np.uint8:
+        raise RenderError(
+            f"camera {camera.name}: wanted a uint8 image of {(*shape, 3)}, got {image.dtype} {image.shape}; "
+            "resize the images, or build the rig of `camera.resized`"
+        )
+    depth = _checked_depth(camera, found.depth if isinstance(found, DepthMap) else found)
+    confidence = found.confidence if isinstance(found, DepthMap) else (depth > 0).astype(np.float32)
+    if confidence.shape != shape:
+        raise DepthError(f"camera {camera.name}: wanted confidence of {shape} like its depth, got {confidence.shape}")
+    return SourceView(camera, image.copy(), depth, confidence.astype(np.float32))
+
+
+def _checked_depth(camera: Camera, depth: Map) -> Map:
+    """Depth as float32 of its own memory."""
+    depth, shape = np.asarray(depth), (camera.height, camera.width)
+    if depth.shape != shape or not np.issubdtype(depth.dtype, np.floating):
+        raise DepthError(
+            f"camera {camera.name}: wanted floating-point depth of {shape}, got {depth.dtype} {depth.shape}; "
+            "depth has the size of its image, in world units"
+        )
+    low, high = float(depth.min()), float(depth.max())
+    if not 0 <= low <= high < np.inf:
+        raise DepthError(
+            f"camera {camera.name}: depth must be finite and not negative, got {low:g} .. {high:g}; write 0 where it is unknown"
+        )
+    return depth.astype(np.float32)

@@ -1,0 +1,95 @@
+"""Play: the view of a camera that moves around between the cameras of a rig, synthesised instant by instant into a video."""
+
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+
+from ggvs_eval.errors import RenderError
+from ggvs_eval.images import Image8, quantise
+from ggvs_eval.pipelines.online.synthesizer import DEFAULT_METHOD, OnlineSynthesizer
+from ggvs_eval.pipelines.reel import Reel
+from ggvs_eval.progress import track
+from ggvs_eval.video import write_video
+
+FPS_OF_STILLS = 30.0
+
+
+@dataclass
+class Timing:
+    """Seconds of each stage of each frame: reading, the method's own stages, the whole step, encoding."""
+
+    rows: list[dict[str, float]] = field(default_factory=list)
+
+    def milliseconds(self) -> dict[str, tuple[float, float]]:
+        """Median and 95th percentile of each stage, without the first frame where there are more."""
+        warm = self.rows[1:] or self.rows
+        return {stage: _percentiles([row[stage] for row in warm if stage in row]) for stage in warm[0]}
+
+    def table(self) -> str:
+        """One line per stage, and the frames per second of the median step and of all that was done per frame."""
+        found = self.milliseconds()
+        lines = [f"{'ms per frame':14s}{'p50':>9s}{'p95':>9s}"]
+        lines += [f"{stage:14s}{median:9.1f}{high:9.1f}" for stage, (median, high) in found.items()]
+        whole = sum(found[stage][0] for stage in ("read", "synthesis", "encode"))
+        rates = f"{1000 / found['synthesis'][0]:.2f} frames per second of synthesis, {1000 / whole:.2f} with reading and encoding"
+        return "\n".join([*lines, rates])
+
+
+def record(reel: Reel, out: Path, method: str = DEFAULT_METHOD) -> Timing:
+    """Synthesise every step of a reel into a video; frames and depth are read one instant at a time.
+
+    Args:
+        reel: what to play.
+        out: MP4 file to write; it appears when it is whole.
+        method: label of `ggvs_eval.pipelines.methods.METHODS`.
+
+    Raises:
+        RenderError: the file cannot be written, or unknown method.
+    """
+    require_writable(out)
+    synthesizer = OnlineSynthesizer(reel.capture.cameras, reel.k, reel.capture.units_per_metre, method)
+    timing = Timing()
+    write_video(out, _views(reel, synthesizer, timing), reel.capture.fps or FPS_OF_STILLS)
+    return timing
+
+
+def require_writable(out: Path) -> None:
+    """Refuse a file that cannot be written before hours are spent on its content.
+
+    Raises:
+        RenderError: it is no .mp4, a folder, or the system does not let us write there.
+    """
+    if out.suffix.lower() != ".mp4" or out.is_dir():
+        raise RenderError(f"{out}: wanted a video file to write, *.mp4, got {'a folder' if out.is_dir() else 'another name'}")
+    probe = out.with_suffix(f".{os.getpid()}.probe")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise RenderError(f"{out}: cannot be written ({error.strerror}); choose a place where files can be written") from error
+
+
+def _views(reel: Reel, synthesizer: OnlineSynthesizer, timing: Timing) -> Iterator[Image8]:
+    """The video's frames, each made when it is asked for."""
+    steps = list(zip(reel.instants, reel.poses, strict=True))
+    for instant, pose in track(steps, "playing"):
+        begun = perf_counter()
+        names = [camera.name for camera in synthesizer.sources(pose)]
+        images = {name: reel.capture.frame(name, instant) for name in names}
+        depths = {name: reel.store.read(reel.depth_keys[name], instant) for name in names}
+        read = perf_counter()
+        rendering = synthesizer.step(images, depths, pose)
+        done = perf_counter()
+        yield quantise(rendering.image)
+        encoded = perf_counter()
+        timing.rows.append({"read": read - begun, **rendering.seconds, "synthesis": done - read, "encode": encoded - done})
+
+
+def _percentiles(seconds: Sequence[float]) -> tuple[float, float]:
+    median, high = np.percentile(seconds, [50, 95]) * 1000
+    return float(median), float(high)
