@@ -9,9 +9,11 @@ from ggvs_eval.pipelines.cli_captures import Folder
 from ggvs_eval.processes import default_workers
 
 if TYPE_CHECKING:
+    from ggvs_eval.pipelines.online.blend_network import BlendConfig
     from ggvs_eval.pipelines.training.task import Task
 
 Precision = Literal["auto", "float32", "bfloat16"]
+Guidance = Literal["registered", "channels", "none", "naive"]
 
 
 def train(
@@ -19,9 +21,9 @@ def train(
     out: Folder,
     steps: int = 20000,
     seed: int = 0,
-    views: int = 4,
+    views: int = 6,
     width: int = 16,
-    tsdf_guidance: bool = True,
+    guidance: Guidance = "registered",
     rooms: int = 60,
     device: str = "auto",
     precision: Precision = "auto",
@@ -37,9 +39,10 @@ def train(
         out: folder for the state to go on from, the weights, the logs and the model card.
         steps: of the whole training, those of earlier calls included.
         seed: of the weights and the scenes.
-        views: blend: source views, K.
+        views: blend: the most source views it can take, K; it learns from two views on.
         width: blend: channels of the U-Net's first level.
-        tsdf_guidance: blend: with the fused depth among its inputs.
+        guidance: blend: what it sees of the fused depth: views registered by it, its channels as the paper prints them, none
+            of it (ablation), or no depth at all (naive).
         rooms: blend: rooms to film, about a minute and 50 MB each.
         device: cpu, cuda, or the better one by default.
         precision: of convolutions; auto takes bfloat16 where the hardware multiplies it faster.
@@ -47,11 +50,16 @@ def train(
         start_from: weights to begin with where the folder holds no state, such as those that ship.
         compile_network: let torch compile it first: some minutes once, a fifth less per step.
     """
+    from ggvs_eval.pipelines.online.blend_network import BlendConfig
     from ggvs_eval.pipelines.training.card import write_card
     from ggvs_eval.pipelines.training.loop import TrainingOptions
     from ggvs_eval.pipelines.training.loop import train as go_on
 
-    task = _stereo(seed) if what == "stereo" else _blend(out.parent / "blend-samples", seed, views, width, tsdf_guidance, rooms)
+    task = (
+        _stereo(seed)
+        if what == "stereo"
+        else _blend(out.parent / "blend-samples", seed, BlendConfig(views, guidance, width), rooms)
+    )
     options = TrainingOptions(
         steps=steps, device=device, precision=precision, workers=workers, compile=compile_network, start_from=start_from
     )
@@ -65,14 +73,15 @@ def _stereo(seed: int) -> "Task":
     return StereoTask(seed=seed)
 
 
-def _blend(cache: Path, seed: int, views: int, width: int, tsdf_guidance: bool, rooms: int) -> "Task":
+def _blend(cache: Path, seed: int, config: "BlendConfig", rooms: int) -> "Task":
     """The task with its samples in place."""
-    from ggvs_eval.pipelines.online.blend_network import BlendConfig
     from ggvs_eval.pipelines.training.blend_rooms import RoomPlan, RoomSamples, validation_plan
     from ggvs_eval.pipelines.training.blend_task import BlendTask
 
-    training = RoomSamples(cache, RoomPlan(rooms=rooms, views=views))
-    validation = RoomSamples(cache, validation_plan(views, "sgbm"))
+    usual = min(4, config.views)
+    others = tuple(views for views in range(2, config.views + 1) if views != usual)
+    plan = RoomPlan(rooms=rooms, views=usual, other_views=others, other_share=0.4 if others else 0.0)
+    training, validation = RoomSamples(cache, plan), RoomSamples(cache, validation_plan(usual, "sgbm"))
     for samples in (validation, training):
         samples.prepare(default_workers())
-    return BlendTask(training, validation, BlendConfig(views, tsdf_guidance, width), seed=seed)
+    return BlendTask(training, validation, config, seed=seed)

@@ -20,9 +20,10 @@ from ggvs_eval.pipelines.training.card import write_card
 from ggvs_eval.pipelines.training.loop import TrainingOptions, train
 from stereo_scenes import HEIGHT, WIDTH, plane_depth, write_capture
 
-PLAN = RoomPlan(rooms=1, targets=2, views=2, width=WIDTH, height=HEIGHT)
+PLAN = RoomPlan(rooms=1, targets=2, views=2, other_views=(), other_share=0.0, width=WIDTH, height=HEIGHT)
 VALIDATION = replace(validation_plan(2, "sgbm", targets=1), rooms=1, width=WIDTH, height=HEIGHT)
-CONFIG = BlendConfig(views=2, width=4)
+CONFIG = BlendConfig(views=3, width=4)  # one more than the samples have
+WINDOW = (20, 30, 64, 48)
 
 
 @pytest.fixture(autouse=True)
@@ -92,6 +93,7 @@ def test_the_loss_weighs_its_terms(tsdf_guidance):
     batch = {
         "colours": colours,
         "alphas": alphas,
+        "coverage": alphas,
         "truth": torch.rand(1, 3, 16, 16, generator=generator),
         "depths": torch.rand(1, 2, 16, 16, generator=generator),
         "fused_depth": torch.rand(1, 16, 16, generator=generator),
@@ -112,12 +114,12 @@ def test_a_sample_is_what_the_method_would_see(capture):
     target, sources = capture.camera("cam00"), [capture.camera(name) for name in ("cam01", "cam03")]
     sample = SampleMaker(capture, depth_options()).sample(target, sources)
     exact = plane_depth(target)
-    known = sample.maps.fused_depth > 0
-    error = np.abs(sample.maps.fused_depth - exact)[known]
+    known = sample.views.fused_depth > 0
+    error = np.abs(sample.views.fused_depth - exact)[known]
     assert known.mean() > 0.7
     assert np.median(error / exact[known]) < 0.01
     assert error.max() > 0  # from a matcher, not exact
-    assert {camera.name for camera in sample.maps.sources} == {"cam01", "cam03"}
+    assert {camera.name for camera in sample.views.sources} == {"cam01", "cam03"}
     np.testing.assert_array_equal(sample.truth, capture.frame("cam00", 0))
 
 
@@ -132,17 +134,19 @@ def test_a_stored_sample_reads_back(capture, cache):
     """Cameras and fused depth exactly, colours and coverage to 8 bit, splatted depth to half precision."""
     target, sources = choose_views(capture, PLAN, PLAN.first_room, 1)
     made, read = SampleMaker(capture, depth_options()).sample(target, sources), RoomSamples(cache, PLAN).read(1)
-    np.testing.assert_array_equal(read.maps.fused_depth, made.maps.fused_depth)
-    np.testing.assert_allclose(read.maps.colours, made.maps.colours, atol=0.5001 / 255)
-    np.testing.assert_allclose(read.maps.alphas, made.maps.alphas, atol=0.5001 / 255)
-    np.testing.assert_allclose(read.maps.depths, made.maps.depths, rtol=1e-3)
+    for name in ("splats", "warps", "alphas", "visibilities"):
+        np.testing.assert_allclose(getattr(read.views, name), getattr(made.views, name), atol=0.5001 / 255, err_msg=name)
+    np.testing.assert_array_equal(read.views.fused_depth, made.views.fused_depth)
+    np.testing.assert_allclose(read.views.depths, made.views.depths, rtol=1e-3)
     np.testing.assert_array_equal(read.truth, made.truth)
     np.testing.assert_array_equal(read.geometric, made.geometric)
-    for once, again in zip((made.maps.target, *made.maps.sources), (read.maps.target, *read.maps.sources), strict=True):
+    cameras = [(views.target, *views.sources) for views in (made.views, read.views)]
+    for once, again in zip(*cameras, strict=True):
         assert (once.name, once.size, once.near, once.far) == (again.name, again.size, again.near, again.far)
         np.testing.assert_array_equal(once.world_to_camera, again.world_to_camera)
         np.testing.assert_array_equal(once.K, again.K)
-    np.testing.assert_allclose(input_channels(read.maps), input_channels(made.maps), atol=3e-3)
+    channels = [input_channels(each.views.maps("registered"), "registered") for each in (read, made)]
+    np.testing.assert_allclose(*channels, atol=3e-3)
 
 
 def test_a_damaged_sample_is_refused(cache, tmp_path):
@@ -168,6 +172,15 @@ def test_more_targets_change_no_sample(capture):
         assert len({source.name for source in sources}) == 2
 
 
+def test_one_network_sees_every_number_of_views(capture):
+    """Some samples have other numbers of views than the usual one, as often as the plan says."""
+    plan = replace(PLAN, other_views=(1, 3), other_share=0.4)
+    counts = [len(choose_views(capture, plan, 1000, number)[1]) for number in range(300)]
+    assert plan.most_views == 3
+    assert set(counts) == {1, 2, 3}
+    assert 0.3 < np.mean([count != 2 for count in counts]) < 0.5
+
+
 def test_rooms_of_tests_are_never_learned_from(tmp_path):
     """Seeds of the demo and of validation rooms are no training rooms; a validation plan has these alone."""
     for first in (0, 99, 102, 999):
@@ -187,15 +200,21 @@ def test_batches_depend_on_the_step_alone(task):
     assert not torch.equal(once["channels"], other["channels"])
     shapes = {name: tuple(tensor.shape) for name, tensor in once.items()}
     assert shapes == {
-        "channels": (2, 19, 48, 64),
-        "colours": (2, 2, 3, 48, 64),
-        "alphas": (2, 2, 48, 64),
-        "depths": (2, 2, 48, 64),
+        "channels": (2, 31, 24, 32),
+        "colours": (2, 3, 3, 48, 64),
+        "coverage": (2, 3, 48, 64),
+        "alphas": (2, 3, 48, 64),
+        "depths": (2, 3, 48, 64),
+        "near": (2, 3),
+        "unseen": (2, 48, 64),
+        "background": (2, 3, 48, 64),
         "fused_depth": (2, 48, 64),
         "truth": (2, 3, 48, 64),
     }
     assert all(tensor.dtype == torch.float32 and torch.isfinite(tensor).all() for tensor in once.values())
-    assert torch.equal(once["channels"][:, :6].reshape(2, 2, 3, 48, 64), once["colours"])
+    means = once["colours"].reshape(2, 3, 3, 24, 2, 32, 2).mean(dim=(4, 6))
+    torch.testing.assert_close(once["channels"][:, :9].reshape(2, 3, 3, 24, 32), means)
+    assert not once["coverage"][:, 2].any()  # the view that the samples do not have
 
 
 def mirrored_camera(camera):
@@ -208,32 +227,33 @@ def mirrored_camera(camera):
 
 def test_a_mirrored_crop_is_that_of_a_mirrored_world(task):
     """Mirroring the channels gives what mirrored cameras and pictures would have given."""
-    sample, window = task.training.read(0), (0, 0, WIDTH, HEIGHT)
-    maps = sample.maps
+    sample = task.training.read(0)
+    views, mirror = sample.views, {"splats": 2, "warps": 2, "depths": 2, "alphas": 2, "visibilities": 2, "fused_depth": 1}
     other = replace(
-        maps,
-        target=mirrored_camera(maps.target),
-        sources=tuple(mirrored_camera(source) for source in maps.sources),
-        colours=maps.colours[:, :, ::-1],
-        **{name: getattr(maps, name)[..., ::-1] for name in ("depths", "alphas", "fused_depth")},
+        views,
+        target=mirrored_camera(views.target),
+        sources=tuple(mirrored_camera(source) for source in views.sources),
+        **{name: np.flip(getattr(views, name), axis) for name, axis in mirror.items()},
     )
-    expected = crop_arrays(replace(sample, maps=other, truth=sample.truth[:, ::-1]), window, CONFIG)
-    found = mirrored(crop_arrays(sample, window, CONFIG), True)
+    window, config = (0, 0, WIDTH, HEIGHT), replace(CONFIG, scale=1)
+    expected = crop_arrays(replace(sample, views=other, truth=sample.truth[:, ::-1]), window, config)
+    found = mirrored(crop_arrays(sample, window, config), True)
     for name, values in expected.items():
-        np.testing.assert_allclose(found[name], values, atol=1e-4, err_msg=name)
+        np.testing.assert_allclose(found[name], values, atol=2e-4, err_msg=name)
     assert not np.array_equal(mirrored(found, True)["channels"], found["channels"])
 
 
 def test_recoloured_crops_are_those_of_recoloured_pictures(task):
-    """Exchanging colours changes channels, views and truth alike."""
-    sample, order, window = task.training.read(0), np.array([2, 0, 1]), (20, 30, 64, 48)
-    tinted = replace(sample.maps, colours=sample.maps.colours * np.array([1, 0.7, 0.4], np.float32))
-    sample = replace(sample, maps=tinted)
-    other = replace(sample, maps=replace(tinted, colours=tinted.colours[..., order]), truth=sample.truth[..., order])
-    expected, arrays = crop_arrays(other, window, CONFIG), crop_arrays(sample, window, CONFIG)
+    """Exchanging colours changes channels, views, background and truth alike."""
+    sample, order, tint = task.training.read(0), np.array([2, 0, 1]), np.array([1, 0.7, 0.4], np.float32)
+    tinted = {name: getattr(sample.views, name) * tint for name in ("splats", "warps")}
+    sample = replace(sample, views=replace(sample.views, **tinted))
+    turned = {name: picture[..., order] for name, picture in tinted.items()}
+    other = replace(sample, views=replace(sample.views, **turned), truth=sample.truth[..., order])
+    expected, arrays = crop_arrays(other, WINDOW, CONFIG), crop_arrays(sample, WINDOW, CONFIG)
     found = recoloured(arrays, order)
     for name, values in expected.items():
-        np.testing.assert_array_equal(found[name], values, err_msg=name)
+        np.testing.assert_allclose(found[name], values, atol=1e-6, err_msg=name)
     assert not np.array_equal(found["channels"], arrays["channels"])
 
 
@@ -245,12 +265,12 @@ def test_a_real_training_learns(task, tmp_path):
     weights = train(quick, tmp_path, options)
     trained = load_blend_network(weights)
     assert trained.config == CONFIG
-    assert weights.name == "blend-k2.safetensors"
+    assert weights.name == "blend.safetensors"
     with torch.inference_mode():
         before, after = (float(quick.loss(network, batch)[0]) for network in (fresh, trained))
-    assert after < 0.7 * before
-    for name, tensor in fresh.state_dict().items():
-        assert not torch.equal(trained.state_dict()[name], tensor.half().float()), name
+    assert after < before
+    for name, tensor in fresh.unet.named_parameters():
+        assert not torch.equal(trained.unet.get_parameter(name), tensor.half().float()), name
     header, figures = (line.split(",") for line in (tmp_path / "validation.csv").read_text().splitlines())
     assert header == ["step", "psnr_db", "ssim", "geometric_psnr_db", "geometric_ssim"]
     assert float(figures[1]) > 10
@@ -261,7 +281,7 @@ def test_a_real_training_learns(task, tmp_path):
 
 def test_what_does_not_fit_is_refused(task):
     """Another number of views than the samples have, and crops larger than they are, are errors before the first step."""
-    with pytest.raises(TrainingError, match="a network for 4 views cannot learn from samples of 2 views"):
-        replace(task, config=BlendConfig(views=4))
+    with pytest.raises(TrainingError, match="a network for 1 views cannot learn from samples of 2 views"):
+        replace(task, config=BlendConfig(views=1))
     with pytest.raises(TrainingError, match="crops of 512 x 48 do not fit samples of 200 x 150"):
         replace(task, crop_width=512)

@@ -10,6 +10,7 @@ from safetensors.torch import save_file
 from ggvs_eval.baselines.method import Instant
 from ggvs_eval.errors import RenderError, WeightsError
 from ggvs_eval.pipelines.one_thread import one_thread
+from ggvs_eval.pipelines.online.blend_maps import blend_maps
 from ggvs_eval.pipelines.online.blend_network import (
     BlendConfig,
     BlendNetwork,
@@ -19,14 +20,16 @@ from ggvs_eval.pipelines.online.blend_network import (
 )
 from ggvs_eval.pipelines.online.blend_weights import load_blend_network, shipped_blend_weights
 from ggvs_eval.pipelines.online.blending import BlendingInputs, compose
+from ggvs_eval.pipelines.online.geometric_blender import GeometricBlender
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
-from ggvs_eval.pipelines.online.network_blender import NetworkBlender, blend_by
+from ggvs_eval.pipelines.online.network_blender import NetworkBlender, blend_by, blend_start
+from ggvs_eval.pipelines.online.network_inputs import input_channels
 from ggvs_eval.pipelines.training.weights import write_weights
 from scenes import camera_at, instant
 
 TARGET = camera_at(0.0, name="target")
 SOURCES = [camera_at(-0.15), camera_at(0.3)]
-CONFIG = BlendConfig(views=2, width=4)
+CONFIG = BlendConfig(views=2, guidance="channels", width=4, scale=1)
 
 
 @pytest.fixture(autouse=True)
@@ -67,17 +70,36 @@ def inputs_of(moment: Instant) -> BlendingInputs:
     return keeper.inputs
 
 
+def start_of(batch: int, views: int, height: int, width: int) -> dict[str, torch.Tensor]:
+    """A start at which all views are equally near and nothing is unseen."""
+    return {
+        "near": torch.ones(batch, views),
+        "unseen": torch.full((batch, height, width), 0.5),
+        "background": torch.full((batch, 3, height, width), 0.25),
+    }
+
+
 def test_outputs_are_weights():
-    """Raw outputs of any size become weights that sum to 1 and a background in [0, 1]; equal logits weigh equally."""
+    """Raw outputs of any size become weights that sum to 1 and a background in [0, 1]; equal logits weigh as near views do."""
     raw = 20 * torch.randn(2, 7, 4, 5)
     raw[0, :3] = 1.5
-    outputs = read_outputs(raw)
+    outputs = read_outputs(raw, start_of(2, 3, 4, 5))
     assert outputs.weights.shape == (2, 3, 4, 5)
     assert outputs.background.shape == (2, 3, 4, 5)
     torch.testing.assert_close(outputs.weights.sum(dim=1), torch.ones(2, 4, 5))
     torch.testing.assert_close(outputs.weights[0], torch.full((3, 4, 5), 1 / 3))
     for values in (outputs.weights, outputs.background_weight, outputs.background):
         assert 0 <= float(values.min()) <= float(values.max()) <= 1
+
+
+def test_zeros_change_nothing():
+    """With outputs of zero, enlarged or not, the start comes back: its weights, what is unseen, its background."""
+    start = start_of(1, 2, 5, 7) | {"near": torch.tensor([[1.0, 0.25]])}
+    for size in ((5, 7), (3, 4)):
+        outputs = read_outputs(torch.zeros(1, 6, *size), start)
+        torch.testing.assert_close(outputs.weights[0, :, 2, 3], torch.tensor([0.8, 0.2]))
+        torch.testing.assert_close(outputs.background_weight, start["unseen"])
+        torch.testing.assert_close(outputs.background, start["background"])
 
 
 def test_the_twin_composes_as_compose_does():
@@ -108,11 +130,11 @@ def decisive(weights, tmp_path, bias: list[float]):
 def test_the_network_decides(weights, tmp_path):
     """A network that chooses the nearest view shows its splat; one that chooses the background shows that."""
     inputs = inputs_of(instant(0, TARGET, SOURCES))
-    nearest = NetworkBlender(decisive(weights, tmp_path, [40.0, -40.0, -40.0, 0, 0, 0])).blend(inputs)
+    nearest = NetworkBlender(decisive(weights, tmp_path, [40.0, -40.0, -80.0, 0, 0, 0])).blend(inputs)
     covered = inputs.splats[0].alpha > 0.5
     np.testing.assert_allclose(nearest[covered], inputs.splats[0].features[..., :3][covered], atol=1e-4)
     (tmp_path / "other").mkdir()
-    black = NetworkBlender(decisive(weights, tmp_path / "other", [0.0, 0, 40, -40, -40, -40])).blend(inputs)
+    black = NetworkBlender(decisive(weights, tmp_path / "other", [0.0, 0, 80, -40, -40, -40])).blend(inputs)
     assert black.max() < 1e-6
 
 
@@ -143,13 +165,16 @@ def test_the_blender_is_a_part_of_the_method(weights):
 
 
 def test_another_number_of_views_is_refused(weights):
-    """A network for two views says so when it is given three."""
+    """A network for two views says so when it is given three; one view is fine."""
+    assert NetworkBlender(weights).blend(inputs_of(instant(0, TARGET, SOURCES[:1]))).shape == (TARGET.height, TARGET.width, 3)
     inputs = inputs_of(instant(0, TARGET, [*SOURCES, camera_at(0.45)]))
-    with pytest.raises(RenderError, match=r"blend\.safetensors: a blending network for 2 source views, got 3"):
+    with pytest.raises(RenderError, match=r"blend\.safetensors: a blending network for at most 2 source views, got 3"):
         NetworkBlender(weights).blend(inputs)
 
 
-@pytest.mark.parametrize("config", [CONFIG, BlendConfig(3, False, 6), BlendConfig(1, True, 4)])
+@pytest.mark.parametrize(
+    "config", [CONFIG, BlendConfig(3, "none", 6), BlendConfig(1, "channels", 4), BlendConfig(6, "registered", 4)]
+)
 def test_the_configuration_is_known_from_the_tensors(config, tmp_path):
     """Views, guidance and width come back from the file, and so do the weights, in half precision."""
     network = BlendNetwork(config)
@@ -157,7 +182,8 @@ def test_the_configuration_is_known_from_the_tensors(config, tmp_path):
     loaded = load_blend_network(tmp_path / "any.safetensors")
     assert loaded.config == config
     for name, tensor in network.state_dict().items():
-        torch.testing.assert_close(loaded.state_dict()[name], tensor.half().float(), msg=name)
+        kept = tensor.half().float() if tensor.is_floating_point() else tensor
+        torch.testing.assert_close(loaded.state_dict()[name], kept, msg=name)
 
 
 def test_weights_of_something_else_are_refused(network, tmp_path):
@@ -176,7 +202,11 @@ def test_weights_of_something_else_are_refused(network, tmp_path):
     tensors = dict(network.state_dict())
     for name, changed, message in (
         ("other", {"weight": torch.zeros(2, 2)}, "1 tensors of no blending network"),
-        ("inputs", tensors | {"unet.down.0.0.weight": torch.zeros(4, 18, 3, 3)}, "want 19 inputs, or 16 without"),
+        (
+            "inputs",
+            tensors | {"unet.down.0.0.weight": torch.zeros(4, 17, 3, 3)},
+            "want 21 inputs, 19 as printed, 16 without TSDF guidance or 12",
+        ),
         ("shape", tensors | {"unet.up.0.0.bias": torch.zeros(7)}, r"1 tensors differ .*unet\.up\.0\.0\.bias: \(7,\), wanted"),
         ("views", tensors | {"unet.last.weight": torch.zeros(4, 4, 1, 1)}, "4 outputs, 0 views"),
     ):
@@ -186,19 +216,32 @@ def test_weights_of_something_else_are_refused(network, tmp_path):
             load_blend_network(path)
 
 
-def test_weights_that_do_not_ship_are_named():
-    """For a number of views nobody trained for, the message says what is there and what to do."""
-    with pytest.raises(WeightsError, match=r"no blending network for 31 source views ships .*blend-k31-no-tsdf\.safetensors"):
-        shipped_blend_weights(31, tsdf_guidance=False)
+def test_weights_that_do_not_ship_are_named(monkeypatch, tmp_path):
+    """For a guidance nobody trained for, the message says what is there and what to do."""
+    monkeypatch.setattr("ggvs_eval.pipelines.online.blend_weights.resources.files", lambda package: tmp_path)
+    with pytest.raises(WeightsError, match=r"no blending network with none guidance ships \(wanted blend-no-tsdf\.safetensors"):
+        shipped_blend_weights("none")
 
 
-def test_an_image_of_a_batch_is_the_blenders_image(network):
-    """Training composes by the twin what the blender composes by numpy: the same image within rounding."""
-    from ggvs_eval.pipelines.online.network_inputs import blend_maps, input_channels
-
-    maps = blend_maps(inputs_of(instant(0, TARGET, SOURCES)))
+@pytest.mark.parametrize("config", [CONFIG, BlendConfig(3, "registered", 4, scale=2)])
+def test_an_image_of_a_batch_is_the_blenders_image(config):
+    """Training composes by the twin what the blender composes by numpy: the same image within rounding, absent views too."""
+    torch.manual_seed(1)
+    network = BlendNetwork(config).eval()
+    torch.nn.init.normal_(network.unet.last.weight, std=0.3)
+    maps = blend_maps(inputs_of(instant(0, TARGET, SOURCES)), config.guidance)
+    start = {name: torch.from_numpy(array)[None] for name, array in blend_start(maps).items()}
     with torch.inference_mode():
-        outputs = read_outputs(network(torch.from_numpy(input_channels(maps))[None]))
+        channels = input_channels(maps.reduced(config.scale), config.guidance, config.views)
+        outputs = read_outputs(network(torch.from_numpy(channels)[None]), start)
         colours = torch.from_numpy(maps.colours).permute(0, 3, 1, 2)[None]
-        twin = compose_tensors(outputs, colours, torch.from_numpy(maps.alphas)[None])[0]
-    np.testing.assert_allclose(blend_by(network.eval(), maps), twin.permute(1, 2, 0).numpy(), atol=1e-4)
+        twin = compose_tensors(outputs, colours, torch.from_numpy(maps.coverage)[None])[0]
+    np.testing.assert_allclose(blend_by(network, maps), twin.permute(1, 2, 0).numpy(), atol=1e-4)
+
+
+def test_an_untrained_network_is_the_geometric_blender():
+    """Before the first step the registered views are blended by distance: the geometric blender's image, but for the faint."""
+    inputs = inputs_of(instant(0, TARGET, SOURCES))
+    network = BlendNetwork(BlendConfig(2, "registered", 4)).eval()
+    image, geometric = blend_by(network, blend_maps(inputs, "registered")), GeometricBlender().blend(inputs)
+    assert np.abs(image - geometric).mean() < 0.01

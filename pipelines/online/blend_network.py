@@ -1,14 +1,18 @@
 """The blending network: what its outputs mean, and the composition of Eqs. 4-5 that gradients flow through."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
+from ggvs_eval.pipelines.online.blend_maps import Guidance
 from ggvs_eval.pipelines.online.network_inputs import channel_count
 from ggvs_eval.pipelines.online.unet import UNet
 
-BEYOND_VIEWS = 4  # outputs beside one per view: weight of the background and its colour
+BEYOND_VIEWS = 4  # outputs beside one per view: weight of the background and change of its colour
+SURE = 0.02  # the background's weight starts between this and 1 - this
 
 
 @dataclass(frozen=True)
@@ -16,20 +20,26 @@ class BlendConfig:
     """Shape of a blending network.
 
     Attributes:
-        views: K; a network takes this number of source views, no other.
-        tsdf_guidance: whether it sees the fused depth (False: ablation 'No TSDF Guidance').
-        width: channels of the U-Net's first level. With 32 the network is as large as the paper's timings allow; 16 is four times
-            as fast.
+        views: the most source views it takes; fewer are fine.
+        guidance: what it sees of the fused depth: ``registered`` views, its ``channels`` as the paper prints them, or ``none``
+            (ablation 'No TSDF Guidance'); ``naive``: no depth at all.
+        width: channels of the U-Net's first level.
+        scale: the U-Net works on so many times fewer pixels per side; its weights are enlarged, what they weigh is not.
+
+    Reading:
+        The paper's network works at full size, on a GPU with TensorRT. Weights are smooth but where a view is occluded, and there
+        the coverage, which stays at full size, has the edge; at half the size a step costs a quarter.
     """
 
-    views: int = 4
-    tsdf_guidance: bool = True
-    width: int = 32
+    views: int = 6
+    guidance: Guidance = "registered"
+    width: int = 16
+    scale: int = 2
 
     @property
     def inputs(self) -> int:
         """Channels of the input."""
-        return channel_count(self.views, self.tsdf_guidance)
+        return channel_count(self.views, self.guidance)
 
     @property
     def outputs(self) -> int:
@@ -43,10 +53,13 @@ class BlendNetwork(nn.Module):
     def __init__(self, config: BlendConfig) -> None:
         super().__init__()
         self.config = config
+        self.register_buffer("scale", torch.tensor(config.scale))  # lies in the weights file: no shape tells it
         self.unet = UNet(config.inputs, config.outputs, config.width)
+        for parameter in self.unet.last.parameters():
+            nn.init.zeros_(parameter)  # so it begins as distance-based weights and learns what to change
 
     def forward(self, channels: Tensor) -> Tensor:
-        """Input channels (B, 9 K + 1, H, W) to raw outputs (B, K + 4, H, W)."""
+        """Input channels (B, inputs, h, w) to raw outputs (B, views + 4, h, w)."""
         return self.unet(channels)
 
 
@@ -65,33 +78,46 @@ class BlendOutputs:
     background: Tensor
 
 
-def read_outputs(raw: Tensor) -> BlendOutputs:
-    """Raw outputs (B, K + 4, H, W) as weights and background, float32.
+def read_outputs(raw: Tensor, start: Mapping[str, Tensor]) -> BlendOutputs:
+    """Raw outputs (B, N + 4, h, w) as weights and background at full size, float32.
+
+    Args:
+        raw: of the network.
+        start: where it starts from: ``near`` (B, K), the distance-based weight of each view, ``unseen`` (B, H, W), how little of
+            what the target sees is shown, ``background`` (B, 3, H, W), the picture filled from its surroundings.
 
     Reading:
-        The paper names no activations: a softmax over the views, whose ratios alone matter, and sigmoids.
+        The paper names no activations: a softmax over the views, whose ratios alone matter, a sigmoid for the background's
+        weight. Outputs are changes to distance-based weights and to a filled picture, so that an untrained network is the
+        geometric blender and training goes on from there.
     """
+    views = start["near"].shape[1]
     values = raw.float()
-    views = values.shape[1] - BEYOND_VIEWS
+    logits = values[:, :views] + start["near"].clamp_min(1e-6).log()[:, :, None, None]
+    small = torch.cat([torch.softmax(logits, dim=1), values[:, -BEYOND_VIEWS:-3], torch.tanh(values[:, -3:])], dim=1)
+    height, width = start["unseen"].shape[1:]
+    scale = -(-height // small.shape[2])
+    if scale > 1:
+        small = functional.interpolate(small, scale_factor=scale, mode="bilinear", align_corners=False)[..., :height, :width]
     return BlendOutputs(
-        weights=torch.softmax(values[:, :views], dim=1),
-        background_weight=torch.sigmoid(values[:, views]),
-        background=torch.sigmoid(values[:, views + 1 :]),
+        weights=small[:, :views],
+        background_weight=torch.sigmoid(small[:, views] + torch.logit(start["unseen"].clamp(SURE, 1 - SURE))),
+        background=(start["background"] + small[:, views + 1 :]).clamp(0, 1),
     )
 
 
-def compose_tensors(outputs: BlendOutputs, colours: Tensor, alphas: Tensor) -> Tensor:
+def compose_tensors(outputs: BlendOutputs, colours: Tensor, coverage: Tensor) -> Tensor:
     """Eqs. 4-5 as `blending.compose` has them, for a batch.
 
     Args:
         outputs: of the network.
-        colours: splatted views, (B, K, 3, H, W).
-        alphas: their coverage, (B, K, H, W).
+        colours: the views, (B, K, 3, H, W).
+        coverage: the factors of their weights, (B, K, H, W).
 
     Returns:
         Images, (B, 3, H, W).
     """
-    foreground = weighted_mean_tensor(colours, outputs.weights * alphas)
+    foreground = weighted_mean_tensor(colours, outputs.weights * coverage)
     return foreground + outputs.background_weight[:, None] * (outputs.background - foreground)
 
 

@@ -10,61 +10,69 @@ from torch import Tensor
 from ggvs_eval.baselines.method import Map
 from ggvs_eval.errors import RenderError
 from ggvs_eval.pipelines.one_thread import one_thread
+from ggvs_eval.pipelines.online.blend_maps import BlendMaps, Guidance, blend_maps
 from ggvs_eval.pipelines.online.blend_network import BlendNetwork, BlendOutputs, read_outputs
 from ggvs_eval.pipelines.online.blend_weights import load_blend_network, shipped_blend_weights
-from ggvs_eval.pipelines.online.blending import BlendingInputs, compose
-from ggvs_eval.pipelines.online.network_inputs import BlendMaps, blend_maps, input_channels
+from ggvs_eval.pipelines.online.blending import BlendingInputs, compose, weighted_mean
+from ggvs_eval.pipelines.online.inpainting import push_pull
+from ggvs_eval.pipelines.online.network_inputs import COVERED_ALPHA, input_channels
 
 
 @dataclass(frozen=True)
 class NetworkBlender:
-    """Blends splatted views by a network that sees them, their coverage and the fused geometry (Sec. 3.3, Eqs. 4-5).
+    """Blends views by a network that sees them, their coverage and the fused geometry (Sec. 3.3, Eqs. 4-5).
 
     Attributes:
-        weights: file of the weights; those that ship for the number of source views unless given.
-        tsdf_guidance: which of those that ship: with or without the fused depth among the inputs. A given file knows by itself.
+        weights: file of the weights; those that ship unless given.
+        guidance: which of those that ship, see `BlendConfig`. A given file knows by itself.
     """
 
     weights: Path | None = None
-    tsdf_guidance: bool = True
+    guidance: Guidance = "registered"
 
     def blend(self, inputs: BlendingInputs) -> Map:
         """The target view of one instant, (H, W, 3).
 
         Raises:
             WeightsError: no usable weights.
-            RenderError: the network is made for another number of source views.
+            RenderError: more source views than the network is made for.
         """
-        maps = blend_maps(inputs)
-        return blend_by(self._network(len(maps.sources)), maps)
-
-    def _network(self, views: int) -> BlendNetwork:
-        if self.weights is None:
-            return load_blend_network(shipped_blend_weights(views, self.tsdf_guidance))
-        network = load_blend_network(self.weights)
-        if network.config.views != views:
+        path = self.weights or shipped_blend_weights(self.guidance)
+        network, views = load_blend_network(path), len(inputs.instant.sources)
+        if views > network.config.views:
             raise RenderError(
-                f"{self.weights}: a blending network for {network.config.views} source views, got {views}; "
-                "change the protocol's number of sources, or give weights trained for it"
+                f"{path.name}: a blending network for at most {network.config.views} source views, got {views}; "
+                "change the protocol's number of sources, or train one for more (ggvs-eval train blend --views)"
             )
-        return network
+        return blend_by(network, blend_maps(inputs, network.config.guidance))
 
 
 def blend_by(network: BlendNetwork, maps: BlendMaps) -> Map:
     """The image that a network makes of the views, (H, W, 3); equal bits whatever the number of threads."""
-    channels = torch.from_numpy(input_channels(maps, network.config.tsdf_guidance))[None]
+    config, start = network.config, blend_start(maps)
+    small = maps.reduced(config.scale)
+    channels = torch.from_numpy(input_channels(small, config.guidance, config.views))[None]
     device = next(network.parameters()).device
     with one_thread(), torch.inference_mode():
-        outputs = read_outputs(network(channels.to(device, memory_format=torch.channels_last)))
+        raw = network(channels.to(device, memory_format=torch.channels_last)).cpu()
+        outputs = read_outputs(raw, {name: torch.from_numpy(array)[None] for name, array in start.items()})
     return compose_maps(outputs, maps)
+
+
+def blend_start(maps: BlendMaps) -> dict[str, Map]:
+    """What a network starts from: distance-based weights, and the blended views with their holes filled, see `read_outputs`."""
+    near = maps.near_weights()
+    blended = weighted_mean(list(maps.colours), [weight * view for weight, view in zip(near, maps.coverage, strict=True)])
+    filled = push_pull(blended, maps.alphas.max(axis=0) > COVERED_ALPHA)
+    return {"near": near, "unseen": maps.unseen(), "background": np.ascontiguousarray(np.moveaxis(filled, 2, 0))}
 
 
 def compose_maps(outputs: BlendOutputs, maps: BlendMaps) -> Map:
     """Eqs. 4-5 with the outputs of one instant (a batch of one)."""
-    weights = _array(outputs.weights[0]) * maps.alphas
+    weights = _array(outputs.weights[0]) * maps.coverage
     background = np.moveaxis(_array(outputs.background[0]), 0, -1)
     return compose(list(maps.colours), list(weights), background, _array(outputs.background_weight[0]))
 
 
 def _array(tensor: Tensor) -> Map:
-    return np.ascontiguousarray(tensor.cpu().numpy(), dtype=np.float32)
+    return np.ascontiguousarray(tensor.numpy(), dtype=np.float32)

@@ -1,84 +1,32 @@
 """What the blending network looks at: colours, depths and angles of every view, as channels in the target view."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.baselines.method import Map
 from ggvs_eval.camera import Camera
-from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.pinhole import rigid_between
-from ggvs_eval.pipelines.online.blending import BlendingInputs
+from ggvs_eval.pipelines.online.blend_maps import BlendMaps, Guidance, RawViews
 
 COVERED_ALPHA = 0.5  # from this coverage on a view shows something
+GUIDED = ("registered", "channels")  # by the fused depth
 
 
-@dataclass(frozen=True, eq=False)
-class BlendMaps:
-    """The K views in the target view, nearest camera first.
-
-    Attributes:
-        target: camera of the maps.
-        sources: cameras of the views.
-        colours: splatted colour, (K, H, W, 3), float32 in [0, 1].
-        depths: splatted depth, (K, H, W), float32, world units, 0 where the view shows nothing.
-        alphas: coverage, (K, H, W), float32 in [0, 1).
-        fused_depth: of the ray march, (H, W), float32, world units, 0 where it met nothing.
-    """
-
-    target: Camera
-    sources: tuple[Camera, ...]
-    colours: Map
-    depths: Map
-    alphas: Map
-    fused_depth: Map
-
-    def cropped(self, left: int, top: int, width: int, height: int) -> "BlendMaps":
-        """The window that starts at pixel (left, top)."""
-        rows, columns = slice(top, top + height), slice(left, left + width)
-        return replace(
-            self,
-            target=self.target.cropped(left, top, width, height),
-            colours=self.colours[:, rows, columns],
-            depths=self.depths[:, rows, columns],
-            alphas=self.alphas[:, rows, columns],
-            fused_depth=self.fused_depth[rows, columns],
-        )
+def channel_count(views: int, guidance: Guidance) -> int:
+    """Number of channels of `input_channels`: as printed 9 K + 1."""
+    return {"registered": 10 * views + 1, "channels": 9 * views + 1, "none": 8 * views, "naive": 6 * views}[guidance]
 
 
-def blend_maps(inputs: BlendingInputs) -> BlendMaps:
-    """The maps of one instant, views ordered by the distance of their cameras from the target, ties by name."""
-    cameras = [source.camera for source in inputs.instant.sources]
-    if len(cameras) != len(inputs.splats):
-        raise RenderError(f"blending network: wanted one splat per source view, got {len(inputs.splats)} for {len(cameras)}")
-    target = inputs.instant.target
-    order = sorted(range(len(cameras)), key=lambda k: (_distance(cameras[k], target), cameras[k].name))
-    splats = [inputs.splats[k] for k in order]
-    return BlendMaps(
-        target=target,
-        sources=tuple(cameras[k] for k in order),
-        colours=np.stack([view.features[..., :3] for view in splats]),
-        depths=np.stack([view.depth for view in splats]),
-        alphas=np.stack([view.alpha for view in splats]),
-        fused_depth=inputs.depth,
-    )
-
-
-def channel_count(views: int, tsdf_guidance: bool) -> int:
-    """Number of channels of `input_channels`: 9 K + 1, without TSDF guidance 8 K."""
-    return 9 * views + 1 if tsdf_guidance else 8 * views
-
-
-def guide_depth(maps: BlendMaps, tsdf_guidance: bool = True) -> Map:
+def guide_depth(maps: BlendMaps | RawViews, guidance: Guidance) -> Map:
     """The depth of the surface that angles are measured at, (H, W), world units, 0 where unknown.
 
     Reading:
         The paper's ablation takes the fused depth away; angles are then measured at the splatted depth of the nearest view that
         covers the pixel.
     """
-    if tsdf_guidance:
+    if guidance in GUIDED:
         return maps.fused_depth
     covers = maps.alphas >= COVERED_ALPHA  # (K, H, W)
     first = np.argmax(covers, axis=0)[None]
@@ -91,42 +39,54 @@ def reference_depth(depth: Map, camera: Camera) -> float:
     return float(np.median(known)) if known.size else camera.far
 
 
-def input_channels(maps: BlendMaps, tsdf_guidance: bool = True, unit: float | None = None) -> Map:
+def input_channels(maps: BlendMaps, guidance: Guidance, views: int | None = None, unit: float | None = None) -> Map:
     """The channels of the network's input.
 
     Args:
-        maps: the views.
-        tsdf_guidance: without, channels 4 and 5 are left out (ablation 'No TSDF Guidance').
+        maps: the views, K of them.
+        guidance: what the network sees of the fused depth. ``channels``: groups 1-8, as printed. ``registered``: group 9 too.
+            ``none``: all but groups 4 and 5 (ablation 'No TSDF Guidance'). ``naive``: groups 1, 3, 7 and 8, which need no depth.
+        views: how many views the network is made for; channels of those that are not there are 0. K unless given.
         unit: what depths and distances are measured in, world units; `reference_depth` of the guide's depth unless given. A crop
             wants that of the whole view.
 
     Returns:
-        (9 K + 1, H, W) or (8 K, H, W), float32, in this order: 1. splatted colours, 3 K; 2. their inverse depths, K;
-        3. coverages, K; 4. inverse fused depth, 1; 5. cosine between the surface's normal and the direction to each camera, K;
+        (`channel_count`, H, W), float32, in this order: 1. colours, 3 K; 2. splatted inverse depths, K; 3. coverages of the
+        splats, K; 4. inverse fused depth, 1; 5. cosine between the surface's normal and the direction to each camera, K;
         6. cosine between the directions to the target camera and to each camera, K; 7. distance of each camera from the target
-        camera, K; 8. cosine between their axes, K.
+        camera, K; 8. cosine between their axes, K; 9. whether the view sees the fused surface, K.
 
     Reading:
-        The paper names the eight groups. Depth enters as unit / depth, distance as distance / unit, so that nothing depends on
-        the scale of the world. Directions go from the surface to the cameras; where the surface is unknown, cosines to its
-        normal are 0 and the point lies on the far plane.
+        The paper names the first eight groups. Depth enters as unit / depth, distance as distance / unit, so that nothing depends
+        on the scale of the world. Directions go from the surface to the cameras; where the surface is unknown, cosines to its
+        normal are 0 and the point lies on the far plane. Zeros for absent views let one network serve every K up to its own.
     """
-    guide = guide_depth(maps, tsdf_guidance)
+    guide = guide_depth(maps, guidance)
     unit = unit or reference_depth(guide, maps.target)
     known, size = guide > 0, guide.shape
     points = surface_points(maps.target, np.where(known, guide, np.float32(maps.target.far)))
     to_sources = [_unit(_centre(source, maps.target) - points) for source in maps.sources]
-    of_surface = [_inverse(guide, unit)[None], _cosines(to_sources, surface_normals(points, known))] if tsdf_guidance else []
-    groups = [
+    guided, count, flat = guidance in GUIDED, len(maps.sources), guidance == "naive"
+    of_views = [
         np.moveaxis(maps.colours, 3, 1).reshape(-1, *size),
-        _inverse(maps.depths, unit),
+        None if flat else _inverse(maps.depths, unit),
         maps.alphas,
-        *of_surface,
-        _cosines(to_sources, _unit(-points)),
+        _cosines(to_sources, surface_normals(points, known)) if guided else None,
+        None if flat else _cosines(to_sources, _unit(-points)),
         _constant([_distance(source, maps.target) / unit for source in maps.sources], size),
         _constant([float(source.axis @ maps.target.axis) for source in maps.sources], size),
+        maps.seen if guidance == "registered" else None,
     ]
+    groups = [_widened(group, count, views or count) for group in of_views if group is not None]
+    if guided:
+        groups.insert(3, _inverse(guide, unit)[None])
     return np.concatenate(groups, dtype=np.float32)
+
+
+def _widened(group: Map, count: int, views: int) -> Map:
+    """A group of `count` views with zeros for those that are not there, up to `views`."""
+    absent = (views - count) * (len(group) // count)
+    return np.concatenate([group, np.zeros((absent, *group.shape[1:]), np.float32)]) if absent else group
 
 
 def surface_points(camera: Camera, depth: Map) -> Map:

@@ -34,7 +34,7 @@ def blend_loss(
 
     Args:
         outputs: of the network.
-        batch: ``colours`` (B, K, 3, H, W) and ``alphas`` (B, K, H, W) of the splatted views, ``truth`` (B, 3, H, W), all in
+        batch: ``colours`` (B, K, 3, H, W), ``coverage`` and ``alphas`` (B, K, H, W) of the views, ``truth`` (B, 3, H, W), all in
             [0, 1]; ``depths`` (B, K, H, W) and ``fused_depth`` (B, H, W) in the scene's own unit of length, 0 where unknown.
         weights: of the terms.
         tsdf_guidance: without it there is no fused depth to follow: the depth term is left out.
@@ -42,7 +42,7 @@ def blend_loss(
     Returns:
         The loss, and its terms for the log.
     """
-    image = compose_tensors(outputs, batch["colours"], batch["alphas"])
+    image = compose_tensors(outputs, batch["colours"], batch["coverage"])
     terms = {
         "l1": (image - batch["truth"]).abs().mean(),
         "ssim": structural_loss(image, batch["truth"]),

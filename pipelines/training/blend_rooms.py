@@ -18,7 +18,7 @@ from ggvs_eval.processes import finish_all, worker_pool
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.options import DemoOptions
 
-VERSION = 1  # counts up whenever equal plans give other samples
+VERSION = 3  # counts up whenever equal plans give other samples
 FIRST_TRAINING_ROOM = 1000  # the demo capture and the validation rooms lie below
 
 
@@ -30,7 +30,9 @@ class RoomPlan:
         first_room: seed of the first room, from 1000 on.
         rooms: how many rooms.
         targets: target views per room.
-        views: K.
+        views: K of most samples.
+        other_views: K of the others, so that one network learns to serve them all.
+        other_share: share of the others.
         width: of the images, pixels.
         height: of the images, pixels.
         wide_share: share of the samples whose sources are drawn from twice as many near cameras instead of being the nearest.
@@ -41,10 +43,17 @@ class RoomPlan:
     rooms: int = 60
     targets: int = 8
     views: int = 4
+    other_views: tuple[int, ...] = (2, 3, 5, 6)
+    other_share: float = 0.4
     width: int = 480
     height: int = 360
     wide_share: float = 0.5
     matcher: str = "sgbm"
+
+    @property
+    def most_views(self) -> int:
+        """The largest K of a sample."""
+        return max(self.views, *self.other_views) if self.other_share else self.views
 
     @property
     def seeds(self) -> range:
@@ -54,7 +63,7 @@ class RoomPlan:
 
 def validation_plan(views: int, matcher: str, targets: int = 2) -> RoomPlan:
     """The rooms by which choices may be made, with the sources that an evaluation would take."""
-    return RoomPlan(VALIDATION_SEEDS[0], len(VALIDATION_SEEDS), targets, views, wide_share=0.0, matcher=matcher)
+    return RoomPlan(VALIDATION_SEEDS[0], len(VALIDATION_SEEDS), targets, views, (), 0.0, wide_share=0.0, matcher=matcher)
 
 
 class RoomSamples:
@@ -146,19 +155,22 @@ def choose_views(capture: Capture, plan: RoomPlan, seed: int, number: int) -> tu
     turn, place = divmod(number, count)
     target = capture.cameras[np.random.default_rng([seed, 85, turn]).permutation(count)[place]]
     rng = np.random.default_rng([seed, 86, number])
+    views = int(rng.choice(plan.other_views)) if rng.random() < plan.other_share else plan.views
     if rng.random() >= plan.wide_share:
-        return target, nearest_cameras(target, capture.cameras, plan.views)
-    near = nearest_cameras(target, capture.cameras, min(2 * plan.views, count - 1))
-    return target, [near[index] for index in sorted(rng.choice(len(near), plan.views, replace=False))]
+        return target, nearest_cameras(target, capture.cameras, views)
+    near = nearest_cameras(target, capture.cameras, min(2 * views, count - 1))
+    return target, [near[index] for index in sorted(rng.choice(len(near), views, replace=False))]
 
 
 def _digest(plan: RoomPlan) -> str:
     """Names all that a sample depends on but its room and its number."""
+    options = DepthChoice(plan.matcher).options()
     described = {
         "version": VERSION,
-        "views": plan.views,
+        "views": [plan.views, plan.other_views, plan.other_share],
         "size": [plan.width, plan.height],
         "wide_share": plan.wide_share,
-        "depth": DepthChoice(plan.matcher).options().describe(),
+        "depth": options.describe(),
+        "consistency": options.consistency.describe() if options.consistency else None,
     }
     return hashlib.sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()[:12]

@@ -5,6 +5,7 @@ import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,14 +15,18 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.images import Image8, quantise
+from ggvs_eval.pipelines.offline.consistency import check_consistency
 from ggvs_eval.pipelines.offline.depth import DepthEstimator, DepthOptions
+from ggvs_eval.pipelines.offline.fusion import fill_background
 from ggvs_eval.pipelines.offline.pairing import choose_partners
+from ggvs_eval.pipelines.online.blend_maps import RawViews, raw_views
 from ggvs_eval.pipelines.online.blending import Blender, BlendingInputs
 from ggvs_eval.pipelines.online.geometric_blender import GeometricBlender
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
-from ggvs_eval.pipelines.online.network_inputs import BlendMaps, blend_maps, reference_depth
+from ggvs_eval.pipelines.online.network_inputs import reference_depth
 
 POSE_SIZE = 16
+IN_8_BIT = ("splats", "alphas", "warps", "visibilities")
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,12 +34,12 @@ class BlendSample:
     """One target view.
 
     Attributes:
-        maps: what the network looks at.
+        views: what the network looks at.
         truth: what the target's camera saw, (H, W, 3) uint8.
         geometric: what the geometric blender makes of the same views, (H, W, 3) uint8; the network has to beat it.
     """
 
-    maps: BlendMaps
+    views: RawViews
     truth: Image8
     geometric: Image8
 
@@ -61,21 +66,36 @@ class SampleMaker:
         Reading:
             The paper shifts the principal point to render a crop; a crop of the whole rendering shows the same.
         """
-        views = tuple(self._source_view(source, target) for source in sources)
+        found = [self._depth(source, target) for source in sources]
+        views = tuple(
+            SourceView(source, self._image(source.name), checked.depth, checked.confidence)
+            for source, checked in zip(sources, self._checked(sources, found), strict=True)
+        )
         instant = Instant(self._frame, target, views, self.capture.units_per_metre)
         recorder = _Recorder(GeometricBlender())
         GeometryGuided(OnlineOptions(temporal=False), recorder).step(instant)
-        return BlendSample(blend_maps(recorder.inputs[-1]), self._image(target.name), quantise(recorder.images[-1]))
+        return BlendSample(raw_views(recorder.inputs[-1]), self._image(target.name), quantise(recorder.images[-1]))
 
-    def _source_view(self, source: Camera, target: Camera) -> SourceView:
+    def _depth(self, source: Camera, target: Camera) -> DepthMap:
+        """Depth of a source camera, found without the target."""
         partners = choose_partners(source, self.capture.cameras, self._options.partners, {target.name})
         key = (source.name, *(partner.name for partner in partners))
         if key not in self._depths:
             images = [self._image(partner.name) for partner in partners]
             estimator = DepthEstimator(source, partners, self._options)
             self._depths[key] = estimator.estimate(self._image(source.name), images)
-        found = self._depths[key]
-        return SourceView(source, self._image(source.name), found.depth, found.confidence)
+        return self._depths[key]
+
+    def _checked(self, sources: Sequence[Camera], found: Sequence[DepthMap]) -> list[DepthMap]:
+        """Each source's depth held against that of the others, as it is prepared for a view."""
+        options, pairs = self._options, list(zip(sources, found, strict=True))
+        if options.consistency is None:
+            return list(found)
+        checked = [
+            check_consistency(source, depth, pairs[:k] + pairs[k + 1 :], options.consistency)
+            for k, (source, depth) in enumerate(pairs)
+        ]
+        return [DepthMap(*fill_background(each.depth, each.confidence, options.filled_confidence)) for each in checked]
 
     def _image(self, name: str) -> Image8:
         if name not in self._images:
@@ -101,23 +121,23 @@ class _Recorder:
 def write_sample(path: Path, sample: BlendSample) -> None:
     """Write a sample so that a killed process leaves either the whole file or none.
 
-    Colours and coverage are kept in 8 bit, splatted depth in half precision, relative to the view's `reference_depth`. The fused
-    depth stays as it is, because its normals would show the rounding.
+    Colours, coverage and visibility are kept in 8 bit, splatted depth in half precision, relative to the view's
+    `reference_depth`. The fused depth stays as it is, because its normals would show the rounding.
     """
-    maps = sample.maps
-    unit = reference_depth(maps.fused_depth, maps.target)
+    views = sample.views
+    unit = reference_depth(views.fused_depth, views.target)
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    arrays: dict[str, Any] = {name: quantise(getattr(views, name)) for name in IN_8_BIT}
     with temporary.open("wb") as file:
         np.savez(
             file,
-            cameras=np.stack([_camera_values(camera) for camera in (maps.target, *maps.sources)]),
-            names=np.array([camera.name for camera in (maps.target, *maps.sources)]),
+            cameras=np.stack([_camera_values(camera) for camera in (views.target, *views.sources)]),
+            names=np.array([camera.name for camera in (views.target, *views.sources)]),
             unit=np.float64(unit),
-            colours=quantise(maps.colours),
-            depths=(maps.depths / np.float32(unit)).astype(np.float16),
-            alphas=quantise(maps.alphas),
-            fused_depth=maps.fused_depth,
+            **arrays,
+            depths=(views.depths / np.float32(unit)).astype(np.float16),
+            fused_depth=views.fused_depth,
             truth=sample.truth,
             geometric=sample.geometric,
         )
@@ -134,15 +154,14 @@ def read_sample(path: Path) -> BlendSample:
         with np.load(path, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
         target, *sources = (_camera(str(name), values) for name, values in zip(arrays["names"], arrays["cameras"], strict=True))
-        maps = BlendMaps(
+        views = RawViews(
             target=target,
             sources=tuple(sources),
-            colours=_unit_range(arrays["colours"]),
             depths=arrays["depths"].astype(np.float32) * np.float32(arrays["unit"]),
-            alphas=_unit_range(arrays["alphas"]),
             fused_depth=arrays["fused_depth"],
+            **{name: _unit_range(arrays[name]) for name in IN_8_BIT},
         )
-        return BlendSample(maps, arrays["truth"], arrays["geometric"])
+        return BlendSample(views, arrays["truth"], arrays["geometric"])
     except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise TrainingError(f"{path}: wanted a training sample, got none ({reason}); delete it and prepare again") from error

@@ -13,8 +13,8 @@ from ggvs_eval.images import quantise
 from ggvs_eval.metrics.image import psnr, ssim
 from ggvs_eval.pipelines.online.blend_network import BlendConfig, BlendNetwork, read_outputs
 from ggvs_eval.pipelines.online.blend_weights import weights_name
-from ggvs_eval.pipelines.online.network_blender import blend_by
-from ggvs_eval.pipelines.online.network_inputs import guide_depth, input_channels, reference_depth
+from ggvs_eval.pipelines.online.network_blender import blend_by, blend_start
+from ggvs_eval.pipelines.online.network_inputs import GUIDED, guide_depth, input_channels, reference_depth
 from ggvs_eval.pipelines.training.blend_loss import BlendLossWeights, blend_loss
 from ggvs_eval.pipelines.training.blend_rooms import RoomSamples
 from ggvs_eval.pipelines.training.blend_samples import BlendSample
@@ -51,8 +51,10 @@ class BlendTask:
         """Refuse what does not fit together."""
         for samples in (self.training, self.validation):
             plan = samples.plan
-            if plan.views != self.config.views:
-                raise TrainingError(f"a network for {self.config.views} views cannot learn from samples of {plan.views} views")
+            if plan.most_views > self.config.views:
+                raise TrainingError(
+                    f"a network for {self.config.views} views cannot learn from samples of {plan.most_views} views"
+                )
             if plan.width < self.crop_width or plan.height < self.crop_height:
                 raise TrainingError(
                     f"crops of {self.crop_width} x {self.crop_height} do not fit samples of {plan.width} x {plan.height}"
@@ -61,7 +63,7 @@ class BlendTask:
     @property
     def name(self) -> str:
         """Names the weights."""
-        return weights_name(self.config.views, self.config.tsdf_guidance)
+        return weights_name(self.config.guidance)
 
     @property
     def data(self) -> str:
@@ -78,8 +80,8 @@ class BlendTask:
         plan = self.validation.plan
         rooms = ", ".join(str(seed) for seed in plan.seeds)
         return (
-            f"PSNR (dB) and SSIM of {len(self.validation)} whole views of rooms {rooms}, single instants, and `geometric_`: "
-            "of the geometric blender on the same views."
+            f"PSNR (dB) and SSIM of {len(self.validation)} whole views of rooms {rooms}, single instants, K = {plan.views}, and "
+            "`geometric_`: of the geometric blender on the same views."
         )
 
     def network(self) -> nn.Module:
@@ -95,15 +97,17 @@ class BlendTask:
 
     def loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, Mapping[str, float]]:
         """Eq. 7 and its terms."""
-        return blend_loss(read_outputs(network(batch["channels"])), batch, self.weights, self.config.tsdf_guidance)
+        outputs = read_outputs(network(batch["channels"]), batch)
+        return blend_loss(outputs, batch, self.weights, self.config.guidance in GUIDED)
 
     def validate(self, network: nn.Module) -> Mapping[str, float]:
         """Scores of the network and of the geometric blender, as an evaluation would measure them."""
         assert isinstance(network, BlendNetwork)
         sums = dict.fromkeys(("psnr_db", "ssim", "geometric_psnr_db", "geometric_ssim"), 0.0)
+        guidance = self.config.guidance
         for index in range(len(self.validation)):
             sample = self.validation.read(index)
-            images = {"": quantise(blend_by(network, sample.maps)), "geometric_": sample.geometric}
+            images = {"": quantise(blend_by(network, sample.views.maps(guidance))), "geometric_": sample.geometric}
             for prefix, image in images.items():
                 sums[f"{prefix}psnr_db"] += psnr(image, sample.truth)
                 sums[f"{prefix}ssim"] += ssim(image, sample.truth)
@@ -112,7 +116,7 @@ class BlendTask:
     def _crop(self, rng: np.random.Generator) -> dict[str, Map]:
         """A random window of a random sample, perhaps mirrored, its colours in any order."""
         sample = self.training.read(int(rng.integers(len(self.training))))
-        width, height = sample.maps.target.size
+        width, height = sample.views.target.size
         left, top = rng.integers(width - self.crop_width + 1), rng.integers(height - self.crop_height + 1)
         arrays = crop_arrays(sample, (int(left), int(top), self.crop_width, self.crop_height), self.config)
         return mirrored(recoloured(arrays, rng.permutation(3)), bool(rng.random() < 0.5))
@@ -121,30 +125,46 @@ class BlendTask:
 def crop_arrays(sample: BlendSample, window: tuple[int, int, int, int], config: BlendConfig) -> dict[str, Map]:
     """What the network and its loss take of a window (left, top, width, height) of a sample.
 
-    Depths and distances are measured in the unit of the whole view, as they are when the network is used.
+    Depths and distances are measured in the unit of the whole view, as they are when the network is used. Views that the sample
+    does not have cover nothing.
     """
-    unit = reference_depth(guide_depth(sample.maps, config.tsdf_guidance), sample.maps.target)
-    maps = sample.maps.cropped(*window)
     left, top, width, height = window
+    unit = reference_depth(guide_depth(sample.views, config.guidance), sample.views.target)
+    maps = sample.views.cropped(*window).maps(config.guidance)
     truth = sample.truth[top : top + height, left : left + width]
-    return {
-        "channels": input_channels(maps, config.tsdf_guidance, unit),
+    of_views = {
         "colours": np.moveaxis(maps.colours, 3, 1),
+        "coverage": maps.coverage,
         "alphas": maps.alphas,
         "depths": maps.depths / np.float32(unit),
+    }
+    start = blend_start(maps)
+    near = of_views | {"near": start.pop("near")}
+    return {
+        "channels": input_channels(maps.reduced(config.scale), config.guidance, config.views, unit),
+        **{name: _filled_up(array, config.views) for name, array in near.items()},
+        **start,
         "fused_depth": maps.fused_depth / np.float32(unit),
         "truth": np.moveaxis(truth, 2, 0).astype(np.float32) / np.float32(255),
     }
+
+
+def _filled_up(array: Map, views: int) -> Map:
+    """Values per view, (K, ...), with zeros for the views that are not there."""
+    return np.concatenate([array, np.zeros((views - len(array), *array.shape[1:]), np.float32)])
 
 
 def recoloured(arrays: Mapping[str, Map], order: np.ndarray) -> dict[str, Map]:
     """The arrays of a crop with red, green and blue in another order."""
     colours = arrays["colours"][:, order]
     channels = arrays["channels"].copy()
-    channels[: colours.shape[0] * 3] = colours.reshape(-1, *colours.shape[2:])
-    return {**arrays, "channels": channels, "colours": colours, "truth": arrays["truth"][order]}
+    small = channels[: 3 * len(colours)].reshape(len(colours), 3, *channels.shape[1:])
+    channels[: 3 * len(colours)] = small[:, order].reshape(-1, *channels.shape[1:])
+    pictures = {name: arrays[name][order] for name in ("background", "truth")}
+    return {**arrays, **pictures, "channels": channels, "colours": colours}
 
 
 def mirrored(arrays: Mapping[str, Map], mirror: bool) -> dict[str, Map]:
     """The arrays of a crop, left and right swapped: no channel knows its side, angles and lengths stay what they are."""
-    return {name: np.ascontiguousarray(array[..., ::-1] if mirror else array) for name, array in arrays.items()}
+    flipped = {name: array[..., ::-1] if mirror and array.ndim > 1 else array for name, array in arrays.items()}
+    return {name: np.ascontiguousarray(array) for name, array in flipped.items()}
