@@ -24,7 +24,7 @@ from ggvs_eval.pipelines.cli_captures import (
 from ggvs_eval.pipelines.cli_renders import doctor, explain
 from ggvs_eval.pipelines.cli_training import train
 from ggvs_eval.pipelines.methods import METHODS, usual_methods
-from ggvs_eval.pipelines.online.synthesizer import DEFAULT_METHOD, online_method
+from ggvs_eval.pipelines.synthesizer import DEFAULT_METHOD, online_method
 from ggvs_eval.processes import default_workers
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.synthetic.options import DemoOptions

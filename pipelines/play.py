@@ -10,8 +10,8 @@ import numpy as np
 
 from ggvs_eval.errors import RenderError
 from ggvs_eval.images import Image8, quantise
-from ggvs_eval.pipelines.online.synthesizer import DEFAULT_METHOD, OnlineSynthesizer
 from ggvs_eval.pipelines.reel import Reel
+from ggvs_eval.pipelines.synthesizer import DEFAULT_METHOD, OnlineSynthesizer
 from ggvs_eval.progress import track
 from ggvs_eval.video import write_video
 
