@@ -8,7 +8,10 @@
 
 namespace ggvs {
 
-constexpr int kCostLimit = 127;  // no correlation, or nobody sees it
+constexpr int kCostLimit = 127;  // no correlation
+// What nobody sees is taken to fit halfway. Were it to fit not at all, any plane near enough to come into a partner's view would
+// win at the border of the image, however badly it fits.
+constexpr float kUnseenFit = 0.5f;
 constexpr int kPlaneBlock = 16;  // planes come in multiples of it
 constexpr int kTileColumns = 64;
 constexpr int kTileRows = 16;

@@ -76,7 +76,7 @@ static void cost_plane(const SweepTask& task, const Tile& tile, uint8_t (*costs)
     for (int r = 0; r < tile.rows; ++r) {
         for (int x = 0; x < kTileColumns; x += kWidth) {
             F fit = trusted ? trusted_mean(w, partners, r, x) : better_half(w, partners, r, x);
-            fit = min(max(fit, all(0.0f)), all(1.0f));
+            fit = select(at_most(fit, all(kNoVote)), all(kUnseenFit), min(max(fit, all(0.0f)), all(1.0f)));
             store(w.rounded + x, truncate(all(float(kCostLimit)) * (all(1.0f) - fit) + all(0.5f)));
         }
         for (int x = 0; x < kTileColumns; ++x) costs[r][x] = uint8_t(w.rounded[x]);

@@ -4,11 +4,13 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from ggvs_eval.pipelines.offline.matcher import Map
 from ggvs_eval.pipelines.offline.sweep_views import PartnerView, Projection, find_hidden
 
 CONFIRMING = 0.3  # a partner takes part where its correlation is at least this
+FLAT = np.float32(0.1)  # confidence without texture, a third of what counts as sure
 MOST_STEP = 0.7  # planes
 DAMPING = 4.0  # (grey values / pixel)^2; holds the surface where the images have no gradient along the parallax
 
@@ -65,18 +67,25 @@ class SurfaceFit:
         return inverse_depth + np.clip(found, -MOST_STEP * step, MOST_STEP * step).astype(np.float32)
 
     def confidence(self, inverse_depth: Map) -> Map:
-        """Mean correlation over all partners, (H, W) in [0, 1]; those that see something else, or nothing, count 0."""
+        """How far all partners confirm the surface, (H, W) in [0, 1]; those that do not see it count 0.
+
+        A partner that sees it confirms it by the correlation of its window, and a little without any: where there is no texture
+        the surface comes from its surroundings, and is better than what would be guessed in its place.
+        """
         total = np.zeros_like(inverse_depth)
         for view, image in zip(self.views, self.turned, strict=True):
             places = view.project(inverse_depth)
             score, _ = self._correlate(self._look_up(image, places))
-            total += self._weight(view, inverse_depth, places, score)
+            seen = self._sees(view, inverse_depth, places)
+            total += np.where(seen, FLAT + (1 - FLAT) * _confirmation(score), np.float32(0))
         return total / np.float32(self.n_partners)
 
     def _weight(self, view: PartnerView, inverse_depth: Map, places: Projection, score: Map) -> Map:
         """The partner's correlation where it confirms the surface, else 0."""
-        confirms = (score > CONFIRMING) & view.sees(places) & ~find_hidden(view, inverse_depth, self.hidden_px)
-        return np.where(confirms, np.minimum(score, np.float32(1)), np.float32(0))
+        return np.where(self._sees(view, inverse_depth, places), _confirmation(score), np.float32(0))
+
+    def _sees(self, view: PartnerView, inverse_depth: Map, places: Projection) -> NDArray[np.bool_]:
+        return view.sees(places) & ~find_hidden(view, inverse_depth, self.hidden_px)
 
     def _correlate(self, seen: Map) -> tuple[Map, Map]:
         """Normalised cross-correlation with the reference, and the gain that takes `seen` to it; (H, W) each."""
@@ -94,3 +103,8 @@ class SurfaceFit:
 
     def _blur(self, values: Map) -> Map:
         return cv2.blur(values, (self.window_px, self.window_px), borderType=cv2.BORDER_REFLECT)
+
+
+def _confirmation(score: Map) -> Map:
+    """A correlation where it is high enough to confirm anything, else 0."""
+    return np.where(score > CONFIRMING, np.minimum(score, np.float32(1)), np.float32(0))

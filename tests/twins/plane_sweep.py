@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 COST_LIMIT = 127
+UNSEEN_FIT = 0.5
 
 
 def sweep_twin(reference, guide, partners, window, hidden_weight, planes) -> NDArray[np.uint8]:
@@ -20,7 +21,8 @@ def sweep_twin(reference, guide, partners, window, hidden_weight, planes) -> NDA
             [score(reference.shape, weights, contrast, each, window, first + step * plane) for each in partners]
         )  # (K, H, W)
         fit = trusted_mean(scores, partners, hidden_weight) if partners[0][3] is not None else better_half(scores)
-        costs[..., plane] = np.floor(COST_LIMIT * (1 - fit.clip(0, 1)) + 0.5)
+        fit = np.where(fit <= -2, UNSEEN_FIT, fit.clip(0, 1))
+        costs[..., plane] = np.floor(COST_LIMIT * (1 - fit) + 0.5)
     return costs
 
 
