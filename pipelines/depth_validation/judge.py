@@ -14,7 +14,7 @@ from ggvs_eval.pipelines.depth_validation.rooms import film_rooms
 from ggvs_eval.pipelines.offline.depth import DepthOptions
 from ggvs_eval.processes import default_workers
 from ggvs_eval.protocol import load_protocol
-from ggvs_eval.run_folder import write_json
+from ggvs_eval.run_folder import read_json, write_json
 
 PARTS = ("motorcycle", "sparse", "rendering", "rooms", "temporal")
 REAL_CAPTURE = "n3v_flame_steak"
@@ -25,7 +25,8 @@ def validate_depth(data: Path, out: Path, matchers: Sequence[str], only: Collect
 
     Args:
         data: folder with stereo_motorcycle and n3v_flame_steak.
-        out: folder of the rooms and of depth_validation/, which gets a table per part and figures.json.
+        out: folder of the rooms and of depth_validation/, which gets a table per part and figures.json; figures that this call
+            does not compute stay there.
         matchers: names, as `depth_options` knows them.
         only: some of `PARTS`.
 
@@ -54,7 +55,8 @@ def validate_depth(data: Path, out: Path, matchers: Sequence[str], only: Collect
                 table, found_figures = judge(rooms, options)
                 _show(table, out, part)
                 figures |= found_figures
-    write_json(out / "depth_validation" / "figures.json", figures)
+    path = out / "depth_validation" / "figures.json"
+    write_json(path, (read_json(path) if path.is_file() else {}) | figures)
     return figures
 
 
