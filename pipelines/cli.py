@@ -21,10 +21,10 @@ from ggvs_eval.pipelines.cli_captures import (
     demo,
     undistort,
 )
+from ggvs_eval.pipelines.cli_play import play
 from ggvs_eval.pipelines.cli_renders import doctor, explain
 from ggvs_eval.pipelines.cli_training import train
 from ggvs_eval.pipelines.methods import METHODS, usual_methods
-from ggvs_eval.pipelines.synthesizer import DEFAULT_METHOD, online_method
 from ggvs_eval.processes import default_workers
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.synthetic.options import DemoOptions
@@ -212,47 +212,6 @@ def sweep(
     print(result.table.round(4).to_string())
     for title, reason in result.not_computed.items():
         print(f"{title} not computed: {reason}")
-
-
-def play(
-    source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE|RUN")],
-    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT.mp4")],
-    method: Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(METHODS)}}}")] = DEFAULT_METHOD,
-    k: int | None = None,
-    frames: int | None = None,
-    width: int | None = None,
-    reading: Reading = BY_DEFAULT,
-    depth: Finding = FOUND_BY_DEFAULT,
-    jobs: int = default_workers(),
-) -> None:
-    """Synthesise the view of a camera that goes round between the cameras of a rig into a video, and tell how fast.
-
-    Args:
-        source: a capture, whose frames and depth are kept beside the video (OUT-cache); or a run folder, which has both.
-        out: MP4 file to write.
-        method: by which method.
-        k: source views; those of the run's protocol, or 4, by default.
-        frames: instants from the first on, in which the camera goes round once; all, or 90 of a single instant, by default.
-        width: of the video in pixels; that of the captured frames by default.
-        reading: how a capture is read.
-        depth: how depth of a capture is found.
-        jobs: processes that prepare a capture; synthesis takes one instant after the other.
-    """
-    from ggvs_eval.pipelines.evaluate import reopen
-    from ggvs_eval.pipelines.play import record, require_writable
-    from ggvs_eval.pipelines.reel import PlayOptions, reel_of_capture, reel_of_run
-
-    online_method(method)
-    require_writable(out)
-    wanted = PlayOptions(k, frames, width)
-    if (source / "protocol.toml").is_file():
-        reel = reel_of_run(reopen(source, jobs), wanted)
-    else:
-        cache = out.with_name(f"{out.stem}-cache")
-        reel = reel_of_capture(reading.open(source), wanted, depth.options(), cache, jobs)
-    timing = record(reel, out, method)
-    size = "{} x {}".format(*reel.poses[0].size)
-    print(f"{out}: {len(reel.poses)} frames of {size} by {method}, K = {reel.k}", timing.table(), sep="\n")
 
 
 COMMANDS: dict[str, Callable[..., Any]] = {
