@@ -202,7 +202,7 @@ def test_the_pipeline_takes_it():
     """`sweep` on the command line is the plane sweep, which the estimator of the pipeline then uses, checks and finishes."""
     options = DepthChoice("sweep").options()
     assert options.matcher == PlaneSweep()
-    assert options.describe()["matcher_name"] == "sweep"
+    assert options.describe()["matcher_name"] == PlaneSweep().name
     estimator = DepthEstimator(CAMERA, PARTNERS, options)
     images = [see_plane(partner) for partner in PARTNERS]
     found = estimator.estimate(see_plane(CAMERA), images)

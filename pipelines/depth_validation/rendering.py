@@ -1,5 +1,6 @@
 """The judge that matters: how well views are rendered from a matcher's depth, leave-one-out on a real instant."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -42,9 +43,10 @@ def judge_rendering(
     )
     lines, measured = {}, {}
     for name in matchers:
-        root, started = out / name.replace(":", "-").replace("/", "-"), perf_counter()
+        root = out / name.replace(":", "-").replace("/", "-")
+        fresh, started = not root.exists(), perf_counter()
         prepared = prepare(root, capture, short, workers, DepthChoice(name))
-        seconds = _seconds_when_new(root, perf_counter() - started)
+        seconds = _preparation_seconds(root, perf_counter() - started if fresh else math.nan)
         render(prepared, [METHOD], workers)
         views = score(RunFolder(root), workers).per_view("PSNR").iloc[0]
         lines[name] = {**views.to_dict(), "mean": float(views.mean()), "preparation_s": seconds}
@@ -52,9 +54,12 @@ def judge_rendering(
     return pd.DataFrame.from_dict(lines, orient="index"), figures_of("rendering", MEASURES, measured)
 
 
-def _seconds_when_new(root: Path, seconds: float) -> float:
-    """How long a run folder took to prepare when it was new: a later call finds the depth there and takes no time."""
+def _preparation_seconds(root: Path, seconds: float) -> float:
+    """How long a run folder took to prepare from nothing; NaN, not measured, where a killed call had done a part of it.
+
+    A later call finds the depth there and takes no time, so the first one's is kept.
+    """
     record = root / "preparation.json"
-    if not record.is_file():
+    if math.isfinite(seconds):
         write_json(record, {"seconds": seconds})
-    return float(read_json(record)["seconds"])
+    return float(read_json(record)["seconds"]) if record.is_file() else math.nan

@@ -43,5 +43,5 @@ class PlaneSweep:
 
     @property
     def name(self) -> str:
-        """Names the algorithm."""
-        return "sweep"
+        """Algorithm and version."""
+        return "plane-sweep-2"
