@@ -1,6 +1,7 @@
 // The table of inner loops: one per instruction set, the choice is made when the program runs.
 #pragma once
 #include "blend.hpp"
+#include "level.hpp"
 #include "splat.hpp"
 #include "tsdf.hpp"
 
@@ -19,12 +20,10 @@ struct Kernels {
 
 extern const Kernels kBaselineKernels, kAvx2Kernels, kAvx512Kernels;
 
-enum Level { kBaseline = 0, kAvx2 = 1, kAvx512 = 2 };
-
 // The highest level this processor runs.
 int best_level();
 
-// Throws std::invalid_argument for a level this processor lacks.
+// `level` is a Level. Throws std::invalid_argument for one that this processor lacks.
 const Kernels& kernels_of(int level);
 
 }  // namespace ggvs

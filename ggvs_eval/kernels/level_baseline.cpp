@@ -1,5 +1,4 @@
 // The inner loops for any processor, in vectors of 16 bytes.
-#define GGVS_LEVEL baseline
 #include "kernels.hpp"
 #include "simd_portable.hpp"
 // After the vectors, whose names they use:

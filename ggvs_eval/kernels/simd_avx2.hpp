@@ -1,9 +1,18 @@
 // Eight lanes of AVX2; the names of simd_portable.hpp. No FMA: every level must give the same bits.
+// All that follows is compiled for these instructions, up to simd_end.hpp. What must run everywhere is included before.
 #pragma once
 #include <immintrin.h>
 
 #include <cstdint>
 
+#if defined(__clang__)
+#pragma clang attribute push(__attribute__((target("avx2"))), apply_to = function)
+#else
+#pragma GCC push_options
+#pragma GCC target("avx2")
+#endif
+
+#define GGVS_LEVEL avx2
 #define GGVS_INLINE static inline __attribute__((always_inline))
 
 namespace ggvs::GGVS_LEVEL {

@@ -1,9 +1,21 @@
 // Sixteen lanes of AVX-512; the names of simd_portable.hpp. No FMA: every level must give the same bits.
+// All that follows is compiled for these instructions, up to simd_end.hpp. What must run everywhere is included before.
 #pragma once
 #include <immintrin.h>
 
 #include <cstdint>
 
+#if defined(__clang__)
+#pragma clang attribute push(__attribute__((target("avx512f,avx512bw,avx512dq,avx512vl"))), apply_to = function)
+#else
+// GCC 12's own intrinsics start from undefined registers on purpose and warn about it (GCC bug 105593).
+#pragma GCC diagnostic ignored "-Wuninitialized"
+#pragma GCC diagnostic ignored "-Wmaybe-uninitialized"
+#pragma GCC push_options
+#pragma GCC target("avx512f,avx512bw,avx512dq,avx512vl")
+#endif
+
+#define GGVS_LEVEL avx512
 #define GGVS_INLINE static inline __attribute__((always_inline))
 
 namespace ggvs::GGVS_LEVEL {

@@ -3,6 +3,7 @@
 #pragma once
 #include <cstdint>
 
+#define GGVS_LEVEL baseline
 #define GGVS_INLINE static inline __attribute__((always_inline))
 
 namespace ggvs::GGVS_LEVEL {

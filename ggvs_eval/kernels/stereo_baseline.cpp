@@ -1,5 +1,4 @@
 // The inner loops of the stereo kernels for any processor, in vectors of 16 bytes.
-#define GGVS_LEVEL baseline
 #include "simd_portable.hpp"
 #include "stereo_levels.hpp"
 // After the vectors, whose names they use:

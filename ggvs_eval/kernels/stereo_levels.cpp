@@ -7,10 +7,10 @@ namespace ggvs {
 
 const StereoKernels& stereo_kernels(int level) {
 #if defined(__x86_64__)
-    if (level == 2) return kAvx512Stereo;
-    if (level == 1) return kAvx2Stereo;
+    if (level == kAvx512) return kAvx512Stereo;
+    if (level == kAvx2) return kAvx2Stereo;
 #endif
-    if (level == 0) return kBaselineStereo;
+    if (level == kBaseline) return kBaselineStereo;
     throw std::invalid_argument("no such instruction set here");
 }
 

@@ -1,5 +1,6 @@
 // The table of inner loops of the stereo kernels: one per instruction set, the choice is made when the program runs.
 #pragma once
+#include "level.hpp"
 #include "plane_sweep.hpp"
 #include "sgm.hpp"
 
@@ -12,7 +13,7 @@ struct StereoKernels {
 
 extern const StereoKernels kBaselineStereo, kAvx2Stereo, kAvx512Stereo;
 
-// `level` as in ggvs_eval.kernels.LEVELS, which has asked the processor. Throws std::invalid_argument for any other.
+// `level` is a Level that ggvs_eval.kernels found in this processor. Throws std::invalid_argument for any other.
 const StereoKernels& stereo_kernels(int level);
 
 }  // namespace ggvs
