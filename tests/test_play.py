@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from command_line import refusal
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import CameraError, GgvsError, RenderError
 from ggvs_eval.images import quantise
 from ggvs_eval.pipelines.camera_loop import camera_loop
-from ggvs_eval.pipelines.cli import run_command
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.play import Timing, record
 from ggvs_eval.pipelines.prepare import prepare
@@ -181,40 +181,31 @@ def test_more_than_there_is_cannot_be_played(capture, tmp_path, options, words):
     assert not (tmp_path / "cache").exists()
 
 
-def refusal(capsys, *arguments: object) -> str:
-    with pytest.raises(SystemExit) as caught:
-        run_command([str(argument) for argument in arguments])
-    message = str(caught.value.code)
-    assert message.startswith("ggvs-eval: ")
-    assert "\n" not in message
-    return message
-
-
-def test_a_truncated_capture_is_one_line(dynerf, capsys, tmp_path):
+def test_a_truncated_capture_is_one_line(dynerf, tmp_path):
     """Half a video is named, and nothing is left where the video would be."""
     video = sorted(dynerf.glob("*.mp4"))[2]
     video.write_bytes(video.read_bytes()[: video.stat().st_size // 2])
 
-    assert video.name in refusal(capsys, "play", dynerf, tmp_path / "out.mp4")
+    assert video.name in refusal("play", dynerf, tmp_path / "out.mp4")
     assert list(tmp_path.glob("out*")) == []
 
 
 @pytest.mark.parametrize("place", ["file.txt/out.mp4", "folder.mp4", "out.avi"])
-def test_a_video_that_cannot_be_written_is_one_line(dynerf, capsys, tmp_path, place):
+def test_a_video_that_cannot_be_written_is_one_line(dynerf, tmp_path, place):
     """Below a file, in place of a folder, under another suffix: refused before the capture is touched."""
     (tmp_path / "file.txt").write_text("x")
     (tmp_path / "folder.mp4").mkdir()
 
-    message = refusal(capsys, "play", dynerf, tmp_path / place)
+    message = refusal("play", dynerf, tmp_path / place)
 
     assert Path(place).name in message
     assert "cannot be written" in message or "wanted a video file to write" in message
     assert list(tmp_path.glob("*-cache")) == []
 
 
-def test_an_unknown_method_is_one_line(dynerf, capsys, tmp_path):
+def test_an_unknown_method_is_one_line(dynerf, tmp_path):
     """Before depth is computed for it."""
-    assert "did you mean ours-geometric" in refusal(capsys, "play", dynerf, tmp_path / "out.mp4", "--method", "ours-geometrc")
+    assert "did you mean ours-geometric" in refusal("play", dynerf, tmp_path / "out.mp4", "--method", "ours-geometrc")
 
 
 def test_a_record_refuses_what_it_cannot_write(tmp_path):

@@ -1,6 +1,7 @@
 """The ray march with the fused field as the paper prints it, or read otherwise: slow, to measure what a reading is worth.
 
-`ggvs_eval.geometry.ray_march` is the method's own; this one is numpy, all rays together, and differs by `FieldReading` alone.
+`ggvs_eval.geometry.ray_march` is the method's own; this one is numpy, all rays together, and differs by `FieldReading` alone. In
+our reading it is the definition that tests hold the fast one against.
 """
 
 from collections.abc import Sequence
@@ -132,7 +133,7 @@ def _share(view: _View, rays: Rays, z: Values, tau: float, reading: FieldReading
     inside = ahead & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
     u, v = np.where(inside, u, 0.5), np.where(inside, v, 0.5)
     at = v.astype(np.int64), u.astype(np.int64)
-    distance = (_sample(view.depth, u, v, tau) - points[:, 2]) / tau
+    distance = (sample_depth(view.depth, u, v, tau) - points[:, 2]) / tau
     if reading.sign == "printed":
         distance = -distance
     weight = view.weight[at].astype(np.float64)
@@ -142,8 +143,18 @@ def _share(view: _View, rays: Rays, z: Values, tau: float, reading: FieldReading
     return np.minimum(distance, 1.0), np.where(counts, weight, 0.0)
 
 
-def _sample(depth: NDArray[np.float32], u: Values, v: Values, tolerance: float) -> Values:
-    """Depth at image coordinates: bilinear where the four neighbours are known and close, else the nearest."""
+def sample_depth(depth: NDArray[np.float32], u: Values, v: Values, tolerance: float) -> Values:
+    """Depth at image coordinates: bilinear where the four neighbours are known and close, else the nearest.
+
+    Args:
+        depth: (H, W), 0 = unknown.
+        u: columns, (N,), 0 <= u < W; pixel centres lie at halves.
+        v: rows, (N,), 0 <= v < H.
+        tolerance: neighbours are close when they differ by less than this, units of the depth.
+
+    Returns:
+        Depth, (N,).
+    """
     height, width = depth.shape
     x, y = np.clip(u - 0.5, 0, width - 1), np.clip(v - 0.5, 0, height - 1)
     left, top = x.astype(np.int64), y.astype(np.int64)
