@@ -5,11 +5,10 @@ from dataclasses import dataclass, replace
 
 from ggvs_eval.camera import Camera, nearest_cameras
 from ggvs_eval.capture import Capture
-from ggvs_eval.depth_store import DepthMap, DepthStore, describe_depth
-from ggvs_eval.pipelines.offline.consistency import check_consistency
+from ggvs_eval.depth_store import DepthStore, describe_depth
+from ggvs_eval.pipelines.offline.checked_depth import check_depth
 from ggvs_eval.pipelines.offline.depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth_stream import DepthStream
-from ggvs_eval.pipelines.offline.fusion import fill_background
 from ggvs_eval.pipelines.offline.pairing import choose_partners
 from ggvs_eval.pipelines.offline.sensor_depth import SensorDepthEstimator
 from ggvs_eval.processes import finish_all, worker_pool
@@ -139,15 +138,11 @@ def _in_workers(
 
 def _check(capture: Capture, job: DepthJob, frames: range, store: DepthStore, options: DepthOptions) -> None:
     """Hold what was found for one camera against the others; runs in a worker."""
-    if options.consistency is None:
-        return
     key = store.write_spec(depth_spec(capture, job, options))
     own, *others = ((each.camera_name, _key(capture, each, options)) for each in (job.unchecked, *job.checked_with))
     for frame in sorted(_missing(store, key, frames)):
         views = [(capture.camera(name), store.read(other, frame)) for name, other in others]
-        checked = check_consistency(capture.camera(own[0]), store.read(own[1], frame), views, options.consistency)
-        filled = fill_background(checked.depth, checked.confidence, options.filled_confidence)
-        store.write(key, frame, DepthMap(*filled))
+        store.write(key, frame, check_depth(capture.camera(own[0]), store.read(own[1], frame), views, options))
 
 
 def _run(capture: Capture, job: DepthJob, frames: range, store: DepthStore, options: DepthOptions) -> None:

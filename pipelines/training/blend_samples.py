@@ -15,9 +15,8 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.images import Image8, quantise
-from ggvs_eval.pipelines.offline.consistency import check_consistency
+from ggvs_eval.pipelines.offline.checked_depth import check_depth
 from ggvs_eval.pipelines.offline.depth import DepthEstimator, DepthOptions
-from ggvs_eval.pipelines.offline.fusion import fill_background
 from ggvs_eval.pipelines.offline.pairing import choose_partners
 from ggvs_eval.pipelines.online.blend_maps import RawViews, raw_views
 from ggvs_eval.pipelines.online.blending import Blender, BlendingInputs
@@ -66,11 +65,8 @@ class SampleMaker:
         Reading:
             The paper shifts the principal point to render a crop; a crop of the whole rendering shows the same.
         """
-        found = [self._depth(source, target) for source in sources]
-        views = tuple(
-            SourceView(source, self._image(source.name), checked.depth, checked.confidence)
-            for source, checked in zip(sources, self._checked(sources, found), strict=True)
-        )
+        found = [(source, self._depth(source, target)) for source in sources]
+        views = tuple(self._view(source, depth, found[:k] + found[k + 1 :]) for k, (source, depth) in enumerate(found))
         instant = Instant(self._frame, target, views, self.capture.units_per_metre)
         recorder = _Recorder(GeometricBlender())
         GeometryGuided(OnlineOptions(temporal=False), recorder).step(instant)
@@ -86,16 +82,10 @@ class SampleMaker:
             self._depths[key] = estimator.estimate(self._image(source.name), images)
         return self._depths[key]
 
-    def _checked(self, sources: Sequence[Camera], found: Sequence[DepthMap]) -> list[DepthMap]:
-        """Each source's depth held against that of the others, as it is prepared for a view."""
-        options, pairs = self._options, list(zip(sources, found, strict=True))
-        if options.consistency is None:
-            return list(found)
-        checked = [
-            check_consistency(source, depth, pairs[:k] + pairs[k + 1 :], options.consistency)
-            for k, (source, depth) in enumerate(pairs)
-        ]
-        return [DepthMap(*fill_background(each.depth, each.confidence, options.filled_confidence)) for each in checked]
+    def _view(self, source: Camera, depth_map: DepthMap, others: Sequence[tuple[Camera, DepthMap]]) -> SourceView:
+        """A source, its depth held against that of the others, as it is prepared for a view."""
+        checked = check_depth(source, depth_map, others, self._options)
+        return SourceView(source, self._image(source.name), checked.depth, checked.confidence)
 
     def _image(self, name: str) -> Image8:
         if name not in self._images:
