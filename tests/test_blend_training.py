@@ -87,25 +87,20 @@ def test_structural_loss_is_one_minus_the_metric():
 def test_the_loss_weighs_its_terms(tsdf_guidance):
     """0.8 L1 + 0.2 (1 - SSIM) + 0.1 depth + 0.1 mask; without guidance no depth term."""
     generator = torch.Generator().manual_seed(0)
-    colours, alphas = torch.rand(1, 2, 3, 16, 16, generator=generator), torch.rand(1, 2, 16, 16, generator=generator)
+    image, alphas = torch.rand(1, 3, 16, 16, generator=generator), torch.rand(1, 2, 16, 16, generator=generator)
     shares = torch.softmax(torch.rand(1, 2, 16, 16, generator=generator), dim=1)
-    outputs = BlendOutputs(shares, torch.rand(1, 16, 16, generator=generator), torch.rand(1, 3, 16, 16, generator=generator))
+    background = torch.rand(1, 3, 16, 16, generator=generator)
+    outputs = BlendOutputs(shares, torch.rand(1, 16, 16, generator=generator), background, torch.zeros(1, 0, 16, 16))
     batch = {
-        "colours": colours,
         "alphas": alphas,
-        "coverage": alphas,
         "truth": torch.rand(1, 3, 16, 16, generator=generator),
         "depths": torch.rand(1, 2, 16, 16, generator=generator),
         "fused_depth": torch.rand(1, 16, 16, generator=generator),
     }
-    loss, terms = blend_loss(outputs, batch, BlendLossWeights(), tsdf_guidance)
+    loss, terms = blend_loss(image, outputs, batch, BlendLossWeights(), tsdf_guidance)
     factors = {"l1_loss": 0.8, "ssim_loss": 0.2, "mask_loss": 0.1, "depth_loss": 0.1}
     assert terms.keys() == factors.keys() - (set() if tsdf_guidance else {"depth_loss"})
     assert float(loss) == pytest.approx(sum(factors[name] * term for name, term in terms.items()), rel=1e-5)
-    foreground = (shares * alphas)[:, :, None] * colours
-    foreground = foreground.sum(1) / ((shares * alphas).sum(1, keepdim=True) + 1e-6)
-    w = outputs.background_weight[:, None]
-    image = (1 - w) * foreground + w * outputs.background
     assert terms["l1_loss"] == pytest.approx(float((image - batch["truth"]).abs().mean()), rel=1e-5)
 
 

@@ -1,7 +1,5 @@
 """The blending network as a blender: composition, equal bits, its weights and whom it refuses."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
@@ -29,7 +27,7 @@ from scenes import camera_at, instant
 
 TARGET = camera_at(0.0, name="target")
 SOURCES = [camera_at(-0.15), camera_at(0.3)]
-CONFIG = BlendConfig(views=2, guidance="channels", width=4, scale=1)
+CONFIG = BlendConfig(views=2, guidance="channels", width=4, scale=1, features=3)
 
 
 @pytest.fixture(autouse=True)
@@ -83,7 +81,7 @@ def test_outputs_are_weights():
     """Raw outputs of any size become weights that sum to 1 and a background in [0, 1]; equal logits weigh as near views do."""
     raw = 20 * torch.randn(2, 7, 4, 5)
     raw[0, :3] = 1.5
-    outputs = read_outputs(raw, start_of(2, 3, 4, 5))
+    outputs = read_outputs(raw, start_of(2, 3, 4, 5), 3)
     assert outputs.weights.shape == (2, 3, 4, 5)
     assert outputs.background.shape == (2, 3, 4, 5)
     torch.testing.assert_close(outputs.weights.sum(dim=1), torch.ones(2, 4, 5))
@@ -96,7 +94,7 @@ def test_zeros_change_nothing():
     """With outputs of zero, enlarged or not, the start comes back: its weights, what is unseen, its background."""
     start = start_of(1, 2, 5, 7) | {"near": torch.tensor([[1.0, 0.25]])}
     for size in ((5, 7), (3, 4)):
-        outputs = read_outputs(torch.zeros(1, 6, *size), start)
+        outputs = read_outputs(torch.zeros(1, 6, *size), start, 2)
         torch.testing.assert_close(outputs.weights[0, :, 2, 3], torch.tensor([0.8, 0.2]))
         torch.testing.assert_close(outputs.background_weight, start["unseen"])
         torch.testing.assert_close(outputs.background, start["background"])
@@ -111,8 +109,10 @@ def test_the_twin_composes_as_compose_does():
     single = [array.astype(np.float32) for array in (colours, alphas, shares, background, background_weight)]
     colours, alphas, shares, background, background_weight = single
     expected = compose(list(colours), list(alphas * shares), background, background_weight)
-    outputs = BlendOutputs(*(torch.from_numpy(np.ascontiguousarray(array))[None] for array in (shares, background_weight)), None)
-    outputs = replace(outputs, background=torch.from_numpy(background).permute(2, 0, 1)[None])
+    shown = torch.from_numpy(background).permute(2, 0, 1)[None]
+    outputs = BlendOutputs(
+        torch.from_numpy(shares)[None], torch.from_numpy(background_weight)[None], shown, torch.zeros(1, 0, 6, 7)
+    )
     found = compose_tensors(outputs, torch.from_numpy(colours).permute(0, 3, 1, 2)[None], torch.from_numpy(alphas)[None])
     np.testing.assert_allclose(found[0].permute(1, 2, 0).numpy(), expected, atol=1e-6)
 
@@ -121,7 +121,7 @@ def decisive(weights, tmp_path, bias: list[float]):
     """Weights of a network that answers the same everywhere: the bias of its last layer."""
     tensors = {name: tensor.float() for name, tensor in load_blend_network(weights).state_dict().items()}
     tensors["unet.last.weight"] = torch.zeros_like(tensors["unet.last.weight"]).contiguous()
-    tensors["unet.last.bias"] = torch.tensor(bias)
+    tensors["unet.last.bias"] = torch.tensor(bias + [0.0] * CONFIG.features)
     path = tmp_path / "decisive.safetensors"
     save_file({name: tensor.contiguous() for name, tensor in tensors.items()}, path)
     return path
@@ -207,8 +207,12 @@ def test_weights_of_something_else_are_refused(network, tmp_path):
             tensors | {"unet.down.0.0.weight": torch.zeros(4, 17, 3, 3)},
             "want 21 inputs, 19 as printed, 16 without TSDF guidance or 12",
         ),
-        ("shape", tensors | {"unet.up.0.0.bias": torch.zeros(7)}, r"1 tensors differ .*unet\.up\.0\.0\.bias: \(7,\), wanted"),
-        ("views", tensors | {"unet.last.weight": torch.zeros(4, 4, 1, 1)}, "4 outputs, 0 views"),
+        (
+            "shape",
+            tensors | {"unet.up.0.0.bias": torch.zeros(7)},
+            r"1 tensors differ .*unet\.up\.0\.0\.bias: .*got \(7,\)",
+        ),
+        ("views", tensors | {"unet.last.weight": torch.zeros(7, 4, 1, 1)}, "7 outputs, 0 views"),
     ):
         path = tmp_path / f"{name}.safetensors"
         save_file({key: value.contiguous() for key, value in changed.items()}, path)
@@ -229,13 +233,19 @@ def test_an_image_of_a_batch_is_the_blenders_image(config):
     torch.manual_seed(1)
     network = BlendNetwork(config).eval()
     torch.nn.init.normal_(network.unet.last.weight, std=0.3)
+    torch.nn.init.normal_(network.refiner.taps.weight, std=0.1)
     maps = blend_maps(inputs_of(instant(0, TARGET, SOURCES)), config.guidance)
     start = {name: torch.from_numpy(array)[None] for name, array in blend_start(maps).items()}
     with torch.inference_mode():
         channels = input_channels(maps.reduced(config.scale), config.guidance, config.views)
-        outputs = read_outputs(network(torch.from_numpy(channels)[None]), start)
-        colours = torch.from_numpy(maps.colours).permute(0, 3, 1, 2)[None]
-        twin = compose_tensors(outputs, colours, torch.from_numpy(maps.coverage)[None])[0]
+        outputs = read_outputs(network(torch.from_numpy(channels)[None]), start, config.views)
+        views = {
+            "colours": torch.from_numpy(maps.colours).permute(0, 3, 1, 2)[None],
+            "coverage": torch.from_numpy(maps.coverage)[None],
+            "fused_depth": torch.from_numpy(maps.fused_depth)[None],
+        }
+        composed = compose_tensors(outputs, views["colours"], views["coverage"])
+        twin = network.refine(composed, outputs, views)[0].clamp(0, 1)
     np.testing.assert_allclose(blend_by(network, maps), twin.permute(1, 2, 0).numpy(), atol=1e-4)
 
 

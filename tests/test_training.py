@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 import torch
-from safetensors.torch import load_file
+from safetensors.torch import load_file, save_file
 from torch import nn
 
 from ggvs_eval.errors import TrainingError, WeightsError
@@ -114,8 +114,11 @@ def test_trained_weights_can_be_the_beginning(tmp_path):
     before = LineTask().validate(train_nothing_from(tmp_path / "second", weights))
     assert before["distance"] < 0.1
     (tmp_path / "other.safetensors").write_bytes(b"no tensors")
-    with pytest.raises(WeightsError, match=r"other\.safetensors: not the weights of this network"):
+    with pytest.raises(WeightsError, match=r"other\.safetensors: damaged, or not safetensors"):
         train(LineTask(), tmp_path / "third", replace(OPTIONS, start_from=tmp_path / "other.safetensors"))
+    save_file({"weight": torch.zeros(2, 2)}, tmp_path / "wrong.safetensors")
+    with pytest.raises(WeightsError, match=r"wrong\.safetensors: 2 tensors differ from the network to be trained"):
+        train(LineTask(), tmp_path / "third", replace(OPTIONS, start_from=tmp_path / "wrong.safetensors"))
 
 
 def train_nothing_from(folder, weights):

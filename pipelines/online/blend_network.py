@@ -8,7 +8,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from ggvs_eval.pipelines.online.blend_maps import Guidance
-from ggvs_eval.pipelines.online.network_inputs import channel_count
+from ggvs_eval.pipelines.online.network_inputs import GUIDED, channel_count
+from ggvs_eval.pipelines.online.refiner import Refiner, evidence
 from ggvs_eval.pipelines.online.unet import UNet
 
 BEYOND_VIEWS = 4  # outputs beside one per view: weight of the background and change of its colour
@@ -25,6 +26,7 @@ class BlendConfig:
             (ablation 'No TSDF Guidance'); ``naive``: no depth at all.
         width: channels of the U-Net's first level.
         scale: the U-Net works on so many times fewer pixels per side; its weights are enlarged, what they weigh is not.
+        features: channels that the U-Net hands to a `Refiner` at full size; none, and no refiner, with 0.
 
     Reading:
         The paper's network works at full size, on a GPU with TensorRT. Weights are smooth but where a view is occluded, and there
@@ -35,6 +37,7 @@ class BlendConfig:
     guidance: Guidance = "registered"
     width: int = 16
     scale: int = 2
+    features: int = 8
 
     @property
     def inputs(self) -> int:
@@ -44,11 +47,11 @@ class BlendConfig:
     @property
     def outputs(self) -> int:
         """Channels of the output."""
-        return self.views + BEYOND_VIEWS
+        return self.views + BEYOND_VIEWS + self.features
 
 
 class BlendNetwork(nn.Module):
-    """The U-Net between the input channels and the outputs that `read_outputs` understands."""
+    """The U-Net between the input channels and the outputs that `read_outputs` understands, and the refiner behind them."""
 
     def __init__(self, config: BlendConfig) -> None:
         super().__init__()
@@ -57,10 +60,29 @@ class BlendNetwork(nn.Module):
         self.unet = UNet(config.inputs, config.outputs, config.width)
         for parameter in self.unet.last.parameters():
             nn.init.zeros_(parameter)  # so it begins as distance-based weights and learns what to change
+        self.refiner = Refiner(config.features) if config.features else None
 
     def forward(self, channels: Tensor) -> Tensor:
-        """Input channels (B, inputs, h, w) to raw outputs (B, views + 4, h, w)."""
+        """Input channels (B, inputs, h, w) to raw outputs (B, views + 4 + features, h, w)."""
         return self.unet(channels)
+
+    def refine(self, picture: Tensor, outputs: "BlendOutputs", views: Mapping[str, Tensor]) -> Tensor:
+        """The composed picture with the refiner's changes, if the network has one.
+
+        Args:
+            picture: what the outputs compose, (B, 3, H, W).
+            outputs: of the network.
+            views: ``colours`` (B, K, 3, H, W), ``coverage`` (B, K, H, W) and ``fused_depth`` (B, H, W).
+
+        Returns:
+            (B, 3, H, W), not limited to [0, 1].
+        """
+        if self.refiner is None:
+            return picture
+        coverage, depth = views["coverage"], views["fused_depth"]
+        used = depth if self.config.guidance in GUIDED else torch.zeros_like(depth)
+        found = evidence(picture, views["colours"], outputs.weights * coverage, coverage, used)
+        return self.refiner(picture, found, outputs.features)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,20 +93,23 @@ class BlendOutputs:
         weights: w_k, (B, K, H, W), positive, sum 1 over the views.
         background_weight: w_BG, (B, H, W), in [0, 1].
         background: I_BG, (B, 3, H, W), in [0, 1].
+        features: for the refiner, (B, F, H, W).
     """
 
     weights: Tensor
     background_weight: Tensor
     background: Tensor
+    features: Tensor
 
 
-def read_outputs(raw: Tensor, start: Mapping[str, Tensor]) -> BlendOutputs:
-    """Raw outputs (B, N + 4, h, w) as weights and background at full size, float32.
+def read_outputs(raw: Tensor, start: Mapping[str, Tensor], most_views: int) -> BlendOutputs:
+    """Raw outputs (B, N + 4 + F, h, w) as weights, background and features at full size, float32.
 
     Args:
         raw: of the network.
         start: where it starts from: ``near`` (B, K), the distance-based weight of each view, ``unseen`` (B, H, W), how little of
             what the target sees is shown, ``background`` (B, 3, H, W), the picture filled from its surroundings.
+        most_views: N, how many views the network takes; K of them are there.
 
     Reading:
         The paper names no activations: a softmax over the views, whose ratios alone matter, a sigmoid for the background's
@@ -94,7 +119,8 @@ def read_outputs(raw: Tensor, start: Mapping[str, Tensor]) -> BlendOutputs:
     views = start["near"].shape[1]
     values = raw.float()
     logits = values[:, :views] + start["near"].clamp_min(1e-6).log()[:, :, None, None]
-    small = torch.cat([torch.softmax(logits, dim=1), values[:, -BEYOND_VIEWS:-3], torch.tanh(values[:, -3:])], dim=1)
+    sure, colour, features = values[:, most_views:].split([1, 3, values.shape[1] - most_views - BEYOND_VIEWS], dim=1)
+    small = torch.cat([torch.softmax(logits, dim=1), sure, torch.tanh(colour), features], dim=1)
     height, width = start["unseen"].shape[1:]
     scale = -(-height // small.shape[2])
     if scale > 1:
@@ -102,7 +128,8 @@ def read_outputs(raw: Tensor, start: Mapping[str, Tensor]) -> BlendOutputs:
     return BlendOutputs(
         weights=small[:, :views],
         background_weight=torch.sigmoid(small[:, views] + torch.logit(start["unseen"].clamp(SURE, 1 - SURE))),
-        background=(start["background"] + small[:, views + 1 :]).clamp(0, 1),
+        background=(start["background"] + small[:, views + 1 : views + BEYOND_VIEWS]).clamp(0, 1),
+        features=small[:, views + BEYOND_VIEWS :],
     )
 
 

@@ -55,8 +55,8 @@ def blend_by(network: BlendNetwork, maps: BlendMaps) -> Map:
     device = next(network.parameters()).device
     with one_thread(), torch.inference_mode():
         raw = network(channels.to(device, memory_format=torch.channels_last)).cpu()
-        outputs = read_outputs(raw, {name: torch.from_numpy(array)[None] for name, array in start.items()})
-    return compose_maps(outputs, maps)
+        outputs = read_outputs(raw, {name: torch.from_numpy(array)[None] for name, array in start.items()}, config.views)
+        return refined(network, compose_maps(outputs, maps), outputs, maps)
 
 
 def blend_start(maps: BlendMaps) -> dict[str, Map]:
@@ -72,6 +72,17 @@ def compose_maps(outputs: BlendOutputs, maps: BlendMaps) -> Map:
     weights = _array(outputs.weights[0]) * maps.coverage
     background = np.moveaxis(_array(outputs.background[0]), 0, -1)
     return compose(list(maps.colours), list(weights), background, _array(outputs.background_weight[0]))
+
+
+def refined(network: BlendNetwork, picture: Map, outputs: BlendOutputs, maps: BlendMaps) -> Map:
+    """What the network's refiner makes of a composed picture, (H, W, 3), in [0, 1]."""
+    views = {
+        "colours": torch.from_numpy(maps.colours)[None].permute(0, 1, 4, 2, 3),
+        "coverage": torch.from_numpy(maps.coverage)[None],
+        "fused_depth": torch.from_numpy(maps.fused_depth)[None],
+    }
+    image = network.refine(torch.from_numpy(picture)[None].permute(0, 3, 1, 2), outputs, views)[0]
+    return np.ascontiguousarray(image.clamp(0, 1).permute(1, 2, 0).numpy())
 
 
 def _array(tensor: Tensor) -> Map:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from ggvs_eval.pipelines.online.blend_network import BlendOutputs, compose_tensors, weighted_mean_tensor
+from ggvs_eval.pipelines.online.blend_network import BlendOutputs, weighted_mean_tensor
 from ggvs_eval.pipelines.online.network_inputs import COVERED_ALPHA
 
 
@@ -28,21 +28,21 @@ class BlendLossWeights:
 
 
 def blend_loss(
-    outputs: BlendOutputs, batch: Mapping[str, Tensor], weights: BlendLossWeights, tsdf_guidance: bool
+    image: Tensor, outputs: BlendOutputs, batch: Mapping[str, Tensor], weights: BlendLossWeights, tsdf_guidance: bool
 ) -> tuple[Tensor, dict[str, float]]:
     """Eq. 7.
 
     Args:
-        outputs: of the network.
-        batch: ``colours`` (B, K, 3, H, W), ``coverage`` and ``alphas`` (B, K, H, W) of the views, ``truth`` (B, 3, H, W), all in
-            [0, 1]; ``depths`` (B, K, H, W) and ``fused_depth`` (B, H, W) in the scene's own unit of length, 0 where unknown.
+        image: the synthesised view, (B, 3, H, W).
+        outputs: what it was composed by.
+        batch: ``alphas`` (B, K, H, W) of the views and ``truth`` (B, 3, H, W) in [0, 1]; ``depths`` (B, K, H, W) and
+            ``fused_depth`` (B, H, W) in the scene's own unit of length, 0 where unknown.
         weights: of the terms.
         tsdf_guidance: without it there is no fused depth to follow: the depth term is left out.
 
     Returns:
         The loss, and its terms for the log.
     """
-    image = compose_tensors(outputs, batch["colours"], batch["coverage"])
     terms = {
         "l1": (image - batch["truth"]).abs().mean(),
         "ssim": structural_loss(image, batch["truth"]),

@@ -11,7 +11,7 @@ from ggvs_eval.baselines.method import Map
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.images import quantise
 from ggvs_eval.metrics.image import psnr, ssim
-from ggvs_eval.pipelines.online.blend_network import BlendConfig, BlendNetwork, read_outputs
+from ggvs_eval.pipelines.online.blend_network import BlendConfig, BlendNetwork, compose_tensors, read_outputs
 from ggvs_eval.pipelines.online.blend_weights import weights_name
 from ggvs_eval.pipelines.online.network_blender import blend_by, blend_start
 from ggvs_eval.pipelines.online.network_inputs import GUIDED, guide_depth, input_channels, reference_depth
@@ -97,8 +97,10 @@ class BlendTask:
 
     def loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, Mapping[str, float]]:
         """Eq. 7 and its terms."""
-        outputs = read_outputs(network(batch["channels"]), batch)
-        return blend_loss(outputs, batch, self.weights, self.config.guidance in GUIDED)
+        assert isinstance(network, BlendNetwork)
+        outputs = read_outputs(network(batch["channels"]), batch, self.config.views)
+        image = network.refine(compose_tensors(outputs, batch["colours"], batch["coverage"]), outputs, batch)
+        return blend_loss(image, outputs, batch, self.weights, self.config.guidance in GUIDED)
 
     def validate(self, network: nn.Module) -> Mapping[str, float]:
         """Scores of the network and of the geometric blender, as an evaluation would measure them."""

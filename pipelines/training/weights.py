@@ -3,11 +3,12 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.torch import save_file
 from torch import nn
 
-from ggvs_eval.errors import WeightsError
+from ggvs_eval.weights_file import pour_strictly, read_tensors
+
+NETWORK = "the network to be trained"  # in messages
 
 
 def write_weights(path: Path, network: nn.Module, notes: Mapping[str, str]) -> None:
@@ -34,8 +35,4 @@ def pour_weights(path: Path, network: nn.Module) -> None:
     Raises:
         WeightsError: absent, damaged, or of another network.
     """
-    try:
-        network.load_state_dict(load_file(path))
-    except (OSError, SafetensorError, RuntimeError) as error:
-        reason = str(error).splitlines()[0]
-        raise WeightsError(f"{path}: not the weights of this network ({reason}); give those that ship, or none") from error
+    pour_strictly(read_tensors(path, of=NETWORK), network, path, NETWORK)

@@ -1,21 +1,20 @@
 """Where the weights of RAFT-Stereo come from: the compact network that ships, or a checkpoint of the authors."""
 
 import hashlib
-import pickle
 from collections.abc import Mapping
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
 
 import torch
-from safetensors import SafetensorError
-from safetensors.torch import load_file
 
 from ggvs_eval.errors import WeightsError
 from ggvs_eval.pipelines.offline.raft.config import COMPACT, PUBLISHED, RaftConfig
 from ggvs_eval.pipelines.offline.raft.raft_stereo import RaftStereo
+from ggvs_eval.weights_file import pour_strictly, read_tensors
 
 SHIPPED = "raft-compact.safetensors"
+NETWORK = "RAFT-Stereo"  # in messages
 
 
 def shipped_weights() -> Path:
@@ -32,7 +31,7 @@ def weights_digest(path: Path) -> str:
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError as error:
-        raise WeightsError(f"{path}: wanted weights of RAFT-Stereo, got no readable file ({error.strerror})") from error
+        raise WeightsError(f"{path}: wanted weights of {NETWORK}, got no readable file ({error.strerror})") from error
 
 
 @lru_cache(maxsize=2)
@@ -45,28 +44,10 @@ def load_network(path: Path) -> RaftStereo:
     Raises:
         WeightsError: absent, damaged, more than tensors inside, or tensors of no configuration of RAFT-Stereo.
     """
-    tensors = {name.removeprefix("module."): tensor for name, tensor in _read(path).items()}
+    tensors = read_tensors(path, of=NETWORK)
     network = RaftStereo(_configuration(tensors, path))
-    network.load_state_dict({name: tensor.float() if tensor.is_floating_point() else tensor for name, tensor in tensors.items()})
+    pour_strictly(tensors, network, path, NETWORK)
     return network.eval()
-
-
-def _read(path: Path) -> Mapping[str, torch.Tensor]:
-    """Tensors by name; nothing in the file is run."""
-    weights_digest(path)
-    if path.suffix == ".safetensors":
-        try:
-            return load_file(path)
-        except SafetensorError as error:
-            raise WeightsError(f"{path}: damaged ({error}); fetch it again") from error
-    try:
-        tensors = torch.load(path, map_location="cpu", weights_only=True)
-    except (RuntimeError, ValueError, EOFError, KeyError, OSError, pickle.UnpicklingError) as error:
-        reason = str(error).splitlines()[0]
-        raise WeightsError(f"{path}: not a file of tensors alone ({reason}); a checkpoint holds a state dict") from error
-    if not isinstance(tensors, dict) or not all(isinstance(value, torch.Tensor) for value in tensors.values()):
-        raise WeightsError(f"{path}: wanted a state dict (name -> tensor), got {type(tensors).__name__} of other things")
-    return tensors
 
 
 def _configuration(tensors: Mapping[str, torch.Tensor], path: Path) -> RaftConfig:

@@ -1,0 +1,122 @@
+"""Reads trained weights: tensors by name, from safetensors or a torch checkpoint; nothing in a file is run."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file
+from torch import Tensor, nn
+
+from ggvs_eval.errors import WeightsError
+
+PARALLEL_PREFIX = "module."  # torch's DataParallel puts it before every name
+
+
+def read_tensors(path: Path, *keys: str, of: str = "a network") -> dict[str, Tensor]:
+    """The tensors of a weights file by name.
+
+    Args:
+        path: safetensors, or a torch checkpoint.
+        keys: where in a checkpoint the state dict lies: ``("net",)`` for ``checkpoint["net"]``. Safetensors of ours hold them
+            under names that begin with the keys, ``net.``.
+        of: whose weights are wanted, for messages.
+
+    Returns:
+        Name -> tensor, names without ``module.``.
+
+    Raises:
+        WeightsError: absent, damaged, more than tensors and plain values inside, or no state dict under those keys.
+    """
+    if path.suffix == ".safetensors":
+        prefix = "".join(f"{key}." for key in keys)
+        stored = _safetensors(path, of)
+        found = {name.removeprefix(prefix): tensor for name, tensor in stored.items() if name.startswith(prefix)}
+    else:
+        found = _state_dict(_checkpoint(path, of), keys, path)
+    if not found:
+        raise WeightsError(f"{path}: wanted tensors{_under(keys)}, got none; give weights of {of}")
+    return {name.removeprefix(PARALLEL_PREFIX): tensor for name, tensor in found.items()}
+
+
+def pour_strictly(tensors: Mapping[str, Tensor], network: nn.Module, path: Path, of: str) -> None:
+    """Give a network tensors that are its own by name and shape, every one of them.
+
+    Args:
+        tensors: what `read_tensors` found; half precision is widened.
+        network: gets them.
+        path: where they come from, for messages.
+        of: which network, for messages.
+
+    Raises:
+        WeightsError: a name or a shape differs.
+    """
+    require_shapes(tensors, network, path, of)
+    network.load_state_dict({name: tensor.float() if tensor.is_floating_point() else tensor for name, tensor in tensors.items()})
+
+
+def require_shapes(tensors: Mapping[str, Tensor], network: nn.Module, path: Path, of: str) -> None:
+    """Refuse tensors that are not a network's own by name and shape, every one of them.
+
+    Args:
+        tensors: what `read_tensors` found.
+        network: what they must fit; may lie on the device ``meta``, which costs no memory.
+        path: where they come from, for messages.
+        of: which network, for messages.
+
+    Raises:
+        WeightsError: a name or a shape differs.
+    """
+    wanted = {name: tuple(tensor.shape) for name, tensor in network.state_dict().items()}
+    shapes = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
+    different = sorted(name for name in wanted.keys() | shapes.keys() if wanted.get(name) != shapes.get(name))
+    if different:
+        name = different[0]
+        raise WeightsError(
+            f"{path}: {len(different)} tensors differ from {of}, first {name}: "
+            f"wanted {wanted.get(name)}, got {shapes.get(name)}; give weights of {of}"
+        )
+
+
+def _safetensors(path: Path, of: str) -> dict[str, Tensor]:
+    try:
+        return load_file(path)
+    except OSError as error:
+        raise _unreadable(path, of, error) from error
+    except SafetensorError as error:
+        raise WeightsError(f"{path}: damaged, or not safetensors ({error}); fetch it again") from error
+
+
+def _checkpoint(path: Path, of: str) -> Any:
+    try:
+        return torch.load(path, map_location="cpu", weights_only=True)
+    except OSError as error:
+        raise _unreadable(path, of, error) from error
+    except Exception as error:  # a damaged pickle makes torch stumble anywhere: IndexError, AssertionError, struct.error, ...
+        reason = (str(error) or type(error).__name__).splitlines()[0]
+        raise WeightsError(f"{path}: not a file of tensors alone ({reason}); a checkpoint holds a state dict") from error
+
+
+def _unreadable(path: Path, of: str, error: OSError) -> WeightsError:
+    return WeightsError(f"{path}: wanted weights of {of}, got no readable file ({error.strerror or error})")
+
+
+def _state_dict(values: Any, keys: tuple[str, ...], path: Path) -> dict[str, Tensor]:
+    """What lies under the keys, if it is a state dict."""
+    for key in keys:
+        if not isinstance(values, Mapping) or key not in values:
+            known = ", ".join(map(str, values)) if isinstance(values, Mapping) else type(values).__name__
+            raise WeightsError(f"{path}: wanted a state dict{_under(keys)}, got {known[:200]}")
+        values = values[key]
+    if not isinstance(values, Mapping) or not all(
+        isinstance(name, str) and isinstance(value, Tensor) for name, value in values.items()
+    ):
+        raise WeightsError(
+            f"{path}: wanted a state dict (name -> tensor){_under(keys)}, got {type(values).__name__} of other things"
+        )
+    return dict(values)
+
+
+def _under(keys: tuple[str, ...]) -> str:
+    return f" under {'/'.join(keys)}" if keys else ""
