@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 from ggvs_eval.errors import RenderError
 from ggvs_eval.images import Image8, read_image
 from ggvs_eval.progress import track
-from ggvs_eval.reports.data_uri import shrink, webp_bytes, webp_uri
+from ggvs_eval.reports.data_uri import fitting_width, shrink, webp_uri
 from ggvs_eval.reports.measured import MeasuredRun
 from ggvs_eval.run_folder import frame_path
 
-WIDTHS = (960, 800, 720, 640, 560, 480, 400, 320, 256, 192)
 FRAME_BYTES = 7_500_000
 FRAMES_AT_MOST = 900
 ERROR_SHARE = 0.5
@@ -35,6 +34,7 @@ class Comparison:
         stride: 1 where all frames are shown.
         width: width of the pictures, pixels.
         height: their height.
+        full_size: width and height of the frames on disk.
         keys: ``truth`` and the methods' labels.
         names: what each is called.
         images: view -> key -> one picture per frame shown.
@@ -46,6 +46,7 @@ class Comparison:
     stride: int
     width: int
     height: int
+    full_size: tuple[int, int]
     keys: tuple[str, ...]
     names: tuple[str, ...]
     images: dict[str, dict[str, list[str]]]
@@ -65,7 +66,9 @@ def compare_frames(run: MeasuredRun, byte_budget: int = FRAME_BYTES) -> Comparis
     views, keys = run.protocol.views.test, ("truth", *run.pictured)
     stride = math.ceil(len(run.frames) * len(views) * len(keys) / FRAMES_AT_MOST)
     frames = run.frames[::stride]
-    width, height = _fitting_size(run, byte_budget / (len(frames) * len(views) * len(keys)))
+    samples = _middle_frames(run)
+    width = fitting_width(samples, byte_budget / (len(frames) * len(views) * len(keys)))
+    height, full_size = shrink(samples[0], width).shape[0], (samples[0].shape[1], samples[0].shape[0])
     images: dict[str, dict[str, list[str]]] = {view: {key: [] for key in keys} for view in views}
     errors: dict[str, dict[str, list[str]]] = {view: {label: [] for label in run.pictured} for view in views}
     instants = [(view, frame) for view in views for frame in frames]
@@ -76,7 +79,8 @@ def compare_frames(run: MeasuredRun, byte_budget: int = FRAME_BYTES) -> Comparis
                 images[view][key].append(picture)
                 if key != "truth":
                     errors[view][key].append(error)
-    return Comparison(views, tuple(frames), stride, width, height, keys, tuple(run.name(key) for key in keys), images, errors)
+    names = tuple(run.name(key) for key in keys)
+    return Comparison(views, tuple(frames), stride, width, height, full_size, keys, names, images, errors)
 
 
 def _compress(run: MeasuredRun, width: int, instant: tuple[str, int]) -> dict[str, tuple[str, str]]:
@@ -123,13 +127,8 @@ def _magma(values: NDArray[np.uint8]) -> Image8:
     return np.ascontiguousarray(cv2.applyColorMap(values, cv2.COLORMAP_MAGMA)[..., ::-1], dtype=np.uint8)
 
 
-def _fitting_size(run: MeasuredRun, bytes_per_frame: float) -> tuple[int, int]:
-    """The largest width, and its height, at which the middle frames take no more than their share on average."""
+def _middle_frames(run: MeasuredRun) -> list[Image8]:
+    """The middle frame of the first views and methods, to try widths on."""
     frame = run.frames[len(run.frames) // 2]
     folders = [folder for view in run.protocol.views.test for folder in run.frame_folders(view).values()]
-    samples = [read_image(frame_path(folder, frame)) for folder in folders[:24]]
-    own = samples[0].shape[1]
-    for width in (own, *(width for width in WIDTHS if width < own)):
-        if np.mean([len(webp_bytes(shrink(sample, width))) for sample in samples]) <= bytes_per_frame:
-            break
-    return width, shrink(samples[0], width).shape[0]
+    return [read_image(frame_path(folder, frame)) for folder in folders[:24]]

@@ -1,6 +1,7 @@
 """Images as text that a page carries in itself."""
 
 import base64
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
@@ -8,6 +9,7 @@ import numpy as np
 from ggvs_eval.images import Image8, resize
 
 WEBP_QUALITY = 80
+WIDTHS = (960, 800, 720, 640, 560, 480, 400, 320, 256, 192)
 
 
 def webp_bytes(image: Image8) -> bytes:
@@ -33,3 +35,17 @@ def shrink(image: Image8, width: int) -> Image8:
         return image
     height = max(1, round(image.shape[0] * width / image.shape[1]))
     return resize(image, width, height, "area")
+
+
+def fitting_width(samples: Sequence[Image8], bytes_each: float) -> int:
+    """The largest width, at most the samples' own, at which they take no more than so many bytes on average.
+
+    Args:
+        samples: pictures of one size that stand for all others.
+        bytes_each: what one may take as WebP, before base64; the narrowest width of `WIDTHS` is taken where nothing fits.
+    """
+    own = samples[0].shape[1]
+    for width in (own, *(width for width in WIDTHS if width < own)):
+        if np.mean([len(webp_bytes(shrink(sample, width))) for sample in samples]) <= bytes_each:
+            break
+    return width

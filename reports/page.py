@@ -1,7 +1,5 @@
 """The page: one HTML file that carries everything it shows and opens without a network."""
 
-import base64
-import hashlib
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,17 +9,21 @@ from typing import Any
 import numpy as np
 
 from ggvs_eval.images import Image8
-from ggvs_eval.reports.comparison import ERROR_FULL_SCALE, FRAME_BYTES, Comparison, compare_frames, error_scale
+from ggvs_eval.reports.comparison import ERROR_FULL_SCALE, FRAME_BYTES, compare_frames, error_scale
 from ggvs_eval.reports.curves import COLOURS, DASHES, MARGIN, SIZE, Panel
 from ggvs_eval.reports.data_uri import png_uri, shrink, webp_uri
+from ggvs_eval.reports.heat_map import heat_colours, heat_maps
 from ggvs_eval.reports.measured import MeasuredRun
+from ggvs_eval.reports.method_videos import VIDEO_BYTES, method_videos
+from ggvs_eval.reports.path_pictures import PATH_BYTES, path_pictures
 from ggvs_eval.reports.published import CAVEATS, published_tables
+from ggvs_eval.reports.scripts import TEMPLATES, page_script, script_digest
 from ggvs_eval.reports.slice_figure import NO_TRUTH
 from ggvs_eval.reports.slices import Slices
 from ggvs_eval.reports.table import Table
+from ggvs_eval.reports.viewer_data import viewer_data
 from ggvs_eval.run_folder import JOB_FILE
 
-TEMPLATES = Path(__file__).parent / "templates"
 CONTEXT_WIDTH = 480
 
 
@@ -60,18 +62,14 @@ def render_page(sections: Sequence[RunSection], tables: Sequence[Table], provena
     environment = Environment(
         loader=FileSystemLoader(TEMPLATES), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    script = (TEMPLATES / "page.js").read_text(encoding="utf-8")
-    comparisons = [compare_frames(section.run, FRAME_BYTES // len(sections)) for section in sections]
+    script = page_script()
     return environment.get_template("page.html.j2").render(
         title=", ".join(dict.fromkeys(section.run.scene for section in sections)),
         n_methods=len({label for section in sections for label in section.run.labels}),
         css=(TEMPLATES / "page.css").read_text(encoding="utf-8"),
         script=script,
-        script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii"),
-        sections=[
-            _section(index, section, comparison)
-            for index, (section, comparison) in enumerate(zip(sections, comparisons, strict=True))
-        ],
+        script_digest=script_digest(script),
+        sections=[_section(index, section, len(sections)) for index, section in enumerate(sections)],
         tables=tables,
         leaders=leaders(tables),
         provenance=provenance,
@@ -82,6 +80,7 @@ def render_page(sections: Sequence[RunSection], tables: Sequence[Table], provena
         has_published_rows=any(row.kind == "published" for table in tables for row in table.rows),
         error_scale=png_uri(error_scale()),
         error_full_scale=int(ERROR_FULL_SCALE),
+        heat_scale=png_uri(heat_colours()),
     )
 
 
@@ -105,10 +104,14 @@ def reproduce(run: MeasuredRun, capture: str) -> list[str]:
     return [shlex.join(["ggvs-eval", *command]) for command in commands]
 
 
-def _section(index: int, section: RunSection, comparison: Comparison) -> dict[str, Any]:
-    """What the templates need of one run, pictures as data addresses."""
-    run = section.run
+def _section(index: int, section: RunSection, n_sections: int) -> dict[str, Any]:
+    """What the templates need of one run, pictures as data addresses; runs share the room for pictures equally."""
+    run, maps = section.run, heat_maps(section.run)
+    comparison = compare_frames(run, FRAME_BYTES // n_sections)
+    path = path_pictures(run, PATH_BYTES // n_sections)
     capture = run.folder.capture_record()
+    fps = float(capture.get("fps") or 0)
+    row = next((slices.row for slices in section.slices if slices.kind == "time"), comparison.full_size[1] // 2)
     return {
         "id": f"run{index}",
         "run": run,
@@ -117,7 +120,9 @@ def _section(index: int, section: RunSection, comparison: Comparison) -> dict[st
         "timing": section.timing,
         "comparison": comparison,
         "first_left": next((label for label in run.pictured if label in run.ours), (*run.pictured, "truth")[0]),
-        "data": _viewer_data(run, comparison, float(capture.get("fps") or 0)),
+        "data": viewer_data(run, comparison, path, maps, row, fps),
+        "heat_maps": maps,
+        "videos": method_videos(run, fps, VIDEO_BYTES // n_sections),
         "slices": [_slice_pictures(slices) for slices in section.slices],
         "commands": reproduce(run, str(capture.get("path", "CAPTURE"))),
         "has_path": any(slices.kind == "epi" for slices in section.slices),
@@ -131,20 +136,6 @@ def _facts(capture: dict[str, Any]) -> dict[str, str | int | float]:
     facts = {key: value for key, value in capture.items() if key != "path" and isinstance(value, str | int | float)}
     notes = "; ".join(capture.get("notes", ()))
     return facts | ({"notes": notes} if notes else {})
-
-
-def _viewer_data(run: MeasuredRun, comparison: Comparison, fps: float) -> dict[str, Any]:
-    """What page.js reads."""
-    return {
-        "views": comparison.views,
-        "frames": comparison.frames,
-        "fps": fps,
-        "start": run.frames[0],
-        "keys": comparison.keys,
-        "names": dict(zip(comparison.keys, comparison.names, strict=True)),
-        "images": comparison.images,
-        "errors": comparison.errors,
-    }
 
 
 def _slice_pictures(slices: Slices) -> dict[str, Any]:

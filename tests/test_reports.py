@@ -47,11 +47,11 @@ def test_report_is_whole(report):
 
 
 def test_page_loads_nothing(report):
-    """Every address in the page is a picture inside it or a place in it, and its policy forbids the rest."""
+    """Every address in the page is a picture or a video inside it or a place in it, and its policy forbids the rest."""
     text = (report / "index.html").read_text(encoding="utf-8")
     page = PageReader(text)
     assert page.addresses
-    assert all(re.match(r"data:image/(png|webp);base64,|#", address) for address in page.addresses)
+    assert all(re.match(r"data:image/(png|webp);base64,|data:video/mp4;base64,|#", address) for address in page.addresses)
     assert not {"link", "iframe", "object", "embed", "base"} & set(page.tags)
     assert not re.search(r"url\(|@import|\bfetch\(|XMLHttpRequest|import\(", text)
     assert "default-src 'none'" in text
@@ -96,11 +96,11 @@ def test_stale_results_are_refused(tmp_path):
 
 
 def test_two_scenes_share_one_page(tmp_path):
-    """Two scenes under one protocol have one main table, the mean over both, and a comparison each."""
+    """Two scenes under one protocol have one main table, the mean over both, and a viewer, heat maps and linked slices each."""
     shapes = (replace(SMALL, scene=scene, poses=2) for scene in ("room", "kitchen"))
     runs = [write_run(tmp_path / shape.scene, shape) for shape in shapes]
     page = PageReader(write_report(runs, tmp_path / "report").read_text(encoding="utf-8"))
-    assert page.tags.count("select") == 6
+    assert page.tags.count("select") == 2 * (3 + 1 + 1)
     assert "room, kitchen" in page.texts
     assert (tmp_path / "report" / "figures" / "run1" / "epi.png").is_file()
 

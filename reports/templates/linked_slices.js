@@ -1,0 +1,91 @@
+const NO_TRUTH = "no truth on a virtual path";
+
+/**
+ * The row of the chosen pixel over viewpoints and over time, for the truth and every method, with the curves of its view.
+ *
+ * Slices are cut here from the compressed pictures that the page carries. `viewer.open(view, frame)` is called where somebody clicks
+ * into a slice over time or into the curves.
+ */
+function makeLinkedSlices(root, data, open) {
+  const part = (role) => root.querySelector(`[data-role="${role}"]`);
+  const strips = data.keys.map((key) => addStrips(part("strips"), key));
+  let asked = null; // what was asked for last, drawn when it can be seen
+  let drawn = "";
+  let turn = 0;
+  let isSeen = false;
+
+  function addStrips(table, key) {
+    const path = data.path && key in data.path.images ? made("canvas") : null;
+    const time = data.frames.length > 1 ? made("canvas", "placed") : null;
+    const over = made("div", "cut", path ?? made("p", "absent", NO_TRUTH));
+    const along = made("div", "cut along", time ?? made("p", "absent", "one frame only"));
+    if (time) along.append(made("span", "mark-frame"), made("span", "mark-column"));
+    if (time) along.addEventListener("click", (event) => jump(along, event));
+    table.append(made("p", "strip-name", data.names[key]), ...(data.path ? [over] : []), along);
+    for (const [canvas, kind] of [[path, "Epipolar plane image"], [time, "x-t slice"]]) label(canvas, `${kind} of ${data.names[key]}`);
+    return { key, path, time };
+  }
+
+  function label(canvas, text) {
+    canvas?.setAttribute("role", "img");
+    canvas?.setAttribute("aria-label", text);
+  }
+
+  function jump(along, event) {
+    const box = along.getBoundingClientRect();
+    const index = Math.floor(((event.clientY - box.top) / box.height) * data.frames.length);
+    open(asked.view, data.frames[Math.min(data.frames.length - 1, Math.max(0, index))]);
+  }
+
+  /** Show the slices through a row (fraction of the height) of a view, and what holds at a frame (index into the frames shown). */
+  function show(view, row, frame) {
+    asked = { view, row, frame };
+    if (isSeen) draw();
+  }
+
+  async function draw() {
+    const { view, row, frame } = asked;
+    root.style.setProperty("--at-frame", (frame + 0.5) / data.frames.length);
+    part("row").textContent = `Row ${Math.floor(row * data.size[1])} of ${data.size[1]} in ${view}`;
+    showCurve(view, frame);
+    if (drawn === `${view} ${row}`) return;
+    drawn = `${view} ${row}`;
+    const mine = ++turn;
+    const isWanted = () => mine === turn;
+    root.setAttribute("aria-busy", "true");
+    await Promise.all(strips.flatMap(({ key, path, time }) => [
+      time && cutRow(time, data.images[view][key], row, isWanted),
+      path && cutRow(path, data.path.images[key], row, isWanted),
+    ]));
+    if (isWanted()) root.setAttribute("aria-busy", "false");
+  }
+
+  /** The chosen metric's curves of this view, as drawn further down the page, and its values at the frame. */
+  function showCurve(view, frame) {
+    const metric = part("metric").value;
+    const plots = [...document.querySelectorAll(`[data-run="${root.dataset.linked}"] svg`)];
+    const plot = plots.find((one) => one.dataset.metric === metric && one.dataset.view === view);
+    const shown = plot?.cloneNode(true);
+    if (shown) {
+      moveCursor(shown, data.frames[frame]);
+      openOnClick(shown, open);
+    }
+    part("curve").replaceChildren(...(shown ? [shown] : []));
+    part("values").replaceChildren(...data.labels.map((label, number) => valueOf(metric, view, frame, label, number)));
+  }
+
+  function valueOf(metric, view, frame, label, number) {
+    const { values, unit } = data.heat[metric] ?? { values: {}, unit: "" };
+    const value = values[label]?.[view]?.[data.frames[frame] - data.start];
+    const text = value == null ? "–" : `${value} ${unit}`;
+    const line = document.querySelector(`[data-legend="${root.dataset.linked}"] li:nth-child(${number + 1}) svg`)?.cloneNode(true);
+    return made("li", "", ...(line ? [line] : []), `${data.names[label]} `, made("b", "", text));
+  }
+
+  part("metric").addEventListener("change", () => asked && draw());
+  new IntersectionObserver((entries) => {
+    isSeen = entries.at(-1).isIntersecting;
+    if (isSeen && asked) draw();
+  }, { rootMargin: "300px" }).observe(root);
+  return show;
+}

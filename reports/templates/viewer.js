@@ -1,0 +1,197 @@
+const BLINK_MS = 600;
+const DEFAULT_FPS = 10;
+const MODES = ["wipe", "blink", "two", "all"];
+const NEAR_DIVIDER_PX = 24;
+const ZOOM_STEP = 1.5;
+
+/**
+ * One comparison: state in one object, `show` draws it, every event changes it.
+ *
+ * @param alongside further elements that the window and the chosen pixel are handed to.
+ * Listeners are called with the view, the row of the chosen pixel (fraction of the height) and the index of the frame.
+ */
+function makeViewer(root, data, alongside) {
+  const part = (role) => root.querySelector(`[data-role="${role}"]`);
+  const stage = root.querySelector(".stage");
+  const errors = document.querySelector(`[data-errors="${root.dataset.viewer}"]`);
+  const state = { frame: 0, divider: 0.5, mode: "wipe", playing: null, blinking: null, pixel: { x: 0.5, y: data.row / data.size[1] } };
+  const zoom = makeZoomWindow();
+  const all = addPictures(part("all"), data.keys, data.names);
+  const maps = addPictures(errors, data.keys.filter((key) => key !== "truth"), data.names);
+  const listeners = [];
+
+  function show() {
+    const view = part("view").value;
+    const left = part("left").value;
+    const right = part("right").value;
+    part("under").src = data.images[view][left][state.frame];
+    part("over").src = data.images[view][right][state.frame];
+    part("left-name").textContent = data.names[left];
+    part("right-name").textContent = data.names[right];
+    for (const [key, image] of all) {
+      image.src = data.images[view][key][state.frame];
+      image.closest("figure").hidden = state.mode === "two" && key !== left && key !== right;
+    }
+    for (const [key, image] of maps) image.src = data.errors[view][key][state.frame];
+    const isGrid = state.mode === "two" || state.mode === "all";
+    stage.hidden = isGrid;
+    part("all").hidden = !isGrid;
+    root.classList.toggle("blink", state.mode === "blink");
+    showTime();
+    place();
+    for (const heard of listeners) heard(view, state.pixel.y, state.frame);
+  }
+
+  /** Hand divider, window and chosen pixel to the style sheet. */
+  function place() {
+    stage.style.setProperty("--at", `${100 * state.divider}%`);
+    for (const element of [root, errors, ...alongside]) placeIn(element);
+    const { x, y } = pixelIndices();
+    const near = zoom.seen.zoom > 1 ? `, zoom ${zoom.seen.zoom.toFixed(1)}` : "";
+    part("place").textContent = `pixel x ${x}, y ${y}${near}`;
+  }
+
+  function placeIn(element) {
+    zoom.apply(element);
+    element.style.setProperty("--pixel-x", state.pixel.x);
+    element.style.setProperty("--pixel-y", state.pixel.y);
+  }
+
+  function pixelIndices() {
+    const index = (share, size) => Math.min(size - 1, Math.max(0, Math.floor(share * size)));
+    return { x: index(state.pixel.x, data.size[0]), y: index(state.pixel.y, data.size[1]) };
+  }
+
+  function showTime() {
+    const frame = data.frames[state.frame];
+    part("frame").value = state.frame;
+    const seconds = data.fps ? `, ${((frame - data.start) / data.fps).toFixed(2)} s` : "";
+    part("clock").textContent = `frame ${frame} of ${data.frames[0]}–${data.frames.at(-1)}${seconds}`;
+    part("frame").setAttribute("aria-valuetext", part("clock").textContent);
+  }
+
+  function step(by) {
+    const count = data.frames.length;
+    state.frame = (state.frame + by + count) % count;
+    show();
+  }
+
+  function play(on) {
+    clearInterval(state.playing);
+    state.playing = on && data.frames.length > 1 ? setInterval(() => step(1), 1000 / Math.min(data.fps || DEFAULT_FPS, 15)) : null;
+    part("play").textContent = state.playing ? "❚❚" : "▶";
+    part("play").setAttribute("aria-pressed", String(Boolean(state.playing)));
+    part("play").setAttribute("aria-label", state.playing ? "Pause" : "Play");
+  }
+
+  function setMode(mode) {
+    state.mode = mode;
+    clearInterval(state.blinking);
+    state.blinking = mode === "blink" ? setInterval(() => stage.classList.toggle("second"), BLINK_MS) : null;
+    root.querySelector(`input[value="${mode}"]`).checked = true;
+    show();
+  }
+
+  function moveDivider(to) {
+    state.divider = Math.min(1, Math.max(0, to));
+    place();
+  }
+
+  function nextView() {
+    const select = part("view");
+    select.selectedIndex = (select.selectedIndex + 1) % select.options.length;
+    show();
+  }
+
+  /** Choose a pixel: its middle, in fractions of the picture. */
+  function choose(x, y) {
+    const middle = (index, size) => (Math.min(size - 1, Math.max(0, index)) + 0.5) / size;
+    state.pixel = { x: middle(x, data.size[0]), y: middle(y, data.size[1]) };
+    show();
+  }
+
+  function movePixel(dx, dy) {
+    const { x, y } = pixelIndices();
+    choose(x + dx, y + dy);
+    zoom.follow(state.pixel);
+    place();
+  }
+
+  function zoomBy(factor, at) {
+    zoom.by(factor, at);
+    place();
+  }
+
+  /** Zoom towards the chosen pixel. */
+  function zoomAtPixel(factor) {
+    zoom.follow(state.pixel);
+    const { zoom: now, x, y } = zoom.seen;
+    zoomBy(factor, { x: (state.pixel.x - x) * now, y: (state.pixel.y - y) * now });
+  }
+
+  /** Show a frame of a view by its number, the nearest one that the page carries; a method, if given, beside the truth. */
+  function open(view, frame, label) {
+    part("view").value = view;
+    const distances = data.frames.map((shown) => Math.abs(shown - frame));
+    state.frame = distances.indexOf(Math.min(...distances));
+    if (label && data.keys.includes(label)) {
+      part("left").value = label;
+      part("right").value = "truth";
+    }
+    show();
+  }
+
+  function press(event) {
+    const far = event.shiftKey ? 10 : 1;
+    const keys = {
+      arrowleft: () => (event.shiftKey ? moveDivider(state.divider - 0.02) : step(-1)),
+      arrowright: () => (event.shiftKey ? moveDivider(state.divider + 0.02) : step(1)),
+      " ": () => play(!state.playing),
+      b: () => setMode(state.mode === "blink" ? "wipe" : "blink"),
+      m: () => setMode(MODES[(MODES.indexOf(state.mode) + 1) % MODES.length]),
+      v: nextView,
+      w: () => movePixel(0, -far),
+      s: () => movePixel(0, far),
+      a: () => movePixel(-far, 0),
+      d: () => movePixel(far, 0),
+      "+": () => zoomAtPixel(ZOOM_STEP),
+      "=": () => zoomAtPixel(ZOOM_STEP),
+      "-": () => zoomAtPixel(1 / ZOOM_STEP),
+      0: fit,
+    };
+    const action = keys[event.key.toLowerCase()];
+    if (!action || event.ctrlKey || event.metaKey || event.altKey) return;
+    event.preventDefault();
+    action();
+  }
+
+  function fit() {
+    zoom.reset();
+    place();
+  }
+
+  function gestures(element, isWipe) {
+    listenToPointer(element, {
+      pick: (at) => { const { x, y } = zoom.toPicture(at); choose(Math.floor(x * data.size[0]), Math.floor(y * data.size[1])); },
+      pinch: (factor, at, move) => { zoom.pan(move.x, move.y); zoomBy(factor, at); },
+      drag: (to, from, start) => {
+        const isNear = Math.abs(start.x - state.grip) * element.clientWidth < NEAR_DIVIDER_PX;
+        if (isWipe && state.mode === "wipe" && (zoom.seen.zoom === 1 || isNear)) return moveDivider(to.x);
+        zoom.pan(to.x - from.x, to.y - from.y);
+        place();
+      },
+    });
+    element.addEventListener("pointerdown", () => { state.grip = state.divider; });
+  }
+
+  for (const role of ["view", "left", "right"]) part(role).addEventListener("change", show);
+  for (const radio of root.querySelectorAll("input[type=radio]")) radio.addEventListener("change", () => setMode(radio.value));
+  part("frame").addEventListener("input", (event) => { state.frame = Number(event.target.value); show(); });
+  part("play").addEventListener("click", () => play(!state.playing));
+  part("closer").addEventListener("click", () => zoomAtPixel(ZOOM_STEP));
+  part("farther").addEventListener("click", () => zoomAtPixel(1 / ZOOM_STEP));
+  part("fit").addEventListener("click", fit);
+  gestures(stage, true);
+  for (const [, , picture] of [...all, ...maps]) gestures(picture, false);
+  return { press, open, show, listen: (heard) => listeners.push(heard) };
+}

@@ -1,0 +1,168 @@
+"""A real browser for tests: Debian's Chromium without a window, driven by its own driver.
+
+Nothing is installed here. Where a browser is promised (the environment variable GGVS_BROWSER is set) its absence is a
+failure with the line to run, elsewhere the tests are skipped and say why.
+"""
+
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from io import BytesIO
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+INSTALL = "sudo apt-get install --no-install-recommends chromium chromium-driver && pip install 'selenium>=4.30'"
+DESKTOP, PHONE = (1280, 900), (390, 844)
+
+
+def find_browser() -> tuple[str, str]:
+    """Paths of the browser and its driver; ends the test where there is none, as skipped or failed."""
+    browser, driver = shutil.which("chromium"), shutil.which("chromedriver")
+    try:
+        import selenium
+    except ModuleNotFoundError:
+        selenium = None
+    lacking = [name for name, found in (("chromium", browser), ("chromium-driver", driver), ("selenium", selenium)) if not found]
+    if lacking:
+        message = f"no real browser, {' and '.join(lacking)} not found; run: {INSTALL}"
+        promised = os.environ.get("GGVS_BROWSER")
+        pytest.fail(message, pytrace=False) if promised else pytest.skip(message)
+    return str(browser), str(driver)
+
+
+@contextmanager
+def open_browser(profile: Path) -> Iterator["Browser"]:
+    """Start a browser that keeps its files in a folder; it ends with the block."""
+    binary, driver = find_browser()
+    from selenium import webdriver
+    from selenium.webdriver.chrome.options import Options
+    from selenium.webdriver.chrome.service import Service
+
+    options = Options()
+    options.binary_location = binary
+    # Containers run as root, where Chromium's sandbox cannot start; the page under test is our own.
+    for argument in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu", f"--user-data-dir={profile}"):
+        options.add_argument(argument)
+    options.add_argument("--host-resolver-rules=MAP * ~NOTFOUND")  # whatever the page asks of a network, it does not get
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    driven = webdriver.Chrome(options=options, service=Service(driver))
+    try:
+        yield Browser(driven)
+    finally:
+        driven.quit()
+
+
+class Browser:
+    """What tests do with a page, in their words."""
+
+    def __init__(self, driven) -> None:
+        self.driven = driven
+
+    def visit(self, page: Path, size: tuple[int, int] = DESKTOP, dark: bool = False) -> None:
+        """Open a page from disk in a window of a size (its inside, pixels), light or dark."""
+        width, height = size
+        metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": size == PHONE}
+        self.driven.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+        # The driver scrolls to what it clicks on; a page that glides there has moved away from under the next click.
+        media = {"prefers-color-scheme": "dark" if dark else "light", "prefers-reduced-motion": "reduce"}
+        features = [{"name": name, "value": value} for name, value in media.items()]
+        self.driven.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
+        self.driven.get("about:blank")  # the same address again would be a reload, which scrolls back to where it was
+        self.driven.get(page.as_uri())
+        self.wait("document.readyState === 'complete' && [...document.images].every(image => image.complete)")
+        self._settle()
+
+    def run(self, script: str, *arguments):
+        """Value of a JavaScript expression; arguments are `arguments[0]`, ..."""
+        return self.driven.execute_script(f"return {script}", *arguments)
+
+    def find(self, selector: str):
+        """The first element that a selector finds."""
+        return self.driven.find_element("css selector", selector)
+
+    def text(self, selector: str) -> str:
+        """What the first element that a selector finds says, on the screen or not."""
+        return self.run("document.querySelector(arguments[0]).textContent", selector)
+
+    def click(self, selector: str, x: float = 0.5, y: float = 0.5) -> None:
+        """Click at a place in an element, fractions of its box, with a real mouse event."""
+        self.drag(selector, (x, y), (x, y))
+
+    def drag(self, selector: str, start: tuple[float, float], end: tuple[float, float]) -> None:
+        """Press at one place in an element, move to another and release; fractions of its box."""
+        box = self._box(selector)
+        places = [{"x": box["x"] + x * box["width"], "y": box["y"] + y * box["height"]} for x, y in (start, end)]
+        self._mouse("mouseMoved", places[0])
+        self._mouse("mousePressed", places[0], button="left", buttons=1, clickCount=1)
+        if start != end:
+            for share in (0.25, 0.5, 0.75, 1.0):
+                between = {axis: places[0][axis] + share * (places[1][axis] - places[0][axis]) for axis in "xy"}
+                self._mouse("mouseMoved", between, button="left", buttons=1)
+        self._mouse("mouseReleased", places[1], button="left", clickCount=1)
+        self._settle()
+
+    def _box(self, selector: str) -> dict[str, float]:
+        """Bring an element to the middle of the window, and say where it lies in it."""
+        script = "(e => (e.scrollIntoView({block: 'center', behavior: 'instant'}), e.getBoundingClientRect().toJSON()))"
+        box = self.run(f"{script}(document.querySelector(arguments[0]))", selector)
+        self._settle()
+        return box
+
+    def _settle(self) -> None:
+        """Wait until the page has drawn twice: then it stands still, and has seen the events that were sent to it."""
+        script = "const done = arguments[0]; requestAnimationFrame(() => requestAnimationFrame(() => done()))"
+        self.driven.execute_async_script(script)
+
+    def _mouse(self, kind: str, place: dict[str, float], **more) -> None:
+        self.driven.execute_cdp_cmd("Input.dispatchMouseEvent", {"type": kind, **place, **more})
+
+    def press(self, *keys: str) -> None:
+        """Press keys one after the other, wherever the focus is."""
+        from selenium.webdriver.common.action_chains import ActionChains
+
+        for key in keys:
+            ActionChains(self.driven).send_keys(key).perform()
+
+    def choose(self, selector: str, option: str) -> None:
+        """Choose an option of a select by its value."""
+        options = self.driven.find_elements("css selector", f"{selector} option")
+        next(one for one in options if one.get_attribute("value") == option).click()
+
+    def wait(self, script: str, *arguments, seconds: float = 10.0):
+        """Wait until a JavaScript expression is true, and give it back."""
+        from selenium.webdriver.support.wait import WebDriverWait
+
+        return WebDriverWait(self.driven, seconds, 0.05).until(lambda _: self.run(script, *arguments), script)
+
+    def complaints(self) -> list[str]:
+        """Errors and warnings on the console since it was last asked; advice on how fast this test reads canvases is none."""
+        entries = [entry for entry in self.driven.get_log("browser") if "willReadFrequently" not in entry["message"]]
+        return [entry["message"] for entry in entries if entry["level"] in ("SEVERE", "WARNING")]
+
+    def pinch(self, selector: str, factor: float) -> None:
+        """Put two fingers on the middle of an element and move them apart by a factor."""
+        box = self._box(selector)
+        middle = {"x": box["x"] + box["width"] / 2, "y": box["y"] + box["height"] / 2}
+        for kind, half in (("touchStart", 40.0), ("touchMove", 40.0 * factor**0.5), ("touchMove", 40.0 * factor)):
+            fingers = [{"x": middle["x"] + side * half, "y": middle["y"], "id": number} for number, side in enumerate((-1, 1))]
+            self.driven.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": kind, "touchPoints": fingers})
+        self.driven.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+        self._settle()
+
+    def colour(self, selector: str, x: float, y: float) -> tuple[int, ...]:
+        """Colour that the screen shows at a place in an element, fractions of its box: red, green, blue."""
+        box = self._box(selector)
+        picture = Image.open(BytesIO(self.driven.get_screenshot_as_png())).convert("RGB")
+        return picture.getpixel((int(box["x"] + x * box["width"]), int(box["y"] + y * box["height"])))
+
+    def canvas_colour(self, canvas: str, x: int, y: int) -> list[int]:
+        """Colour of one pixel of a canvas: red, green, blue."""
+        script = "[...document.querySelector(arguments[0]).getContext('2d').getImageData(arguments[1], arguments[2], 1, 1).data]"
+        return self.run(script, canvas, x, y)[:3]
+
+    def shoot(self, file: Path) -> None:
+        """Write a picture of what the window shows."""
+        self.driven.save_screenshot(str(file))
