@@ -8,7 +8,7 @@ import torch
 
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.metrics.image import ssim
-from ggvs_eval.pipelines.one_thread import one_thread
+from ggvs_eval.one_thread import one_thread
 from ggvs_eval.pipelines.online.blend_network import BlendConfig, BlendOutputs
 from ggvs_eval.pipelines.online.blend_weights import load_blend_network
 from ggvs_eval.pipelines.online.network_inputs import input_channels

@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch.nn import functional
 
-from ggvs_eval.pipelines.one_thread import one_thread
+from ggvs_eval.one_thread import one_thread
 from ggvs_eval.pipelines.online.unet import UNet
 
 

@@ -11,13 +11,13 @@ import torch
 
 from ggvs_eval import kernels
 from ggvs_eval.images import Image8
+from ggvs_eval.one_thread import one_thread
 from ggvs_eval.pipelines.offline.left_right import left_right_gap
 from ggvs_eval.pipelines.offline.matcher import Map
 from ggvs_eval.pipelines.offline.raft.raft_stereo import SIZE_MULTIPLE
 from ggvs_eval.pipelines.offline.raft.start import start_from_disparity, start_from_matching
 from ggvs_eval.pipelines.offline.raft.weights import load_network
 from ggvs_eval.pipelines.offline.subpixel import refine_disparity
-from ggvs_eval.pipelines.one_thread import one_thread
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from ggvs_eval.baselines.method import Map
 from ggvs_eval.errors import RenderError
-from ggvs_eval.pipelines.one_thread import one_thread
+from ggvs_eval.one_thread import one_thread
 from ggvs_eval.pipelines.online.blend_maps import BlendMaps, Guidance, blend_maps
 from ggvs_eval.pipelines.online.blend_network import BlendNetwork, BlendOutputs, read_outputs
 from ggvs_eval.pipelines.online.blend_weights import load_blend_network, shipped_blend_weights

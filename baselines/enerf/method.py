@@ -1,0 +1,94 @@
+"""ENeRF as a method: each instant from its own source frames, by the network that its authors trained."""
+
+from pathlib import Path
+from time import perf_counter
+
+import torch
+from torch import Tensor
+
+from ggvs_eval.baselines.enerf.networks import load_enerf
+from ggvs_eval.baselines.enerf.rendering import render_pixels
+from ggvs_eval.baselines.enerf.views import SeenView, extrinsics, intrinsics, padded, see
+from ggvs_eval.baselines.enerf.volumes import Surface, TargetGrid, find_surface
+from ggvs_eval.baselines.method import Instant, Rendering
+from ggvs_eval.one_thread import one_thread
+from ggvs_eval.camera import Camera
+from ggvs_eval.errors import RenderError
+
+COARSE_PLANES = 64  # of the published training
+TRAINED_NEAR = 2.125  # nearest depth in training: DTU's 425 mm in units of 200 mm
+PIXELS_AT_ONCE = 2**14
+FEWEST_VIEWS = 2  # disagreement of one view is nothing
+
+
+class ENeRF:
+    """ENeRF (Lin et al., SIGGRAPH Asia 2022), generic network; depth maps are not used, nothing is remembered.
+
+    Args:
+        weights: the authors' checkpoint, see `load_enerf`.
+        coarse_planes: planes of the coarse volume, a multiple of 4; 64 in training, 32 in the authors' runs on real scenes.
+        pixels_per_chunk: pixels that are rendered together.
+
+    Raises:
+        WeightsError: the weights cannot be used.
+        RenderError: `coarse_planes` is no positive multiple of 4.
+
+    Reading:
+        Depths are searched between the nearest and the farthest of the cameras of the instant. Lengths are scaled so that the
+        nearest depth is that of the training, because the network's smallest deviations are lengths. Sides are padded to
+        multiples of 32 at the right and at the bottom, sources by repeating their border. The authors' pixel centres lie at whole
+        numbers; principal points are moved by half a pixel.
+    """
+
+    def __init__(self, weights: Path, coarse_planes: int = COARSE_PLANES, pixels_per_chunk: int = PIXELS_AT_ONCE) -> None:
+        if coarse_planes < 4 or coarse_planes % 4:
+            raise RenderError(f"ENeRF's coarse volume is halved twice; wanted planes in multiples of 4, got {coarse_planes}")
+        self._networks = load_enerf(weights)
+        self._coarse_planes = coarse_planes
+        self._pixels_per_chunk = pixels_per_chunk
+
+    def step(self, instant: Instant) -> Rendering:
+        """Synthesise one instant; nothing is remembered.
+
+        Raises:
+            RenderError: fewer than two source views.
+        """
+        if len(instant.sources) < FEWEST_VIEWS:
+            raise RenderError(
+                f"ENeRF wants at least {FEWEST_VIEWS} source views, got {len(instant.sources)}; raise k in the protocol"
+            )
+        near, far = depth_range(instant)
+        unit = TRAINED_NEAR / near
+        started = perf_counter()
+        with one_thread(), torch.inference_mode():
+            views = [see(self._networks.feature_net, source, unit) for source in instant.sources]
+            seen = perf_counter()
+            grid = target_grid(instant.target, unit)
+            surface = find_surface(self._networks, views, grid, near * unit, far * unit, self._coarse_planes)
+            found = perf_counter()
+            image, depth = self._render(instant.target, views, surface, unit)
+        seconds = {"features": seen - started, "volumes": found - seen, "rays": perf_counter() - found}
+        return Rendering(image.numpy(), depth.numpy(), seconds)
+
+    def _render(self, target: Camera, views: list[SeenView], surface: Surface, unit: float) -> tuple[Tensor, Tensor]:
+        """RGB (H, W, 3) and depth (H, W) in world units."""
+        centre = torch.from_numpy(target.centre * unit).float()
+        rays = torch.from_numpy(target.rays().reshape(-1, 3)).float()
+        parts = []
+        for chunk in torch.arange(len(rays)).split(self._pixels_per_chunk):
+            pixels = torch.div(chunk, target.width, rounding_mode="floor"), chunk % target.width
+            parts.append(render_pixels(self._networks, views, surface, centre, rays[chunk], pixels))
+        image = torch.cat([colours for colours, _ in parts]).clamp(0, 1)
+        depth = torch.cat([depths for _, depths in parts]) / unit
+        return image.view(target.height, target.width, 3), depth.view(target.height, target.width)
+
+
+def depth_range(instant: Instant) -> tuple[float, float]:
+    """Depths between which surfaces are searched, world units."""
+    cameras = [instant.target, *(source.camera for source in instant.sources)]
+    return min(camera.near for camera in cameras), max(camera.far for camera in cameras)
+
+
+def target_grid(target: Camera, unit: float = 1.0) -> TargetGrid:
+    """The target's padded pixels; `unit` is the network's units of length per world unit."""
+    return TargetGrid(intrinsics(target), extrinsics(target, unit), padded(target.width), padded(target.height))

@@ -1,0 +1,119 @@
+"""Source views and the target's grid, in the pixels and the units of length that the network was trained with."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn import functional
+
+from ggvs_eval.baselines.enerf.feature_network import FeatureNetwork
+from ggvs_eval.baselines.method import SourceView
+from ggvs_eval.camera import Camera
+
+SIZE_MULTIPLE = 32  # sides are padded to it: the volume is at 1/8 and is halved twice
+PIXEL_CENTRE = 0.5  # ours lie at halves, the network was trained with centres at whole numbers
+SMALLEST_DEPTH, EPSILON = 1e-6, 1e-6
+Matrix = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SeenView:
+    """One source view, ready to be looked up.
+
+    Attributes:
+        levels: features (32, H / 4, W / 4) and (16, H / 2, W / 2) for the two volumes.
+        shown: features and RGB in [0, 1] for the colours, (8 + 3, H, W).
+        K: intrinsics, pixel centres at whole numbers, (3, 3).
+        world_to_camera: (4, 4).
+    """
+
+    levels: tuple[Tensor, Tensor]
+    shown: Tensor
+    K: Matrix
+    world_to_camera: Matrix
+
+    @property
+    def centre(self) -> Tensor:
+        """Of the camera in the world, (3,)."""
+        return torch.from_numpy(-self.world_to_camera[:3, :3].T @ self.world_to_camera[:3, 3]).float()
+
+    def projection(self, scale: float) -> Matrix:
+        """World to an image of that scale, (4, 4)."""
+        return projection(self.K, self.world_to_camera, scale)
+
+    def look_up(self, points_world: Tensor) -> Tensor:
+        """Features and colour at points (N, 3), those of the border outside the image, (N, 11)."""
+        world_to_image = torch.from_numpy(self.projection(1.0)).float()
+        projected = points_world @ world_to_image[:3, :3].T + world_to_image[:3, 3]
+        return sample(self.shown, image_places(projected, self.shown)[None], "border")[:, 0].T
+
+    def directions(self, points_world: Tensor, target_centre: Tensor) -> Tensor:
+        """Unit difference of this view's and the target's ray at points (N, 3), and their dot product, (N, 4)."""
+        of_target, of_source = _unit(target_centre - points_world), _unit(self.centre - points_world)
+        difference = of_source - of_target
+        length = difference.norm(dim=-1, keepdim=True).clamp(min=EPSILON)
+        return torch.cat([difference / length, (of_target * of_source).sum(dim=-1, keepdim=True)], dim=-1)
+
+
+def see(network: FeatureNetwork, source: SourceView, unit: float = 1.0) -> SeenView:
+    """Features of a source view.
+
+    Args:
+        network: the trained one.
+        source: the view.
+        unit: the network's units of length per world unit.
+    """
+    image = torch.from_numpy(source.image).permute(2, 0, 1)[None].float() / 255
+    height, width = (padded(side) for side in image.shape[2:])
+    image = functional.pad(image, (0, width - image.shape[3], 0, height - image.shape[2]), mode="replicate")
+    quarter, half, full = network(2 * image - 1)
+    shown = torch.cat([full[0], image[0]])
+    return SeenView((quarter[0], half[0]), shown, intrinsics(source.camera), extrinsics(source.camera, unit))
+
+
+def padded(side_px: int) -> int:
+    """The next multiple of 32."""
+    return -(-side_px // SIZE_MULTIPLE) * SIZE_MULTIPLE
+
+
+def intrinsics(camera: Camera) -> Matrix:
+    """K for pixel centres at whole numbers, (3, 3)."""
+    K = camera.K.copy()
+    K[:2, 2] -= PIXEL_CENTRE
+    return K
+
+
+def extrinsics(camera: Camera, unit: float) -> Matrix:
+    """world_to_camera in the network's units of length, (4, 4)."""
+    world_to_camera = camera.world_to_camera.copy()
+    world_to_camera[:3, 3] *= unit
+    return world_to_camera
+
+
+def projection(K: Matrix, world_to_camera: Matrix, scale: float) -> Matrix:
+    """World to (u z, v z, z, 1) of an image of that scale, (4, 4).
+
+    Reading:
+        As the authors', the first two rows of K are scaled, so that pixel (0, 0) is the same place at every scale.
+    """
+    scaled = np.eye(4)
+    scaled[:3, :3] = np.diag([scale, scale, 1.0]) @ K
+    return np.asarray(scaled @ world_to_camera)
+
+
+def image_places(projected: Tensor, channels: Tensor) -> Tensor:
+    """(u z, v z, z) to places in an image (C, H, W) where -1 and 1 are the centres of its outermost pixels, (..., 2)."""
+    uv = projected[..., :2] / projected[..., 2:].clamp(min=SMALLEST_DEPTH)
+    largest = uv.new_tensor([channels.shape[2] - 1, channels.shape[1] - 1])
+    return 2 * uv / largest - 1
+
+
+def sample(channels: Tensor, places: Tensor, outside: str) -> Tensor:
+    """Bilinear lookup of (C, H, W) at (h, w, 2) in [-1, 1], (C, h, w); `outside` is ``zeros`` or ``border``."""
+    return functional.grid_sample(channels[None], places[None], mode="bilinear", padding_mode=outside, align_corners=True)[0]
+
+
+def _unit(vectors: Tensor) -> Tensor:
+    return vectors / (vectors.norm(dim=-1, keepdim=True) + EPSILON)

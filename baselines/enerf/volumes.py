@@ -1,0 +1,119 @@
+"""Two cost volumes before the target: a coarse one over the whole range of depth, a fine one around what it found."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from ggvs_eval.baselines.enerf.cost_network import CostNetwork, expectation
+from ggvs_eval.baselines.enerf.networks import Networks
+from ggvs_eval.baselines.enerf.views import Matrix, SeenView, image_places, projection, sample
+
+COARSE_SCALE, FINE_SCALE = 1 / 8, 1 / 2  # of the volumes' planes
+FEATURE_SCALES = 1 / 4, 1 / 2  # of the features that they are made of
+FINE_PLANES = 8
+
+
+@dataclass(frozen=True)
+class TargetGrid:
+    """The target's pixels, padded to a multiple of 32.
+
+    Attributes:
+        K: intrinsics, pixel centres at whole numbers, (3, 3).
+        world_to_camera: (4, 4).
+        width: padded, pixels.
+        height: padded, pixels.
+    """
+
+    K: Matrix
+    world_to_camera: Matrix
+    width: int
+    height: int
+
+
+@dataclass(frozen=True)
+class Surface:
+    """What the volumes found.
+
+    Attributes:
+        features: of the fine volume's cells, (8, D, H / 2, W / 2).
+        first: depth of its first plane at each pixel, (H, W).
+        last: depth of its last plane, (H, W).
+        near: depth at which a pixel's samples begin, (H, W).
+        far: depth at which they end, (H, W).
+    """
+
+    features: Tensor
+    first: Tensor
+    last: Tensor
+    near: Tensor
+    far: Tensor
+
+
+def find_surface(
+    networks: Networks, views: Sequence[SeenView], target: TargetGrid, near: float, far: float, planes: int
+) -> Surface:
+    """Search depth between near and far, coarsely and then around the expectation.
+
+    Args:
+        networks: the trained ones.
+        views: at least two.
+        target: where to search.
+        near: depth of the first coarse plane, in the network's units of length.
+        far: depth of the last one.
+        planes: number of coarse planes, a multiple of 4.
+    """
+    inverse = torch.linspace(1 / near, 1 / far, planes)[:, None, None]
+    cells = int(target.height * COARSE_SCALE), int(target.width * COARSE_SCALE)
+    _, scores = _regularised(networks.cost_reg_0, views, target, 0, (1 / inverse).expand(-1, *cells))
+    mean, deviation = (_enlarge(each, 4) for each in expectation(scores, inverse))
+    first = 1 / (mean + deviation).clamp(max=1 / near)
+    last = 1 / (mean - deviation).clamp(min=1 / far)
+    depths = first + (last - first) * torch.linspace(0, 1, FINE_PLANES)[:, None, None]
+    features, scores = _regularised(networks.cost_reg_1, views, target, 1, depths)
+    mean, deviation = expectation(scores, depths)
+    first, last = _enlarge(first, 2), _enlarge(last, 2)
+    begin, end = _enlarge(mean - deviation, 2), _enlarge(mean + deviation, 2)
+    return Surface(features, first, last, torch.maximum(begin, first), torch.minimum(end, last))
+
+
+def disagreement(views: Sequence[SeenView], target: TargetGrid, level: int, depths: Tensor) -> Tensor:
+    """Variance of the views' features over planes before the target.
+
+    Args:
+        views: at least two.
+        target: what the planes lie before.
+        level: 0 the coarse, 1 the fine volume.
+        depths: of the planes' cells, (D, h, w).
+
+    Returns:
+        (C, D, h, w). A view contributes zeros where it does not see a cell, as in the authors' volume.
+    """
+    image_to_world = np.linalg.inv(projection(target.K, target.world_to_camera, (COARSE_SCALE, FINE_SCALE)[level]))
+    warps = [torch.from_numpy(view.projection(FEATURE_SCALES[level]) @ image_to_world).float() for view in views]
+    rows, columns = torch.meshgrid(*(torch.arange(side, dtype=torch.float32) for side in depths.shape[1:]), indexing="ij")
+    pixels = torch.stack([columns, rows, torch.ones_like(rows)], dim=-1)  # (h, w, 3)
+    volume = depths.new_empty(views[0].levels[level].shape[0], *depths.shape)
+    for plane, depth in enumerate(depths):  # one at a time: the warped features of all would not fit for large images
+        warped = []
+        for view, warp in zip(views, warps, strict=True):
+            projected = (pixels @ warp[:3, :3].T) * depth[..., None] + warp[:3, 3]
+            warped.append(sample(view.levels[level], image_places(projected, view.levels[level]), "zeros"))
+        volume[:, plane] = torch.stack(warped).var(dim=0, correction=0)
+    return volume
+
+
+def _regularised(
+    network: CostNetwork, views: Sequence[SeenView], target: TargetGrid, level: int, depths: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Features (8, D, h, w) and scores (D, h, w)."""
+    features, scores = network(disagreement(views, target, level, depths)[None])
+    return features[0], scores[0]
+
+
+def _enlarge(values: Tensor, factor: int) -> Tensor:
+    """(h, w) to (factor h, factor w); the outermost pixels stay where they are."""
+    return functional.interpolate(values[None, None], scale_factor=factor, mode="bilinear", align_corners=True)[0, 0]

@@ -1,0 +1,58 @@
+"""FWD with given depth behind the `Method` interface: every instant by itself, from any number of views."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+import torch
+
+from ggvs_eval.baselines.fwd.half_size import halve, halved_camera
+from ggvs_eval.baselines.fwd.point_splat import POINTS_PER_PIXEL
+from ggvs_eval.baselines.fwd.warping import warp_view
+from ggvs_eval.baselines.fwd.weights import load_network
+from ggvs_eval.baselines.gaussians import near_plane
+from ggvs_eval.baselines.method import Instant, Rendering
+from ggvs_eval.one_thread import one_thread
+from ggvs_eval.errors import RenderError
+
+SIZE_MULTIPLE = 4  # the decoder halves half the size once more
+
+
+@dataclass(frozen=True)
+class Fwd:
+    """FWD-D (Cao et al. 2022), the variant that is given depth; nothing is remembered from instant to instant.
+
+    Attributes:
+        weights: file of its weights, see `load_network`.
+        points_per_pixel: most points that a view blends at a pixel.
+    """
+
+    weights: Path
+    points_per_pixel: int = POINTS_PER_PIXEL
+
+    def __post_init__(self) -> None:
+        """Refuse options that mean nothing."""
+        if self.points_per_pixel < 1:
+            raise RenderError(f"FWD: wanted at least one point per pixel, got {self.points_per_pixel}")
+
+    def step(self, instant: Instant) -> Rendering:
+        """Synthesise one instant.
+
+        Raises:
+            WeightsError: no usable weights.
+        """
+        network = load_network(self.weights)
+        with one_thread(), torch.inference_mode():
+            started = perf_counter()
+            target = halved_camera(instant.target, SIZE_MULTIPLE)
+            near = near_plane(instant)
+            smallest = min(source.camera.near for source in instant.sources)
+            views = [
+                warp_view(network, halve(source), target, near, smallest, self.points_per_pixel) for source in instant.sources
+            ]
+            warped = perf_counter()
+            decoded = network.decode(torch.stack([view.features for view in views]), torch.stack([view.alpha for view in views]))
+        image = decoded[:, : instant.target.height, : instant.target.width].permute(1, 2, 0).numpy()
+        seconds = {"warp": warped - started, "decode": perf_counter() - warped}
+        return Rendering(np.ascontiguousarray(image / 2 + 0.5), None, seconds)

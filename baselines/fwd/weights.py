@@ -1,0 +1,22 @@
+"""Trained weights of FWD: safetensors of ours, or a torch file that holds the same state dict."""
+
+from functools import lru_cache
+from pathlib import Path
+
+from ggvs_eval.baselines.fwd.network import FwdNetwork
+from ggvs_eval.weights_file import pour_strictly, read_tensors
+
+OF = "FWD (this project's names)"
+
+
+@lru_cache(maxsize=1)
+def load_network(path: Path) -> FwdNetwork:
+    """The network of a weights file, in evaluation mode; whether it completes depth is known from its tensors.
+
+    Raises:
+        WeightsError: absent, damaged, more than tensors inside, or tensors of another network.
+    """
+    tensors = read_tensors(path, of=OF)
+    network = FwdNetwork(completes_depth=any(name.startswith("completion.") for name in tensors))
+    pour_strictly(tensors, network, path, OF)
+    return network.eval()

@@ -1,0 +1,118 @@
+"""GPS-Gaussian behind the `Method` interface: every instant by itself, from the nearest pair that makes a stereo pair."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import Literal
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ggvs_eval.baselines.gaussians import near_plane
+from ggvs_eval.baselines.gps_gaussian.gaussians import Gaussians, join, rotation_matrices
+from ggvs_eval.baselines.gps_gaussian.network import GpsGaussianNetwork
+from ggvs_eval.baselines.gps_gaussian.pairing import choose_pairs
+from ggvs_eval.baselines.gps_gaussian.rectification import RectifiedPair, RectifiedView, rectify
+from ggvs_eval.baselines.gps_gaussian.regressor import GaussianMaps
+from ggvs_eval.baselines.gps_gaussian.tile_renderer import render_gaussians
+from ggvs_eval.baselines.gps_gaussian.weights import load_network
+from ggvs_eval.baselines.method import Instant, Map, Rendering, SourceView
+from ggvs_eval.one_thread import one_thread
+from ggvs_eval.errors import RenderError
+
+
+@dataclass(frozen=True)
+class GpsGaussian:
+    """GPS-Gaussian (Zheng et al. 2024); nothing is remembered from instant to instant.
+
+    Attributes:
+        weights: file of its weights, see `load_network`.
+        depth: ``own`` stereo between the two images, or the depth ``given`` with the sources; Gaussians are its own either way.
+        pairs: how many pairs are rendered together; the authors take one.
+        rotations_in: what the network's rotations refer to: the ``world``, as the published weights do, or the rectified
+            ``camera``, which makes the output independent of the choice of the world's axes.
+
+    Reading:
+        The network knows metres: inverse depth goes in per metre, and scales, at most 0.01 m, come out in metres. What that is in
+        the world follows from `Instant.units_per_metre`. Pixels outside the rectified image are grey to the network, as the
+        authors' masks make them, and have no Gaussian; nor do pixels whose disparity has the wrong sign.
+    """
+
+    weights: Path
+    depth: Literal["own", "given"] = "own"
+    pairs: int = 1
+    rotations_in: Literal["world", "camera"] = "world"
+
+    def __post_init__(self) -> None:
+        """Refuse options that mean nothing."""
+        if self.depth not in ("own", "given") or self.rotations_in not in ("world", "camera") or self.pairs < 1:
+            raise RenderError(
+                "GPS-Gaussian: wanted depth own or given, rotations_in world or camera and at least one pair, got "
+                f"{self.depth!r}, {self.rotations_in!r} and {self.pairs}"
+            )
+
+    def step(self, instant: Instant) -> Rendering:
+        """Synthesise one instant.
+
+        Raises:
+            RenderError: no two of the sources make a stereo pair.
+            WeightsError: no usable weights.
+        """
+        network = load_network(self.weights)
+        with one_thread(), torch.inference_mode():
+            started = perf_counter()
+            chosen = choose_pairs(instant.target, [source.camera for source in instant.sources], self.pairs)
+            parts = [self._gaussians(network, instant, *pair) for pair in chosen]
+            regressed = perf_counter()
+            image = render_gaussians(join(parts), instant.target, near_plane(instant))
+        seconds = {"network": regressed - started, "splat": perf_counter() - regressed}
+        return Rendering(np.minimum(image.colour, np.float32(1)), image.depth, seconds)
+
+    def _gaussians(self, network: GpsGaussianNetwork, instant: Instant, left: int, right: int) -> Gaussians:
+        """The Gaussians of one pair."""
+        sources = instant.sources[left], instant.sources[right]
+        pair = rectify(sources[0].camera, sources[1].camera)
+        colours = [view.image(source) for view, source in zip(pair.views, sources, strict=True)]
+        images = torch.stack([_network_image(view, image) for view, image in zip(pair.views, colours, strict=True)])
+        features = network.features(images)
+        inverse = _given(pair, sources) if self.depth == "given" else _own(pair, network.flow(features))
+        per_metre = torch.from_numpy(inverse * np.float32(instant.units_per_metre))[:, None]
+        maps = network.gaussians(images, per_metre, features)
+        return join(
+            [
+                self._of_view(view, colours[half], inverse[half], _half(maps, half), instant.units_per_metre)
+                for half, view in enumerate(pair.views)
+            ]
+        )
+
+    def _of_view(self, view: RectifiedView, image: Map, inverse: Map, maps: GaussianMaps, units_per_metre: float) -> Gaussians:
+        """The Gaussians of the pixels with known depth; maps are (C, H, W)."""
+        rows, columns = np.nonzero(view.inside & (inverse > 0))
+        uv = np.stack([columns, rows], axis=1).astype(np.float64) + 0.5
+        centres = view.camera.unproject(uv, 1 / inverse[rows, columns].astype(np.float64))
+        rotation, scale_m, opacity = (values[:, torch.from_numpy(rows), torch.from_numpy(columns)] for values in maps)
+        axes = rotation_matrices(rotation.T)
+        if self.rotations_in == "camera":
+            axes = torch.from_numpy(view.camera.rotation.T.astype(np.float32)) @ axes
+        colours = torch.from_numpy(image[rows, columns])
+        return Gaussians(torch.from_numpy(centres), axes, scale_m.T * units_per_metre, opacity[0], colours)
+
+
+def _network_image(view: RectifiedView, image: Map) -> Tensor:
+    """(3, H, W) in [-1, 1], 0 outside."""
+    return torch.from_numpy(np.where(view.inside[..., None], 2 * image - 1, np.float32(0))).permute(2, 0, 1).contiguous()
+
+
+def _given(pair: RectifiedPair, sources: tuple[SourceView, SourceView]) -> Map:
+    """Inverse depth of both halves from the depth that the sources come with, (2, Hc, Wc), per world unit."""
+    return np.stack([view.inverse_depth(source) for view, source in zip(pair.views, sources, strict=True)])
+
+
+def _own(pair: RectifiedPair, flow: Tensor) -> Map:
+    """Inverse depth of both halves from the network's flow (2, 1, Hc, Wc), (2, Hc, Wc), per world unit."""
+    return pair.inverse_depth(flow[:, 0].numpy())
+
+
+def _half(maps: GaussianMaps, half: int) -> GaussianMaps:
+    return GaussianMaps(*(values[half] for values in maps))

@@ -1,0 +1,146 @@
+"""Two source cameras turned so that matching points lie on one row, each on a canvas of its own."""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.baselines.gps_gaussian.network import SIZE_MULTIPLE
+from ggvs_eval.baselines.method import Map, SourceView
+from ggvs_eval.camera import Array, Camera
+from ggvs_eval.errors import RenderError
+
+MIN_PARALLAX_SINE = 0.5  # between the line through both centres and the viewing direction
+MAX_TURN_RAD = np.pi / 3  # between the two viewing directions
+MIN_RAY_Z = 0.1  # of a rectified ray; smaller ones lie so far out that the image is stretched beyond use
+
+
+@dataclass(frozen=True, eq=False)
+class RectifiedView:
+    """One half of a pair.
+
+    Attributes:
+        camera: the source camera turned; its size is that of the canvas.
+        positions: where each canvas pixel lies in the source image, (Hc, Wc, 2), array indices (pixel centres at integers).
+        inside: canvas pixels that the source sees, (Hc, Wc).
+        depth_ratio: depth in the source camera per depth in the rectified one, (Hc, Wc).
+    """
+
+    camera: Camera
+    positions: Map
+    inside: NDArray[np.bool_]
+    depth_ratio: Map
+
+    def image(self, source: SourceView) -> Map:
+        """The source image on the canvas, (Hc, Wc, 3), in [0, 1]; 0 outside."""
+        colours = cv2.remap(source.image, self.positions, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return np.where(self.inside[..., None], colours.astype(np.float32) / np.float32(255), np.float32(0))
+
+    def inverse_depth(self, source: SourceView) -> Map:
+        """Inverse of the depth that the source comes with, in the rectified camera, (Hc, Wc), per world unit, 0 = unknown.
+
+        Depth is taken from the nearest pixel, so that no point appears between two surfaces.
+        """
+        depth = cv2.remap(np.ascontiguousarray(source.depth, np.float32), self.positions, None, cv2.INTER_NEAREST, borderValue=0)
+        return np.divide(self.depth_ratio, depth, out=np.zeros_like(depth), where=self.inside & (depth > 0))
+
+
+@dataclass(frozen=True, eq=False)
+class RectifiedPair:
+    """Both halves, left one first."""
+
+    left: RectifiedView
+    right: RectifiedView
+
+    @property
+    def views(self) -> tuple[RectifiedView, RectifiedView]:
+        """Left and right."""
+        return self.left, self.right
+
+    def inverse_depth(self, flow: Map) -> Map:
+        """Inverse depth of both halves from the flow between them.
+
+        Args:
+            flow: column of each pixel's match in the other half less its own, pixels, (2, Hc, Wc), left half first.
+
+        Returns:
+            Per world unit, (2, Hc, Wc); 0 outside, and not positive where the flow points the wrong way.
+        """
+        baseline = float(np.linalg.norm(self.right.camera.centre - self.left.camera.centre))
+        offset_px = self.right.camera.K[0, 2] - self.left.camera.K[0, 2]
+        disparity = np.stack([offset_px - flow[0], offset_px + flow[1]])
+        inside = np.stack([view.inside for view in self.views])
+        return np.where(inside, disparity / (self.left.camera.K[0, 0] * baseline), 0.0).astype(np.float32)
+
+
+@lru_cache(maxsize=4)
+def rectify(left: Camera, right: Camera) -> RectifiedPair:
+    """Rectify a pair.
+
+    Args:
+        left: the camera that becomes the left one.
+        right: the other one; a right camera below the left one gives canvases on their sides.
+
+    Raises:
+        RenderError: the cameras share a centre, stand behind each other, or look apart.
+
+    Reading:
+        As the authors' recipe: both canvases have the size of the images, one focal length and one row for the horizon, and each
+        keeps its image in its middle, so that the principal points differ. The focal length is the mean of both.
+    """
+    axes = _rectifying_axes(left, right)
+    focal_px = (left.focal_px + right.focal_px) / 2
+    size = _canvas_size(left, right, axes)
+    middles = [_middle(camera, axes, focal_px) for camera in (left, right)]
+    row = size[1] / 2 - (middles[0][1] + middles[1][1]) / 2
+    views = []
+    for camera, middle in zip((left, right), middles, strict=True):
+        K = np.array([[focal_px, 0, size[0] / 2 - middle[0]], [0, focal_px, row], [0, 0, 1]])
+        views.append(_view(camera, K, axes, size))
+    return RectifiedPair(*views)
+
+
+def _rectifying_axes(left: Camera, right: Camera) -> Array:
+    """World to rectified axes, (3, 3): x to the right camera, z as near as can be to both viewing directions."""
+    towards = right.centre - left.centre
+    forward = left.axis + right.axis
+    distance, length = float(np.linalg.norm(towards)), float(np.linalg.norm(forward))
+    turn_rad = np.arccos(np.clip(left.axis @ right.axis, -1, 1))
+    pair = f"cameras {left.name} and {right.name}"
+    if distance < 1e-9 * left.near or turn_rad > MAX_TURN_RAD:
+        raise RenderError(f"{pair} stand {distance:g} apart and look {np.degrees(turn_rad):.0f} degrees apart: no stereo pair")
+    if np.linalg.norm(np.cross(towards, forward)) < MIN_PARALLAX_SINE * distance * length:
+        raise RenderError(f"{pair} stand behind each other: no stereo pair")
+    x = towards / distance
+    y = np.cross(forward, x)
+    y /= np.linalg.norm(y)
+    return np.stack([x, y, np.cross(x, y)])
+
+
+def _canvas_size(left: Camera, right: Camera, axes: Array) -> tuple[int, int]:
+    """(width, height): the larger image's, in multiples that the network takes, on its side if the pair stands upright."""
+    sides = max(left.width, right.width), max(left.height, right.height)
+    across, down = np.abs((left.rotation + right.rotation) @ axes[0])[:2]
+    width, height = (-(-side // SIZE_MULTIPLE) * SIZE_MULTIPLE for side in (sides if across >= down else sides[::-1]))
+    return width, height
+
+
+def _middle(camera: Camera, axes: Array, focal_px: float) -> Array:
+    """Mean of the image's corners on the rectified plane, pixels from the principal point, (2,)."""
+    corners = np.array([[0, 0], [camera.width, 0], [0, camera.height], [camera.width, camera.height]], np.float64)
+    rays = (camera.unproject(corners, np.ones(4)) - camera.centre) @ axes.T  # (4, 3)
+    if rays[:, 2].min() < MIN_RAY_Z:
+        raise RenderError(f"camera {camera.name} looks too far away from its partner: no stereo pair")
+    return (rays[:, :2] / rays[:, 2:]).mean(axis=0) * focal_px
+
+
+def _view(camera: Camera, K: Array, axes: Array, size: tuple[int, int]) -> RectifiedView:
+    world_to_camera = np.eye(4)
+    world_to_camera[:3, :3], world_to_camera[:3, 3] = axes, -axes @ camera.centre
+    turned = replace(camera, K=K, world_to_camera=world_to_camera, width=size[0], height=size[1])
+    uv, depth_ratio = camera.project(turned.rays() + camera.centre)  # a point at rectified depth 1 of every canvas pixel
+    inside = (depth_ratio > 0) & ((uv >= 0.5) & (uv <= np.array(camera.size) - 0.5)).all(axis=-1)
+    positions = np.where(inside[..., None], uv - 0.5, -1.0).astype(np.float32)
+    return RectifiedView(turned, positions, inside, depth_ratio.astype(np.float32))

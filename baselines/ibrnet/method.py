@@ -1,0 +1,99 @@
+"""IBRNet as a method: each instant from its own source frames, by the network that its authors trained."""
+
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from time import perf_counter
+
+import torch
+from torch import Tensor
+
+from ggvs_eval import kernels
+from ggvs_eval.baselines.ibrnet.feature_network import SMALLEST_SIDE_PX
+from ggvs_eval.baselines.ibrnet.networks import load_ibrnet
+from ggvs_eval.baselines.ibrnet.rendering import rays_at_once, render_rays
+from ggvs_eval.baselines.ibrnet.views import SeenView, projection_of
+from ggvs_eval.baselines.method import Instant, Rendering, SourceView
+from ggvs_eval.one_thread import one_thread
+from ggvs_eval.errors import RenderError
+
+NEARER, FARTHER = 0.9, 1.6  # margins that the authors put around the depths of a real scene
+FEWEST_VIEWS = 2  # a sample that one view sees cannot be compared with anything
+
+
+class IBRNet:
+    """IBRNet (Wang et al., CVPR 2021), 64 coarse and 64 added samples per ray; depth maps are not used, nothing is remembered.
+
+    Args:
+        weights: the authors' checkpoint, see `load_ibrnet`.
+        rays_per_chunk: rays that pass through the networks together; by default as many as need some 0.1 GB.
+
+    Raises:
+        WeightsError: the weights cannot be used.
+
+    Reading:
+        Depths are searched from 0.9 times the nearest to 1.6 times the farthest of the cameras of the instant, the margins of
+        the authors' loader of real scenes, evenly in inverse depth, as their evaluation does. The authors' pixel centres lie at
+        whole numbers; principal points are moved by half a pixel.
+    """
+
+    def __init__(self, weights: Path, rays_per_chunk: int | None = None) -> None:
+        self._networks = load_ibrnet(weights)
+        self._rays_per_chunk = rays_per_chunk
+
+    def step(self, instant: Instant) -> Rendering:
+        """Synthesise one instant; nothing is remembered.
+
+        Raises:
+            RenderError: fewer than two source views, or one too small for the network.
+        """
+        _check(instant)
+        started = perf_counter()
+        with one_thread(), torch.inference_mode():
+            views = [self._see(source) for source in instant.sources]
+            seen = perf_counter()
+            image, depth = self._render(instant, views)
+        return Rendering(image.numpy(), depth.numpy(), {"features": seen - started, "rays": perf_counter() - seen})
+
+    def _see(self, source: SourceView) -> SeenView:
+        image = torch.from_numpy(source.image).permute(2, 0, 1).float() / 255
+        coarse, fine = self._networks.feature_net(image[None])
+        centre = torch.from_numpy(source.camera.centre).float()
+        return SeenView(image, coarse[0], fine[0], projection_of(source.camera), centre)
+
+    def _render(self, instant: Instant, views: list[SeenView]) -> tuple[Tensor, Tensor]:
+        """RGB (H, W, 3) and depth (H, W)."""
+        target = instant.target
+        near, far = depth_range(instant)
+        centre = torch.from_numpy(target.centre).float()
+        rays = torch.from_numpy(target.rays().reshape(-1, 3)).float()
+        chunks = rays.split(self._rays_per_chunk or rays_at_once(len(views)))
+
+        def render(chunk: Tensor) -> tuple[Tensor, Tensor]:
+            with torch.inference_mode():  # holds for the thread that enters it
+                return render_rays(self._networks, views, centre, chunk, near, far)
+
+        with ThreadPoolExecutor(kernels.get_threads()) as pool:  # whole chunks, so that their number moves no bit
+            parts = list(pool.map(render, chunks))
+        image = torch.cat([colours for colours, _ in parts]).clamp(0, 1)
+        depth = torch.cat([depths for _, depths in parts])
+        return image.view(target.height, target.width, 3), depth.view(target.height, target.width)
+
+
+def depth_range(instant: Instant) -> tuple[float, float]:
+    """Depths between which surfaces are searched, world units."""
+    cameras = [instant.target, *(source.camera for source in instant.sources)]
+    return NEARER * min(camera.near for camera in cameras), FARTHER * max(camera.far for camera in cameras)
+
+
+def _check(instant: Instant) -> None:
+    if len(instant.sources) < FEWEST_VIEWS:
+        raise RenderError(
+            f"IBRNet wants at least {FEWEST_VIEWS} source views, got {len(instant.sources)}; raise k in the protocol"
+        )
+    for source in instant.sources:
+        if min(source.image.shape[:2]) < SMALLEST_SIDE_PX:
+            height, width = source.image.shape[:2]
+            raise RenderError(
+                f"camera {source.camera.name}: IBRNet wants images of at least {SMALLEST_SIDE_PX} pixels a side, "
+                f"got {width} x {height}; render at a larger size"
+            )

@@ -1,0 +1,66 @@
+"""Rays of the target through the networks: a coarse pass, a fine pass where it found something, and what they add up to."""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from ggvs_eval.baselines.ibrnet.networks import Networks
+from ggvs_eval.baselines.ibrnet.ray_network import RayNetwork
+from ggvs_eval.baselines.ibrnet.samples import coarse_depths, finer_depths
+from ggvs_eval.baselines.ibrnet.views import SeenView, directions
+
+COARSE_SAMPLES = 64
+ADDED_SAMPLES = 64
+ROWS_AT_ONCE = 2**16  # samples times views that pass through the networks together: some 0.1 GB, and fast in the caches
+
+
+def render_rays(
+    networks: Networks, views: Sequence[SeenView], centre: Tensor, rays: Tensor, near: float, far: float
+) -> tuple[Tensor, Tensor]:
+    """Colour and depth of some rays.
+
+    Args:
+        networks: the trained ones.
+        views: at least two.
+        centre: of the target camera in the world, (3,).
+        rays: directions in the world such that centre + depth * ray has that depth, (R, 3).
+        near: depth of the first sample, world units.
+        far: depth of the last sample.
+
+    Returns:
+        RGB, (R, 3), and expected depth, (R,), 0 where a ray met less than half an opaque surface.
+    """
+    depths = coarse_depths(near, far, COARSE_SAMPLES).expand(rays.shape[0], -1)
+    _, density = _shade(networks.net_coarse, views, [view.coarse for view in views], centre, rays, depths)
+    depths = finer_depths(depths, opacity_shares(density), ADDED_SAMPLES)
+    colours, density = _shade(networks.net_fine, views, [view.fine for view in views], centre, rays, depths)
+    shares = opacity_shares(density)
+    total = shares.sum(dim=1)
+    expected = (shares * depths).sum(dim=1) / total.clamp(min=1e-10)
+    return (shares[..., None] * colours).sum(dim=1), torch.where(total >= 0.5, expected, 0.0)
+
+
+def opacity_shares(density: Tensor) -> Tensor:
+    """Share of each sample in its pixel (Eq. 7 of IBRNet's paper with the density of a sample, not of a length), (R, S)."""
+    alpha = 1 - torch.exp(-density)
+    passing = torch.cumprod(1 - alpha + 1e-10, dim=1)[:, :-1]
+    return alpha * torch.cat([torch.ones_like(alpha[:, :1]), passing], dim=1)
+
+
+def rays_at_once(views: int) -> int:
+    """How many rays may pass through the networks together."""
+    return max(1, ROWS_AT_ONCE // ((COARSE_SAMPLES + ADDED_SAMPLES) * views))
+
+
+def _shade(
+    network: RayNetwork, views: Sequence[SeenView], features: Sequence[Tensor], centre: Tensor, rays: Tensor, depths: Tensor
+) -> tuple[Tensor, Tensor]:
+    """RGB (R, S, 3) and density (R, S) of the samples at the depths (R, S)."""
+    points_world = centre + depths[..., None] * rays[:, None]  # (R, S, 3)
+    looked_up = [view.look_up(points_world, of_view) for view, of_view in zip(views, features, strict=True)]
+    seen = torch.stack([values for values, _ in looked_up], dim=2)
+    visible = torch.stack([inside for _, inside in looked_up], dim=2)
+    differences = torch.stack([directions(points_world, centre, view.centre) for view in views], dim=2)
+    colours, density = network(seen, differences, visible)
+    return colours, density

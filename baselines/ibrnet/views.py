@@ -1,0 +1,78 @@
+"""What the source views show at points of the world."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from ggvs_eval.camera import Camera
+
+PIXEL_CENTRE = 0.5  # ours lie at halves, the network was trained with centres at whole numbers
+FARTHEST_PX = 1e6
+EPSILON = 1e-6
+
+
+@dataclass(frozen=True)
+class SeenView:
+    """One source view, ready to be looked up.
+
+    Attributes:
+        image: RGB in [0, 1], (3, H, W).
+        coarse: features for the coarse pass, (32, h, w).
+        fine: features for the fine pass, (32, h, w).
+        projection: world to image, pixel centres at whole numbers, (3, 4).
+        centre: of the camera in the world, (3,).
+    """
+
+    image: Tensor
+    coarse: Tensor
+    fine: Tensor
+    projection: Tensor
+    centre: Tensor
+
+    def look_up(self, points_world: Tensor, features: Tensor) -> tuple[Tensor, Tensor]:
+        """Colour and features at points, and whether the image shows them.
+
+        Args:
+            points_world: (..., 3).
+            features: `coarse` or `fine`.
+
+        Returns:
+            (..., 35), linear between pixels, and (..., 1) bool.
+        """
+        projected = points_world @ self.projection[:, :3].T + self.projection[:, 3]
+        depth = projected[..., 2:]
+        uv = (projected[..., :2] / depth.clamp(min=1e-8)).clamp(-FARTHEST_PX, FARTHEST_PX)
+        largest = uv.new_tensor([self.image.shape[2] - 1, self.image.shape[1] - 1])
+        inside = ((uv >= 0) & (uv <= largest)).all(dim=-1, keepdim=True)
+        places = 2 * uv / largest - 1  # of the corners' centres: -1 and 1, at whatever size
+        return torch.cat([_sample(self.image, places), _sample(features, places)], dim=-1), inside & (depth > 0)
+
+
+def directions(points_world: Tensor, target_centre: Tensor, source_centre: Tensor) -> Tensor:
+    """How differently target and source look at points: unit difference of their rays and their dot product, (..., 4)."""
+    of_target = _unit(target_centre - points_world)
+    of_source = _unit(source_centre - points_world)
+    difference = of_target - of_source
+    length = difference.norm(dim=-1, keepdim=True).clamp(min=EPSILON)
+    return torch.cat([difference / length, (of_target * of_source).sum(dim=-1, keepdim=True)], dim=-1)
+
+
+def projection_of(camera: Camera) -> Tensor:
+    """World to image with pixel centres at whole numbers, (3, 4)."""
+    K = camera.K.copy()
+    K[:2, 2] -= PIXEL_CENTRE
+    return torch.from_numpy(np.ascontiguousarray(K @ camera.world_to_camera[:3])).float()
+
+
+def _unit(vectors: Tensor) -> Tensor:
+    return vectors / (vectors.norm(dim=-1, keepdim=True) + EPSILON)
+
+
+def _sample(channels: Tensor, places: Tensor) -> Tensor:
+    """Bilinear lookup of (C, H, W) at (..., 2) in [-1, 1], 0 outside, (..., C)."""
+    flat = places.reshape(1, 1, -1, 2)
+    sampled = functional.grid_sample(channels[None], flat, mode="bilinear", padding_mode="zeros", align_corners=True)
+    return sampled[0, :, 0].T.reshape(*places.shape[:-1], channels.shape[0])
