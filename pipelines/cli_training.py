@@ -1,10 +1,12 @@
 """The verb of the command line that trains the networks of this package."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from ggvs_eval.errors import TrainingError
 from ggvs_eval.pipelines.cli_captures import Folder
 from ggvs_eval.processes import default_workers
 
@@ -25,6 +27,7 @@ def train(
     width: int = 16,
     guidance: Guidance = "registered",
     rooms: int = 60,
+    captures: tuple[Path, ...] = (),
     device: str = "auto",
     precision: Precision = "auto",
     workers: int = 1,
@@ -44,6 +47,8 @@ def train(
         guidance: blend: what it sees of the fused depth: views registered by it, its channels as the paper prints them, none
             of it (ablation), or no depth at all (naive).
         rooms: blend: rooms to film, about a minute and 50 MB each.
+        captures: blend: folders of captures to learn from beside the rooms (RGB-D sequences by ScanNet's rule, Spaces, DyNeRF,
+            rigs of your own), never those that you test on.
         device: cpu, cuda, or the better one by default.
         precision: of convolutions; auto takes bfloat16 where the hardware multiplies it faster.
         workers: processes that make batches.
@@ -58,12 +63,15 @@ def train(
     task = (
         _stereo(seed)
         if what == "stereo"
-        else _blend(out.parent / "blend-samples", seed, BlendConfig(views, guidance, width), rooms)
+        else _blend(out.parent / "blend-samples", seed, BlendConfig(views, guidance, width), rooms, captures)
     )
     options = TrainingOptions(
         steps=steps, device=device, precision=precision, workers=workers, compile=compile_network, start_from=start_from
     )
     command = f"ggvs-eval train {what} {out.name} --steps {steps} --seed {seed}"
+    if what == "blend":
+        command += f" --guidance {guidance} --views {views} --width {width} --rooms {rooms}"
+        command += f" --captures {' '.join(path.name for path in captures)}" if captures else ""
     print(go_on(task, out, options), write_card(task, out, command), sep="\n")
 
 
@@ -73,15 +81,24 @@ def _stereo(seed: int) -> "Task":
     return StereoTask(seed=seed)
 
 
-def _blend(cache: Path, seed: int, config: "BlendConfig", rooms: int) -> "Task":
+def _blend(cache: Path, seed: int, config: "BlendConfig", rooms: int, captures: Sequence[Path]) -> "Task":
     """The task with its samples in place."""
+    from ggvs_eval.datasets import open_capture
+    from ggvs_eval.pipelines.training.blend_rgbd import CaptureSamples
     from ggvs_eval.pipelines.training.blend_rooms import RoomPlan, RoomSamples, validation_plan
     from ggvs_eval.pipelines.training.blend_task import BlendTask
+    from ggvs_eval.pipelines.training.capture_views import CapturePlan
+    from ggvs_eval.pipelines.training.joined_samples import JoinedSamples, Samples
 
     usual = min(4, config.views)
     others = tuple(views for views in range(2, config.views + 1) if views != usual)
     plan = RoomPlan(rooms=rooms, views=usual, other_views=others, other_share=0.4 if others else 0.0)
-    training, validation = RoomSamples(cache, plan), RoomSamples(cache, validation_plan(usual, "sgbm"))
+    lots: list[Samples] = [RoomSamples(cache, plan)] if rooms else []
+    if captures:
+        lots.append(CaptureSamples(cache, [open_capture(path) for path in captures], CapturePlan(views=usual)))
+    if not lots:
+        raise TrainingError("train blend: wanted rooms or captures to learn from, got neither; give --rooms or --captures")
+    training, validation = JoinedSamples(*lots), RoomSamples(cache, validation_plan(usual, "sgbm"))
     for samples in (validation, training):
         samples.prepare(default_workers())
     return BlendTask(training, validation, config, seed=seed)

@@ -17,6 +17,7 @@ from ggvs_eval.pipelines.training.blend_rooms import RoomPlan, RoomSamples, choo
 from ggvs_eval.pipelines.training.blend_samples import SampleMaker, read_sample
 from ggvs_eval.pipelines.training.blend_task import BlendTask, crop_arrays, mirrored, recoloured
 from ggvs_eval.pipelines.training.card import write_card
+from ggvs_eval.pipelines.training.joined_samples import JoinedSamples
 from ggvs_eval.pipelines.training.loop import TrainingOptions, train
 from stereo_scenes import HEIGHT, WIDTH, plane_depth, write_capture
 
@@ -195,7 +196,7 @@ def test_batches_depend_on_the_step_alone(task):
     assert not torch.equal(once["channels"], other["channels"])
     shapes = {name: tuple(tensor.shape) for name, tensor in once.items()}
     assert shapes == {
-        "channels": (2, 31, 24, 32),
+        "channels": (2, 31, 12, 16),
         "colours": (2, 3, 3, 48, 64),
         "coverage": (2, 3, 48, 64),
         "alphas": (2, 3, 48, 64),
@@ -207,8 +208,8 @@ def test_batches_depend_on_the_step_alone(task):
         "truth": (2, 3, 48, 64),
     }
     assert all(tensor.dtype == torch.float32 and torch.isfinite(tensor).all() for tensor in once.values())
-    means = once["colours"].reshape(2, 3, 3, 24, 2, 32, 2).mean(dim=(4, 6))
-    torch.testing.assert_close(once["channels"][:, :9].reshape(2, 3, 3, 24, 32), means)
+    means = once["colours"].reshape(2, 3, 3, 12, 4, 16, 4).mean(dim=(4, 6))
+    torch.testing.assert_close(once["channels"][:, :9].reshape(2, 3, 3, 12, 16), means)
     assert not once["coverage"][:, 2].any()  # the view that the samples do not have
 
 
@@ -280,3 +281,19 @@ def test_what_does_not_fit_is_refused(task):
         replace(task, config=BlendConfig(views=1))
     with pytest.raises(TrainingError, match="crops of 512 x 48 do not fit samples of 200 x 150"):
         replace(task, crop_width=512)
+
+
+def test_lots_are_learned_from_side_by_side(task, cache):
+    """Joined lots count as one, one after the other; their descriptions stand in the card; a task takes them as it takes one."""
+    rooms, others = RoomSamples(cache, PLAN), RoomSamples(cache, VALIDATION)
+    joined = JoinedSamples(rooms, others)
+    joined.prepare(1)  # all is there
+    assert len(joined) == len(rooms) + len(others)
+    for index, (lot, place) in enumerate([*((rooms, n) for n in range(len(rooms))), *((others, n) for n in range(len(others)))]):
+        np.testing.assert_array_equal(joined.read(index).truth, lot.read(place).truth)
+    with pytest.raises(IndexError):
+        joined.read(len(joined))
+    mixed = replace(task, training=joined)
+    assert rooms.data in mixed.data
+    assert others.data in mixed.data
+    assert mixed.batch(0)["truth"].shape == (2, 3, 48, 64)

@@ -30,13 +30,14 @@ class BlendConfig:
 
     Reading:
         The paper's network works at full size, on a GPU with TensorRT. Weights are smooth but where a view is occluded, and there
-        the coverage, which stays at full size, has the edge; at half the size a step costs a quarter.
+        the coverage, which stays at full size, has the edge, as has the refiner: at a quarter of the size the U-Net costs a
+        sixteenth.
     """
 
     views: int = 6
     guidance: Guidance = "registered"
     width: int = 16
-    scale: int = 2
+    scale: int = 4
     features: int = 8
 
     @property
@@ -116,11 +117,7 @@ def read_outputs(raw: Tensor, start: Mapping[str, Tensor], most_views: int) -> B
         weight. Outputs are changes to distance-based weights and to a filled picture, so that an untrained network is the
         geometric blender and training goes on from there.
     """
-    views = start["near"].shape[1]
-    values = raw.float()
-    logits = values[:, :views] + start["near"].clamp_min(1e-6).log()[:, :, None, None]
-    sure, colour, features = values[:, most_views:].split([1, 3, values.shape[1] - most_views - BEYOND_VIEWS], dim=1)
-    small = torch.cat([torch.softmax(logits, dim=1), sure, torch.tanh(colour), features], dim=1)
+    views, small = start["near"].shape[1], small_outputs(raw, start["near"], most_views)
     height, width = start["unseen"].shape[1:]
     scale = -(-height // small.shape[2])
     if scale > 1:
@@ -131,6 +128,15 @@ def read_outputs(raw: Tensor, start: Mapping[str, Tensor], most_views: int) -> B
         background=(start["background"] + small[:, views + 1 : views + BEYOND_VIEWS]).clamp(0, 1),
         features=small[:, views + BEYOND_VIEWS :],
     )
+
+
+def small_outputs(raw: Tensor, near: Tensor, most_views: int) -> Tensor:
+    """What `read_outputs` enlarges, (B, K + 4 + F, h, w): w_k, change of the background's weight, of its colour, features."""
+    views = near.shape[1]
+    values = raw.float()
+    logits = values[:, :views] + near.clamp_min(1e-6).log()[:, :, None, None]
+    sure, colour, features = values[:, most_views:].split([1, 3, values.shape[1] - most_views - BEYOND_VIEWS], dim=1)
+    return torch.cat([torch.softmax(logits, dim=1), sure, torch.tanh(colour), features], dim=1)
 
 
 def compose_tensors(outputs: BlendOutputs, colours: Tensor, coverage: Tensor) -> Tensor:

@@ -58,6 +58,17 @@ class CaptureSamples:
     def __len__(self) -> int:
         return len(self._captures) * self.plan.targets
 
+    @property
+    def plans(self) -> tuple[CapturePlan]:
+        """Which samples there are."""
+        return (self.plan,)
+
+    @property
+    def data(self) -> str:
+        """What they show, for the model card."""
+        scenes = ", ".join(capture.scene for capture in self._captures)
+        return f"{len(self)} views of the captures {scenes}, depth as measured or by {self.plan.matcher}"
+
     def read(self, index: int) -> BlendSample:
         """One of the samples.
 

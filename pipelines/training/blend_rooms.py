@@ -96,6 +96,17 @@ class RoomSamples:
     def __len__(self) -> int:
         return self.plan.rooms * self.plan.targets
 
+    @property
+    def plans(self) -> tuple[RoomPlan]:
+        """Which samples there are."""
+        return (self.plan,)
+
+    @property
+    def data(self) -> str:
+        """What they show, for the model card."""
+        plan = self.plan
+        return f"{len(self)} views of {plan.rooms} procedural rooms (ggvs_eval.synthetic), depth by {plan.matcher}"
+
     def read(self, index: int) -> BlendSample:
         """One of the samples.
 

@@ -18,6 +18,7 @@ from ggvs_eval.pipelines.online.network_inputs import GUIDED, guide_depth, input
 from ggvs_eval.pipelines.training.blend_loss import BlendLossWeights, blend_loss
 from ggvs_eval.pipelines.training.blend_rooms import RoomSamples
 from ggvs_eval.pipelines.training.blend_samples import BlendSample
+from ggvs_eval.pipelines.training.joined_samples import Samples
 from ggvs_eval.pipelines.training.task import Schedule
 
 
@@ -26,7 +27,7 @@ class BlendTask:
     """The training of the blending network.
 
     Attributes:
-        training: samples to learn from; `RoomSamples.prepare` makes them.
+        training: samples to learn from; their `prepare` makes them.
         validation: samples that are never learned from.
         config: shape of the network.
         seed: of the weights and the crops.
@@ -37,7 +38,7 @@ class BlendTask:
         schedule: see `Schedule`; learning rate and weight decay are the paper's.
     """
 
-    training: RoomSamples
+    training: Samples
     validation: RoomSamples
     config: BlendConfig = field(default_factory=BlendConfig)
     seed: int = 0
@@ -49,8 +50,7 @@ class BlendTask:
 
     def __post_init__(self) -> None:
         """Refuse what does not fit together."""
-        for samples in (self.training, self.validation):
-            plan = samples.plan
+        for plan in (*self.training.plans, *self.validation.plans):
             if plan.most_views > self.config.views:
                 raise TrainingError(
                     f"a network for {self.config.views} views cannot learn from samples of {plan.most_views} views"
@@ -68,11 +68,7 @@ class BlendTask:
     @property
     def data(self) -> str:
         """What it learns from."""
-        plan = self.training.plan
-        return (
-            f"{len(self.training)} views of {plan.rooms} procedural rooms (ggvs_eval.synthetic), depth by {plan.matcher} without "
-            "the target; no captured picture"
-        )
+        return f"{self.training.data}; the target takes no part in depth"
 
     @property
     def judged_on(self) -> str:
