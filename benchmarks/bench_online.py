@@ -1,12 +1,16 @@
 """The whole online step, stage by stage, decoding excluded: ``python -m benchmarks.bench_online``.
 
-At 1352 x 1014 with K = 4, and at 640 x 360 with K = 2, where it should keep up with a slow camera.
+At 1352 x 1014 with K = 4, and at 640 x 360 with K = 2, where it should keep up with a slow camera. The learned blender is
+measured alone at the full size, in CPU time, beside the torch code that training uses for the same picture.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from time import process_time
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from benchmarks.bench_geometry import HEIGHT, WIDTH, Scene, make_scene
@@ -14,7 +18,14 @@ from ggvs_eval.baselines.method import Instant, SourceView
 from ggvs_eval.camera import Camera
 from ggvs_eval.images import Image8, quantise
 from ggvs_eval.kernels import get_threads
+from ggvs_eval.one_thread import one_thread
+from ggvs_eval.pipelines.online.blend_maps import blend_maps, raw_views
+from ggvs_eval.pipelines.online.blend_network import BlendConfig, BlendNetwork, compose_tensors, read_outputs
+from ggvs_eval.pipelines.online.blending import BlendingInputs
+from ggvs_eval.pipelines.online.geometric_blender import GeometricBlender
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
+from ggvs_eval.pipelines.online.network_blender import blend_by, blend_start
+from ggvs_eval.pipelines.online.network_inputs import input_channels
 
 COMMAND = "python -m benchmarks.bench_online"
 NOISE_LEVELS = 3  # of 255, drawn anew for every other frame: masks are then not all alike
@@ -52,7 +63,8 @@ SETTINGS = (
 
 def measure() -> dict[str, dict[str, Any]]:
     """Median and 95th percentile of the step and of its stages after warm-up, in every setting, name -> figure."""
-    return {name: figure for setting in SETTINGS for name, figure in measure_setting(setting).items()}
+    figures = {name: figure for setting in SETTINGS for name, figure in measure_setting(setting).items()}
+    return figures | measure_network_blender(SETTINGS[0])
 
 
 def measure_setting(setting: Setting) -> dict[str, dict[str, Any]]:
@@ -67,6 +79,59 @@ def measure_setting(setting: Setting) -> dict[str, dict[str, Any]]:
         figures |= _quantiles(f"{setting.name}_{stage}", [frame[stage] for frame in seconds], None)
     rate = _figure(1.0 / float(np.median(totals)), "Hz", setting.target_hz, higher_is_better=True)
     return figures | {f"{setting.name}_rate": rate}
+
+
+@dataclass
+class _Recorder:
+    """The geometric blender, which keeps what it was given."""
+
+    inputs: list[BlendingInputs] = field(default_factory=list)
+
+    def blend(self, inputs: BlendingInputs) -> NDArray[np.float32]:
+        """The geometric blender's image."""
+        self.inputs.append(inputs)
+        return GeometricBlender().blend(inputs)
+
+
+def measure_network_blender(setting: Setting, repeats: int = 5) -> dict[str, dict[str, Any]]:
+    """CPU time of the learned blender at a setting, of the torch code in its place, and their ratio; seeded random weights."""
+    scene, recorder = _scene(setting), _Recorder()
+    GeometryGuided(blender=recorder).step(_instant(scene, _images(scene)[0], 0, setting.views))
+    torch.manual_seed(0)
+    network = BlendNetwork(BlendConfig()).eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    inputs, guidance = recorder.inputs[0], network.config.guidance
+    kernels_ms = _cpu_ms(lambda: blend_by(network, blend_maps(inputs, guidance)), repeats)
+    torch_ms = _cpu_ms(lambda: torch_blend(network, inputs), repeats)
+    name = f"{setting.name}_network_blend"
+    return {
+        name: _figure(kernels_ms, "CPU ms", 400.0),
+        f"{name}_torch": _figure(torch_ms, "CPU ms", None),
+        f"{name}_speedup": _figure(torch_ms / kernels_ms, "x", None, higher_is_better=True),
+    }
+
+
+def torch_blend(network: BlendNetwork, inputs: BlendingInputs) -> NDArray[np.float32]:
+    """The learned blender's image as training makes it, (H, W, 3)."""
+    config, maps = network.config, raw_views(inputs).maps(network.config.guidance)
+    arrays = {"colours": np.moveaxis(maps.colours, 3, 1), "coverage": maps.coverage, "fused_depth": maps.fused_depth}
+    views = {name: torch.from_numpy(array)[None] for name, array in arrays.items()}
+    start = {name: torch.from_numpy(array)[None] for name, array in blend_start(maps).items()}
+    channels = torch.from_numpy(input_channels(maps.reduced(config.scale), config.guidance, config.views))[None]
+    with one_thread(), torch.inference_mode():
+        raw = network(channels.to(memory_format=torch.channels_last))
+        outputs = read_outputs(raw, start, config.views)
+        image = network.refine(compose_tensors(outputs, views["colours"], views["coverage"]), outputs, views)
+    return image[0].clamp(0, 1).permute(1, 2, 0).numpy()
+
+
+def _cpu_ms(work: Callable[[], object], repeats: int) -> float:
+    """Median processor time of all threads: what a loaded machine does to the clock on the wall does not count."""
+    times_ms = []
+    for _ in range(repeats + 1):
+        begin = process_time()
+        work()
+        times_ms.append(1e3 * (process_time() - begin))
+    return float(np.median(times_ms[1:]))
 
 
 def _quantiles(name: str, seconds: list[float], target_ms: float | None) -> dict[str, dict[str, Any]]:

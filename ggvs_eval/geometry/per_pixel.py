@@ -36,7 +36,7 @@ def weighted_mean(
             f"weighted mean: wanted a weight and a factor per view, got {len(colours)} views, {len(weights)} weights"
         )
     views = [
-        (_even(colour), np.ascontiguousarray(weight, np.float32), float(factor))
+        (evenly_spaced(colour), np.ascontiguousarray(weight, np.float32), float(factor))
         for colour, weight, factor in zip(colours, weights, factors, strict=True)
     ]
     return _core.weighted_mean(views, views[0][1].shape, black_weight, get_threads())
@@ -62,11 +62,13 @@ def largest_feature(features: Sequence[Map], alphas: Sequence[Map], *, channel: 
 
     if not len(features) == len(alphas) > 0:
         raise RenderError(f"largest feature: wanted a coverage per view, got {len(features)} views, {len(alphas)} coverages")
-    views = [(_even(feature), np.ascontiguousarray(alpha, np.float32)) for feature, alpha in zip(features, alphas, strict=True)]
+    views = [
+        (evenly_spaced(feature), np.ascontiguousarray(alpha, np.float32)) for feature, alpha in zip(features, alphas, strict=True)
+    ]
     return _core.largest_feature(views, channel, views[0][1].shape, least_alpha, otherwise, get_threads())
 
 
-def _even(image: Map) -> Map:
+def evenly_spaced(image: Map) -> Map:
     """The image itself if its pixels lie evenly, as the first channels of a larger image do; else a copy."""
     image = np.asarray(image, np.float32)
     if (

@@ -120,7 +120,7 @@ def look_up(
         (
             pinhole(view.camera),
             rigid_between(target, view.camera),
-            _as_image8(view),
+            as_image8(view),
             as_image(view.depth, view.camera, "source depth", RenderError),
             view.weight,
         )
@@ -132,7 +132,12 @@ def look_up(
     return _core.look_up(pinhole(target), depth, fields, under, tolerance, full_weight, get_threads(), level)
 
 
-def _as_image8(view: CapturedView) -> Image8:
+def as_image8(view: CapturedView) -> Image8:
+    """The image of a view, C-contiguous, as the kernels that look it up want it.
+
+    Raises:
+        RenderError: it does not fit its camera, is not 8-bit RGB, or has but one pixel.
+    """
     camera, image = view.camera, view.image
     if image.shape != (camera.height, camera.width, 3) or image.dtype != np.uint8 or image.size < 6:
         raise RenderError(

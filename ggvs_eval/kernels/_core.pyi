@@ -72,3 +72,36 @@ def look_up(
     level: int,
 ) -> Image: ...
 def push_pull(colour: Image, known: NDArray[np.bool_], threads: int) -> Image: ...
+def register_views(
+    target: Pinhole,
+    depth: Image,
+    views: Sequence[tuple[Pinhole, Matrix, Image8, Image, Image, Image]],  # camera, from_target, image, depth, splat, alpha
+    tolerance: float,
+    faint: float,
+    threads: int,
+    level: int,
+) -> tuple[Image, Image, Image]: ...
+def compose(
+    colours: Image,
+    coverage: Image,
+    unseen: Image,
+    background: Image,
+    small: Image,
+    scale: int,
+    sure: float,
+    threads: int,
+    level: int,
+) -> tuple[Image, Image, Image]: ...
+def refine(
+    picture: Image,
+    spread: Image,
+    shown: Image,
+    depth: Image,
+    logarithm: Image,
+    small: Image,
+    scale: int,
+    first_feature: int,
+    layers: Sequence[tuple[Image, Image, int]],  # weights (before, size, size, filled up), bias (filled up), after
+    threads: int,
+    level: int,
+) -> Image: ...

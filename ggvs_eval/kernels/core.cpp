@@ -4,6 +4,7 @@
 #include "camera_arguments.hpp"
 #include "images.hpp"
 #include "kernels.hpp"
+#include "learned.hpp"
 #include "warp.hpp"
 
 namespace py = pybind11;
@@ -121,4 +122,5 @@ PYBIND11_MODULE(_core, m) {
     m.def("warp", &warp, "target"_a, "target_depth"_a, "source"_a, "from_target"_a, "image"_a, "source_depth"_a, "tolerance"_a,
           "bicubic"_a, "threads"_a);
     ggvs::bind_images(m);
+    ggvs::bind_learned(m);
 }

@@ -1,7 +1,10 @@
 // The table of inner loops: one per instruction set, the choice is made when the program runs.
 #pragma once
 #include "blend.hpp"
+#include "compose.hpp"
 #include "level.hpp"
+#include "refine.hpp"
+#include "register.hpp"
 #include "splat.hpp"
 #include "tsdf.hpp"
 
@@ -16,6 +19,12 @@ struct Kernels {
     void (*fusion_row)(const FusionRow&);
     void (*march_column)(const March&, const MarchColumn&, float* depth, float* weight);
     void (*look_up_row)(const LookUp&, int y, float* out);
+    void (*register_row)(const Registration&, int view, int y, const RegisteredMaps& out);
+    void (*compose_row)(const ComposedRow&);
+    void (*evidence_row)(const EvidenceRow&);
+    void (*look_row)(const ConvolvedRow&);  // 3 x 3, leaky
+    void (*taps_row)(const ConvolvedRow&);  // 1 x 1
+    void (*filter_row)(const FilteredRow&);
 };
 
 extern const Kernels kBaselineKernels, kAvx2Kernels, kAvx512Kernels;

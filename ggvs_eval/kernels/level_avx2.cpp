@@ -8,12 +8,18 @@
 #include "blend_simd.hpp"
 #include "splat_simd.hpp"
 #include "tsdf_simd.hpp"
+#include "register_simd.hpp"
+#include "compose_simd.hpp"
+#include "refine_simd.hpp"
 #include "simd_end.hpp"
 
 namespace ggvs {
 
-const Kernels kAvx2Kernels = {avx2::tile_ranges,   avx2::ellipses,   avx2::blend_tile,
-                              avx2::finish_blocks, avx2::fusion_row, avx2::march_column, avx2::look_up_row};
+const Kernels kAvx2Kernels = {
+    avx2::tile_ranges, avx2::ellipses, avx2::blend_tile, avx2::finish_blocks, avx2::fusion_row,
+    avx2::march_column, avx2::look_up_row, avx2::register_row, avx2::compose_row, avx2::evidence_row,
+    avx2::look_row, avx2::taps_row, avx2::filter_row,
+};
 
 }  // namespace ggvs
 #endif

@@ -8,12 +8,18 @@
 #include "blend_simd.hpp"
 #include "splat_simd.hpp"
 #include "tsdf_simd.hpp"
+#include "register_simd.hpp"
+#include "compose_simd.hpp"
+#include "refine_simd.hpp"
 #include "simd_end.hpp"
 
 namespace ggvs {
 
-const Kernels kAvx512Kernels = {avx512::tile_ranges,   avx512::ellipses,   avx512::blend_tile,
-                                avx512::finish_blocks, avx512::fusion_row, avx512::march_column, avx512::look_up_row};
+const Kernels kAvx512Kernels = {
+    avx512::tile_ranges, avx512::ellipses, avx512::blend_tile, avx512::finish_blocks, avx512::fusion_row,
+    avx512::march_column, avx512::look_up_row, avx512::register_row, avx512::compose_row, avx512::evidence_row,
+    avx512::look_row, avx512::taps_row, avx512::filter_row,
+};
 
 }  // namespace ggvs
 #endif

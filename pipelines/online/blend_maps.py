@@ -10,7 +10,8 @@ from ggvs_eval.baselines.distance_based import distance_weights
 from ggvs_eval.baselines.method import Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
-from ggvs_eval.geometry.warp import Warp, warp
+from ggvs_eval.geometry.register import register_views
+from ggvs_eval.geometry.warp import CapturedView, Warp, warp
 from ggvs_eval.pipelines.online.blending import BlendingInputs
 
 Guidance = Literal["registered", "channels", "none", "naive"]
@@ -98,10 +99,9 @@ class BlendMaps:
             return self
         height, width = (-(-size // scale) for size in self.fused_depth.shape)
         target = replace(self.target, width=width * scale, height=height * scale).resized(width, height)
-        averaged = (
-            np.stack([_averaged(view, scale) for view in maps]) for maps in (self.colours, self.coverage, self.seen, self.alphas)
-        )
-        picked = (maps[..., scale // 2 :: scale, scale // 2 :: scale] for maps in (self.depths, self.fused_depth))
+        averaged = [_averaged(maps, scale) for maps in (self.colours, self.coverage, self.seen, self.alphas)]
+        top, left = (min(scale // 2, size - 1) for size in self.fused_depth.shape)
+        picked = (maps[..., top::scale, left::scale] for maps in (self.depths, self.fused_depth))
         continued = (_continued(maps, height, width) for maps in picked)
         return BlendMaps(target, self.sources, *averaged, *continued)
 
@@ -115,17 +115,32 @@ class BlendMaps:
 
 
 def blend_maps(inputs: BlendingInputs, guidance: Guidance) -> BlendMaps:
-    """The maps of one instant, views ordered by the distance of their cameras from the target, ties by name."""
-    return raw_views(inputs, warped=guidance == "registered").maps(guidance)
+    """The maps of one instant, views ordered by the distance of their cameras from the target, ties by name.
+
+    With ``registered`` guidance what `RawViews.maps` says, in one pass and without the images in between.
+    """
+    if guidance != "registered":
+        return raw_views(inputs, warped=False).maps(guidance)
+    sources, target, order = inputs.instant.sources, inputs.instant.target, nearest_first(inputs)
+    views = [CapturedView(sources[k].camera, sources[k].image, inputs.filtered_depths[k], 1.0) for k in order]
+    splats = [inputs.splats[k] for k in order]
+    found = register_views(target, inputs.depth, views, splats, inputs.tau, float(FAINT))
+    alphas, depths = np.stack([view.alpha for view in splats]), np.stack([view.depth for view in splats])
+    cameras = tuple(sources[k].camera for k in order)
+    return BlendMaps(target, cameras, found.colours, found.coverage, found.visibilities, alphas, depths, inputs.depth)
+
+
+def nearest_first(inputs: BlendingInputs) -> list[int]:
+    """Numbers of the source views, nearest camera first."""
+    cameras, target = [source.camera for source in inputs.instant.sources], inputs.instant.target
+    if len(cameras) != len(inputs.splats):
+        raise RenderError(f"blending network: wanted one splat per source view, got {len(inputs.splats)} for {len(cameras)}")
+    return sorted(range(len(cameras)), key=lambda k: (float(np.linalg.norm(cameras[k].centre - target.centre)), cameras[k].name))
 
 
 def raw_views(inputs: BlendingInputs, warped: bool = True) -> RawViews:
     """The views of one instant in the target view; without warps where they are not wanted."""
-    cameras = [source.camera for source in inputs.instant.sources]
-    if len(cameras) != len(inputs.splats):
-        raise RenderError(f"blending network: wanted one splat per source view, got {len(inputs.splats)} for {len(cameras)}")
-    target = inputs.instant.target
-    order = sorted(range(len(cameras)), key=lambda k: (float(np.linalg.norm(cameras[k].centre - target.centre)), cameras[k].name))
+    order, target = nearest_first(inputs), inputs.instant.target
     splats = [inputs.splats[k] for k in order]
     colours = np.stack([view.features[..., :3] for view in splats])
     alphas = np.stack([view.alpha for view in splats])
@@ -135,7 +150,8 @@ def raw_views(inputs: BlendingInputs, warped: bool = True) -> RawViews:
         warps = np.stack([each.colour for each in found])
         visibilities = np.stack([each.visibility for each in found])
     depths = np.stack([view.depth for view in splats])
-    return RawViews(target, tuple(cameras[k] for k in order), colours, depths, alphas, warps, visibilities, inputs.depth)
+    cameras = tuple(inputs.instant.sources[k].camera for k in order)
+    return RawViews(target, cameras, colours, depths, alphas, warps, visibilities, inputs.depth)
 
 
 def _warped(inputs: BlendingInputs, k: int) -> Warp:
@@ -145,14 +161,34 @@ def _warped(inputs: BlendingInputs, k: int) -> Warp:
     return warp(inputs.instant.target, inputs.depth, source.camera, image, inputs.filtered_depths[k], inputs.tau, bicubic=True)
 
 
-def _averaged(image: Map, scale: int) -> Map:
-    """Mean of each block, (H, W) or (H, W, 3)."""
-    height, width = image.shape[:2]
-    below, right = -height % scale, -width % scale
-    if below or right:
-        image = cv2.copyMakeBorder(image, 0, below, 0, right, cv2.BORDER_REPLICATE)
-    size = (image.shape[1] // scale, image.shape[0] // scale)
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
+def _averaged(maps: Map, scale: int) -> Map:
+    """Mean of each block, of maps (K, H, W) or (K, H, W, 3)."""
+    views, height, width = maps.shape[:3]
+    means = np.empty((views, -(-height // scale), -(-width // scale), *maps.shape[3:]), np.float32)
+    for view, mean in zip(maps, means, strict=True):
+        for rows in _parts(height, scale):
+            for columns in _parts(width, scale):
+                part = _whole_blocks(view[rows, columns], scale)
+                cells = mean[rows.start // scale :, columns.start // scale :]
+                size = part.shape[1] // scale, part.shape[0] // scale
+                cells[: size[1], : size[0]] = cv2.resize(part, size, interpolation=cv2.INTER_AREA).reshape(
+                    *size[::-1], *mean.shape[2:]
+                )
+    return means
+
+
+def _parts(size: int, scale: int) -> list[slice]:
+    """The whole blocks of a side and what is left of it: only that needs to be continued, which copies."""
+    whole = size // scale * scale
+    return [part for part in (slice(0, whole), slice(whole, size)) if part.start < part.stop]
+
+
+def _whole_blocks(image: Map, scale: int) -> Map:
+    """An image continued by its last row and column to whole blocks."""
+    below, right = -image.shape[0] % scale, -image.shape[1] % scale
+    if not (below or right):
+        return image
+    return np.asarray(cv2.copyMakeBorder(image, 0, below, 0, right, cv2.BORDER_REPLICATE), np.float32)
 
 
 def _continued(maps: Map, height: int, width: int) -> Map:

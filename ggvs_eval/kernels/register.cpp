@@ -1,0 +1,25 @@
+// The driver of the registration. Its arithmetic stands in register_simd.hpp.
+#include "register.hpp"
+
+#include <algorithm>
+
+#include "kernels.hpp"
+#include "parallel.hpp"
+
+namespace ggvs {
+
+constexpr int kBandRows = 8;
+
+void register_views(Registration& job, const RegisteredMaps& out, int threads, int level) {
+    const Kernels& kernels = kernels_of(level);
+    for (RegisteredView& view : job.views)
+        view.captured.map = pixel_map(job.target, view.captured.from_target, view.captured.camera, true);
+    const int height = job.target.height, bands = (height + kBandRows - 1) / kBandRows;
+    parallel_for(bands, threads, [&](int band, int) {
+        for (size_t k = 0; k < job.views.size(); ++k)  // view by view: the source's rows stay in the cache
+            for (int y = band * kBandRows; y < std::min((band + 1) * kBandRows, height); ++y)
+                kernels.register_row(job, int(k), y, out);
+    });
+}
+
+}  // namespace ggvs

@@ -1,0 +1,83 @@
+"""What a blending network does at full size, by compiled kernels: its outputs composed, and the picture refined.
+
+The torch code of `blend_network` and `refiner` says the same, is what training differentiates, and defines these in the tests.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from torch import nn
+
+from ggvs_eval.baselines.method import Map
+from ggvs_eval.kernels import LEVELS, get_level, get_threads
+from ggvs_eval.pipelines.online.blend_maps import BlendMaps
+from ggvs_eval.pipelines.online.blend_network import BEYOND_VIEWS, SURE
+from ggvs_eval.pipelines.online.refiner import Refiner
+
+OUTPUT_MULTIPLE = 8  # of a layer: so many are summed at once
+
+
+@dataclass(frozen=True, eq=False)
+class Composed:
+    """The composed picture and how sure it is.
+
+    Attributes:
+        picture: (3, H, W), float32.
+        spread: standard deviation of the views, (H, W).
+        shown: sum of the views' coverages, (H, W).
+    """
+
+    picture: Map
+    spread: Map
+    shown: Map
+
+    def image(self) -> Map:
+        """The picture, (H, W, 3), in [0, 1]."""
+        return np.ascontiguousarray(np.moveaxis(self.picture, 0, -1).clip(0, 1))
+
+
+def composed(maps: BlendMaps, unseen: Map, background: Map, small: Map, scale: int) -> Composed:
+    """The views by the network's weights, over the background (Eqs. 4-5): `read_outputs` and `compose_tensors` in one pass.
+
+    Args:
+        maps: the K views.
+        unseen: how little of what the target sees is shown, (H, W).
+        background: the picture filled from its surroundings, (H, W, 3).
+        small: `small_outputs` of the network, (K + 4 + F, h, w).
+        scale: so many times smaller they are per side.
+    """
+    from ggvs_eval.kernels import _core
+
+    views = np.ascontiguousarray(maps.colours, np.float32), np.ascontiguousarray(maps.coverage, np.float32)
+    level = LEVELS.index(get_level())
+    return Composed(*_core.compose(*views, unseen, background, small, scale, SURE, get_threads(), level))
+
+
+def refined(refiner: Refiner, picture: Composed, depth: Map | None, small: Map, scale: int, views: int) -> Map:
+    """What a refiner makes of the picture, (H, W, 3), in [0, 1]: `evidence` and `Refiner.forward` tile by tile.
+
+    Args:
+        refiner: of the network.
+        picture: what the network's outputs compose.
+        depth: fused depth, (H, W), 0 where unknown; None if the network must not see it.
+        small: as in `composed`.
+        scale: as in `composed`.
+        views: K.
+    """
+    from ggvs_eval.kernels import _core
+
+    depth = np.zeros_like(picture.spread) if depth is None else np.ascontiguousarray(depth, np.float32)
+    logarithm = np.zeros_like(depth)
+    np.log(depth, out=logarithm, where=depth > 0)
+    layers = [_packed(layer) for layer in (*refiner.looks, refiner.taps)]
+    evidence = picture.picture, picture.spread, picture.shown, depth, logarithm
+    return _core.refine(*evidence, small, scale, views + BEYOND_VIEWS, layers, get_threads(), LEVELS.index(get_level()))
+
+
+def _packed(layer: nn.Module) -> tuple[Map, Map, int]:
+    """A convolution's weights (inputs, size, size, outputs) and bias (outputs), filled up with zeros, and how many there are."""
+    weights, bias = (layer.get_parameter(name).detach().float().cpu().numpy() for name in ("weight", "bias"))
+    outputs = len(bias)
+    missing = -outputs % OUTPUT_MULTIPLE
+    turned = np.pad(weights.transpose(1, 2, 3, 0), [(0, 0)] * 3 + [(0, missing)])
+    return np.ascontiguousarray(turned), np.pad(bias, (0, missing)), outputs
