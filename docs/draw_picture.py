@@ -16,7 +16,7 @@ WIDTH, HEIGHT, EPI_HEIGHT, GAP, TITLE_HEIGHT = 360, 270, 110, 8, 26
 SHOWN = {
     "no-blending": "No Blending",
     "distance-based": "Distance-based Blending",
-    "ours-geometric": "Ours (geometric weights)",
+    "ours": "Ours",
     "truth": "Truth",
 }
 

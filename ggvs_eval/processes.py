@@ -5,6 +5,7 @@ import threading
 from collections.abc import Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from multiprocessing import connection, get_context, parent_process
+from pathlib import Path
 from typing import Any
 
 from ggvs_eval.progress import track
@@ -46,13 +47,39 @@ def finish_all(pool: Executor, running: Sequence[Future[Any]], description: str)
         raise
 
 
-def _start_worker(threads: int) -> None:
-    """Share the CPUs before any library starts threads of its own, and watch the parent."""
+def is_running(pid: int) -> bool:
+    """Whether a process of this machine is there and works; a zombie that nobody has collected does not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        pass
+    if Path("/proc/self").exists():
+        return False
+    try:  # no /proc: another system
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass
+    return True
+
+
+def share_cpus(threads: int) -> None:
+    """Give this process its share of the CPUs, before any library starts threads of its own.
+
+    Args:
+        threads: how many each library may have.
+    """
     for name in ("OMP_NUM_THREADS", "GGVS_EVAL_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ[name] = str(threads)
     import cv2
 
     cv2.setNumThreads(threads)
+
+
+def _start_worker(threads: int) -> None:
+    """Share the CPUs and watch the parent."""
+    share_cpus(threads)
     threading.Thread(target=_die_with_parent, daemon=True).start()
 
 

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Iterator
 from typing import TypeVar
 
 Item = TypeVar("Item")
+LOOK_BACK_S = 3600.0  # over which speed is estimated
 
 
 def track(items: Iterable[Item], description: str, total: int | None = None) -> Iterator[Item]:
@@ -19,5 +20,9 @@ def track(items: Iterable[Item], description: str, total: int | None = None) -> 
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left"))
     console = Console(stderr=True)
-    with Progress(*columns, TimeRemainingColumn(), console=console, disable=not console.is_terminal) as progress:
+    # The default looks back 30 s and shows no time left for jobs that take longer.
+    bar = Progress(
+        *columns, TimeRemainingColumn(), console=console, disable=not console.is_terminal, speed_estimate_period=LOOK_BACK_S
+    )
+    with bar as progress:
         yield from progress.track(items, description=description, total=total)

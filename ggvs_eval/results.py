@@ -42,11 +42,12 @@ class Results:
     def write(self, folder: Path) -> None:
         """Write the table as Parquet and the provenance as JSON, each whole or not at all."""
         folder.mkdir(parents=True, exist_ok=True)
-        self.table.to_parquet(folder / f"{TABLE_FILE}.tmp", index=False)
-        os.replace(folder / f"{TABLE_FILE}.tmp", folder / TABLE_FILE)
+        table, notes = (folder / f".{name}.{os.getpid()}.tmp" for name in (TABLE_FILE, PROVENANCE_FILE))
+        self.table.to_parquet(table, index=False)
+        os.replace(table, folder / TABLE_FILE)
         text = json.dumps({"provenance": self.provenance, "not_computed": self.not_computed}, indent=1, sort_keys=True)
-        (folder / f"{PROVENANCE_FILE}.tmp").write_text(text, encoding="utf-8")
-        os.replace(folder / f"{PROVENANCE_FILE}.tmp", folder / PROVENANCE_FILE)
+        notes.write_text(text, encoding="utf-8")
+        os.replace(notes, folder / PROVENANCE_FILE)
 
     @classmethod
     def read(cls, folder: Path) -> "Results":

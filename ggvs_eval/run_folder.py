@@ -164,9 +164,14 @@ def as_ranges(indices: list[int]) -> str:
 
 def write_json(path: Path, record: Any) -> None:
     """Write a JSON file whole or not at all."""
+    write_text(path, json.dumps(record, indent=1))
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    temporary.write_text(json.dumps(record, indent=1), encoding="utf-8")
+    temporary.write_text(text, encoding="utf-8")
     temporary.replace(path)
 
 

@@ -26,7 +26,7 @@ def train(
     views: int = 6,
     width: int = 16,
     guidance: Guidance = "registered",
-    rooms: int = 60,
+    rooms: int = 25,
     captures: tuple[Path, ...] = (),
     device: str = "auto",
     precision: Precision = "auto",

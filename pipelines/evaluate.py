@@ -8,6 +8,8 @@ from typing import Any
 from ggvs_eval.capture import Capture, Retake
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.held_still import retake
+from ggvs_eval.pipelines.engine import Workers, as_engine
+from ggvs_eval.pipelines.methods import NO_CHECKPOINTS, Checkpoints
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.prepare import Prepared, prepare
 from ggvs_eval.pipelines.render import render
@@ -17,7 +19,13 @@ from ggvs_eval.run_folder import RunFolder
 
 
 def evaluate(
-    root: Path, capture: Capture, protocol: Protocol, labels: Sequence[str], workers: int, depth: DepthChoice | None = None
+    root: Path,
+    capture: Capture,
+    protocol: Protocol,
+    labels: Sequence[str],
+    workers: Workers,
+    depth: DepthChoice | None = None,
+    checkpoints: Checkpoints = NO_CHECKPOINTS,
 ) -> Path:
     """Evaluate methods on a capture; a second call does only what is missing.
 
@@ -26,14 +34,15 @@ def evaluate(
         capture: what to evaluate on.
         protocol: views, frames, sizes, metrics.
         labels: methods, see `ggvs_eval.pipelines.methods.METHODS`.
-        workers: processes.
+        workers: where jobs run: so many processes, or an `Engine`.
         depth: how depth is found, see `DepthChoice`.
+        checkpoints: of methods whose weights do not ship.
 
     Returns:
         Path of the report's page.
     """
-    prepared = prepare(root, capture, protocol, workers, depth)
-    render(prepared, labels, workers)
+    prepared = prepare(root, capture, protocol, as_engine(workers).jobs, depth)
+    render(prepared, labels, workers, checkpoints)
     score(RunFolder(root), workers)
     return report([root])
 

@@ -8,18 +8,26 @@ import hashlib
 import json
 import os
 import shutil
+import socket
+import time
+import traceback
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, as_completed
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 import ggvs_eval
-from ggvs_eval.errors import GgvsError, RenderError, ResultsError
-from ggvs_eval.processes import worker_pool
+from ggvs_eval.errors import GgvsError, RenderError
+from ggvs_eval.pipelines.engine import Workers, as_engine
+from ggvs_eval.pipelines.ledger import Entry, Failure, Ledger
+from ggvs_eval.pipelines.lost_job import LostJob
+from ggvs_eval.processes import is_running
 from ggvs_eval.progress import track
-from ggvs_eval.run_folder import JOB_FILE, read_json, write_json
+from ggvs_eval.run_folder import JOB_FILE, write_json
+
+ALL_CODE = ("ggvs_eval", "ggvs_eval.baselines", "ggvs_eval.metrics", "ggvs_eval.pipelines")
+SILENT_S = 3600  # after that without a new frame, what another machine began is taken for given up
 
 
 @dataclass(frozen=True)
@@ -44,53 +52,100 @@ class Job:
         """Hash of the identity."""
         return hashlib.sha256(json.dumps(self.identity, sort_keys=True).encode()).hexdigest()
 
+    @property
+    def entry(self) -> Entry:
+        """What a ledger says of the job."""
+        return Entry(self.name, self.folder, self.sha256)
+
     def is_done(self) -> bool:
         """Whether the folder holds the result of exactly this job."""
-        try:
-            return bool(read_json(self.folder / JOB_FILE)["sha256"] == self.sha256)
-        except (ResultsError, KeyError, TypeError):
-            return False
+        return self.entry.is_done()
 
     def run(self) -> None:
         """Do the work and put its result in place."""
-        temporary = self.folder.with_name(f".{self.folder.name}.{os.getpid()}.tmp")
+        temporary = self.folder.with_name(f".{self.folder.name}.{_host()}.{os.getpid()}.tmp")
         shutil.rmtree(temporary, ignore_errors=True)
         temporary.mkdir(parents=True)
         try:
             record = self.work(temporary)
             write_json(temporary / JOB_FILE, {"sha256": self.sha256, "identity": self.identity, **record})
-            shutil.rmtree(self.folder, ignore_errors=True)
-            temporary.replace(self.folder)
+            self._put_in_place(temporary)
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
 
+    def _put_in_place(self, temporary: Path) -> None:
+        shutil.rmtree(self.folder, ignore_errors=True)
+        try:
+            temporary.replace(self.folder)
+        except OSError:  # a cluster that lost sight of a worker gave the job to another, which was faster
+            if not self.is_done():
+                raise
 
-def run_jobs(jobs: Sequence[Job], workers: int, description: str) -> int:
+
+@dataclass(frozen=True)
+class Attempt:
+    """What came of some jobs.
+
+    Attributes:
+        done: how many were run to their end; those that were done before do not count.
+        failures: of the others.
+    """
+
+    done: int
+    failures: tuple[Failure, ...]
+
+
+class BrokenJobError(RuntimeError):
+    """Our own bug, met in a job; the message ends with its traceback."""
+
+
+def run_jobs(jobs: Sequence[Job], workers: Workers, description: str, ledger: Ledger | None = None) -> int:
     """Run what is not done yet; one failure does not stop the others.
 
     Args:
         jobs: in the order in which they are started.
-        workers: processes; 1 runs them in this one.
+        workers: where they run; 1 runs them in this process.
         description: for the progress bar.
+        ledger: where `ggvs-eval status` finds them.
 
     Returns:
         How many jobs were run.
 
     Raises:
-        RenderError: jobs failed for a reason that the user can mend; the message lists each. Our own bugs are raised as they are.
+        RenderError: jobs failed for a reason that the user can mend; the message lists each.
+        BrokenJobError: jobs met a bug of ours; raised when all others are done.
+    """
+    attempt = attempt_jobs(jobs, workers, description, ledger)
+    if not attempt.failures:
+        return attempt.done
+    broken = [failure.traceback for failure in attempt.failures if failure.traceback]
+    listed = "; ".join(map(str, attempt.failures))
+    if broken:
+        raise BrokenJobError("\n".join([listed, *broken]))
+    raise RenderError(f"{len(attempt.failures)} of {attempt.done + len(attempt.failures)} jobs failed: {listed}")
+
+
+def attempt_jobs(jobs: Sequence[Job], workers: Workers, description: str, ledger: Ledger | None = None) -> Attempt:
+    """Run what is not done yet and tell what failed; arguments as of `run_jobs`.
+
+    Raises:
+        RenderError: the jobs cannot be run at all, see `Engine.run`.
     """
     open_jobs = [job for job in jobs if not job.is_done()]
     for job in open_jobs:
         _sweep_leftovers(job.folder)
     if not open_jobs:
-        return 0
-    if workers == 1 or len(open_jobs) == 1:
-        failures = [failure for job in track(open_jobs, description) if (failure := _run_one(job))]
-    else:
-        failures = _run_in_pool(open_jobs, workers, description)
-    if failures:
-        raise RenderError(f"{len(failures)} of {len(open_jobs)} jobs failed: " + "; ".join(failures))
-    return len(open_jobs)
+        return Attempt(0, ())
+    engine = as_engine(workers)
+    work = partial(_run_one, code=code_digest(*ALL_CODE) if engine.scheduler else None)
+    failures = []
+    for index, outcome in track(engine.run(work, open_jobs), description, len(open_jobs)):
+        failure = _judge(open_jobs[index], outcome)
+        if ledger:
+            ledger.note(open_jobs[index].entry, failure)
+        failures += [failure] if failure else []
+        _sweep_leftovers(open_jobs[index].folder)  # of a worker that died, before another did its job
+    return Attempt(len(open_jobs) - len(failures), tuple(failures))
 
 
 @cache
@@ -111,23 +166,50 @@ def code_digest(*packages: str) -> str:
     return digest.hexdigest()
 
 
-def _run_one(job: Job) -> str | None:
-    """Run a job; give back what the user must mend, if anything."""
+def _run_one(job: Job, code: str | None) -> Failure | None:
+    """Run a job; give back why it failed, if it did. What runs on another machine must be the code that the job was made by."""
     try:
+        if code not in (None, code_digest(*ALL_CODE)):
+            return Failure(job.name, f"the worker on {socket.gethostname()} has another version of ggvs-eval; install the same")
         job.run()
     except GgvsError as error:
-        return f"{job.name}: {error}"
+        return Failure(job.name, str(error))
+    except Exception as error:
+        return Failure(job.name, f"{type(error).__name__}: {error}", traceback.format_exc())
     return None
 
 
-def _run_in_pool(jobs: Sequence[Job], workers: int, description: str) -> list[str]:
-    """Run jobs in worker processes."""
-    with worker_pool(min(workers, len(jobs))) as pool:
-        futures: list[Future[str | None]] = [pool.submit(_run_one, job) for job in jobs]
-        return [failure for done in track(as_completed(futures), description, len(jobs)) if (failure := done.result())]
+def _judge(job: Job, outcome: Failure | LostJob | None) -> Failure | None:
+    """Why a job failed, whoever noticed it; None where its result is here."""
+    if isinstance(outcome, LostJob):
+        return Failure(job.name, outcome.reason)
+    if outcome is None and not job.is_done():
+        return Failure(job.name, f"it ended, and {job.folder} is not here: workers must see the same folders")
+    return outcome
 
 
 def _sweep_leftovers(folder: Path) -> None:
-    """Remove what killed runs of the same job left beside its folder."""
+    """Remove what killed runs of the same job left beside its folder; not what another process is working on."""
     for leftover in folder.parent.glob(f".{folder.name}.*.tmp"):
-        shutil.rmtree(leftover, ignore_errors=True)
+        if not is_in_hand(leftover):
+            shutil.rmtree(leftover, ignore_errors=True)
+
+
+def _host() -> str:
+    """This machine, as part of a file's name."""
+    return socket.gethostname().replace(".", "-")
+
+
+def is_in_hand(temporary: Path) -> bool:
+    """Whether the process that fills a temporary folder still does.
+
+    Args:
+        temporary: ``.<name>.<host>.<pid>.tmp``.
+    """
+    *_, host, pid = temporary.name.removesuffix(".tmp").rsplit(".", 2)
+    if host == _host():
+        return is_running(int(pid))
+    try:
+        return time.time() - temporary.stat().st_mtime < SILENT_S
+    except OSError:  # it has just been put in place
+        return False

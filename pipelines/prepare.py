@@ -21,7 +21,7 @@ from ggvs_eval.pipelines.offline.prepare import DepthJob, depth_spec, plan_depth
 from ggvs_eval.pipelines.path_depth import write_path_depth
 from ggvs_eval.pipelines.score_path import write_path_record
 from ggvs_eval.protocol import Protocol
-from ggvs_eval.run_folder import RunFolder, frame_path, missing_frames, read_json, write_json
+from ggvs_eval.run_folder import RunFolder, frame_path, missing_frames, read_json, write_json, write_text
 
 
 @dataclass(frozen=True)
@@ -189,7 +189,7 @@ def _claim_folder(run: RunFolder, protocol: Protocol, capture: Capture) -> None:
         )
     run.root.mkdir(parents=True, exist_ok=True)
     write_json(run.root / "capture.json", record)
-    run.protocol_file.write_text(protocol.to_toml(), encoding="utf-8")
+    write_text(run.protocol_file, protocol.to_toml())
 
 
 def _claim_depth(run: RunFolder, wanted: DepthChoice | None) -> DepthChoice:

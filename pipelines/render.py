@@ -11,60 +11,89 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.images import quantise, write_image
+from ggvs_eval.pipelines.engine import Workers, as_engine
 from ggvs_eval.pipelines.jobs import Job, code_digest, run_jobs
-from ggvs_eval.pipelines.methods import find_method, split_label, weights_files
+from ggvs_eval.pipelines.ledger import Ledger
+from ggvs_eval.pipelines.method_spec import MethodSpec
+from ggvs_eval.pipelines.methods import NO_CHECKPOINTS, Checkpoints, find_method, split_label
 from ggvs_eval.pipelines.prepare import Prepared, SourcePlan
 from ggvs_eval.processes import default_workers
 from ggvs_eval.results import installed_versions
-from ggvs_eval.run_folder import frame_path, read_json, write_json
+from ggvs_eval.run_folder import RunFolder, frame_path, read_json, write_json
 
 
-def render(prepared: Prepared, labels: Sequence[str], workers: int = 1) -> int:
+def render(prepared: Prepared, labels: Sequence[str], workers: Workers = 1, checkpoints: Checkpoints = NO_CHECKPOINTS) -> int:
     """Synthesise the protocol's views and the camera path by each method; what exists is not rendered again.
 
     Args:
         prepared: the run folder with truth and depth.
         labels: methods, see `ggvs_eval.pipelines.methods.METHODS`.
-        workers: processes.
+        workers: where jobs run.
+        checkpoints: of methods whose weights do not ship.
 
     Returns:
         Number of (method, view) jobs that were run.
 
     Raises:
         RenderError: unknown method, or jobs that failed; each is listed.
+        WeightsError: a method lacks its weights, or they are not its own.
     """
-    for label in labels:
-        find_method(label)
-    jobs = [_view_job(prepared, label, view, workers) for label in labels for view in prepared.protocol.views.test]
-    jobs += [_path_job(prepared, label, workers) for label in labels if prepared.path]
-    done = run_jobs(jobs, workers, "rendering")
-    order = prepared.run.root / "methods.json"
-    known = read_json(order)["labels"] if order.is_file() else []
-    merged = [*known, *(label for label in labels if label not in known)]
-    write_json(order, {"labels": merged})
+    jobs = render_jobs(prepared, labels, workers, checkpoints)
+    ledger = Ledger(prepared.run.root, "render")
+    ledger.write([job.entry for job in jobs])
+    done = run_jobs(jobs, workers, "rendering", ledger)
+    note_labels(prepared.run, labels)
     return done
 
 
-def _view_job(prepared: Prepared, label: str, view: str, workers: int) -> Job:
+def render_jobs(
+    prepared: Prepared, labels: Sequence[str], workers: Workers = 1, checkpoints: Checkpoints = NO_CHECKPOINTS
+) -> list[Job]:
+    """What `render` runs: one job per method and test view, and one per method along the camera path.
+
+    Raises:
+        RenderError: unknown method.
+        WeightsError: a method lacks its weights, or they are not its own.
+    """
+    specs = {label: find_method(label, checkpoints) for label in labels}
+    for spec in specs.values():
+        spec.make()  # what is missing shows before anything is rendered
+    at_once = as_engine(workers).jobs
+    jobs = [
+        _view_job(prepared, label, spec, view, at_once) for label, spec in specs.items() for view in prepared.protocol.views.test
+    ]
+    return jobs + [_path_job(prepared, label, spec, at_once) for label, spec in specs.items() if prepared.path]
+
+
+def note_labels(run: RunFolder, labels: Sequence[str]) -> None:
+    """Remember the order in which methods were asked for; a table shows them in it."""
+    order = run.root / "methods.json"
+    known = read_json(order) if order.is_file() else {}
+    merged = list(dict.fromkeys([*known.get("labels", []), *labels]))
+    if merged != known.get("labels"):
+        write_json(order, {"labels": merged})
+
+
+def _view_job(prepared: Prepared, label: str, spec: MethodSpec, view: str, workers: int) -> Job:
     """The job of one method in one test view over all frames of the protocol."""
     plan, frames = prepared.plans[view], prepared.frames
-    work = partial(_render_view, label, prepared.capture, plan, frames, prepared.run.depth, workers)
-    return Job(f"{label} in {view}", prepared.run.renders(label, view), _identity(prepared, label, [plan]), work)
+    work = partial(_render_view, label, spec, prepared.capture, plan, frames, prepared.run.depth, workers)
+    return Job(f"{label} in {view}", prepared.run.renders(label, view), _identity(prepared, label, spec, [plan]), work)
 
 
-def _path_job(prepared: Prepared, label: str, workers: int) -> Job:
+def _path_job(prepared: Prepared, label: str, spec: MethodSpec, workers: int) -> Job:
     """The job of one method along the camera path, at the one instant of the path."""
-    work = partial(_render_path, label, prepared.capture, prepared.path, prepared.path_frame, prepared.run.depth, workers)
-    return Job(f"{label} along the path", prepared.run.path(label), _identity(prepared, label, prepared.path), work)
+    work = partial(_render_path, label, spec, prepared.capture, prepared.path, prepared.path_frame, prepared.run.depth, workers)
+    return Job(f"{label} along the path", prepared.run.path(label), _identity(prepared, label, spec, prepared.path), work)
 
 
-def _identity(prepared: Prepared, label: str, plans: Sequence[SourcePlan]) -> dict[str, Any]:
+def _identity(prepared: Prepared, label: str, spec: MethodSpec, plans: Sequence[SourcePlan]) -> dict[str, Any]:
     """Everything that the pixels depend on."""
     sources = {(name, prepared.capture.digest(name), key) for plan in plans for name, key in plan.depth_keys.items()}
     return {
         "method": label,
-        "code": code_digest(*find_method(label).packages),
-        "weights": [hashlib.sha256(file.read_bytes()).hexdigest() for file in weights_files(label)],
+        "code": code_digest(*spec.packages),
+        "weights": [hashlib.sha256(file.read_bytes()).hexdigest() for file in spec.weights],
         "targets": [_camera_values(plan.target) for plan in plans],
         "sources": sorted(sources),
         "frames": [prepared.frames.start, prepared.frames.stop, prepared.path_frame],
@@ -78,10 +107,10 @@ def _camera_values(camera: Camera) -> list[float]:
 
 
 def _render_view(
-    label: str, capture: Capture, plan: SourcePlan, frames: range, store: Path, workers: int, folder: Path
+    label: str, spec: MethodSpec, capture: Capture, plan: SourcePlan, frames: range, store: Path, workers: int, folder: Path
 ) -> dict[str, Any]:
     """Stream the source cameras through one method; only the frames of one instant are in memory."""
-    method, depths = find_method(label).make(), DepthStore(store)
+    method, depths = spec.make(), DepthStore(store)
     if isinstance(method, LookaheadMethod):
         backwards = (range(index, index + 1) for index in reversed(frames))
         method.look_ahead(instant for each in backwards for instant in _instants(capture, plan, each, depths))
@@ -91,10 +120,17 @@ def _render_view(
 
 
 def _render_path(
-    label: str, capture: Capture, plans: Sequence[SourcePlan], frame: int, store: Path, workers: int, folder: Path
+    label: str,
+    spec: MethodSpec,
+    capture: Capture,
+    plans: Sequence[SourcePlan],
+    frame: int,
+    store: Path,
+    workers: int,
+    folder: Path,
 ) -> dict[str, Any]:
     """Move the target camera along the path while time stands still; the method sees a scene in which nothing moves."""
-    method = find_method(label).make()
+    method = spec.make()
     names = {name for plan in plans for name in plan.depth_keys}
     images = {name: capture.frame(name, frame) for name in sorted(names)}
     depths = DepthStore(store)

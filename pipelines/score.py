@@ -6,12 +6,14 @@ Each view is one job for all methods, because what the truth alone decides is th
 
 import dataclasses
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 from ggvs_eval.errors import RenderError
 from ggvs_eval.metrics.registry import METRICS
-from ggvs_eval.pipelines.jobs import run_jobs
+from ggvs_eval.pipelines.engine import Workers, as_engine
+from ggvs_eval.pipelines.jobs import Job, run_jobs
+from ggvs_eval.pipelines.ledger import Ledger
 from ggvs_eval.pipelines.methods import METHODS, split_label
 from ggvs_eval.pipelines.renders.coverage import Coverage, read_coverage
 from ggvs_eval.pipelines.score_path import PATH_VIEW, score_paths
@@ -22,12 +24,13 @@ from ggvs_eval.results import Results, installed_versions, make_table
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
 
 
-def score(run: RunFolder, workers: int = 1) -> Results:
+def score(run: RunFolder, workers: Workers = 1, without: Collection[str] = ()) -> Results:
     """Measure every method that has renders in the run folder.
 
     Args:
         run: a folder with truth and renders of the protocol's views and frames.
-        workers: processes.
+        workers: where jobs run.
+        without: methods whose renders are known to be incomplete, which are left out.
 
     Returns:
         All values, also written to the run folder.
@@ -35,21 +38,42 @@ def score(run: RunFolder, workers: int = 1) -> Results:
     Raises:
         RenderError: no renders, missing frames (all gaps are listed) or frames of the wrong size.
     """
-    protocol, labels = run.protocol(), run.labels()
+    protocol, labels = run.protocol(), [label for label in run.labels() if label not in without]
     if not labels:
         raise RenderError(
             f"{run.root}: nothing to score, renders/ is empty; run `ggvs-eval render` or give --renders NAME=FOLDER"
         )
-    frames = range(protocol.frames.start, protocol.frames.start + protocol.frames.count)
-    coverage = read_coverage(run, frames, labels)
-    coverage.require(run, protocol.views.test, labels)
-    run_jobs([view_job(run, protocol, coverage, labels, view) for view in protocol.views.test], workers, "scoring")
-    paths = score_paths(run, protocol, labels, workers)
+    coverage = _coverage(run, protocol, labels, protocol.views.test)
+    jobs = [view_job(run, protocol, coverage, labels, view) for view in protocol.views.test]
+    ledger = Ledger(run.root, "score")
+    ledger.write([job.entry for job in jobs])
+    run_jobs(jobs, workers, "scoring", ledger)
+    at_once = as_engine(workers).jobs
+    paths = score_paths(run, protocol, labels, at_once)
     results = _collect(run, protocol, coverage, labels, paths)
     results.write(run.root)
-    write_references(run, paths, score_ceilings(run, protocol, workers))
+    write_references(run, paths, score_ceilings(run, protocol, at_once))
     _write_shown_names(run, protocol, labels)
     return results
+
+
+def score_jobs(run: RunFolder, labels: Sequence[str], views: Sequence[str]) -> list[Job]:
+    """What `score` runs for some methods and test views, one job per view; so that a sweep can run those of many runs at once.
+
+    Raises:
+        RenderError: missing frames of these.
+    """
+    protocol = run.protocol()
+    coverage = _coverage(run, protocol, labels, views)
+    return [view_job(run, protocol, coverage, labels, view) for view in views]
+
+
+def _coverage(run: RunFolder, protocol: Protocol, labels: Sequence[str], views: Sequence[str]) -> Coverage:
+    """The frames of some methods in some views, none of which is missing."""
+    frames = range(protocol.frames.start, protocol.frames.start + protocol.frames.count)
+    coverage = read_coverage(run, frames, labels)
+    coverage.require(run, views, labels)
+    return coverage
 
 
 def _collect(

@@ -1,25 +1,27 @@
 """Run a sweep: the whole evaluation once per capture and variant of the protocol, and one table of all of them."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from ggvs_eval.capture import Capture
-from ggvs_eval.errors import ProtocolError, RenderError
-from ggvs_eval.pipelines.methods import METHODS, find_method, split_label
+from ggvs_eval.errors import ProtocolError
+from ggvs_eval.pipelines.engine import Engine, Workers, as_engine
+from ggvs_eval.pipelines.ledger import Failure
+from ggvs_eval.pipelines.methods import NO_CHECKPOINTS, Checkpoints, split_label
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
-from ggvs_eval.pipelines.prepare import prepare
-from ggvs_eval.pipelines.render import render
 from ggvs_eval.pipelines.score import score
+from ggvs_eval.pipelines.shard import WHOLE, Shard
+from ggvs_eval.pipelines.sweep_cells import Captures, Cell, share_of, sweep_cells
+from ggvs_eval.pipelines.sweep_stages import attempt, prepare_cells, render_cells, score_cells
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
 from ggvs_eval.sweep import Sweep, SweepRow
-
-SHARED_FOLDERS = ("truth", "depth")
 
 
 @dataclass(frozen=True)
@@ -30,19 +32,23 @@ class SweepResult:
         table: one line per variant and row: mean of each metric, and seconds per frame; of several captures per capture too.
         not_computed: title of a row -> reason.
         runs: the run folder of each variant, ``capture/variant`` where there are several captures.
+        failures: what failed; its rows are not in the table, and the same call tries it again.
     """
 
     table: pd.DataFrame
     not_computed: dict[str, str]
     runs: dict[str, Path]
+    failures: tuple[Failure, ...] = ()
 
 
 def run_sweeps(
     root: Path,
-    captures: Mapping[str, tuple[Capture, Protocol]],
+    captures: Captures,
     sweep: Sweep,
-    workers: int,
+    workers: Workers,
     depth: DepthChoice | None = None,
+    checkpoints: Checkpoints = NO_CHECKPOINTS,
+    shard: Shard = WHOLE,
 ) -> SweepResult:
     """Run a sweep on several captures, each in a folder of its own, and give their means beside the single tables.
 
@@ -50,36 +56,41 @@ def run_sweeps(
         root: folder of the sweeps.
         captures: name of the capture's folder in it -> the capture, and what its variants start from.
         sweep: rows and variants.
-        workers: processes.
+        workers: where jobs run.
         depth: how depth is found, see `DepthChoice`.
+        checkpoints: of methods whose weights do not ship.
+        shard: which views are rendered and scored; only the whole has a table.
 
     Returns:
         The table's first level is the capture; ``mean`` is the mean over the captures, of lines that all of them have.
 
     Raises:
-        GgvsError: as of the single steps.
-        ProtocolError: captures whose protocols measure differently, so that a mean of them says nothing.
+        ProtocolError: captures whose protocols measure differently, so that a mean says nothing; or no row can be computed.
     """
     kinds = {protocol.measurement for _, protocol in captures.values()}
     if len(kinds) != 1:
         raise ProtocolError(f"{root}: wanted captures that are measured alike, got {len(kinds)} kinds; name one with --protocol")
-    results = {
-        name: run_sweep(root / name, capture, sweep, protocol, workers, depth) for name, (capture, protocol) in captures.items()
-    }
-    tables = pd.concat({name: result.table for name, result in results.items()}, names=["capture"])
-    lines = tables.groupby(level=["variant", "method"], sort=False)
-    means = lines.mean()[lines.size() == len(results)]
-    table = pd.concat([tables, pd.concat({"mean": means}, names=["capture"])])
-    table.to_csv(root / "sweep.csv")
-    absent = {title: reason for result in results.values() for title, reason in result.not_computed.items()}
-    runs = {f"{name}/{variant}": run for name, result in results.items() for variant, run in result.runs.items()}
-    return SweepResult(table, absent, runs)
+    result = _run(root, captures, sweep, as_engine(workers), depth, checkpoints, shard)
+    if result.table.empty:
+        return result
+    lines = result.table.groupby(level=["variant", "method"], sort=False)
+    means = lines.mean()[lines.size() == len(captures)]
+    table = pd.concat([result.table, pd.concat({"mean": means}, names=["capture"])])
+    _write_table(table, root)
+    return replace(result, table=table)
 
 
 def run_sweep(
-    root: Path, capture: Capture, sweep: Sweep, protocol: Protocol, workers: int, depth: DepthChoice | None = None
+    root: Path,
+    capture: Capture,
+    sweep: Sweep,
+    protocol: Protocol,
+    workers: Workers,
+    depth: DepthChoice | None = None,
+    checkpoints: Checkpoints = NO_CHECKPOINTS,
+    shard: Shard = WHOLE,
 ) -> SweepResult:
-    """Evaluate every row under every variant; what exists is not computed again.
+    """Evaluate every row under every variant; what exists is not computed again, and what fails does not stop the rest.
 
     Frames and depth are shared between the variants, so that K = 2 finds what K = 6 has computed.
 
@@ -88,56 +99,71 @@ def run_sweep(
         capture: what to evaluate on.
         sweep: rows and variants.
         protocol: what the variants start from.
-        workers: processes.
+        workers: where jobs run.
         depth: how depth is found, see `DepthChoice`.
+        checkpoints: of methods whose weights do not ship.
+        shard: which views are rendered and scored; only the whole has a table.
 
     Raises:
-        GgvsError: as of the single steps.
+        ProtocolError: no row can be computed.
     """
-    absent = {row.title: reason for row in sweep.row if (reason := _why_not(row.method))}
-    cameras = len(capture.cameras)
-    absent |= {f"K = {k}": f"the capture has {cameras} cameras, one of them is synthesised" for k in sweep.k if k >= cameras}
-    if all(row.title in absent for row in sweep.row):
-        raise ProtocolError(f"sweep {sweep.name}: no row has a method of this version; known are {', '.join(METHODS)}")
-    runs, parts = {}, []
-    for variant, variant_protocol in sweep.protocols(protocol, cameras).items():
-        rows = [row for row in sweep.rows(variant_protocol, protocol) if row.title not in absent]
-        if not rows:
-            continue
-        runs[variant] = root / variant
-        _share_folders(root, runs[variant])
-        render(prepare(runs[variant], capture, variant_protocol, workers, depth), [row.method for row in rows], workers)
-        parts.append(_lines(variant, RunFolder(runs[variant]), score(RunFolder(runs[variant]), workers), rows))
-    table = pd.concat(parts)
-    table.to_csv(root / "sweep.csv")
-    return SweepResult(table, absent, runs)
+    result = _run(root, {"": (capture, protocol)}, sweep, as_engine(workers), depth, checkpoints, shard)
+    if result.table.empty:
+        return result
+    table = result.table.droplevel("capture")
+    _write_table(table, root)
+    return replace(result, table=table)
 
 
-def _why_not(label: str) -> str | None:
-    """Why a row's method cannot be rendered; None where it can."""
-    if label not in METHODS and "=" not in label:
-        return f"this version has no method {label!r}"
-    try:
-        find_method(label)
-    except RenderError as error:
-        return str(error)
-    return None
+def _run(
+    root: Path,
+    captures: Captures,
+    sweep: Sweep,
+    engine: Engine,
+    depth: DepthChoice | None,
+    checkpoints: Checkpoints,
+    shard: Shard,
+) -> SweepResult:
+    """Every stage for all runs, then a line per run and row of which nothing is missing."""
+    cells, absent = sweep_cells(root, captures, sweep, checkpoints)
+    runs = {cell.name: cell.run.root for cell in cells}
+    share = share_of(cells, shard)
+    taken = cells if shard.prepares_only else [cell for cell in cells if cell.name in share]
+    ready, failures = prepare_cells(taken, engine, depth)
+    if shard.prepares_only or not taken:
+        return SweepResult(pd.DataFrame(), absent, runs, tuple(failures))
+    whole, unrendered = render_cells(taken, ready, engine, checkpoints, share)
+    good, unscored = score_cells(taken, whole, engine, share)
+    failures += [*unrendered, *unscored]
+    parts = []
+    for cell in cells if shard.is_whole else ():
+        if cell.name in good:
+            lines, why_not = attempt(f"table of {cell.name}", partial(_score_lines, cell, whole[cell.name], engine))
+            failures += why_not
+            parts += [] if lines is None else [lines]
+    return SweepResult(pd.concat(parts) if parts else pd.DataFrame(), absent, runs, tuple(failures))
 
 
-def _share_folders(root: Path, run: Path) -> None:
-    run.mkdir(parents=True, exist_ok=True)
-    for name in SHARED_FOLDERS:
-        (root / name).mkdir(exist_ok=True)
-        if not (run / name).exists():
-            (run / name).symlink_to(Path("..") / name, target_is_directory=True)
+def _write_table(table: pd.DataFrame, root: Path) -> None:
+    """Whole or not at all."""
+    temporary = root / ".sweep.csv.tmp"
+    table.to_csv(temporary)
+    temporary.replace(root / "sweep.csv")
 
 
-def _lines(variant: str, run: RunFolder, results: Results, rows: list[SweepRow]) -> pd.DataFrame:
-    """The rows of one variant by their titles, with the time of a frame."""
+def _score_lines(cell: Cell, labels: Sequence[str], engine: Engine) -> pd.DataFrame:
+    """Collect what is measured of one run into its results, and its rows of the sweep's table."""
+    results = score(cell.run, engine, without=[label for label in cell.labels if label not in labels])
+    return _lines(cell, results, [row for row in cell.rows if row.method in labels])
+
+
+def _lines(cell: Cell, results: Results, rows: list[SweepRow]) -> pd.DataFrame:
+    """The rows of one run by their titles, with the time of a frame."""
     summary = results.summary().droplevel("dataset")
     lines = pd.DataFrame([summary.loc[split_label(row.method)] for row in rows], index=[row.title for row in rows])
-    lines["s/frame"] = [_seconds_per_frame(run, row.method) for row in rows]
-    lines.index = pd.MultiIndex.from_product([[variant], lines.index], names=["variant", "method"])
+    lines["s/frame"] = [_seconds_per_frame(cell.run, row.method) for row in rows]
+    names = ["capture", "variant", "method"]
+    lines.index = pd.MultiIndex.from_product([[cell.folder], [cell.variant], lines.index], names=names)
     return lines
 
 

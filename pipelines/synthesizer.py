@@ -12,7 +12,7 @@ from ggvs_eval.errors import CameraError, DepthError, RenderError
 from ggvs_eval.images import Image8
 from ggvs_eval.pipelines.methods import find_method
 
-DEFAULT_METHOD = "ours-geometric"
+DEFAULT_METHOD = "ours"
 
 
 class OnlineSynthesizer:

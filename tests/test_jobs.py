@@ -2,6 +2,7 @@
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -13,7 +14,9 @@ from typing import Any
 import pytest
 
 from ggvs_eval.errors import CaptureError, RenderError
-from ggvs_eval.pipelines.jobs import Job, run_jobs
+from ggvs_eval.pipelines.jobs import BrokenJobError, Job, attempt_jobs, run_jobs
+from ggvs_eval.pipelines.ledger import Ledger
+from ggvs_eval.processes import is_running
 from ggvs_eval.run_folder import JOB_FILE, read_json
 
 
@@ -27,20 +30,15 @@ def fail(message: str, folder: Path) -> dict:
     raise CaptureError(message)
 
 
+def stumble(folder: Path) -> dict:
+    return {"value": {}["absent"]}
+
+
 def wait_for(condition: Callable[[], Any], seconds: float = 60) -> Any:
     deadline = time.monotonic() + seconds
     while not (found := condition()) and time.monotonic() < deadline:
         time.sleep(0.02)
     return found
-
-
-def is_running(pid: int) -> bool:
-    """Whether a process is there and not a zombie that nobody has collected."""
-    status = Path(f"/proc/{pid}/stat")
-    try:
-        return status.read_text().rsplit(")", 1)[1].split()[0] != "Z"
-    except OSError:
-        return False
 
 
 def number_job(root: Path, number: int) -> Job:
@@ -78,6 +76,50 @@ def test_a_failed_job_leaves_nothing_and_stops_nobody(workers, tmp_path):
         run_jobs([broken[0], number_job(tmp_path, 1), broken[1], number_job(tmp_path, 2)], workers, "")
 
     assert sorted(item.name for item in tmp_path.iterdir()) == ["n1", "n2"]
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_bug_is_raised_when_the_others_are_done(workers, tmp_path):
+    """What is no mistake of the user's comes with its traceback, after all other jobs."""
+    jobs = [Job("buggy", tmp_path / "b", {"bug": 1}, stumble), number_job(tmp_path, 1), number_job(tmp_path, 2)]
+
+    with pytest.raises(BrokenJobError, match=r"(?s)buggy: KeyError: 'absent'.*in stumble"):
+        run_jobs(jobs, workers, "")
+
+    assert sorted(item.name for item in tmp_path.iterdir()) == ["n1", "n2"]
+
+
+def test_a_ledger_keeps_why_a_job_failed_until_it_succeeds(tmp_path):
+    """The reason lies beside the results; the same job forgets it when it is done, another job in its folder never had it."""
+    ledger = Ledger(tmp_path, "render")
+    broken = Job("n", tmp_path / "n", {"number": 1}, partial(fail, "cam00 is gone"))
+    mended = Job("n", tmp_path / "n", {"number": 1}, partial(write_number, 1))
+    other = Job("n", tmp_path / "n", {"number": 2}, partial(write_number, 2))
+
+    failed = attempt_jobs([broken], 1, "", ledger)
+    reasons = [ledger.failure(job.entry) for job in (mended, other)]
+    attempt_jobs([mended], 1, "", ledger)
+
+    assert failed.done == 0
+    assert list(failed.failures) == [reasons[0]]
+    assert "cam00 is gone" in str(reasons[0])
+    assert reasons[1] is None
+    assert ledger.failure(mended.entry) is None
+
+
+def test_what_another_process_works_on_is_left_alone(tmp_path):
+    """A second run of the same job does not take away the half of one that is under way; the folder of a dead one goes."""
+    job = number_job(tmp_path, 1)
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    host = socket.gethostname().replace(".", "-")
+    alive, dead = (tmp_path / f".n1.{host}.{pid}.tmp" for pid in (os.getppid(), ended.pid))
+    alive.mkdir()
+    dead.mkdir()
+
+    run_jobs([job], 1, "")
+
+    assert sorted(item.name for item in tmp_path.iterdir()) == [alive.name, "n1"]
 
 
 def test_workers_die_with_their_parent(tmp_path):

@@ -15,7 +15,11 @@ TARGET = camera_at(0.0, name="target")
 SOURCES = [camera_at(-0.15), camera_at(0.15), camera_at(-0.45), camera_at(0.45)]
 
 
-ONLINE = [label for label, spec in METHODS.items() if spec.online]
+SHIPPED = [label for label, spec in METHODS.items() if not spec.make_from]  # the others have tests of their own
+ONLINE = [label for label in SHIPPED if METHODS[label].online]
+
+
+LADDER = ("no-blending", "distance-based", "ours-geometric", "ours")
 
 
 def psnr_db(image, truth) -> float:
@@ -38,14 +42,14 @@ def test_changing_the_future_does_not_change_the_present(label):
     assert not np.array_equal(first[3], second[3])
 
 
-@pytest.mark.parametrize("label", METHODS)
+@pytest.mark.parametrize("label", SHIPPED)
 def test_equal_inputs_give_equal_bits(label):
     """Playing a sequence twice gives the same images to the last bit."""
     for once, again in zip(play(label, [0.0, 0.1], depth_noise=0.02), play(label, [0.0, 0.1], depth_noise=0.02), strict=True):
         np.testing.assert_array_equal(once, again)
 
 
-@pytest.mark.parametrize("label", METHODS)
+@pytest.mark.parametrize("label", SHIPPED)
 def test_exact_depth_gives_the_captured_view(label):
     """With exact depth and smooth texture every method comes close to the truth away from the square's edge."""
     truth, depth = look(TARGET)
@@ -71,9 +75,9 @@ def test_ours_beats_the_baselines_where_depth_is_noisy():
     """With noisy depth the fused geometry gives a better image than either baseline."""
     truth, _ = look(TARGET)
 
-    scores = {label: psnr_db(play(label, [0.0], depth_noise=0.02)[0], truth) for label in METHODS}
+    scores = {label: psnr_db(play(label, [0.0], depth_noise=0.02)[0], truth) for label in LADDER}
 
-    assert scores["ours-geometric"] > scores["distance-based"] > scores["no-blending"]
+    assert min(scores["ours"], scores["ours-geometric"]) > scores["distance-based"] > scores["no-blending"]
 
 
 def flicker(label: str) -> float:

@@ -201,7 +201,7 @@ def test_a_label_may_set_options():
         ("ours-geometric+beta_temporl=0.6", "did you mean beta_temporal"),
         ("ours-geometric+mask_views=least", "must be one of 'largest', 'mean', got 'least'"),
         ("ours-geometric+temporal=0.5", "must be true or false, got 0.5"),
-        ("no-blending+tau_m=1", "unknown method"),
+        ("no-blending+tau_m=1", "No Blending has no options to set; these have: ours, ours-geometric"),
     ],
 )
 def test_options_that_are_none_are_refused(label, message):

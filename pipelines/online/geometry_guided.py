@@ -26,6 +26,8 @@ class OnlineOptions:
 
     Attributes:
         temporal: the temporal depth filter and the temporal term of the ray march (off: 'No Temporal Filtering').
+        fused: the ray march itself; without it the fused depth is unknown everywhere, for blenders that do not look at it
+            ('No TSDF Guidance').
         lambda_t: colour difference that counts as motion (Eq. 1).
         beta_mask: smallest weight of a new depth (Eq. 1).
         history_tolerance: share of depth by which a new depth may differ from its history and still be mixed with it (Eq. 2).
@@ -52,6 +54,7 @@ class OnlineOptions:
     """
 
     temporal: bool = True
+    fused: bool = True
     lambda_t: float = 0.7
     beta_mask: float = 0.6
     history_tolerance: float = 0.05
@@ -104,13 +107,16 @@ class GeometryGuided:
         marks.append(perf_counter())
         splats = self._splat(instant, filtered)
         marks.append(perf_counter())
-        march = self._march(instant, filtered, splats)
+        depth = self._march(instant, filtered, splats).depth if self.options.fused else None
         marks.append(perf_counter())
         tau = self.options.tau_m * instant.units_per_metre
-        image = self.blender.blend(BlendingInputs(instant, [view.depth for view in filtered], splats, march.depth, tau))
+        known = np.zeros((instant.target.height, instant.target.width), np.float32) if depth is None else depth
+        image = self.blender.blend(BlendingInputs(instant, [view.depth for view in filtered], splats, known, tau))
         marks.append(perf_counter())
-        stages = ("filter", "splat", "tsdf", "blend")
-        return Rendering(image, march.depth, dict(zip(stages, np.diff(marks).tolist(), strict=True)))
+        seconds = dict(zip(("filter", "splat", "tsdf", "blend"), np.diff(marks).tolist(), strict=True))
+        if depth is None:
+            del seconds["tsdf"]
+        return Rendering(image, depth, seconds)
 
     def _splat(self, instant: Instant, filtered: list[FilteredDepth]) -> list[Splat]:
         """Render each view forward: colour, difference mask, coverage and depth (Sec. 3.1)."""

@@ -40,8 +40,8 @@ class RoomPlan:
     """
 
     first_room: int = FIRST_TRAINING_ROOM
-    rooms: int = 60
-    targets: int = 8
+    rooms: int = 25
+    targets: int = 9
     views: int = 4
     other_views: tuple[int, ...] = (2, 3, 5, 6)
     other_share: float = 0.4
@@ -61,7 +61,7 @@ class RoomPlan:
         return range(self.first_room, self.first_room + self.rooms)
 
 
-def validation_plan(views: int, matcher: str, targets: int = 2) -> RoomPlan:
+def validation_plan(views: int, matcher: str, targets: int = 3) -> RoomPlan:
     """The rooms by which choices may be made, with the sources that an evaluation would take."""
     return RoomPlan(VALIDATION_SEEDS[0], len(VALIDATION_SEEDS), targets, views, (), 0.0, wide_share=0.0, matcher=matcher)
 

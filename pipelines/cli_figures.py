@@ -1,0 +1,92 @@
+"""The verbs of the command line that show what was measured: report, slice, figure, compare."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from ggvs_eval.pipelines.cli_captures import Folder
+
+Kind = Annotated[Literal["crops", "failures", "epi", "time", "k"], tyro.conf.Positional]
+Output = Annotated[Path, tyro.conf.Positional]
+
+
+def report(runs: Annotated[tuple[Path, ...], tyro.conf.Positional], out: Path | None = None) -> None:
+    """Write the page, the tables (Markdown, CSV, LaTeX, Excel), the paper's values beside ours, and the figures of scored runs.
+
+    Args:
+        runs: run folders of one protocol.
+        out: folder to write; RUN/report of the first run by default.
+    """
+    from ggvs_eval.pipelines.evaluate import report as write
+
+    print(write(runs, out))
+
+
+def draw_slice(run: Folder, kind: Literal["epi", "time"], out: Path, row: int | None = None, view: str | None = None) -> None:
+    """Draw an epipolar plane image or an x-t slice of every method beside the truth.
+
+    Args:
+        run: run folder with renders.
+        kind: epi: one image row along a horizontal camera path; time: one image row of one view along time.
+        out: PNG, PDF or SVG to write.
+        row: image row; the most telling one by default.
+        view: test view of a time slice; the first by default.
+    """
+    from ggvs_eval.reports.slices import write_slices
+
+    print(write_slices(run, kind, row, view, out))
+
+
+def figure(
+    kind: Kind,
+    run: Folder,
+    out: Output,
+    rule: Literal["different", "worst"] = "different",
+    method: str | None = None,
+    boxes: int = 2,
+    view: str | None = None,
+    frame: int | None = None,
+    row: int | None = None,
+    metrics: tuple[str, ...] = (),
+) -> None:
+    """Draw a figure for a paper, labelled, every method beside the truth.
+
+    Args:
+        kind: crops: a frame with enlarged squares; failures: the worst squares of a method, one per view; epi: an image row along
+            the camera path; time: an image row of a view along time; k: quality and time over the number of source views.
+        run: run folder, rendered and scored; of k the folder of a sweep.
+        out: PNG, PDF or SVG to write; a name without a suffix writes a PNG and a PDF.
+        rule: squares of crops: where methods differ most, or where one method is worst.
+        method: label of that one method; ours by default.
+        boxes: number of squares.
+        view: test view of crops and time; the one with the largest score, and the first, by default.
+        frame: frame of crops; the one with the largest score by default.
+        row: image row of epi and time; the most telling one by default.
+        metrics: panels of k; PSNR and LPIPS by default.
+    """
+    from ggvs_eval.reports.figures import write_figure
+
+    options = {"rule": rule, "method": method, "boxes": boxes, "view": view, "frame": frame, "row": row, "metrics": metrics}
+    print(*write_figure(run, kind, out, **options), sep="\n")  # type: ignore[arg-type]
+
+
+def compare(
+    first: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="A")],
+    second: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="B")],
+    run: Path | None = None,
+    views: bool = False,
+    csv: Path | None = None,
+) -> None:
+    """Say what differs between two runs, method by method, or between two methods of a run, and whether that is significant.
+
+    Args:
+        first: run folder, or with --run the label of a method.
+        second: the other one; differences are the first minus the second.
+        run: run folder that both methods are in.
+        views: also each view by itself.
+        csv: file for all differences, each view's too, unrounded.
+    """
+    from ggvs_eval.reports.compare_text import write_comparison
+
+    print(write_comparison(first, second, run, views, csv))

@@ -1,0 +1,205 @@
+"""The verbs of the command line that make runs: prepare, render, run, sweep, status."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from ggvs_eval.capture import Capture
+from ggvs_eval.errors import ProtocolError, WeightsError
+from ggvs_eval.pipelines.cli_captures import BY_DEFAULT, FOUND_BY_DEFAULT, Finding, Folder, Reading
+from ggvs_eval.pipelines.engine import Engine
+from ggvs_eval.pipelines.ledger import Failure
+from ggvs_eval.pipelines.methods import METHODS, Checkpoints, usual_methods
+from ggvs_eval.processes import default_workers
+from ggvs_eval.protocol import Protocol
+from ggvs_eval.synthetic.options import DemoOptions
+
+Labels = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"{{{','.join(METHODS)}}}")]
+Weights = Annotated[tuple[str, ...], tyro.conf.arg(metavar="METHOD=FILE")]
+Running = tyro.conf.OmitArgPrefixes[Engine]
+HERE = Engine()
+USUAL_METHODS = usual_methods()
+
+
+def prepare(
+    run: Folder,
+    capture: Path,
+    protocol: str | None = None,
+    fuse: bool = False,
+    dense_workspace: Path | None = None,
+    reading: Reading = BY_DEFAULT,
+    depth: Finding = FOUND_BY_DEFAULT,
+    jobs: int = default_workers(),
+) -> None:
+    """Read a capture under a protocol and write what every method needs: truth frames, source views, depth, a page that shows it.
+
+    Args:
+        run: run folder to make or to go on with.
+        capture: folder of the capture; its layout is detected.
+        protocol: a .toml file or a packaged name; by default the packaged one that fits the capture.
+        fuse: also fuse the first instant into a point cloud and a mesh, RUN/fused/<frame>/{points,mesh}.ply.
+        dense_workspace: also write the first instant's depth as a COLMAP dense workspace into this folder.
+        reading: how the capture is read.
+        depth: how depth is found.
+        jobs: processes.
+    """
+    from ggvs_eval.pipelines.depth_outputs import export_prepared, fuse_prepared, write_prepared_page
+    from ggvs_eval.pipelines.prepare import prepare as write
+
+    opened = reading.open(capture)
+    prepared = write(run, opened, _protocol(protocol, opened), jobs, depth)
+    print(write_prepared_page(prepared, depth.options().filled_confidence, jobs))
+    if fuse:
+        fused = fuse_prepared(prepared)
+        print(fused.points, fused.mesh, sep="\n")
+    if dense_workspace:
+        print(export_prepared(prepared, dense_workspace))
+
+
+def render(run: Folder, methods: Labels = USUAL_METHODS, weights: Weights = (), engine: Running = HERE) -> None:
+    """Synthesise every test view of a prepared run by each method.
+
+    Args:
+        run: run folder that `prepare` has made.
+        methods: which methods; what is rendered already is left alone.
+        weights: METHOD=FILE of a method whose weights do not ship: the authors' checkpoint of a baseline.
+        engine: where jobs run.
+    """
+    from ggvs_eval.pipelines.evaluate import reopen
+    from ggvs_eval.pipelines.render import render as synthesise
+
+    prepared = reopen(engine.place(run), engine.jobs)
+    print(f"{synthesise(prepared, methods, engine, _checkpoints(weights))} jobs rendered in {run}")
+
+
+def run(
+    run: Folder,
+    capture: Path | None = None,
+    protocol: str | None = None,
+    methods: Labels = USUAL_METHODS,
+    weights: Weights = (),
+    reading: Reading = BY_DEFAULT,
+    depth: Finding = FOUND_BY_DEFAULT,
+    engine: Running = HERE,
+) -> None:
+    """Do it all: prepare, render, score, report. A second call does only what is missing.
+
+    Args:
+        run: run folder to make or to go on with.
+        capture: folder of the capture; without one the demo capture is made beside the run folder.
+        protocol: a .toml file or a packaged name; by default the packaged one that fits the capture.
+        methods: which methods.
+        weights: METHOD=FILE of a method whose weights do not ship: the authors' checkpoint of a baseline.
+        reading: how the capture is read.
+        depth: how depth is found.
+        engine: where jobs run.
+    """
+    from ggvs_eval.pipelines.evaluate import evaluate
+
+    root, checkpoints = engine.place(run), _checkpoints(weights)
+    opened = reading.open(engine.place(capture or _demo_beside(run, engine.jobs)))
+    chosen = _protocol(protocol, opened)
+    print(evaluate(root, opened, chosen, methods, engine, depth, checkpoints))
+
+
+def sweep(
+    name: Annotated[str, tyro.conf.Positional],
+    out: Folder,
+    capture: tuple[Path, ...] = (),
+    protocol: str | None = None,
+    weights: Weights = (),
+    reading: Reading = BY_DEFAULT,
+    depth: Finding = FOUND_BY_DEFAULT,
+    engine: Running = HERE,
+    shard: str = "1/1",
+    plan: Path | None = None,
+) -> None:
+    """Evaluate every row of a sweep under each of its variants and print one table of all.
+
+    What fails is listed at the end and does not stop the rest; the same call tries it again, and only it.
+
+    Args:
+        name: a packaged sweep (ablations, k, online, readings) or a .toml file.
+        out: folder of the sweep; each variant is a run folder in it, of several captures in a folder called like the capture.
+        capture: folder of the capture, or of several, whose means then stand beside them; without one the demo capture is made.
+        protocol: what the variants start from; by default the packaged one that fits the capture.
+        weights: METHOD=FILE of a method whose weights do not ship; without, its rows are not computed.
+        reading: how the capture is read.
+        depth: how depth is found.
+        engine: where jobs run.
+        shard: i/n, for the i-th of n machines: every n-th view; 0/n prepares for all. A last call without it makes the table.
+        plan: JSON file to write instead of running: the commands of the sweep, and which waits for which.
+    """
+    from ggvs_eval.pipelines.shard import Shard
+    from ggvs_eval.pipelines.sweep import run_sweep, run_sweeps
+    from ggvs_eval.pipelines.sweep_plan import flags, plan_sweep
+    from ggvs_eval.sweep import load_sweep
+
+    wanted, part, checkpoints = load_sweep(name), Shard.parse(shard), _checkpoints(weights)
+    paths = [engine.place(path) for path in capture or (_demo_beside(out, engine.jobs),)]
+    opened = {path.resolve().name: reading.open(path) for path in paths}
+    if len(opened) < len(capture):
+        raise ProtocolError(f"wanted captures whose folders differ in name, got {', '.join(map(str, capture))}; rename one")
+    starts = {folder: (each, _protocol(protocol, each)) for folder, each in opened.items()}
+    if plan:
+        options = [*flags(reading, BY_DEFAULT), *flags(depth, FOUND_BY_DEFAULT), *flags(engine, HERE)]
+        chosen = [*(["--protocol", protocol] if protocol else []), *(["--weights", *weights] if weights else [])]
+        command = ["ggvs-eval", "sweep", name, str(out), "--capture", *map(str, paths), *chosen, *options]
+        print(plan_sweep(plan, engine.place(out), starts, wanted, checkpoints, command))
+        return
+    if len(starts) > 1:
+        result = run_sweeps(engine.place(out), starts, wanted, engine, depth, checkpoints, part)
+    else:
+        ((only, start),) = starts.values()
+        result = run_sweep(engine.place(out), only, wanted, start, engine, depth, checkpoints, part)
+    if not result.table.empty:
+        print(result.table.round(4).to_string())
+    for title, reason in result.not_computed.items():
+        print(f"{title} not computed: {reason}")
+    _end_with(result.failures)
+
+
+def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN_OR_SWEEP")]) -> None:
+    """Tell what of a run or a sweep is done, running, failed and missing, and how large it is. May be asked while it runs.
+
+    Args:
+        folder: run folder, or folder of a sweep.
+    """
+    from ggvs_eval.pipelines.status import describe_status
+
+    print(describe_status(folder))
+
+
+def _end_with(failures: tuple[Failure, ...]) -> None:
+    """List what failed, our own bugs with their tracebacks, and end with 1."""
+    for failure in failures:
+        print(failure.traceback or "", f"failed: {failure}", sep="", file=sys.stderr)
+    if failures:
+        sys.exit(f"ggvs-eval: {len(failures)} failed, listed above; the rest is done, the same call tries only these again")
+
+
+def _checkpoints(weights: tuple[str, ...]) -> Checkpoints:
+    """METHOD=FILE, as often as wanted."""
+    found: dict[str, Path] = {}
+    for each in weights:
+        method, equals, file = each.partition("=")
+        if not equals or method not in METHODS or not Path(file).is_file():
+            able = ", ".join(label for label, spec in METHODS.items() if spec.make_from and "+" not in label)
+            raise WeightsError(f"--weights {each}: wanted METHOD=FILE with one of {able} and a file that exists")
+        found[method] = Path(file).resolve()
+    return found
+
+
+def _demo_beside(run: Path, jobs: int) -> Path:
+    from ggvs_eval.synthetic.demo import write_demo
+
+    return write_demo(run.with_name(f"{run.name}-capture"), DemoOptions(), jobs)
+
+
+def _protocol(source: str | None, capture: Capture) -> Protocol:
+    from ggvs_eval.pipelines.suggest_protocol import suggest_protocol
+    from ggvs_eval.protocol import load_protocol
+
+    return load_protocol(source) if source else suggest_protocol(capture)

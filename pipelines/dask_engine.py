@@ -1,0 +1,87 @@
+"""Run jobs on dask: a cluster of processes on this machine, or the workers of the user's scheduler (Slurm, Kubernetes, SSH)."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from importlib import import_module
+from typing import Any, TypeVar
+
+from ggvs_eval.errors import RenderError
+from ggvs_eval.pipelines.lost_job import LostJob
+from ggvs_eval.processes import default_workers, share_cpus
+
+CONNECT_S = 30
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+def run_on_dask(
+    work: Callable[[Item], Result], items: Sequence[Item], workers: int, scheduler: str | None
+) -> Iterator[tuple[int, Result | LostJob]]:
+    """Do the work for every item on dask workers, which may come, die and come back.
+
+    The scheduler gives an item whose worker is gone to another one; after its `distributed.scheduler.allowed-failures` deaths it
+    takes the item for their cause.
+
+    Args:
+        work: a module-level function or a `functools.partial` of one, known to the workers.
+        items: in the order in which they are begun.
+        workers: processes of the cluster on this machine; of no meaning to a scheduler that is given.
+        scheduler: address; None starts a cluster on this machine.
+
+    Yields:
+        (index of an item, what came of it), in the order in which they end.
+
+    Raises:
+        RenderError: dask is not installed, or nobody answers at the address, or the scheduler has gone away.
+    """
+    distributed = _import_distributed()
+    threads = None if scheduler else max(default_workers() // workers, 1)
+    with _connect(distributed, min(workers, len(items)), scheduler) as client:
+        futures = [client.submit(_work_on, work, item, threads, pure=False) for item in items]
+        index_of = {future.key: index for index, future in enumerate(futures)}
+        for future in distributed.as_completed(futures):
+            if future.cancelled():
+                raise RenderError(f"{scheduler or 'dask'}: the scheduler has gone; what is done stays, run this again")
+            yield index_of[future.key], _outcome(distributed, future)
+
+
+def _work_on(work: Callable[[Item], Result], item: Item, threads: int | None) -> Result:
+    """Runs in a worker; those of another's cluster have the threads that it gave them."""
+    if threads is not None:
+        share_cpus(threads)
+    return work(item)
+
+
+def _outcome(distributed: Any, future: Any) -> Any:
+    """The result of a future that has ended; our own bugs are raised."""
+    try:
+        return future.result()
+    except distributed.KilledWorker as error:
+        return LostJob(f"its worker died {error.allowed_failures + 1} times; it may need more memory than a worker has")
+
+
+@contextmanager
+def _connect(distributed: Any, workers: int, scheduler: str | None) -> Iterator[Any]:
+    """A client of the user's scheduler, or of a cluster that ends with it."""
+    if scheduler:
+        try:
+            client = distributed.Client(scheduler, timeout=CONNECT_S)
+        except (OSError, ValueError) as error:
+            raise RenderError(f"--scheduler {scheduler}: no dask scheduler answers there ({error}); start one") from error
+        with client:
+            yield client
+        return
+    # no page of its own: it would need bokeh and a free port
+    with (
+        distributed.LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        yield client
+
+
+def _import_distributed() -> Any:
+    try:
+        return import_module("distributed")
+    except ImportError as error:
+        raise RenderError(f"--engine dask: {error}; install it with `pip install ggvs-eval[cluster]`") from None

@@ -1,0 +1,65 @@
+"""Where jobs run: in processes of this machine or on workers of dask; the results are the same bits."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal, TypeVar
+
+from ggvs_eval.errors import RenderError
+from ggvs_eval.pipelines.lost_job import LostJob
+from ggvs_eval.processes import default_workers
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class Engine:
+    """Where jobs run, and how many at once.
+
+    Attributes:
+        jobs: processes.
+        engine: processes of this machine, or workers of dask (install ggvs-eval[cluster]).
+        scheduler: address of a dask scheduler, tcp://HOST:8786, whose workers see the same folders; without one `dask` starts
+            its own workers on this machine.
+    """
+
+    jobs: int = field(default_factory=default_workers)
+    engine: Literal["processes", "dask"] = "processes"
+    scheduler: str | None = None
+
+    def run(self, work: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[tuple[int, Result | LostJob]]:
+        """Do the work for every item and yield (index, what came of it) in the order in which they end.
+
+        An item whose process dies is done again; one that takes its process with it every time is a `LostJob`.
+
+        Args:
+            work: a module-level function or a `functools.partial` of one.
+            items: in the order in which they are begun.
+
+        Raises:
+            RenderError: options that contradict each other, or dask is wanted and not there.
+        """
+        if self.jobs < 1:
+            raise RenderError(f"--jobs {self.jobs}: wanted at least 1")
+        if self.engine == "dask":
+            from ggvs_eval.pipelines.dask_engine import run_on_dask
+
+            return run_on_dask(work, items, self.jobs, self.scheduler)
+        if self.scheduler:
+            raise RenderError(f"--scheduler {self.scheduler}: processes need none; add --engine dask")
+        from ggvs_eval.pipelines.process_engine import run_in_processes
+
+        return run_in_processes(work, items, self.jobs)
+
+    def place(self, path: Path) -> Path:
+        """A path as every worker understands it: those of dask may work in another folder."""
+        return path.resolve() if self.engine == "dask" else path
+
+
+Workers = int | Engine  # a number means that many processes of this machine
+
+
+def as_engine(workers: Workers) -> Engine:
+    """The engine of so many processes, or the engine itself."""
+    return Engine(workers) if isinstance(workers, int) else workers

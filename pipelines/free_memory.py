@@ -1,0 +1,57 @@
+"""How much memory this machine, or the container we are in, still has for another process."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+CGROUP = Path("/sys/fs/cgroup")
+MEMINFO = Path("/proc/meminfo")
+KIB = 1024
+
+
+def available_bytes(meminfo: Path = MEMINFO, cgroup: Path = CGROUP) -> float:
+    """Memory that can be taken without swapping; infinite where the system does not tell.
+
+    Args:
+        meminfo: the kernel's account of the machine.
+        cgroup: the account of the container (control groups, version 2); its limit may be lower than the machine's.
+    """
+    machine = _field(meminfo, "MemAvailable:", KIB)
+    try:
+        limit, held = float((cgroup / "memory.max").read_text()), float((cgroup / "memory.current").read_text())
+    except (OSError, ValueError):  # no control groups, or a limit of "max"
+        return machine
+    cache = _field(cgroup / "memory.stat", "inactive_file", 1)  # files the kernel drops when memory is asked for
+    return min(machine, limit - held + (cache if cache != float("inf") else 0))
+
+
+def resident_bytes(pids: Iterable[int]) -> tuple[float, float]:
+    """What processes hold now, all together, and the most that one of them has ever held; 0 where the system does not tell."""
+    now, most = 0.0, 0.0
+    for pid in pids:
+        status = Path(f"/proc/{pid}/status")
+        held, highest = _field(status, "VmRSS:", KIB), _field(status, "VmHWM:", KIB)
+        if held != float("inf"):
+            now, most = now + held, max(most, highest)
+    return now, most
+
+
+def has_room(running: int, pids: Iterable[int]) -> bool:
+    """Whether one more job fits beside those that run, if each needs as much as the largest has needed so far.
+
+    Args:
+        running: jobs that are being worked on; what they have not taken yet is kept for them.
+        pids: the processes that work on them.
+    """
+    held, most = resident_bytes(pids)
+    return available_bytes() + held >= (running + 1) * most
+
+
+def _field(file: Path, name: str, unit_bytes: int) -> float:
+    """A number from a file of `name number` lines, in bytes; infinite where it is not there."""
+    try:
+        for line in file.read_text().splitlines():
+            if line.startswith(name):
+                return float(line.split()[1]) * unit_bytes
+    except OSError:  # another system, or a process that is gone
+        pass
+    return float("inf")

@@ -1,0 +1,125 @@
+"""What a run or a sweep wants done and what failed of it, beside its results; `ggvs-eval status` reads this.
+
+::
+
+    ROOT/jobs/<stage>.json             every job of the stage: name, folder, hash
+    ROOT/jobs/failed/<stage>/*.json    why a job failed when it was last tried
+"""
+
+import hashlib
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ggvs_eval.errors import ResultsError
+from ggvs_eval.run_folder import JOB_FILE, read_json, write_json
+
+JOBS_FOLDER = "jobs"
+STAGES = ("render", "score")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A job as a ledger knows it.
+
+    Attributes:
+        name: for people.
+        folder: where its result goes.
+        sha256: of everything the result depends on.
+    """
+
+    name: str
+    folder: Path
+    sha256: str
+
+    def is_done(self) -> bool:
+        """Whether the folder holds the result of exactly this job."""
+        try:
+            return bool(read_json(self.folder / JOB_FILE)["sha256"] == self.sha256)
+        except (ResultsError, KeyError, TypeError):
+            return False
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why something was not done.
+
+    Attributes:
+        name: of the job.
+        message: one line.
+        traceback: of our own bugs; empty where the user can mend it.
+    """
+
+    name: str
+    message: str
+    traceback: str = ""
+
+    def __str__(self) -> str:
+        """What failed and why, in one line."""
+        return f"{self.name}: {' '.join(self.message.split())}"
+
+
+@dataclass(frozen=True)
+class Ledger:
+    """The jobs of one stage of a run or sweep.
+
+    Attributes:
+        root: folder of the run or sweep; the folders of all jobs lie in it.
+        stage: one of `STAGES`.
+    """
+
+    root: Path
+    stage: str
+
+    @property
+    def file(self) -> Path:
+        """The list of jobs."""
+        return self.root / JOBS_FOLDER / f"{self.stage}.json"
+
+    def write(self, entries: Sequence[Entry], keep: bool = False) -> None:
+        """Say what is wanted.
+
+        Args:
+            entries: all jobs of the stage.
+            keep: leave in the list what is there for other folders: another shard's, or another sweep's of the same root.
+        """
+        jobs = {self._relative(each): {"name": each.name, "sha256": each.sha256} for each in entries}
+        if keep and self.file.is_file():
+            jobs = read_json(self.file)["jobs"] | jobs
+        write_json(self.file, {"begun_s": time.time(), "jobs": jobs})
+
+    def read(self) -> tuple[float, list[Entry]]:
+        """When the stage was begun, in seconds since 1970, and its jobs.
+
+        Raises:
+            ResultsError: nothing was written, or it is damaged.
+        """
+        record = read_json(self.file)
+        entries = [Entry(job["name"], self.root / folder, job["sha256"]) for folder, job in record["jobs"].items()]
+        return record["begun_s"], entries
+
+    def note(self, entry: Entry, failure: Failure | None) -> None:
+        """Keep why a job failed, or forget it."""
+        note = self._note(entry)
+        if failure is None:
+            note.unlink(missing_ok=True)
+            return
+        record = {"sha256": entry.sha256, "name": failure.name, "message": failure.message, "traceback": failure.traceback}
+        write_json(note, record)
+
+    def failure(self, entry: Entry) -> Failure | None:
+        """Why this very job failed when it was last tried; None where it did not."""
+        try:
+            record = read_json(self._note(entry))
+        except ResultsError:
+            return None
+        same = record["sha256"] == entry.sha256
+        return Failure(record["name"], record["message"], record["traceback"]) if same else None
+
+    def _note(self, entry: Entry) -> Path:
+        name = hashlib.sha256(self._relative(entry).encode()).hexdigest()[:16]
+        return self.root / JOBS_FOLDER / "failed" / self.stage / f"{name}.json"
+
+    def _relative(self, entry: Entry) -> str:
+        return entry.folder.relative_to(self.root).as_posix()

@@ -1,0 +1,48 @@
+"""What the command line, the folders and the tables know of a method."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from ggvs_eval.baselines.method import Method
+
+BASELINE_CODE = ("ggvs_eval.kernels", "ggvs_eval.geometry", "ggvs_eval.baselines")
+ONLINE_CODE = (*BASELINE_CODE, "ggvs_eval.pipelines.online")
+
+
+def shipped(name: str) -> Path:
+    """A file of trained weights that ships."""
+    return Path(str(resources.files("ggvs_eval.pipelines") / "weights" / name))
+
+
+@dataclass(frozen=True)
+class MethodSpec:
+    """One method or variant of it.
+
+    Attributes:
+        title: how tables call it.
+        describe: one line for the help and the report.
+        make: builds a fresh object that renders one sequence.
+        packages: code its output depends on; a change there makes its renders stale.
+        ours: whether it is this project's method or an ablation of it.
+        online: whether it sees nothing of the future.
+        usual: whether it is rendered where nobody names methods; ablations that only a sweep asks for are not.
+        weights: files of the trained weights it renders with.
+        checkpoint: what the user has to give, of a method whose weights do not ship.
+        make_from: builds one with such a checkpoint.
+        make_with: builds one with other `OnlineOptions`, for labels such as ``ours+beta_temporal=0.6``.
+    """
+
+    title: str
+    describe: str
+    make: Callable[[], Method]
+    packages: tuple[str, ...]
+    ours: bool = False
+    online: bool = True
+    usual: bool = True
+    weights: tuple[Path, ...] = ()
+    checkpoint: str = ""
+    make_from: Callable[[Path], Method] | None = None
+    make_with: Callable[[Any], Method] | None = None

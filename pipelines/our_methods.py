@@ -1,0 +1,114 @@
+"""The paper's method and its ablations, with trained and with geometric weights."""
+
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from ggvs_eval.baselines.method import Method
+from ggvs_eval.pipelines.method_spec import ONLINE_CODE, MethodSpec, shipped
+
+if TYPE_CHECKING:
+    from ggvs_eval.pipelines.online.blend_maps import Guidance
+
+
+def _geometric(options: Any = None, background: bool = True) -> Method:
+    """With geometric weights in place of the network, and `OnlineOptions`."""
+    from ggvs_eval.pipelines.online.geometric_blender import GeometricBlender
+    from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
+
+    return GeometryGuided(options, GeometricBlender(background=background))
+
+
+def _geometric_with(**changed: Any) -> Method:
+    from ggvs_eval.pipelines.online.geometry_guided import OnlineOptions
+
+    return _geometric(OnlineOptions(**changed))
+
+
+def _offline() -> Method:
+    from ggvs_eval.pipelines.online.whole_sequence import WholeSequence
+
+    return WholeSequence()
+
+
+def _learned(options: Any = None, guidance: "Guidance" = "registered") -> Method:
+    """With the network that ships for a guidance, and `OnlineOptions`."""
+    from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
+    from ggvs_eval.pipelines.online.network_blender import NetworkBlender
+
+    return GeometryGuided(options, NetworkBlender(guidance=guidance))
+
+
+def _learned_with(guidance: "Guidance", **changed: Any) -> Method:
+    from ggvs_eval.pipelines.online.geometry_guided import OnlineOptions
+
+    return _learned(OnlineOptions(**changed), guidance)
+
+
+OURS: dict[str, MethodSpec] = {
+    "ours+no-tsdf": MethodSpec(
+        "Ours, No TSDF Guidance",
+        "no fused depth; the network was trained without it",
+        partial(_learned_with, "none", fused=False),
+        ONLINE_CODE,
+        ours=True,
+        weights=(shipped("blend-no-tsdf.safetensors"),),
+    ),
+    "ours+no-temporal": MethodSpec(
+        "Ours, No Temporal Filtering",
+        "without temporal depth filter and temporal term of the ray march",
+        partial(_learned_with, "registered", temporal=False),
+        ONLINE_CODE,
+        ours=True,
+        weights=(shipped("blend.safetensors"),),
+    ),
+    "ours": MethodSpec(
+        "Ours",
+        "the whole online method: splats, filtered and fused depth, blending network",
+        _learned,
+        ONLINE_CODE,
+        ours=True,
+        weights=(shipped("blend.safetensors"),),
+        make_with=_learned,
+    ),
+    "ours-geometric": MethodSpec(
+        "Ours (geometric weights)",
+        "the whole online method with geometric weights in place of the blending network",
+        _geometric,
+        ONLINE_CODE,
+        ours=True,
+        make_with=_geometric,
+    ),
+    "ours-geometric+no-temporal": MethodSpec(
+        "Ours (geometric weights), No Temporal Filtering",
+        "without temporal depth filter and temporal term of the ray march",
+        partial(_geometric_with, temporal=False),
+        ONLINE_CODE,
+        ours=True,
+        usual=False,
+    ),
+    "ours-geometric+point-splat": MethodSpec(
+        "Ours (geometric weights), Point Splats",
+        "views rendered forward as points of one pixel, not as pixel-sized Gaussians",
+        partial(_geometric_with, splatted_as="points"),
+        ONLINE_CODE,
+        ours=True,
+        usual=False,
+    ),
+    "ours-geometric+no-background": MethodSpec(
+        "Ours (geometric weights), No Background Blending",
+        "what no view shows stays black",
+        partial(_geometric, background=False),
+        ONLINE_CODE,
+        ours=True,
+        usual=False,
+    ),
+    "ours-geometric+offline": MethodSpec(
+        "Ours (geometric weights), Not Online",
+        "a reference that sees the whole sequence: depth filtered backwards in time, then forwards",
+        _offline,
+        ONLINE_CODE,
+        ours=True,
+        online=False,
+        usual=False,
+    ),
+}

@@ -1,0 +1,83 @@
+"""Run jobs in processes of this machine: no more at once than its memory holds, and again where a process was killed."""
+
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import active_children
+from typing import TypeVar
+
+from ggvs_eval.pipelines.free_memory import has_room
+from ggvs_eval.pipelines.lost_job import LostJob
+from ggvs_eval.processes import worker_pool
+
+TRIES_ALONE = 2
+LOOK_AGAIN_S = 0.5  # while a job waits for memory
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+Entry = tuple[int, Item]
+
+
+def run_in_processes(
+    work: Callable[[Item], Result], items: Sequence[Item], workers: int
+) -> Iterator[tuple[int, Result | LostJob]]:
+    """Do the work for every item; with one worker, or one item, in this very process.
+
+    A killed process (the kernel's way to say that memory is out) takes the whole pool with it. Every item that was in hand is
+    then tried again alone, so that what is too large for company is done, and what kills its process is told from its neighbours.
+
+    Args:
+        work: a module-level function or a `functools.partial` of one.
+        items: in the order in which they are begun.
+        workers: processes.
+
+    Yields:
+        (index of an item, what came of it), in the order in which they end.
+    """
+    if workers == 1 or len(items) == 1:
+        yield from ((index, work(item)) for index, item in enumerate(items))
+        return
+    waiting = deque(enumerate(items))
+    while waiting:
+        in_hand = yield from _run_pool(work, waiting, min(workers, len(waiting)))
+        for index, item in in_hand:
+            yield index, _run_alone(work, item)
+
+
+def _run_pool(
+    work: Callable[[Item], Result], waiting: deque[Entry[Item]], workers: int
+) -> Generator[tuple[int, Result], None, list[Entry[Item]]]:
+    """Work until nothing waits or the pool breaks; give back what was in hand then."""
+    running: dict[Future[Result], Entry[Item]] = {}
+    with worker_pool(workers) as pool:
+        try:
+            while waiting or running:
+                while waiting and len(running) < workers and _fits(len(running)):
+                    running[pool.submit(work, waiting[0][1])] = waiting[0]
+                    waiting.popleft()
+                done, _ = wait(running, LOOK_AGAIN_S, FIRST_COMPLETED)
+                for future in done:
+                    result = future.result()
+                    yield running.pop(future)[0], result
+        except BrokenProcessPool:
+            ended = [future for future in running if future.done() and future.exception() is None]
+            for future in ended:
+                yield running.pop(future)[0], future.result()
+    return list(running.values())
+
+
+def _fits(running: int) -> bool:
+    """Whether another job fits into memory; one always may."""
+    return running == 0 or has_room(running, [child.pid for child in active_children() if child.pid])
+
+
+def _run_alone(work: Callable[[Item], Result], item: Item) -> Result | LostJob:
+    """Try an item in a process that nobody else's death can end."""
+    for _ in range(TRIES_ALONE):
+        try:
+            with worker_pool(1) as pool:
+                return pool.submit(work, item).result()
+        except BrokenProcessPool:
+            continue
+    return LostJob(f"its process was killed {TRIES_ALONE + 1} times, at last alone on the machine; it may need more memory")

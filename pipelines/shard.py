@@ -1,0 +1,51 @@
+"""One part of a sweep, for one of several machines: whole views, which no measure needs another view for."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+from ggvs_eval.errors import ProtocolError
+
+Unit = TypeVar("Unit")
+
+
+@dataclass(frozen=True)
+class Shard:
+    """Every n-th view of a sweep; the shards of one n have no view in common and together all of them.
+
+    Attributes:
+        number: from 1 to `of`; 0 has no view, so that it only prepares what all others need.
+        of: how many shards there are.
+    """
+
+    number: int
+    of: int
+
+    @classmethod
+    def parse(cls, text: str) -> "Shard":
+        """``i/n`` as it is typed.
+
+        Raises:
+            ProtocolError: not two such numbers.
+        """
+        number, _, of = text.partition("/")
+        if not (number.isdecimal() and of.isdecimal() and int(number) <= int(of) and int(of) > 0):
+            raise ProtocolError(f"--shard {text}: wanted i/n with i from 1 to n, such as 2/5, or 0/n to prepare only")
+        return cls(int(number), int(of))
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether this is all there is to do."""
+        return self == WHOLE
+
+    @property
+    def prepares_only(self) -> bool:
+        """Whether nothing is to be rendered."""
+        return self.number == 0
+
+    def pick(self, units: Sequence[Unit]) -> list[Unit]:
+        """This shard's share of what all shards list in the same order."""
+        return [] if self.prepares_only else list(units[self.number - 1 :: self.of])
+
+
+WHOLE = Shard(1, 1)

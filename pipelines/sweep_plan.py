@@ -1,0 +1,75 @@
+"""A sweep as commands that wait for each other, for schedulers that are not ours: Slurm arrays, Make, Snakemake."""
+
+from collections.abc import Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from ggvs_eval.pipelines.methods import Checkpoints
+from ggvs_eval.pipelines.sweep_cells import PATH, Captures, Cell, sweep_cells, units_of
+from ggvs_eval.run_folder import write_json
+from ggvs_eval.sweep import Sweep
+
+PREPARE, TABLE = "prepare", "table"
+
+
+def plan_sweep(
+    file: Path, root: Path, captures: Captures, sweep: Sweep, checkpoints: Checkpoints, command: Sequence[str]
+) -> Path:
+    """Write a JSON plan: a job that prepares, one per run and view, and one that makes the table.
+
+    Each job is a command that can be given to any machine which sees the captures and the sweep's folder; given twice it finds
+    its results and does nothing.
+
+    Args:
+        file: to write.
+        root: folder of the sweep.
+        captures: as of `run_sweeps`; a single one needs no folder of its own.
+        sweep: rows and variants.
+        checkpoints: of methods whose weights do not ship.
+        command: the words that run the whole sweep.
+
+    Returns:
+        The file.
+
+    Raises:
+        ProtocolError: no row can be computed.
+    """
+    cells, _ = sweep_cells(root, captures if len(captures) > 1 else {"": next(iter(captures.values()))}, sweep, checkpoints)
+    units = units_of(cells)
+    ids = [f"{cell.name}/{view}" for cell, view in units]
+    views = [
+        _job(name, [*command, "--shard", f"{number}/{len(units)}"], [PREPARE], _folders(cell, view))
+        for number, (name, (cell, view)) in enumerate(zip(ids, units, strict=True), start=1)
+    ]
+    first = _job(PREPARE, [*command, "--shard", f"0/{len(units)}"], [], [str(cell.run.root) for cell in cells])
+    last = _job(TABLE, [*command], ids, [str(cells[0].root / "sweep.csv")])
+    write_json(file, {"jobs": [first, *views, last]})
+    return file
+
+
+def flags(options: Any, default: Any) -> list[str]:
+    """A frozen dataclass of options as words of the command line; only what differs from its defaults.
+
+    Args:
+        options: values that are truth values, numbers, texts, paths or None.
+        default: an object of the same class.
+    """
+    words: list[str] = []
+    for field in fields(options):
+        value, usual = getattr(options, field.name), getattr(default, field.name)
+        name = field.name.replace("_", "-")
+        if value == usual:
+            continue
+        words += ["--" + ("" if value else "no-") + name] if isinstance(usual, bool) else [f"--{name}", str(value)]
+    return words
+
+
+def _job(name: str, command: Sequence[str], after: Sequence[str], makes: Sequence[str]) -> dict[str, Any]:
+    return {"id": name, "command": list(command), "after": list(after), "makes": list(makes)}
+
+
+def _folders(cell: Cell, view: str) -> list[str]:
+    """Where a unit's results go."""
+    renders = [cell.run.path(label) if view == PATH else cell.run.renders(label, view) for label in cell.labels]
+    return [str(folder) for folder in (renders if view == PATH else [*renders, cell.run.scores(view)])]

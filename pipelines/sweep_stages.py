@@ -1,0 +1,107 @@
+"""The stages of a sweep, each over all of its runs at once: one bar, one pool, and what fails stops nothing else."""
+
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import TypeVar
+
+from ggvs_eval.errors import GgvsError
+from ggvs_eval.pipelines.engine import Engine
+from ggvs_eval.pipelines.jobs import Attempt, Job, attempt_jobs
+from ggvs_eval.pipelines.ledger import Failure, Ledger
+from ggvs_eval.pipelines.methods import Checkpoints
+from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
+from ggvs_eval.pipelines.prepare import Prepared, prepare
+from ggvs_eval.pipelines.render import note_labels, render_jobs
+from ggvs_eval.pipelines.score import score_jobs
+from ggvs_eval.pipelines.sweep_cells import PATH, Cell
+
+Value = TypeVar("Value")
+Share = Mapping[str, set[str]]  # name of a cell -> its views, and PATH, that are to be worked on
+
+
+def attempt(name: str, work: Callable[[], Value]) -> tuple[Value | None, list[Failure]]:
+    """Do something, and take its failure for a result."""
+    try:
+        return work(), []
+    except GgvsError as error:
+        return None, [Failure(name, str(error))]
+    except Exception as error:
+        return None, [Failure(name, f"{type(error).__name__}: {error}", traceback.format_exc())]
+
+
+def prepare_cells(cells: Sequence[Cell], engine: Engine, depth: DepthChoice | None) -> tuple[dict[str, Prepared], list[Failure]]:
+    """Write frames and depth of every run, one after the other, each in all processes.
+
+    Returns:
+        By the names of the cells, those that are ready; and why others are not.
+    """
+    ready, failures = {}, []
+    for cell in cells:
+        cell.share_folders()
+        prepared, why_not = attempt(
+            f"prepare {cell.name}", partial(prepare, cell.run.root, cell.capture, cell.protocol, engine.jobs, depth)
+        )
+        failures += why_not
+        if prepared is not None:
+            ready[cell.name] = prepared
+    return ready, failures
+
+
+def render_cells(
+    cells: Sequence[Cell], ready: Mapping[str, Prepared], engine: Engine, checkpoints: Checkpoints, share: Share
+) -> tuple[dict[str, list[str]], list[Failure]]:
+    """Render what is shared out of every run that is ready.
+
+    Returns:
+        Name of a cell -> methods whose views are all there, as far as they are shared out; and what failed.
+    """
+    jobs: dict[tuple[str, str], list[Job]] = {}
+    for cell in cells:
+        for label in cell.labels if cell.name in ready else ():
+            made = render_jobs(ready[cell.name], [label], engine, checkpoints)
+            mine = [job for job in made if _view_of(job, cell) in share[cell.name]]
+            jobs[cell.name, label] = [replace(job, name=f"{cell.name}: {job.name}") for job in mine]
+    tried = _attempt_all(cells, "render", [job for some in jobs.values() for job in some], engine, "rendering")
+    whole: dict[str, list[str]] = {}
+    for cell in cells:
+        if cell.name in ready:
+            note_labels(cell.run, cell.labels)
+            seen = {label: [job for job in jobs[cell.name, label] if _view_of(job, cell) != PATH] for label in cell.labels}
+            whole[cell.name] = [label for label, views in seen.items() if all(job.is_done() for job in views)]
+    return whole, list(tried.failures)
+
+
+def score_cells(
+    cells: Sequence[Cell], whole: Mapping[str, list[str]], engine: Engine, share: Share
+) -> tuple[set[str], list[Failure]]:
+    """Measure the views that are shared out of every run, all methods of a view together.
+
+    Returns:
+        Names of cells of which nothing failed; and what did.
+    """
+    jobs: dict[str, list[Job]] = {}
+    failures: list[Failure] = []
+    for cell in cells:
+        views = [view for view in cell.protocol.views.test if view in share.get(cell.name, ())]
+        if whole.get(cell.name) and views:
+            made, why_not = attempt(f"score {cell.name}", partial(score_jobs, cell.run, whole[cell.name], views))
+            failures += why_not
+            if made is not None:
+                jobs[cell.name] = [replace(job, name=f"{cell.name}: {job.name}") for job in made]
+    tried = _attempt_all(cells, "score", [job for some in jobs.values() for job in some], engine, "scoring")
+    good = {name for name, some in jobs.items() if all(job.is_done() for job in some)}
+    return good, [*failures, *tried.failures]
+
+
+def _attempt_all(cells: Sequence[Cell], stage: str, jobs: Sequence[Job], engine: Engine, doing: str) -> Attempt:
+    """Run the jobs of a stage, known to the sweep's ledger."""
+    ledger = Ledger(cells[0].root, stage)
+    ledger.write([job.entry for job in jobs], keep=True)
+    return attempt_jobs(jobs, engine, doing, ledger)
+
+
+def _view_of(job: Job, cell: Cell) -> str:
+    """The test view of a job that renders, or `PATH`."""
+    return PATH if job.folder.parent == cell.run.path("") else job.folder.name

@@ -1,0 +1,140 @@
+"""Engines: wherever jobs run, whoever kills their processes, the same results come out."""
+
+import os
+import signal
+import time
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from ggvs_eval.errors import RenderError
+from ggvs_eval.pipelines import free_memory
+from ggvs_eval.pipelines.engine import Engine
+from ggvs_eval.pipelines.jobs import Job, attempt_jobs, run_jobs
+
+ENGINES = [Engine(2), Engine(2, "dask")]
+
+
+def write_square(number: int, folder: Path) -> dict:
+    (folder / "square.txt").write_text(str(number**2))
+    return {"number": number}
+
+
+def be_killed(times: int, diary: Path, folder: Path) -> dict:
+    """Die by kill -9, as the kernel does when memory is out, so many times; then do the work."""
+    deaths = len(list(diary.glob("death*")))
+    if deaths < times:
+        (diary / f"death{deaths}").touch()
+        time.sleep(0.3)  # others are in hand then
+        os.kill(os.getpid(), signal.SIGKILL)
+    return write_square(3, folder)
+
+
+def square_job(root: Path, number: int) -> Job:
+    return Job(f"square {number}", root / f"s{number}", {"number": number}, partial(write_square, number))
+
+
+def killed_job(root: Path, times: int) -> Job:
+    diary = root.parent / "diary"
+    diary.mkdir()
+    return Job("killed", root / "killed", {"killed": times}, partial(be_killed, times, diary))
+
+
+def contents(root: Path) -> dict[str, bytes]:
+    return {file.relative_to(root).as_posix(): file.read_bytes() for file in root.rglob("*") if file.is_file()}
+
+
+@pytest.fixture
+def dask_or_skip(request):
+    if "engine" in request.fixturenames and request.getfixturevalue("engine").engine == "dask":
+        pytest.importorskip("distributed")
+
+
+@pytest.mark.parametrize("engine", ENGINES, ids=["processes", "dask"])
+def test_every_engine_gives_the_same_files(engine, dask_or_skip, tmp_path):
+    """Byte for byte what one process writes, and nothing twice."""
+    for name, where in (("serial", 1), ("parallel", engine)):
+        assert run_jobs([square_job(tmp_path / name, number) for number in range(5)], where, "") == 5
+
+    assert contents(tmp_path / "parallel") == contents(tmp_path / "serial")
+    assert run_jobs([square_job(tmp_path / "parallel", number) for number in range(5)], engine, "") == 0
+
+
+@pytest.mark.parametrize("engine", ENGINES, ids=["processes", "dask"])
+def test_a_killed_worker_costs_no_result(engine, dask_or_skip, tmp_path):
+    """A job whose process is killed is done again, the others are done once, and nothing half is left."""
+    root = tmp_path / "root"
+
+    attempt = attempt_jobs([killed_job(root, 1), *(square_job(root, number) for number in range(6))], engine, "")
+
+    assert (attempt.done, attempt.failures) == (7, ())
+    assert (root / "killed" / "square.txt").read_text() == "9"
+    assert sorted(item.name for item in root.iterdir()) == ["killed", *(f"s{number}" for number in range(6))]
+
+
+@pytest.mark.parametrize("engine", ENGINES, ids=["processes", "dask"])
+def test_a_job_that_kills_every_worker_is_given_up(engine, dask_or_skip, tmp_path):
+    """It is named with a reason; those beside it, whose processes it took along, are done."""
+    root = tmp_path / "root"
+
+    attempt = attempt_jobs([killed_job(root, 99), *(square_job(root, number) for number in range(3))], engine, "")
+
+    assert attempt.done == 3
+    assert [failure.name for failure in attempt.failures] == ["killed"]
+    assert "memory" in attempt.failures[0].message
+    assert sorted(item.name for item in root.iterdir()) == ["s0", "s1", "s2"]
+
+
+@pytest.mark.parametrize(("running", "fits"), [(2, True), (3, False)])
+def test_a_job_waits_for_memory(running, fits, monkeypatch):
+    """Jobs that need 300 MB, of which those that run hold 600 MB by now, and 300 MB are free: 3 fit, a fourth does not."""
+    monkeypatch.setattr(free_memory, "available_bytes", lambda: 300e6)
+    monkeypatch.setattr(free_memory, "resident_bytes", lambda pids: (600e6, 300e6))
+
+    assert free_memory.has_room(running, []) == fits
+
+
+def test_the_memory_of_a_container_is_its_own(tmp_path):
+    """Of 1000 MB 850 are taken, 150 of them by files that can go; without a container the machine counts."""
+    files = {"memory.max": 1000e6, "memory.current": 850e6}
+    for name, value in files.items():
+        (tmp_path / name).write_text(f"{value:.0f}\n")
+    (tmp_path / "memory.stat").write_text("anon 1\ninactive_file 150000000\n")
+    (tmp_path / "meminfo").write_text("MemTotal: 9000000 kB\nMemAvailable: 8000000 kB\n")
+
+    available = free_memory.available_bytes(tmp_path / "meminfo", tmp_path)
+
+    assert available == 300e6
+    assert free_memory.available_bytes(tmp_path / "meminfo", tmp_path / "no-groups") == 8000000 * 1024
+    assert free_memory.available_bytes(tmp_path / "none", tmp_path / "none") == float("inf")
+
+
+def test_the_memory_of_processes_is_read():
+    """This process holds something, and has held at least that; one that is gone holds nothing."""
+    now, most = free_memory.resident_bytes([os.getpid()])
+
+    assert 1e6 < now <= most
+    assert free_memory.resident_bytes([2**22 + 1]) == (0, 0)
+
+
+@pytest.mark.parametrize(
+    ("engine", "message"),
+    [
+        (Engine(0), "at least 1"),
+        (Engine(2, scheduler="tcp://host:8786"), "add --engine dask"),
+    ],
+)
+def test_options_that_contradict_each_other_are_refused(engine, message, tmp_path):
+    """One line says what to change; nothing has begun."""
+    with pytest.raises(RenderError, match=message):
+        run_jobs([square_job(tmp_path, 1)], engine, "")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_dask_is_asked_for_when_it_is_not_there(monkeypatch, tmp_path):
+    """Without the extra the message says what to install."""
+    monkeypatch.setitem(__import__("sys").modules, "distributed", None)
+
+    with pytest.raises(RenderError, match=r"pip install ggvs-eval\[cluster\]"):
+        run_jobs([square_job(tmp_path, 1)], Engine(1, "dask"), "")
