@@ -17,6 +17,8 @@ from ggvs_eval.reports.measured import MeasuredRun
 from ggvs_eval.reports.method_videos import VIDEO_BYTES, method_videos
 from ggvs_eval.reports.path_pictures import PATH_BYTES, path_pictures
 from ggvs_eval.reports.published import CAVEATS, published_tables
+from ggvs_eval.reports.reproduction import MEANING, Reproduction
+from ggvs_eval.reports.reproduction_formats import blocks, count_words
 from ggvs_eval.reports.scripts import TEMPLATES, page_script, script_digest
 from ggvs_eval.reports.slice_figure import NO_TRUTH
 from ggvs_eval.reports.slices import Slices
@@ -46,13 +48,16 @@ class RunSection:
     panels: tuple[Panel, ...]
 
 
-def render_page(sections: Sequence[RunSection], tables: Sequence[Table], provenance: dict[str, Any]) -> str:
+def render_page(
+    sections: Sequence[RunSection], tables: Sequence[Table], provenance: dict[str, Any], reproduced: Sequence[Reproduction] = ()
+) -> str:
     """Fill the templates.
 
     Args:
         sections: one per run.
         tables: quality, consistency and whatever else was measured, over all runs.
         provenance: of the merged results.
+        reproduced: every value that the paper publishes, beside ours.
 
     Returns:
         The whole page; equal inputs give equal text.
@@ -77,6 +82,12 @@ def render_page(sections: Sequence[RunSection], tables: Sequence[Table], provena
         metrics=sections[0].run.metrics,
         published=published_tables(),
         caveats=CAVEATS,
+        reproduction={
+            "blocks": blocks(reproduced),
+            "counts": count_words(reproduced),
+            "meaning": MEANING,
+            "values": len(reproduced),
+        },
         has_published_rows=any(row.kind == "published" for table in tables for row in table.rows),
         error_scale=png_uri(error_scale()),
         error_full_scale=int(ERROR_FULL_SCALE),

@@ -31,11 +31,14 @@ CSV_HEAD = (
     *("table", "dataset", "method", "kind", "column", "unit", "higher_is_better"),
     *("value", "lo", "hi", "shown", "best", "note"),
 )
+HELD_BACK = 40  # tables; LaTeX keeps those that no text follows, and stops at the 53rd
 LATEX_HEAD = r"""% \usepackage{booktabs}
 % \usepackage[table]{xcolor}
+% \usepackage{graphicx}
 % Blue: the better half of each column, proportional to its standing, on the scale of the paper's tables.
 % Bold: the best, and what cannot be told from it.
 % Grey: published values, measured by others on other terms.
+\providecommand{\fittowidth}[1]{\sbox0{#1}\ifdim\wd0>\linewidth\resizebox{\linewidth}{!}{\usebox0}\else\usebox0\fi}
 """
 
 
@@ -44,12 +47,12 @@ def to_markdown(tables: Sequence[Table], notes: Sequence[str] = ()) -> str:
     parts = []
     for table in tables:
         heads = ["Method", *(_head(column) for column in table.columns)]
-        lines = [f"## {_markdown(_title(table))}", "", _markdown(table.caption), "", _markdown_row(heads)]
+        lines = [f"## {escape_markdown(_title(table))}", "", escape_markdown(table.caption), "", _markdown_row(heads)]
         lines.append("|---|" + "---:|" * len(table.columns))
         for row in table.rows:
             lines.append(_markdown_row([_markdown_text(row, row.name), *(_markdown_cell(row, cell) for cell in row.cells)]))
         parts.append("\n".join(lines))
-    closing = "\n".join(f"- {_markdown(note)}" for note in notes)
+    closing = "\n".join(f"- {escape_markdown(note)}" for note in notes)
     return "\n\n".join([*parts, *([closing] if closing else [])]) + "\n"
 
 
@@ -77,7 +80,8 @@ def _csv_cell(cell: Cell) -> list[object]:
 def to_latex(tables: Sequence[Table], notes: Sequence[str] = ()) -> str:
     """``table`` environments for booktabs and xcolor, shaded as the paper's."""
     comments = "".join(f"% {' '.join(note.split())}\n" for note in notes)
-    return LATEX_HEAD + comments + "\n" + "\n".join(_latex_table(table) for table in tables)
+    breaks = ["\\clearpage\n" if at and at % HELD_BACK == 0 else "" for at in range(len(tables))]
+    return LATEX_HEAD + comments + "\n" + "\n".join(map("".join, zip(breaks, map(_latex_table, tables), strict=True)))
 
 
 def escape_latex(text: str) -> str:
@@ -99,13 +103,14 @@ def _latex_table(table: Table) -> str:
         r"\begin{table}",
         rf"\caption{{\label{{table:{label}}}\textbf{{{escape_latex(_title(table))}.}} {escape_latex(table.caption)}}}",
         r"\centering\small",
+        r"\fittowidth{%",
         rf"\begin{{tabular}}{{l{'c' * len(table.columns)}}}",
         r"\toprule",
         " & ".join(["Method", *heads]) + r" \\",
         r"\midrule",
         *body,
         r"\bottomrule",
-        r"\end{tabular}",
+        r"\end{tabular}}",
         r"\end{table}",
     ]
     return "\n".join(lines) + "\n"
@@ -130,23 +135,25 @@ def _title(table: Table) -> str:
 
 
 def _head(column: Column) -> str:
-    return " ".join(filter(None, [_markdown(column.name), f"({_markdown(column.unit)})" if column.unit else "", column.arrow]))
+    return " ".join(
+        filter(None, [escape_markdown(column.name), f"({escape_markdown(column.unit)})" if column.unit else "", column.arrow])
+    )
 
 
 def _markdown_cell(row: Row, cell: Cell) -> str:
-    text = f"**{_markdown(cell.text)}**" if cell.best else _markdown_text(row, cell.text)
+    text = f"**{escape_markdown(cell.text)}**" if cell.best else _markdown_text(row, cell.text)
     return f"{text} {cell.spread}" if cell.spread else text
 
 
 def _markdown_text(row: Row, text: str) -> str:
-    return f"*{_markdown(text)}*" if row.is_grey else _markdown(text)
+    return f"*{escape_markdown(text)}*" if row.is_grey else escape_markdown(text)
 
 
 def _markdown_row(cells: Sequence[str]) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-def _markdown(text: str) -> str:
+def escape_markdown(text: str) -> str:
     """Text in which nothing is markup: no table bar, no emphasis, no tag."""
     escaped = re.sub(r"([\\`*_|\[\]])", r"\\\1", " ".join(text.split()))
     return escaped.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")

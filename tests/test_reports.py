@@ -38,12 +38,13 @@ def report(run, tmp_path_factory) -> Path:
 
 
 def test_report_is_whole(report):
-    """A report is a page, three kinds of tables and the figures, and no temporary file stays behind."""
+    """A report is a page, tables of each kind and the figures, and no temporary file stays behind."""
     names = {str(file.relative_to(report)) for file in report.rglob("*") if file.is_file()}
-    figures = {"epi.png", "x-t_cam00.png", "x-t_cam03.png"} | {
+    figures = {"crops.png", "failures.png", "epi.png", "x-t_cam00.png", "x-t_cam03.png"} | {
         f"curves_{m}.png" for m in ("PSNR", "PSNR_cc", "SSIM", "LPIPS", "L1", "TCC")
     }
-    assert names == {"index.html", "tables.md", "tables.csv", "tables.tex"} | {f"figures/{name}" for name in figures}
+    tables = {f"{name}.{kind}" for name in ("tables", "reproduction") for kind in ("md", "csv", "tex")}
+    assert names == {"index.html", "tables.xlsx"} | tables | {f"figures/{name}" for name in figures}
 
 
 def test_page_loads_nothing(report):
