@@ -21,10 +21,10 @@ from ggvs_eval.baselines.gps_gaussian.regressor import MAX_SCALE_M
 from ggvs_eval.baselines.gps_gaussian.tile_renderer import blend_gaussians, render_gaussians
 from ggvs_eval.baselines.gps_gaussian.weights import load_network
 from ggvs_eval.baselines.method import SourceView
-from ggvs_eval.one_thread import one_thread
 from ggvs_eval.errors import RenderError, WeightsError
 from ggvs_eval.geometry import splat
 from ggvs_eval.images import quantise
+from ggvs_eval.one_thread import one_thread
 from scenes import WALL_Z, camera_at, instant, look, texture
 from seeded_networks import seeded_pair, seeded_state
 

@@ -14,8 +14,8 @@ from ggvs_eval.baselines.ibrnet.networks import PARTS, Networks, load_ibrnet
 from ggvs_eval.baselines.ibrnet.rendering import opacity_shares, render_rays
 from ggvs_eval.baselines.ibrnet.samples import coarse_depths, finer_depths, quantiles
 from ggvs_eval.baselines.ibrnet.views import SeenView, projection_of
-from ggvs_eval.one_thread import one_thread
 from ggvs_eval.errors import RenderError, WeightsError
+from ggvs_eval.one_thread import one_thread
 from seeded_baselines import seed_weights, turned_rig
 
 DATA = Path(__file__).parent / "data"

@@ -11,9 +11,9 @@ from ggvs_eval.baselines.enerf.rendering import render_pixels
 from ggvs_eval.baselines.enerf.views import SeenView, extrinsics, intrinsics, padded, see
 from ggvs_eval.baselines.enerf.volumes import Surface, TargetGrid, find_surface
 from ggvs_eval.baselines.method import Instant, Rendering
-from ggvs_eval.one_thread import one_thread
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
+from ggvs_eval.one_thread import one_thread
 
 COARSE_PLANES = 64  # of the published training
 TRAINED_NEAR = 2.125  # nearest depth in training: DTU's 425 mm in units of 200 mm

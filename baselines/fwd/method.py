@@ -13,8 +13,8 @@ from ggvs_eval.baselines.fwd.warping import warp_view
 from ggvs_eval.baselines.fwd.weights import load_network
 from ggvs_eval.baselines.gaussians import near_plane
 from ggvs_eval.baselines.method import Instant, Rendering
-from ggvs_eval.one_thread import one_thread
 from ggvs_eval.errors import RenderError
+from ggvs_eval.one_thread import one_thread
 
 SIZE_MULTIPLE = 4  # the decoder halves half the size once more
 

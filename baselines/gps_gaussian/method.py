@@ -18,8 +18,8 @@ from ggvs_eval.baselines.gps_gaussian.regressor import GaussianMaps
 from ggvs_eval.baselines.gps_gaussian.tile_renderer import render_gaussians
 from ggvs_eval.baselines.gps_gaussian.weights import load_network
 from ggvs_eval.baselines.method import Instant, Map, Rendering, SourceView
-from ggvs_eval.one_thread import one_thread
 from ggvs_eval.errors import RenderError
+from ggvs_eval.one_thread import one_thread
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ from ggvs_eval.baselines.ibrnet.networks import load_ibrnet
 from ggvs_eval.baselines.ibrnet.rendering import rays_at_once, render_rays
 from ggvs_eval.baselines.ibrnet.views import SeenView, projection_of
 from ggvs_eval.baselines.method import Instant, Rendering, SourceView
-from ggvs_eval.one_thread import one_thread
 from ggvs_eval.errors import RenderError
+from ggvs_eval.one_thread import one_thread
 
 NEARER, FARTHER = 0.9, 1.6  # margins that the authors put around the depths of a real scene
 FEWEST_VIEWS = 2  # a sample that one view sees cannot be compared with anything
