@@ -21,7 +21,7 @@ def run_on_dask(
     """Do the work for every item on dask workers, which may come, die and come back.
 
     The scheduler gives an item whose worker is gone to another one; after its `distributed.scheduler.allowed-failures` deaths it
-    takes the item for their cause.
+    takes the item for their cause, and all that waited on the same workers with it: each of these is then tried alone.
 
     Args:
         work: a module-level function or a `functools.partial` of one, known to the workers.
@@ -40,10 +40,18 @@ def run_on_dask(
     with _connect(distributed, min(workers, len(items)), scheduler) as client:
         futures = [client.submit(_work_on, work, item, threads, pure=False) for item in items]
         index_of = {future.key: index for index, future in enumerate(futures)}
+        suspects = []
         for future in distributed.as_completed(futures):
             if future.cancelled():
                 raise RenderError(f"{scheduler or 'dask'}: the scheduler has gone; what is done stays, run this again")
-            yield index_of[future.key], _outcome(distributed, future)
+            outcome, index = _outcome(distributed, future), index_of[future.key]
+            if isinstance(outcome, LostJob):
+                suspects.append(index)
+            else:
+                yield index, outcome
+        for index in suspects:
+            alone = client.submit(_work_on, work, items[index], threads, pure=False)
+            yield index, _outcome(distributed, alone)
 
 
 def _work_on(work: Callable[[Item], Result], item: Item, threads: int | None) -> Result:
