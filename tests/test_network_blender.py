@@ -17,7 +17,7 @@ from ggvs_eval.pipelines.online.blend_network import (
     read_outputs,
 )
 from ggvs_eval.pipelines.online.blend_weights import load_blend_network, shipped_blend_weights
-from ggvs_eval.pipelines.online.blending import BlendingInputs, compose
+from ggvs_eval.pipelines.online.blending import BlendingInputs
 from ggvs_eval.pipelines.online.geometric_blender import GeometricBlender
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
 from ggvs_eval.pipelines.online.network_blender import NetworkBlender, blend_by, blend_start
@@ -100,15 +100,17 @@ def test_zeros_change_nothing():
         torch.testing.assert_close(outputs.background, start["background"])
 
 
-def test_the_twin_composes_as_compose_does():
-    """The torch twin of `compose` gives its values, holes that no view covers included."""
+def test_views_are_composed_over_the_background():
+    """Eqs. 4-5: the views' weighted mean, 0 where no view has weight, and the background over it by its weight."""
     rng = np.random.default_rng(0)
     colours, background = rng.uniform(size=(3, 6, 7, 3)), rng.uniform(size=(6, 7, 3))
     alphas, shares, background_weight = rng.uniform(size=(3, 6, 7)), rng.uniform(size=(3, 6, 7)), rng.uniform(size=(6, 7))
     alphas[:, 2:4, 2:4] = 0
     single = [array.astype(np.float32) for array in (colours, alphas, shares, background, background_weight)]
     colours, alphas, shares, background, background_weight = single
-    expected = compose(list(colours), list(alphas * shares), background, background_weight)
+    weights = (alphas * shares)[..., None]
+    foreground = (weights * colours).sum(axis=0) / (weights.sum(axis=0) + 1e-6)
+    expected = foreground + background_weight[..., None] * (background - foreground)
     shown = torch.from_numpy(background).permute(2, 0, 1)[None]
     outputs = BlendOutputs(
         torch.from_numpy(shares)[None], torch.from_numpy(background_weight)[None], shown, torch.zeros(1, 0, 6, 7)

@@ -140,7 +140,7 @@ def small_outputs(raw: Tensor, near: Tensor, most_views: int) -> Tensor:
 
 
 def compose_tensors(outputs: BlendOutputs, colours: Tensor, coverage: Tensor) -> Tensor:
-    """Eqs. 4-5 as `blending.compose` has them, for a batch.
+    """The views over the background (Eqs. 4-5).
 
     Args:
         outputs: of the network.
@@ -149,6 +149,9 @@ def compose_tensors(outputs: BlendOutputs, colours: Tensor, coverage: Tensor) ->
 
     Returns:
         Images, (B, 3, H, W).
+
+    Reading:
+        The denominator of Eq. 4 lacks its sum over k as printed; the normalised sum is meant.
     """
     foreground = weighted_mean_tensor(colours, outputs.weights * coverage)
     return foreground + outputs.background_weight[:, None] * (outputs.background - foreground)

@@ -8,10 +8,8 @@ from ggvs_eval.baselines.method import Map
 from ggvs_eval.geometry.per_pixel import weighted_mean
 from ggvs_eval.geometry.splat import Splat
 from ggvs_eval.geometry.warp import CapturedView, look_up
-from ggvs_eval.pipelines.online.blending import BlendingInputs
+from ggvs_eval.pipelines.online.blending import COVERED_ALPHA, BlendingInputs
 from ggvs_eval.pipelines.online.inpainting import push_pull
-
-COVERED_ALPHA = 0.5  # from this coverage on a splatted view shows something
 
 
 @dataclass(frozen=True)

@@ -8,14 +8,15 @@ import torch
 
 from ggvs_eval.baselines.method import Map
 from ggvs_eval.errors import RenderError
+from ggvs_eval.geometry.per_pixel import weighted_mean
 from ggvs_eval.one_thread import one_thread
 from ggvs_eval.pipelines.online.blend_maps import BlendMaps, Guidance, blend_maps
 from ggvs_eval.pipelines.online.blend_network import BlendNetwork, small_outputs
 from ggvs_eval.pipelines.online.blend_weights import load_blend_network, shipped_blend_weights
-from ggvs_eval.pipelines.online.blending import BlendingInputs, weighted_mean
+from ggvs_eval.pipelines.online.blending import COVERED_ALPHA, BlendingInputs
 from ggvs_eval.pipelines.online.full_size import composed, refined
 from ggvs_eval.pipelines.online.inpainting import push_pull
-from ggvs_eval.pipelines.online.network_inputs import COVERED_ALPHA, GUIDED, input_channels
+from ggvs_eval.pipelines.online.network_inputs import GUIDED, input_channels
 
 
 @dataclass(frozen=True)

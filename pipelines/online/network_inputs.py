@@ -9,8 +9,8 @@ from ggvs_eval.baselines.method import Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.geometry.pinhole import rigid_between
 from ggvs_eval.pipelines.online.blend_maps import BlendMaps, Guidance, RawViews
+from ggvs_eval.pipelines.online.blending import COVERED_ALPHA
 
-COVERED_ALPHA = 0.5  # from this coverage on a view shows something
 GUIDED = ("registered", "channels")  # by the fused depth
 
 

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from ggvs_eval.pipelines.online.blend_network import BlendOutputs, weighted_mean_tensor
-from ggvs_eval.pipelines.online.network_inputs import COVERED_ALPHA
+from ggvs_eval.pipelines.online.blending import COVERED_ALPHA
 
 
 @dataclass(frozen=True)
