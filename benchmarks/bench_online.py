@@ -24,7 +24,7 @@ from ggvs_eval.pipelines.online.blend_network import BlendConfig, BlendNetwork, 
 from ggvs_eval.pipelines.online.blending import BlendingInputs
 from ggvs_eval.pipelines.online.geometric_blender import GeometricBlender
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
-from ggvs_eval.pipelines.online.network_blender import blend_by, blend_start
+from ggvs_eval.pipelines.online.network_blender import NetworkBlender, blend_by, blend_start
 from ggvs_eval.pipelines.online.network_inputs import input_channels
 
 COMMAND = "python -m benchmarks.bench_online"
@@ -43,6 +43,7 @@ class Setting:
         steps: measured, after warm-up.
         target_ms: wanted median of the whole step; None if frames per second are wanted.
         target_hz: wanted frames per second, from the median.
+        learned: blend by the network that ships, or by geometric weights.
     """
 
     name: str
@@ -52,11 +53,13 @@ class Setting:
     steps: int
     target_ms: float | None = None
     target_hz: float | None = None
+    learned: bool = True
 
 
 WARM_UP = 2
 SETTINGS = (
     Setting("online_step", WIDTH, HEIGHT, 4, 12, target_ms=700.0),
+    Setting("online_geometric_step", WIDTH, HEIGHT, 4, 12, learned=False),
     Setting("online_small_step", 640, 360, 2, 40, target_hz=8.0),
 )
 
@@ -69,7 +72,7 @@ def measure() -> dict[str, dict[str, Any]]:
 
 def measure_setting(setting: Setting) -> dict[str, dict[str, Any]]:
     """The figures of one setting; geometry stands still, which costs the same, and colours are noisy."""
-    scene, method = _scene(setting), GeometryGuided()
+    scene, method = _scene(setting), GeometryGuided(blender=NetworkBlender() if setting.learned else GeometricBlender())
     images = _images(scene)
     instants = [_instant(scene, images[index % 2], index, setting.views) for index in range(WARM_UP + setting.steps)]
     seconds = [method.step(instant).seconds for instant in instants][WARM_UP:]
