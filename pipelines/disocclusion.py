@@ -11,10 +11,9 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.geometry.splat import PixelGaussians, splat
 from ggvs_eval.images import write_image
+from ggvs_eval.pipelines.online.blending import COVERED_ALPHA
 from ggvs_eval.processes import finish_all, worker_pool
 from ggvs_eval.run_folder import frame_path, missing_frames
-
-COVERED_ALPHA = 0.5  # as the online method takes a pixel for covered
 
 
 def write_disocclusions(

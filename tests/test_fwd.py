@@ -1,7 +1,6 @@
 """FWD: point splat, fusion and blocks against their formulas, weights, whole steps."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,6 +21,7 @@ from ggvs_eval.baselines.fwd.warping import warp_view
 from ggvs_eval.baselines.fwd.weights import load_network
 from ggvs_eval.baselines.method import SourceView
 from ggvs_eval.errors import RenderError, WeightsError
+from hostile import Hostile
 from scenes import camera_at, instant, look
 
 
@@ -203,17 +203,6 @@ def test_weights_come_back_bit_for_bit(tmp_path, suffix, completes_depth):
     assert not loaded.training
     assert (loaded.completion is not None) == completes_depth
     assert all(torch.equal(tensor, loaded.state_dict()[name]) for name, tensor in network.state_dict().items())
-
-
-class Hostile:
-    """Writes a file when it is unpickled."""
-
-    def __init__(self, path):
-        self.path = path
-
-    def __reduce__(self):
-        """What an unpickler would call."""
-        return Path.touch, (self.path,)
 
 
 def test_what_are_no_weights_is_refused(tmp_path):

@@ -25,6 +25,7 @@ from ggvs_eval.errors import RenderError, WeightsError
 from ggvs_eval.geometry import splat
 from ggvs_eval.images import quantise
 from ggvs_eval.one_thread import one_thread
+from hostile import Hostile
 from scenes import WALL_Z, camera_at, instant, look, texture
 from seeded_networks import seeded_pair, seeded_state
 
@@ -94,17 +95,6 @@ def test_the_authors_checkpoint_loads_strictly(tmp_path, prefix):
     )
     assert not loaded.training
     assert all(torch.equal(tensor, state[name]) for name, tensor in loaded.state_dict().items())
-
-
-class Hostile:
-    """Writes a file when it is unpickled."""
-
-    def __init__(self, path):
-        self.path = path
-
-    def __reduce__(self):
-        """What an unpickler would call."""
-        return Path.touch, (self.path,)
 
 
 def test_what_is_no_checkpoint_is_refused(tmp_path):

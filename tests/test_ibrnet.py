@@ -16,6 +16,7 @@ from ggvs_eval.baselines.ibrnet.samples import coarse_depths, finer_depths, quan
 from ggvs_eval.baselines.ibrnet.views import SeenView, projection_of
 from ggvs_eval.errors import RenderError, WeightsError
 from ggvs_eval.one_thread import one_thread
+from hostile import Hostile
 from seeded_baselines import seed_weights, turned_rig
 
 DATA = Path(__file__).parent / "data"
@@ -130,17 +131,6 @@ def test_a_published_checkpoint_loads_strictly(networks, weights, tmp_path):
     for path in (weights, tmp_path / "parallel.pth"):
         loaded = load_ibrnet(path).state_dict()
         assert all(torch.equal(tensor, loaded[name]) for name, tensor in networks.state_dict().items())
-
-
-class Hostile:
-    """Writes a file when it is unpickled."""
-
-    def __init__(self, path):
-        self.path = path
-
-    def __reduce__(self):
-        """What an unpickler would call."""
-        return Path.touch, (self.path,)
 
 
 def test_what_is_no_checkpoint_is_refused(networks, tmp_path):

@@ -11,10 +11,11 @@ from torch.nn import functional
 from ggvs_eval.errors import WeightsError
 from ggvs_eval.pipelines.offline.raft.config import COMPACT, PUBLISHED
 from ggvs_eval.pipelines.offline.raft.correlation import Correlation
-from ggvs_eval.pipelines.offline.raft.encoders import ResidualBlock
 from ggvs_eval.pipelines.offline.raft.raft_stereo import RaftStereo
 from ggvs_eval.pipelines.offline.raft.update import ConvGru, upsample_convex
 from ggvs_eval.pipelines.offline.raft.weights import load_network
+from ggvs_eval.residual_block import ResidualBlock
+from hostile import Hostile
 from seeded_networks import seeded_pair, seeded_state
 
 DATA = Path(__file__).parent / "data"
@@ -142,7 +143,7 @@ def test_gru_follows_its_equations():
 def test_residual_block_follows_its_definition():
     """ReLU after each normalised convolution, and after the sum with the strided shortcut."""
     torch.manual_seed(4)
-    block = ResidualBlock(3, 5, "instance", 2)
+    block = ResidualBlock(3, 5, torch.nn.InstanceNorm2d, 2)
     image = torch.randn(1, 3, 8, 8)
 
     def normal(features):
@@ -179,17 +180,6 @@ def test_what_is_no_checkpoint_is_refused(tmp_path):
         WeightsError, match=r"no known RAFT-Stereo; 1 differ from 'compact', first cnet\.conv1\.weight: \(8, 3, 7, 7\)"
     ):
         load_network(tmp_path / "wider.pth")
-
-
-class Hostile:
-    """Writes a file when it is unpickled."""
-
-    def __init__(self, path):
-        self.path = path
-
-    def __reduce__(self):
-        """What an unpickler would call."""
-        return Path.touch, (self.path,)
 
 
 def test_a_checkpoint_cannot_run_code(tmp_path):

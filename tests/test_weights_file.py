@@ -9,6 +9,7 @@ from torch import nn
 
 from ggvs_eval.errors import WeightsError
 from ggvs_eval.weights_file import pour_strictly, read_tensors, require_shapes
+from hostile import Hostile
 
 NETWORK = "a network of one convolution"
 
@@ -108,17 +109,6 @@ def test_absent_files_and_folders_are_refused(suffix, tmp_path):
     for name in ("absent", "folder"):
         with pytest.raises(WeightsError, match=rf"{name}\.{suffix}: wanted weights of {NETWORK}, got no readable file"):
             read_tensors(tmp_path / f"{name}.{suffix}", of=NETWORK)
-
-
-class Hostile:
-    """Makes a file when it is unpickled."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    def __reduce__(self):
-        """What an unpickler would call."""
-        return Path.touch, (self.path,)
 
 
 @pytest.mark.parametrize("name", ["hostile.pth", "hostile.old.pth", "hostile.safetensors"])

@@ -5,32 +5,12 @@ Names of modules are those of the published checkpoint.
 
 from torch import Tensor, nn
 
+from ggvs_eval.residual_block import ResidualBlock
+
 CHANNELS_PER_GROUP = 8  # of the residual blocks' group normalisation
 STEM_WIDTH, STEM_GROUPS = 32, 8
 
 Pyramid = tuple[Tensor, Tensor, Tensor]  # features at 1/2, 1/4 and 1/8 of the size
-
-
-class ResidualBlock(nn.Module):
-    """Two 3x3 convolutions beside a shortcut, ReLU after each normalisation and after the sum."""
-
-    def __init__(self, width_in: int, width: int, stride: int = 1) -> None:
-        super().__init__()
-        self.conv1 = nn.Conv2d(width_in, width, 3, stride, padding=1)
-        self.conv2 = nn.Conv2d(width, width, 3, padding=1)
-        self.norm1, self.norm2 = _normalisation(width), _normalisation(width)
-        self.relu = nn.ReLU()
-        self.downsample: nn.Module | None = None
-        if stride > 1 or width_in != width:
-            self.norm3 = _normalisation(width)  # the checkpoint lists it twice, under both names
-            self.downsample = nn.Sequential(nn.Conv2d(width_in, width, 1, stride), self.norm3)
-
-    def forward(self, features: Tensor) -> Tensor:
-        """(B, C, H, W) to (B, width, H / stride, W / stride)."""
-        residual = self.relu(self.norm1(self.conv1(features)))
-        residual = self.relu(self.norm2(self.conv2(residual)))
-        shortcut = features if self.downsample is None else self.downsample(features)
-        return self.relu(shortcut + residual)
 
 
 class PyramidEncoder(nn.Module):
@@ -60,7 +40,12 @@ class PyramidEncoder(nn.Module):
 
 def two_blocks(width_in: int, width: int, stride: int = 1) -> nn.Sequential:
     """Two residual blocks, the first of which changes width and size."""
-    return nn.Sequential(ResidualBlock(width_in, width, stride), ResidualBlock(width, width))
+    return nn.Sequential(residual_block(width_in, width, stride), residual_block(width, width))
+
+
+def residual_block(width_in: int, width: int, stride: int = 1) -> ResidualBlock:
+    """A residual block with group normalisation."""
+    return ResidualBlock(width_in, width, _normalisation, stride)
 
 
 def _normalisation(width: int) -> nn.Module:

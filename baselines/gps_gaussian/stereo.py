@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from ggvs_eval.baselines.gps_gaussian.correlation import LEVELS, RADIUS, correlation_rows, look_up
-from ggvs_eval.baselines.gps_gaussian.encoders import ResidualBlock
+from ggvs_eval.baselines.gps_gaussian.encoders import residual_block
 
 HIDDEN, MOTION, FACTOR = 96, 128, 8  # channels of the state and of the motion features; pixels per cell
 FLOW_WIDTH, MASK_WIDTH = 256, 256
@@ -49,9 +49,9 @@ class ContextEncoder(nn.Module):
 
     def __init__(self, width: int) -> None:
         super().__init__()
-        self.conv2 = nn.Sequential(ResidualBlock(width, width), nn.Conv2d(width, 2 * width, 3, padding=1))
+        self.conv2 = nn.Sequential(residual_block(width, width), nn.Conv2d(width, 2 * width, 3, padding=1))
         self.outputs08 = nn.ModuleList(
-            nn.Sequential(ResidualBlock(width, width), nn.Conv2d(width, HIDDEN, 3, padding=1)) for _ in ("hidden", "context")
+            nn.Sequential(residual_block(width, width), nn.Conv2d(width, HIDDEN, 3, padding=1)) for _ in ("hidden", "context")
         )
 
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor, Tensor]:

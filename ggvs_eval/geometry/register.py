@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.per_pixel import evenly_spaced
-from ggvs_eval.geometry.pinhole import as_image, pinhole, rigid_between
+from ggvs_eval.geometry.pinhole import as_image, pinhole
 from ggvs_eval.geometry.splat import Splat
-from ggvs_eval.geometry.warp import CapturedView, as_image8
+from ggvs_eval.geometry.warp import CapturedView, captured_fields
 from ggvs_eval.kernels import LEVELS, get_level, get_threads
 
 
@@ -60,10 +60,7 @@ def register_views(
         raise RenderError(f"registration: tolerance must be positive and finite, got {tolerance:g}")
     fields = [
         (
-            pinhole(view.camera),
-            rigid_between(target, view.camera),
-            as_image8(view),
-            as_image(view.depth, view.camera, "source depth", RenderError),
+            *captured_fields(target, view),
             evenly_spaced(splat.features),
             as_image(splat.alpha, target, "coverage of the splat", RenderError),
         )

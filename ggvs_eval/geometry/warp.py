@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,10 +119,7 @@ def look_up(
         raise RenderError(f"look-up: wanted a background (H, W, 3), got {background.shape}")
     fields = [
         (
-            pinhole(view.camera),
-            rigid_between(target, view.camera),
-            as_image8(view),
-            as_image(view.depth, view.camera, "source depth", RenderError),
+            *captured_fields(target, view),
             view.weight,
         )
         for view in views
@@ -130,6 +128,12 @@ def look_up(
     under = as_image(background, target, "background", RenderError)
     level = LEVELS.index(get_level())
     return _core.look_up(pinhole(target), depth, fields, under, tolerance, full_weight, get_threads(), level)
+
+
+def captured_fields(target: Camera, view: CapturedView) -> tuple[Any, ...]:
+    """What kernels are told of a source view: its pinhole, its pose beside the target's, its checked image and depth."""
+    depth = as_image(view.depth, view.camera, "source depth", RenderError)
+    return pinhole(view.camera), rigid_between(target, view.camera), as_image8(view), depth
 
 
 def as_image8(view: CapturedView) -> Image8:

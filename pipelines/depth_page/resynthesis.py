@@ -10,9 +10,9 @@ from ggvs_eval.depth_store import Map
 from ggvs_eval.geometry.splat import PixelGaussians, splat
 from ggvs_eval.geometry.warp import warp
 from ggvs_eval.images import Image8, quantise
+from ggvs_eval.pipelines.online.blending import COVERED_ALPHA
 
 SAME_SURFACE = 0.03  # of the median depth: what lies deeper behind another pixel is hidden by it
-COVERED_ALPHA = 0.5
 FEWEST_PIXELS = 100  # that both cameras see, to compare their colours
 
 

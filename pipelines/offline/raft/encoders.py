@@ -3,33 +3,12 @@
 Names of modules are those of the published checkpoints.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from torch import Tensor, nn
 
 from ggvs_eval.pipelines.offline.raft.config import Norm, RaftConfig
-
-
-class ResidualBlock(nn.Module):
-    """Two 3x3 convolutions beside a shortcut, ReLU after each normalisation and after the sum."""
-
-    def __init__(self, width_in: int, width: int, norm: Norm, stride: int = 1) -> None:
-        super().__init__()
-        self.conv1 = nn.Conv2d(width_in, width, 3, stride, padding=1)
-        self.conv2 = nn.Conv2d(width, width, 3, padding=1)
-        self.norm1, self.norm2 = _normalisation(norm, width), _normalisation(norm, width)
-        self.relu = nn.ReLU()
-        self.downsample: nn.Module | None = None
-        if stride > 1 or width_in != width:
-            self.norm3 = _normalisation(norm, width)  # the checkpoints list it twice, under both names
-            self.downsample = nn.Sequential(nn.Conv2d(width_in, width, 1, stride), self.norm3)
-
-    def forward(self, features: Tensor) -> Tensor:
-        """(B, C, H, W) to (B, width, H / stride, W / stride)."""
-        residual = self.relu(self.norm1(self.conv1(features)))
-        residual = self.relu(self.norm2(self.conv2(residual)))
-        shortcut = features if self.downsample is None else self.downsample(features)
-        return self.relu(shortcut + residual)
+from ggvs_eval.residual_block import ResidualBlock
 
 
 class Trunk(nn.Module):
@@ -40,7 +19,7 @@ class Trunk(nn.Module):
         first, second, third = config.strides
         narrow, middle, wide = config.trunk_widths
         self.conv1 = nn.Conv2d(3, narrow, 7, first, padding=3)
-        self.norm1 = _normalisation(norm, narrow)
+        self.norm1 = normalisation(norm)(narrow)
         self.relu1 = nn.ReLU()
         self.layer1 = _stage(narrow, narrow, norm, 1)
         self.layer2 = _stage(narrow, middle, norm, second)
@@ -99,12 +78,14 @@ class ContextEncoder(Trunk):
 
 
 def _stage(width_in: int, width: int, norm: Norm, stride: int) -> nn.Sequential:
-    return nn.Sequential(ResidualBlock(width_in, width, norm, stride), ResidualBlock(width, width, norm))
+    normalise = normalisation(norm)
+    return nn.Sequential(ResidualBlock(width_in, width, normalise, stride), ResidualBlock(width, width, normalise))
 
 
 def _head(width_in: int, width: int, norm: Norm) -> nn.Sequential:
-    return nn.Sequential(ResidualBlock(width_in, width_in, norm), nn.Conv2d(width_in, width, 3, padding=1))
+    return nn.Sequential(ResidualBlock(width_in, width_in, normalisation(norm)), nn.Conv2d(width_in, width, 3, padding=1))
 
 
-def _normalisation(norm: Norm, width: int) -> nn.Module:
-    return nn.BatchNorm2d(width) if norm == "batch" else nn.InstanceNorm2d(width)
+def normalisation(norm: Norm) -> Callable[[int], nn.Module]:
+    """What makes the normalisation of so many channels."""
+    return nn.BatchNorm2d if norm == "batch" else nn.InstanceNorm2d

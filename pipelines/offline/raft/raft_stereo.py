@@ -10,8 +10,9 @@ from torch import Tensor, nn
 
 from ggvs_eval.pipelines.offline.raft.config import RaftConfig
 from ggvs_eval.pipelines.offline.raft.correlation import VOLUME_BYTES, Correlation, at_least_single
-from ggvs_eval.pipelines.offline.raft.encoders import ContextEncoder, FeatureEncoder, ResidualBlock
+from ggvs_eval.pipelines.offline.raft.encoders import ContextEncoder, FeatureEncoder
 from ggvs_eval.pipelines.offline.raft.update import Context, UpdateBlock, upsample_convex
+from ggvs_eval.residual_block import ResidualBlock
 
 SIZE_MULTIPLE = 32  # images are padded to it
 
@@ -35,7 +36,9 @@ class RaftStereo(nn.Module):
         )
         if config.shared_backbone:
             wide = config.trunk_widths[-1]
-            self.conv2 = nn.Sequential(ResidualBlock(wide, wide, "instance"), nn.Conv2d(wide, config.feature_width, 3, padding=1))
+            self.conv2 = nn.Sequential(
+                ResidualBlock(wide, wide, nn.InstanceNorm2d), nn.Conv2d(wide, config.feature_width, 3, padding=1)
+            )
         else:
             self.fnet = FeatureEncoder(config)
 
