@@ -130,7 +130,7 @@ def _section(index: int, section: RunSection, n_sections: int) -> dict[str, Any]
         "view_tables": section.view_tables,
         "timing": section.timing,
         "comparison": comparison,
-        "first_left": next((label for label in run.pictured if label in run.ours), (*run.pictured, "truth")[0]),
+        "first_left": _shown_first(run),
         "data": viewer_data(run, comparison, path, maps, row, fps),
         "heat_maps": maps,
         "videos": method_videos(run, fps, VIDEO_BYTES // n_sections),
@@ -140,6 +140,12 @@ def _section(index: int, section: RunSection, n_sections: int) -> dict[str, Any]
         "panels": section.panels,
         "plot": {"size": SIZE, "margin": MARGIN, "dashes": DASHES, "colours": len(COLOURS)},
     }
+
+
+def _shown_first(run: MeasuredRun) -> str:
+    """The label that the viewer opens with: ours, rather itself than a variant of it, or whatever has pictures."""
+    ours = sorted((label for label in run.pictured if label in run.ours), key=lambda label: "+" in label)  # stable
+    return (*ours, *run.pictured, "truth")[0]
 
 
 def _facts(capture: dict[str, Any]) -> dict[str, str | int | float]:

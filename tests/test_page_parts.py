@@ -5,11 +5,13 @@ import hashlib
 import math
 from io import BytesIO
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from ggvs_eval.protocol import Frames
+from ggvs_eval.reports import page
 from ggvs_eval.reports.heat_map import heat_colours, heat_maps
 from ggvs_eval.reports.measured import read_run
 from ggvs_eval.reports.method_videos import FRAMES_AT_MOST, MethodVideo, method_videos
@@ -124,3 +126,11 @@ def test_every_script_is_in_the_page(run, tmp_path):
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     assert script_digest(script) == digest
     assert f"script-src 'sha256-{digest}'" in text
+
+
+def test_the_viewer_opens_with_ours():
+    """Beside the truth stands the method itself, not a variant listed before it; without ours, the first with pictures."""
+    run = SimpleNamespace(pictured=("no-blending", "ours+no-tsdf", "ours"), ours=frozenset({"ours", "ours+no-tsdf"}))
+    assert page._shown_first(run) == "ours"
+    assert page._shown_first(SimpleNamespace(pictured=("mine",), ours=frozenset())) == "mine"
+    assert page._shown_first(SimpleNamespace(pictured=(), ours=frozenset())) == "truth"
