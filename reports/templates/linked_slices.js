@@ -10,7 +10,8 @@ function makeLinkedSlices(root, data, open) {
   const part = (role) => root.querySelector(`[data-role="${role}"]`);
   const strips = data.keys.map((key) => addStrips(part("strips"), key));
   let asked = null; // what was asked for last, drawn when it can be seen
-  let drawn = "";
+  let begun = ""; // which row of which view the slices were last cut through, and which is there to be seen
+  let finished = "";
   let turn = 0;
   let isSeen = false;
 
@@ -40,7 +41,17 @@ function makeLinkedSlices(root, data, open) {
   /** Show the slices through a row (fraction of the height) of a view, and what holds at a frame (index into the frames shown). */
   function show(view, row, frame) {
     asked = { view, row, frame };
+    tellBusy();
     if (isSeen) draw();
+  }
+
+  function place() {
+    return `${asked.view} ${asked.row}`;
+  }
+
+  /** Say whether the slices are still others than those that were asked for, also while nobody sees them. */
+  function tellBusy() {
+    root.setAttribute("aria-busy", String(finished !== place()));
   }
 
   async function draw() {
@@ -48,16 +59,17 @@ function makeLinkedSlices(root, data, open) {
     root.style.setProperty("--at-frame", (frame + 0.5) / data.frames.length);
     part("row").textContent = `Row ${Math.floor(row * data.size[1])} of ${data.size[1]} in ${view}`;
     showCurve(view, frame);
-    if (drawn === `${view} ${row}`) return;
-    drawn = `${view} ${row}`;
+    if (begun === place()) return;
+    begun = place();
     const mine = ++turn;
     const isWanted = () => mine === turn;
-    root.setAttribute("aria-busy", "true");
     await Promise.all(strips.flatMap(({ key, path, time }) => [
       time && cutRow(time, data.images[view][key], row, isWanted),
       path && cutRow(path, data.path.images[key], row, isWanted),
     ]));
-    if (isWanted()) root.setAttribute("aria-busy", "false");
+    if (!isWanted()) return;
+    finished = begun;
+    tellBusy();
   }
 
   /** The chosen metric's curves of this view, as drawn further down the page, and its values at the frame. */
