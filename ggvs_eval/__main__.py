@@ -6,7 +6,7 @@ import sys
 def main() -> None:
     """Hand over to the command line."""
     try:
-        from ggvs_eval.pipelines.cli import run_command
+        from ggvs_eval.pipelines.commands.main import run_command
     except ModuleNotFoundError as error:
         if error.name is None or not error.name.startswith("ggvs_eval."):
             raise

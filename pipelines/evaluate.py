@@ -8,12 +8,12 @@ from typing import Any
 from ggvs_eval.capture import Capture, Retake
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.held_still import retake
-from ggvs_eval.pipelines.engine import Workers, as_engine
-from ggvs_eval.pipelines.methods import NO_CHECKPOINTS, Checkpoints
+from ggvs_eval.pipelines.jobs.engine import Workers, as_engine
+from ggvs_eval.pipelines.methods.registry import NO_CHECKPOINTS, Checkpoints
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.prepare import Prepared, prepare
 from ggvs_eval.pipelines.render import render
-from ggvs_eval.pipelines.score import score
+from ggvs_eval.pipelines.scoring.score import score
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import RunFolder
 
@@ -33,7 +33,7 @@ def evaluate(
         root: run folder, see `ggvs_eval.run_folder`.
         capture: what to evaluate on.
         protocol: views, frames, sizes, metrics.
-        labels: methods, see `ggvs_eval.pipelines.methods.METHODS`.
+        labels: methods, see `ggvs_eval.pipelines.methods.registry.METHODS`.
         workers: where jobs run: so many processes, or an `Engine`.
         depth: how depth is found, see `DepthChoice`.
         checkpoints: of methods whose weights do not ship.

@@ -45,7 +45,7 @@ def record(reel: Reel, out: Path, method: str = DEFAULT_METHOD) -> Timing:
     Args:
         reel: what to play.
         out: MP4 file to write; it appears when it is whole.
-        method: label of `ggvs_eval.pipelines.methods.METHODS`.
+        method: label of `ggvs_eval.pipelines.methods.registry.METHODS`.
 
     Raises:
         RenderError: the file cannot be written, or unknown method.

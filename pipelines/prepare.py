@@ -13,13 +13,13 @@ from ggvs_eval.datasets.path import CameraPath, open_path
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import CaptureError, ProtocolError
 from ggvs_eval.images import resize, write_image
-from ggvs_eval.pipelines.disocclusion import write_disocclusions
 from ggvs_eval.pipelines.frame_cache import cache_frames
 from ggvs_eval.pipelines.offline.depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.offline.prepare import DepthJob, depth_spec, plan_depth, prepare_depth
 from ggvs_eval.pipelines.path_depth import write_path_depth
-from ggvs_eval.pipelines.score_path import write_path_record
+from ggvs_eval.pipelines.scoring.disocclusion import write_disocclusions
+from ggvs_eval.pipelines.scoring.path import write_path_record
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import RunFolder, frame_path, missing_frames, read_json, write_json, write_text
 

@@ -11,11 +11,11 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.images import quantise, write_image
-from ggvs_eval.pipelines.engine import Workers, as_engine
-from ggvs_eval.pipelines.jobs import Job, code_digest, run_jobs
-from ggvs_eval.pipelines.ledger import Ledger
-from ggvs_eval.pipelines.method_spec import MethodSpec
-from ggvs_eval.pipelines.methods import NO_CHECKPOINTS, Checkpoints, find_method, split_label
+from ggvs_eval.pipelines.jobs.engine import Workers, as_engine
+from ggvs_eval.pipelines.jobs.job import Job, code_digest, run_jobs
+from ggvs_eval.pipelines.jobs.ledger import Ledger
+from ggvs_eval.pipelines.methods.registry import NO_CHECKPOINTS, Checkpoints, find_method, split_label
+from ggvs_eval.pipelines.methods.spec import MethodSpec
 from ggvs_eval.pipelines.prepare import Prepared, SourcePlan
 from ggvs_eval.processes import default_workers
 from ggvs_eval.results import installed_versions
@@ -27,7 +27,7 @@ def render(prepared: Prepared, labels: Sequence[str], workers: Workers = 1, chec
 
     Args:
         prepared: the run folder with truth and depth.
-        labels: methods, see `ggvs_eval.pipelines.methods.METHODS`.
+        labels: methods, see `ggvs_eval.pipelines.methods.registry.METHODS`.
         workers: where jobs run.
         checkpoints: of methods whose weights do not ship.
 

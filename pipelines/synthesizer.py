@@ -10,7 +10,7 @@ from ggvs_eval.camera import Camera, nearest_cameras
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import CameraError, DepthError, RenderError
 from ggvs_eval.images import Image8
-from ggvs_eval.pipelines.methods import find_method
+from ggvs_eval.pipelines.methods.registry import find_method
 
 DEFAULT_METHOD = "ours"
 
@@ -25,7 +25,7 @@ class OnlineSynthesizer:
         cameras: the rig, at the size of its images.
         k: number of source views per step; may be set anew between steps.
         units_per_metre: world units per metre.
-        method: a label of `ggvs_eval.pipelines.methods.METHODS`, or what makes a fresh method.
+        method: a label of `ggvs_eval.pipelines.methods.registry.METHODS`, or what makes a fresh method.
 
     Raises:
         CameraError: two cameras of one name, or fewer than `k`.

@@ -2,7 +2,7 @@
 
 import pytest
 
-from ggvs_eval.pipelines.cli import run_command
+from ggvs_eval.pipelines.commands.main import run_command
 
 
 def refusal(*arguments: object) -> str:

@@ -9,7 +9,7 @@ import pytest
 
 from captures import write_dynerf
 from command_line import refusal
-from ggvs_eval.pipelines.cli import COMMANDS
+from ggvs_eval.pipelines.commands.main import COMMANDS
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from captures import NAMES, make_rig, write_poses, write_videos
-from ggvs_eval.pipelines.cli import run_command
+from ggvs_eval.pipelines.commands.main import run_command
 
 
 def run(*arguments: object) -> None:

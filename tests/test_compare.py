@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from command_line import refusal
-from ggvs_eval.pipelines.cli import run_command
+from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.compare_runs import differences, method_sides, run_sides
 from ggvs_eval.results import Results

@@ -13,11 +13,11 @@ from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError, ProtocolError, RenderError
 from ggvs_eval.images import read_image, write_image
 from ggvs_eval.pipelines.evaluate import evaluate, reopen
-from ggvs_eval.pipelines.methods import METHODS
+from ggvs_eval.pipelines.methods.registry import METHODS
 from ggvs_eval.pipelines.prepare import prepare
 from ggvs_eval.pipelines.render import render
 from ggvs_eval.pipelines.renders.import_renders import import_renders
-from ggvs_eval.pipelines.score import score
+from ggvs_eval.pipelines.scoring.score import score
 from ggvs_eval.pipelines.suggest_protocol import suggest_protocol
 from ggvs_eval.protocol import Frames, Protocol, Synthesis, Views, load_protocol
 from ggvs_eval.results import Results

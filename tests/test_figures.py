@@ -8,7 +8,7 @@ import pytest
 
 from command_line import refusal
 from ggvs_eval.errors import ResultsError
-from ggvs_eval.pipelines.cli import run_command
+from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.figures import write_figure
 from ggvs_eval.reports.k_figure import draw_k, read_k_table

@@ -11,8 +11,8 @@ from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.held_still import HeldDepths, retake
 from ggvs_eval.errors import CaptureError, ProtocolError
 from ggvs_eval.images import read_image
-from ggvs_eval.pipelines.cli import run_command
-from ggvs_eval.pipelines.cli_captures import ReadingOptions
+from ggvs_eval.pipelines.commands.captures import ReadingOptions
+from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.evaluate import reopen
 from ggvs_eval.pipelines.prepare import prepare
 from ggvs_eval.protocol import Frames, Synthesis, Views, load_protocol

@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 
 from ggvs_eval.errors import CaptureError, RenderError
-from ggvs_eval.pipelines.jobs import BrokenJobError, Job, attempt_jobs, run_jobs
-from ggvs_eval.pipelines.ledger import Ledger
+from ggvs_eval.pipelines.jobs.job import BrokenJobError, Job, attempt_jobs, run_jobs
+from ggvs_eval.pipelines.jobs.ledger import Ledger
 from ggvs_eval.processes import is_running
 from ggvs_eval.run_folder import JOB_FILE, read_json
 
@@ -144,7 +144,7 @@ def test_a_killed_run_loses_only_the_job_in_hand(tmp_path):
     """After kill -9 what was finished stays, and the next call runs the rest and cleans up."""
     script = (
         "import sys, time; from functools import partial; from pathlib import Path\n"
-        "from ggvs_eval.pipelines.jobs import Job, run_jobs\n"
+        "from ggvs_eval.pipelines.jobs.job import Job, run_jobs\n"
         "def work(number, folder):\n"
         "    (folder / 'number.txt').write_text(str(number)); time.sleep(60 if number == 1 else 0)\n"
         "    return {}\n"

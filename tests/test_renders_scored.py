@@ -11,10 +11,10 @@ from captures import write_dynerf
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import RenderError, ResultsError
 from ggvs_eval.images import write_image
-from ggvs_eval.pipelines.cli import run_command
+from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.prepare import prepare_truth
 from ggvs_eval.pipelines.renders.import_renders import import_renders
-from ggvs_eval.pipelines.score import score
+from ggvs_eval.pipelines.scoring.score import score
 from ggvs_eval.protocol import Frames, Measurement, Protocol, Synthesis, Views, load_protocol
 from ggvs_eval.results import Results, merge_results
 from ggvs_eval.run_folder import RunFolder, frame_path

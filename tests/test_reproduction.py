@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ggvs_eval.images import write_image
-from ggvs_eval.pipelines.methods import METHODS
+from ggvs_eval.pipelines.methods.registry import METHODS
 from ggvs_eval.protocol import Frames, Measurement, Synthesis, load_protocol
 from ggvs_eval.reports.measured import MeasuredRun, MetricNote
 from ggvs_eval.reports.published import read_published

@@ -9,9 +9,9 @@ from ggvs_eval.capture import Retake
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.held_still import retake
 from ggvs_eval.errors import ProtocolError
-from ggvs_eval.pipelines.cli import run_command
-from ggvs_eval.pipelines.methods import METHODS, find_method
-from ggvs_eval.pipelines.sweep import run_sweep, run_sweeps
+from ggvs_eval.pipelines.commands.main import run_command
+from ggvs_eval.pipelines.methods.registry import METHODS, find_method
+from ggvs_eval.pipelines.sweep.run_sweep import run_sweep, run_sweeps
 from ggvs_eval.protocol import Frames, Views, load_protocol
 from ggvs_eval.reports.published import read_published
 from ggvs_eval.sweep import Sweep, SweepRow, load_sweep, packaged_sweeps

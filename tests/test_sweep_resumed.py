@@ -18,12 +18,12 @@ import pytest
 
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import ResultsError
-from ggvs_eval.pipelines.cli import run_command
-from ggvs_eval.pipelines.cli_runs import status
-from ggvs_eval.pipelines.engine import Engine
-from ggvs_eval.pipelines.shard import Shard
-from ggvs_eval.pipelines.status import read_status
-from ggvs_eval.pipelines.sweep import run_sweep
+from ggvs_eval.pipelines.commands.main import run_command
+from ggvs_eval.pipelines.commands.runs import status
+from ggvs_eval.pipelines.jobs.engine import Engine
+from ggvs_eval.pipelines.jobs.shard import Shard
+from ggvs_eval.pipelines.jobs.status import read_status
+from ggvs_eval.pipelines.sweep.run_sweep import run_sweep
 from ggvs_eval.processes import is_running
 from ggvs_eval.protocol import Frames, Views, load_protocol
 from ggvs_eval.sweep import load_sweep
@@ -34,7 +34,7 @@ JOBS = 2 * len(VIEWS) * len(LABELS)  # at K = 2 and 3
 KILLS = 2
 SWEEP_SCRIPT = """
 import sys
-from ggvs_eval.pipelines.cli import run_command
+from ggvs_eval.pipelines.commands.main import run_command
 if __name__ == "__main__":
     run_command(sys.argv[1:])
 """

@@ -13,7 +13,7 @@ from ggvs_eval.pipelines.depth_validation.figures import Figures, Measure, figur
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.prepare import prepare
 from ggvs_eval.pipelines.render import render
-from ggvs_eval.pipelines.score import score
+from ggvs_eval.pipelines.scoring.score import score
 from ggvs_eval.protocol import CameraPath, Protocol
 from ggvs_eval.run_folder import RunFolder, read_json, write_json
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from ggvs_eval.digest import digest_files, digest_values
 from ggvs_eval.errors import RenderError
-from ggvs_eval.pipelines.methods import METHODS
+from ggvs_eval.pipelines.methods.registry import METHODS
 from ggvs_eval.pipelines.renders.archive import Limits, is_archive, unpack
 from ggvs_eval.pipelines.renders.coverage import IMPORT_FILE, read_import
 from ggvs_eval.pipelines.renders.fit import Fit, fit, partial_text, require_whole

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from ggvs_eval.pipelines.cli_captures import Folder
+from ggvs_eval.pipelines.commands.captures import Folder
 
 Kind = Annotated[Literal["crops", "failures", "epi", "time", "k"], tyro.conf.Positional]
 Output = Annotated[Path, tyro.conf.Positional]

@@ -7,15 +7,15 @@ from functools import partial
 from typing import TypeVar
 
 from ggvs_eval.errors import GgvsError
-from ggvs_eval.pipelines.engine import Engine
-from ggvs_eval.pipelines.jobs import Attempt, Job, attempt_jobs
-from ggvs_eval.pipelines.ledger import Failure, Ledger
-from ggvs_eval.pipelines.methods import Checkpoints
+from ggvs_eval.pipelines.jobs.engine import Engine
+from ggvs_eval.pipelines.jobs.job import Attempt, Job, attempt_jobs
+from ggvs_eval.pipelines.jobs.ledger import Failure, Ledger
+from ggvs_eval.pipelines.methods.registry import Checkpoints
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.prepare import Prepared, prepare
 from ggvs_eval.pipelines.render import note_labels, render_jobs
-from ggvs_eval.pipelines.score import score_jobs
-from ggvs_eval.pipelines.sweep_cells import PATH, Cell
+from ggvs_eval.pipelines.scoring.score import score_jobs
+from ggvs_eval.pipelines.sweep.cells import PATH, Cell
 
 Value = TypeVar("Value")
 Share = Mapping[str, set[str]]  # name of a cell -> its views, and PATH, that are to be worked on

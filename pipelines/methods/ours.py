@@ -4,7 +4,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from ggvs_eval.baselines.method import Method
-from ggvs_eval.pipelines.method_spec import ONLINE_CODE, MethodSpec, shipped
+from ggvs_eval.pipelines.methods.spec import ONLINE_CODE, MethodSpec, shipped
 
 if TYPE_CHECKING:
     from ggvs_eval.pipelines.online.blend_maps import Guidance

@@ -7,8 +7,8 @@ from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import active_children
 from typing import TypeVar
 
-from ggvs_eval.pipelines.free_memory import has_room
-from ggvs_eval.pipelines.lost_job import LostJob
+from ggvs_eval.pipelines.jobs.free_memory import has_room
+from ggvs_eval.pipelines.jobs.lost_job import LostJob
 from ggvs_eval.processes import worker_pool
 
 TRIES_ALONE = 2

@@ -10,9 +10,9 @@ from types import MappingProxyType
 from typing import Any
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.pipelines.baseline_methods import BASELINES
-from ggvs_eval.pipelines.method_spec import MethodSpec
-from ggvs_eval.pipelines.our_methods import OURS
+from ggvs_eval.pipelines.methods.baselines import BASELINES
+from ggvs_eval.pipelines.methods.ours import OURS
+from ggvs_eval.pipelines.methods.spec import MethodSpec
 from ggvs_eval.toml_tables import build_table
 
 Checkpoints = Mapping[str, Path]  # method -> file of weights that the user gave

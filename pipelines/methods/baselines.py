@@ -7,7 +7,7 @@ from typing import Literal, NoReturn
 
 from ggvs_eval.baselines.method import Method
 from ggvs_eval.errors import WeightsError
-from ggvs_eval.pipelines.method_spec import BASELINE_CODE, MethodSpec
+from ggvs_eval.pipelines.methods.spec import BASELINE_CODE, MethodSpec
 
 
 def _no_blending() -> Method:

@@ -5,8 +5,8 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from ggvs_eval.pipelines.methods import Checkpoints
-from ggvs_eval.pipelines.sweep_cells import PATH, Captures, Cell, sweep_cells, units_of
+from ggvs_eval.pipelines.methods.registry import Checkpoints
+from ggvs_eval.pipelines.sweep.cells import PATH, Captures, Cell, sweep_cells, units_of
 from ggvs_eval.run_folder import write_json
 from ggvs_eval.sweep import Sweep
 

@@ -10,14 +10,14 @@ import pandas as pd
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import ProtocolError
-from ggvs_eval.pipelines.engine import Engine, Workers, as_engine
-from ggvs_eval.pipelines.ledger import Failure
-from ggvs_eval.pipelines.methods import NO_CHECKPOINTS, Checkpoints, split_label
+from ggvs_eval.pipelines.jobs.engine import Engine, Workers, as_engine
+from ggvs_eval.pipelines.jobs.ledger import Failure
+from ggvs_eval.pipelines.jobs.shard import WHOLE, Shard
+from ggvs_eval.pipelines.methods.registry import NO_CHECKPOINTS, Checkpoints, split_label
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
-from ggvs_eval.pipelines.score import score
-from ggvs_eval.pipelines.shard import WHOLE, Shard
-from ggvs_eval.pipelines.sweep_cells import Captures, Cell, share_of, sweep_cells
-from ggvs_eval.pipelines.sweep_stages import attempt, prepare_cells, render_cells, score_cells
+from ggvs_eval.pipelines.scoring.score import score
+from ggvs_eval.pipelines.sweep.cells import Captures, Cell, share_of, sweep_cells
+from ggvs_eval.pipelines.sweep.stages import attempt, prepare_cells, render_cells, score_cells
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from ggvs_eval.errors import TrainingError
-from ggvs_eval.pipelines.cli_captures import Folder
+from ggvs_eval.pipelines.commands.captures import Folder
 from ggvs_eval.processes import default_workers
 
 if TYPE_CHECKING:

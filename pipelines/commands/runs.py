@@ -8,10 +8,10 @@ import tyro
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import ProtocolError, WeightsError
-from ggvs_eval.pipelines.cli_captures import BY_DEFAULT, FOUND_BY_DEFAULT, Finding, Folder, Reading
-from ggvs_eval.pipelines.engine import Engine
-from ggvs_eval.pipelines.ledger import Failure
-from ggvs_eval.pipelines.methods import METHODS, Checkpoints, usual_methods
+from ggvs_eval.pipelines.commands.captures import BY_DEFAULT, FOUND_BY_DEFAULT, Finding, Folder, Reading
+from ggvs_eval.pipelines.jobs.engine import Engine
+from ggvs_eval.pipelines.jobs.ledger import Failure
+from ggvs_eval.pipelines.methods.registry import METHODS, Checkpoints, usual_methods
 from ggvs_eval.processes import default_workers
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.synthetic.options import DemoOptions
@@ -132,9 +132,9 @@ def sweep(
         shard: i/n, for the i-th of n machines: every n-th view; 0/n prepares for all. A last call without it makes the table.
         plan: JSON file to write instead of running: the commands of the sweep, and which waits for which.
     """
-    from ggvs_eval.pipelines.shard import Shard
-    from ggvs_eval.pipelines.sweep import run_sweep, run_sweeps
-    from ggvs_eval.pipelines.sweep_plan import flags, plan_sweep
+    from ggvs_eval.pipelines.jobs.shard import Shard
+    from ggvs_eval.pipelines.sweep.plan import flags, plan_sweep
+    from ggvs_eval.pipelines.sweep.run_sweep import run_sweep, run_sweeps
     from ggvs_eval.sweep import load_sweep
 
     wanted, part, checkpoints = load_sweep(name), Shard.parse(shard), _checkpoints(weights)
@@ -167,7 +167,7 @@ def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
     Args:
         folder: run folder, or folder of a sweep.
     """
-    from ggvs_eval.pipelines.status import describe_status
+    from ggvs_eval.pipelines.jobs.status import describe_status
 
     print(describe_status(folder))
 

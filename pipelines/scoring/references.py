@@ -9,9 +9,9 @@ import numpy as np
 
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.ceilings import CEILING_METRICS, ceilings
-from ggvs_eval.pipelines.jobs import Job, code_digest, run_jobs
-from ggvs_eval.pipelines.score_path import TRUTH
-from ggvs_eval.pipelines.score_view import digest_frames, metric_options, truth_frames
+from ggvs_eval.pipelines.jobs.job import Job, code_digest, run_jobs
+from ggvs_eval.pipelines.scoring.path import TRUTH
+from ggvs_eval.pipelines.scoring.view import digest_frames, metric_options, truth_frames
 from ggvs_eval.protocol import Measurement, Protocol
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import ProtocolError, RenderError, WeightsError
-from ggvs_eval.pipelines.methods import METHODS, Checkpoints, find_method
-from ggvs_eval.pipelines.shard import Shard
+from ggvs_eval.pipelines.jobs.shard import Shard
+from ggvs_eval.pipelines.methods.registry import METHODS, Checkpoints, find_method
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import RunFolder
 from ggvs_eval.sweep import Sweep, SweepRow

@@ -11,14 +11,14 @@ from typing import Any
 
 from ggvs_eval.errors import RenderError
 from ggvs_eval.metrics.registry import METRICS
-from ggvs_eval.pipelines.engine import Workers, as_engine
-from ggvs_eval.pipelines.jobs import Job, run_jobs
-from ggvs_eval.pipelines.ledger import Ledger
-from ggvs_eval.pipelines.methods import METHODS, split_label
+from ggvs_eval.pipelines.jobs.engine import Workers, as_engine
+from ggvs_eval.pipelines.jobs.job import Job, run_jobs
+from ggvs_eval.pipelines.jobs.ledger import Ledger
+from ggvs_eval.pipelines.methods.registry import METHODS, split_label
 from ggvs_eval.pipelines.renders.coverage import Coverage, read_coverage
-from ggvs_eval.pipelines.score_path import PATH_VIEW, score_paths
-from ggvs_eval.pipelines.score_references import score_ceilings, write_references
-from ggvs_eval.pipelines.score_view import view_job
+from ggvs_eval.pipelines.scoring.path import PATH_VIEW, score_paths
+from ggvs_eval.pipelines.scoring.references import score_ceilings, write_references
+from ggvs_eval.pipelines.scoring.view import view_job
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.results import Results, installed_versions, make_table
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json

@@ -5,8 +5,8 @@ from typing import Annotated
 
 import tyro
 
-from ggvs_eval.pipelines.cli_captures import BY_DEFAULT, FOUND_BY_DEFAULT, Finding, Reading
-from ggvs_eval.pipelines.methods import METHODS
+from ggvs_eval.pipelines.commands.captures import BY_DEFAULT, FOUND_BY_DEFAULT, Finding, Reading
+from ggvs_eval.pipelines.methods.registry import METHODS
 from ggvs_eval.pipelines.synthesizer import DEFAULT_METHOD, online_method
 from ggvs_eval.processes import default_workers
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import tyro
 
 from ggvs_eval.errors import GgvsError, ProtocolError
-from ggvs_eval.pipelines.cli_captures import (
+from ggvs_eval.pipelines.commands.captures import (
     BY_DEFAULT,
     Reading,
     calibrate,
@@ -17,11 +17,11 @@ from ggvs_eval.pipelines.cli_captures import (
     demo,
     undistort,
 )
-from ggvs_eval.pipelines.cli_figures import compare, draw_slice, figure, report
-from ggvs_eval.pipelines.cli_play import play
-from ggvs_eval.pipelines.cli_renders import doctor, explain
-from ggvs_eval.pipelines.cli_runs import prepare, render, run, status, sweep
-from ggvs_eval.pipelines.cli_training import train
+from ggvs_eval.pipelines.commands.figures import compare, draw_slice, figure, report
+from ggvs_eval.pipelines.commands.play import play
+from ggvs_eval.pipelines.commands.renders import doctor, explain
+from ggvs_eval.pipelines.commands.runs import prepare, render, run, status, sweep
+from ggvs_eval.pipelines.commands.training import train
 from ggvs_eval.processes import default_workers
 
 
@@ -50,7 +50,7 @@ def score(
     """
     from ggvs_eval.pipelines.renders.import_renders import import_renders
     from ggvs_eval.pipelines.renders.run_for import named_renders, run_for
-    from ggvs_eval.pipelines.score import score as measure
+    from ggvs_eval.pipelines.scoring.score import score as measure
 
     if folder and run:
         raise ProtocolError(f"wanted one run folder, got {folder} and --run {run}; give one of them")

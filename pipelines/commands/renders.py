@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import tyro
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.pipelines.cli_captures import BY_DEFAULT, Folder, Reading, ReadingOptions
+from ggvs_eval.pipelines.commands.captures import BY_DEFAULT, Folder, Reading, ReadingOptions
 from ggvs_eval.processes import default_workers
 from ggvs_eval.run_folder import RunFolder
 

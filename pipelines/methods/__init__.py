@@ -1,0 +1,1 @@
+"""What can be asked to render: every method by its name."""
