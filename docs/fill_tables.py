@@ -1,0 +1,171 @@
+"""Write measured figures into README.md and docs/measurements.md: ``python docs/fill_tables.py``.
+
+It follows `make reports bench validate`. Tables stand between ``<!-- name -->`` and ``<!-- /name -->``; nothing between
+them is typed by hand.
+"""
+
+import json
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from ggvs_eval.errors import ResultsError
+from ggvs_eval.results import Results
+from ggvs_eval.run_folder import RunFolder, read_json
+
+ROOT = Path(__file__).parents[1]
+OUT = ROOT / "out"
+DECIMALS = {"PSNR": 2, "PSNR_cc": 2, "SSIM": 3, "LPIPS": 3, "L1": 2, "TCC": 3, "STED": 2, "Flicker": 2, "SDT": 3, "SDV": 3}
+DECIMALS |= {"EPI_coherence": 3, "switch_ratio": 2}
+# One region of the rooms stands for all; `python -m ggvs_eval.pipelines.depth_validation` prints the others.
+DEPTH_FIGURES = r"depth\.(motorcycle\.(epe_px|bad_[23]_percent)\.[^.]*$|sparse|rendering|(rooms|demo)\.whole_picture)"
+MATCHERS = ("sgbm", "sweep", "raft")
+DEPTH_ROWS = {  # shown: name of the figure without its matcher
+    "Motorcycle, mean error (px)": "depth.motorcycle.epe_px",
+    "Motorcycle, off by more than 2 px (%)": "depth.motorcycle.bad_2_percent",
+    "Motorcycle, off by more than 3 px (%)": "depth.motorcycle.bad_3_percent",
+    "real rig, sparse points within 2 % (%)": "depth.sparse.within_2_percent",
+    "real rig, median error there (%)": "depth.sparse.median_error_percent",
+    "real rig, PSNR rendered from it (dB)": "depth.rendering.PSNR",
+    "validation rooms, pixels within 2 % (%)": "depth.rooms.whole_picture.within_2_percent",
+    "demo, pixels within 2 % (%)": "depth.demo.whole_picture.within_2_percent",
+    "seconds per depth map of 1345x1008": "depth.seconds",
+}
+SPEED_ROWS = {  # shown: first part of the figures' names
+    "1352x1014, K = 4, network": "online_step",
+    "1352x1014, K = 4, geometric weights": "online_geometric_step",
+    "640x360, K = 2, network": "online_small_step",
+}
+STAGES = {"filter": "_filter", "splat": "_splat", "TSDF": "_tsdf", "blend": "_blend", "frame, p50": "", "frame, p95": "_p95"}
+
+Figures = dict[str, dict[str, Any]]
+Tables = Mapping[str, Callable[[], str]]
+
+
+def main() -> None:
+    """Fill every table whose figures have been computed."""
+    _fill(
+        ROOT / "README.md",
+        {
+            "demo": lambda: results_table(OUT / "demo"),
+            "ceilings": lambda: ceilings_table(OUT / "demo"),
+            "real_frame": lambda: results_table(OUT / "real_frame"),
+            "real_frame_views": lambda: views_table(OUT / "real_frame"),
+            "depth": depth_table,
+            "speed": speed_table,
+        },
+    )
+    _fill(
+        ROOT / "docs" / "measurements.md",
+        {
+            "calibration": lambda: figures_table(OUT / "validate.json", r"calibration\."),
+            "depth": lambda: figures_table(OUT / "depth_validation" / "figures.json", DEPTH_FIGURES),
+            "validate": lambda: figures_table(OUT / "validate.json", r"(?!calibration|depth)"),
+            "bench": lambda: figures_table(OUT / "bench.json"),
+        },
+    )
+
+
+def _fill(file: Path, tables: Tables) -> None:
+    text = file.read_text(encoding="utf-8")
+    for name, make in tables.items():
+        pattern = re.compile(rf"(<!-- {name} -->\n).*?(<!-- /{name} -->)", re.DOTALL)
+        if not pattern.search(text):
+            raise SystemExit(f"{file} has no place for the table {name}")
+        try:
+            table = make()
+        except (FileNotFoundError, ResultsError) as error:
+            print(f"{file.name}: {name} is left as it is: {error}")
+            continue
+        text = pattern.sub(lambda match, table=table: f"{match[1]}{table}\n{match[2]}", text)
+    file.write_text(text, encoding="utf-8")
+
+
+def results_table(run: Path) -> str:
+    """Means of one run as Markdown, methods by their shown names."""
+    summary = Results.read(run).summary().droplevel("dataset")
+    columns = [name for name in DECIMALS if name in summary.columns]
+    return _markdown(_named(summary[columns], run))
+
+
+def views_table(run: Path) -> str:
+    """PSNR per test view as Markdown."""
+    return _markdown(_named(Results.read(run).per_view("PSNR"), run))
+
+
+def ceilings_table(run: Path) -> str:
+    """What perfect renderings would score on the capture of one run, as Markdown."""
+    entries = [entry for entry in read_json(run / "references.json") if entry["group"] == "consistency"]
+    columns = list(entries[0]["values"])
+    values = [[entry["values"][column] for column in columns] for entry in entries]
+    return _markdown(pd.DataFrame(values, [entry["name"] for entry in entries], columns))
+
+
+def depth_table() -> str:
+    """The judges of depth, a row each, a column per matcher; what was not measured says so."""
+    figures = _read(OUT / "depth_validation" / "figures.json")
+    bench = OUT / "bench.json"
+    figures |= _read(bench) if bench.is_file() else {}
+    rows = ["| | " + " | ".join(MATCHERS) + " | target |", "| --- |" + " ---: |" * (len(MATCHERS) + 1)]
+    for shown, name in DEPTH_ROWS.items():
+        found = [figures.get(f"{name}.{matcher}") for matcher in MATCHERS]
+        if any(found):
+            target = next((_target(figure) for figure in found if figure and _target(figure)), "")
+            cells = [f"{figure['value']:.4g}" if figure else "not computed" for figure in found]
+            rows.append(f"| {shown} | " + " | ".join([*cells, target]) + " |")
+    return "\n".join(rows)
+
+
+def speed_table() -> str:
+    """Milliseconds per stage and frame of the online step, as the paper's table of timing."""
+    figures = _read(OUT / "bench.json")
+    rows = ["| ms | " + " | ".join(STAGES) + " | frames/s |", "| --- |" + " ---: |" * (len(STAGES) + 1)]
+    for shown, name in SPEED_ROWS.items():
+        cells = [f"{figures[name + stage]['value']:.0f}" for stage in STAGES.values()]
+        rows.append(f"| {shown} | " + " | ".join(cells) + f" | {figures[name + '_rate']['value']:.2f} |")
+    return "\n".join(rows)
+
+
+def figures_table(file: Path, names: str = "") -> str:
+    """Flat figures whose names begin with a pattern, as Markdown; a ratio above 1 means better than the peer."""
+    known = _read(file)
+    figures = {name: figure for name, figure in known.items() if re.match(names, name)}
+    if not figures:
+        raise ResultsError(f"{file} holds no such figures")
+    rows = ["| figure | value | target | peer | ratio |", "| --- | ---: | ---: | --- | ---: |"]
+    for name, figure in figures.items():
+        peer = f"{figure['peer']}: {figure['peer_value']:.4g}" if figure.get("peer") else ""
+        ratio = f"{figure['ratio']:.3g}" if figure.get("ratio") is not None else ""
+        rows.append(f"| {name} | {figure['value']:.4g} {figure['unit']} | {_target(figure)} | {peer} | {ratio} |")
+    return "\n".join(rows)
+
+
+def _read(file: Path) -> Figures:
+    figures: Figures = json.loads(file.read_text(encoding="utf-8"))
+    return figures
+
+
+def _target(figure: dict[str, Any]) -> str:
+    sign = "≥" if figure["higher_is_better"] else "≤"
+    return "" if figure.get("target") is None else f"{sign} {figure['target']:.4g}"
+
+
+def _named(table: pd.DataFrame, run: Path) -> pd.DataFrame:
+    names = read_json(RunFolder(run).root / "methods.json")["names"]
+    index = ["+".join(filter(None, label)) for label in table.index]
+    return table.set_axis([names.get(label, label) for label in index], axis=0)
+
+
+def _markdown(table: pd.DataFrame) -> str:
+    rows = ["| method | " + " | ".join(map(str, table.columns)) + " |", "| --- |" + " ---: |" * len(table.columns)]
+    for name, values in table.iterrows():
+        cells = (f"{value:.{DECIMALS.get(column, DECIMALS['PSNR'])}f}" for column, value in values.items())
+        rows.append(f"| {name} | " + " | ".join(cells) + " |")
+    return "\n".join(rows)
+
+
+if __name__ == "__main__":
+    main()
