@@ -52,13 +52,13 @@ def see_plane(camera: Camera, plane: np.ndarray = PLANE, gain: float = 1.0) -> I
     return quantise(paint(camera, plane_depth(camera, plane), random_texture()) / 255.0 * gain)
 
 
-def write_capture(folder: Path, n_frames: int = 3) -> Capture:
-    """Five cameras before a plane that comes nearer from frame to frame, as image folders on disk."""
+def write_capture(folder: Path, n_frames: int = 3, step: float = 0.2) -> Capture:
+    """Five cameras before a plane that comes nearer by `step` from frame to frame, as image folders on disk."""
     places = [(0, 0), (0.4, 0), (-0.4, 0), (0, 0.4), (0.8, 0)]
     cameras = [look_from(x, y, f"cam{index:02d}") for index, (x, y) in enumerate(places)]
     for camera in cameras:
         for frame in range(n_frames):
-            image = see_plane(camera, PLANE - [0, 0, 0.2 * frame])
+            image = see_plane(camera, PLANE - [0, 0, step * frame])
             write_image(folder / camera.name / f"{frame:04d}.png", image)
     sources = tuple(ImageFrames(folder / camera.name) for camera in cameras)
     return Capture("plane", "folders", folder, tuple(cameras), sources, n_frames, 30.0, 1.0, "known")

@@ -23,8 +23,9 @@ from ggvs_eval.pipelines.depth_validation.room_regions import (
     slope_of_grey,
     thin_structures,
 )
-from ggvs_eval.pipelines.depth_validation.rooms import FilmedRoom
+from ggvs_eval.pipelines.depth_validation.rooms import FRAMES, FilmedRoom
 from ggvs_eval.pipelines.depth_validation.sparse_points import choose_points, judge_sparse, read_sparse_points, score_points
+from ggvs_eval.pipelines.depth_validation.static_reuse import judge_reuse
 from ggvs_eval.pipelines.depth_validation.temporal_spread import find_static, measure_spread, temporal_spread
 from ggvs_eval.pipelines.offline.depth import DepthOptions
 from ggvs_eval.pipelines.offline.sgbm import SgbmMatcher
@@ -208,6 +209,24 @@ def test_a_room_is_judged_region_by_region(tmp_path):
     assert table.loc[("demo", "texture"), ("sgbm", "within_2_percent")] > 90
     assert figures["depth.demo.texture.median_error_percent.sgbm"]["value"] < 0.5
     assert "depth.demo.thin.median_error_percent.sgbm" not in figures
+
+
+def test_reuse_saves_what_stands_still(tmp_path):
+    """Of a plane at rest only the first frame is computed, and its depth stays as good; of one that moves, every frame is."""
+    saved = {}
+    for name, step in (("still", 0.0), ("moving", 0.2)):
+        capture = write_capture(tmp_path / name, FRAMES, step)
+        camera = capture.cameras[0]
+        with DepthWriter(depth_path(capture.path, camera.name), range(FRAMES), camera.height, camera.width) as writer:
+            for frame in range(FRAMES):
+                writer.add(frame, plane_depth(camera, PLANE - [0, 0, step * frame]).astype(np.float32))
+        table, figures = judge_reuse([FilmedRoom(name, DemoOptions(), capture)], {"sgbm": DepthOptions(partners=2)})
+        row = table.loc[name, "sgbm"]
+        assert row["within_2_percent_whole"] > 90
+        assert row["within_2_percent_reused"] == pytest.approx(row["within_2_percent_whole"], abs=2)
+        saved[name] = figures["depth.reuse.time_saved_percent.sgbm"]["value"]
+    assert saved["still"] > 60
+    assert saved["moving"] < 30
 
 
 # Regions
@@ -468,7 +487,7 @@ def test_what_is_absent_is_named(tmp_path, capsys):
 
 def test_unknown_names_are_refused(tmp_path):
     """An unknown part, an unknown matcher and no matcher are errors that name what there is."""
-    with pytest.raises(DepthError, match="parts of motorcycle, sparse, rendering, rooms, temporal, got parts room;"):
+    with pytest.raises(DepthError, match="parts of motorcycle, sparse, rendering, rooms, temporal, reuse, got parts room;"):
         validate_depth(tmp_path, tmp_path, ["sgbm"], ["room"])
     with pytest.raises(DepthError, match="got no matcher"):
         validate_depth(tmp_path, tmp_path, [])

@@ -1,4 +1,4 @@
-"""``python -m ggvs_eval.pipelines.depth_validation --data FOLDER --matchers sgbm``: depth judged in five ways, as tables."""
+"""``python -m ggvs_eval.pipelines.depth_validation --data FOLDER --matchers sgbm``: depth judged in six ways, as tables."""
 
 import argparse
 import sys

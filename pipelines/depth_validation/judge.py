@@ -7,7 +7,14 @@ import pandas as pd
 
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import DepthError
-from ggvs_eval.pipelines.depth_validation import middlebury, region_errors, rendering, sparse_points, temporal_spread
+from ggvs_eval.pipelines.depth_validation import (
+    middlebury,
+    region_errors,
+    rendering,
+    sparse_points,
+    static_reuse,
+    temporal_spread,
+)
 from ggvs_eval.pipelines.depth_validation.figures import Figures
 from ggvs_eval.pipelines.depth_validation.named_matchers import depth_options, pairwise_matchers
 from ggvs_eval.pipelines.depth_validation.rooms import film_rooms
@@ -16,7 +23,7 @@ from ggvs_eval.processes import default_workers
 from ggvs_eval.protocol import load_protocol
 from ggvs_eval.run_folder import read_json, write_json
 
-PARTS = ("motorcycle", "sparse", "rendering", "rooms", "temporal")
+PARTS = ("motorcycle", "sparse", "rendering", "rooms", "temporal", "reuse")
 REAL_CAPTURE = "n3v_flame_steak"
 
 
@@ -48,9 +55,14 @@ def validate_depth(data: Path, out: Path, matchers: Sequence[str], only: Collect
         figures |= _sparse(data / REAL_CAPTURE, out, options)
     if "rendering" in only:
         figures |= _rendering(data / REAL_CAPTURE, out, list(options))
-    if {"rooms", "temporal"} & set(only):
+    of_rooms = {
+        "rooms": region_errors.judge_rooms,
+        "temporal": temporal_spread.judge_temporal,
+        "reuse": static_reuse.judge_reuse,
+    }
+    if of_rooms.keys() & set(only):
         rooms = film_rooms(out)
-        for part, judge in (("rooms", region_errors.judge_rooms), ("temporal", temporal_spread.judge_temporal)):
+        for part, judge in of_rooms.items():
             if part in only:
                 table, found_figures = judge(rooms, options)
                 _show(table, out, part)

@@ -11,7 +11,7 @@ from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.options import DemoOptions
 
 VALIDATION_SEEDS = (101, 102, 103)
-FRAMES = 8  # of every room; both judges look at no more
+FRAMES = 8  # of every room; no judge looks at more
 DEMO = "demo"
 
 

@@ -1,0 +1,63 @@
+"""What `--reuse-static` saves and what it costs: the depth of one camera over some frames, with it and without."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from time import process_time
+
+import numpy as np
+import pandas as pd
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.pipelines.depth_validation.depth_errors import WITHIN, relative_errors
+from ggvs_eval.pipelines.depth_validation.figures import Figures, Measure, figures_of
+from ggvs_eval.pipelines.depth_validation.rooms import FRAMES, FilmedRoom
+from ggvs_eval.pipelines.depth_validation.tables import Column, mean_of_rows, wide_table
+from ggvs_eval.pipelines.depth_validation.temporal_spread import estimate_views
+from ggvs_eval.pipelines.offline.depth import DepthOptions
+from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
+from ggvs_eval.synthetic.exact_depth import read_exact_depth
+
+MEASURES = (
+    Measure("time_saved_percent", "% of CPU seconds", higher_is_better=True),
+    Measure("within_2_percent_whole", "% of pixels", higher_is_better=True),
+    Measure("within_2_percent_reused", "% of pixels", higher_is_better=True),
+)
+
+
+def judge_reuse(rooms: Sequence[FilmedRoom], options: Mapping[str, DepthOptions]) -> tuple[pd.DataFrame, Figures]:
+    """The first camera of every room over its first frames, the first of which is always computed whole.
+
+    Args:
+        rooms: with exact depth.
+        options: of each matcher, by name; how they use time is replaced.
+
+    Returns:
+        A table, one row per room, columns (matcher, measure), and figures of the means over all rooms. Time is that of all
+        threads, which does not depend on what else the machine does.
+    """
+    rows: dict[str, dict[Column, float]] = {}
+    for room in rooms:
+        camera = room.capture.cameras[0]
+        images = {name: np.stack(list(room.capture.frames(name, 0, FRAMES))) for name in room.capture.camera_names}
+        truths = np.stack([read_exact_depth(room.capture.path, camera.name, frame) for frame in range(FRAMES)])
+        rows[room.name] = {}
+        for matcher, each in options.items():
+            whole = replace(each, time=DepthChoice(reuse_static=False).options().time)
+            reused = replace(each, time=DepthChoice(reuse_static=True).options().time)
+            (seconds, good), (fewer, still_good) = (_measured(room, camera, images, truths, way) for way in (whole, reused))
+            values = (100 * (1 - fewer / seconds), good, still_good)
+            rows[room.name] |= {(matcher, measure.name): value for measure, value in zip(MEASURES, values, strict=True)}
+    table = wide_table(rows)
+    return table, figures_of("reuse", MEASURES, mean_of_rows(table))
+
+
+def _measured(
+    room: FilmedRoom, camera: Camera, images: Mapping[str, np.ndarray], truths: np.ndarray, options: DepthOptions
+) -> tuple[float, float]:
+    """CPU seconds for all frames, and the share of their pixels within 2 % of the exact depth, in percent."""
+    start = process_time()
+    views = estimate_views(room, camera, images, options)
+    seconds = process_time() - start
+    known = truths > 0
+    errors = relative_errors(np.stack([view.depth for view in views])[known], truths[known])
+    return seconds, float(100 * (errors <= WITHIN).mean())
