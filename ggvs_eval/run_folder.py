@@ -110,6 +110,13 @@ class RunFolder:
         """Scene, layout, fps, units and cameras of the capture, as `ggvs-eval prepare` wrote them."""
         return read_json(self.root / "capture.json")
 
+    def capture_path(self) -> Path:
+        """Where the capture lies: where it lay when the run was prepared, or where it moved together with the run."""
+        record = self.capture_record()
+        place = record.get("place", {})  # a run of an earlier version knows only the path as it was given
+        candidates = [Path(place["absolute"]), (self.root / place["from_run"]).resolve()] if place else []
+        return next((path for path in candidates if path.exists()), Path(record["path"]))
+
     def labels(self) -> list[str]:
         """Methods that have renders here, in the order in which `ggvs-eval render` was asked for them."""
         folder = self.root / "renders"

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from ggvs_eval.capture import Capture, Retake
 from ggvs_eval.datasets import open_capture
@@ -41,21 +40,35 @@ def evaluate(
     Returns:
         Path of the report's page.
     """
+    measure(root, capture, protocol, labels, workers, depth, checkpoints)
+    return report([root])
+
+
+def measure(
+    root: Path,
+    capture: Capture,
+    protocol: Protocol,
+    labels: Sequence[str],
+    workers: Workers,
+    depth: DepthChoice | None = None,
+    checkpoints: Checkpoints = NO_CHECKPOINTS,
+) -> None:
+    """Everything of `evaluate` but the report."""
     prepared = prepare(root, capture, protocol, as_engine(workers).jobs, depth)
     render(prepared, labels, workers, checkpoints)
     score(RunFolder(root), workers)
-    return report([root])
 
 
 def reopen(root: Path, workers: int) -> Prepared:
     """Pick up a run folder that `prepare` has made, from the protocol and capture that it names."""
     run = RunFolder(root)
-    return prepare(root, _recorded_capture(run.capture_record()), run.protocol(), workers)
+    return prepare(root, recorded_capture(run), run.protocol(), workers)
 
 
-def _recorded_capture(record: dict[str, Any]) -> Capture:
+def recorded_capture(run: RunFolder) -> Capture:
     """The capture of a run folder, with the cameras, units and noise it had when the run was prepared."""
-    capture = open_capture(Path(record["path"]), record["layout"], units=record["units_per_metre"], drop_unsynced=False)
+    record = run.capture_record()
+    capture = open_capture(run.capture_path(), record["layout"], units=record["units_per_metre"], drop_unsynced=False)
     capture = capture.without([name for name in capture.camera_names if name not in record["cameras"]], "")
     capture = retake(capture, Retake(**(record.get("retake") or {})))
     return replace(capture, units_origin=record["units_origin"], notes=tuple(record["notes"]))

@@ -1,5 +1,6 @@
 """Prepare: what every method needs of a capture under a protocol - truth frames, source views, depth, a camera path."""
 
+import os
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -82,10 +83,9 @@ def prepare(root: Path, capture: Capture, protocol: Protocol, workers: int = 1, 
         ProtocolError: the folder belongs to another protocol or capture.
     """
     capture, run = fit_capture(capture, protocol), RunFolder(root)
-    _claim_folder(run, protocol, capture)
-    options = _claim_depth(run, depth).options()
+    options = claim_run(run, protocol, capture, depth)
     planned = plan(run, protocol, capture, options)
-    prepared = replace(planned, capture=cache_frames(capture, _wanted_frames(planned, options), run.root / "truth", workers))
+    prepared = replace(planned, capture=cache_frames(capture, wanted_frames(planned, options), run.root / "truth", workers))
     _write_path_truth(prepared)
     _prepare_depth(prepared, options, workers)
     if any(name.endswith("_disoccluded") for name in protocol.measurement.metrics):
@@ -180,9 +180,28 @@ def _shows_its_instant(capture: Capture, known: CameraPath) -> bool:
     return retake is None or not retake.hold_frames or round(known.time_s * capture.fps) == retake.hold_frame
 
 
+def claim_run(run: RunFolder, protocol: Protocol, capture: Capture, depth: DepthChoice | None) -> DepthOptions:
+    """Make a folder this run's, or make sure that it already is, before anything is written into it.
+
+    Args:
+        run: the folder; made if absent.
+        protocol: what is evaluated.
+        capture: at synthesis size.
+        depth: how depth is found; as the folder says, or the default.
+
+    Raises:
+        ProtocolError: the folder belongs to another protocol or capture, or its depth is found otherwise.
+    """
+    _claim_folder(run, protocol, capture)
+    choice = depth_choice_of(run, depth)
+    if not run.depth_record.is_file():
+        write_json(run.depth_record, choice.record())
+    return choice.options()
+
+
 def _claim_folder(run: RunFolder, protocol: Protocol, capture: Capture) -> None:
     """Make the folder this run's, or make sure that it already is."""
-    record = _capture_record(capture)
+    record = _capture_record(capture, run.root)
     if run.protocol_file.is_file() and (run.protocol(), run.capture_record()["digests"]) != (protocol, record["digests"]):
         raise ProtocolError(
             f"{run.root}: holds a run of another protocol or capture ({run.protocol().name}); choose a new folder or delete it"
@@ -192,10 +211,14 @@ def _claim_folder(run: RunFolder, protocol: Protocol, capture: Capture) -> None:
     write_text(run.protocol_file, protocol.to_toml())
 
 
-def _claim_depth(run: RunFolder, wanted: DepthChoice | None) -> DepthChoice:
-    """How this folder's depth is found; methods of one table must have been given the same."""
+def depth_choice_of(run: RunFolder, wanted: DepthChoice | None) -> DepthChoice:
+    """How this folder's depth is found, or will be; methods of one table must have been given the same.
+
+    Raises:
+        ProtocolError: the folder's depth is found otherwise.
+    """
     if not run.depth_record.is_file():
-        write_json(run.depth_record, (wanted or DepthChoice()).record())
+        return wanted or DepthChoice()
     known = DepthChoice.from_record(read_json(run.depth_record))
     if wanted not in (None, known):
         raise ProtocolError(
@@ -205,7 +228,9 @@ def _claim_depth(run: RunFolder, wanted: DepthChoice | None) -> DepthChoice:
     return known
 
 
-def _capture_record(capture: Capture) -> dict[str, Any]:
+def _capture_record(capture: Capture, root: Path) -> dict[str, Any]:
+    """What a run folder says of its capture: its path as it was given, and where it lies, seen from anywhere and from the run."""
+    place = capture.path.resolve()
     cameras = {
         camera.name: {
             "K": camera.K.tolist(),
@@ -218,6 +243,7 @@ def _capture_record(capture: Capture) -> dict[str, Any]:
     }
     return {
         "path": str(capture.path),
+        "place": {"absolute": str(place), "from_run": os.path.relpath(place, root.resolve())},
         "scene": capture.scene,
         "layout": capture.layout,
         "fps": capture.fps,
@@ -231,7 +257,7 @@ def _capture_record(capture: Capture) -> dict[str, Any]:
     }
 
 
-def _wanted_frames(planned: Prepared, options: DepthOptions) -> dict[str, list[int]]:
+def wanted_frames(planned: Prepared, options: DepthOptions) -> dict[str, list[int]]:
     """Which frames of which cameras take part: test views, source cameras and those that their depth is matched with."""
     wanted: dict[str, list[int]] = {view: list(planned.frames) for view in planned.plans}
     first_needed = options.time.first_needed

@@ -6,6 +6,7 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.protocol import Frames, Measurement, Protocol, Synthesis, Views, load_protocol, packaged_protocols
 
+DEMO = "demo"  # what the names of protocols of demo captures begin with
 MOST_VIEWS, MOST_FRAMES = 9, 100
 
 
@@ -15,7 +16,7 @@ def suggest_protocol(capture: Capture) -> Protocol:
     The rule: every second camera in the capture's order is a test view (at most nine, from the second on), at most 100 frames,
     the capture's own size; K, filters and metrics of its layout's protocol, or DyNeRF's. ``views.chosen_by`` says so.
     """
-    for name in ("demo", capture.layout):
+    for name in (DEMO, f"{DEMO}-{capture.layout}", capture.layout):
         if name in packaged_protocols() and _fits(capture, load_protocol(name)):
             return load_protocol(name)
     base = load_protocol(capture.layout if capture.layout in packaged_protocols() else "dynerf")
@@ -41,8 +42,8 @@ def _measured_like(base: Protocol, capture: Capture) -> Measurement:
 
 
 def _fits(capture: Capture, protocol: Protocol) -> bool:
-    """Whether a packaged protocol was made for this capture; the demo's is for demo captures alone."""
-    if (protocol.name == "demo") != (capture.units_origin == DEMO_NOTES):
+    """Whether a packaged protocol was made for this capture; the demos' are for demo captures alone."""
+    if protocol.name.startswith(DEMO) != (capture.units_origin == DEMO_NOTES):
         return False
     enough = protocol.frames.start + protocol.frames.count <= capture.n_frames
     return enough and set(protocol.views.test) <= set(capture.camera_names)

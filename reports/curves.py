@@ -25,6 +25,11 @@ class Curve:
     frames: tuple[int, ...]
     values: tuple[float, ...]
 
+    @property
+    def pairs(self) -> tuple[tuple[int, float], ...]:
+        """Each place along the axis with its value."""
+        return tuple(zip(self.frames, self.values, strict=True))
+
 
 @dataclass(frozen=True)
 class Panel:
@@ -87,7 +92,7 @@ def _metric_panels(run: MeasuredRun, metric: str) -> list[Panel]:
     frames = [frame for view in curves.values() for curve in view for frame in curve.frames]
     if not values or min(frames) == max(frames):
         return []
-    low, high = _with_margin(min(values), max(values))
+    low, high = with_margin(min(values), max(values))
     note = run.metrics[metric]
     better = "higher is better" if note.higher_is_better else "lower is better"
     bounds = (min(frames), max(frames), low, high)
@@ -105,7 +110,8 @@ def _curves(run: MeasuredRun, metric: str, view: str) -> tuple[Curve, ...]:
     return tuple(sorted(curves, key=lambda curve: curve.number))
 
 
-def _with_margin(low: float, high: float) -> tuple[float, float]:
+def with_margin(low: float, high: float) -> tuple[float, float]:
+    """Ends of an axis on which values from `low` to `high` do not touch the rim."""
     margin = 0.06 * (high - low) or max(abs(high), 1.0) * 0.01
     return low - margin, high + margin
 

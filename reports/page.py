@@ -1,8 +1,8 @@
 """The page: one HTML file that carries everything it shows and opens without a network."""
 
+import itertools
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,54 +10,35 @@ import numpy as np
 
 from ggvs_eval.images import Image8
 from ggvs_eval.reports.comparison import ERROR_FULL_SCALE, FRAME_BYTES, compare_frames, error_scale
-from ggvs_eval.reports.curves import COLOURS, DASHES, MARGIN, SIZE, Panel
+from ggvs_eval.reports.curves import COLOURS, DASHES, MARGIN, SIZE
 from ggvs_eval.reports.data_uri import png_uri, shrink, webp_uri
 from ggvs_eval.reports.heat_map import heat_colours, heat_maps
+from ggvs_eval.reports.leaders import leaders
 from ggvs_eval.reports.measured import MeasuredRun
 from ggvs_eval.reports.method_videos import VIDEO_BYTES, method_videos
 from ggvs_eval.reports.path_pictures import PATH_BYTES, path_pictures
 from ggvs_eval.reports.published import CAVEATS, published_tables
 from ggvs_eval.reports.reproduction import MEANING, Reproduction
 from ggvs_eval.reports.reproduction_formats import blocks, count_words
-from ggvs_eval.reports.scripts import TEMPLATES, page_script, script_digest
+from ggvs_eval.reports.run_groups import RunGroup, RunSection
+from ggvs_eval.reports.scripts import FIRST_SCRIPTS, TEMPLATES, page_script, script_digest
 from ggvs_eval.reports.slice_figure import NO_TRUTH
 from ggvs_eval.reports.slices import Slices
-from ggvs_eval.reports.table import Table
+from ggvs_eval.reports.sweep_section import SweepSection
 from ggvs_eval.reports.viewer_data import viewer_data
 from ggvs_eval.run_folder import JOB_FILE
 
 CONTEXT_WIDTH = 480
+PLOT = {"size": SIZE, "margin": MARGIN, "dashes": DASHES, "colours": len(COLOURS)}
 
 
-@dataclass(frozen=True)
-class RunSection:
-    """Everything that the page shows of one run.
-
-    Attributes:
-        run: the run.
-        view_tables: where the error varies, and one per metric.
-        timing: time per stage.
-        slices: along the path and over time.
-        panels: error curves.
-    """
-
-    run: MeasuredRun
-    view_tables: tuple[Table, ...]
-    timing: Table
-    slices: Sequence[Slices]
-    panels: tuple[Panel, ...]
-
-
-def render_page(
-    sections: Sequence[RunSection], tables: Sequence[Table], provenance: dict[str, Any], reproduced: Sequence[Reproduction] = ()
-) -> str:
+def render_page(groups: Sequence[RunGroup], reproduced: Sequence[Reproduction] = (), sweeps: Sequence[SweepSection] = ()) -> str:
     """Fill the templates.
 
     Args:
-        sections: one per run.
-        tables: quality, consistency and whatever else was measured, over all runs.
-        provenance: of the merged results.
+        groups: runs by protocol; one alone has no heading of its own.
         reproduced: every value that the paper publishes, beside ours.
+        sweeps: tables and curves over K, to stand first.
 
     Returns:
         The whole page; equal inputs give equal text.
@@ -67,19 +48,16 @@ def render_page(
     environment = Environment(
         loader=FileSystemLoader(TEMPLATES), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    script = page_script()
+    scripts = {"first": page_script(FIRST_SCRIPTS), "last": page_script()}
     return environment.get_template("page.html.j2").render(
-        title=", ".join(dict.fromkeys(section.run.scene for section in sections)),
-        n_methods=len({label for section in sections for label in section.run.labels}),
+        title=", ".join(dict.fromkeys(group.scenes for group in groups)),
         css=(TEMPLATES / "page.css").read_text(encoding="utf-8"),
-        script=script,
-        script_digest=script_digest(script),
-        sections=[_section(index, section, len(sections)) for index, section in enumerate(sections)],
-        tables=tables,
-        leaders=leaders(tables),
-        provenance=provenance,
-        protocol=sections[0].run.protocol,
-        metrics=sections[0].run.metrics,
+        dark_css=(TEMPLATES / "dark.css").read_text(encoding="utf-8"),
+        scripts=scripts,
+        script_digests=[script_digest(script) for script in scripts.values()],
+        groups=_groups(groups),
+        sweeps=[{"id": f"sweep{at}", **vars(sweep)} for at, sweep in enumerate(sweeps)],
+        plot=PLOT,
         published=published_tables(),
         caveats=CAVEATS,
         reproduction={
@@ -88,20 +66,34 @@ def render_page(
             "meaning": MEANING,
             "values": len(reproduced),
         },
-        has_published_rows=any(row.kind == "published" for table in tables for row in table.rows),
         error_scale=png_uri(error_scale()),
         error_full_scale=int(ERROR_FULL_SCALE),
         heat_scale=png_uri(heat_colours()),
     )
 
 
-def leaders(tables: Sequence[Table]) -> list[tuple[str, list[str]]]:
-    """Who is best in what: name -> metrics, in the order of the rows; ties count for each."""
-    best: dict[str, list[str]] = {}
-    for table in tables:
-        for row in table.rows:
-            best.setdefault(row.name, []).extend(c.name for c, cell in zip(table.columns, row.cells, strict=True) if cell.best)
-    return [(name, metrics) for name, metrics in best.items() if metrics]
+def _groups(groups: Sequence[RunGroup]) -> list[dict[str, Any]]:
+    """What the templates need of each group; places in the page have the same names in all groups, behind the group's own."""
+    n_sections, numbers = sum(len(group.sections) for group in groups), itertools.count()
+    return [
+        {
+            "id": f"group{at}",
+            "place": f"group{at}-" if len(groups) > 1 else "",
+            "level": 3 if len(groups) > 1 else 2,
+            "name": group.name,
+            "scenes": group.scenes,
+            "protocol": group.protocol,
+            "provenance": group.results.provenance,
+            "metrics": group.sections[0].run.metrics,
+            "n_methods": len({label for section in group.sections for label in section.run.labels}),
+            "tables": group.tables,
+            "leaders": leaders(group.tables),
+            "several_datasets": len({table.dataset for table in group.tables}) > 1,
+            "has_published_rows": any(row.kind == "published" for table in group.tables for row in table.rows),
+            "sections": [_section(next(numbers), section, n_sections) for section in group.sections],
+        }
+        for at, group in enumerate(groups)
+    ]
 
 
 def reproduce(run: MeasuredRun, capture: str) -> list[str]:
@@ -127,6 +119,7 @@ def _section(index: int, section: RunSection, n_sections: int) -> dict[str, Any]
         "id": f"run{index}",
         "run": run,
         "capture": _facts(capture),
+        "n_cameras": len(capture.get("cameras", ())),
         "view_tables": section.view_tables,
         "timing": section.timing,
         "comparison": comparison,
@@ -138,7 +131,7 @@ def _section(index: int, section: RunSection, n_sections: int) -> dict[str, Any]
         "commands": reproduce(run, str(capture.get("path", "CAPTURE"))),
         "has_path": any(slices.kind == "epi" for slices in section.slices),
         "panels": section.panels,
-        "plot": {"size": SIZE, "margin": MARGIN, "dashes": DASHES, "colours": len(COLOURS)},
+        "plot": PLOT,
     }
 
 

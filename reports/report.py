@@ -1,84 +1,55 @@
-"""A report of one or several runs: the page, the tables in three formats, and the figures."""
+"""A report of one or several runs: the page, the tables in four formats, and the figures."""
 
-import os
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from ggvs_eval.errors import ResultsError
 from ggvs_eval.reports.crop_figure import draw_crops, draw_failures
-from ggvs_eval.reports.curves import curve_panels, draw_curves
-from ggvs_eval.reports.decomposition_table import decomposition_table
-from ggvs_eval.reports.excel import has_excel, write_excel
+from ggvs_eval.reports.curves import draw_curves
 from ggvs_eval.reports.figures import first_choice
-from ggvs_eval.reports.measured import MeasuredRun, read_run
-from ggvs_eval.reports.page import RunSection, render_page
-from ggvs_eval.reports.paper_layout import paper_tables
-from ggvs_eval.reports.published import CAVEATS, SOURCE
-from ggvs_eval.reports.reproduction import Reproduction, reproduce
-from ggvs_eval.reports.reproduction_formats import reproduction_csv, reproduction_markdown
+from ggvs_eval.reports.k_figure import draw_k
+from ggvs_eval.reports.page import render_page
+from ggvs_eval.reports.reproduction import reproduce
+from ggvs_eval.reports.run_groups import RunSection, read_groups
 from ggvs_eval.reports.slice_figure import draw_slices
-from ggvs_eval.reports.slices import all_slices
-from ggvs_eval.reports.table import Table
-from ggvs_eval.reports.table_formats import to_csv, to_latex, to_markdown
-from ggvs_eval.reports.tables import main_tables, view_tables
-from ggvs_eval.reports.timing import timing_table
-from ggvs_eval.results import merge_results
+from ggvs_eval.reports.sweep_section import is_sweep, sweep_runs, sweep_section
+from ggvs_eval.reports.table_files import write_tables
+from ggvs_eval.run_folder import RunFolder, write_text
 
 
 def write_report(runs: Sequence[Path], out: Path | None = None) -> Path:
     """Write ``index.html``, ``tables.*``, ``reproduction.*`` (the paper's values beside ours) and ``figures/*.png``.
 
+    Runs of one protocol share their tables, as scenes of one data set; runs of another protocol stand in a group of their own,
+    on the same page and in the same files.
+
     Args:
-        runs: run folders, rendered and scored under one protocol.
-        out: folder to write to; None takes ``report`` in the first run.
+        runs: run folders, rendered and scored, of one protocol or of several; the folder of a sweep stands for its runs, and its
+            table and curves over K come first.
+        out: folder to write to; None takes ``report`` in the first of them.
 
     Returns:
         The page.
 
     Raises:
-        ResultsError: no run, a folder that is not a scored run, or runs of different protocols.
+        ResultsError: no run, a run given twice, or a folder that is not a scored run.
         RenderError: frames are missing.
     """
-    if not runs:
-        raise ResultsError("wanted at least one run folder, got none; make one with `ggvs-eval run`")
-    measured = [read_run(run) for run in runs]
-    results = merge_results([run.results for run in measured])
-    out = measured[0].folder.report if out is None else out
-    sections = [_section(run) for run in measured]
-    tables = main_tables(measured, results)
-    reproduced = reproduce(measured)
-    _write_tables(sections, tables, reproduced, results.provenance["protocol_sha256"], out)
+    roots = [Path(root) for root in runs]
+    sweeps = [root for root in roots if is_sweep(root)]
+    groups = read_groups([run for root in roots for run in (sweep_runs(root) if is_sweep(root) else [root])])
+    sections = [section for group in groups for section in group.sections]
+    out = RunFolder(roots[0]).report if out is None else out
+    reproduced = reproduce([section.run for section in sections])
+    write_tables(groups, reproduced, out)
     for index, section in enumerate(sections):
         _draw_figures(section, out / "figures" / (f"run{index}" if len(sections) > 1 else ""))
-    return _write_text(out / "index.html", render_page(sections, tables, results.provenance, reproduced))
-
-
-def _section(run: MeasuredRun) -> RunSection:
-    decomposition = decomposition_table(run)
-    by_view = ((decomposition,) if decomposition else ()) + view_tables(run)
-    return RunSection(run, by_view, timing_table(run), all_slices(run), curve_panels(run))
-
-
-def _write_tables(
-    sections: Sequence[RunSection], tables: Sequence[Table], reproduced: Sequence[Reproduction], sha256: str, out: Path
-) -> None:
-    """All tables of the page in four formats, and every value that the paper publishes beside ours."""
-    everything = [*tables, *(table for section in sections for table in (*section.view_tables, section.timing))]
-    notes = [f"Protocol {sections[0].run.protocol.name}, sha256 {sha256}"]
-    if any(row.kind == "published" for table in tables for row in table.rows):
-        notes += [f"Grey or italic rows are published values: {SOURCE}", *CAVEATS]
-    values = {"values": to_csv(everything), "reproduction": reproduction_csv(reproduced)}
-    _write_text(out / "tables.md", to_markdown(everything, notes))
-    _write_text(out / "tables.csv", values["values"])
-    _write_text(out / "tables.tex", to_latex(everything, notes))
-    _write_text(out / "reproduction.md", reproduction_markdown(reproduced))
-    _write_text(out / "reproduction.csv", values["reproduction"])
-    _write_text(out / "reproduction.tex", to_latex(paper_tables(reproduced), CAVEATS))
-    if has_excel():
-        write_excel(everything, values, out / "tables.xlsx")
-    else:
-        print("tables.xlsx not written: pandas needs openpyxl for it; pip install openpyxl", file=sys.stderr)
+    swept = [sweep_section(sweep, sections[0].run.metrics) for sweep in sweeps]
+    for index, sweep in enumerate(sweeps):
+        if swept[index].panels:
+            draw_k(sweep, out / "figures" / f"k{index or ''}.png")
+    page = out / "index.html"
+    write_text(page, render_page(groups, reproduced, swept))
+    return page
 
 
 def _draw_figures(section: RunSection, folder: Path) -> None:
@@ -90,12 +61,3 @@ def _draw_figures(section: RunSection, folder: Path) -> None:
         draw_failures(section.run, [folder / "failures.png"], label)
     for metric in dict.fromkeys(panel.metric for panel in section.panels):
         draw_curves([panel for panel in section.panels if panel.metric == metric], folder / f"curves_{metric}.png")
-
-
-def _write_text(path: Path, text: str) -> Path:
-    """Write a file whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    temporary.write_text(text, encoding="utf-8")
-    temporary.replace(path)
-    return path

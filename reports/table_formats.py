@@ -5,6 +5,7 @@ import io
 import re
 from collections.abc import Sequence
 
+from ggvs_eval.protocol import Protocol
 from ggvs_eval.reports.table import Cell, Column, Row, Table
 
 LATEX_SPECIAL = {
@@ -30,6 +31,7 @@ LATEX_SPECIAL = {
 CSV_HEAD = (
     *("table", "dataset", "method", "kind", "column", "unit", "higher_is_better"),
     *("value", "lo", "hi", "shown", "best", "note"),
+    *("protocol", "k", "protocol_sha256"),
 )
 HELD_BACK = 40  # tables; LaTeX keeps those that no text follows, and stops at the 53rd
 LATEX_HEAD = r"""% \usepackage{booktabs}
@@ -56,16 +58,22 @@ def to_markdown(tables: Sequence[Table], notes: Sequence[str] = ()) -> str:
     return "\n\n".join([*parts, *([closing] if closing else [])]) + "\n"
 
 
-def to_csv(tables: Sequence[Table]) -> str:
-    """One line per cell, values and bounds unrounded; where there are none the reason stands in ``note``."""
+def to_csv(groups: Sequence[tuple[Protocol, Sequence[Table]]]) -> str:
+    """One line per cell, values and bounds unrounded; where there are none the reason stands in ``note``.
+
+    Args:
+        groups: a protocol and the tables of what was measured under it; values of different protocols do not compare.
+    """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(CSV_HEAD)
-    for table in tables:
-        for row in table.rows:
-            for column, cell in zip(table.columns, row.cells, strict=True):
-                head = [table.key, table.dataset, row.name, row.kind, column.name, column.unit, column.higher_is_better]
-                writer.writerow([*head, *_csv_cell(cell)])
+    for protocol, tables in groups:
+        terms = (protocol.name, protocol.synthesis.k, protocol.sha256)
+        for table in tables:
+            for row in table.rows:
+                for column, cell in zip(table.columns, row.cells, strict=True):
+                    head = [table.key, table.dataset, row.name, row.kind, column.name, column.unit, column.higher_is_better]
+                    writer.writerow([*head, *_csv_cell(cell), *terms])
     return text.getvalue()
 
 

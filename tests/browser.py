@@ -4,6 +4,7 @@ Nothing is installed here. Where a browser is promised (the environment variable
 failure with the line to run, elsewhere the tests are skipped and say why.
 """
 
+import importlib.util
 import os
 import shutil
 from collections.abc import Iterator
@@ -18,19 +19,20 @@ INSTALL = "sudo apt-get install --no-install-recommends chromium chromium-driver
 DESKTOP, PHONE = (1280, 900), (390, 844)
 
 
+def lacking_parts() -> list[str]:
+    """What is not installed of what a real browser takes, by the names of the packages."""
+    found = {"chromium": shutil.which("chromium"), "chromium-driver": shutil.which("chromedriver")}
+    return [name for name, path in {**found, "selenium": importlib.util.find_spec("selenium")}.items() if not path]
+
+
 def find_browser() -> tuple[str, str]:
     """Paths of the browser and its driver; ends the test where there is none, as skipped or failed."""
-    browser, driver = shutil.which("chromium"), shutil.which("chromedriver")
-    try:
-        import selenium
-    except ModuleNotFoundError:
-        selenium = None
-    lacking = [name for name, found in (("chromium", browser), ("chromium-driver", driver), ("selenium", selenium)) if not found]
+    lacking = lacking_parts()
     if lacking:
         message = f"no real browser, {' and '.join(lacking)} not found; run: {INSTALL}"
         promised = os.environ.get("GGVS_BROWSER")
         pytest.fail(message, pytrace=False) if promised else pytest.skip(message)
-    return str(browser), str(driver)
+    return str(shutil.which("chromium")), str(shutil.which("chromedriver"))
 
 
 @contextmanager

@@ -108,6 +108,33 @@ def write_nerfbaselines(folder: Path, pattern: str = "{view}/{frame:04d}.png", c
     return folder
 
 
+def write_easyvolcap(folder: Path, copies: bool = True, frames: Sequence[int] = FRAMES, views: Sequence[str] = VIEWS) -> Path:
+    """``RENDER/frame0002_camera0000.png`` with alpha, truth and error beside each; depth and alpha in folders of their own."""
+    for view in views:
+        for frame in frames:
+            name, opaque = f"frame{frame:04d}_camera{CAMERAS.index(view):04d}", np.full((HEIGHT, WIDTH, 1), 255, np.uint8)
+            pictures = {
+                "RENDER/{}": rendered(view, frame),
+                "DEPTH/{}": truth(view, frame),
+                "RENDER/{}_error": truth(view, frame) // 9,
+            }
+            for pattern, image in {**pictures, **({"RENDER/{}_gt": truth(view, frame)} if copies else {})}.items():
+                path = folder / f"{pattern.format(name)}.png"
+                path.parent.mkdir(parents=True, exist_ok=True)
+                cv2.imwrite(str(path), np.concatenate([image[..., ::-1], opaque], axis=-1))
+    return folder
+
+
+def write_4dgaussians(folder: Path) -> Path:
+    """A model folder with the train, test and video sets; the video's gt/ is empty."""
+    for name in ("train", "test", "video"):
+        place = write_flat(folder / name / "ours_14000", view_major())
+        write_video(place / "video_rgb.mp4", (rendered(*where) for where in view_major()), 30.0)
+    for file in (folder / "video" / "ours_14000" / "gt").iterdir():
+        file.unlink()
+    return folder
+
+
 def pack(folder: Path, archive: Path) -> Path:
     """The folder's content as an archive of the kind that its name says."""
     files = sorted(file for file in folder.rglob("*") if file.is_file())

@@ -41,6 +41,7 @@ class RunShape:
     scene: str = "room"
     dataset: str = "Demo room"
     names: tuple[tuple[str, str], ...] = tuple(NAMES.items())
+    k: int = 2
 
 
 def write_run(
@@ -75,7 +76,7 @@ def write_run(
 def make_protocol(shape: RunShape) -> Protocol:
     """The protocol of a run of that shape."""
     measured = Measurement(metrics=shape.metrics)
-    return Protocol("tiny", shape.dataset, Views(shape.views, "by hand"), shape.frames, Synthesis(k=2), measured)
+    return Protocol("tiny", shape.dataset, Views(shape.views, "by hand"), shape.frames, Synthesis(k=shape.k), measured)
 
 
 def stage_seconds(label: str, count: int) -> dict[str, list[float]]:

@@ -359,7 +359,7 @@ def test_options_that_mean_nothing_are_refused(weights):
     """A depth or a frame of rotations that does not exist, or no pair at all, is refused in one line that names it."""
     with pytest.raises(RenderError, match=r"wanted depth own or given, .* got 'sensor'"):
         GpsGaussian(weights, "sensor")
-    with pytest.raises(RenderError, match="at least one pair, got 'own', 'world' and 0"):
+    with pytest.raises(RenderError, match="at least one pair, got 'own', None and 0"):
         GpsGaussian(weights, pairs=0)
 
 

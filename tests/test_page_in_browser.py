@@ -1,6 +1,7 @@
 """The page in a real browser: what somebody sees who clicks, drags and presses keys on it."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -54,8 +55,8 @@ def wait_for_slices(browser) -> None:
 
 
 def names(browser, table: int = 0) -> list[str]:
-    """First column of a table as it stands."""
-    rows = "[...document.querySelectorAll('table')[arguments[0]].tBodies[0].rows]"
+    """First column of a table of results as it stands."""
+    rows = "[...document.querySelectorAll('#results table')[arguments[0]].tBodies[0].rows]"
     return browser.run(f"{rows}.map(row => row.cells[0].textContent)", table)
 
 
@@ -66,9 +67,49 @@ def test_fits_and_loads_nothing(started, page, size, dark):
     started.visit(page, size, dark)
     assert started.run("document.documentElement.scrollWidth") <= size[0]
     assert started.run("performance.getEntriesByType('resource').filter(e => !e.name.startsWith('data:')).length") == 0
-    assert started.wait("[...document.images].every(image => image.complete && image.naturalWidth > 0)")
+    assert started.wait("[...document.querySelectorAll('img[src]')].every(image => image.complete && image.naturalWidth > 0)")
     paper = [int(n) for n in re.findall(r"\d+", started.run("getComputedStyle(document.body).backgroundColor"))]
     assert max(paper) < 40 if dark else min(paper) > 240
+    assert started.complaints() == []
+
+
+def is_dark(browser) -> bool:
+    """Whether the page is dark, read from what lies behind its text."""
+    return max(int(n) for n in re.findall(r"\d+", browser.run("getComputedStyle(document.body).backgroundColor"))) < 40
+
+
+def test_theme_is_switched_by_keyboard_and_kept(started, page):
+    """Radio buttons show the page dark, light or as the system is, by arrow keys too; a choice outlives the page."""
+    started.visit(page)
+    try:
+        started.run("document.querySelector('.theme input:checked').focus()")
+        assert started.run("document.activeElement.value") == "system"
+        started.press("\ue013")
+        assert (started.run("document.activeElement.value"), is_dark(started)) == ("dark", True)
+        started.visit(page)
+        assert (started.run("document.querySelector('.theme input:checked').value"), is_dark(started)) == ("dark", True)
+        started.click(".theme input[value=light]")
+        started.visit(page, dark=True)
+        assert not is_dark(started)
+        started.click(".theme input[value=system]")
+        assert is_dark(started)
+    finally:
+        started.run("localStorage.clear()")
+    assert started.complaints() == []
+
+
+def test_theme_needs_no_storage(started, page):
+    """Where the browser lets a page from disk keep nothing, the switch works until the page is closed, without complaint."""
+    refuse = "Object.defineProperty(window, 'localStorage', {get() { throw new DOMException('refused', 'SecurityError'); }})"
+    added = started.driven.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": refuse})
+    try:
+        started.visit(page)
+        started.click(".theme input[value=dark]")
+        assert is_dark(started)
+        started.visit(page)
+        assert not is_dark(started)
+    finally:
+        started.driven.execute_cdp_cmd("Page.removeScriptToEvaluateOnNewDocument", added)
     assert started.complaints() == []
 
 
@@ -91,6 +132,27 @@ def test_poor_runs_have_a_working_page(started, tmp_path, shape):
     started.run("document.querySelector('.stage').focus()")
     started.press("v", "b", "m", "d", "+", "0", "\ue014")
     assert started.text("[data-role=clock]").startswith(f"frame {shape.frames.start + (shape.frames.count > 1)} of")
+    assert started.complaints() == []
+
+
+def test_each_group_of_a_page_has_a_viewer_of_its_own(started, tmp_path):
+    """Two protocols on one page: the contents lead to a group, its controls and the keys move its viewer and not the other's."""
+    shapes = (replace(SHAPE, metrics=("PSNR",), poses=2), replace(SHAPE, frames=Frames(0, 3), metrics=("PSNR",), poses=2))
+    runs = [write_run(tmp_path / str(number), shape, paint) for number, shape in enumerate(shapes)]
+    started.visit(write_report(runs, tmp_path / "report"))
+    clocks = "[...document.querySelectorAll('[data-role=clock]')].map(clock => clock.textContent.slice(0, 14))"
+    assert started.run(clocks) == ["frame 2 of 2–5", "frame 0 of 0–2"]
+    started.run("document.querySelector('.contents tbody tr:nth-child(2) a').click()")
+    assert started.run("location.hash") == "#group1"
+    started.wait("Math.abs(document.getElementById('group1').getBoundingClientRect().top) < 60")
+    started.run("document.querySelectorAll('.stage')[1].focus()")
+    started.press("\ue014", "v")
+    assert started.run(clocks) == ["frame 2 of 2–5", "frame 1 of 0–2"]
+    assert started.run("[...document.querySelectorAll('[data-role=view]')].map(view => view.value)") == ["cam00", "cam03"]
+    started.click("#group1-heat .cells", 0.9, 0.25)
+    assert started.run(clocks) == ["frame 2 of 2–5", "frame 2 of 0–2"]
+    assert started.run("document.documentElement.scrollWidth") <= DESKTOP[0]
+    assert started.run("document.querySelectorAll('.contents .sort').length") == 0
     assert started.complaints() == []
 
 
@@ -255,15 +317,15 @@ def test_tables_sort_best_first(shown):
     grey = original[len(LABELS) :]
     assert grey
     for sorts, state in ((original[:3][::-1], "descending"), (original[:3], "ascending"), (original[:3], "none")):
-        shown.click("thead th:nth-child(2) .sort")
+        shown.click("#results thead th:nth-child(2) .sort")
         assert names(shown) == [*sorts, *grey]
-        assert shown.run("document.querySelector('thead th:nth-child(2)').getAttribute('aria-sort')") == state
+        assert shown.run("document.querySelector('#results thead th:nth-child(2)').getAttribute('aria-sort')") == state
 
 
 def test_everything_is_reached_by_the_tab_key(shown):
     """Tab alone reaches heads of tables, heat maps, the stage, the scrubber and the zoom; what has the focus can be seen to."""
     reached = set()
-    for _ in range(90):
+    for _ in range(110):
         shown.press("\ue004")
         reached.add(shown.run("document.activeElement.className + '|' + (document.activeElement.dataset.role ?? '')"))
         assert shown.run("getComputedStyle(document.activeElement).outlineStyle") != "none"

@@ -17,7 +17,7 @@ from ggvs_eval.reports.measured import read_run
 from ggvs_eval.reports.method_videos import FRAMES_AT_MOST, MethodVideo, method_videos
 from ggvs_eval.reports.path_pictures import POSES_AT_MOST, path_pictures
 from ggvs_eval.reports.report import write_report
-from ggvs_eval.reports.scripts import SCRIPTS, TEMPLATES, page_script, script_digest
+from ggvs_eval.reports.scripts import FIRST_SCRIPTS, SCRIPTS, TEMPLATES, page_script, script_digest
 from page_reader import PageReader
 from run_folders import LABELS, RunShape, write_run
 
@@ -117,15 +117,16 @@ def test_long_runs_give_short_videos(tmp_path):
 
 
 def test_every_script_is_in_the_page(run, tmp_path):
-    """All JavaScript files among the templates are inlined, in full, under a policy that allows exactly them."""
-    assert {f"{name}.js" for name in SCRIPTS} == {file.name for file in TEMPLATES.glob("*.js")}
-    script = page_script()
+    """All JavaScript files among the templates are inlined, in full, under a policy that allows exactly these two scripts."""
+    assert {f"{name}.js" for name in (*FIRST_SCRIPTS, *SCRIPTS)} == {file.name for file in TEMPLATES.glob("*.js")}
+    scripts = [page_script(FIRST_SCRIPTS), page_script()]
     text = write_report([Path(run.folder.root)], tmp_path / "report").read_text(encoding="utf-8")
-    assert all((TEMPLATES / f"{name}.js").read_text(encoding="utf-8").strip() in text for name in SCRIPTS)
-    assert script in PageReader(text).texts or script.strip() in PageReader(text).texts
-    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    assert script_digest(script) == digest
-    assert f"script-src 'sha256-{digest}'" in text
+    assert [one for one in PageReader(text).texts if one.startswith('"use strict"')] == [one.strip() for one in scripts]
+    files = [TEMPLATES / f"{name}.js" for name in (*FIRST_SCRIPTS, *SCRIPTS)]
+    assert all(file.read_text(encoding="utf-8").strip() in "".join(scripts) for file in files)
+    digests = [base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts]
+    assert [script_digest(script) for script in scripts] == digests
+    assert f"script-src 'sha256-{digests[0]}' 'sha256-{digests[1]}';" in text
 
 
 def test_the_viewer_opens_with_ours():

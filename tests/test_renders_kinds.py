@@ -21,6 +21,8 @@ from render_folders import (
     stack,
     truth,
     view_major,
+    write_4dgaussians,
+    write_easyvolcap,
     write_flat,
     write_folders,
     write_nerfbaselines,
@@ -97,6 +99,15 @@ EXACT: dict[str, tuple[Callable[[Path], Path], str, str]] = {
         "renders/ and gt/",
         "order found",
     ),
+    "a 4DGaussians model folder": (write_4dgaussians, "renders/ and gt/", "view after view"),
+    "easyvolcap": (write_easyvolcap, "EasyVolcap output", "_gt pictures agree"),
+    "easyvolcap, a tag": (lambda f: write_easyvolcap(f / "ours_b").parent, "EasyVolcap output", "2 = cam02, 0 = cam00"),
+    "easyvolcap, renders alone": (lambda f: write_easyvolcap(f, False) / "RENDER", "EasyVolcap output", "no _gt pictures"),
+    "easyvolcap, the whole capture": (
+        lambda f: write_easyvolcap(f, False, range(N_FRAMES)),
+        "EasyVolcap output",
+        "frames 2-4 of the 7",
+    ),
     "nerfbaselines": (write_nerfbaselines, "NerfBaselines output", "gt-color/ agrees"),
     "nerfbaselines, images/": (
         lambda f: write_nerfbaselines(f, "images/{view}/{frame:04d}.png"),
@@ -141,6 +152,27 @@ def test_lossless_renders_arrive_bit_for_bit(case, run, tmp_path):
     assert note in " | ".join(record["notes"])
     assert (note == "") == (record["notes"] == [])
     assert record["partial"] == ""
+
+
+def test_easyvolcap_of_another_capture_is_refused(run, tmp_path):
+    """A copy of the truth that shows another camera, and a camera number that the capture lacks, are told."""
+    folder = write_easyvolcap(tmp_path / "theirs") / "RENDER"
+    shutil.copy(folder / "frame0003_camera0002_gt.png", folder / "frame0003_camera0000_gt.png")
+    with pytest.raises(RenderError, match=r"frame0003_camera0000_gt\.png is .* levels from frame 3 of cam00"):
+        import_renders(run, "mine", tmp_path / "theirs")
+
+    shutil.copy(folder / "frame0003_camera0002.png", folder / "frame0003_camera0007.png")
+    with pytest.raises(RenderError, match="wanted a camera of 0 to 2, got 7"):
+        import_renders(run, "mine", tmp_path / "theirs")
+
+
+def test_easyvolcap_with_several_tags_is_asked_for_one(run, tmp_path):
+    """Where an experiment holds several sets of renders the message names them."""
+    for tag in ("a", "b"):
+        write_easyvolcap(tmp_path / "theirs" / tag)
+
+    with pytest.raises(RenderError, match="several sets: give one of a/RENDER, b/RENDER"):
+        import_renders(run, "mine", tmp_path / "theirs")
 
 
 @pytest.mark.parametrize("frames", [FRAMES, range(N_FRAMES)], ids=["the protocol's frames", "the whole capture"])

@@ -74,18 +74,17 @@ def test_names_are_harmless(tmp_path):
     text = (report / "index.html").read_text(encoding="utf-8")
     assert "<script>alert" not in text
     assert NASTY in PageReader(text).texts
-    assert PageReader(text).tags.count("script") == 2
+    assert PageReader(text).tags.count("script") == 3
     assert "<script" not in (report / "tables.md").read_text(encoding="utf-8")
     assert escape_latex(NASTY) in (report / "tables.tex").read_text(encoding="utf-8")
 
 
-def test_different_protocols_are_refused(run, tmp_path):
-    """Runs under two protocols do not get a common table; the message names both hashes."""
-    other = write_run(tmp_path / "other", RunShape(frames=Frames(0, 3)))
-    with pytest.raises(ResultsError, match="different protocols"):
-        write_report([run, other], tmp_path / "report")
+def test_no_run_and_a_run_twice_are_refused(run, tmp_path):
+    """A report needs a run, and each run once; the message says which was given twice."""
     with pytest.raises(ResultsError, match="at least one run"):
         write_report([])
+    with pytest.raises(ResultsError, match="run: wanted each run once, it is given 2 times"):
+        write_report([run, run.parent / "." / "run"], tmp_path / "report")
 
 
 def test_stale_results_are_refused(tmp_path):

@@ -1,11 +1,16 @@
-"""The U-Net of the blending network: shapes, size, padding, what its normalisation does."""
+"""The U-Net of the blending network: shapes, size, padding, what its normalisation does; its kernel against torch."""
 
+import numpy as np
 import pytest
 import torch
 from torch.nn import functional
 
+from ggvs_eval import kernels
 from ggvs_eval.one_thread import one_thread
 from ggvs_eval.pipelines.online.unet import UNet
+from ggvs_eval.pipelines.online.unet_kernel import unet_outputs
+
+pytestmark = pytest.mark.usefixtures("kernel_settings")
 
 
 @pytest.fixture(autouse=True)
@@ -79,3 +84,62 @@ def test_skips_carry_detail():
     row, column = divmod(int(difference.argmax()), 64)
     assert abs(row - 20) <= 2
     assert abs(column - 30) <= 2
+
+
+def restless_unet(inputs: int, outputs: int, width: int) -> UNet:
+    """A seeded network whose normalisations change something, too."""
+    network = small_unet(inputs, outputs, width)
+    for module in network.modules():
+        if isinstance(module, torch.nn.GroupNorm):
+            torch.nn.init.normal_(module.weight, 1.0, 0.2)
+            torch.nn.init.normal_(module.bias, 0.0, 0.2)
+    return network
+
+
+def channels_of(inputs: int, height: int, width: int) -> np.ndarray:
+    return np.random.default_rng(height).normal(size=(inputs, height, width)).astype(np.float32)
+
+
+@pytest.mark.parametrize("level", kernels.available_levels())
+@pytest.mark.parametrize(
+    ("size", "layout"), [((1, 1), (5, 3, 4)), ((33, 17), (7, 9, 1)), ((70, 95), (61, 18, 16)), ((48, 352), (9, 10, 12))]
+)
+def test_the_kernel_is_the_network(size, layout, level):
+    """Any size, number of channels and width give what torch gives, to rounding, with every instruction set."""
+    network, channels = restless_unet(*layout), channels_of(layout[0], *size)
+    kernels.set_level(level)
+    with torch.inference_mode():
+        expected = network(torch.from_numpy(channels)[None])[0].numpy()
+    found = unet_outputs(network, channels)
+    assert found.dtype == np.float32
+    np.testing.assert_allclose(found, expected, atol=2e-5, rtol=2e-5)
+
+
+def test_threads_and_layout_give_the_same_bits():
+    """Nor do threads change a bit, nor the order in which the weights lie in memory, nor a second run."""
+    network, channels = restless_unet(13, 6, 8), channels_of(13, 40, 70)
+    kernels.set_threads(1)
+    first = unet_outputs(network, channels)
+    for threads in (1, 2, 3, 7):
+        kernels.set_threads(threads)
+        np.testing.assert_array_equal(unet_outputs(network, channels), first)
+    network = network.to(memory_format=torch.channels_last)
+    np.testing.assert_array_equal(unet_outputs(network, channels), first)
+
+
+def test_vectors_of_any_size_give_the_same_bits():
+    """Instruction sets with fused multiply-adds agree bit for bit."""
+    levels = kernels.available_levels()[1:]
+    network, channels = restless_unet(6, 5, 4), channels_of(6, 35, 50)
+    found = []
+    for level in levels:
+        kernels.set_level(level)
+        found.append(unet_outputs(network, channels))
+    for other in found[1:]:
+        np.testing.assert_array_equal(other, found[0])
+
+
+def test_channels_of_another_number_are_refused():
+    """Channels that the first layer does not take are a TypeError, not memory read beyond its end."""
+    with pytest.raises(TypeError, match="wanted float32 that fits the other layers"):
+        unet_outputs(small_unet(), channels_of(4, 20, 20))

@@ -3,10 +3,11 @@
 from pathlib import Path
 from time import perf_counter
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from ggvs_eval.baselines.enerf.networks import load_enerf
+from ggvs_eval.baselines.enerf.networks import Networks, load_enerf
 from ggvs_eval.baselines.enerf.rendering import render_pixels
 from ggvs_eval.baselines.enerf.views import SeenView, extrinsics, intrinsics, padded, see
 from ggvs_eval.baselines.enerf.volumes import Surface, TargetGrid, find_surface
@@ -15,7 +16,6 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
 from ggvs_eval.one_thread import one_thread
 
-COARSE_PLANES = 64  # of the published training
 TRAINED_NEAR = 2.125  # nearest depth in training: DTU's 425 mm in units of 200 mm
 PIXELS_AT_ONCE = 2**14
 FEWEST_VIEWS = 2  # disagreement of one view is nothing
@@ -26,7 +26,8 @@ class ENeRF:
 
     Args:
         weights: the authors' checkpoint, see `load_enerf`.
-        coarse_planes: planes of the coarse volume, a multiple of 4; 64 in training, 32 in the authors' runs on real scenes.
+        coarse_planes: planes of the coarse volume, a multiple of 4; by default those of the weights' configuration: 64 in the
+            published training, 32 in the authors' runs on real scenes and in our compact one.
         pixels_per_chunk: pixels that are rendered together.
 
     Raises:
@@ -40,11 +41,11 @@ class ENeRF:
         numbers; principal points are moved by half a pixel.
     """
 
-    def __init__(self, weights: Path, coarse_planes: int = COARSE_PLANES, pixels_per_chunk: int = PIXELS_AT_ONCE) -> None:
-        if coarse_planes < 4 or coarse_planes % 4:
+    def __init__(self, weights: Path, coarse_planes: int | None = None, pixels_per_chunk: int = PIXELS_AT_ONCE) -> None:
+        if coarse_planes is not None and (coarse_planes < 4 or coarse_planes % 4):
             raise RenderError(f"ENeRF's coarse volume is halved twice; wanted planes in multiples of 4, got {coarse_planes}")
         self._networks = load_enerf(weights)
-        self._coarse_planes = coarse_planes
+        self._coarse_planes = coarse_planes or self._networks.coarse_planes
         self._pixels_per_chunk = pixels_per_chunk
 
     def step(self, instant: Instant) -> Rendering:
@@ -66,21 +67,29 @@ class ENeRF:
             grid = target_grid(instant.target, unit)
             surface = find_surface(self._networks, views, grid, near * unit, far * unit, self._coarse_planes)
             found = perf_counter()
-            image, depth = self._render(instant.target, views, surface, unit)
+            image, depth = render_surface(self._networks, views, surface, instant.target, unit, self._pixels_per_chunk)
+        rendered = np.ascontiguousarray(image.permute(1, 2, 0).clamp(0, 1).numpy())
         seconds = {"features": seen - started, "volumes": found - seen, "rays": perf_counter() - found}
-        return Rendering(image.numpy(), depth.numpy(), seconds)
+        return Rendering(rendered, depth.numpy(), seconds)
 
-    def _render(self, target: Camera, views: list[SeenView], surface: Surface, unit: float) -> tuple[Tensor, Tensor]:
-        """RGB (H, W, 3) and depth (H, W) in world units."""
-        centre = torch.from_numpy(target.centre * unit).float()
-        rays = torch.from_numpy(target.rays().reshape(-1, 3)).float()
-        parts = []
-        for chunk in torch.arange(len(rays)).split(self._pixels_per_chunk):
-            pixels = torch.div(chunk, target.width, rounding_mode="floor"), chunk % target.width
-            parts.append(render_pixels(self._networks, views, surface, centre, rays[chunk], pixels))
-        image = torch.cat([colours for colours, _ in parts]).clamp(0, 1)
-        depth = torch.cat([depths for _, depths in parts]) / unit
-        return image.view(target.height, target.width, 3), depth.view(target.height, target.width)
+
+def render_surface(
+    networks: Networks,
+    views: list[SeenView],
+    surface: Surface,
+    target: Camera,
+    unit: float,
+    pixels_per_chunk: int = PIXELS_AT_ONCE,
+) -> tuple[Tensor, Tensor]:
+    """RGB (3, H, W) and depth (H, W) in world units, by so many pixels at once; gradients reach the networks' parameters."""
+    centre = torch.from_numpy(target.centre * unit).float()
+    rays = torch.from_numpy(target.rays().reshape(-1, 3)).float()
+    parts = []
+    for chunk in torch.arange(len(rays)).split(pixels_per_chunk):
+        pixels = torch.div(chunk, target.width, rounding_mode="floor"), chunk % target.width
+        parts.append(render_pixels(networks, views, surface, centre, rays[chunk], pixels))
+    image = torch.cat([colours for colours, _ in parts]).T.reshape(3, target.height, target.width)
+    return image, torch.cat([depths for _, depths in parts]).view(target.height, target.width) / unit
 
 
 def depth_range(instant: Instant) -> tuple[float, float]:

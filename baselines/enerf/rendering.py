@@ -35,7 +35,7 @@ def render_pixels(
     seen = torch.stack([view.look_up(points_world) for view in views], dim=1)
     directions = torch.stack([view.directions(points_world, centre) for view in views], dim=1)
     colours, density = networks.nerf_1(_voxels(surface, pixels, depths), seen, directions)
-    return composite(colours.view(-1, SAMPLES, 3), density.view(-1, SAMPLES), depths)
+    return composite(colours.view(-1, SAMPLES, 3), density.view(-1, SAMPLES).float(), depths)
 
 
 def composite(colours: Tensor, density: Tensor, depths: Tensor) -> tuple[Tensor, Tensor]:

@@ -1,5 +1,6 @@
 """Source views and the target's grid, in the pixels and the units of length that the network was trained with."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,12 +66,20 @@ def see(network: FeatureNetwork, source: SourceView, unit: float = 1.0) -> SeenV
         source: the view.
         unit: the network's units of length per world unit.
     """
-    image = torch.from_numpy(source.image).permute(2, 0, 1)[None].float() / 255
-    height, width = (padded(side) for side in image.shape[2:])
-    image = functional.pad(image, (0, width - image.shape[3], 0, height - image.shape[2]), mode="replicate")
-    quarter, half, full = network(2 * image - 1)
-    shown = torch.cat([full[0], image[0]])
-    return SeenView((quarter[0], half[0]), shown, intrinsics(source.camera), extrinsics(source.camera, unit))
+    return see_together(network, [source], unit)[0]
+
+
+def see_together(network: FeatureNetwork, sources: Sequence[SourceView], unit: float = 1.0) -> list[SeenView]:
+    """Features of source views of one size in one batch, as they are normalised in training; arguments as of `see`."""
+    images = torch.from_numpy(np.stack([source.image for source in sources])).permute(0, 3, 1, 2).float() / 255
+    height, width = (padded(side) for side in images.shape[2:])
+    images = functional.pad(images, (0, width - images.shape[3], 0, height - images.shape[2]), mode="replicate")
+    quarter, half, full = (level.float() for level in network(2 * images - 1))
+    shown = torch.cat([full, images], dim=1)
+    return [
+        SeenView((quarter[k], half[k]), shown[k], intrinsics(source.camera), extrinsics(source.camera, unit))
+        for k, source in enumerate(sources)
+    ]
 
 
 def padded(side_px: int) -> int:

@@ -53,6 +53,30 @@ class Surface:
     far: Tensor
 
 
+@dataclass(frozen=True)
+class CoarseSurface:
+    """What the coarse volume found.
+
+    Attributes:
+        features: of its cells, (8, D, H / 8, W / 8).
+        mean: expected inverse depth, (H / 8, W / 8).
+        deviation: its standard deviation, (H / 8, W / 8).
+        near: depth of the first plane.
+        far: depth of the last plane.
+    """
+
+    features: Tensor
+    mean: Tensor
+    deviation: Tensor
+    near: float
+    far: float
+
+    def range_at(self, factor: int) -> tuple[Tensor, Tensor]:
+        """Depths between which the surface is thought to lie, on so many times as many pixels, (H', W') twice."""
+        mean, deviation = _enlarge(self.mean, factor), _enlarge(self.deviation, factor)
+        return 1 / (mean + deviation).clamp(max=1 / self.near), 1 / (mean - deviation).clamp(min=1 / self.far)
+
+
 def find_surface(
     networks: Networks, views: Sequence[SeenView], target: TargetGrid, near: float, far: float, planes: int
 ) -> Surface:
@@ -66,12 +90,22 @@ def find_surface(
         far: depth of the last one.
         planes: number of coarse planes, a multiple of 4.
     """
+    return refine_surface(networks, views, target, search_coarsely(networks, views, target, near, far, planes))
+
+
+def search_coarsely(
+    networks: Networks, views: Sequence[SeenView], target: TargetGrid, near: float, far: float, planes: int
+) -> CoarseSurface:
+    """The first search; arguments as of `find_surface`."""
     inverse = torch.linspace(1 / near, 1 / far, planes)[:, None, None]
     cells = int(target.height * COARSE_SCALE), int(target.width * COARSE_SCALE)
-    _, scores = _regularised(networks.cost_reg_0, views, target, 0, (1 / inverse).expand(-1, *cells))
-    mean, deviation = (_enlarge(each, 4) for each in expectation(scores, inverse))
-    first = 1 / (mean + deviation).clamp(max=1 / near)
-    last = 1 / (mean - deviation).clamp(min=1 / far)
+    features, scores = _regularised(networks.cost_reg_0, views, target, 0, (1 / inverse).expand(-1, *cells))
+    return CoarseSurface(features, *expectation(scores, inverse), near, far)
+
+
+def refine_surface(networks: Networks, views: Sequence[SeenView], target: TargetGrid, coarse: CoarseSurface) -> Surface:
+    """The second search, around what the first one found."""
+    first, last = coarse.range_at(4)
     depths = first + (last - first) * torch.linspace(0, 1, FINE_PLANES)[:, None, None]
     features, scores = _regularised(networks.cost_reg_1, views, target, 1, depths)
     mean, deviation = expectation(scores, depths)
@@ -96,14 +130,14 @@ def disagreement(views: Sequence[SeenView], target: TargetGrid, level: int, dept
     warps = [torch.from_numpy(view.projection(FEATURE_SCALES[level]) @ image_to_world).float() for view in views]
     rows, columns = torch.meshgrid(*(torch.arange(side, dtype=torch.float32) for side in depths.shape[1:]), indexing="ij")
     pixels = torch.stack([columns, rows, torch.ones_like(rows)], dim=-1)  # (h, w, 3)
-    volume = depths.new_empty(views[0].levels[level].shape[0], *depths.shape)
-    for plane, depth in enumerate(depths):  # one at a time: the warped features of all would not fit for large images
+    volume = []
+    for depth in depths:  # one plane at a time: the warped features of all would not fit for large images
         warped = []
         for view, warp in zip(views, warps, strict=True):
             projected = (pixels @ warp[:3, :3].T) * depth[..., None] + warp[:3, 3]
             warped.append(sample(view.levels[level], image_places(projected, view.levels[level]), "zeros"))
-        volume[:, plane] = torch.stack(warped).var(dim=0, correction=0)
-    return volume
+        volume.append(torch.stack(warped).var(dim=0, correction=0))
+    return torch.stack(volume, dim=1)
 
 
 def _regularised(
@@ -111,7 +145,7 @@ def _regularised(
 ) -> tuple[Tensor, Tensor]:
     """Features (8, D, h, w) and scores (D, h, w)."""
     features, scores = network(disagreement(views, target, level, depths)[None])
-    return features[0], scores[0]
+    return features[0].float(), scores[0].float()
 
 
 def _enlarge(values: Tensor, factor: int) -> Tensor:

@@ -13,19 +13,21 @@ class ViewFusion(nn.Module):
 
     Args:
         width: channels of a view's features.
+        value_width: channels that a head carries on.
 
     Reading:
         The token is added to what the heads give, then a layer normalisation follows. A view without a point at a pixel is left
         out there.
     """
 
-    def __init__(self, width: int) -> None:
+    def __init__(self, width: int, value_width: int = VALUE_WIDTH) -> None:
         super().__init__()
+        self.value_width = value_width
         self.token = nn.Parameter(torch.randn(width) * width**-0.5)
         self.query = nn.Linear(width, HEADS * KEY_WIDTH, bias=False)
         self.key = nn.Linear(width, HEADS * KEY_WIDTH, bias=False)
-        self.value = nn.Linear(width, HEADS * VALUE_WIDTH, bias=False)
-        self.out = nn.Linear(HEADS * VALUE_WIDTH, width, bias=False)
+        self.value = nn.Linear(width, HEADS * value_width, bias=False)
+        self.out = nn.Linear(HEADS * value_width, width, bias=False)
         self.norm = nn.LayerNorm(width)
 
     def forward(self, features: Tensor, alphas: Tensor) -> Tensor:
@@ -51,7 +53,7 @@ class ViewFusion(nn.Module):
         keys = self.key(pixels).view(count, views, HEADS, KEY_WIDTH)
         logits = (keys * query).sum(dim=-1) + unseen[..., None]  # (P, K, HEADS)
         shares = torch.softmax(logits, dim=1)
-        values = self.value(pixels).view(count, views, HEADS, VALUE_WIDTH)
-        mixed = (shares[..., None] * values).sum(dim=1)  # (P, HEADS, VALUE_WIDTH)
+        values = self.value(pixels).view(count, views, HEADS, self.value_width)
+        mixed = (shares[..., None] * values).sum(dim=1)  # (P, HEADS, self.value_width)
         fused: Tensor = self.norm(self.out(mixed.flatten(1)) + self.token)
         return fused

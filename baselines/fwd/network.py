@@ -1,5 +1,6 @@
 """FWD as a whole: features of each view, adapted to the target's direction, fused and decoded at twice the size."""
 
+from dataclasses import dataclass
 from itertools import pairwise
 
 import torch
@@ -7,13 +8,37 @@ from torch import Tensor, nn
 
 from ggvs_eval.baselines.fwd.blocks import Resampling, ResidualBlock
 from ggvs_eval.baselines.fwd.completion import DepthCompletion
-from ggvs_eval.baselines.fwd.fusion import ViewFusion
+from ggvs_eval.baselines.fwd.fusion import VALUE_WIDTH, ViewFusion
+from ggvs_eval.baselines.fwd.point_splat import POINTS_PER_PIXEL
 
-WIDTH = 64  # channels of a point: 61 of the encoder beside its colour
-ENCODER_WIDTHS = (3, 32, 64, 64, WIDTH - 3)
-DECODER_WIDTHS = (WIDTH, 64, 128, 256, 256, 128, 128, 128, 3)
 DECODER_SIZES: tuple[Resampling, ...] = ("same", "down", "same", "same", "up", "same", "up", "same")
 DIRECTION_WIDTH = 4  # unit difference of two viewing directions, and their cosine
+
+
+@dataclass(frozen=True)
+class FwdConfig:
+    """Widths of the network.
+
+    Attributes:
+        width: channels of a point: those of the encoder beside its colour.
+        encoder: channels before the last block of the encoder.
+        direction: channels of the change of direction.
+        decoder: channels between the eight blocks of the decoder.
+        value: channels of a head of the fusion.
+        points_per_pixel: most points that a view blends at a pixel.
+    """
+
+    width: int = 64
+    encoder: tuple[int, ...] = (32, 64, 64)
+    direction: tuple[int, int] = (16, 32)
+    decoder: tuple[int, ...] = (64, 128, 256, 256, 128, 128, 128)
+    value: int = VALUE_WIDTH
+    points_per_pixel: int = POINTS_PER_PIXEL
+
+
+FULL = FwdConfig()
+COMPACT = FwdConfig(32, (16, 24, 24), (8, 16), (32, 48, 64, 64, 48, 32, 16), 16, 8)
+CONFIGURATIONS = {"full": FULL, "compact": COMPACT}
 
 
 class FwdNetwork(nn.Module):
@@ -21,23 +46,28 @@ class FwdNetwork(nn.Module):
 
     Args:
         completes_depth: whether depth is completed before it is used.
+        configuration: which of `CONFIGURATIONS`.
 
     Reading:
         The encoder keeps the size; its widths between 3 and 61 are ours. Normalisation is by batch.
     """
 
-    def __init__(self, completes_depth: bool = False) -> None:
+    def __init__(self, completes_depth: bool = False, configuration: str = "full") -> None:
         super().__init__()
+        self.configuration = configuration
+        self.config = config = CONFIGURATIONS[configuration]
+        encoder = (3, *config.encoder, config.width - 3)
+        decoder = (config.width, *config.decoder, 3)
+        first, second = config.direction
         self.completion = DepthCompletion() if completes_depth else None
-        self.encoder = nn.Sequential(*(ResidualBlock(before, after) for before, after in pairwise(ENCODER_WIDTHS)))
-        self.direction = nn.Sequential(nn.Conv2d(DIRECTION_WIDTH, 16, 1), nn.ReLU(), nn.Conv2d(16, 32, 1), nn.ReLU())
-        self.adaptation = nn.Sequential(nn.Conv2d(WIDTH + 32, WIDTH, 1), nn.ReLU(), nn.Conv2d(WIDTH, WIDTH, 1))
-        self.fusion = ViewFusion(WIDTH)
+        self.encoder = nn.Sequential(*(ResidualBlock(before, after) for before, after in pairwise(encoder)))
+        self.direction = nn.Sequential(nn.Conv2d(DIRECTION_WIDTH, first, 1), nn.ReLU(), nn.Conv2d(first, second, 1), nn.ReLU())
+        self.adaptation = nn.Sequential(
+            nn.Conv2d(config.width + second, config.width, 1), nn.ReLU(), nn.Conv2d(config.width, config.width, 1)
+        )
+        self.fusion = ViewFusion(config.width, config.value)
         self.decoder = nn.Sequential(
-            *(
-                ResidualBlock(before, after, size)
-                for (before, after), size in zip(pairwise(DECODER_WIDTHS), DECODER_SIZES, strict=True)
-            )
+            *(ResidualBlock(before, after, size) for (before, after), size in zip(pairwise(decoder), DECODER_SIZES, strict=True))
         )
 
     def view_features(self, images: Tensor, directions: Tensor) -> Tensor:
@@ -48,7 +78,7 @@ class FwdNetwork(nn.Module):
             directions: how the viewing direction changes from the source to the target, (B, 4, H, W), see `direction_change`.
 
         Returns:
-            (B, 64, H, W).
+            (B, width, H, W).
         """
         own = torch.cat([self.encoder(images), images], dim=1)
         adapted: Tensor = self.adaptation(torch.cat([own, self.direction(directions)], dim=1))
@@ -58,7 +88,7 @@ class FwdNetwork(nn.Module):
         """The image that several warped views make together.
 
         Args:
-            features: of each view, (K, 64, h, w), h and w even.
+            features: of each view, (K, width, h, w), h and w even.
             alphas: coverage by each view, (K, h, w).
 
         Returns:

@@ -32,7 +32,7 @@ def warp_view(
     rays, centre = _rays(view.camera, target)
     points = centre + torch.where(depth > 0, depth, torch.ones(()))[:, None] * rays  # (N, 3)
     directions = direction_change(rays, points).float().T.view(1, -1, *view.depth.shape)
-    features = network.view_features(images, directions)[0].flatten(1).T  # (N, 64)
+    features = network.view_features(images, directions)[0].flatten(1).T.float()  # (N, width)
     known = torch.nonzero(depth > 0)[:, 0]
     return splat_points(points[known], features[known], target, near, count=count)
 

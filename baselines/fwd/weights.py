@@ -3,7 +3,8 @@
 from functools import lru_cache
 from pathlib import Path
 
-from ggvs_eval.baselines.fwd.network import FwdNetwork
+from ggvs_eval.baselines.configuration import FULL, configuration_of
+from ggvs_eval.baselines.fwd.network import CONFIGURATIONS, FwdNetwork
 from ggvs_eval.weights_file import pour_strictly, read_tensors
 
 OF = "FWD (this project's names)"
@@ -11,12 +12,15 @@ OF = "FWD (this project's names)"
 
 @lru_cache(maxsize=1)
 def load_network(path: Path) -> FwdNetwork:
-    """The network of a weights file, in evaluation mode; whether it completes depth is known from its tensors.
+    """The network of a weights file, in evaluation mode.
+
+    Whether it completes depth is known from its tensors, which configuration it is from its header.
 
     Raises:
         WeightsError: absent, damaged, more than tensors inside, or tensors of another network.
     """
     tensors = read_tensors(path, of=OF)
-    network = FwdNetwork(completes_depth=any(name.startswith("completion.") for name in tensors))
+    configuration = configuration_of(path, CONFIGURATIONS, OF) or FULL
+    network = FwdNetwork(any(name.startswith("completion.") for name in tensors), configuration)
     pour_strictly(tensors, network, path, OF)
     return network.eval()

@@ -29,9 +29,8 @@ class GpsGaussian:
     Attributes:
         weights: file of its weights, see `load_network`.
         depth: ``own`` stereo between the two images, or the depth ``given`` with the sources; Gaussians are its own either way.
-        pairs: how many pairs are rendered together; the authors take one.
-        rotations_in: what the network's rotations refer to: the ``world``, as the published weights do, or the rectified
-            ``camera``, which makes the output independent of the choice of the world's axes.
+        pairs: how many pairs are rendered together; by default what the weights' configuration says, one for the authors'.
+        rotations_in: what the network's rotations refer to, see `GpsGaussianConfig`, which says it where nothing is said here.
 
     Reading:
         The network knows metres: inverse depth goes in per metre, and scales, at most 0.01 m, come out in metres. What that is in
@@ -41,12 +40,13 @@ class GpsGaussian:
 
     weights: Path
     depth: Literal["own", "given"] = "own"
-    pairs: int = 1
-    rotations_in: Literal["world", "camera"] = "world"
+    pairs: int | None = None
+    rotations_in: Literal["world", "camera"] | None = None
 
     def __post_init__(self) -> None:
         """Refuse options that mean nothing."""
-        if self.depth not in ("own", "given") or self.rotations_in not in ("world", "camera") or self.pairs < 1:
+        frames = (None, "world", "camera")
+        if self.depth not in ("own", "given") or self.rotations_in not in frames or (self.pairs is not None and self.pairs < 1):
             raise RenderError(
                 "GPS-Gaussian: wanted depth own or given, rotations_in world or camera and at least one pair, got "
                 f"{self.depth!r}, {self.rotations_in!r} and {self.pairs}"
@@ -60,43 +60,56 @@ class GpsGaussian:
             WeightsError: no usable weights.
         """
         network = load_network(self.weights)
+        config = network.config
         with one_thread(), torch.inference_mode():
             started = perf_counter()
-            chosen = choose_pairs(instant.target, [source.camera for source in instant.sources], self.pairs)
-            parts = [self._gaussians(network, instant, *pair) for pair in chosen]
+            gaussians = instant_gaussians(
+                network, instant, self.depth, self.pairs or config.pairs, self.rotations_in or config.rotations_in
+            )
             regressed = perf_counter()
-            image = render_gaussians(join(parts), instant.target, near_plane(instant))
+            image = render_gaussians(gaussians, instant.target, near_plane(instant))
         seconds = {"network": regressed - started, "splat": perf_counter() - regressed}
         return Rendering(np.minimum(image.colour, np.float32(1)), image.depth, seconds)
 
-    def _gaussians(self, network: GpsGaussianNetwork, instant: Instant, left: int, right: int) -> Gaussians:
-        """The Gaussians of one pair."""
+
+def instant_gaussians(
+    network: GpsGaussianNetwork,
+    instant: Instant,
+    depth: Literal["own", "given"],
+    pairs: int,
+    rotations_in: Literal["world", "camera"],
+) -> Gaussians:
+    """The Gaussians of an instant's nearest pairs; arguments as of `GpsGaussian`, gradients reach the network's parameters."""
+    parts = []
+    for left, right in choose_pairs(instant.target, [source.camera for source in instant.sources], pairs):
         sources = instant.sources[left], instant.sources[right]
         pair = rectify(sources[0].camera, sources[1].camera)
         colours = [view.image(source) for view, source in zip(pair.views, sources, strict=True)]
         images = torch.stack([_network_image(view, image) for view, image in zip(pair.views, colours, strict=True)])
         features = network.features(images)
-        inverse = _given(pair, sources) if self.depth == "given" else _own(pair, network.flow(features))
+        inverse = _given(pair, sources) if depth == "given" else _own(pair, network.flow(features))
         per_metre = torch.from_numpy(inverse * np.float32(instant.units_per_metre))[:, None]
         maps = network.gaussians(images, per_metre, features)
-        return join(
-            [
-                self._of_view(view, colours[half], inverse[half], _half(maps, half), instant.units_per_metre)
-                for half, view in enumerate(pair.views)
-            ]
-        )
+        parts += [
+            _of_view(view, colours[half], inverse[half], _half(maps, half), instant.units_per_metre, rotations_in)
+            for half, view in enumerate(pair.views)
+        ]
+    return join(parts)
 
-    def _of_view(self, view: RectifiedView, image: Map, inverse: Map, maps: GaussianMaps, units_per_metre: float) -> Gaussians:
-        """The Gaussians of the pixels with known depth; maps are (C, H, W)."""
-        rows, columns = np.nonzero(view.inside & (inverse > 0))
-        uv = np.stack([columns, rows], axis=1).astype(np.float64) + 0.5
-        centres = view.camera.unproject(uv, 1 / inverse[rows, columns].astype(np.float64))
-        rotation, scale_m, opacity = (values[:, torch.from_numpy(rows), torch.from_numpy(columns)] for values in maps)
-        axes = rotation_matrices(rotation.T)
-        if self.rotations_in == "camera":
-            axes = torch.from_numpy(view.camera.rotation.T.astype(np.float32)) @ axes
-        colours = torch.from_numpy(image[rows, columns])
-        return Gaussians(torch.from_numpy(centres), axes, scale_m.T * units_per_metre, opacity[0], colours)
+
+def _of_view(
+    view: RectifiedView, image: Map, inverse: Map, maps: GaussianMaps, units_per_metre: float, rotations_in: str
+) -> Gaussians:
+    """The Gaussians of the pixels with known depth; maps are (C, H, W)."""
+    rows, columns = np.nonzero(view.inside & (inverse > 0))
+    uv = np.stack([columns, rows], axis=1).astype(np.float64) + 0.5
+    centres = view.camera.unproject(uv, 1 / inverse[rows, columns].astype(np.float64))
+    rotation, scale_m, opacity = (values[:, torch.from_numpy(rows), torch.from_numpy(columns)].float() for values in maps)
+    axes = rotation_matrices(rotation.T)
+    if rotations_in == "camera":
+        axes = torch.from_numpy(view.camera.rotation.T.astype(np.float32)) @ axes
+    colours = torch.from_numpy(image[rows, columns])
+    return Gaussians(torch.from_numpy(centres), axes, scale_m.T * units_per_metre, opacity[0], colours)
 
 
 def _network_image(view: RectifiedView, image: Map) -> Tensor:

@@ -1,24 +1,60 @@
 """GPS-Gaussian as a whole: features of both images, stereo between them, Gaussians of every pixel."""
 
+from dataclasses import dataclass
+from typing import Literal
+
 from torch import Tensor, nn
 
+from ggvs_eval.baselines.configuration import FULL
 from ggvs_eval.baselines.gps_gaussian.encoders import Pyramid, PyramidEncoder
 from ggvs_eval.baselines.gps_gaussian.regressor import GaussianMaps, GaussianRegressor
 from ggvs_eval.baselines.gps_gaussian.stereo import Stereo
+from ggvs_eval.errors import WeightsError
 
-WIDTHS = (32, 48, 96)
 SIZE_MULTIPLE = 8  # sides of the images are multiples of it
 ITERATIONS = 3  # of the published network, in training and after
 
 
-class GpsGaussianNetwork(nn.Module):
-    """The network; parameters bear the names of the published checkpoint."""
+@dataclass(frozen=True)
+class GpsGaussianConfig:
+    """Shape of the network, and how it is used.
 
-    def __init__(self) -> None:
+    Attributes:
+        widths: channels of the encoders at 1/2, 1/4 and 1/8 of the size.
+        decoder_widths: channels of the decoder there.
+        stereo: whether it finds depth itself; without, depth must be given.
+        pairs: how many pairs are rendered together.
+        rotations_in: what rotations refer to: the ``world``, or the rectified ``camera``, which makes the output independent of
+            the choice of the world's axes.
+    """
+
+    widths: tuple[int, int, int] = (32, 48, 96)
+    decoder_widths: tuple[int, int, int] = (48, 64, 96)
+    stereo: bool = True
+    pairs: int = 1
+    rotations_in: Literal["world", "camera"] = "world"
+
+
+CONFIGURATIONS = {
+    "full": GpsGaussianConfig(),
+    "compact": GpsGaussianConfig((16, 24, 48), (24, 32, 48), stereo=False, pairs=2, rotations_in="camera"),
+}
+
+
+class GpsGaussianNetwork(nn.Module):
+    """The network; parameters bear the names of the published checkpoint.
+
+    Args:
+        configuration: which of `CONFIGURATIONS`.
+    """
+
+    def __init__(self, configuration: str = FULL) -> None:
         super().__init__()
-        self.img_encoder = PyramidEncoder(3, WIDTHS)
-        self.raft_stereo = Stereo(WIDTHS[-1])
-        self.gs_parm_regresser = GaussianRegressor(WIDTHS)
+        self.configuration = configuration
+        self.config = config = CONFIGURATIONS[configuration]
+        self.img_encoder = PyramidEncoder(3, config.widths)
+        self.raft_stereo = Stereo(config.widths[-1]) if config.stereo else None
+        self.gs_parm_regresser = GaussianRegressor(config.widths, config.decoder_widths)
 
     def features(self, images: Tensor) -> Pyramid:
         """Features of a rectified pair (2, 3, H, W) in [-1, 1], left image first, at 1/2, 1/4 and 1/8 of the size."""
@@ -26,7 +62,16 @@ class GpsGaussianNetwork(nn.Module):
         return pyramid
 
     def flow(self, features: Pyramid, iterations: int = ITERATIONS) -> Tensor:
-        """Column of each pixel's match in the other image less its own, pixels, (2, 1, H, W)."""
+        """Column of each pixel's match in the other image less its own, pixels, (2, 1, H, W).
+
+        Raises:
+            WeightsError: the configuration has no stereo.
+        """
+        if self.raft_stereo is None:
+            raise WeightsError(
+                f"GPS-Gaussian ({self.configuration}) finds no depth of its own; render gps-gaussian+given-depth, or give the "
+                "authors' checkpoint by --weights gps-gaussian=FILE"
+            )
         flow: Tensor = self.raft_stereo(features[2], iterations)
         return flow
 

@@ -5,7 +5,8 @@ from pathlib import Path
 
 from torch.serialization import safe_globals
 
-from ggvs_eval.baselines.gps_gaussian.network import GpsGaussianNetwork
+from ggvs_eval.baselines.configuration import FULL, configuration_of
+from ggvs_eval.baselines.gps_gaussian.network import CONFIGURATIONS, GpsGaussianNetwork
 from ggvs_eval.weights_file import pour_strictly, read_tensors
 
 OF = "GPS-Gaussian (GPS-GS_stage2_final.pth)"
@@ -21,14 +22,15 @@ def load_network(path: Path) -> GpsGaussianNetwork:
 
     Args:
         path: the authors' checkpoint (a dict with ``network`` beside ``total_steps``, ``optimizer`` and ``scheduler``), or
-            safetensors whose names begin with ``network.``.
+            safetensors whose names begin with ``network.``, or what our training wrote.
 
     Raises:
         WeightsError: absent, damaged, more than tensors and plain values inside, or tensors of another network.
     """
+    configuration = configuration_of(path, CONFIGURATIONS, OF)
     with safe_globals([(_nothing, name) for name in FORGOTTEN]):
-        tensors = read_tensors(path, "network", of=OF)
-    network = GpsGaussianNetwork()
+        tensors = read_tensors(path, *(() if configuration else ("network",)), of=OF)
+    network = GpsGaussianNetwork(configuration or FULL)
     pour_strictly(tensors, network, path, OF)
     return network.eval()
 

@@ -12,20 +12,25 @@ SMALLEST_SIDE_PX = 33  # reflection at 1/16 of the size wants at least two cells
 
 
 class FeatureNetwork(nn.Module):
-    """Three residual stages (3, 4 and 6 blocks) down to 1/16, two skip connections back to 1/4 of the image's size."""
+    """Three residual stages (3, 4 and 6 blocks) down to 1/16, two skip connections back to 1/4 of the image's size.
 
-    def __init__(self) -> None:
+    Args:
+        width: channels of the first stage; the next ones have twice and four times as many.
+        blocks: residual blocks of the stages.
+    """
+
+    def __init__(self, width: int = 64, blocks: tuple[int, int, int] = (3, 4, 6)) -> None:
         super().__init__()
-        self.conv1 = _convolution(3, 64, 7, stride=2, bias=False)
-        self.bn1 = nn.InstanceNorm2d(64, affine=True)
-        self.layer1 = _stage(64, 64, 3)
-        self.layer2 = _stage(64, 128, 4)
-        self.layer3 = _stage(128, 256, 6)
-        self.upconv3 = _Upsampled(256, 128)
-        self.iconv3 = _Normalised(256, 128)
-        self.upconv2 = _Upsampled(128, 64)
-        self.iconv2 = _Normalised(128, 64)
-        self.out_conv = nn.Conv2d(64, 2 * WIDTH_EACH, 1)
+        self.conv1 = _convolution(3, width, 7, stride=2, bias=False)
+        self.bn1 = nn.InstanceNorm2d(width, affine=True)
+        self.layer1 = _stage(width, width, blocks[0])
+        self.layer2 = _stage(width, 2 * width, blocks[1])
+        self.layer3 = _stage(2 * width, 4 * width, blocks[2])
+        self.upconv3 = _Upsampled(4 * width, 2 * width)
+        self.iconv3 = _Normalised(4 * width, 2 * width)
+        self.upconv2 = _Upsampled(2 * width, width)
+        self.iconv2 = _Normalised(2 * width, width)
+        self.out_conv = nn.Conv2d(width, 2 * WIDTH_EACH, 1)
 
     def forward(self, images: Tensor) -> tuple[Tensor, Tensor]:
         """Features for the coarse and the fine pass.

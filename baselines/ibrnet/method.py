@@ -1,5 +1,6 @@
 """IBRNet as a method: each instant from its own source frames, by the network that its authors trained."""
 
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from time import perf_counter
@@ -9,7 +10,7 @@ from torch import Tensor
 
 from ggvs_eval import kernels
 from ggvs_eval.baselines.ibrnet.feature_network import SMALLEST_SIDE_PX
-from ggvs_eval.baselines.ibrnet.networks import load_ibrnet
+from ggvs_eval.baselines.ibrnet.networks import Networks, load_ibrnet
 from ggvs_eval.baselines.ibrnet.rendering import rays_at_once, render_rays
 from ggvs_eval.baselines.ibrnet.views import SeenView, projection_of
 from ggvs_eval.baselines.method import Instant, Rendering, SourceView
@@ -49,16 +50,10 @@ class IBRNet:
         _check(instant)
         started = perf_counter()
         with one_thread(), torch.inference_mode():
-            views = [self._see(source) for source in instant.sources]
+            views = see(self._networks, instant.sources)
             seen = perf_counter()
             image, depth = self._render(instant, views)
         return Rendering(image.numpy(), depth.numpy(), {"features": seen - started, "rays": perf_counter() - seen})
-
-    def _see(self, source: SourceView) -> SeenView:
-        image = torch.from_numpy(source.image).permute(2, 0, 1).float() / 255
-        coarse, fine = self._networks.feature_net(image[None])
-        centre = torch.from_numpy(source.camera.centre).float()
-        return SeenView(image, coarse[0], fine[0], projection_of(source.camera), centre)
 
     def _render(self, instant: Instant, views: list[SeenView]) -> tuple[Tensor, Tensor]:
         """RGB (H, W, 3) and depth (H, W)."""
@@ -66,7 +61,7 @@ class IBRNet:
         near, far = depth_range(instant)
         centre = torch.from_numpy(target.centre).float()
         rays = torch.from_numpy(target.rays().reshape(-1, 3)).float()
-        chunks = rays.split(self._rays_per_chunk or rays_at_once(len(views)))
+        chunks = rays.split(self._rays_per_chunk or rays_at_once(len(views), self._networks.config.samples))
 
         def render(chunk: Tensor) -> tuple[Tensor, Tensor]:
             with torch.inference_mode():  # holds for the thread that enters it
@@ -77,6 +72,17 @@ class IBRNet:
         image = torch.cat([colours for colours, _ in parts]).clamp(0, 1)
         depth = torch.cat([depths for _, depths in parts])
         return image.view(target.height, target.width, 3), depth.view(target.height, target.width)
+
+
+def see(networks: Networks, sources: Sequence[SourceView]) -> list[SeenView]:
+    """The source views, ready to be looked up."""
+    views = []
+    for source in sources:
+        image = torch.from_numpy(source.image).permute(2, 0, 1).float() / 255
+        coarse, fine = networks.feature_net(image[None])
+        centre = torch.from_numpy(source.camera.centre).float()
+        views.append(SeenView(image, coarse[0].float(), fine[0].float(), projection_of(source.camera), centre))
+    return views
 
 
 def depth_range(instant: Instant) -> tuple[float, float]:

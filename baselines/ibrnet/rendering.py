@@ -10,8 +10,7 @@ from ggvs_eval.baselines.ibrnet.ray_network import RayNetwork
 from ggvs_eval.baselines.ibrnet.samples import coarse_depths, finer_depths
 from ggvs_eval.baselines.ibrnet.views import SeenView, directions
 
-COARSE_SAMPLES = 64
-ADDED_SAMPLES = 64
+Pass = tuple[Tensor, Tensor, Tensor]  # colours (R, 3), share of each sample in them (R, S), depths of the samples (R, S)
 ROWS_AT_ONCE = 2**16  # samples times views that pass through the networks together: some 0.1 GB, and fast in the caches
 
 
@@ -31,14 +30,26 @@ def render_rays(
     Returns:
         RGB, (R, 3), and expected depth, (R,), 0 where a ray met less than half an opaque surface.
     """
-    depths = coarse_depths(near, far, COARSE_SAMPLES).expand(rays.shape[0], -1)
-    _, density = _shade(networks.net_coarse, views, [view.coarse for view in views], centre, rays, depths)
-    depths = finer_depths(depths, opacity_shares(density), ADDED_SAMPLES)
-    colours, density = _shade(networks.net_fine, views, [view.fine for view in views], centre, rays, depths)
-    shares = opacity_shares(density)
+    _, fine = render_passes(networks, views, centre, rays, near, far)
+    colours, shares, depths = fine
     total = shares.sum(dim=1)
     expected = (shares * depths).sum(dim=1) / total.clamp(min=1e-10)
-    return (shares[..., None] * colours).sum(dim=1), torch.where(total >= 0.5, expected, 0.0)
+    return colours, torch.where(total >= 0.5, expected, 0.0)
+
+
+def render_passes(
+    networks: Networks, views: Sequence[SeenView], centre: Tensor, rays: Tensor, near: float, far: float
+) -> tuple[Tensor, Pass]:
+    """Colours (R, 3) of the coarse pass, and the fine pass; arguments as of `render_rays`. Gradients reach the networks."""
+    count = networks.config.samples
+    depths = coarse_depths(near, far, count).expand(rays.shape[0], -1)
+    colours, density = _shade(networks.net_coarse, views, [view.coarse for view in views], centre, rays, depths)
+    shares = opacity_shares(density)
+    rough = (shares[..., None] * colours).sum(dim=1)
+    depths = finer_depths(depths, shares.detach(), count)
+    colours, density = _shade(networks.net_fine, views, [view.fine for view in views], centre, rays, depths)
+    shares = opacity_shares(density)
+    return rough, ((shares[..., None] * colours).sum(dim=1), shares, depths)
 
 
 def opacity_shares(density: Tensor) -> Tensor:
@@ -48,9 +59,9 @@ def opacity_shares(density: Tensor) -> Tensor:
     return alpha * torch.cat([torch.ones_like(alpha[:, :1]), passing], dim=1)
 
 
-def rays_at_once(views: int) -> int:
-    """How many rays may pass through the networks together."""
-    return max(1, ROWS_AT_ONCE // ((COARSE_SAMPLES + ADDED_SAMPLES) * views))
+def rays_at_once(views: int, samples: int) -> int:
+    """How many rays of so many coarse samples may pass through the networks together."""
+    return max(1, ROWS_AT_ONCE // (2 * samples * views))
 
 
 def _shade(
@@ -63,4 +74,4 @@ def _shade(
     visible = torch.stack([inside for _, inside in looked_up], dim=2)
     differences = torch.stack([directions(points_world, centre, view.centre) for view in views], dim=2)
     colours, density = network(seen, differences, visible)
-    return colours, density
+    return colours.float(), density.float()

@@ -105,3 +105,11 @@ def refine(
     threads: int,
     level: int,
 ) -> Image: ...
+def unet(
+    channels: Image,
+    layers: Sequence[tuple[Image, Image, Image, Image]],  # weights (after, before, 3, 3), bias, gain, shift, in order of use
+    last: tuple[Image, Image],  # weights (outputs, width), bias
+    epsilon: float,
+    threads: int,
+    level: int,
+) -> Image: ...

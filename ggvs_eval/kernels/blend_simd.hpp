@@ -60,23 +60,50 @@ GGVS_INLINE Taps cubic_taps(F coordinate, int size) {
     return taps;
 }
 
-// Catmull-Rom, clipped to the range of colours.
-GGVS_INLINE Colour colour_at(const LookUpView& view, F u, F v) {
+// Adds a pixel, one byte per channel from the lowest on, times its share.
+GGVS_INLINE void add_pixel(Colour& sum, I raw, F share) {
+    const I low_byte = all(int32_t(255));
+    sum.red = sum.red + share * to_float(raw & low_byte);
+    sum.green = sum.green + share * to_float((raw >> 8) & low_byte);
+    sum.blue = sum.blue + share * to_float((raw >> 16) & low_byte);
+}
+
+// Sixteen pixels one by one: any of them may be repeated by the border.
+GGVS_INLINE Colour colour_near_border(const LookUpView& view, const Taps& x, const Taps& y) {
     // Four bytes are read at a time; the last pixel has three, so they are read one byte earlier and shifted.
-    const I last = all(int32_t(3 * (int64_t(view.camera.width) * view.camera.height - 1))), low_byte = all(int32_t(255));
-    const Taps x = cubic_taps(u, view.camera.width), y = cubic_taps(v, view.camera.height);
+    const I last = all(int32_t(3 * (int64_t(view.camera.width) * view.camera.height - 1)));
     Colour sum{all(0.0f), all(0.0f), all(0.0f)};
     for (int n = 0; n < 16; ++n) {
         I byte = (y.at[n / 4] * all(int32_t(view.camera.width)) + x.at[n % 4]) * all(int32_t(3));
         M at_end = less(to_float(last - byte), all(1.0f));
         I raw = gather_bytes(view.image, select(at_end, byte - all(int32_t(1)), byte));
-        raw = select(at_end, raw >> 8, raw);
-        F share = y.share[n / 4] * x.share[n % 4];
-        sum.red = sum.red + share * to_float(raw & low_byte);
-        sum.green = sum.green + share * to_float((raw >> 8) & low_byte);
-        sum.blue = sum.blue + share * to_float((raw >> 16) & low_byte);
+        add_pixel(sum, select(at_end, raw >> 8, raw), y.share[n / 4] * x.share[n % 4]);
     }
-    const F zero = all(0.0f), most = all(255.0f);
+    return sum;
+}
+
+// The same where no pixel is repeated: four side by side are twelve bytes, three reads.
+GGVS_INLINE Colour colour_inside(const LookUpView& view, const Taps& x, const Taps& y) {
+    const I low_byte = all(int32_t(255)), low_half = all(int32_t(0xffff)), low_three = all(int32_t(0xffffff));
+    Colour sum{all(0.0f), all(0.0f), all(0.0f)};
+    for (int n = 0; n < 4; ++n) {
+        I byte = (y.at[n] * all(int32_t(view.camera.width)) + x.at[0]) * all(int32_t(3));
+        I first = gather_bytes(view.image, byte), second = gather_bytes(view.image, byte + all(int32_t(4)));
+        I third = gather_bytes(view.image, byte + all(int32_t(8)));
+        add_pixel(sum, first, y.share[n] * x.share[0]);
+        add_pixel(sum, ((first >> 24) & low_byte) | ((second & low_half) << 8), y.share[n] * x.share[1]);
+        add_pixel(sum, ((second >> 16) & low_half) | ((third & low_byte) << 16), y.share[n] * x.share[2]);
+        add_pixel(sum, (third >> 8) & low_three, y.share[n] * x.share[3]);
+    }
+    return sum;
+}
+
+// Catmull-Rom, clipped to the range of colours.
+GGVS_INLINE Colour colour_at(const LookUpView& view, F u, F v) {
+    const Taps x = cubic_taps(u, view.camera.width), y = cubic_taps(v, view.camera.height);
+    const F three = all(3.0f), zero = all(0.0f), most = all(255.0f);
+    M repeated = either(less(to_float(x.at[3] - x.at[0]), three), less(to_float(y.at[3] - y.at[0]), three));
+    const Colour sum = any(repeated) ? colour_near_border(view, x, y) : colour_inside(view, x, y);
     return {min(max(sum.red, zero), most), min(max(sum.green, zero), most), min(max(sum.blue, zero), most)};
 }
 

@@ -123,4 +123,5 @@ PYBIND11_MODULE(_core, m) {
           "bicubic"_a, "threads"_a);
     ggvs::bind_images(m);
     ggvs::bind_learned(m);
+    ggvs::bind_unet(m);
 }

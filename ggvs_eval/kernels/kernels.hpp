@@ -7,6 +7,7 @@
 #include "register.hpp"
 #include "splat.hpp"
 #include "tsdf.hpp"
+#include "unet.hpp"
 
 namespace ggvs {
 
@@ -25,6 +26,9 @@ struct Kernels {
     void (*look_row)(const ConvolvedRow&);  // 3 x 3, leaky
     void (*taps_row)(const ConvolvedRow&);  // 1 x 1
     void (*filter_row)(const FilteredRow&);
+    void (*convolve_row)(const ConvolvedRow&);  // 3 x 3
+    Moments (*moments_of_row)(const float* row, int64_t stride, int width, int channels);
+    void (*normalise_row)(const NormalisedRow&);
 };
 
 extern const Kernels kBaselineKernels, kAvx2Kernels, kAvx512Kernels;

@@ -51,6 +51,15 @@ GGVS_INLINE F sqrt(F x) { return _mm512_sqrt_ps(x); }
 GGVS_INLINE I truncate(F x) { return (I)_mm512_cvttps_epi32(x); }
 GGVS_INLINE F to_float(I x) { return _mm512_cvtepi32_ps((__m512i)x); }
 GGVS_INLINE F gather(const float* p, I at) { return _mm512_i32gather_ps((__m512i)at, p, 4); }
+// Floats that lie side by side, at p[at] and p[at + 1]: half the reads of two gathers.
+GGVS_INLINE void gather_pairs(const float* p, I at, F* first, F* second) {
+    const __m512i even = _mm512_set_epi32(30, 28, 26, 24, 22, 20, 18, 16, 14, 12, 10, 8, 6, 4, 2, 0);
+    const __m512i odd = _mm512_set_epi32(31, 29, 27, 25, 23, 21, 19, 17, 15, 13, 11, 9, 7, 5, 3, 1);
+    F low = _mm512_castpd_ps(_mm512_i32gather_pd(_mm512_castsi512_si256((__m512i)at), p, 4));
+    F high = _mm512_castpd_ps(_mm512_i32gather_pd(_mm512_extracti64x4_epi64((__m512i)at, 1), p, 4));
+    *first = _mm512_permutex2var_ps(low, even, high);
+    *second = _mm512_permutex2var_ps(low, odd, high);
+}
 GGVS_INLINE I gather_bytes(const uint8_t* p, I at) { return (I)_mm512_i32gather_epi32((__m512i)at, p, 1); }
 
 }  // namespace ggvs::GGVS_LEVEL

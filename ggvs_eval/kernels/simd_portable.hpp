@@ -51,6 +51,11 @@ GGVS_INLINE F sqrt(F x) { return F{__builtin_sqrtf(x[0]), __builtin_sqrtf(x[1]),
 GGVS_INLINE I truncate(F x) { return __builtin_convertvector(x, I); }
 GGVS_INLINE F to_float(I x) { return __builtin_convertvector(x, F); }
 GGVS_INLINE F gather(const float* p, I at) { return F{p[at[0]], p[at[1]], p[at[2]], p[at[3]]}; }
+// Floats that lie side by side, at p[at] and p[at + 1].
+GGVS_INLINE void gather_pairs(const float* p, I at, F* first, F* second) {
+    *first = gather(p, at);
+    *second = gather(p + 1, at);
+}
 // Four bytes from any address.
 GGVS_INLINE I gather_bytes(const uint8_t* p, I at) {
     int32_t lanes[kWidth];

@@ -62,11 +62,21 @@ GGVS_INLINE void add_view(const FieldView& view, const PacketView& ray, F z, M w
     M close = both(inside, both(less(all(-2.01f), distance), less(distance, all(2.01f))));
     if (any(close)) {
         F left = clamp(u - all(0.5f), all(0.0f), all(width - 1.0f)), upper = clamp(v - all(0.5f), all(0.0f), all(height - 1.0f));
-        I x0 = truncate(left), y0 = truncate(upper);
+        I x0 = truncate(left), y0 = truncate(upper), y1 = truncate(min(upper + all(1.0f), all(height - 1.0f)));
         F fx = left - to_float(x0), fy = upper - to_float(y0);
-        I x1 = truncate(min(left + all(1.0f), all(width - 1.0f))), y1 = truncate(min(upper + all(1.0f), all(height - 1.0f)));
-        F d00 = gather(view.depth, y0 * stride + x0), d01 = gather(view.depth, y0 * stride + x1);
-        F d10 = gather(view.depth, y1 * stride + x0), d11 = gather(view.depth, y1 * stride + x1);
+        F d00, d01, d10, d11;
+        if (view.camera.width > 1) {
+            // In the last column, which is repeated, the pair begins one pixel earlier.
+            I first = truncate(min(left, all(width - 2.0f)));
+            gather_pairs(view.depth, y0 * stride + first, &d00, &d01);
+            gather_pairs(view.depth, y1 * stride + first, &d10, &d11);
+            M last = at_most(all(width - 1.0f), left);
+            d00 = select(last, d01, d00);
+            d10 = select(last, d11, d10);
+        } else {
+            d00 = d01 = gather(view.depth, y0);
+            d10 = d11 = gather(view.depth, y1);
+        }
         F low = min(min(d00, d01), min(d10, d11)), high = max(max(d00, d01), max(d10, d11));
         M smooth = both(close, both(less(all(0.0f), low), less(high - low, all(tau))));
         F top = d00 + fx * (d01 - d00), bottom = d10 + fx * (d11 - d10);

@@ -86,10 +86,13 @@ def _await(doing: str, jobs: list[Future[T]]) -> list[T]:
 
 
 def _description(options: DemoOptions) -> str:
-    """The text of demo.json."""
+    """The text of demo.json; of the usual rig it says what it said before there were others, so that old demos stay valid."""
+    chosen = asdict(options)
+    if options.rig == DemoOptions.rig:
+        del chosen["rig"]
     described = {
         "version": VERSION,
-        "options": asdict(options),
+        "options": chosen,
         "units_per_metre": LAYOUTS[options.layout].units_per_metre,
         "path_time_s": options.path_frame / options.fps,
         "camera_gains": [[round(float(value), 6) for value in gain] for gain in camera_gains(options)],

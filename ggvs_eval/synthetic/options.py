@@ -7,6 +7,7 @@ from typing import Literal, get_args
 from ggvs_eval.errors import CaptureError
 
 LayoutName = Literal["dynerf", "enerf-outdoor", "d3dmv", "colmap", "rgbd"]
+RigName = Literal["rows", "arc", "grid"]
 LEAST = {"width": 16, "height": 16, "n_frames": 1, "cameras_per_row": 2, "supersampling": 1, "path_poses": 0, "depth_stride": 0}
 
 
@@ -33,6 +34,8 @@ class DemoOptions:
         calibration_error_px: a fault: cameras are written down with rotations that are wrong by this standard deviation about
             each axis, in pixels at the image's centre. Images are not touched.
         focal_error: a fault, camera and factor: its focal length is written down so much longer. Images are not touched.
+        rig: the two rows of DyNeRF's rig, on an arc; as many cameras in one row on a wide arc, as ENeRF-Outdoor's stand; or two
+            rows that look almost straight ahead, as D3DMV's do.
     """
 
     layout: LayoutName = "dynerf"
@@ -52,11 +55,14 @@ class DemoOptions:
     frame_offset: tuple[tuple[str, int], ...] = ()
     calibration_error_px: float = 0.0
     focal_error: tuple[tuple[str, float], ...] = ()
+    rig: RigName = "rows"
 
     def __post_init__(self) -> None:
         """Refuse what cannot be filmed."""
         if self.layout not in get_args(LayoutName):
             raise CaptureError(f"demo: wanted a layout of {', '.join(get_args(LayoutName))}, got {self.layout!r}")
+        if self.rig not in get_args(RigName):
+            raise CaptureError(f"demo: wanted a rig of {', '.join(get_args(RigName))}, got {self.rig!r}")
         for name, least in LEAST.items():
             if getattr(self, name) < least:
                 raise CaptureError(f"demo: {name} must be at least {least}, got {getattr(self, name)}")

@@ -1,4 +1,4 @@
-"""Two rows of cameras like DyNeRF's, and the poses_bounds.npy that describes them.
+"""Two rows of cameras like DyNeRF's, an arc like ENeRF-Outdoor's, and the poses_bounds.npy that describes them.
 
 World frame: units of 1 / `UNITS_PER_METRE` metres as a structure-from-motion tool would give, x right, y down, z into the room.
 """
@@ -18,13 +18,22 @@ FOCAL_PER_WIDTH = 0.543
 TOP_ROW_M, ROW_GAP = 1.5, 2.75
 SPACING, OUTERMOST_YAW_RAD = 1.1, np.radians(34)
 AIM_M = (0.0, 1.8, 1.12)
+ARC_YAW_RAD, GRID_YAW_RAD = np.radians(38), np.radians(8)
 
 # Room metres (x right, y into the room, z up) from world units, (4, 4).
 WORLD_TO_ROOM: Array = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, TOP_ROW_M * UNITS_PER_METRE], [0, 0, 0, UNITS_PER_METRE]])
 WORLD_TO_ROOM = WORLD_TO_ROOM / UNITS_PER_METRE
 
 
-def rig(seed: int, width: int, height: int, cameras_per_row: int, near: float = 1.0, far: float = 100.0) -> list[Camera]:
+def rig(
+    seed: int,
+    width: int,
+    height: int,
+    cameras_per_row: int,
+    near: float = 1.0,
+    far: float = 100.0,
+    outermost_yaw_rad: float = OUTERMOST_YAW_RAD,
+) -> list[Camera]:
     """Cameras of both rows in the order of their names, ``cam00`` in the middle of the top row.
 
     Seen from behind, the top row reads n-1 .. n//2+1, 0, n//2 .. 1 and the bottom row 2n-1 .. n, as on the real rig.
@@ -36,6 +45,7 @@ def rig(seed: int, width: int, height: int, cameras_per_row: int, near: float = 
         cameras_per_row: n, at least 2.
         near: depth range to note, world units.
         far: as near.
+        outermost_yaw_rad: how far the outermost camera is turned towards the middle.
     """
     rng, n = np.random.default_rng([seed, 1]), cameras_per_row
     top = [*range(n - 1, n // 2, -1), 0, *range(n // 2, 0, -1)]
@@ -45,9 +55,28 @@ def rig(seed: int, width: int, height: int, cameras_per_row: int, near: float = 
         along = np.cumsum(rng.uniform(0.92, 1.12, n)) * SPACING
         along -= along[top.index(0)]
         for number, distance in zip(numbers, along, strict=True):
-            pose = _pose(distance, below, np.abs(along).max(), rng)
+            pose = _pose(distance, below, np.abs(along).max() / outermost_yaw_rad, rng)
             cameras.append(Camera(f"cam{number:02d}", intrinsics(width, height), pose, width, height, near, far))
     return sorted(cameras, key=lambda camera: camera.name)
+
+
+def arc_rig(seed: int, width: int, height: int, count: int, near: float = 1.0, far: float = 100.0) -> list[Camera]:
+    """One row on a wide arc around what the cameras look at, ``cam00`` at its left end.
+
+    Args:
+        seed: as of `rig`.
+        width: pixels.
+        height: pixels.
+        count: of cameras.
+        near: depth range to note, world units.
+        far: as near.
+    """
+    rng, radius = np.random.default_rng([seed, 8]), AIM_M[1] * UNITS_PER_METRE
+    along = np.cumsum(rng.uniform(0.92, 1.12, count))
+    along = (2 * (along - along[0]) / (along[-1] - along[0]) - 1) * ARC_YAW_RAD * radius
+    poses = [_pose(distance, 0.0, radius, rng) for distance in along]
+    K = intrinsics(width, height)
+    return [Camera(f"cam{number:02d}", K, pose, width, height, near, far) for number, pose in enumerate(poses)]
 
 
 def intrinsics(width: int, height: int) -> Array:
@@ -55,11 +84,10 @@ def intrinsics(width: int, height: int) -> Array:
     return np.array([[FOCAL_PER_WIDTH * width, 0, width / 2], [0, FOCAL_PER_WIDTH * width, height / 2], [0, 0, 1]])
 
 
-def _pose(along: float, below: float, outermost: float, rng: np.random.Generator) -> Array:
+def _pose(along: float, below: float, radius: float, rng: np.random.Generator) -> Array:
     """World to camera at an arc length from the middle of a row: on a circle, looking across its centre, slightly down."""
     from scipy.spatial.transform import Rotation
 
-    radius = outermost / OUTERMOST_YAW_RAD
     yaw = along / radius
     centre = np.array([radius * np.sin(yaw), below, radius * (1 - np.cos(yaw))]) + rng.normal(0, 0.05, 3)
     drop_m = TOP_ROW_M - centre[1] / UNITS_PER_METRE - AIM_M[2]

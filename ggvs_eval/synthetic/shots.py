@@ -8,7 +8,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.synthetic.hand_held import hand_held_poses
 from ggvs_eval.synthetic.options import DemoOptions
 from ggvs_eval.synthetic.pixel_grid import Coefficients
-from ggvs_eval.synthetic.rig import rig, sideways_path
+from ggvs_eval.synthetic.rig import GRID_YAW_RAD, OUTERMOST_YAW_RAD, arc_rig, rig, sideways_path
 from ggvs_eval.synthetic.sensor import Sensor, rig_sensors
 
 PATH_LENGTH = 5.0
@@ -36,9 +36,17 @@ class Shot:
     lens: Coefficients = ()
 
 
+def rig_of(options: DemoOptions) -> list[Camera]:
+    """The true cameras of the rig, in the order of their names."""
+    if options.rig == "arc":
+        return arc_rig(options.seed, options.width, options.height, len(options.camera_names))
+    yaw_rad = GRID_YAW_RAD if options.rig == "grid" else OUTERMOST_YAW_RAD
+    return rig(options.seed, options.width, options.height, options.cameras_per_row, outermost_yaw_rad=yaw_rad)
+
+
 def rig_shots(options: DemoOptions) -> list[Shot]:
     """The cameras of the rig, all frames of each, in the order of their names."""
-    cameras = rig(options.seed, options.width, options.height, options.cameras_per_row)
+    cameras = rig_of(options)
     offsets = dict(options.frame_offset)
     shots = []
     for number, (camera, sensor) in enumerate(zip(cameras, rig_sensors(options), strict=True)):
@@ -70,7 +78,8 @@ def hand_held_shots(options: DemoOptions) -> list[Shot]:
 
 def path_shots(options: DemoOptions) -> list[Shot]:
     """The true camera path, without gain and noise, all at one instant."""
-    middle = rig(options.seed, options.width, options.height, options.cameras_per_row)[0]
+    cameras = rig_of(options)
+    middle = cameras[len(cameras) // 2 if options.rig == "arc" else 0]
     path = sideways_path(middle, PATH_LENGTH, options.path_poses)
     return [Shot(pose, pose, (options.path_frame,), None) for pose in path]
 

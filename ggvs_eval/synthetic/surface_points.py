@@ -12,7 +12,8 @@ from ggvs_eval.synthetic.geometry import Array32
 from ggvs_eval.synthetic.lighting import Instant
 from ggvs_eval.synthetic.options import DemoOptions
 from ggvs_eval.synthetic.raycast import depth_along
-from ggvs_eval.synthetic.rig import directions_in_room, eye_in_room, rig, room_from_world, room_to_world
+from ggvs_eval.synthetic.rig import directions_in_room, eye_in_room, room_from_world, room_to_world
+from ggvs_eval.synthetic.shots import rig_of
 from ggvs_eval.synthetic.surfaces import Array
 
 POINTS = 600
@@ -40,7 +41,7 @@ class Sightings(NamedTuple):
 
 def surface_points(options: DemoOptions) -> Array:
     """Points on what never moves, as many from the view of each camera of the rig, world units, (P, 3)."""
-    static, cameras = lit_room(options.seed).static, rig(options.seed, options.width, options.height, options.cameras_per_row)
+    static, cameras = lit_room(options.seed).static, rig_of(options)
     rng = np.random.default_rng([options.seed, 10])
     points = []
     for camera in cameras:

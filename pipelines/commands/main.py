@@ -18,6 +18,7 @@ from ggvs_eval.pipelines.commands.captures import (
     undistort,
 )
 from ggvs_eval.pipelines.commands.figures import compare, draw_slice, figure, report
+from ggvs_eval.pipelines.commands.merge import merge
 from ggvs_eval.pipelines.commands.play import play
 from ggvs_eval.pipelines.commands.renders import doctor, explain
 from ggvs_eval.pipelines.commands.runs import prepare, render, run, status, sweep
@@ -74,6 +75,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "prepare": prepare,
     "render": render,
     "score": score,
+    "merge": merge,
     "report": report,
     "slice": draw_slice,
     "figure": figure,

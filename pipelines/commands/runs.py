@@ -8,10 +8,12 @@ import tyro
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import ProtocolError, WeightsError
+from ggvs_eval.pipelines.commands.announce import announce
 from ggvs_eval.pipelines.commands.captures import BY_DEFAULT, FOUND_BY_DEFAULT, Finding, Folder, Reading
 from ggvs_eval.pipelines.jobs.engine import Engine
 from ggvs_eval.pipelines.jobs.ledger import Failure
 from ggvs_eval.pipelines.methods.registry import METHODS, Checkpoints, usual_methods
+from ggvs_eval.pipelines.wish import Wish
 from ggvs_eval.processes import default_workers
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.synthetic.options import DemoOptions
@@ -32,6 +34,7 @@ def prepare(
     reading: Reading = BY_DEFAULT,
     depth: Finding = FOUND_BY_DEFAULT,
     jobs: int = default_workers(),
+    dry_run: bool = False,
 ) -> None:
     """Read a capture under a protocol and write what every method needs: truth frames, source views, depth, a page that shows it.
 
@@ -44,12 +47,17 @@ def prepare(
         reading: how the capture is read.
         depth: how depth is found.
         jobs: processes.
+        dry_run: only tell how much there is to do, what it needs and how long it takes.
     """
     from ggvs_eval.pipelines.depth_outputs import export_prepared, fuse_prepared, write_prepared_page
     from ggvs_eval.pipelines.prepare import prepare as write
 
     opened = reading.open(capture)
-    prepared = write(run, opened, _protocol(protocol, opened), jobs, depth)
+    chosen = _protocol(protocol, opened)
+    announce([Wish(run, opened, chosen, (), depth)], jobs, run, dry_run)
+    if dry_run:
+        return
+    prepared = write(run, opened, chosen, jobs, depth)
     print(write_prepared_page(prepared, depth.options().filled_confidence, jobs))
     if fuse:
         fused = fuse_prepared(prepared)
@@ -83,24 +91,42 @@ def run(
     reading: Reading = BY_DEFAULT,
     depth: Finding = FOUND_BY_DEFAULT,
     engine: Running = HERE,
+    dry_run: bool = False,
 ) -> None:
     """Do it all: prepare, render, score, report. A second call does only what is missing.
 
     Args:
         run: run folder to make or to go on with.
-        capture: folder of the capture; without one the demo capture is made beside the run folder.
+        capture: folder of the capture; without one the demo rooms are filmed and evaluated, each beside the run folder: the
+            main one, and small ones in the layouts of ENeRF-Outdoor and D3DMV. One page shows them all. With --protocol the
+            main one alone.
         protocol: a .toml file or a packaged name; by default the packaged one that fits the capture.
         methods: which methods.
         weights: METHOD=FILE of a method whose weights do not ship: the authors' checkpoint of a baseline.
         reading: how the capture is read.
         depth: how depth is found.
         engine: where jobs run.
+        dry_run: only tell how much there is to do, what it needs and how long it takes.
     """
+    from ggvs_eval.pipelines.demo_runs import SMALL_ROOMS_METHODS, evaluate_demos
     from ggvs_eval.pipelines.evaluate import evaluate
 
     root, checkpoints = engine.place(run), _checkpoints(weights)
+    if capture is None and dry_run:
+        raise ProtocolError("--dry-run wants --capture: the demo rooms are filmed before they can be planned")
+    if capture is None and protocol is None:
+        few = SMALL_ROOMS_METHODS if methods == USUAL_METHODS else methods
+
+        def tell(each: Wish) -> None:
+            announce([each], engine.jobs, each.root)
+
+        print(evaluate_demos(root, methods, few, engine, reading.open, depth, checkpoints, tell=tell))
+        return
     opened = reading.open(engine.place(capture or _demo_beside(run, engine.jobs)))
     chosen = _protocol(protocol, opened)
+    announce([Wish(root, opened, chosen, methods, depth, checkpoints)], engine.jobs, root, dry_run)
+    if dry_run:
+        return
     print(evaluate(root, opened, chosen, methods, engine, depth, checkpoints))
 
 
@@ -115,6 +141,7 @@ def sweep(
     engine: Running = HERE,
     shard: str = "1/1",
     plan: Path | None = None,
+    dry_run: bool = False,
 ) -> None:
     """Evaluate every row of a sweep under each of its variants and print one table of all.
 
@@ -131,8 +158,10 @@ def sweep(
         engine: where jobs run.
         shard: i/n, for the i-th of n machines: every n-th view; 0/n prepares for all. A last call without it makes the table.
         plan: JSON file to write instead of running: the commands of the sweep, and which waits for which.
+        dry_run: only tell how much there is to do, what it needs and how long it takes.
     """
     from ggvs_eval.pipelines.jobs.shard import Shard
+    from ggvs_eval.pipelines.sweep.cells import wishes_of
     from ggvs_eval.pipelines.sweep.plan import flags, plan_sweep
     from ggvs_eval.pipelines.sweep.run_sweep import run_sweep, run_sweeps
     from ggvs_eval.sweep import load_sweep
@@ -148,6 +177,11 @@ def sweep(
         chosen = [*(["--protocol", protocol] if protocol else []), *(["--weights", *weights] if weights else [])]
         command = ["ggvs-eval", "sweep", name, str(out), "--capture", *map(str, paths), *chosen, *options]
         print(plan_sweep(plan, engine.place(out), starts, wanted, checkpoints, command))
+        return
+    wishes = wishes_of(engine.place(out), starts, wanted, depth, checkpoints, part)
+    if wishes:
+        announce(wishes, engine.jobs, engine.place(out), dry_run)
+    if dry_run:
         return
     if len(starts) > 1:
         result = run_sweeps(engine.place(out), starts, wanted, engine, depth, checkpoints, part)

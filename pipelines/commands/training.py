@@ -19,7 +19,7 @@ Guidance = Literal["registered", "channels", "none", "naive"]
 
 
 def train(
-    what: Annotated[Literal["stereo", "blend"], tyro.conf.Positional],
+    what: Annotated[Literal["stereo", "blend", "fwd", "gps-gaussian", "ibrnet", "enerf"], tyro.conf.Positional],
     out: Folder,
     steps: int = 20000,
     seed: int = 0,
@@ -27,6 +27,8 @@ def train(
     width: int = 16,
     guidance: Guidance = "registered",
     rooms: int = 25,
+    targets: int = 9,
+    configuration: Literal["compact", "full"] = "compact",
     captures: tuple[Path, ...] = (),
     device: str = "auto",
     precision: Precision = "auto",
@@ -38,7 +40,8 @@ def train(
 
     Args:
         what: stereo: the compact RAFT-Stereo, on scenes made on the fly. blend: the blending network, on rooms that are filmed,
-            and whose depth is estimated, before the first step (blend-samples beside the folder).
+            and whose depth is estimated, before the first step (blend-samples beside the folder). fwd, gps-gaussian, ibrnet,
+            enerf: a baseline, on the same rooms, targets and sources.
         out: folder for the state to go on from, the weights, the logs and the model card.
         steps: of the whole training, those of earlier calls included.
         seed: of the weights and the scenes.
@@ -46,7 +49,9 @@ def train(
         width: blend: channels of the U-Net's first level.
         guidance: blend: what it sees of the fused depth: views registered by it, its channels as the paper prints them, none
             of it (ablation), or no depth at all (naive).
-        rooms: blend: rooms to film, about a minute and 50 MB each.
+        rooms: blend, baselines: rooms to film, about a minute and 50 MB each.
+        targets: baselines: target views per room.
+        configuration: baselines: compact, which an hour of one core trains, or full, as the authors publish it.
         captures: blend: folders of captures to learn from beside the rooms (RGB-D sequences by ScanNet's rule, Spaces, DyNeRF,
             rigs of your own), never those that you test on.
         device: cpu, cuda, or the better one by default.
@@ -60,11 +65,13 @@ def train(
     from ggvs_eval.pipelines.training.loop import TrainingOptions
     from ggvs_eval.pipelines.training.loop import train as go_on
 
-    task = (
-        _stereo(seed)
-        if what == "stereo"
-        else _blend(out.parent / "blend-samples", seed, BlendConfig(views, guidance, width), rooms, captures)
-    )
+    samples = out.parent / "blend-samples"
+    if what == "stereo":
+        task = _stereo(seed)
+    elif what == "blend":
+        task = _blend(samples, seed, BlendConfig(views, guidance, width), rooms, captures)
+    else:
+        task = _baseline(what, samples, seed, configuration, rooms, targets)
     options = TrainingOptions(
         steps=steps, device=device, precision=precision, workers=workers, compile=compile_network, start_from=start_from
     )
@@ -72,6 +79,8 @@ def train(
     if what == "blend":
         command += f" --guidance {guidance} --views {views} --width {width} --rooms {rooms}"
         command += f" --captures {' '.join(path.name for path in captures)}" if captures else ""
+    if what not in ("stereo", "blend"):
+        command += f" --configuration {configuration} --rooms {rooms} --targets {targets}"
     print(go_on(task, out, options), write_card(task, out, command), sep="\n")
 
 
@@ -102,3 +111,14 @@ def _blend(cache: Path, seed: int, config: "BlendConfig", rooms: int, captures: 
     for samples in (validation, training):
         samples.prepare(default_workers())
     return BlendTask(training, validation, config, seed=seed)
+
+
+def _baseline(what: str, cache: Path, seed: int, configuration: str, rooms: int, targets: int) -> "Task":
+    """The task of a baseline with its samples in place."""
+    from ggvs_eval.pipelines.training.baseline_tasks import baseline_task
+    from ggvs_eval.pipelines.training.blend_rooms import RoomPlan
+
+    task = baseline_task(what, cache, RoomPlan(rooms=rooms, targets=targets), configuration, seed)
+    for samples in (task.validation, task.training):
+        samples.prepare(default_workers())
+    return task

@@ -7,7 +7,7 @@ from typing import Literal, NoReturn
 
 from ggvs_eval.baselines.method import Method
 from ggvs_eval.errors import WeightsError
-from ggvs_eval.pipelines.methods.spec import BASELINE_CODE, MethodSpec
+from ggvs_eval.pipelines.methods.spec import BASELINE_CODE, MethodSpec, shipped
 
 
 def _no_blending() -> Method:
@@ -51,16 +51,40 @@ def _without_checkpoint(title: str, label: str, checkpoint: str) -> NoReturn:
     raise WeightsError(f"{title}: its weights do not ship; wanted {checkpoint}, give it by --weights {method}=FILE")
 
 
-def _learned(label: str, title: str, describe: str, checkpoint: str, make_from: Callable[[Path], Method]) -> MethodSpec:
-    """A network that renders with a checkpoint of its authors, or of whoever trained it."""
+def _retrained(title: str, label: str, checkpoint: str, make_from: Callable[[Path], Method]) -> Method:
+    """With the weights that ship, if they do."""
+    weights = shipped(_weights_name(label))
+    if not weights.is_file():
+        _without_checkpoint(title, label, checkpoint)
+    return make_from(weights)
+
+
+def _weights_name(label: str) -> str:
+    return f"{label.partition('+')[0]}.safetensors"
+
+
+def _learned(
+    label: str, title: str, describe: str, checkpoint: str, make_from: Callable[[Path], Method], retrained: str = ""
+) -> MethodSpec:
+    """A network that renders with a checkpoint of its authors, or of whoever trained it.
+
+    `retrained` says in what configuration we trained it; without, it needs a checkpoint.
+    """
+    make: Callable[[], Method] = partial(_without_checkpoint, title, label, checkpoint)
+    weights: tuple[Path, ...] = ()
+    if retrained:
+        make = partial(_retrained, title, label, checkpoint, make_from)
+        weights = (shipped(_weights_name(label)),)
     return MethodSpec(
-        title,
+        f"{title} (retrained, {retrained})" if retrained else title,
         describe,
-        partial(_without_checkpoint, title, label, checkpoint),
+        make,
         BASELINE_CODE,
         usual=False,
+        weights=weights,
         checkpoint=checkpoint,
         make_from=make_from,
+        title_from=title,
     )
 
 
@@ -72,10 +96,15 @@ BASELINES: dict[str, MethodSpec] = {
         "Distance-based Blending", "splatted views weighted by camera distance (LLFF)", _distance_based, BASELINE_CODE
     ),
     "fwd": _learned(
-        "fwd", "FWD", "features splatted by the given depth, fused by attention", "a checkpoint of our network", _fwd
+        "fwd", "FWD", "features splatted by the given depth, fused by attention", "a checkpoint of our network", _fwd, "compact"
     ),
     "ibrnet": _learned(
-        "ibrnet", "IBRNet", "colours of the views blended along rays", "model_255000.pth of googleinterns/IBRNet", _ibrnet
+        "ibrnet",
+        "IBRNet",
+        "colours of the views blended along rays",
+        "model_255000.pth of googleinterns/IBRNet",
+        _ibrnet,
+        "compact",
     ),
     "gps-gaussian": _learned(
         "gps-gaussian",
@@ -90,8 +119,14 @@ BASELINES: dict[str, MethodSpec] = {
         "Gaussians of the nearest pair by the depth that the others get",
         "GPS-GS_stage2_final.pth of aipixel/GPS-Gaussian",
         partial(_gps_gaussian, depth="given"),
+        "compact",
     ),
     "enerf": _learned(
-        "enerf", "ENeRF", "radiance near the surface of a cost volume", "dtu_pretrain/latest.pth of zju3dv/ENeRF", _enerf
+        "enerf",
+        "ENeRF",
+        "radiance near the surface of a cost volume",
+        "dtu_pretrain/latest.pth of zju3dv/ENeRF",
+        _enerf,
+        "compact",
     ),
 }

@@ -55,7 +55,7 @@ OURS: dict[str, MethodSpec] = {
     ),
     "ours+no-temporal": MethodSpec(
         "Ours, No Temporal Filtering",
-        "without temporal depth filter and temporal term of the ray march",
+        "without temporal depth filter, temporal term of the ray march and recurrent output",
         partial(_learned_with, "registered", temporal=False),
         ONLINE_CODE,
         ours=True,
@@ -80,7 +80,7 @@ OURS: dict[str, MethodSpec] = {
     ),
     "ours-geometric+no-temporal": MethodSpec(
         "Ours (geometric weights), No Temporal Filtering",
-        "without temporal depth filter and temporal term of the ray march",
+        "without temporal depth filter, temporal term of the ray march and recurrent output",
         partial(_geometric_with, temporal=False),
         ONLINE_CODE,
         ours=True,

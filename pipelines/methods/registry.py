@@ -35,7 +35,7 @@ def find_method(label: str, checkpoints: Checkpoints = NO_CHECKPOINTS) -> Method
 
     Args:
         label: ``method`` or ``method+variant``.
-        checkpoints: of methods whose weights do not ship; without its own such a method is found but cannot be made.
+        checkpoints: the user's, instead of weights that ship; a method that has neither is found but cannot be made.
 
     Raises:
         RenderError: unknown; the message names the nearest known one.
@@ -48,7 +48,8 @@ def find_method(label: str, checkpoints: Checkpoints = NO_CHECKPOINTS) -> Method
     if label not in METHODS:
         nearest = difflib.get_close_matches(label, METHODS, n=1, cutoff=0.0)[0]
         raise RenderError(f"unknown method {label!r}; did you mean {nearest}? Known are {', '.join(METHODS)}")
-    return METHODS[label]
+    spec = METHODS[label]
+    return replace(spec, weights=tuple(file for file in spec.weights if file.is_file()))  # without them it cannot be made
 
 
 def _with_checkpoint(label: str, checkpoint: Path) -> MethodSpec:
@@ -57,7 +58,8 @@ def _with_checkpoint(label: str, checkpoint: Path) -> MethodSpec:
     if spec.make_from is None:
         able = ", ".join(name for name, each in METHODS.items() if each.make_from)
         raise RenderError(f"method {label}: {spec.title} takes no weights from outside; these do: {able}")
-    return replace(spec, make=partial(spec.make_from, checkpoint), make_from=None, weights=(checkpoint,))
+    title = spec.title_from or spec.title
+    return replace(spec, title=title, make=partial(spec.make_from, checkpoint), make_from=None, weights=(checkpoint,))
 
 
 def _configured(label: str, spec: MethodSpec, variant: str) -> MethodSpec:

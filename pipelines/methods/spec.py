@@ -30,8 +30,9 @@ class MethodSpec:
         online: whether it sees nothing of the future.
         usual: whether it is rendered where nobody names methods; ablations that only a sweep asks for are not.
         weights: files of the trained weights it renders with.
-        checkpoint: what the user has to give, of a method whose weights do not ship.
+        checkpoint: what the user can give instead of weights that ship, or has to give where none do.
         make_from: builds one with such a checkpoint.
+        title_from: how tables call it then, if not by `title`: weights that we trained are labelled so.
         make_with: builds one with other `OnlineOptions`, for labels such as ``ours+beta_temporal=0.6``.
     """
 
@@ -45,4 +46,5 @@ class MethodSpec:
     weights: tuple[Path, ...] = ()
     checkpoint: str = ""
     make_from: Callable[[Path], Method] | None = None
+    title_from: str = ""
     make_with: Callable[[Any], Method] | None = None

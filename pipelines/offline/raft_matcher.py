@@ -37,8 +37,8 @@ class RaftMatcher:
         refine_iterations: its iterations.
 
     Reading:
-        The compact network is trained with 4 iterations. On 40 of its validation scenes 5 and 12 leave 1.52 and 1.42 px at one and
-        1.8 times the time, 24 no less than 12; 5 are taken.
+        The compact network is trained with 4 iterations. On 40 of its validation scenes 5 and 12 leave 1.52 and 1.42 px, at one
+        and 1.8 times the time, 24 no less than 12; 5 are taken.
     """
 
     weights: Path

@@ -12,6 +12,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.register import register_views
 from ggvs_eval.geometry.warp import CapturedView, Warp, warp
+from ggvs_eval.kernels.side_by_side import side_by_side
 from ggvs_eval.pipelines.online.blending import BlendingInputs
 
 Guidance = Literal["registered", "channels", "none", "naive"]
@@ -124,8 +125,10 @@ def blend_maps(inputs: BlendingInputs, guidance: Guidance) -> BlendMaps:
     sources, target, order = inputs.instant.sources, inputs.instant.target, nearest_first(inputs)
     views = [CapturedView(sources[k].camera, sources[k].image, inputs.filtered_depths[k], 1.0) for k in order]
     splats = [inputs.splats[k] for k in order]
-    found = register_views(target, inputs.depth, views, splats, inputs.tau, float(FAINT))
-    alphas, depths = np.stack([view.alpha for view in splats]), np.stack([view.depth for view in splats])
+    found, (alphas, depths) = side_by_side(
+        lambda: register_views(target, inputs.depth, views, splats, inputs.tau, float(FAINT)),
+        lambda: (np.stack([view.alpha for view in splats]), np.stack([view.depth for view in splats])),
+    )
     cameras = tuple(sources[k].camera for k in order)
     return BlendMaps(target, cameras, found.colours, found.coverage, found.visibilities, alphas, depths, inputs.depth)
 

@@ -15,9 +15,11 @@ from ggvs_eval.geometry.point_splat import splat_points
 from ggvs_eval.geometry.splat import Splat, splat
 from ggvs_eval.geometry.tsdf import DepthView, PreviousDepth, RayMarch, fusion_weights, ray_march
 from ggvs_eval.pipelines.online.blending import Blender, BlendingInputs
+from ggvs_eval.pipelines.online.colour_harmony import ColourHarmony
 from ggvs_eval.pipelines.online.depth_filter import FilteredDepth, TemporalDepthFilter
 from ggvs_eval.pipelines.online.geometric_blender import GeometricBlender
 from ggvs_eval.pipelines.online.printed_march import FieldReading, printed_march
+from ggvs_eval.pipelines.online.recurrent_output import RecurrentOutput, splatted_change
 
 
 @dataclass(frozen=True)
@@ -25,7 +27,8 @@ class OnlineOptions:
     """Constants of the method; the paper's values, in metres where they are lengths.
 
     Attributes:
-        temporal: the temporal depth filter and the temporal term of the ray march (off: 'No Temporal Filtering').
+        temporal: the temporal depth filter, the temporal term of the ray march, the recurrent output and the memory of gains
+            (off: 'No Temporal Filtering').
         fused: the ray march itself; without it the fused depth is unknown everywhere, for blenders that do not look at it
             ('No TSDF Guidance').
         lambda_t: colour difference that counts as motion (Eq. 1).
@@ -44,6 +47,9 @@ class OnlineOptions:
         min_step: smallest step of the ray march, in tau; the march as printed has none, and does not end.
         signed_distance: see `FieldReading`; the march is slow with the one as printed.
         normalised_field: see `FieldReading`; the march is slow without.
+        recurrent_limit: largest weight of the previous output where nothing moves, below 1, see `RecurrentOutput`; 0 for none,
+            as in the paper.
+        harmonised: sources are brought to one colour before they are blended, see `ColourHarmony`; not in the paper.
 
     Reading:
         What each reading is worth is measured in docs/readings.md.
@@ -71,6 +77,8 @@ class OnlineOptions:
     min_step: float = 0.1
     signed_distance: Literal["front", "printed"] = "front"
     normalised_field: bool = True
+    recurrent_limit: float = 0.85
+    harmonised: bool = True
 
 
 @dataclass(frozen=True)
@@ -87,7 +95,8 @@ class GeometryGuided:
 
     Per instant: difference masks and temporally filtered depth of each source view, forward splatting of each view as
     pixel-sized Gaussians, fusion of the filtered depths by an image-based TSDF ray march in which the previous fused depth
-    takes part, and blending. State: one frame and one depth map per source camera, one fused depth map of the target.
+    takes part, and blending. Beyond the paper, sources are brought to one colour and outputs averaged where nothing moves.
+    State: one frame and one depth map per source camera, one fused depth map and one output of the target.
     """
 
     def __init__(self, options: OnlineOptions | None = None, blender: Blender | None = None) -> None:
@@ -99,24 +108,35 @@ class GeometryGuided:
             chosen.lambda_t, chosen.beta_mask, chosen.history_tolerance, chosen.temporal, chosen.mask_channels
         )
         self._previous: _Fused | None = None
+        self._output = RecurrentOutput(chosen.recurrent_limit if chosen.temporal else 0.0)
+        self._harmony = ColourHarmony() if chosen.temporal else ColourHarmony(memory=1)
 
     def step(self, instant: Instant) -> Rendering:
         """Synthesise one instant and remember its fused depth for the next."""
         marks = [perf_counter()]
         filtered = [self._filter.step(instant.index, source) for source in instant.sources]
+        if self.options.harmonised:
+            instant = self._harmony.step(instant, [view.depth for view in filtered], self._tau(instant))
         marks.append(perf_counter())
         splats = self._splat(instant, filtered)
         marks.append(perf_counter())
         depth = self._march(instant, filtered, splats).depth if self.options.fused else None
         marks.append(perf_counter())
-        tau = self.options.tau_m * instant.units_per_metre
-        known = np.zeros((instant.target.height, instant.target.width), np.float32) if depth is None else depth
-        image = self.blender.blend(BlendingInputs(instant, [view.depth for view in filtered], splats, known, tau))
+        image = self._blend(instant, filtered, splats, depth)
         marks.append(perf_counter())
         seconds = dict(zip(("filter", "splat", "tsdf", "blend"), np.diff(marks).tolist(), strict=True))
         if depth is None:
             del seconds["tsdf"]
         return Rendering(image, depth, seconds)
+
+    def _blend(self, instant: Instant, filtered: list[FilteredDepth], splats: list[Splat], depth: Map | None) -> Map:
+        """Blend the views and mix the output with the one before where nothing moves."""
+        chosen = self.options
+        change = splatted_change(splats, chosen.covered_alpha, chosen.beta_mask, chosen.lambda_t)
+        known = np.zeros((instant.target.height, instant.target.width), np.float32) if depth is None else depth
+        depths = [view.depth for view in filtered]
+        image = self.blender.blend(BlendingInputs(instant, depths, splats, known, self._tau(instant)))
+        return self._output.step(instant.index, instant.target, image, change)
 
     def _splat(self, instant: Instant, filtered: list[FilteredDepth]) -> list[Splat]:
         """Render each view forward: colour, difference mask, coverage and depth (Sec. 3.1)."""
@@ -133,7 +153,7 @@ class GeometryGuided:
 
     def _march(self, instant: Instant, filtered: list[FilteredDepth], splats: list[Splat]) -> RayMarch:
         """Fuse the filtered depths, and the previous fused depth, in the target view (Eqs. 3, 9-14)."""
-        tau, noise = (length * instant.units_per_metre for length in (self.options.tau_m, self.options.depth_noise_m))
+        tau, noise = self._tau(instant), self.options.depth_noise_m * instant.units_per_metre
         views = [
             DepthView(source.camera, view.depth, fusion_weights(view.depth, tau, noise))
             for source, view in zip(instant.sources, filtered, strict=True)
@@ -144,6 +164,10 @@ class GeometryGuided:
         march = march_by(instant.target, views, tau=tau, previous=previous, min_step=self.options.min_step)
         self._previous = _Fused(instant.index, instant.target, march)
         return march
+
+    def _tau(self, instant: Instant) -> float:
+        """The truncation distance, world units."""
+        return self.options.tau_m * instant.units_per_metre
 
     def _previous_depth(self, instant: Instant, splats: list[Splat]) -> PreviousDepth | None:
         """The fused depth of the instant before as one more depth camera, trusted where nothing moves (Eqs. 13-14)."""

@@ -9,6 +9,7 @@ import torch
 from ggvs_eval.baselines.method import Map
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.per_pixel import weighted_mean
+from ggvs_eval.kernels.side_by_side import side_by_side
 from ggvs_eval.one_thread import one_thread
 from ggvs_eval.pipelines.online.blend_maps import BlendMaps, Guidance, blend_maps
 from ggvs_eval.pipelines.online.blend_network import BlendNetwork, small_outputs
@@ -17,6 +18,7 @@ from ggvs_eval.pipelines.online.blending import COVERED_ALPHA, BlendingInputs
 from ggvs_eval.pipelines.online.full_size import composed, refined
 from ggvs_eval.pipelines.online.inpainting import push_pull
 from ggvs_eval.pipelines.online.network_inputs import GUIDED, input_channels
+from ggvs_eval.pipelines.online.unet_kernel import unet_outputs
 
 
 @dataclass(frozen=True)
@@ -51,11 +53,13 @@ class NetworkBlender:
 def blend_by(network: BlendNetwork, maps: BlendMaps) -> Map:
     """The image that a network makes of the views, (H, W, 3); equal bits whatever the number of threads.
 
-    At the network's own size it is torch that computes, at full size the kernels of `full_size`.
+    Compiled kernels compute it, those of `unet_kernel` at the network's own size and those of `full_size` at full size.
     """
     config, near = network.config, maps.near_weights()
-    small = _small_outputs(network, maps, near)
-    picture = composed(maps, maps.unseen(), filled_picture(maps, near), small, config.scale)
+    small, (unseen, background) = side_by_side(
+        lambda: _small_outputs(network, maps, near), lambda: (maps.unseen(), filled_picture(maps, near))
+    )
+    picture = composed(maps, unseen, background, small, config.scale)
     if network.refiner is None:
         return picture.image()
     depth = maps.fused_depth if config.guidance in GUIDED else None
@@ -65,11 +69,9 @@ def blend_by(network: BlendNetwork, maps: BlendMaps) -> Map:
 def _small_outputs(network: BlendNetwork, maps: BlendMaps, near: Map) -> Map:
     """`small_outputs` of the network for one instant, (K + 4 + F, h, w)."""
     config = network.config
-    channels = torch.from_numpy(input_channels(maps.reduced(config.scale), config.guidance, config.views))[None]
-    device = next(network.parameters()).device
+    raw = unet_outputs(network.unet, input_channels(maps.reduced(config.scale), config.guidance, config.views))
     with one_thread(), torch.inference_mode():
-        raw = network(channels.to(device, memory_format=torch.channels_last)).cpu()
-        return small_outputs(raw, torch.from_numpy(near)[None], config.views)[0].contiguous().numpy()
+        return small_outputs(torch.from_numpy(raw)[None], torch.from_numpy(near)[None], config.views)[0].contiguous().numpy()
 
 
 def blend_start(maps: BlendMaps) -> dict[str, Map]:

@@ -1,6 +1,10 @@
 """Renders as the 3DGS family writes them: ``renders/00000.png`` beside ``gt/00000.png``, views and frames in one flat list.
 
 The list says nothing of views or frames; the copies of the truth do, see `truth_match`.
+
+Facts of 4DGaussians, from github.com/hustvl/4DGaussians (commit 0bc8fed, render.py): the model's folder holds
+``{train,test,video}/ours_<iteration>/``, each with ``renders/`` and ``gt/`` of five digits in the order of its data loader and a
+``video_rgb.mp4`` of the renders; ``gt/`` of ``video`` stays empty, so that it cannot be taken for the test set.
 """
 
 from collections import Counter

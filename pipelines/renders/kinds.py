@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.pipelines.renders import flat_set, nerfbaselines, view_folders, view_streams
+from ggvs_eval.pipelines.renders import easyvolcap, flat_set, nerfbaselines, view_folders, view_streams
 from ggvs_eval.pipelines.renders.wanted import Found, Wanted
 
 
@@ -29,6 +29,7 @@ class Kind:
 KINDS = {
     "run": Kind("a run folder", view_folders.refuse_run, view_folders.run_files, view_folders.find_run),
     "nerfbaselines": Kind("NerfBaselines output", nerfbaselines.refuse, nerfbaselines.files, nerfbaselines.find),
+    "easyvolcap": Kind("EasyVolcap output", easyvolcap.refuse, easyvolcap.files, easyvolcap.find),
     "flat": Kind("renders/ and gt/", flat_set.refuse, flat_set.files, flat_set.find),
     "videos": Kind("one video per view", view_streams.refuse_videos, view_streams.video_files, view_streams.find_videos),
     "arrays": Kind("one array per view", view_streams.refuse_arrays, view_streams.array_files, view_streams.find_arrays),

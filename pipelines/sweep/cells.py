@@ -8,6 +8,8 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.errors import ProtocolError, RenderError, WeightsError
 from ggvs_eval.pipelines.jobs.shard import Shard
 from ggvs_eval.pipelines.methods.registry import METHODS, Checkpoints, find_method
+from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
+from ggvs_eval.pipelines.wish import Wish
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import RunFolder
 from ggvs_eval.sweep import Sweep, SweepRow
@@ -95,6 +97,28 @@ def share_of(cells: list[Cell], shard: Shard) -> dict[str, set[str]]:
     for cell, view in shard.pick(units_of(cells)):
         share.setdefault(cell.name, set()).add(view)
     return share
+
+
+def wishes_of(
+    root: Path, captures: Captures, sweep: Sweep, depth: DepthChoice | None, checkpoints: Checkpoints, shard: Shard
+) -> list[Wish]:
+    """The runs of a sweep that a shard works on, as they are planned."""
+    cells, _ = sweep_cells(root, captures if len(captures) > 1 else {"": next(iter(captures.values()))}, sweep, checkpoints)
+    share = share_of(cells, shard)
+    taken = cells if shard.prepares_only else [cell for cell in cells if cell.name in share]
+    return [
+        Wish(
+            cell.run.root,
+            cell.capture,
+            cell.protocol,
+            () if shard.prepares_only else cell.labels,
+            depth,
+            checkpoints,
+            root / cell.folder,
+            share.get(cell.name),
+        )
+        for cell in taken
+    ]
 
 
 def _why_not(label: str, checkpoints: Checkpoints) -> str | None:

@@ -78,13 +78,7 @@ class RoomSamples:
     """
 
     def __init__(self, folder: Path, plan: RoomPlan) -> None:
-        if not (plan.first_room >= FIRST_TRAINING_ROOM or set(plan.seeds) <= set(VALIDATION_SEEDS)):
-            raise TrainingError(
-                f"rooms {plan.seeds.start}..{plan.seeds.stop - 1}: wanted seeds from {FIRST_TRAINING_ROOM} on for training, or "
-                f"of {', '.join(map(str, VALIDATION_SEEDS))} for validation; the others are for tests"
-            )
-        if min(plan.rooms, plan.targets, plan.views) < 1:
-            raise TrainingError(f"wanted at least one room, target and view, got {plan}")
+        refuse_tests(plan)
         self.plan = plan
         self._rooms = folder / "rooms"
         self._samples = folder / f"samples-{_digest(plan)}"
@@ -130,9 +124,7 @@ class RoomSamples:
 
     def prepare_room(self, seed: int) -> None:
         """Film one room and make its samples."""
-        size = f"{self.plan.width}x{self.plan.height}"
-        folder = write_demo(self._rooms / f"seed{seed}-{size}", room_options(seed, self.plan), workers=1)
-        self.prepare_capture(seed, open_capture(folder))
+        self.prepare_capture(seed, film_room(self._rooms, seed, self.plan))
 
     def prepare_capture(self, seed: int, capture: Capture) -> None:
         """Make the samples of a room that has been filmed."""
@@ -144,6 +136,23 @@ class RoomSamples:
 
     def _path(self, seed: int, number: int) -> Path:
         return self._samples / f"room{seed}-{number:02d}.npz"
+
+
+def refuse_tests(plan: RoomPlan) -> None:
+    """Refuse rooms that are neither for training nor for validation, and plans without samples."""
+    if not (plan.first_room >= FIRST_TRAINING_ROOM or set(plan.seeds) <= set(VALIDATION_SEEDS)):
+        raise TrainingError(
+            f"rooms {plan.seeds.start}..{plan.seeds.stop - 1}: wanted seeds from {FIRST_TRAINING_ROOM} on for training, or "
+            f"of {', '.join(map(str, VALIDATION_SEEDS))} for validation; the others are for tests"
+        )
+    if min(plan.rooms, plan.targets, plan.views) < 1:
+        raise TrainingError(f"wanted at least one room, target and view, got {plan}")
+
+
+def film_room(folder: Path, seed: int, plan: RoomPlan) -> Capture:
+    """The capture of a room, filmed unless it has been."""
+    size = f"{plan.width}x{plan.height}"
+    return open_capture(write_demo(folder / f"seed{seed}-{size}", room_options(seed, plan), workers=1))
 
 
 def room_options(seed: int, plan: RoomPlan) -> DemoOptions:

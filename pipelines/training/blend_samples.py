@@ -65,12 +65,20 @@ class SampleMaker:
         Reading:
             The paper shifts the principal point to render a crop; a crop of the whole rendering shows the same.
         """
+        instant = self.instant(target, sources)
+        recorder = _Recorder(GeometricBlender())
+        GeometryGuided(OnlineOptions(temporal=False, harmonised=False), recorder).step(instant)
+        return BlendSample(raw_views(recorder.inputs[-1]), self.truth(target), quantise(recorder.images[-1]))
+
+    def instant(self, target: Camera, sources: Sequence[Camera]) -> Instant:
+        """What a method is shown of a target and its K source cameras, depth as it is prepared for that view."""
         found = [(source, self._depth(source, target)) for source in sources]
         views = tuple(self._view(source, depth, found[:k] + found[k + 1 :]) for k, (source, depth) in enumerate(found))
-        instant = Instant(self._frame, target, views, self.capture.units_per_metre)
-        recorder = _Recorder(GeometricBlender())
-        GeometryGuided(OnlineOptions(temporal=False), recorder).step(instant)
-        return BlendSample(raw_views(recorder.inputs[-1]), self._image(target.name), quantise(recorder.images[-1]))
+        return Instant(self._frame, target, views, self.capture.units_per_metre)
+
+    def truth(self, target: Camera) -> Image8:
+        """What the target's camera saw."""
+        return self._image(target.name)
 
     def _depth(self, source: Camera, target: Camera) -> DepthMap:
         """Depth of a source camera, found without the target."""
@@ -122,7 +130,7 @@ def write_sample(path: Path, sample: BlendSample) -> None:
     with temporary.open("wb") as file:
         np.savez(
             file,
-            cameras=np.stack([_camera_values(camera) for camera in (views.target, *views.sources)]),
+            cameras=np.stack([camera_values(camera) for camera in (views.target, *views.sources)]),
             names=np.array([camera.name for camera in (views.target, *views.sources)]),
             unit=np.float64(unit),
             **arrays,
@@ -143,7 +151,7 @@ def read_sample(path: Path) -> BlendSample:
     try:
         with np.load(path, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
-        target, *sources = (_camera(str(name), values) for name, values in zip(arrays["names"], arrays["cameras"], strict=True))
+        target, *sources = (camera_of(str(name), values) for name, values in zip(arrays["names"], arrays["cameras"], strict=True))
         views = RawViews(
             target=target,
             sources=tuple(sources),
@@ -161,11 +169,12 @@ def _unit_range(image: Image8) -> Map:
     return image.astype(np.float32) / np.float32(255)
 
 
-def _camera_values(camera: Camera) -> Array:
+def camera_values(camera: Camera) -> Array:
     """A camera as one row: K, pose, size and depth range."""
     return np.array([*camera.K.ravel(), *camera.world_to_camera.ravel(), *camera.size, camera.near, camera.far])
 
 
-def _camera(name: str, values: Array) -> Camera:
+def camera_of(name: str, values: Array) -> Camera:
+    """The camera of such a row."""
     K, pose, (width, height, near, far) = np.split(values, [9, 9 + POSE_SIZE])
     return Camera(name, K.reshape(3, 3), pose.reshape(4, 4), int(width), int(height), float(near), float(far))

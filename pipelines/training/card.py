@@ -28,16 +28,19 @@ def write_card(task: Task, folder: Path, command: str, note: str = "") -> Path:
     weights = folder / f"{task.name}.safetensors"
     with safe_open(weights, "pt") as file:
         steps = int(file.metadata()["steps"])
-    hours = sum(float(row["seconds"]) for row in _rows(folder / "log.csv")[:steps]) / 3600
+    rows = _rows(folder / "log.csv")[:steps]
+    hours = sum(float(row["seconds"]) for row in rows) / 3600
+    on_cpu = sum(float(row.get("cpu_seconds") or 0) for row in rows) / 60
     validations = _rows(folder / "validation.csv")
     shown = validations[:: max(1, len(validations) // SHOWN_VALIDATIONS)]
+    cost = f", {on_cpu:.0f} minutes of one core" if on_cpu else ""
     lines = [
         f"# {task.name}",
         "",
         *(line.strip() for line in (type(task).__doc__ or "").splitlines()[:1]),
         "",
         f"- Command: `{command}`",
-        f"- Steps: {steps}, {hours:.1f} hours on {platform.machine()} ({platform.system()})",
+        f"- Steps: {steps}, {hours:.1f} hours on {platform.machine()} ({platform.system()}){cost}",
         f"- Weights: `{weights.name}`, {weights.stat().st_size / 2**20:.1f} MB, half precision, averaged over the last steps,",
         f"  sha256 {hashlib.sha256(weights.read_bytes()).hexdigest()}",
         f"- Data: {task.data}",

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from time import perf_counter
+from time import perf_counter, process_time
 from typing import Any, Literal
 
 import torch
@@ -66,16 +66,16 @@ def train(task: Task, folder: Path, options: TrainingOptions) -> Path:
     if options.compile:
         state.network.compile(dynamic=False)
     for step, batch in _remaining(task, state.step, options):
-        started = perf_counter()
+        started, on_cpu = perf_counter(), process_time()
         figures = _step(task, state, batch, step, options, device)
-        log.step(step, figures | {"seconds": perf_counter() - started})
+        log.step(step, figures | {"seconds": perf_counter() - started, "cpu_seconds": process_time() - on_cpu})
         state.step = step + 1
         last = state.step == options.steps
         if last or state.step % options.validate_every == 0:
             log.validation(state.step, task.validate(state.average.module))
         if last or state.step % options.save_every == 0:
             write_state(folder, state)
-            write_weights(folder / f"{task.name}.safetensors", state.average.module, {"steps": str(state.step)})
+            write_weights(folder / f"{task.name}.safetensors", state.average.module, _notes(state))
     return folder / f"{task.name}.safetensors"
 
 
@@ -84,12 +84,21 @@ def _start(task: Task, folder: Path, device: torch.device, start_from: Path | No
     network = task.network()
     if start_from is not None and not state_file(folder).is_file():
         pour_weights(start_from, network)
-    network = network.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+    network = network.to(device)
+    for parameter in network.parameters():
+        if parameter.dim() == 4:  # weights of images' convolutions; those of volumes stay as they are
+            parameter.data = parameter.data.contiguous(memory_format=torch.channels_last)
     average = AveragedModel(network, avg_fn=partial(_averaged, task.schedule.average), use_buffers=True)
     schedule = task.schedule
     optimiser = torch.optim.AdamW(network.parameters(), schedule.learning_rate, weight_decay=schedule.weight_decay)
     state = TrainingState(0, network, average, optimiser)
     return read_state(folder, state, device)
+
+
+def _notes(state: TrainingState) -> dict[str, str]:
+    """What the header of the weights says: steps, and which configuration it is of a network that has several."""
+    configuration = getattr(state.network, "configuration", None)
+    return {"steps": str(state.step)} | ({} if configuration is None else {"configuration": configuration})
 
 
 def _averaged(decay: float, average: torch.Tensor, current: torch.Tensor, count: torch.Tensor | int) -> torch.Tensor:

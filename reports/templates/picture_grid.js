@@ -25,3 +25,8 @@ function addPictures(grid, keys, names) {
     return [key, image, picture];
   });
 }
+
+/** Give an image another picture; setting the one that it has would decode it again. */
+function showPicture(image, source) {
+  if (image.getAttribute("src") !== source) image.src = source;
+}

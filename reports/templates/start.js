@@ -41,7 +41,8 @@ function start() {
     if (!free || (event.key === " " && !onStage)) return;
     presses.get(current)?.(event);
   });
-  for (const table of document.querySelectorAll("table")) makeSortable(table);
+  for (const table of document.querySelectorAll("table:not(.leaders, .contents)")) makeSortable(table);
+  makeThemeSwitch(document.querySelector(".theme"));
 }
 
 start();

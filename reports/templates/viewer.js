@@ -24,22 +24,31 @@ function makeViewer(root, data, alongside) {
     const view = part("view").value;
     const left = part("left").value;
     const right = part("right").value;
-    part("under").src = data.images[view][left][state.frame];
-    part("over").src = data.images[view][right][state.frame];
+    const isGrid = state.mode === "two" || state.mode === "all";
     part("left-name").textContent = data.names[left];
     part("right-name").textContent = data.names[right];
-    for (const [key, image] of all) {
-      image.src = data.images[view][key][state.frame];
-      image.closest("figure").hidden = state.mode === "two" && key !== left && key !== right;
-    }
-    for (const [key, image] of maps) image.src = data.errors[view][key][state.frame];
-    const isGrid = state.mode === "two" || state.mode === "all";
+    if (isGrid) showGrid(view, left, right);
+    else showStage(view, left, right);
+    for (const [key, image] of maps) showPicture(image, data.errors[view][key][state.frame]);
     stage.hidden = isGrid;
     part("all").hidden = !isGrid;
     root.classList.toggle("blink", state.mode === "blink");
     showTime();
     place();
     for (const heard of listeners) heard(view, state.pixel.y, state.frame);
+  }
+
+  function showStage(view, left, right) {
+    showPicture(part("under"), data.images[view][left][state.frame]);
+    showPicture(part("over"), data.images[view][right][state.frame]);
+  }
+
+  function showGrid(view, left, right) {
+    for (const [key, image] of all) {
+      const figure = image.closest("figure");
+      figure.hidden = state.mode === "two" && key !== left && key !== right;
+      if (!figure.hidden) showPicture(image, data.images[view][key][state.frame]);
+    }
   }
 
   /** Hand divider, window and chosen pixel to the style sheet. */

@@ -1,0 +1,214 @@
+// The U-Net's passes over its maps. Work is cut by rows, whatever the number of threads.
+// The arithmetic stands in unet_simd.hpp.
+#include "unet.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+
+#include "kernels.hpp"
+#include "parallel.hpp"
+#include "unet_plan.hpp"
+
+namespace ggvs {
+namespace {
+
+constexpr int kBands = 32;  // of rows: enough for many threads, few enough to reuse weights
+constexpr int kTaps3x3 = 9;
+
+template <class Job>
+void for_bands(int height, int threads, const Job& job) {
+    const int rows = std::max(1, height / kBands);
+    parallel_for((height + rows - 1) / rows, threads,
+                 [&](int band, int) { job(band * rows, std::min((band + 1) * rows, height)); });
+}
+
+template <class Job>
+void for_rows(int height, int threads, const Job& job) {
+    for_bands(height, threads, [&](int first, int last) {
+        for (int y = first; y < last; ++y) job(y);
+    });
+}
+
+void reflect_columns(float* line, int width) {  // `line` begins at column 0
+    line[-1] = line[1];
+    line[width] = line[width - 2];
+}
+
+// Repeats row y of some channels beyond the border if it is one of those.
+void reflect_row(const ReflectedMaps& maps, int y, int first_channel, int channels) {
+    const auto copy = [&](int to) {
+        std::memcpy(maps.row(to) + first_channel * maps.stride, maps.row(y) + first_channel * maps.stride,
+                    sizeof(float) * channels * maps.stride);
+    };
+    if (y == 1) copy(-1);
+    if (y == maps.height - 2) copy(maps.height);
+}
+
+class Runner {
+public:
+    Runner(const UNet& job, float* workspace, int threads, int level)
+        : job_(job), plan_(job, workspace), threads_(threads), kernels_(kernels_of(level)) {}
+
+    void run(float* out) {
+        copy_input();
+        for (int n = 0; n < kUNetLevels; ++n) {
+            run_block(n, n ? plan_.pooled[n] : plan_.input, plan_.between[n], plan_.skip[n]);
+            pool(plan_.skip[n], job_.blocks[n][1].after, plan_.pooled[n + 1]);
+        }
+        run_block(kUNetLevels, plan_.pooled[kUNetLevels], plan_.between[kUNetLevels], plan_.out[kUNetLevels]);
+        for (int n = kUNetLevels - 1; n >= 0; --n) {
+            enlarge(plan_.out[n + 1], plan_.skip[n], job_.blocks[n][1].after);
+            run_block(2 * kUNetLevels - n, plan_.skip[n], plan_.between[n], plan_.out[n]);
+        }
+        finish(out);
+    }
+
+private:
+    // The border repeated to the margins' width, then reflected.
+    void copy_input() {
+        const ReflectedMaps& maps = plan_.input;
+        for_rows(maps.height, threads_, [&](int y) {
+            const int from_row = std::clamp(y - plan_.top, 0, job_.height - 1);
+            for (int channel = 0; channel < maps.channels; ++channel) {
+                const float* from = job_.input + (int64_t(channel) * job_.height + from_row) * job_.width;
+                float* line = maps.row(y) + channel * maps.stride + 1;
+                std::fill_n(line, plan_.left, from[0]);
+                std::memcpy(line + plan_.left, from, sizeof(float) * job_.width);
+                std::fill(line + plan_.left + job_.width, line + maps.width, from[job_.width - 1]);
+                reflect_columns(line, maps.width);
+            }
+            reflect_row(maps, y, 0, maps.channels);
+        });
+    }
+
+    void run_block(int block, const ReflectedMaps& from, const ReflectedMaps& between, const ReflectedMaps& to) {
+        convolve(job_.blocks[block][0], from, between);
+        convolve(job_.blocks[block][1], between, to);
+    }
+
+    // Weights as (groups of outputs, before, 3, 3, 8), the last group filled up with zeros.
+    void pack(const UNetLayer& layer) {
+        const int groups = int(rounded_up(layer.after, kUNetOutputs)) / kUNetOutputs;
+        weights_.assign(size_t(groups) * layer.before * kTaps3x3 * kUNetOutputs, 0.0f);
+        bias_.assign(size_t(groups) * kUNetOutputs, 0.0f);
+        std::copy_n(layer.bias, layer.after, bias_.begin());
+        const int64_t* strides = layer.weight_strides;
+        parallel_for(groups, threads_, [&](int group, int) {
+            float* out = weights_.data() + int64_t(group) * layer.before * kTaps3x3 * kUNetOutputs;
+            for (int channel = 0; channel < layer.before; ++channel)
+                for (int tap = 0; tap < kTaps3x3; ++tap, out += kUNetOutputs)
+                    for (int o = group * kUNetOutputs; o < std::min((group + 1) * kUNetOutputs, layer.after); ++o)
+                        out[o % kUNetOutputs] = layer.weights[o * strides[0] + channel * strides[1] + tap / 3 * strides[2] +
+                                                              tap % 3 * strides[3]];
+        });
+    }
+
+    // Into the first channels of `to`, normalised.
+    void convolve(const UNetLayer& layer, const ReflectedMaps& from, const ReflectedMaps& to) {
+        pack(layer);
+        std::vector<Moments> moments(to.height);
+        for_bands(to.height, threads_, [&](int first, int last) {
+            for (int group = 0; group * kUNetOutputs < layer.after; ++group) {
+                const Layer part{layer.before, kUNetOutputs, kUNetOutputs,
+                                 weights_.data() + int64_t(group) * layer.before * kTaps3x3 * kUNetOutputs,
+                                 bias_.data() + group * kUNetOutputs};
+                for (int y = first; y < last; ++y)
+                    kernels_.convolve_row({part, {from.row(y - 1), from.row(y), from.row(y + 1)},
+                                           to.row(y) + group * kUNetOutputs * to.stride + 1, to.width, from.stride});
+            }
+            for (int y = first; y < last; ++y)
+                moments[y] = kernels_.moments_of_row(to.row(y), to.stride, to.width, layer.after);
+        });
+        normalise(layer, to, moments);
+    }
+
+    void normalise(const UNetLayer& layer, const ReflectedMaps& maps, const std::vector<Moments>& moments) {
+        const double count = double(maps.width) * maps.height * layer.after;
+        double sum = 0.0, squares = 0.0;
+        for (const Moments& row : moments) sum += row.sum, squares += row.squares;
+        const double mean = sum / count, variance = std::max(squares / count - mean * mean, 0.0);
+        const double per = 1.0 / std::sqrt(variance + job_.epsilon);
+        std::vector<float> gain(layer.after), shift(layer.after);
+        for (int channel = 0; channel < layer.after; ++channel) {
+            gain[channel] = float(per * layer.gain[channel]);
+            shift[channel] = float(layer.shift[channel] - mean * per * layer.gain[channel]);
+        }
+        for_rows(maps.height, threads_, [&](int y) {
+            kernels_.normalise_row({maps.row(y), maps.stride, maps.width, layer.after, gain.data(), shift.data()});
+            reflect_row(maps, y, 0, layer.after);
+        });
+    }
+
+    // Largest of 3 x 3 values, every second row and column. What is reflected lies in the window already.
+    void pool(const ReflectedMaps& from, int channels, const ReflectedMaps& to) {
+        for_rows(to.height, threads_, [&](int y) {
+            std::vector<float> highest(from.stride);
+            for (int channel = 0; channel < channels; ++channel) {
+                const float* rows[3];
+                for (int n = 0; n < 3; ++n) rows[n] = from.row(2 * y + n - 1) + channel * from.stride;
+                for (int x = 0; x < from.width + 2; ++x) highest[x] = std::max(std::max(rows[0][x], rows[1][x]), rows[2][x]);
+                float* line = to.row(y) + channel * to.stride + 1;
+                for (int x = 0; x < to.width; ++x)
+                    line[x] = std::max(std::max(highest[2 * x], highest[2 * x + 1]), highest[2 * x + 2]);
+                reflect_columns(line, to.width);
+            }
+            reflect_row(to, y, 0, channels);
+        });
+    }
+
+    // Twice the size, bilinear, the border repeated, into the channels of `to` from the given one on.
+    void enlarge(const ReflectedMaps& from, const ReflectedMaps& to, int first_channel) {
+        for_rows(to.height, threads_, [&](int y) {
+            const float* near = from.row(y / 2);
+            const float* far = from.row(std::clamp(y % 2 ? y / 2 + 1 : y / 2 - 1, 0, from.height - 1));
+            std::vector<float> mixed(from.width + 2);
+            for (int channel = 0; channel < from.channels; ++channel, near += from.stride, far += from.stride) {
+                for (int x = 1; x <= from.width; ++x) mixed[x] = 0.75f * near[x] + 0.25f * far[x];
+                mixed[0] = mixed[1], mixed[from.width + 1] = mixed[from.width];
+                float* line = to.row(y) + (first_channel + channel) * to.stride + 1;
+                for (int x = 0; x < from.width; ++x) {
+                    line[2 * x] = 0.75f * mixed[x + 1] + 0.25f * mixed[x];
+                    line[2 * x + 1] = 0.75f * mixed[x + 1] + 0.25f * mixed[x + 2];
+                }
+                reflect_columns(line, to.width);
+            }
+            reflect_row(to, y, first_channel, from.channels);
+        });
+    }
+
+    // The last layer, 1 x 1, without the margins.
+    void finish(float* out) {
+        const ReflectedMaps& maps = plan_.out[0];
+        const int padded = int(rounded_up(job_.outputs, kUNetOutputs)), before = maps.channels;
+        std::vector<float> weights(size_t(before) * padded), bias(padded);
+        std::copy_n(job_.last_bias, job_.outputs, bias.begin());
+        for (int o = 0; o < job_.outputs; ++o)
+            for (int channel = 0; channel < before; ++channel)
+                weights[size_t(channel) * padded + o] = job_.last_weights[int64_t(o) * before + channel];
+        const Layer layer{before, job_.outputs, padded, weights.data(), bias.data()};
+        for_rows(job_.height, threads_, [&](int y) {
+            std::vector<float> lines(padded * maps.stride);
+            kernels_.taps_row({layer, {maps.row(y + plan_.top) + plan_.left + 1}, lines.data(), job_.width, maps.stride});
+            for (int o = 0; o < job_.outputs; ++o)
+                std::memcpy(out + (int64_t(o) * job_.height + y) * job_.width, lines.data() + o * maps.stride,
+                            sizeof(float) * job_.width);
+        });
+    }
+
+    const UNet& job_;
+    const Plan plan_;
+    const int threads_;
+    const Kernels& kernels_;
+    std::vector<float> weights_, bias_;
+};
+
+}  // namespace
+
+int64_t unet_workspace(const UNet& job) { return Plan(job).floats; }
+
+void unet(const UNet& job, float* workspace, float* out, int threads, int level) {
+    Runner(job, workspace, threads, level).run(out);
+}
+
+}  // namespace ggvs

@@ -1,0 +1,55 @@
+"""The verb of the command line that makes one run of several."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from ggvs_eval.errors import ResultsError
+from ggvs_eval.pipelines.commands.captures import Folder
+from ggvs_eval.processes import default_workers
+
+
+def merge(
+    out: Folder,
+    runs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN")],
+    copy: bool = False,
+    jobs: int = default_workers(),
+) -> None:
+    """Put run folders of one capture and protocol, made on several machines, into a new one, and make its table.
+
+    The runs may differ in their methods and in the views that were rendered; what two of them both have must be the same.
+
+    Args:
+        out: run folder to make; made whole or not at all.
+        runs: run folders; they stay as they are.
+        copy: copy files; otherwise they are linked where the file system can.
+        jobs: processes that measure what no run has measured.
+    """
+    from ggvs_eval.pipelines.merge_runs import merge_runs
+    from ggvs_eval.pipelines.scoring.score import score
+
+    if len(runs) < 2:
+        raise ResultsError(f"wanted at least two run folders to merge into {out}, got {len(runs)}; copy a single one")
+    merged = merge_runs(out, runs, copy)
+    missing = missing_renders(merged.root)
+    if missing:
+        print(f"{out}: no table yet, {missing}; merge the runs that have them, or render them here", file=sys.stderr)
+        print(out)
+        return
+    results = score(merged, jobs)
+    print(results.summary().droplevel("dataset").round(4).to_string())
+    print(out)
+
+
+def missing_renders(root: Path) -> str:
+    """Which methods lack which views of a merged run, as text; empty where nothing is missing."""
+    from ggvs_eval.pipelines.renders.coverage import read_import
+    from ggvs_eval.run_folder import RunFolder
+
+    run = RunFolder(root)
+    views = run.protocol().views.test
+    own = [label for label in run.labels() if read_import(run, label) is None]
+    lacking = {label: [view for view in views if not run.renders(label, view).is_dir()] for label in own}
+    return "; ".join(f"{label} lacks {', '.join(some)}" for label, some in lacking.items() if some)

@@ -1,0 +1,161 @@
+"""Run folders of one capture and protocol, made on several machines with different methods or views, become one."""
+
+import dataclasses
+import os
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ggvs_eval.errors import ProtocolError, ResultsError
+from ggvs_eval.pipelines.jobs.ledger import JOBS_FOLDER
+from ggvs_eval.pipelines.merge_scores import merge_scores
+from ggvs_eval.pipelines.merge_units import Unit, job_units, plain_units, same_unit
+from ggvs_eval.processes import is_running
+from ggvs_eval.run_folder import RunFolder, read_json, write_json
+
+PLAIN_FOLDERS = ("truth", "depth", "disoccluded", "path/truth", "path_depth")
+JOB_FOLDERS = ("renders", "path", "path_scores", "ceilings")
+SAME_OF_CAPTURE = ("digests", "cameras", "fps", "n_frames", "units_per_metre", "retake", "layout")
+Place = Callable[[Path, Path], None]
+
+
+def merge_runs(out: Path, roots: Sequence[Path], copy: bool = False) -> RunFolder:
+    """Put run folders into a new one; the old ones stay as they are.
+
+    What two runs both have must be the same: captured frames, depth and masks byte by byte, renders of one job picture by
+    picture, values of one job up to rounding. The seconds of a job are those of the run that is named first.
+
+    Args:
+        out: run folder to make; whole or not at all.
+        roots: at least one run folder.
+        copy: copy files; otherwise they are linked where the file system can, so that nothing is stored twice.
+
+    Returns:
+        The new run, which `pipelines.scoring.score.score` makes the table of.
+
+    Raises:
+        ProtocolError: other protocols, captures or ways to find depth; the message says what differs. Or `out` exists.
+        ResultsError: no run folder; or two results of one job that differ, both of which are named.
+    """
+    runs = [RunFolder(root) for root in roots]
+    if out.exists():
+        raise ProtocolError(f"{out}: exists already; name a new folder to merge into")
+    _require_alike(runs)
+    units = _union([unit for run in runs for unit in _units(run)])
+    _sweep(out)
+    temporary = out.with_name(f".{out.name}.{os.getpid()}.tmp")
+    try:
+        for unit in units.values():
+            _place(unit, temporary / unit.name, _copy if copy else _link)
+        _write_records(runs, temporary)
+        merge_scores(runs, temporary)
+        temporary.replace(out)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+    return RunFolder(out)
+
+
+def _units(run: RunFolder) -> list[Unit]:
+    """Everything that a run is put together from, but for its scores."""
+    plain = [unit for folder in PLAIN_FOLDERS for unit in plain_units(run.root, folder)]
+    path = [Unit("path/path.json", run.path_record)] if run.path_record.is_file() else []
+    return [*plain, *path, *(unit for folder in JOB_FOLDERS for unit in job_units(run.root, folder))]
+
+
+def _union(units: Sequence[Unit]) -> dict[str, Unit]:
+    """Each unit once.
+
+    Raises:
+        ResultsError: one name for two.
+    """
+    chosen: dict[str, Unit] = {}
+    for unit in units:
+        known = chosen.setdefault(unit.name, unit)
+        if known is not unit and (reason := same_unit(known, unit)):
+            raise ResultsError(
+                f"{known.source} and {unit.source} differ: {reason}; keep one of them, or prepare once and give truth/ and "
+                "depth/ of that run to every machine before it renders"
+            )
+    return chosen
+
+
+def _require_alike(runs: Sequence[RunFolder]) -> None:
+    """Refuse what does not belong in one table."""
+    if not runs:
+        raise ResultsError("wanted run folders to merge, got none")
+    first, *others = runs
+    known = _identity(first)
+    for run in others:
+        differences = _differences(known, _identity(run))
+        if differences:
+            more = f" and {len(differences) - 4} more" if len(differences) > 4 else ""
+            raise ProtocolError(
+                f"{first.root} and {run.root} are not runs of one protocol and capture: {'; '.join(differences[:4])}{more}; "
+                "merge runs that differ in their methods or rendered views alone"
+            )
+
+
+def _identity(run: RunFolder) -> dict[str, Any]:
+    """What runs must have in common, by the words that a message uses."""
+    record = run.capture_record()
+    depth = read_json(run.depth_record) if run.depth_record.is_file() else {}
+    return {
+        "protocol": dataclasses.asdict(run.protocol()),
+        "capture": {name: record.get(name) for name in SAME_OF_CAPTURE},
+        "depth": {name: value for name, value in depth.items() if name != "stereo_weights"},
+    }
+
+
+def _differences(one: Any, other: Any, name: str = "") -> list[str]:
+    """Where two records differ, as ``a.b: 1 and 2``."""
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        keys = dict.fromkeys([*one, *other])
+        return [each for key in keys for each in _differences(one.get(key), other.get(key), f"{name}.{key}".lstrip("."))]
+    return [] if one == other else [f"{name}: {str(one)[:60]} and {str(other)[:60]}"]
+
+
+def _place(unit: Unit, target: Path, place: Place) -> None:
+    """Put a file, or all files of a folder, where it belongs."""
+    for file in unit.files():
+        destination = target / file.relative_to(unit.source) if unit.source.is_dir() else target
+        destination.parent.mkdir(parents=True, exist_ok=True)
+        place(file.resolve(), destination)
+
+
+def _copy(source: Path, destination: Path) -> None:
+    shutil.copy2(source, destination)
+
+
+def _link(source: Path, destination: Path) -> None:
+    """The same file under another name; a copy where the file system has no such thing."""
+    try:
+        os.link(source, destination)
+    except OSError:
+        shutil.copy2(source, destination)
+
+
+def _write_records(runs: Sequence[RunFolder], folder: Path) -> None:
+    """Protocol, capture, depth, order of the methods and the list of jobs."""
+    first = runs[0]
+    here = next((run for run in runs if run.capture_path().exists()), first)
+    place = here.capture_path().resolve()
+    seen = {"absolute": str(place), "from_run": os.path.relpath(place, folder.resolve())}
+    shutil.copy2(first.protocol_file, folder / first.protocol_file.name)
+    write_json(folder / "capture.json", here.capture_record() | {"place": seen})
+    for run in runs:
+        if run.depth_record.is_file():
+            shutil.copy2(run.depth_record, folder / run.depth_record.name)
+            break
+    write_json(folder / "methods.json", {"labels": list(dict.fromkeys(label for run in runs for label in run.labels()))})
+    ledgers = [read_json(file) for run in runs if (file := run.root / JOBS_FOLDER / "render.json").is_file()]
+    if ledgers:
+        jobs = {name: job for ledger in reversed(ledgers) for name, job in ledger["jobs"].items()}
+        write_json(folder / JOBS_FOLDER / "render.json", {"begun_s": min(each["begun_s"] for each in ledgers), "jobs": jobs})
+
+
+def _sweep(out: Path) -> None:
+    """Remove what killed merges left; not what another process is working on."""
+    for leftover in out.parent.glob(f".{out.name}.*.tmp"):
+        if not is_running(int(leftover.name.removesuffix(".tmp").rsplit(".", 1)[1])):
+            shutil.rmtree(leftover, ignore_errors=True)

@@ -1,0 +1,109 @@
+"""Runs of one protocol, which alone may share a table; a report holds one group of them or several."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ggvs_eval.errors import ResultsError
+from ggvs_eval.protocol import Protocol
+from ggvs_eval.reports.curves import Panel, curve_panels
+from ggvs_eval.reports.decomposition_table import decomposition_table
+from ggvs_eval.reports.measured import MeasuredRun, read_run
+from ggvs_eval.reports.slices import Slices, all_slices
+from ggvs_eval.reports.table import Table
+from ggvs_eval.reports.tables import main_tables, view_tables
+from ggvs_eval.reports.timing import timing_table
+from ggvs_eval.results import Results, merge_results
+
+HASH_DIGITS = 8  # of a protocol's hash, where nothing else tells two groups apart
+
+
+@dataclass(frozen=True)
+class RunSection:
+    """Everything that the page shows of one run.
+
+    Attributes:
+        run: the run.
+        view_tables: where the error varies, and one per metric.
+        timing: time per stage.
+        slices: along the path and over time.
+        panels: error curves.
+    """
+
+    run: MeasuredRun
+    view_tables: tuple[Table, ...]
+    timing: Table
+    slices: Sequence[Slices]
+    panels: tuple[Panel, ...]
+
+
+@dataclass(frozen=True)
+class RunGroup:
+    """Runs of one protocol, with what is shown of them.
+
+    Attributes:
+        name: short, and no other group of the report has it.
+        sections: one per run.
+        results: of all runs in one.
+        tables: quality, consistency and whatever else was measured, over all runs.
+    """
+
+    name: str
+    sections: tuple[RunSection, ...]
+    results: Results
+    tables: tuple[Table, ...]
+
+    @property
+    def protocol(self) -> Protocol:
+        """Under which all runs were measured."""
+        return self.sections[0].run.protocol
+
+    @property
+    def scenes(self) -> str:
+        """Names of the captured scenes."""
+        return ", ".join(dict.fromkeys(section.run.scene for section in self.sections))
+
+    @property
+    def all_tables(self) -> tuple[Table, ...]:
+        """The tables over all runs, then each run's own."""
+        return (*self.tables, *(table for one in self.sections for table in (*one.view_tables, one.timing)))
+
+
+def read_groups(roots: Sequence[Path]) -> tuple[RunGroup, ...]:
+    """Read scored runs and group them by the hash of their protocol, in the order in which they are given.
+
+    Raises:
+        ResultsError: no run, a run given twice, or a folder that is not a scored run.
+        RenderError: frames are missing.
+    """
+    if not roots:
+        raise ResultsError("wanted at least one run folder, got none; make one with `ggvs-eval run`")
+    places = [Path(root).resolve() for root in roots]
+    if len(set(places)) < len(places):
+        twice = next(root for root, place in zip(roots, places, strict=True) if places.count(place) > 1)
+        raise ResultsError(
+            f"{twice}: wanted each run once, it is given {places.count(Path(twice).resolve())} times; name it once"
+        )
+    by_protocol: dict[str, list[MeasuredRun]] = {}
+    for run in map(read_run, roots):
+        by_protocol.setdefault(run.protocol.sha256, []).append(run)
+    names = _name_groups([runs[0] for runs in by_protocol.values()])
+    return tuple(_make_group(name, runs) for name, runs in zip(names, by_protocol.values(), strict=True))
+
+
+def _make_group(name: str, runs: Sequence[MeasuredRun]) -> RunGroup:
+    results = merge_results([run.results for run in runs])
+    return RunGroup(name, tuple(map(_make_section, runs)), results, main_tables(runs, results))
+
+
+def _make_section(run: MeasuredRun) -> RunSection:
+    decomposition = decomposition_table(run)
+    by_view = ((decomposition,) if decomposition else ()) + view_tables(run)
+    return RunSection(run, by_view, timing_table(run), all_slices(run), curve_panels(run))
+
+
+def _name_groups(firsts: Sequence[MeasuredRun]) -> list[str]:
+    """What tells the groups apart: scene, protocol and K, with the protocol's hash where these are the same."""
+    names = [f"{run.scene}, {run.protocol.name}, K = {run.protocol.synthesis.k}" for run in firsts]
+    hashes = [run.protocol.sha256[:HASH_DIGITS] for run in firsts]
+    return [f"{name}, {digest}" if names.count(name) > 1 else name for name, digest in zip(names, hashes, strict=True)]
