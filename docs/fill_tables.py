@@ -20,8 +20,8 @@ ROOT = Path(__file__).parents[1]
 OUT = ROOT / "out"
 DECIMALS = {"PSNR": 2, "PSNR_cc": 2, "SSIM": 3, "LPIPS": 3, "L1": 2, "TCC": 3, "STED": 2, "Flicker": 2, "SDT": 3, "SDV": 3}
 DECIMALS |= {"EPI_coherence": 3, "switch_ratio": 2}
-# One region of the rooms stands for all; `python -m ggvs_eval.pipelines.depth_validation` prints the others.
-DEPTH_FIGURES = r"depth\.(motorcycle\.(epe_px|bad_[23]_percent)\.[^.]*$|sparse|rendering|(rooms|demo)\.whole_picture)"
+# Of the validation rooms the whole picture stands for all regions; the judge of depth prints the others.
+DEPTH_FIGURES = r"depth\.(motorcycle\.(epe_px|bad_[23]_percent)\.[^.]*$|sparse|rendering\.PSNR|reuse|rooms\.whole_picture|demo\.)"
 MATCHERS = ("sgbm", "sweep", "raft")
 DEPTH_ROWS = {  # shown: name of the figure without its matcher
     "Motorcycle, mean error (px)": "depth.motorcycle.epe_px",
@@ -32,6 +32,12 @@ DEPTH_ROWS = {  # shown: name of the figure without its matcher
     "real rig, PSNR rendered from it (dB)": "depth.rendering.PSNR",
     "validation rooms, pixels within 2 % (%)": "depth.rooms.whole_picture.within_2_percent",
     "demo, pixels within 2 % (%)": "depth.demo.whole_picture.within_2_percent",
+    "– with texture": "depth.demo.texture.within_2_percent",
+    "– without texture": "depth.demo.untextured.within_2_percent",
+    "– at edges of depth": "depth.demo.edge.within_2_percent",
+    "– on thin things": "depth.demo.thin.within_2_percent",
+    "demo, spread over time of what stands still (%)": "depth.demo.static.spread_percent",
+    "– after the temporal filter": "depth.demo.static.spread_filtered_percent",
     "seconds per depth map of 1345x1008": "depth.seconds",
 }
 SPEED_ROWS = {  # shown: first part of the figures' names
