@@ -9,7 +9,7 @@ from ggvs_eval.pipelines.evaluate import measure, report
 from ggvs_eval.pipelines.jobs.engine import Workers, as_engine
 from ggvs_eval.pipelines.methods.registry import NO_CHECKPOINTS, Checkpoints
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
-from ggvs_eval.pipelines.wish import Wish
+from ggvs_eval.pipelines.planning.wish import Wish
 from ggvs_eval.protocol import load_protocol
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.demo_rooms import DEMO_ROOMS, MAIN

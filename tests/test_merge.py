@@ -8,42 +8,30 @@ import numpy as np
 import pytest
 
 from command_line import refusal
-from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import ProtocolError, ResultsError
 from ggvs_eval.images import read_image, write_image
-from ggvs_eval.pipelines import merge_runs as merging
 from ggvs_eval.pipelines.commands.main import run_command
-from ggvs_eval.pipelines.merge_runs import merge_runs
+from ggvs_eval.pipelines.merging import merge as merging
+from ggvs_eval.pipelines.merging.merge import merge_runs
 from ggvs_eval.pipelines.prepare import prepare
 from ggvs_eval.pipelines.render import render
 from ggvs_eval.pipelines.scoring.score import score
-from ggvs_eval.protocol import CameraPath, Frames, Protocol, Synthesis, Views, load_protocol
+from ggvs_eval.protocol import Protocol, Synthesis
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, read_json
-from ggvs_eval.synthetic.demo import write_demo
-from ggvs_eval.synthetic.options import DemoOptions
+from small_runs import LABELS, small_protocol, write_small_capture
 
-LABELS = ("no-blending", "distance-based")
 METRICS = ("PSNR", "L1", "SDT", "SDV")
 
 
 @pytest.fixture(scope="module")
 def capture(tmp_path_factory):
-    options = DemoOptions(width=64, height=48, n_frames=2, cameras_per_row=3, path_poses=0, supersampling=1, depth_stride=0)
-    return open_capture(write_demo(tmp_path_factory.mktemp("capture") / "demo", options, workers=1))
+    return write_small_capture(tmp_path_factory.mktemp("capture") / "demo", 2)
 
 
 @pytest.fixture(scope="module")
 def protocol() -> Protocol:
-    base = load_protocol("demo")
-    return dataclasses.replace(
-        base,
-        views=Views(("cam00", "cam01"), "test"),
-        frames=Frames(0, 2),
-        synthesis=Synthesis(2),
-        path=CameraPath(0),
-        measurement=dataclasses.replace(base.measurement, metrics=METRICS, ceilings=False),
-    )
+    return small_protocol(2, 0, METRICS)
 
 
 @pytest.fixture(scope="module")

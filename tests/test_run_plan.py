@@ -8,46 +8,34 @@ from pathlib import Path
 import pytest
 
 from command_line import refusal
-from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import ProtocolError
-from ggvs_eval.pipelines import run_plan
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.evaluate import measure
 from ggvs_eval.pipelines.jobs.shard import WHOLE, Shard
 from ggvs_eval.pipelines.methods.registry import NO_CHECKPOINTS
-from ggvs_eval.pipelines.plan_estimate import DEPTH_BYTES, Portion
-from ggvs_eval.pipelines.plan_rates import Rates
-from ggvs_eval.pipelines.run_plan import RunPlan, duration, plan_runs
+from ggvs_eval.pipelines.planning import plan as run_plan
+from ggvs_eval.pipelines.planning.estimate import DEPTH_BYTES, Portion
+from ggvs_eval.pipelines.planning.plan import RunPlan, duration, plan_runs
+from ggvs_eval.pipelines.planning.rates import Rates
+from ggvs_eval.pipelines.planning.wish import Wish
+from ggvs_eval.pipelines.planning.work_left import WorkLeft
 from ggvs_eval.pipelines.sweep.cells import wishes_of
-from ggvs_eval.pipelines.wish import Wish
-from ggvs_eval.pipelines.work_left import WorkLeft
-from ggvs_eval.protocol import CameraPath, Frames, Protocol, Synthesis, Views, load_protocol
+from ggvs_eval.protocol import CameraPath, Frames, Protocol, Synthesis
 from ggvs_eval.run_folder import RunFolder
 from ggvs_eval.sweep import Sweep, SweepRow
-from ggvs_eval.synthetic.demo import write_demo
-from ggvs_eval.synthetic.options import DemoOptions
+from small_runs import LABELS, small_protocol, write_small_capture
 
-LABELS = ("no-blending", "distance-based")
 Usage = namedtuple("Usage", "total used free")
 
 
 @pytest.fixture(scope="module")
 def capture(tmp_path_factory):
-    options = DemoOptions(width=64, height=48, n_frames=3, cameras_per_row=3, path_poses=0, supersampling=1, depth_stride=0)
-    return open_capture(write_demo(tmp_path_factory.mktemp("capture") / "demo", options, workers=1))
+    return write_small_capture(tmp_path_factory.mktemp("capture") / "demo", 3)
 
 
 @pytest.fixture(scope="module")
 def protocol() -> Protocol:
-    base = load_protocol("demo")
-    return dataclasses.replace(
-        base,
-        views=Views(("cam00", "cam01"), "test"),
-        frames=Frames(0, 3),
-        synthesis=Synthesis(2),
-        path=CameraPath(3),
-        measurement=dataclasses.replace(base.measurement, metrics=("PSNR", "L1", "PSNR_disoccluded"), ceilings=False),
-    )
+    return small_protocol(3, 3, ("PSNR", "L1", "PSNR_disoccluded"))
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from ggvs_eval.pipelines.wish import Wish
+from ggvs_eval.pipelines.planning.wish import Wish
 
 
 def announce(wishes: Sequence[Wish], jobs: int, folder: Path, dry_run: bool = False) -> None:
@@ -19,7 +19,7 @@ def announce(wishes: Sequence[Wish], jobs: int, folder: Path, dry_run: bool = Fa
     Raises:
         ProtocolError: they need more room than the disk has.
     """
-    from ggvs_eval.pipelines.run_plan import plan_runs
+    from ggvs_eval.pipelines.planning.plan import plan_runs
 
     planned = plan_runs(wishes, jobs, folder, keep=not dry_run)
     text = planned.describe()

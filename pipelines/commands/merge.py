@@ -27,7 +27,7 @@ def merge(
         copy: copy files; otherwise they are linked where the file system can.
         jobs: processes that measure what no run has measured.
     """
-    from ggvs_eval.pipelines.merge_runs import merge_runs
+    from ggvs_eval.pipelines.merging.merge import merge_runs
     from ggvs_eval.pipelines.scoring.score import score
 
     if len(runs) < 2:

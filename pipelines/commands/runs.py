@@ -13,7 +13,7 @@ from ggvs_eval.pipelines.commands.captures import BY_DEFAULT, FOUND_BY_DEFAULT, 
 from ggvs_eval.pipelines.jobs.engine import Engine
 from ggvs_eval.pipelines.jobs.ledger import Failure
 from ggvs_eval.pipelines.methods.registry import METHODS, Checkpoints, usual_methods
-from ggvs_eval.pipelines.wish import Wish
+from ggvs_eval.pipelines.planning.wish import Wish
 from ggvs_eval.processes import default_workers
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.synthetic.options import DemoOptions

@@ -94,10 +94,11 @@ def _blend(cache: Path, seed: int, config: "BlendConfig", rooms: int, captures: 
     """The task with its samples in place."""
     from ggvs_eval.datasets import open_capture
     from ggvs_eval.pipelines.training.blend_rgbd import CaptureSamples
-    from ggvs_eval.pipelines.training.blend_rooms import RoomPlan, RoomSamples, validation_plan
+    from ggvs_eval.pipelines.training.blend_rooms import RoomSamples
     from ggvs_eval.pipelines.training.blend_task import BlendTask
     from ggvs_eval.pipelines.training.capture_views import CapturePlan
     from ggvs_eval.pipelines.training.joined_samples import JoinedSamples, Samples
+    from ggvs_eval.pipelines.training.room_plan import RoomPlan, validation_plan
 
     usual = min(4, config.views)
     others = tuple(views for views in range(2, config.views + 1) if views != usual)
@@ -116,7 +117,7 @@ def _blend(cache: Path, seed: int, config: "BlendConfig", rooms: int, captures: 
 def _baseline(what: str, cache: Path, seed: int, configuration: str, rooms: int, targets: int) -> "Task":
     """The task of a baseline with its samples in place."""
     from ggvs_eval.pipelines.training.baseline_tasks import baseline_task
-    from ggvs_eval.pipelines.training.blend_rooms import RoomPlan
+    from ggvs_eval.pipelines.training.room_plan import RoomPlan
 
     task = baseline_task(what, cache, RoomPlan(rooms=rooms, targets=targets), configuration, seed)
     for samples in (task.validation, task.training):

@@ -9,7 +9,7 @@ from ggvs_eval.errors import ProtocolError, RenderError, WeightsError
 from ggvs_eval.pipelines.jobs.shard import Shard
 from ggvs_eval.pipelines.methods.registry import METHODS, Checkpoints, find_method
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
-from ggvs_eval.pipelines.wish import Wish
+from ggvs_eval.pipelines.planning.wish import Wish
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import RunFolder
 from ggvs_eval.sweep import Sweep, SweepRow

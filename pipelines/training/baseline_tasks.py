@@ -3,12 +3,12 @@
 from pathlib import Path
 
 from ggvs_eval.pipelines.training.baseline_task import BaselineTask
-from ggvs_eval.pipelines.training.blend_rooms import RoomPlan, validation_plan
 from ggvs_eval.pipelines.training.enerf_task import EnerfTask
 from ggvs_eval.pipelines.training.fwd_task import FwdTask
 from ggvs_eval.pipelines.training.gps_gaussian_task import GpsGaussianTask
 from ggvs_eval.pipelines.training.ibrnet_task import IbrnetTask
 from ggvs_eval.pipelines.training.room_instants import RoomInstants
+from ggvs_eval.pipelines.training.room_plan import RoomPlan, validation_plan
 
 BASELINE_TASKS: dict[str, type[BaselineTask]] = {
     "fwd": FwdTask,

@@ -16,9 +16,9 @@ from ggvs_eval.pipelines.depth_validation.rooms import VALIDATION_SEEDS
 from ggvs_eval.pipelines.offline.depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.offline.sensor_depth import SensorDepthEstimator
-from ggvs_eval.pipelines.training.blend_rooms import FIRST_TRAINING_ROOM
 from ggvs_eval.pipelines.training.blend_samples import BlendSample, SampleMaker, read_sample, write_sample
 from ggvs_eval.pipelines.training.capture_views import CapturePlan, draw_views, is_sequence, possible_targets
+from ggvs_eval.pipelines.training.room_plan import FIRST_TRAINING_ROOM
 from ggvs_eval.processes import finish_all, worker_pool
 
 VERSION = 1  # counts up whenever equal plans give other samples

@@ -1,76 +1,21 @@
 """What the blending network learns from: procedural rooms, filmed once, with depth from stereo, kept on disk."""
 
-import hashlib
-import json
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
-from ggvs_eval.camera import Camera, nearest_cameras
-from ggvs_eval.capture import Capture
-from ggvs_eval.datasets import open_capture
-from ggvs_eval.errors import TrainingError
-from ggvs_eval.pipelines.depth_validation.rooms import VALIDATION_SEEDS
-from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
+from ggvs_eval.camera import Camera
 from ggvs_eval.pipelines.training.blend_samples import BlendSample, SampleMaker, read_sample, write_sample
-from ggvs_eval.processes import finish_all, worker_pool
-from ggvs_eval.synthetic.demo import write_demo
-from ggvs_eval.synthetic.options import DemoOptions
+from ggvs_eval.pipelines.training.room_lot import RoomLot
+from ggvs_eval.pipelines.training.room_plan import RoomPlan
 
 VERSION = 3  # counts up whenever equal plans give other samples
-FIRST_TRAINING_ROOM = 1000  # the demo capture and the validation rooms lie below
 
 
-@dataclass(frozen=True)
-class RoomPlan:
-    """Which samples there are. More rooms or more targets add samples and change none.
-
-    Attributes:
-        first_room: seed of the first room, from 1000 on.
-        rooms: how many rooms.
-        targets: target views per room.
-        views: K of most samples.
-        other_views: K of the others, so that one network learns to serve them all.
-        other_share: share of the others.
-        width: of the images, pixels.
-        height: of the images, pixels.
-        wide_share: share of the samples whose sources are drawn from twice as many near cameras instead of being the nearest.
-        matcher: whose depth the samples have, see `ggvs_eval.pipelines.offline.matchers`.
-    """
-
-    first_room: int = FIRST_TRAINING_ROOM
-    rooms: int = 25
-    targets: int = 9
-    views: int = 4
-    other_views: tuple[int, ...] = (2, 3, 5, 6)
-    other_share: float = 0.4
-    width: int = 480
-    height: int = 360
-    wide_share: float = 0.5
-    matcher: str = "sgbm"
-
-    @property
-    def most_views(self) -> int:
-        """The largest K of a sample."""
-        return max(self.views, *self.other_views) if self.other_share else self.views
-
-    @property
-    def seeds(self) -> range:
-        """Seeds of the rooms."""
-        return range(self.first_room, self.first_room + self.rooms)
-
-
-def validation_plan(views: int, matcher: str, targets: int = 3) -> RoomPlan:
-    """The rooms by which choices may be made, with the sources that an evaluation would take."""
-    return RoomPlan(VALIDATION_SEEDS[0], len(VALIDATION_SEEDS), targets, views, (), 0.0, wide_share=0.0, matcher=matcher)
-
-
-class RoomSamples:
-    """The samples of a plan on disk.
+class RoomSamples(RoomLot[BlendSample]):
+    """The blending network's samples of a plan on disk, see `RoomLot`.
 
     Args:
-        folder: where rooms and samples are kept; several plans may share it.
+        folder: where rooms and samples are kept.
         plan: which samples.
 
     Raises:
@@ -78,119 +23,21 @@ class RoomSamples:
     """
 
     def __init__(self, folder: Path, plan: RoomPlan) -> None:
-        refuse_tests(plan)
-        self.plan = plan
-        self._rooms = folder / "rooms"
-        self._samples = folder / f"samples-{_digest(plan)}"
-
-    def __repr__(self) -> str:
-        """The plan; the model card shows it, and where the folder lies is nobody's business."""
-        return repr(self.plan)
-
-    def __len__(self) -> int:
-        return self.plan.rooms * self.plan.targets
+        super().__init__(folder, plan, "samples", VERSION)
 
     @property
     def plans(self) -> tuple[RoomPlan]:
         """Which samples there are."""
         return (self.plan,)
 
-    @property
-    def data(self) -> str:
-        """What they show, for the model card."""
-        plan = self.plan
-        return f"{len(self)} views of {plan.rooms} procedural rooms (ggvs_eval.synthetic), depth by {plan.matcher}"
+    def make(self, maker: SampleMaker, target: Camera, sources: Sequence[Camera]) -> BlendSample:
+        """The views of the sources in the target, and what the geometric blender makes of them."""
+        return maker.sample(target, sources)
 
-    def read(self, index: int) -> BlendSample:
-        """One of the samples.
+    def read_file(self, path: Path) -> BlendSample:
+        """See `read_sample`."""
+        return read_sample(path)
 
-        Raises:
-            TrainingError: it has not been prepared, or is damaged.
-        """
-        room, target = divmod(index, self.plan.targets)
-        return read_sample(self._path(self.plan.seeds[room], target))
-
-    def prepare(self, workers: int) -> None:
-        """Film the rooms and make the samples that are not there yet; a killed preparation goes on where it stopped.
-
-        Args:
-            workers: processes; a room is one job.
-        """
-        missing = [seed for seed in self.plan.seeds if not all(self._path(seed, n).is_file() for n in range(self.plan.targets))]
-        if not missing:
-            return
-        with worker_pool(min(workers, len(missing))) as pool:
-            finish_all(pool, [pool.submit(self.prepare_room, seed) for seed in missing], "rooms to learn from")
-
-    def prepare_room(self, seed: int) -> None:
-        """Film one room and make its samples."""
-        self.prepare_capture(seed, film_room(self._rooms, seed, self.plan))
-
-    def prepare_capture(self, seed: int, capture: Capture) -> None:
-        """Make the samples of a room that has been filmed."""
-        maker = SampleMaker(capture, DepthChoice(self.plan.matcher).options())
-        for number in range(self.plan.targets):
-            path = self._path(seed, number)
-            if not path.is_file():
-                write_sample(path, maker.sample(*choose_views(capture, self.plan, seed, number)))
-
-    def _path(self, seed: int, number: int) -> Path:
-        return self._samples / f"room{seed}-{number:02d}.npz"
-
-
-def refuse_tests(plan: RoomPlan) -> None:
-    """Refuse rooms that are neither for training nor for validation, and plans without samples."""
-    if not (plan.first_room >= FIRST_TRAINING_ROOM or set(plan.seeds) <= set(VALIDATION_SEEDS)):
-        raise TrainingError(
-            f"rooms {plan.seeds.start}..{plan.seeds.stop - 1}: wanted seeds from {FIRST_TRAINING_ROOM} on for training, or "
-            f"of {', '.join(map(str, VALIDATION_SEEDS))} for validation; the others are for tests"
-        )
-    if min(plan.rooms, plan.targets, plan.views) < 1:
-        raise TrainingError(f"wanted at least one room, target and view, got {plan}")
-
-
-def film_room(folder: Path, seed: int, plan: RoomPlan) -> Capture:
-    """The capture of a room, filmed unless it has been."""
-    size = f"{plan.width}x{plan.height}"
-    return open_capture(write_demo(folder / f"seed{seed}-{size}", room_options(seed, plan), workers=1))
-
-
-def room_options(seed: int, plan: RoomPlan) -> DemoOptions:
-    """How a room is filmed: one instant; training rooms differ in noise and exposure, validation rooms are as the demo."""
-    room = DemoOptions(seed=seed, width=plan.width, height=plan.height, n_frames=1, path_poses=0, depth_stride=0)
-    if seed < FIRST_TRAINING_ROOM:
-        return room
-    rng = np.random.default_rng([seed, 84])
-    return replace(room, noise_sigma_255=float(rng.uniform(0, 2.5)), exposure_spread=float(rng.uniform(0, 0.03)))
-
-
-def choose_views(capture: Capture, plan: RoomPlan, seed: int, number: int) -> tuple[Camera, list[Camera]]:
-    """Target and sources of a room's sample of that number; no target comes twice before every camera has been one.
-
-    Reading:
-        The paper draws inputs and target at random. Half of ours are the nearest cameras, as in the evaluation; the others are
-        drawn from twice as many, so that the network also sees wide gaps.
-    """
-    count = len(capture.cameras)
-    turn, place = divmod(number, count)
-    target = capture.cameras[np.random.default_rng([seed, 85, turn]).permutation(count)[place]]
-    rng = np.random.default_rng([seed, 86, number])
-    views = int(rng.choice(plan.other_views)) if rng.random() < plan.other_share else plan.views
-    if rng.random() >= plan.wide_share:
-        return target, nearest_cameras(target, capture.cameras, views)
-    near = nearest_cameras(target, capture.cameras, min(2 * views, count - 1))
-    return target, [near[index] for index in sorted(rng.choice(len(near), views, replace=False))]
-
-
-def _digest(plan: RoomPlan) -> str:
-    """Names all that a sample depends on but its room and its number."""
-    options = DepthChoice(plan.matcher).options()
-    described = {
-        "version": VERSION,
-        "views": [plan.views, plan.other_views, plan.other_share],
-        "size": [plan.width, plan.height],
-        "wide_share": plan.wide_share,
-        "depth": options.describe(),
-        "consistency": options.consistency.describe() if options.consistency else None,
-    }
-    return hashlib.sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()[:12]
+    def write_file(self, path: Path, sample: BlendSample) -> None:
+        """See `write_sample`."""
+        write_sample(path, sample)

@@ -1,7 +1,5 @@
 """A training sample of the blending network: the views of one instant in a target view, and what the target's camera saw."""
 
-import os
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from ggvs_eval.baselines.method import Instant, Map, SourceView
-from ggvs_eval.camera import Array, Camera
+from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthMap
-from ggvs_eval.errors import TrainingError
 from ggvs_eval.images import Image8, quantise
 from ggvs_eval.pipelines.offline.checked_depth import check_depth
 from ggvs_eval.pipelines.offline.depth import DepthEstimator, DepthOptions
@@ -23,8 +20,8 @@ from ggvs_eval.pipelines.online.blending import Blender, BlendingInputs
 from ggvs_eval.pipelines.online.geometric_blender import GeometricBlender
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
 from ggvs_eval.pipelines.online.network_inputs import reference_depth
+from ggvs_eval.pipelines.training.sample_file import camera_arrays, stored_arrays, stored_cameras, write_arrays
 
-POSE_SIZE = 16
 IN_8_BIT = ("splats", "alphas", "warps", "visibilities")
 
 
@@ -124,22 +121,11 @@ def write_sample(path: Path, sample: BlendSample) -> None:
     """
     views = sample.views
     unit = reference_depth(views.fused_depth, views.target)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     arrays: dict[str, Any] = {name: quantise(getattr(views, name)) for name in IN_8_BIT}
-    with temporary.open("wb") as file:
-        np.savez(
-            file,
-            cameras=np.stack([camera_values(camera) for camera in (views.target, *views.sources)]),
-            names=np.array([camera.name for camera in (views.target, *views.sources)]),
-            unit=np.float64(unit),
-            **arrays,
-            depths=(views.depths / np.float32(unit)).astype(np.float16),
-            fused_depth=views.fused_depth,
-            truth=sample.truth,
-            geometric=sample.geometric,
-        )
-    temporary.replace(path)
+    arrays |= camera_arrays((views.target, *views.sources))
+    arrays |= {"unit": np.float64(unit), "depths": (views.depths / np.float32(unit)).astype(np.float16)}
+    arrays |= {"fused_depth": views.fused_depth, "truth": sample.truth, "geometric": sample.geometric}
+    write_arrays(path, arrays)
 
 
 def read_sample(path: Path) -> BlendSample:
@@ -148,10 +134,8 @@ def read_sample(path: Path) -> BlendSample:
     Raises:
         TrainingError: absent or damaged.
     """
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            arrays = {name: stored[name] for name in stored.files}
-        target, *sources = (camera_of(str(name), values) for name, values in zip(arrays["names"], arrays["cameras"], strict=True))
+    with stored_arrays(path) as arrays:
+        target, *sources = stored_cameras(arrays)
         views = RawViews(
             target=target,
             sources=tuple(sources),
@@ -160,21 +144,7 @@ def read_sample(path: Path) -> BlendSample:
             **{name: _unit_range(arrays[name]) for name in IN_8_BIT},
         )
         return BlendSample(views, arrays["truth"], arrays["geometric"])
-    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise TrainingError(f"{path}: wanted a training sample, got none ({reason}); delete it and prepare again") from error
 
 
 def _unit_range(image: Image8) -> Map:
     return image.astype(np.float32) / np.float32(255)
-
-
-def camera_values(camera: Camera) -> Array:
-    """A camera as one row: K, pose, size and depth range."""
-    return np.array([*camera.K.ravel(), *camera.world_to_camera.ravel(), *camera.size, camera.near, camera.far])
-
-
-def camera_of(name: str, values: Array) -> Camera:
-    """The camera of such a row."""
-    K, pose, (width, height, near, far) = np.split(values, [9, 9 + POSE_SIZE])
-    return Camera(name, K.reshape(3, 3), pose.reshape(4, 4), int(width), int(height), float(near), float(far))

@@ -1,9 +1,6 @@
 """What the baselines learn from: the same targets and sources as the blending network's, as a method is shown them."""
 
-import hashlib
-import json
-import os
-import zipfile
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,13 +9,11 @@ from numpy.typing import NDArray
 
 from ggvs_eval.baselines.method import Instant, SourceView
 from ggvs_eval.camera import Camera
-from ggvs_eval.capture import Capture
-from ggvs_eval.errors import TrainingError
 from ggvs_eval.images import Image8
-from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
-from ggvs_eval.pipelines.training.blend_rooms import RoomPlan, choose_views, film_room, refuse_tests
-from ggvs_eval.pipelines.training.blend_samples import SampleMaker, camera_of, camera_values
-from ggvs_eval.processes import finish_all, worker_pool
+from ggvs_eval.pipelines.training.blend_samples import SampleMaker
+from ggvs_eval.pipelines.training.room_lot import RoomLot
+from ggvs_eval.pipelines.training.room_plan import RoomPlan
+from ggvs_eval.pipelines.training.sample_file import camera_arrays, stored_arrays, stored_cameras, write_arrays
 
 FOCUS_MARGIN_PX = 8  # what a convolution sees around a pixel
 FOCUS_MULTIPLE = 32
@@ -66,8 +61,8 @@ class InstantSample:
         return InstantSample(replace(self.instant, sources=sources), np.ascontiguousarray(self.truth[..., order]))
 
 
-class RoomInstants:
-    """The samples of a plan on disk.
+class RoomInstants(RoomLot[InstantSample]):
+    """The baselines' samples of a plan on disk, see `RoomLot`.
 
     Args:
         folder: where rooms and samples are kept; `RoomSamples` may share it.
@@ -79,60 +74,10 @@ class RoomInstants:
     """
 
     def __init__(self, folder: Path, plan: RoomPlan, depth: bool = True) -> None:
-        refuse_tests(plan)
-        self.plan = plan
-        self._depth = depth
-        self._rooms = folder / "rooms"
-        self._samples = folder / f"instants-{_digest(plan, depth)}"
+        super().__init__(folder, plan, "instants", VERSION, depth)
 
-    def __repr__(self) -> str:
-        """The plan; the model card shows it, and where the folder lies is nobody's business."""
-        return repr(self.plan)
-
-    def __len__(self) -> int:
-        return self.plan.rooms * self.plan.targets
-
-    @property
-    def data(self) -> str:
-        """What they show, for the model card."""
-        depth = f"depth by {self.plan.matcher}" if self._depth else "no depth"
-        return f"{len(self)} views of {self.plan.rooms} procedural rooms (ggvs_eval.synthetic), {depth}"
-
-    def read(self, index: int) -> InstantSample:
-        """One of the samples.
-
-        Raises:
-            TrainingError: it has not been prepared, or is damaged.
-        """
-        room, target = divmod(index, self.plan.targets)
-        return read_instant(self._path(self.plan.seeds[room], target))
-
-    def prepare(self, workers: int) -> None:
-        """Film the rooms and make the samples that are not there yet; a killed preparation goes on where it stopped.
-
-        Args:
-            workers: processes; a room is one job.
-        """
-        missing = [seed for seed in self.plan.seeds if not all(self._path(seed, n).is_file() for n in range(self.plan.targets))]
-        if not missing:
-            return
-        with worker_pool(min(workers, len(missing))) as pool:
-            finish_all(pool, [pool.submit(self.prepare_room, seed) for seed in missing], "rooms to learn from")
-
-    def prepare_room(self, seed: int) -> None:
-        """Film one room and make its samples."""
-        self.prepare_capture(seed, film_room(self._rooms, seed, self.plan))
-
-    def prepare_capture(self, seed: int, capture: Capture) -> None:
-        """Make the samples of a room that has been filmed."""
-        maker = SampleMaker(capture, DepthChoice(self.plan.matcher).options())
-        for number in range(self.plan.targets):
-            path = self._path(seed, number)
-            if not path.is_file():
-                write_instant(path, self._sample(maker, seed, number))
-
-    def _sample(self, maker: SampleMaker, seed: int, number: int) -> InstantSample:
-        target, sources = choose_views(maker.capture, self.plan, seed, number)
+    def make(self, maker: SampleMaker, target: Camera, sources: Sequence[Camera]) -> InstantSample:
+        """What a method is shown, and what the target's camera saw."""
         if self._depth:
             return InstantSample(maker.instant(target, sources), maker.truth(target))
         views = []
@@ -141,8 +86,13 @@ class RoomInstants:
             views.append(SourceView(source, maker.truth(source), unknown, unknown))
         return InstantSample(Instant(0, target, tuple(views), maker.capture.units_per_metre), maker.truth(target))
 
-    def _path(self, seed: int, number: int) -> Path:
-        return self._samples / f"room{seed}-{number:02d}.npz"
+    def read_file(self, path: Path) -> InstantSample:
+        """See `read_instant`."""
+        return read_instant(path)
+
+    def write_file(self, path: Path, sample: InstantSample) -> None:
+        """See `write_instant`."""
+        write_instant(path, sample)
 
 
 def _window_in(source: Camera, target: Camera) -> NDArray[np.float64]:
@@ -168,25 +118,14 @@ def _cut(source: SourceView, left: int, top: int, width: int, height: int) -> So
 
 
 def write_instant(path: Path, sample: InstantSample) -> None:
-    """Write a sample so that a killed process leaves either the whole file or none; depth in half precision, per its median."""
+    """Write a sample, the whole file or none; depth in half precision, relative to its median."""
     instant = sample.instant
     depths = np.stack([source.depth for source in instant.sources])
     unit = float(np.median(depths[depths > 0])) if (depths > 0).any() else 1.0
-    cameras = [instant.target, *(source.camera for source in instant.sources)]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    with temporary.open("wb") as file:
-        np.savez(
-            file,
-            cameras=np.stack([camera_values(camera) for camera in cameras]),
-            names=np.array([camera.name for camera in cameras]),
-            images=np.stack([source.image for source in instant.sources]),
-            depths=(depths / np.float32(unit)).astype(np.float16),
-            unit=np.float64(unit),
-            units_per_metre=np.float64(instant.units_per_metre),
-            truth=sample.truth,
-        )
-    temporary.replace(path)
+    arrays = camera_arrays([instant.target, *(source.camera for source in instant.sources)])
+    arrays |= {"unit": np.float64(unit), "depths": (depths / np.float32(unit)).astype(np.float16)}
+    arrays |= {"images": np.stack([source.image for source in instant.sources]), "truth": sample.truth}
+    write_arrays(path, arrays | {"units_per_metre": np.float64(instant.units_per_metre)})
 
 
 def read_instant(path: Path) -> InstantSample:
@@ -195,30 +134,11 @@ def read_instant(path: Path) -> InstantSample:
     Raises:
         TrainingError: absent or damaged.
     """
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            arrays = {name: stored[name] for name in stored.files}
-        target, *cameras = (camera_of(str(name), row) for name, row in zip(arrays["names"], arrays["cameras"], strict=True))
+    with stored_arrays(path) as arrays:
+        target, *cameras = stored_cameras(arrays)
         depths = arrays["depths"].astype(np.float32) * np.float32(arrays["unit"])
         sources = tuple(
             SourceView(camera, image, depth, (depth > 0).astype(np.float32))
             for camera, image, depth in zip(cameras, arrays["images"], depths, strict=True)
         )
         return InstantSample(Instant(0, target, sources, float(arrays["units_per_metre"])), arrays["truth"])
-    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise TrainingError(f"{path}: wanted a training sample, got none ({reason}); delete it and prepare again") from error
-
-
-def _digest(plan: RoomPlan, depth: bool) -> str:
-    """Names all that a sample depends on but its room and its number."""
-    options = DepthChoice(plan.matcher).options()
-    described = {
-        "version": VERSION,
-        "views": [plan.views, plan.other_views, plan.other_share],
-        "size": [plan.width, plan.height],
-        "wide_share": plan.wide_share,
-        "depth": options.describe() if depth else None,
-        "consistency": options.consistency.describe() if depth and options.consistency else None,
-    }
-    return hashlib.sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()[:12]

@@ -5,8 +5,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ggvs_eval.pipelines.plan_rates import Rates
-from ggvs_eval.pipelines.work_left import WorkLeft
+from ggvs_eval.pipelines.planning.rates import Rates
+from ggvs_eval.pipelines.planning.work_left import WorkLeft
 
 # Bytes per pixel where nothing was tried: depth as it is stored, PNG of frames with and without sensor noise as on the demo.
 DEPTH_BYTES, TRUTH_BYTES, RENDER_BYTES, PATH_DEPTH_BYTES = 5.0, 2.1, 1.5, 4.0

@@ -27,7 +27,7 @@ from ggvs_eval.pipelines.offline.depth_stream import DepthStream
 from ggvs_eval.pipelines.offline.prepare import DepthJob, depth_spec
 from ggvs_eval.pipelines.offline.sensor_depth import SensorDepthEstimator
 from ggvs_eval.pipelines.path_depth import write_path_depth
-from ggvs_eval.pipelines.plan_rates import Rates
+from ggvs_eval.pipelines.planning.rates import Rates
 from ggvs_eval.pipelines.prepare import Prepared, SourcePlan
 from ggvs_eval.pipelines.renders.coverage import Coverage
 from ggvs_eval.pipelines.scoring.view import view_job

@@ -12,12 +12,12 @@ from ggvs_eval.errors import ProtocolError
 from ggvs_eval.pipelines.jobs.free_memory import available_bytes
 from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.offline.depth import DepthOptions
-from ggvs_eval.pipelines.plan_estimate import Pace, Portion, disk_bytes
-from ggvs_eval.pipelines.plan_probe import probe
-from ggvs_eval.pipelines.plan_rates import Rates
+from ggvs_eval.pipelines.planning.estimate import Pace, Portion, disk_bytes
+from ggvs_eval.pipelines.planning.probe import probe
+from ggvs_eval.pipelines.planning.rates import Rates
+from ggvs_eval.pipelines.planning.wish import Wish
+from ggvs_eval.pipelines.planning.work_left import plan_frames, work_left
 from ggvs_eval.pipelines.prepare import Prepared, claim_run, depth_choice_of
-from ggvs_eval.pipelines.wish import Wish
-from ggvs_eval.pipelines.work_left import plan_frames, work_left
 from ggvs_eval.processes import worker_pool
 from ggvs_eval.run_folder import RunFolder
 

@@ -9,8 +9,8 @@ from typing import Any
 
 from ggvs_eval.errors import ProtocolError, ResultsError
 from ggvs_eval.pipelines.jobs.ledger import JOBS_FOLDER
-from ggvs_eval.pipelines.merge_scores import merge_scores
-from ggvs_eval.pipelines.merge_units import Unit, job_units, plain_units, same_unit
+from ggvs_eval.pipelines.merging.scores import merge_scores
+from ggvs_eval.pipelines.merging.units import Unit, job_units, plain_units, same_unit
 from ggvs_eval.processes import is_running
 from ggvs_eval.run_folder import RunFolder, read_json, write_json
 

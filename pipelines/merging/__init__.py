@@ -1,0 +1,1 @@
+"""One run folder of what several machines made."""

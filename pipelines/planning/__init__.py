@@ -1,0 +1,1 @@
+"""A run before it starts: what is left to do, how large, how long."""

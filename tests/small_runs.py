@@ -1,0 +1,33 @@
+"""The smallest capture and protocol that a whole run can be made of."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from ggvs_eval.capture import Capture
+from ggvs_eval.datasets import open_capture
+from ggvs_eval.protocol import CameraPath, Frames, Protocol, Synthesis, Views, load_protocol
+from ggvs_eval.synthetic.demo import write_demo
+from ggvs_eval.synthetic.options import DemoOptions
+
+LABELS = ("no-blending", "distance-based")
+
+
+def write_small_capture(folder: Path, n_frames: int) -> Capture:
+    """Six cameras of 64 x 48 in two rows."""
+    options = DemoOptions(
+        width=64, height=48, n_frames=n_frames, cameras_per_row=3, path_poses=0, supersampling=1, depth_stride=0
+    )
+    return open_capture(write_demo(folder, options, workers=1))
+
+
+def small_protocol(n_frames: int, path_poses: int, metrics: tuple[str, ...]) -> Protocol:
+    """Two test views, K = 2."""
+    base = load_protocol("demo")
+    return replace(
+        base,
+        views=Views(("cam00", "cam01"), "test"),
+        frames=Frames(0, n_frames),
+        synthesis=Synthesis(2),
+        path=CameraPath(path_poses),
+        measurement=replace(base.measurement, metrics=metrics, ceilings=False),
+    )
