@@ -50,7 +50,7 @@ def render_page(groups: Sequence[RunGroup], reproduced: Sequence[Reproduction] =
     )
     scripts = {"first": page_script(FIRST_SCRIPTS), "last": page_script()}
     return environment.get_template("page.html.j2").render(
-        title=", ".join(dict.fromkeys(group.scenes for group in groups)),
+        title=" · ".join(dict.fromkeys(group.scenes for group in groups)),
         css=(TEMPLATES / "page.css").read_text(encoding="utf-8"),
         dark_css=(TEMPLATES / "dark.css").read_text(encoding="utf-8"),
         scripts=scripts,
