@@ -19,6 +19,7 @@ Status = Literal["reproduced", "differs", "data absent", "weights absent", "not 
 STATUSES: tuple[Status, ...] = ("reproduced", "differs", "data absent", "weights absent", "not run")
 TABLES = {"quality": "Quality", "consistency": "Consistency", "ablation": "Ablation", "timing": "Time per frame"}
 NOT_MEASURED = Cell("not measured")
+RETRAINED = "(retrained"  # in the name of a method whose weights we trained, which are not the paper's
 MEANING = (
     f"reproduced: the paper's value lies in the {100 * LEVEL:.0f} % interval of ours, or both print the same digits; "
     "differs: neither; data absent: no run on the paper's data and terms; weights absent: those of the method do not ship; "
@@ -123,7 +124,9 @@ def _judge_metric(ground: Ground, label: str, metric: str, paper: str) -> tuple[
         return NOT_MEASURED, "not run", f"no value: {reason}"
     cell = measured_cell(metric, interval.value, "", interval)
     status, reason = judge_value(paper, cell, metric)
-    return cell, status, f"{reason}; {ground.words}"
+    names = {run.name(label) for run in ground.runs}
+    trained = "".join(f"; measured with {name}" for name in sorted(names) if RETRAINED in name)
+    return cell, status, f"{reason}; {ground.words}{trained}"
 
 
 def judge_value(paper: str, ours: Cell, metric: str) -> tuple[Status, str]:

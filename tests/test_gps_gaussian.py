@@ -189,6 +189,27 @@ def test_canvases_are_what_turned_cameras_see(title):
         assert (view.image(source)[~view.inside] == 0).all()
 
 
+@pytest.mark.parametrize("title", PAIRS)
+def test_whole_canvases_lose_nothing_and_are_no_larger_than_they_must_be(title):
+    """Every corner of both images lies on its canvas, which ends there but for a multiple of 8 pixels; rows still match."""
+    cameras = PAIRS[title]
+    pair = rectify(*cameras, whole=True)
+    seen = []
+    for view, camera in zip(pair.views, cameras, strict=True):
+        corners = np.array([[0, 0], [camera.width, 0], [0, camera.height], [camera.width, camera.height]], float)
+        uv, _ = view.camera.project(camera.unproject(corners, np.ones(4)))
+        assert (uv >= -1e-9).all()
+        assert (uv <= np.array(view.camera.size) + 1e-9).all()
+        seen.append(uv)
+    width = max(np.ptp(uv[:, 0]) for uv in seen)
+    height = np.ptp(np.concatenate(seen)[:, 1])
+    assert pair.left.camera.size == pair.right.camera.size
+    assert 0 <= pair.left.camera.width - width < 8
+    assert 0 <= pair.left.camera.height - height < 8
+    left, right = (view.camera.project(np.array([[0.1, -0.2, 4.0]]))[0] for view in pair.views)
+    np.testing.assert_allclose(left[:, 1], right[:, 1], atol=1e-9)
+
+
 def test_the_nearest_pair_that_is_one_is_taken():
     """Pairs go by their distance to the target, the left camera first; cameras that stand behind each other make no pair."""
     behind = replace(camera_at(0.0), name="behind")

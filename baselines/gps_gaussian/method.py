@@ -83,7 +83,7 @@ def instant_gaussians(
     parts = []
     for left, right in choose_pairs(instant.target, [source.camera for source in instant.sources], pairs):
         sources = instant.sources[left], instant.sources[right]
-        pair = rectify(sources[0].camera, sources[1].camera)
+        pair = rectify(sources[0].camera, sources[1].camera, network.config.whole)
         colours = [view.image(source) for view, source in zip(pair.views, sources, strict=True)]
         images = torch.stack([_network_image(view, image) for view, image in zip(pair.views, colours, strict=True)])
         features = network.features(images)

@@ -26,6 +26,7 @@ class GpsGaussianConfig:
         pairs: how many pairs are rendered together.
         rotations_in: what rotations refer to: the ``world``, or the rectified ``camera``, which makes the output independent of
             the choice of the world's axes.
+        whole: whether rectified canvases hold the whole images, see `rectify`.
     """
 
     widths: tuple[int, int, int] = (32, 48, 96)
@@ -33,11 +34,12 @@ class GpsGaussianConfig:
     stereo: bool = True
     pairs: int = 1
     rotations_in: Literal["world", "camera"] = "world"
+    whole: bool = False
 
 
 CONFIGURATIONS = {
     "full": GpsGaussianConfig(),
-    "compact": GpsGaussianConfig((16, 24, 48), (24, 32, 48), stereo=False, pairs=2, rotations_in="camera"),
+    "compact": GpsGaussianConfig((16, 24, 48), (24, 32, 48), stereo=False, pairs=2, rotations_in="camera", whole=True),
 }
 
 

@@ -76,28 +76,36 @@ class RectifiedPair:
 
 
 @lru_cache(maxsize=4)
-def rectify(left: Camera, right: Camera) -> RectifiedPair:
+def rectify(left: Camera, right: Camera, whole: bool = False) -> RectifiedPair:
     """Rectify a pair.
 
     Args:
         left: the camera that becomes the left one.
         right: the other one; a right camera below the left one gives canvases on their sides.
+        whole: canvases that hold the whole images, instead of ones of the images' size.
 
     Raises:
         RenderError: the cameras share a centre, stand behind each other, or look apart.
 
     Reading:
         As the authors' recipe: both canvases have the size of the images, one focal length and one row for the horizon, and each
-        keeps its image in its middle, so that the principal points differ. The focal length is the mean of both.
+        keeps its image in its middle, so that the principal points differ. The focal length is the mean of both. Such canvases
+        lose the corners of turned images, which shows where there is more than a person before a black wall: in the validation
+        rooms the 1 % of the pixels that stay black for it carried 42 % of the squared error. Hence the whole ones.
     """
     axes = _rectifying_axes(left, right)
     focal_px = (left.focal_px + right.focal_px) / 2
-    size = _canvas_size(left, right, axes)
-    middles = [_middle(camera, axes, focal_px) for camera in (left, right)]
-    row = size[1] / 2 - (middles[0][1] + middles[1][1]) / 2
+    corners = np.stack([_corners(camera, axes, focal_px) for camera in (left, right)])  # (2, 4, 2)
+    if whole:
+        low, high = corners.min(axis=1), corners.max(axis=1)
+        columns, row = (low + high)[:, 0] / 2, (low[:, 1].min() + high[:, 1].max()) / 2
+        size = _in_multiples((high - low)[:, 0].max(), high[:, 1].max() - low[:, 1].min())
+    else:
+        columns, row = corners[..., 0].mean(axis=1), corners[..., 1].mean()
+        size = _canvas_size(left, right, axes)
     views = []
-    for camera, middle in zip((left, right), middles, strict=True):
-        K = np.array([[focal_px, 0, size[0] / 2 - middle[0]], [0, focal_px, row], [0, 0, 1]])
+    for camera, column in zip((left, right), columns.tolist(), strict=True):
+        K = np.array([[focal_px, 0, size[0] / 2 - column], [0, focal_px, size[1] / 2 - row], [0, 0, 1]])
         views.append(_view(camera, K, axes, size))
     return RectifiedPair(*views)
 
@@ -123,17 +131,22 @@ def _canvas_size(left: Camera, right: Camera, axes: Array) -> tuple[int, int]:
     """(width, height): the larger image's, in multiples that the network takes, on its side if the pair stands upright."""
     sides = max(left.width, right.width), max(left.height, right.height)
     across, down = np.abs((left.rotation + right.rotation) @ axes[0])[:2]
-    width, height = (-(-side // SIZE_MULTIPLE) * SIZE_MULTIPLE for side in (sides if across >= down else sides[::-1]))
-    return width, height
+    return _in_multiples(*(sides if across >= down else sides[::-1]))
 
 
-def _middle(camera: Camera, axes: Array, focal_px: float) -> Array:
-    """Mean of the image's corners on the rectified plane, pixels from the principal point, (2,)."""
+def _in_multiples(width: float, height: float) -> tuple[int, int]:
+    """The sides in multiples that the network takes."""
+    return int(-(-width // SIZE_MULTIPLE) * SIZE_MULTIPLE), int(-(-height // SIZE_MULTIPLE) * SIZE_MULTIPLE)
+
+
+def _corners(camera: Camera, axes: Array, focal_px: float) -> Array:
+    """The image's corners on the rectified plane, pixels from the principal point, (4, 2)."""
     corners = np.array([[0, 0], [camera.width, 0], [0, camera.height], [camera.width, camera.height]], np.float64)
     rays = (camera.unproject(corners, np.ones(4)) - camera.centre) @ axes.T  # (4, 3)
     if rays[:, 2].min() < MIN_RAY_Z:
         raise RenderError(f"camera {camera.name} looks too far away from its partner: no stereo pair")
-    return (rays[:, :2] / rays[:, 2:]).mean(axis=0) * focal_px
+    corners_px: Array = rays[:, :2] / rays[:, 2:] * focal_px
+    return corners_px
 
 
 def _view(camera: Camera, K: Array, axes: Array, size: tuple[int, int]) -> RectifiedView:

@@ -45,6 +45,15 @@ def _learned_with(guidance: "Guidance", **changed: Any) -> Method:
 
 
 OURS: dict[str, MethodSpec] = {
+    "naive": MethodSpec(
+        "Naive Network",
+        "splatted views alone: the network was trained without any depth, be it fused or of the views",
+        partial(_learned_with, "naive", fused=False),
+        ONLINE_CODE,
+        ours=True,
+        usual=False,
+        weights=(shipped("blend-naive.safetensors"),),
+    ),
     "ours+no-tsdf": MethodSpec(
         "Ours, No TSDF Guidance",
         "no fused depth; the network was trained without it",
