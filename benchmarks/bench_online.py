@@ -21,7 +21,7 @@ from ggvs_eval.kernels import get_threads
 from ggvs_eval.one_thread import one_thread
 from ggvs_eval.pipelines.online.blend_maps import blend_maps, raw_views
 from ggvs_eval.pipelines.online.blend_network import BlendConfig, BlendNetwork, compose_tensors, read_outputs
-from ggvs_eval.pipelines.online.blending import BlendingInputs
+from ggvs_eval.pipelines.online.blending import Blended, BlendingInputs
 from ggvs_eval.pipelines.online.geometric_blender import GeometricBlender
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
 from ggvs_eval.pipelines.online.network_blender import NetworkBlender, blend_by, blend_start
@@ -90,8 +90,8 @@ class _Recorder:
 
     inputs: list[BlendingInputs] = field(default_factory=list)
 
-    def blend(self, inputs: BlendingInputs) -> NDArray[np.float32]:
-        """The geometric blender's image."""
+    def blend(self, inputs: BlendingInputs) -> Blended:
+        """What the geometric blender makes."""
         self.inputs.append(inputs)
         return GeometricBlender().blend(inputs)
 

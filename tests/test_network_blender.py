@@ -17,7 +17,7 @@ from ggvs_eval.pipelines.online.blend_network import (
     read_outputs,
 )
 from ggvs_eval.pipelines.online.blend_weights import load_blend_network, shipped_blend_weights
-from ggvs_eval.pipelines.online.blending import BlendingInputs
+from ggvs_eval.pipelines.online.blending import Blended, BlendingInputs
 from ggvs_eval.pipelines.online.geometric_blender import GeometricBlender
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
 from ggvs_eval.pipelines.online.network_blender import NetworkBlender, blend_by, blend_start
@@ -55,10 +55,10 @@ def weights(network, tmp_path):
 class Keep:
     """A blender that keeps what it is given."""
 
-    def blend(self, inputs: BlendingInputs) -> np.ndarray:
+    def blend(self, inputs: BlendingInputs) -> Blended:
         """Nothing to see."""
         self.inputs = inputs
-        return np.zeros((*inputs.depth.shape, 3), np.float32)
+        return Blended(np.zeros((*inputs.depth.shape, 3), np.float32))
 
 
 def inputs_of(moment: Instant) -> BlendingInputs:
@@ -132,11 +132,11 @@ def decisive(weights, tmp_path, bias: list[float]):
 def test_the_network_decides(weights, tmp_path):
     """A network that chooses the nearest view shows its splat; one that chooses the background shows that."""
     inputs = inputs_of(instant(0, TARGET, SOURCES))
-    nearest = NetworkBlender(decisive(weights, tmp_path, [40.0, -40.0, -80.0, 0, 0, 0])).blend(inputs)
+    nearest = NetworkBlender(decisive(weights, tmp_path, [40.0, -40.0, -80.0, 0, 0, 0])).blend(inputs).image
     covered = inputs.splats[0].alpha > 0.5
     np.testing.assert_allclose(nearest[covered], inputs.splats[0].features[..., :3][covered], atol=1e-4)
     (tmp_path / "other").mkdir()
-    black = NetworkBlender(decisive(weights, tmp_path / "other", [0.0, 0, 80, -40, -40, -40])).blend(inputs)
+    black = NetworkBlender(decisive(weights, tmp_path / "other", [0.0, 0, 80, -40, -40, -40])).blend(inputs).image
     assert black.max() < 1e-6
 
 
@@ -145,7 +145,7 @@ def test_equal_bits_for_any_number_of_threads(weights):
     inputs, images = inputs_of(instant(0, TARGET, SOURCES)), []
     for threads in (1, 3):
         torch.set_num_threads(threads)
-        images.append(NetworkBlender(weights).blend(inputs))
+        images.append(NetworkBlender(weights).blend(inputs).image)
         assert torch.get_num_threads() == threads
     np.testing.assert_array_equal(images[0], images[1])
 
@@ -153,7 +153,7 @@ def test_equal_bits_for_any_number_of_threads(weights):
 def test_the_order_of_the_sources_does_not_matter(weights):
     """Sources in another order give the same image: the network sees the nearest camera first."""
     first, second = (
-        NetworkBlender(weights).blend(inputs_of(instant(0, TARGET, sources))) for sources in (SOURCES, SOURCES[::-1])
+        NetworkBlender(weights).blend(inputs_of(instant(0, TARGET, sources))).image for sources in (SOURCES, SOURCES[::-1])
     )
     np.testing.assert_allclose(first, second, atol=1e-5)  # the ray march sums its views in the order it gets them
 
@@ -168,7 +168,8 @@ def test_the_blender_is_a_part_of_the_method(weights):
 
 def test_another_number_of_views_is_refused(weights):
     """A network for two views says so when it is given three; one view is fine."""
-    assert NetworkBlender(weights).blend(inputs_of(instant(0, TARGET, SOURCES[:1]))).shape == (TARGET.height, TARGET.width, 3)
+    alone = NetworkBlender(weights).blend(inputs_of(instant(0, TARGET, SOURCES[:1])))
+    assert alone.image.shape == (TARGET.height, TARGET.width, 3)
     inputs = inputs_of(instant(0, TARGET, [*SOURCES, camera_at(0.45)]))
     with pytest.raises(RenderError, match=r"blend\.safetensors: a blending network for at most 2 source views, got 3"):
         NetworkBlender(weights).blend(inputs)
@@ -248,12 +249,12 @@ def test_an_image_of_a_batch_is_the_blenders_image(config):
         }
         composed = compose_tensors(outputs, views["colours"], views["coverage"])
         twin = network.refine(composed, outputs, views)[0].clamp(0, 1)
-    np.testing.assert_allclose(blend_by(network, maps), twin.permute(1, 2, 0).numpy(), atol=1e-4)
+    np.testing.assert_allclose(blend_by(network, maps).image, twin.permute(1, 2, 0).numpy(), atol=1e-4)
 
 
 def test_an_untrained_network_is_the_geometric_blender():
     """Before the first step the registered views are blended by distance: the geometric blender's image, but for the faint."""
     inputs = inputs_of(instant(0, TARGET, SOURCES))
     network = BlendNetwork(BlendConfig(2, "registered", 4)).eval()
-    image, geometric = blend_by(network, blend_maps(inputs, "registered")), GeometricBlender().blend(inputs)
+    image, geometric = blend_by(network, blend_maps(inputs, "registered")).image, GeometricBlender().blend(inputs).image
     assert np.abs(image - geometric).mean() < 0.01

@@ -95,7 +95,7 @@ def test_the_blender_makes_the_twins_image(config, width, size, views):
     """Every scale, guidance, number of views, features and width of a network, at any size: the torch code's image."""
     maps, network = random_maps(np.random.default_rng(1), *size, views), random_network(config, width)
     expected = twin(network, maps)
-    np.testing.assert_allclose(blend_by(network, maps), expected, atol=2e-5)
+    np.testing.assert_allclose(blend_by(network, maps).image, expected, atol=2e-5)
     if network.refiner is not None and min(size) > 2:
         silent = random_network(config, width)
         torch.nn.init.zeros_(silent.refiner.taps.weight)
@@ -161,4 +161,4 @@ def test_a_network_that_must_not_see_depth_does_not():
     for guidance in ("none", "channels"):
         network, maps = random_network(BlendConfig(2, guidance, 4, 1, 4)), random_maps(random, 33, 21, 2)
         moved = replace(maps, fused_depth=np.roll(maps.fused_depth, 7, axis=1))
-        assert np.array_equal(blend_by(network, maps), blend_by(network, moved)) == (guidance not in GUIDED)
+        assert np.array_equal(blend_by(network, maps).image, blend_by(network, moved).image) == (guidance not in GUIDED)

@@ -23,11 +23,15 @@ class Registered:
         colours: (K, H, W, 3), float32: the splat's, and as far as the view is visible its image's at the fused surface.
         coverage: (K, H, W), float32: the visibility, or the faint coverage of the splat if that is more.
         visibilities: (K, H, W), float32 in [0, 1], as in `warp`.
+        alphas: (K, H, W), float32: the splats' coverages side by side.
+        depths: (K, H, W), float32: the splats' depths.
     """
 
     colours: NDArray[np.float32]
     coverage: NDArray[np.float32]
     visibilities: NDArray[np.float32]
+    alphas: NDArray[np.float32]
+    depths: NDArray[np.float32]
 
 
 def register_views(
@@ -63,6 +67,7 @@ def register_views(
             *captured_fields(target, view),
             evenly_spaced(splat.features),
             as_image(splat.alpha, target, "coverage of the splat", RenderError),
+            as_image(splat.depth, target, "depth of the splat", RenderError),
         )
         for view, splat in zip(views, splats, strict=True)
     ]

@@ -11,6 +11,8 @@ Matrix = NDArray[np.float64]  # (4, 4), rigid
 Pinhole = tuple[float, float, float, float, int, int]  # fx, fy, cx, cy, width, height
 
 def best_level() -> int: ...
+def idle_bytes() -> int: ...
+def empty(shape: Sequence[int]) -> Image: ...
 def splat(
     sources: Sequence[tuple[Pinhole, Matrix, Image, Image | Image8, Image | None]],  # camera, to_target, depth, features, extra
     target: Pinhole,
@@ -75,12 +77,36 @@ def push_pull(colour: Image, known: NDArray[np.bool_], threads: int) -> Image: .
 def register_views(
     target: Pinhole,
     depth: Image,
-    views: Sequence[tuple[Pinhole, Matrix, Image8, Image, Image, Image]],  # camera, from_target, image, depth, splat, alpha
+    views: Sequence[tuple[Pinhole, Matrix, Image8, Image, Image, Image, Image]],  # camera, from_target, image, depth, splat (3)
     tolerance: float,
     faint: float,
     threads: int,
     level: int,
-) -> tuple[Image, Image, Image]: ...
+) -> tuple[Image, Image, Image, Image, Image]: ...
+def overview(
+    colours: Image,
+    coverage: Image,
+    seen: Image,
+    alphas: Image,
+    near: Image,
+    scale: int,
+    black_weight: float,
+    covered_alpha: float,
+    threads: int,
+) -> tuple[Image, Image, NDArray[np.bool_], tuple[Image, Image, Image, Image]]: ...
+def network_inputs(
+    colours: Image,
+    depths: Image,
+    alphas: Image,
+    seen: Image | None,
+    fused: Image,
+    rays: tuple[Image, Image],  # slopes across, slopes down
+    cameras: tuple[Image, Image, Image],  # centres (K, 3), distances, cosines of the axes
+    far: float,
+    unit: float,
+    most_views: int,
+    threads: int,
+) -> Image: ...
 def compose(
     colours: Image,
     coverage: Image,

@@ -5,6 +5,7 @@
 
 #include "array_arguments.hpp"
 #include "camera.hpp"
+#include "memory.hpp"
 
 namespace ggvs {
 
@@ -28,7 +29,5 @@ inline std::pair<int, int> size_of(const py::array& array, const char* name) {
         throw py::type_error(std::string(name) + ": wanted an image of at most 65535 x 65535 pixels, got " + describe(array));
     return {int(array.shape(0)), int(array.shape(1))};
 }
-
-inline py::array_t<float> empty(std::vector<py::ssize_t> shape) { return py::array_t<float>(std::move(shape)); }
 
 }  // namespace ggvs

@@ -1,4 +1,6 @@
 // Python bindings of the geometric kernels; those of the image kernels stand in images.cpp. The GIL is released while one runs.
+#include <pybind11/stl.h>
+
 #include <limits>
 
 #include "camera_arguments.hpp"
@@ -121,6 +123,8 @@ PYBIND11_MODULE(_core, m) {
           "skip_empty"_a, "threads"_a, "level"_a);
     m.def("warp", &warp, "target"_a, "target_depth"_a, "source"_a, "from_target"_a, "image"_a, "source_depth"_a, "tolerance"_a,
           "bicubic"_a, "threads"_a);
+    m.def("empty", &ggvs::empty, "shape"_a, "An array of floats that nobody has written yet, of the memory kept for results.");
+    m.def("idle_bytes", &ggvs::idle_bytes, "Bytes that are kept for the next large results.");
     ggvs::bind_images(m);
     ggvs::bind_learned(m);
     ggvs::bind_unet(m);

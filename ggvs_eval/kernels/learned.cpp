@@ -5,6 +5,8 @@
 
 #include "camera_arguments.hpp"
 #include "compose.hpp"
+#include "network_inputs.hpp"
+#include "overview.hpp"
 #include "refine.hpp"
 #include "register.hpp"
 
@@ -28,7 +30,7 @@ int colour_stride(const py::array& image, const Pinhole& target) {
 py::tuple register_views_of(const py::handle& target, const py::handle& depth, const py::sequence& views, float tolerance,
                             float faint, int threads, int level) {
     const Pinhole to = pinhole_of(target);
-    Registration job{to, image_of(depth, "depth", to), tolerance, faint, {}};
+    Registration job{to, image_of(depth, "depth", to), tolerance, faint, {}, {}};
     for (const py::handle& item : views) {
         const py::tuple view = py::cast<py::tuple>(item);
         const Pinhole from = pinhole_of(view[0]);
@@ -41,16 +43,19 @@ py::tuple register_views_of(const py::handle& target, const py::handle& depth, c
         const py::array splat = py::cast<py::array>(view[4]);
         const int stride = colour_stride(splat, to);
         job.views.push_back({captured, static_cast<const float*>(splat.data()), stride, image_of(view[5], "alpha", to)});
+        job.splat_depths.push_back(image_of(view[6], "splatted depth", to));
     }
     const py::ssize_t count = py::ssize_t(job.views.size());
     py::array_t<float> colours = empty({count, to.height, to.width, 3}), coverage = empty({count, to.height, to.width});
-    py::array_t<float> seen = empty({count, to.height, to.width});
-    const RegisteredMaps out{colours.mutable_data(), coverage.mutable_data(), seen.mutable_data()};
+    py::array_t<float> seen = empty({count, to.height, to.width}), alphas = empty({count, to.height, to.width});
+    py::array_t<float> depths = empty({count, to.height, to.width});
+    const RegisteredMaps out{colours.mutable_data(), coverage.mutable_data(), seen.mutable_data(), alphas.mutable_data(),
+                             depths.mutable_data()};
     {
         py::gil_scoped_release released;
         ggvs::register_views(job, out, threads, level);
     }
-    return py::make_tuple(colours, coverage, seen);
+    return py::make_tuple(colours, coverage, seen, alphas, depths);
 }
 
 // Small maps (channels, h, w) of a view of this size, at least so many channels.
@@ -84,6 +89,67 @@ py::tuple compose_of(const py::array& colours, const py::handle& coverage, const
         ggvs::compose(job, out, threads, level);
     }
     return py::make_tuple(picture, spread, shown);
+}
+
+py::tuple overview_of(const py::array& colours, const py::handle& coverage, const py::handle& seen, const py::handle& alphas,
+                      const py::handle& near, int scale, float black_weight, float covered_alpha, int threads) {
+    const auto shape = shape_of(colours, "colours", 4);
+    if (shape[0] < 1 || shape[1] < 1 || shape[2] < 1 || scale < 1 || shape[1] > kMostPixels || shape[2] > kMostPixels)
+        throw py::value_error("overview: wanted views of 1 to 65535 pixels per side and a scale of at least 1");
+    const py::ssize_t views = shape[0], height = shape[1], width = shape[2], rows = (height + scale - 1) / scale;
+    const py::ssize_t columns = (width + scale - 1) / scale;
+    const Views job{int(width),
+                    int(height),
+                    int(views),
+                    scale,
+                    data_of<float>(colours, "colours", {views, height, width, 3}),
+                    data_of<float>(coverage, "coverage", {views, height, width}),
+                    data_of<float>(seen, "seen", {views, height, width}),
+                    data_of<float>(alphas, "alphas", {views, height, width}),
+                    data_of<float>(near, "near", {views}),
+                    black_weight,
+                    covered_alpha};
+    py::array_t<float> mean = empty({height, width, 3}), unseen = empty({height, width});
+    py::array_t<bool> covered({height, width});
+    py::array_t<float> small[4] = {empty({views, rows, columns, 3}), empty({views, rows, columns}), empty({views, rows, columns}),
+                                   empty({views, rows, columns})};
+    OverviewMaps out{mean.mutable_data(), unseen.mutable_data(), covered.mutable_data(), {}};
+    for (int n = 0; n < 4; ++n) out.small[n] = small[n].mutable_data();
+    {
+        py::gil_scoped_release released;
+        ggvs::overview(job, out, threads);
+    }
+    return py::make_tuple(mean, unseen, covered, py::make_tuple(small[0], small[1], small[2], small[3]));
+}
+
+py::array_t<float> network_inputs_of(const py::array& colours, const py::handle& depths, const py::handle& alphas,
+                                     const py::object& seen, const py::handle& fused, const py::tuple& rays,
+                                     const py::tuple& cameras, float far, float unit, int most_views, int threads) {
+    const auto shape = shape_of(colours, "colours", 4);
+    const py::ssize_t views = shape[0], height = shape[1], width = shape[2];
+    if (views < 1 || views > most_views || most_views > kMostPixels || height < 1 || width < 1)
+        throw py::value_error("network_inputs: wanted at least one view, and not more than the network takes");
+    const NetworkInputs job{int(width),
+                            int(height),
+                            int(views),
+                            most_views,
+                            data_of<float>(colours, "colours", {views, height, width, 3}),
+                            data_of<float>(depths, "depths", {views, height, width}),
+                            data_of<float>(alphas, "alphas", {views, height, width}),
+                            seen.is_none() ? nullptr : data_of<float>(seen, "seen", {views, height, width}),
+                            data_of<float>(fused, "fused depth", {height, width}),
+                            data_of<float>(rays[0], "slopes across", {width}),
+                            data_of<float>(rays[1], "slopes down", {height}),
+                            far,
+                            unit,
+                            data_of<float>(cameras[0], "centres", {views, 3}),
+                            data_of<float>(cameras[1], "distances", {views}),
+                            data_of<float>(cameras[2], "axes", {views})};
+    py::array_t<float> out = empty({network_channels(job), height, width});
+    float* data = out.mutable_data();
+    py::gil_scoped_release released;
+    ggvs::network_inputs(job, data, threads);
+    return out;
 }
 
 // (weights (before, size, size, padded), bias (padded), after)
@@ -134,6 +200,10 @@ py::array_t<float> refine_of(const py::array& picture, const py::handle& spread,
 void bind_learned(py::module_& m) {
     m.def("register_views", &register_views_of, "target"_a, "depth"_a, "views"_a, "tolerance"_a, "faint"_a, "threads"_a,
           "level"_a);
+    m.def("overview", &overview_of, "colours"_a, "coverage"_a, "seen"_a, "alphas"_a, "near"_a, "scale"_a, "black_weight"_a,
+          "covered_alpha"_a, "threads"_a);
+    m.def("network_inputs", &network_inputs_of, "colours"_a, "depths"_a, "alphas"_a, "seen"_a, "fused"_a, "rays"_a, "cameras"_a,
+          "far"_a, "unit"_a, "most_views"_a, "threads"_a);
     m.def("compose", &compose_of, "colours"_a, "coverage"_a, "unseen"_a, "background"_a, "small"_a, "scale"_a, "sure"_a,
           "threads"_a, "level"_a);
     m.def("refine", &refine_of, "picture"_a, "spread"_a, "shown"_a, "depth"_a, "logarithm"_a, "small"_a, "scale"_a,

@@ -50,6 +50,9 @@ static void evidence_row(const EvidenceRow& row) {
     }
 }
 
+constexpr int kLineFloats = 16;    // of the cache
+constexpr int kAheadChannels = 2;  // are fetched before they are wanted
+
 // kOutputs outputs from `first` on, of kPackets packets of pixels from x on, all in registers.
 template <int kSize, int kOutputs, int kPackets>
 GGVS_INLINE void convolve_packets(const ConvolvedRow& row, int first, int x, bool leaky) {
@@ -62,6 +65,8 @@ GGVS_INLINE void convolve_packets(const ConvolvedRow& row, int first, int x, boo
     for (int channel = 0; channel < row.layer.before; ++channel) {
         for (int down = 0; down < kSize; ++down) {
             const float* line = row.rows[down] + channel * row.stride + x;
+            // Lines of further channels lie too far apart for a processor to foresee them.
+            for (int n = 0; n <= kPackets * kWidth; n += kLineFloats) __builtin_prefetch(line + kAheadChannels * row.stride + n);
 #pragma GCC unroll 3
             for (int right = 0; right < kSize; ++right, weights += row.layer.padded) {
                 F values[kPackets];
@@ -94,6 +99,7 @@ GGVS_INLINE void convolve(const ConvolvedRow& row, bool leaky) {
         int x = 0;
         for (; x + kPackets * kWidth < row.count + kWidth; x += kPackets * kWidth)
             convolve_packets<kSize, kOutputs, kPackets>(row, first, x, leaky);
+        for (; x + 2 * kWidth < row.count + kWidth; x += 2 * kWidth) convolve_packets<kSize, kOutputs, 2>(row, first, x, leaky);
         for (; x < row.count; x += kWidth) convolve_packets<kSize, kOutputs, 1>(row, first, x, leaky);
     }
 }

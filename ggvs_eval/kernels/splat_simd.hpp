@@ -171,14 +171,15 @@ static void blend(const Ellipse* list, const uint32_t* ordered, int count, float
                     if (!any(less(all(0.0f), before))) continue;
                     F dx = load(kLaneColumn) + all(float(x * kBlock) - e.u);
                     F exponent = (xx * dx + xy_dy) * dx + yy_dy2;
+                    // Not left out where nothing is touched: no processor foretells that, and guessing wrong costs more.
                     M touched = at_most(all(kLog2MinAlpha), exponent);
-                    if (!any(touched)) continue;
                     F alpha = min(exp2(exponent), all(0.99f));  // without meaning, and unused, where not touched
-                    F after = before - before * alpha;
+                    F share = before * alpha, after = before - share;
                     M blended = both(touched, at_most(all(1e-4f), after));
-                    M stops = but_not(touched, blended);
-                    F weight = select(blended, before * alpha, all(0.0f));
-                    store(here, select(blended, after, select(stops, min(before, all(0.0f) - before), before)));
+                    F weight = select(blended, share, all(0.0f));
+                    // What is touched and not blended stops, or has stopped already.
+                    F stopped = from_bits(bits(before) | bits(all(-0.0f)));
+                    store(here, select(blended, after, select(touched, stopped, before)));
                     store(here + kLanes, load(here + kLanes) + weight * depth);
                     for (int c = 0; c < kChannels; ++c) {
                         float* sum = here + (2 + c) * kLanes;

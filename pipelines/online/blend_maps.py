@@ -1,5 +1,6 @@
 """What the blending network works on: the source views in the target view, registered by the fused depth or as they splat."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -12,7 +13,6 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.register import register_views
 from ggvs_eval.geometry.warp import CapturedView, Warp, warp
-from ggvs_eval.kernels.side_by_side import side_by_side
 from ggvs_eval.pipelines.online.blending import BlendingInputs
 
 Guidance = Literal["registered", "channels", "none", "naive"]
@@ -98,9 +98,13 @@ class BlendMaps:
         """
         if scale == 1:
             return self
+        averaged = [_averaged(maps, scale) for maps in (self.colours, self.coverage, self.seen, self.alphas)]
+        return self.with_means(scale, averaged)
+
+    def with_means(self, scale: int, averaged: Sequence[Map]) -> "BlendMaps":
+        """`reduced`, the averages of colours, coverage, seen and alphas being known."""
         height, width = (-(-size // scale) for size in self.fused_depth.shape)
         target = replace(self.target, width=width * scale, height=height * scale).resized(width, height)
-        averaged = [_averaged(maps, scale) for maps in (self.colours, self.coverage, self.seen, self.alphas)]
         top, left = (min(scale // 2, size - 1) for size in self.fused_depth.shape)
         picked = (maps[..., top::scale, left::scale] for maps in (self.depths, self.fused_depth))
         continued = (_continued(maps, height, width) for maps in picked)
@@ -125,12 +129,9 @@ def blend_maps(inputs: BlendingInputs, guidance: Guidance) -> BlendMaps:
     sources, target, order = inputs.instant.sources, inputs.instant.target, nearest_first(inputs)
     views = [CapturedView(sources[k].camera, sources[k].image, inputs.filtered_depths[k], 1.0) for k in order]
     splats = [inputs.splats[k] for k in order]
-    found, (alphas, depths) = side_by_side(
-        lambda: register_views(target, inputs.depth, views, splats, inputs.tau, float(FAINT)),
-        lambda: (np.stack([view.alpha for view in splats]), np.stack([view.depth for view in splats])),
-    )
-    cameras = tuple(sources[k].camera for k in order)
-    return BlendMaps(target, cameras, found.colours, found.coverage, found.visibilities, alphas, depths, inputs.depth)
+    found = register_views(target, inputs.depth, views, splats, inputs.tau, float(FAINT))
+    cameras, stacks = tuple(sources[k].camera for k in order), (found.alphas, found.depths)
+    return BlendMaps(target, cameras, found.colours, found.coverage, found.visibilities, *stacks, inputs.depth)
 
 
 def nearest_first(inputs: BlendingInputs) -> list[int]:

@@ -29,8 +29,22 @@ class BlendingInputs:
     tau: float
 
 
+@dataclass(frozen=True, eq=False)
+class Blended:
+    """What a blender makes.
+
+    Attributes:
+        image: the target view of one instant, (H, W, 3), float32 in [0, 1].
+        weights: share of each source view in it, nearest camera first, (K, h, w) at its size or less, the rest is the
+            background's; None if it does not tell.
+    """
+
+    image: Map
+    weights: Map | None = None
+
+
 class Blender(Protocol):
     """Makes the image; with geometric weights (`GeometricBlender`) or learned ones."""
 
-    def blend(self, inputs: BlendingInputs) -> Map:
-        """The target view of one instant, (H, W, 3), float32 in [0, 1]."""
+    def blend(self, inputs: BlendingInputs) -> Blended:
+        """The target view of one instant."""

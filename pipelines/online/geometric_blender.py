@@ -8,7 +8,7 @@ from ggvs_eval.baselines.method import Map
 from ggvs_eval.geometry.per_pixel import weighted_mean
 from ggvs_eval.geometry.splat import Splat
 from ggvs_eval.geometry.warp import CapturedView, look_up
-from ggvs_eval.pipelines.online.blending import COVERED_ALPHA, BlendingInputs
+from ggvs_eval.pipelines.online.blending import COVERED_ALPHA, Blended, BlendingInputs
 from ggvs_eval.pipelines.online.inpainting import push_pull
 
 
@@ -33,15 +33,16 @@ class GeometricBlender:
     tolerance_tau: float = 1.0
     background: bool = True
 
-    def blend(self, inputs: BlendingInputs) -> Map:
-        """The target view of one instant, (H, W, 3)."""
+    def blend(self, inputs: BlendingInputs) -> Blended:
+        """The target view of one instant."""
         weights = distance_weights(inputs.instant.target, [source.camera for source in inputs.instant.sources])
         views = [
             CapturedView(source.camera, source.image, depth, weight)
             for source, depth, weight in zip(inputs.instant.sources, inputs.filtered_depths, weights, strict=True)
         ]
         tolerance = self.tolerance_tau * inputs.tau
-        return look_up(inputs.instant.target, inputs.depth, views, self._background(inputs.splats, weights), tolerance)
+        background = self._background(inputs.splats, weights)
+        return Blended(look_up(inputs.instant.target, inputs.depth, views, background, tolerance))
 
     def _background(self, splats: Sequence[Splat], weights: Sequence[float]) -> Map:
         """The splatted views' weighted mean, holes filled or black."""

@@ -14,10 +14,12 @@ from ggvs_eval.geometry.per_pixel import largest_feature
 from ggvs_eval.geometry.point_splat import splat_points
 from ggvs_eval.geometry.splat import Splat, splat
 from ggvs_eval.geometry.tsdf import DepthView, PreviousDepth, RayMarch, fusion_weights, ray_march
+from ggvs_eval.kernels.side_by_side import side_by_side
 from ggvs_eval.pipelines.online.blending import Blender, BlendingInputs
 from ggvs_eval.pipelines.online.colour_harmony import ColourHarmony
 from ggvs_eval.pipelines.online.depth_filter import FilteredDepth, TemporalDepthFilter
 from ggvs_eval.pipelines.online.geometric_blender import GeometricBlender
+from ggvs_eval.pipelines.online.inside import inside_maps
 from ggvs_eval.pipelines.online.printed_march import FieldReading, printed_march
 from ggvs_eval.pipelines.online.recurrent_output import RecurrentOutput, splatted_change
 
@@ -115,28 +117,44 @@ class GeometryGuided:
         """Synthesise one instant and remember its fused depth for the next."""
         marks = [perf_counter()]
         filtered = [self._filter.step(instant.index, source) for source in instant.sources]
-        if self.options.harmonised:
-            instant = self._harmony.step(instant, [view.depth for view in filtered], self._tau(instant))
+        # Gains are looked up by a single thread; the weights need no colours.
+        instant, weights = side_by_side(partial(self._harmonised, instant, filtered), partial(self._weights, instant, filtered))
         marks.append(perf_counter())
         splats = self._splat(instant, filtered)
         marks.append(perf_counter())
-        depth = self._march(instant, filtered, splats).depth if self.options.fused else None
+        depth = self._march(instant, filtered, weights, splats).depth if self.options.fused else None
         marks.append(perf_counter())
-        image = self._blend(instant, filtered, splats, depth)
+        image, inside = self._blend(instant, filtered, splats, depth)
         marks.append(perf_counter())
         seconds = dict(zip(("filter", "splat", "tsdf", "blend"), np.diff(marks).tolist(), strict=True))
         if depth is None:
             del seconds["tsdf"]
-        return Rendering(image, depth, seconds)
+        return Rendering(image, depth, seconds, inside)
 
-    def _blend(self, instant: Instant, filtered: list[FilteredDepth], splats: list[Splat], depth: Map | None) -> Map:
-        """Blend the views and mix the output with the one before where nothing moves."""
+    def _harmonised(self, instant: Instant, filtered: list[FilteredDepth]) -> Instant:
+        """The instant with its sources brought to one colour, if that is wanted."""
+        if not self.options.harmonised:
+            return instant
+        return self._harmony.step(instant, [view.depth for view in filtered], self._tau(instant))
+
+    def _weights(self, instant: Instant, filtered: list[FilteredDepth]) -> list[Map]:
+        """How far the filtered depths are trusted (Eqs. 11-12); none where they are not fused."""
+        if not self.options.fused:
+            return []
+        noise = self.options.depth_noise_m * instant.units_per_metre
+        return [fusion_weights(view.depth, self._tau(instant), noise) for view in filtered]
+
+    def _blend(
+        self, instant: Instant, filtered: list[FilteredDepth], splats: list[Splat], depth: Map | None
+    ) -> tuple[Map, dict[str, Map]]:
+        """Blend the views and mix the output with the one before where nothing moves; and what was decided for it."""
         chosen = self.options
         change = splatted_change(splats, chosen.covered_alpha, chosen.beta_mask, chosen.lambda_t)
         known = np.zeros((instant.target.height, instant.target.width), np.float32) if depth is None else depth
         depths = [view.depth for view in filtered]
-        image = self.blender.blend(BlendingInputs(instant, depths, splats, known, self._tau(instant)))
-        return self._output.step(instant.index, instant.target, image, change)
+        blended = self.blender.blend(BlendingInputs(instant, depths, splats, known, self._tau(instant)))
+        inside = inside_maps(depth, splats, change, blended.weights)
+        return self._output.step(instant.index, instant.target, blended.image, change), inside
 
     def _splat(self, instant: Instant, filtered: list[FilteredDepth]) -> list[Splat]:
         """Render each view forward: colour, difference mask, coverage and depth (Sec. 3.1)."""
@@ -151,17 +169,16 @@ class GeometryGuided:
                 splats.append(splat([gaussians], instant.target, near=near, scale=chosen.gaussian_scale_px))
         return splats
 
-    def _march(self, instant: Instant, filtered: list[FilteredDepth], splats: list[Splat]) -> RayMarch:
+    def _march(self, instant: Instant, filtered: list[FilteredDepth], weights: list[Map], splats: list[Splat]) -> RayMarch:
         """Fuse the filtered depths, and the previous fused depth, in the target view (Eqs. 3, 9-14)."""
-        tau, noise = self._tau(instant), self.options.depth_noise_m * instant.units_per_metre
         views = [
-            DepthView(source.camera, view.depth, fusion_weights(view.depth, tau, noise))
-            for source, view in zip(instant.sources, filtered, strict=True)
+            DepthView(source.camera, view.depth, weight)
+            for source, view, weight in zip(instant.sources, filtered, weights, strict=True)
         ]
         previous = self._previous_depth(instant, splats)
         reading = FieldReading(self.options.signed_distance, self.options.normalised_field)
         march_by = ray_march if reading == FieldReading() else partial(printed_march, reading=reading)
-        march = march_by(instant.target, views, tau=tau, previous=previous, min_step=self.options.min_step)
+        march = march_by(instant.target, views, tau=self._tau(instant), previous=previous, min_step=self.options.min_step)
         self._previous = _Fused(instant.index, instant.target, march)
         return march
 

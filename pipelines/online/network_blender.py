@@ -12,12 +12,14 @@ from ggvs_eval.geometry.per_pixel import weighted_mean
 from ggvs_eval.kernels.side_by_side import side_by_side
 from ggvs_eval.one_thread import one_thread
 from ggvs_eval.pipelines.online.blend_maps import BlendMaps, Guidance, blend_maps
-from ggvs_eval.pipelines.online.blend_network import BlendNetwork, small_outputs
+from ggvs_eval.pipelines.online.blend_network import SURE, BlendNetwork, small_outputs
 from ggvs_eval.pipelines.online.blend_weights import load_blend_network, shipped_blend_weights
-from ggvs_eval.pipelines.online.blending import COVERED_ALPHA, BlendingInputs
+from ggvs_eval.pipelines.online.blending import COVERED_ALPHA, Blended, BlendingInputs
 from ggvs_eval.pipelines.online.full_size import composed, refined
 from ggvs_eval.pipelines.online.inpainting import push_pull
-from ggvs_eval.pipelines.online.network_inputs import GUIDED, input_channels
+from ggvs_eval.pipelines.online.input_kernel import network_channels
+from ggvs_eval.pipelines.online.network_inputs import GUIDED
+from ggvs_eval.pipelines.online.overview import overview
 from ggvs_eval.pipelines.online.unet_kernel import unet_outputs
 
 
@@ -33,8 +35,8 @@ class NetworkBlender:
     weights: Path | None = None
     guidance: Guidance = "registered"
 
-    def blend(self, inputs: BlendingInputs) -> Map:
-        """The target view of one instant, (H, W, 3).
+    def blend(self, inputs: BlendingInputs) -> Blended:
+        """The target view of one instant.
 
         Raises:
             WeightsError: no usable weights.
@@ -50,28 +52,44 @@ class NetworkBlender:
         return blend_by(network, blend_maps(inputs, network.config.guidance))
 
 
-def blend_by(network: BlendNetwork, maps: BlendMaps) -> Map:
-    """The image that a network makes of the views, (H, W, 3); equal bits whatever the number of threads.
+def blend_by(network: BlendNetwork, maps: BlendMaps) -> Blended:
+    """What a network makes of the views; equal bits whatever the number of threads.
 
     Compiled kernels compute it, those of `unet_kernel` at the network's own size and those of `full_size` at full size.
     """
     config, near = network.config, maps.near_weights()
-    small, (unseen, background) = side_by_side(
-        lambda: _small_outputs(network, maps, near), lambda: (maps.unseen(), filled_picture(maps, near))
+    seen = overview(maps, near, config.scale)
+    (small, weights), background = side_by_side(
+        lambda: _small_outputs(network, seen.small, near), lambda: push_pull(seen.picture, seen.covered)
     )
-    picture = composed(maps, unseen, background, small, config.scale)
+    picture = composed(maps, seen.unseen, background, small, config.scale)
     if network.refiner is None:
-        return picture.image()
+        return Blended(picture.image(), weights)
     depth = maps.fused_depth if config.guidance in GUIDED else None
-    return refined(network.refiner, picture, depth, small, config.scale, len(near))
+    return Blended(refined(network.refiner, picture, depth, small, config.scale, len(near)), weights)
 
 
-def _small_outputs(network: BlendNetwork, maps: BlendMaps, near: Map) -> Map:
-    """`small_outputs` of the network for one instant, (K + 4 + F, h, w)."""
+def _small_outputs(network: BlendNetwork, reduced: BlendMaps, near: Map) -> tuple[Map, Map]:
+    """`small_outputs` of the network for one instant, (K + 4 + F, h, w), and the share of each view by them, (K, h, w)."""
     config = network.config
-    raw = unet_outputs(network.unet, input_channels(maps.reduced(config.scale), config.guidance, config.views))
+    raw = unet_outputs(network.unet, network_channels(reduced, config.guidance, config.views))
     with one_thread(), torch.inference_mode():
-        return small_outputs(torch.from_numpy(raw)[None], torch.from_numpy(near)[None], config.views)[0].contiguous().numpy()
+        small = small_outputs(torch.from_numpy(raw)[None], torch.from_numpy(near)[None], config.views)[0].contiguous().numpy()
+    return small, view_shares(small, reduced)
+
+
+def view_shares(small: Map, reduced: BlendMaps) -> Map:
+    """Share of each view in the composed picture (Eqs. 4-5) at the network's own size, (K, h, w).
+
+    Args:
+        small: `small_outputs` of the network, (K + 4 + F, h, w).
+        reduced: the maps of that size.
+    """
+    views = len(reduced.coverage)
+    weights = small[:views] * reduced.coverage
+    unseen = np.clip(reduced.unseen(), SURE, 1 - SURE)
+    background = 1 / (1 + np.exp(-small[views]) * (1 - unseen) / unseen)
+    return np.asarray(weights * ((1 - background) / (weights.sum(axis=0) + 1e-6)), np.float32)
 
 
 def blend_start(maps: BlendMaps) -> dict[str, Map]:

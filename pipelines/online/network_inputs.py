@@ -91,9 +91,15 @@ def _widened(group: Map, count: int, views: int) -> Map:
 
 def surface_points(camera: Camera, depth: Map) -> Map:
     """The points of a depth map in its camera's frame, (3, H, W), float32."""
+    across, down = ray_slopes(camera)
+    return np.stack([depth * across, depth * down[:, None], depth])
+
+
+def ray_slopes(camera: Camera) -> tuple[Map, Map]:
+    """Slopes x / z of the rays through each column, (W,), and y / z of those through each row, (H,), float32."""
     across = (np.arange(camera.width) + 0.5 - camera.K[0, 2]) / camera.K[0, 0]
     down = (np.arange(camera.height) + 0.5 - camera.K[1, 2]) / camera.K[1, 1]
-    return np.stack([depth * across.astype(np.float32), depth * down.astype(np.float32)[:, None], depth])
+    return across.astype(np.float32), down.astype(np.float32)
 
 
 def surface_normals(points: Map, known: NDArray[np.bool_]) -> Map:

@@ -123,11 +123,17 @@ def mixed(image: Map, past: Map, weight: Map) -> Map:
         Light that changes slowly is not seen as motion and would lag behind. The mean difference over about 32 pixels, of what
         stands still, is therefore let through.
     """
-    size = image.shape[1::-1]
+    from ggvs_eval.kernels import _core
+
+    size, flat = image.shape[1::-1], image.shape[:2]
     light = weight[..., None] * _wide(past[::REDUCTION, ::REDUCTION] - image[::REDUCTION, ::REDUCTION], weight)
-    fine = cv2.resize(weight, size, interpolation=cv2.INTER_LINEAR)
-    blended = cv2.blendLinear(past, image, SHARES * fine, SHARES * (1 - fine))
-    return np.asarray(cv2.subtract(blended, cv2.resize(light, size, interpolation=cv2.INTER_LINEAR), dst=blended), np.float32)
+    fine = cv2.resize(weight, size, _core.empty(flat), interpolation=cv2.INTER_LINEAR)
+    rest = np.subtract(np.float32(1), fine, out=_core.empty(flat))
+    rest *= SHARES
+    fine *= SHARES
+    blended = cv2.blendLinear(past, image, fine, rest, _core.empty(image.shape))
+    wide = cv2.resize(light, size, _core.empty(image.shape), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(cv2.subtract(blended, wide, dst=blended), np.float32)
 
 
 def _wide(difference: Map, weight: Map) -> Map:

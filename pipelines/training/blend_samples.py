@@ -16,7 +16,7 @@ from ggvs_eval.pipelines.offline.checked_depth import check_depth
 from ggvs_eval.pipelines.offline.depth import DepthEstimator, DepthOptions
 from ggvs_eval.pipelines.offline.pairing import choose_partners
 from ggvs_eval.pipelines.online.blend_maps import RawViews, raw_views
-from ggvs_eval.pipelines.online.blending import Blender, BlendingInputs
+from ggvs_eval.pipelines.online.blending import Blended, Blender, BlendingInputs
 from ggvs_eval.pipelines.online.geometric_blender import GeometricBlender
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
 from ggvs_eval.pipelines.online.network_inputs import reference_depth
@@ -106,11 +106,12 @@ class _Recorder:
         self.images: list[Map] = []
         self._blender = blender
 
-    def blend(self, inputs: BlendingInputs) -> Map:
-        """The other one's image."""
+    def blend(self, inputs: BlendingInputs) -> Blended:
+        """What the other one makes."""
         self.inputs.append(inputs)
-        self.images.append(self._blender.blend(inputs))
-        return self.images[-1]
+        blended = self._blender.blend(inputs)
+        self.images.append(blended.image)
+        return blended
 
 
 def write_sample(path: Path, sample: BlendSample) -> None:

@@ -109,7 +109,7 @@ class BlendTask:
         guidance = self.config.guidance
         for index in range(len(self.validation)):
             sample = self.validation.read(index)
-            images = {"": quantise(blend_by(network, sample.views.maps(guidance))), "geometric_": sample.geometric}
+            images = {"": quantise(blend_by(network, sample.views.maps(guidance)).image), "geometric_": sample.geometric}
             for prefix, image in images.items():
                 sums[f"{prefix}psnr_db"] += psnr(image, sample.truth)
                 sums[f"{prefix}ssim"] += ssim(image, sample.truth)

@@ -1,0 +1,28 @@
+// What blending wants to know of the views before it looks closer, in one pass over them.
+#pragma once
+#include <cstdint>
+
+namespace ggvs {
+
+// K views in the target view, nearest first.
+struct Views {
+    int width, height, views, scale;
+    const float* colours;   // (views, height, width, 3)
+    const float* coverage;  // (views, height, width), factors of the weights
+    const float* seen;      // (views, height, width), how far they show what the target sees
+    const float* alphas;    // (views, height, width), coverages of the splats
+    const float* near;      // (views), weights by distance
+    float black_weight;     // of a black view everywhere, so that no division is by zero
+    float covered_alpha;    // coverage from which a splat shows something
+};
+
+struct OverviewMaps {
+    float* mean;      // (height, width, 3): of the colours, weighted by coverage and distance
+    float* unseen;    // (height, width): how little of what the target sees is shown by near views
+    bool* covered;    // (height, width): whether a splat shows something
+    float* small[4];  // colours, coverage, seen, alphas: means of scale x scale pixels, the last row and column repeated
+};
+
+void overview(const Views& job, const OverviewMaps& out, int threads);
+
+}  // namespace ggvs
