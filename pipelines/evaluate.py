@@ -7,7 +7,7 @@ from pathlib import Path
 from ggvs_eval.capture import Capture, Retake
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.held_still import retake
-from ggvs_eval.pipelines.jobs.engine import Workers, as_engine
+from ggvs_eval.pipelines.jobs.engine import Workers
 from ggvs_eval.pipelines.methods.registry import NO_CHECKPOINTS, Checkpoints
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.prepare import Prepared, prepare
@@ -54,12 +54,12 @@ def measure(
     checkpoints: Checkpoints = NO_CHECKPOINTS,
 ) -> None:
     """Everything of `evaluate` but the report."""
-    prepared = prepare(root, capture, protocol, as_engine(workers).jobs, depth)
+    prepared = prepare(root, capture, protocol, workers, depth)
     render(prepared, labels, workers, checkpoints)
     score(RunFolder(root), workers)
 
 
-def reopen(root: Path, workers: int) -> Prepared:
+def reopen(root: Path, workers: Workers) -> Prepared:
     """Pick up a run folder that `prepare` has made, from the protocol and capture that it names."""
     run = RunFolder(root)
     return prepare(root, recorded_capture(run), run.protocol(), workers)

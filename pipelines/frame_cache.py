@@ -2,11 +2,13 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from ggvs_eval.capture import Capture, FrameSource
 from ggvs_eval.images import Image8, read_image, write_image
-from ggvs_eval.processes import finish_all, worker_pool
+from ggvs_eval.pipelines.jobs.do_all import do_all
+from ggvs_eval.pipelines.jobs.engine import Workers
 from ggvs_eval.run_folder import frame_path, missing_frames
 
 
@@ -34,7 +36,7 @@ class CachedFrames:
             yield read_image(frame_path(self.folder, index))
 
 
-def cache_frames(capture: Capture, wanted: Mapping[str, Sequence[int]], root: Path, workers: int) -> Capture:
+def cache_frames(capture: Capture, wanted: Mapping[str, Sequence[int]], root: Path, workers: Workers) -> Capture:
     """Write frames of some cameras, at the size of these cameras, that are not there yet.
 
     Cameras are decoded side by side, each video once and as a stream.
@@ -43,7 +45,7 @@ def cache_frames(capture: Capture, wanted: Mapping[str, Sequence[int]], root: Pa
         capture: at the wanted size.
         wanted: camera -> frames, in any order.
         root: folder to write ``<camera>/<frame>.png`` into.
-        workers: processes.
+        workers: where the work is done.
 
     Returns:
         The capture with these cameras read from there.
@@ -54,11 +56,8 @@ def cache_frames(capture: Capture, wanted: Mapping[str, Sequence[int]], root: Pa
     absent = {
         name: [t for t in sorted(set(frames)) if not frame_path(root / name, t).is_file()] for name, frames in wanted.items()
     }
-    missing = {name: frames for name, frames in absent.items() if frames}
-    if missing:
-        with worker_pool(min(workers, len(missing))) as pool:
-            running = [pool.submit(_write, capture, name, frames, root / name) for name, frames in missing.items()]
-            finish_all(pool, running, "frames per camera")
+    missing = [(name, frames) for name, frames in absent.items() if frames]
+    do_all(partial(_write, capture, root), missing, workers, "frames per camera")
     sources: list[FrameSource] = [
         CachedFrames(root / name, capture.n_frames, source.digest) if name in wanted else source
         for name, source in zip(capture.camera_names, capture.sources, strict=True)
@@ -66,9 +65,10 @@ def cache_frames(capture: Capture, wanted: Mapping[str, Sequence[int]], root: Pa
     return replace(capture, sources=tuple(sources))
 
 
-def _write(capture: Capture, name: str, frames: Sequence[int], folder: Path) -> None:
+def _write(capture: Capture, root: Path, camera: tuple[str, Sequence[int]]) -> None:
     """Decode one camera from its first missing frame to its last; runs in a worker."""
-    start = frames[0]
+    name, frames = camera
+    folder, start = root / name, frames[0]
     for index, image in enumerate(capture.frames(name, start, frames[-1] + 1), start):
         if missing_frames(folder, range(index, index + 1)):
             write_image(frame_path(folder, index), image)

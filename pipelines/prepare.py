@@ -15,6 +15,7 @@ from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import CaptureError, ProtocolError
 from ggvs_eval.images import resize, write_image
 from ggvs_eval.pipelines.frame_cache import cache_frames
+from ggvs_eval.pipelines.jobs.engine import Workers
 from ggvs_eval.pipelines.offline.depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.offline.prepare import DepthJob, depth_spec, plan_depth, prepare_depth
@@ -68,14 +69,14 @@ class Prepared:
         return range(self.protocol.frames.start, self.protocol.frames.start + self.protocol.frames.count)
 
 
-def prepare(root: Path, capture: Capture, protocol: Protocol, workers: int = 1, depth: DepthChoice | None = None) -> Prepared:
+def prepare(root: Path, capture: Capture, protocol: Protocol, workers: Workers = 1, depth: DepthChoice | None = None) -> Prepared:
     """Write protocol, capture record, truth frames and depth into a run folder; what is there is kept.
 
     Args:
         root: the run folder; made if absent.
         capture: the capture at its own size.
         protocol: what to evaluate.
-        workers: processes.
+        workers: where the work is done.
         depth: how depth is found; as the folder says, or the default.
 
     Raises:
@@ -97,14 +98,14 @@ def prepare(root: Path, capture: Capture, protocol: Protocol, workers: int = 1, 
     return prepared
 
 
-def prepare_truth(root: Path, capture: Capture, protocol: Protocol, workers: int = 1) -> RunFolder:
+def prepare_truth(root: Path, capture: Capture, protocol: Protocol, workers: Workers = 1) -> RunFolder:
     """Write protocol, capture record and truth frames of the test views into a run folder: what scoring alone needs.
 
     Args:
         root: the run folder; made if absent. `prepare` can go on with it.
         capture: the capture at its own size.
         protocol: what to evaluate.
-        workers: processes.
+        workers: where the work is done.
 
     Raises:
         CaptureError: the capture is unreadable or lacks what the protocol asks for.
@@ -280,7 +281,7 @@ def _write_path_truth(prepared: Prepared) -> None:
     write_path_record(prepared.run, prepared.path_frame, [(plan.target, list(plan.depth_keys)) for plan in prepared.path])
 
 
-def _prepare_depth(prepared: Prepared, options: DepthOptions, workers: int) -> None:
+def _prepare_depth(prepared: Prepared, options: DepthOptions, workers: Workers) -> None:
     """Estimate what the plans need: all frames for the test views, one instant for the path."""
     store = DepthStore(prepared.run.depth)
     views = {job for plan in prepared.plans.values() for job in plan.jobs}

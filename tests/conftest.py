@@ -36,3 +36,28 @@ def kernel_settings() -> Iterator[None]:
     yield
     kernels.set_threads(threads)
     kernels.set_level(level)
+
+
+@pytest.fixture(scope="session")
+def started(tmp_path_factory):
+    """One real browser for all tests that share a process."""
+    from browser import open_browser
+
+    with open_browser(tmp_path_factory.mktemp("browser")) as browser:
+        yield browser
+
+
+@pytest.fixture(scope="session")
+def painted(tmp_path_factory) -> Path:
+    """A page whose pictures say what they are of; nobody changes it."""
+    from painted_page import write_painted_page
+
+    return write_painted_page(tmp_path_factory.mktemp("painted"))
+
+
+@pytest.fixture
+def shown(started, painted):
+    """The painted page, freshly opened at desktop width; a test that makes it complain fails."""
+    started.visit(painted)
+    yield started
+    assert started.complaints() == []

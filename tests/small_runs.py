@@ -12,12 +12,14 @@ from ggvs_eval.synthetic.options import DemoOptions
 LABELS = ("no-blending", "distance-based")
 
 
-def write_small_capture(folder: Path, n_frames: int) -> Capture:
+def small_options(n_frames: int) -> DemoOptions:
     """Six cameras of 64 x 48 in two rows."""
-    options = DemoOptions(
-        width=64, height=48, n_frames=n_frames, cameras_per_row=3, path_poses=0, supersampling=1, depth_stride=0
-    )
-    return open_capture(write_demo(folder, options, workers=1))
+    return DemoOptions(width=64, height=48, n_frames=n_frames, cameras_per_row=3, path_poses=0, supersampling=1, depth_stride=0)
+
+
+def write_small_capture(folder: Path, n_frames: int) -> Capture:
+    """Film them."""
+    return open_capture(write_demo(folder, small_options(n_frames), workers=1))
 
 
 def small_protocol(n_frames: int, path_poses: int, metrics: tuple[str, ...]) -> Protocol:

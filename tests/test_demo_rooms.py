@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from captures import make_rig
-from command_line import refusal
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.pipelines import demo_runs
+from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.demo_runs import capture_beside, demo_root, evaluate_demos
 from ggvs_eval.pipelines.suggest_protocol import suggest_protocol
 from ggvs_eval.protocol import CameraPath, Frames, Protocol, Synthesis, Views, load_protocol
@@ -161,7 +161,13 @@ def test_all_rooms_stand_on_one_page(tmp_path, small_protocols, monkeypatch):
     assert {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.png") if "report" not in file.parts} == before
 
 
-def test_a_dry_run_wants_a_capture(tmp_path):
-    """What has to be filmed first cannot be planned; the message says what to give."""
-    assert "--dry-run wants --capture" in refusal("run", tmp_path / "out", "--dry-run")
+def test_a_dry_run_films_nothing(tmp_path, capsys):
+    """Without a capture the plan says for each room what will be filmed and how much is to be done; nothing is written."""
+    run_command(["run", str(tmp_path / "out"), "--dry-run"])
+
+    told = capsys.readouterr().out.splitlines()
+    assert [line.split(":")[0] for line in told] == ["film", "plan", "disk"] * 3
+    assert "24 cameras x 24 frames at 480 x 360, into " in told[0]
+    assert "3 views x 24 frames x 6 methods at 480 x 360, K = 4" in told[1]
+    assert "2 views x 8 frames x 3 methods at 384 x 216, K = 2" in told[7]
     assert list(tmp_path.iterdir()) == []

@@ -9,12 +9,11 @@ import tyro
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import ProtocolError, WeightsError
 from ggvs_eval.pipelines.commands.announce import announce
-from ggvs_eval.pipelines.commands.captures import BY_DEFAULT, FOUND_BY_DEFAULT, Finding, Folder, Reading
+from ggvs_eval.pipelines.commands.captures import BY_DEFAULT, FOUND_BY_DEFAULT, Finding, Folder, Reading, ReadingOptions
 from ggvs_eval.pipelines.jobs.engine import Engine
 from ggvs_eval.pipelines.jobs.ledger import Failure
 from ggvs_eval.pipelines.methods.registry import METHODS, Checkpoints, usual_methods
 from ggvs_eval.pipelines.planning.wish import Wish
-from ggvs_eval.processes import default_workers
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.synthetic.options import DemoOptions
 
@@ -33,7 +32,7 @@ def prepare(
     dense_workspace: Path | None = None,
     reading: Reading = BY_DEFAULT,
     depth: Finding = FOUND_BY_DEFAULT,
-    jobs: int = default_workers(),
+    engine: Running = HERE,
     dry_run: bool = False,
 ) -> None:
     """Read a capture under a protocol and write what every method needs: truth frames, source views, depth, a page that shows it.
@@ -46,19 +45,19 @@ def prepare(
         dense_workspace: also write the first instant's depth as a COLMAP dense workspace into this folder.
         reading: how the capture is read.
         depth: how depth is found.
-        jobs: processes.
+        engine: where jobs run.
         dry_run: only tell how much there is to do, what it needs and how long it takes.
     """
     from ggvs_eval.pipelines.depth_outputs import export_prepared, fuse_prepared, write_prepared_page
     from ggvs_eval.pipelines.prepare import prepare as write
 
-    opened = reading.open(capture)
+    root, opened = engine.place(run), reading.open(engine.place(capture))
     chosen = _protocol(protocol, opened)
-    announce([Wish(run, opened, chosen, (), depth)], jobs, run, dry_run)
+    announce([Wish(root, opened, chosen, (), depth)], engine.jobs, root, dry_run)
     if dry_run:
         return
-    prepared = write(run, opened, chosen, jobs, depth)
-    print(write_prepared_page(prepared, depth.options().filled_confidence, jobs))
+    prepared = write(root, opened, chosen, engine, depth)
+    print(write_prepared_page(prepared, depth.options().filled_confidence, engine.jobs))
     if fuse:
         fused = fuse_prepared(prepared)
         print(fused.points, fused.mesh, sep="\n")
@@ -78,7 +77,7 @@ def render(run: Folder, methods: Labels = USUAL_METHODS, weights: Weights = (), 
     from ggvs_eval.pipelines.evaluate import reopen
     from ggvs_eval.pipelines.render import render as synthesise
 
-    prepared = reopen(engine.place(run), engine.jobs)
+    prepared = reopen(engine.place(run), engine)
     print(f"{synthesise(prepared, methods, engine, _checkpoints(weights))} jobs rendered in {run}")
 
 
@@ -106,23 +105,26 @@ def run(
         reading: how the capture is read.
         depth: how depth is found.
         engine: where jobs run.
-        dry_run: only tell how much there is to do, what it needs and how long it takes.
+        dry_run: only tell how much there is to do, what it needs and how long it takes; nothing is filmed for it.
     """
     from ggvs_eval.pipelines.demo_runs import SMALL_ROOMS_METHODS, evaluate_demos
     from ggvs_eval.pipelines.evaluate import evaluate
+    from ggvs_eval.pipelines.planning.demo_wishes import demo_wishes
 
     root, checkpoints = engine.place(run), _checkpoints(weights)
-    if capture is None and dry_run:
-        raise ProtocolError("--dry-run wants --capture: the demo rooms are filmed before they can be planned")
     if capture is None and protocol is None:
         few = SMALL_ROOMS_METHODS if methods == USUAL_METHODS else methods
+        if dry_run:
+            for wish in demo_wishes(root, methods, few, reading.open, depth, checkpoints):
+                announce([wish], engine.jobs, wish.root, dry_run)
+            return
 
         def tell(each: Wish) -> None:
             announce([each], engine.jobs, each.root)
 
         print(evaluate_demos(root, methods, few, engine, reading.open, depth, checkpoints, tell=tell))
         return
-    opened = reading.open(engine.place(capture or _demo_beside(run, engine.jobs)))
+    opened = reading.open(engine.place(capture)) if capture else _demo_beside(root, engine.jobs, reading, dry_run)
     chosen = _protocol(protocol, opened)
     announce([Wish(root, opened, chosen, methods, depth, checkpoints)], engine.jobs, root, dry_run)
     if dry_run:
@@ -167,8 +169,10 @@ def sweep(
     from ggvs_eval.sweep import load_sweep
 
     wanted, part, checkpoints = load_sweep(name), Shard.parse(shard), _checkpoints(weights)
-    paths = [engine.place(path) for path in capture or (_demo_beside(out, engine.jobs),)]
-    opened = {path.resolve().name: reading.open(path) for path in paths}
+    given = [reading.open(engine.place(path)) for path in capture]
+    captures = given or [_demo_beside(engine.place(out), engine.jobs, reading, dry_run and not plan)]
+    paths = [each.path for each in captures]
+    opened = {each.path.resolve().name: each for each in captures}
     if len(opened) < len(capture):
         raise ProtocolError(f"wanted captures whose folders differ in name, got {', '.join(map(str, capture))}; rename one")
     starts = {folder: (each, _protocol(protocol, each)) for folder, each in opened.items()}
@@ -226,10 +230,16 @@ def _checkpoints(weights: tuple[str, ...]) -> Checkpoints:
     return found
 
 
-def _demo_beside(run: Path, jobs: int) -> Path:
+def _demo_beside(run: Path, jobs: int, reading: ReadingOptions, dry_run: bool) -> Capture:
+    """The demo beside a run folder, which is filmed where it is not there; a dry run films nothing."""
+    from ggvs_eval.pipelines.demo_runs import capture_beside
+    from ggvs_eval.pipelines.planning.unfilmed import demo_to_plan
     from ggvs_eval.synthetic.demo import write_demo
 
-    return write_demo(run.with_name(f"{run.name}-capture"), DemoOptions(), jobs)
+    folder = capture_beside(run)
+    if dry_run:
+        return demo_to_plan(folder, DemoOptions(), reading.open)
+    return reading.open(write_demo(folder, DemoOptions(), jobs))
 
 
 def _protocol(source: str | None, capture: Capture) -> Protocol:

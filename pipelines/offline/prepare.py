@@ -2,16 +2,18 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 from ggvs_eval.camera import Camera, nearest_cameras
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore, describe_depth
+from ggvs_eval.pipelines.jobs.do_all import do_all
+from ggvs_eval.pipelines.jobs.engine import Workers
 from ggvs_eval.pipelines.offline.checked_depth import check_depth
 from ggvs_eval.pipelines.offline.depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth_stream import DepthStream
 from ggvs_eval.pipelines.offline.pairing import choose_partners
 from ggvs_eval.pipelines.offline.sensor_depth import SensorDepthEstimator
-from ggvs_eval.processes import finish_all, worker_pool
 
 
 @dataclass(frozen=True, order=True)
@@ -92,12 +94,12 @@ def depth_spec(capture: Capture, job: DepthJob, options: DepthOptions) -> dict[s
 
 
 def prepare_depth(
-    capture: Capture, jobs: Sequence[DepthJob], frames: range, store: DepthStore, options: DepthOptions, workers: int
+    capture: Capture, jobs: Sequence[DepthJob], frames: range, store: DepthStore, options: DepthOptions, workers: Workers
 ) -> None:
     """Compute the depth of every job and frame that the store does not have.
 
-    Jobs run side by side, one process each, frames as a stream. A killed run goes on where it stopped; the result does not depend
-    on the number of workers.
+    Jobs run side by side, one process each, frames as a stream. A killed run goes on where it stopped; the result depends neither
+    on the number of workers nor on where they are.
 
     Args:
         capture: the capture.
@@ -105,7 +107,7 @@ def prepare_depth(
         frames: consecutive instants.
         store: where depth maps go.
         options: parameters.
-        workers: number of processes.
+        workers: where jobs run.
 
     Raises:
         DepthError: a job that cannot be computed.
@@ -119,24 +121,21 @@ def prepare_depth(
 
 
 def _in_workers(
-    work: Callable[[Capture, DepthJob, range, DepthStore, DepthOptions], None],
+    work: Callable[[Capture, range, DepthStore, DepthOptions, DepthJob], None],
     capture: Capture,
     jobs: Sequence[DepthJob],
     frames: range,
     store: DepthStore,
     options: DepthOptions,
-    workers: int,
+    workers: Workers,
     title: str,
 ) -> None:
     """Do what is missing of some jobs, one process each."""
     missing = [job for job in dict.fromkeys(jobs) if _missing(store, _key(capture, job, options), frames)]
-    if not missing:
-        return
-    with worker_pool(min(workers, len(missing))) as pool:
-        finish_all(pool, [pool.submit(work, capture, job, frames, store, options) for job in missing], title)
+    do_all(partial(work, capture, frames, store, options), missing, workers, title)
 
 
-def _check(capture: Capture, job: DepthJob, frames: range, store: DepthStore, options: DepthOptions) -> None:
+def _check(capture: Capture, frames: range, store: DepthStore, options: DepthOptions, job: DepthJob) -> None:
     """Hold what was found for one camera against the others; runs in a worker."""
     key = store.write_spec(depth_spec(capture, job, options))
     own, *others = ((each.camera_name, _key(capture, each, options)) for each in (job.unchecked, *job.checked_with))
@@ -145,7 +144,7 @@ def _check(capture: Capture, job: DepthJob, frames: range, store: DepthStore, op
         store.write(key, frame, check_depth(capture.camera(own[0]), store.read(own[1], frame), views, options))
 
 
-def _run(capture: Capture, job: DepthJob, frames: range, store: DepthStore, options: DepthOptions) -> None:
+def _run(capture: Capture, frames: range, store: DepthStore, options: DepthOptions, job: DepthJob) -> None:
     """Compute what is missing of one job; runs in a worker."""
     key = store.write_spec(depth_spec(capture, job, options))
     missing = _missing(store, key, frames)

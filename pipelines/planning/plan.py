@@ -15,6 +15,7 @@ from ggvs_eval.pipelines.offline.depth import DepthOptions
 from ggvs_eval.pipelines.planning.estimate import Pace, Portion, disk_bytes
 from ggvs_eval.pipelines.planning.probe import probe
 from ggvs_eval.pipelines.planning.rates import Rates
+from ggvs_eval.pipelines.planning.unfilmed import films
 from ggvs_eval.pipelines.planning.wish import Wish
 from ggvs_eval.pipelines.planning.work_left import plan_frames, work_left
 from ggvs_eval.pipelines.prepare import Prepared, claim_run, depth_choice_of
@@ -36,6 +37,7 @@ class RunPlan:
         probed_k: source cameras in that trial.
         jobs: processes.
         folder: where the runs go.
+        films: what has to be filmed first, a line for each capture.
     """
 
     title: str
@@ -44,6 +46,7 @@ class RunPlan:
     probed_k: int
     jobs: int
     folder: Path
+    films: Sequence[str] = ()
 
     @property
     def disk_bytes(self) -> float:
@@ -72,7 +75,7 @@ class RunPlan:
             depth_maps |= {**each.left.found_depth, **each.left.checked_depth}
         maps = f"{sum(depth_maps.values())} depth maps"
         rendered = sum(each.left.n_rendered for each in self.portions)
-        lines = [f"plan: {self.title}; left are {rendered} frames to render, {maps}"]
+        lines = [*self.films, f"plan: {self.title}; left are {rendered} frames to render, {maps}"]
         lines.append(f"disk: about {_size(self.disk_bytes)} more in {self.folder}, {_size(self.free_bytes)} free")
         if self.rates is not None:
             lines += [self._memory_line(self.rates), self._time_line(self.rates)]
@@ -120,8 +123,9 @@ def plan_runs(wishes: Sequence[Wish], jobs: int, folder: Path, keep: bool = True
     """
     trials = [(depth_choice_of(RunFolder(wish.root), wish.depth).options(), wish) for wish in wishes]
     planned, portions = zip(*(_count(wish, options) for options, wish in trials), strict=True)
-    plan = RunPlan(_title(wishes, portions), portions, None, 1, jobs, folder)
-    if sum(each.n_pixels * (each.left.n_depth + each.left.n_rendered) for each in portions) < PROBED_FROM_PIXELS:
+    unfilmed = films({wish.capture.path: wish.capture for wish in wishes}.values())
+    plan = RunPlan(_title(wishes, portions), portions, None, 1, jobs, folder, unfilmed)
+    if unfilmed or sum(each.n_pixels * (each.left.n_depth + each.left.n_rendered) for each in portions) < PROBED_FROM_PIXELS:
         return plan
     plan.require_disk()
     index = max(range(len(portions)), key=lambda i: portions[i].left.n_rendered)

@@ -28,9 +28,8 @@ from ggvs_eval.pipelines.offline.prepare import DepthJob, depth_spec
 from ggvs_eval.pipelines.offline.sensor_depth import SensorDepthEstimator
 from ggvs_eval.pipelines.path_depth import write_path_depth
 from ggvs_eval.pipelines.planning.rates import Rates
+from ggvs_eval.pipelines.planning.score_trial import timed, try_scoring
 from ggvs_eval.pipelines.prepare import Prepared, SourcePlan
-from ggvs_eval.pipelines.renders.coverage import Coverage
-from ggvs_eval.pipelines.scoring.view import view_job
 from ggvs_eval.run_folder import RunFolder, frame_path
 
 INSTANTS = 2  # the first of a method or a metric pays for what is loaded and compiled once
@@ -51,20 +50,21 @@ def probe(planned: Prepared, options: DepthOptions, specs: Mapping[str, MethodSp
     view, plan = next(iter(planned.plans.items()))
     frames = planned.frames[:INSTANTS]
     truth_s, capture = _try_truth(planned.capture, view, plan, frames, options, shared / "truth")
-    depth_s, check_s = _try_depth(capture, plan, frames, DepthStore(shared / "depth"), options)
-    scratch = RunFolder(planned.run.root / ".probe.tmp")
+    store, scratch = DepthStore(shared / "depth"), RunFolder(planned.run.root / ".probe.tmp")
     shutil.rmtree(scratch.root, ignore_errors=True)
     try:
-        store = DepthStore(shared / "depth")
+        depth_s, check_s = _try_depth(capture, plan.jobs, frames, store, options)
+        if not depth_s and _depth_is_left(planned, store, options):  # a run that goes on: what it wants to know is stored
+            depth_s, check_s = _try_depth(capture, plan.jobs[:1], frames, DepthStore(scratch.depth), options)
         mask_s = _again(lambda: _cover(capture, plan, frames[0], store))
         pose = [(plan.target, plan.depth_keys)]
         pose_depth_s = (
-            _timed(lambda: write_path_depth(capture, pose, frames[0], store, scratch.path_depth)) if planned.path else 0.0
+            timed(lambda: write_path_depth(capture, pose, frames[0], store, scratch.path_depth)) if planned.path else 0.0
         )
         methods = {
             label: _try_method(capture, plan, frames, store, spec, scratch.renders(label, view)) for label, spec in specs.items()
         }
-        score_setup_s, score_s, plain_score_s = _try_scoring(planned, scratch, view, frames, list(specs), shared / "truth")
+        score_setup_s, score_s, plain_score_s = try_scoring(planned, scratch, view, frames, list(specs), shared / "truth")
         sizes = [file.stat().st_size for file in (scratch.root / "renders").rglob("*.png")]
     finally:
         shutil.rmtree(scratch.root, ignore_errors=True)
@@ -109,15 +109,21 @@ def _try_truth(
     return seconds / max(n_written, 1), replace(capture, sources=tuple(sources))
 
 
+def _depth_is_left(planned: Prepared, store: DepthStore, options: DepthOptions) -> bool:
+    """Whether a test view lacks depth of its last frame."""
+    keys = {_key(planned.capture, job, options) for plan in planned.plans.values() for job in plan.jobs}
+    return not all(store.has(key, planned.frames[-1]) for key in keys)
+
+
 def _try_depth(
-    capture: Capture, plan: SourcePlan, frames: range, store: DepthStore, options: DepthOptions
+    capture: Capture, jobs: Sequence[DepthJob], frames: range, store: DepthStore, options: DepthOptions
 ) -> tuple[float, float]:
     """Seconds per depth map as it is found, and as it is held against others; what is stored already costs nothing."""
     found_s: list[float] = []
-    for found in dict.fromkeys(each for job in plan.jobs for each in _with_checks(job)):
+    for found in dict.fromkeys(each for job in jobs for each in _with_checks(job)):
         found_s += _find_depth(capture, found, frames, store, options)
     checked_s: list[float] = []
-    for job in (job for job in plan.jobs if job.checked_with):
+    for job in (job for job in jobs if job.checked_with):
         key = store.write_spec(depth_spec(capture, job, options))
         own, *others = ((each.camera_name, _key(capture, each, options)) for each in _with_checks(job))
         for frame in (t for t in frames if not store.has(key, t)):
@@ -176,24 +182,6 @@ def _instant(capture: Capture, plan: SourcePlan, frame: int, store: DepthStore) 
     return Instant(frame, plan.target, tuple(views), capture.units_per_metre)
 
 
-def _try_scoring(
-    planned: Prepared, scratch: RunFolder, view: str, frames: range, labels: Sequence[str], truth: Path
-) -> tuple[float, float, float]:
-    """Seconds until the metrics are loaded, per instant of all methods, and per instant of one without LPIPS."""
-    if not labels:
-        return 0.0, 0.0, 0.0
-    scratch.truth(view).parent.mkdir(parents=True, exist_ok=True)
-    scratch.truth(view).symlink_to((truth / view).resolve(), target_is_directory=True)
-    measurement, coverage = planned.protocol.measurement, Coverage(frames, {}, {}, {})
-    plain = replace(measurement, metrics=tuple(name for name in measurement.metrics if name != "LPIPS"))
-    whole_job, plain_job = (
-        view_job(scratch, replace(planned.protocol, measurement=each), coverage, labels, view) for each in (measurement, plain)
-    )
-    first_s, again_s = (_timed(lambda: whole_job.work(scratch.root)) for _ in range(2))
-    plain_s = again_s if plain.metrics in ((), measurement.metrics) else _timed(lambda: plain_job.work(scratch.root))
-    return max(first_s - again_s, 0.0), again_s / len(frames), plain_s / len(frames) / len(labels)
-
-
 def _cover(capture: Capture, plan: SourcePlan, frame: int, store: DepthStore) -> None:
     """What a mask of what no source sees is made from: each source's depth in the target view."""
     near = NEAR_M * capture.units_per_metre
@@ -204,13 +192,7 @@ def _cover(capture: Capture, plan: SourcePlan, frame: int, store: DepthStore) ->
 
 def _again(work: Callable[[], object]) -> float:
     """Seconds of the second time."""
-    return [_timed(work) for _ in range(2)][1]
-
-
-def _timed(work: Callable[[], object]) -> float:
-    begun_s = time.perf_counter()
-    work()
-    return time.perf_counter() - begun_s
+    return [timed(work) for _ in range(2)][1]
 
 
 def _usual(seconds: Sequence[float]) -> float:

@@ -1,6 +1,7 @@
 """What no source camera sees of a test view: where methods must invent, whatever they are."""
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +12,14 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.geometry.splat import PixelGaussians, splat
 from ggvs_eval.images import write_image
+from ggvs_eval.pipelines.jobs.do_all import do_all
+from ggvs_eval.pipelines.jobs.engine import Workers
 from ggvs_eval.pipelines.online.blending import COVERED_ALPHA
-from ggvs_eval.processes import finish_all, worker_pool
 from ggvs_eval.run_folder import frame_path, missing_frames
 
 
 def write_disocclusions(
-    capture: Capture, views: Mapping[str, tuple[Camera, dict[str, str]]], frames: range, store: Path, root: Path, workers: int
+    capture: Capture, views: Mapping[str, tuple[Camera, dict[str, str]]], frames: range, store: Path, root: Path, workers: Workers
 ) -> None:
     """Write a mask of every frame of every test view; what is there is kept.
 
@@ -27,22 +29,19 @@ def write_disocclusions(
         frames: consecutive instants.
         store: root of the depth store.
         root: where ``<view>/<frame>.png`` goes, white where no source sees the view.
-        workers: processes.
+        workers: where the work is done.
 
     Reading:
         The paper speaks of disoccluded regions and gives no mask. Here a pixel is disoccluded where no source view, splatted
         forward by its estimated depth (Sec. 3.1), covers it by half; errors of that depth are part of the mask.
     """
-    missing = {view: plan for view, plan in views.items() if missing_frames(root / view, frames)}
-    if not missing:
-        return
-    with worker_pool(min(workers, len(missing))) as pool:
-        running = [pool.submit(_write, capture, *plan, frames, store, root / view) for view, plan in missing.items()]
-        finish_all(pool, running, "what no camera sees")
+    missing = [(root / view, *plan) for view, plan in views.items() if missing_frames(root / view, frames)]
+    do_all(partial(_write, capture, frames, store), missing, workers, "what no camera sees")
 
 
-def _write(capture: Capture, target: Camera, keys: dict[str, str], frames: range, store: Path, folder: Path) -> None:
-    depths, near = DepthStore(store), NEAR_M * capture.units_per_metre
+def _write(capture: Capture, frames: range, store: Path, view: tuple[Path, Camera, dict[str, str]]) -> None:
+    """Write the masks of one view; runs in a worker."""
+    (folder, target, keys), depths, near = view, DepthStore(store), NEAR_M * capture.units_per_metre
     for index in missing_frames(folder, frames):
         covered = np.zeros((target.height, target.width), np.float32)
         for name, key in keys.items():

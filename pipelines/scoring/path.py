@@ -12,6 +12,7 @@ from ggvs_eval.digest import digest_files
 from ggvs_eval.images import read_image
 from ggvs_eval.metrics.path_scores import PathPose, score_path
 from ggvs_eval.metrics.registry import METRICS
+from ggvs_eval.pipelines.jobs.engine import Workers
 from ggvs_eval.pipelines.jobs.job import Job, code_digest, run_jobs
 from ggvs_eval.pipelines.path_depth import pose_file, read_path_depth
 from ggvs_eval.protocol import Protocol
@@ -46,14 +47,14 @@ def write_path_record(run: RunFolder, frame: int, poses: Sequence[tuple[Camera, 
     write_json(run.path_record, record)
 
 
-def score_paths(run: RunFolder, protocol: Protocol, labels: Sequence[str], workers: int = 1) -> dict[str, dict[str, Any]]:
+def score_paths(run: RunFolder, protocol: Protocol, labels: Sequence[str], workers: Workers = 1) -> dict[str, dict[str, Any]]:
     """Measure the path of every method that has one, and of the truth where the capture has true images of it.
 
     Args:
         run: the run folder.
         protocol: asks for measures of the path, or does not.
         labels: methods.
-        workers: processes.
+        workers: where jobs run.
 
     Returns:
         label (or ``truth``) -> ``values``, a list of (measure, pose or -1, value), and ``not_computed``, measure -> reason. Empty

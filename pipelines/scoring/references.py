@@ -9,6 +9,7 @@ import numpy as np
 
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.ceilings import CEILING_METRICS, ceilings
+from ggvs_eval.pipelines.jobs.engine import Workers
 from ggvs_eval.pipelines.jobs.job import Job, code_digest, run_jobs
 from ggvs_eval.pipelines.scoring.path import TRUTH
 from ggvs_eval.pipelines.scoring.view import digest_frames, metric_options, truth_frames
@@ -24,13 +25,13 @@ NOTES = {
 PATH_NOTE = "what a camera on the path would have seen, measured like the methods."
 
 
-def score_ceilings(run: RunFolder, protocol: Protocol, workers: int = 1) -> dict[str, dict[str, Any]]:
+def score_ceilings(run: RunFolder, protocol: Protocol, workers: Workers = 1) -> dict[str, dict[str, Any]]:
     """What perfect renderings of each test view would score, estimated from its captured frames alone.
 
     Args:
         run: the run folder.
         protocol: views, frames, measurement.
-        workers: processes.
+        workers: where jobs run.
 
     Returns:
         view -> ``noise_free`` and ``second_recording``, metric -> value, and ``not_computed``, metric -> reason. Empty where the

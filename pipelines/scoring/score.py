@@ -11,7 +11,7 @@ from typing import Any
 
 from ggvs_eval.errors import RenderError
 from ggvs_eval.metrics.registry import METRICS
-from ggvs_eval.pipelines.jobs.engine import Workers, as_engine
+from ggvs_eval.pipelines.jobs.engine import Workers
 from ggvs_eval.pipelines.jobs.job import Job, run_jobs
 from ggvs_eval.pipelines.jobs.ledger import Ledger
 from ggvs_eval.pipelines.methods.registry import METHODS, split_label
@@ -48,11 +48,10 @@ def score(run: RunFolder, workers: Workers = 1, without: Collection[str] = ()) -
     ledger = Ledger(run.root, "score")
     ledger.write([job.entry for job in jobs])
     run_jobs(jobs, workers, "scoring", ledger)
-    at_once = as_engine(workers).jobs
-    paths = score_paths(run, protocol, labels, at_once)
+    paths = score_paths(run, protocol, labels, workers)
     results = _collect(run, protocol, coverage, labels, paths)
     results.write(run.root)
-    write_references(run, paths, score_ceilings(run, protocol, at_once))
+    write_references(run, paths, score_ceilings(run, protocol, workers))
     _write_shown_names(run, protocol, labels)
     return results
 

@@ -41,7 +41,7 @@ def prepare_cells(cells: Sequence[Cell], engine: Engine, depth: DepthChoice | No
     for cell in cells:
         cell.share_folders()
         prepared, why_not = attempt(
-            f"prepare {cell.name}", partial(prepare, cell.run.root, cell.capture, cell.protocol, engine.jobs, depth)
+            f"prepare {cell.name}", partial(prepare, cell.run.root, cell.capture, cell.protocol, engine, depth)
         )
         failures += why_not
         if prepared is not None:

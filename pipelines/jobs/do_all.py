@@ -1,0 +1,43 @@
+"""Work that writes its results itself, piece by piece, wherever jobs run: frames, depth maps and masks of a run."""
+
+import socket
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import TypeVar
+
+from ggvs_eval.errors import RenderError
+from ggvs_eval.pipelines.jobs.engine import Workers, as_engine
+from ggvs_eval.pipelines.jobs.job import ALL_CODE, code_digest
+from ggvs_eval.pipelines.jobs.lost_job import LostJob
+from ggvs_eval.progress import track
+
+Item = TypeVar("Item")
+
+
+def do_all(work: Callable[[Item], None], items: Sequence[Item], workers: Workers, description: str) -> None:
+    """Do the work for every item; the first that fails ends it, and a second call does what is missing.
+
+    Args:
+        work: writes what is missing of an item; a module-level function or a `functools.partial` of one.
+        items: in the order in which they are begun.
+        workers: where they run.
+        description: what is being done, a few words.
+
+    Raises:
+        RenderError: the work took its process with it as often as it was tried, or a worker has other code than this process.
+        Exception: what the work itself raised.
+    """
+    if not items:
+        return
+    engine = as_engine(workers)
+    checked = partial(_do_one, work, code_digest(*ALL_CODE)) if engine.scheduler else work
+    for _, outcome in track(engine.run(checked, items), description, len(items)):
+        if isinstance(outcome, LostJob):
+            raise RenderError(f"{description}: {outcome.reason}; what is done stays, run this again")
+
+
+def _do_one(work: Callable[[Item], None], code: str, item: Item) -> None:
+    """Runs on a worker of another's cluster, which must have the code of whoever asks."""
+    if code != code_digest(*ALL_CODE):
+        raise RenderError(f"the worker on {socket.gethostname()} has another version of ggvs-eval; install the same")
+    work(item)

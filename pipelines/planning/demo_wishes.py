@@ -1,0 +1,38 @@
+"""What `ggvs-eval run OUT` wants where no capture is given, to be planned without filming."""
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from ggvs_eval.capture import Capture
+from ggvs_eval.pipelines.demo_runs import capture_beside, demo_root
+from ggvs_eval.pipelines.methods.registry import NO_CHECKPOINTS, Checkpoints
+from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
+from ggvs_eval.pipelines.planning.unfilmed import demo_to_plan
+from ggvs_eval.pipelines.planning.wish import Wish
+from ggvs_eval.protocol import load_protocol
+from ggvs_eval.synthetic.demo_rooms import DEMO_ROOMS, MAIN
+
+
+def demo_wishes(
+    root: Path,
+    labels: Sequence[str],
+    small_labels: Sequence[str],
+    open_demo: Callable[[Path], Capture],
+    depth: DepthChoice | None = None,
+    checkpoints: Checkpoints = NO_CHECKPOINTS,
+) -> Iterator[Wish]:
+    """A wish for each demo room, as `evaluate_demos` evaluates them; nothing is written.
+
+    Args:
+        root: run folder of the main room.
+        labels: methods of the main room.
+        small_labels: methods of the others.
+        open_demo: opens the folder of a capture that was filmed already.
+        depth: how depth is found.
+        checkpoints: of methods whose weights do not ship.
+    """
+    for name, options in DEMO_ROOMS.items():
+        place = demo_root(root, name)
+        capture = demo_to_plan(capture_beside(place), options, open_demo)
+        wanted = labels if name == MAIN else small_labels
+        yield Wish(place, capture, load_protocol(name), wanted, depth, checkpoints)

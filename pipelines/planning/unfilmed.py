@@ -1,0 +1,82 @@
+"""The demo rooms as something to plan: as they were filmed, or before that, with cameras that have filmed nothing yet."""
+
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.capture import Capture
+from ggvs_eval.datasets.units import DEMO_NOTES
+from ggvs_eval.errors import CaptureError
+from ggvs_eval.images import Image8
+from ggvs_eval.synthetic.layout_enerf import easymocap_name
+from ggvs_eval.synthetic.layouts import LAYOUTS
+from ggvs_eval.synthetic.options import DemoOptions
+from ggvs_eval.synthetic.rig import in_metres
+from ggvs_eval.synthetic.shots import rig_shots
+
+
+@dataclass(frozen=True)
+class UnfilmedFrames:
+    """Frames that a camera of the demo is going to film; there is nothing to decode.
+
+    Attributes:
+        n_frames: how many.
+        digest: tells the cameras apart, as content would.
+    """
+
+    n_frames: int
+    digest: str
+
+    def frames(self, start: int, stop: int) -> Iterator[Image8]:
+        """Refuse.
+
+        Raises:
+            CaptureError: always.
+        """
+        raise CaptureError(f"wanted frames {start}..{stop - 1} of {self.digest}, the demo is not filmed yet; leave --dry-run out")
+
+
+def demo_to_plan(folder: Path, options: DemoOptions, open_demo: Callable[[Path], Capture]) -> Capture:
+    """The demo in a folder where it is filmed already, else what it is going to be; nothing is written.
+
+    Args:
+        folder: of the capture.
+        options: what is filmed where nothing is.
+        open_demo: opens the folder of a capture.
+    """
+    return open_demo(folder) if (folder / DEMO_NOTES).is_file() else unfilmed_demo(folder, options)
+
+
+def unfilmed_demo(folder: Path, options: DemoOptions) -> Capture:
+    """The demo capture without its frames: cameras, frame count and units are those of the filmed one.
+
+    Reading:
+        A filmed demo may carry a camera path of its own; a plan takes the path that a capture without one is given, which has as
+        many poses.
+    """
+    cameras = tuple(_noted(options, shot.noted) for shot in rig_shots(options))
+    sources = tuple(UnfilmedFrames(options.n_frames, camera.name) for camera in cameras)
+    units = LAYOUTS[options.layout].units_per_metre
+    name = folder.resolve().name
+    return Capture(name, options.layout, folder, cameras, sources, options.n_frames, options.fps, units, DEMO_NOTES)
+
+
+def _noted(options: DemoOptions, camera: Camera) -> Camera:
+    """A camera as the layout names it, in its units."""
+    return replace(in_metres(camera), name=easymocap_name(camera)) if options.layout == "enerf-outdoor" else camera
+
+
+def is_filmed(capture: Capture) -> bool:
+    """Whether a capture has frames that can be read."""
+    return not any(isinstance(source, UnfilmedFrames) for source in capture.sources)
+
+
+def films(captures: Collection[Capture]) -> Sequence[str]:
+    """A line for each capture that has to be filmed first."""
+    lines = []
+    for capture in (each for each in captures if not is_filmed(each)):
+        width, height = capture.cameras[0].size
+        what = f"{len(capture.cameras)} cameras x {capture.n_frames} frames at {width} x {height}"
+        lines.append(f"film: the demo is filmed first, {what}, into {capture.path}; only then can the time be estimated")
+    return lines
