@@ -10,16 +10,12 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
+from result_tables import budget_rows, ceilings_table, results_table, sweep_table, views_table
 
 from ggvs_eval.errors import ResultsError
-from ggvs_eval.results import Results
-from ggvs_eval.run_folder import RunFolder, read_json
 
 ROOT = Path(__file__).parents[1]
 OUT = ROOT / "out"
-DECIMALS = {"PSNR": 2, "PSNR_cc": 2, "SSIM": 3, "LPIPS": 3, "L1": 2, "TCC": 3, "STED": 2, "Flicker": 2, "SDT": 3, "SDV": 3}
-DECIMALS |= {"EPI_coherence": 3, "switch_ratio": 2}
 # Of the validation rooms the whole picture stands for all regions; the judge of depth prints the others.
 DEPTH_FIGURES = r"depth\.(motorcycle\.(epe_px|bad_[23]_percent)\.[^.]*$|sparse|rendering\.PSNR|reuse|rooms\.whole_picture|demo\.)"
 MATCHERS = ("sgbm", "sweep", "raft")
@@ -47,6 +43,9 @@ SPEED_ROWS = {  # shown: first part of the figures' names
 }
 STAGES = {"filter": "_filter", "splat": "_splat", "TSDF": "_tsdf", "blend": "_blend", "frame, p50": "", "frame, p95": "_p95"}
 
+ABLATION_METRICS = ("PSNR", "LPIPS", "TCC", "STED", "SDT", "EPI_coherence", "EPI_line_texture", "EPI_slope_error")
+BASELINE_METRICS = ("PSNR", "SSIM", "LPIPS", "L1", "TCC", "STED", "SDT", "SDV")
+
 Figures = dict[str, dict[str, Any]]
 Tables = Mapping[str, Callable[[], str]]
 
@@ -60,6 +59,8 @@ def main() -> None:
             "ceilings": lambda: ceilings_table(OUT / "demo"),
             "real_frame": lambda: results_table(OUT / "real_frame"),
             "real_frame_views": lambda: views_table(OUT / "real_frame"),
+            "real_frame_budget": lambda: budget_rows(OUT / "real_frame"),
+            "baselines": lambda: sweep_table(OUT / "rooms_baselines", BASELINE_METRICS),
             "depth": depth_table,
             "speed": speed_table,
         },
@@ -67,6 +68,8 @@ def main() -> None:
     _fill(
         ROOT / "docs" / "measurements.md",
         {
+            "ablations": lambda: sweep_table(OUT / "rooms_ablations", ABLATION_METRICS),
+            "held": lambda: results_table(OUT / "real_frame_held"),
             "calibration": lambda: figures_table(OUT / "validate.json", r"calibration\."),
             "depth": lambda: figures_table(OUT / "depth_validation" / "figures.json", DEPTH_FIGURES),
             "validate": lambda: figures_table(OUT / "validate.json", r"(?!calibration|depth)"),
@@ -88,26 +91,6 @@ def _fill(file: Path, tables: Tables) -> None:
             continue
         text = pattern.sub(lambda match, table=table: f"{match[1]}{table}\n{match[2]}", text)
     file.write_text(text, encoding="utf-8")
-
-
-def results_table(run: Path) -> str:
-    """Means of one run as Markdown, methods by their shown names."""
-    summary = Results.read(run).summary().droplevel("dataset")
-    columns = [name for name in DECIMALS if name in summary.columns]
-    return _markdown(_named(summary[columns], run))
-
-
-def views_table(run: Path) -> str:
-    """PSNR per test view as Markdown."""
-    return _markdown(_named(Results.read(run).per_view("PSNR"), run))
-
-
-def ceilings_table(run: Path) -> str:
-    """What perfect renderings would score on the capture of one run, as Markdown."""
-    entries = [entry for entry in read_json(run / "references.json") if entry["group"] == "consistency"]
-    columns = list(entries[0]["values"])
-    values = [[entry["values"][column] for column in columns] for entry in entries]
-    return _markdown(pd.DataFrame(values, [entry["name"] for entry in entries], columns))
 
 
 def depth_table() -> str:
@@ -157,20 +140,6 @@ def _read(file: Path) -> Figures:
 def _target(figure: dict[str, Any]) -> str:
     sign = "≥" if figure["higher_is_better"] else "≤"
     return "" if figure.get("target") is None else f"{sign} {figure['target']:.4g}"
-
-
-def _named(table: pd.DataFrame, run: Path) -> pd.DataFrame:
-    names = read_json(RunFolder(run).root / "methods.json")["names"]
-    index = ["+".join(filter(None, label)) for label in table.index]
-    return table.set_axis([names.get(label, label) for label in index], axis=0)
-
-
-def _markdown(table: pd.DataFrame) -> str:
-    rows = ["| method | " + " | ".join(map(str, table.columns)) + " |", "| --- |" + " ---: |" * len(table.columns)]
-    for name, values in table.iterrows():
-        cells = (f"{value:.{DECIMALS.get(column, DECIMALS['PSNR'])}f}" for column, value in values.items())
-        rows.append(f"| {name} | " + " | ".join(cells) + " |")
-    return "\n".join(rows)
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@
     RUN/depth_page/index.html                    the depth in pictures
     RUN/fused/<frame>/points.ply  mesh.ply       one instant as a point cloud and a mesh, where asked for
     RUN/renders/<method>/<view>/<frame>.png      synthesised frames, and job.json: identity, versions, seconds per stage
+    RUN/renders/<method>/<view>/inside/<map>/    depth, weights, coverage, motion behind those frames, of methods that tell
     RUN/path/truth/<pose>.png                    a camera path at one instant: truth where there is one, poses in path.json
     RUN/path/<method>/<pose>.png                 the same path synthesised, for epipolar plane images
     RUN/path_depth/<pose>.npy                    depth along the path, the same for all methods
@@ -30,6 +31,7 @@ from ggvs_eval.images import Image8, read_image
 from ggvs_eval.protocol import Protocol, load_protocol
 
 JOB_FILE = "job.json"
+INSIDE = "inside"  # beside the frames of a method that tells what it decided
 
 
 @dataclass(frozen=True)
@@ -129,6 +131,11 @@ class RunFolder:
 def frame_path(folder: Path, index: int) -> Path:
     """Path of one frame in a folder of frames."""
     return folder / f"{index:04d}.png"
+
+
+def inside_path(folder: Path, name: str, index: int) -> Path:
+    """Path of the picture of something that a method decided on the way to a frame, in its folder of frames."""
+    return frame_path(folder / INSIDE / name, index)
 
 
 def read_frames(folder: Path, indices: range) -> list[Image8]:

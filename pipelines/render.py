@@ -11,6 +11,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.images import quantise, write_image
+from ggvs_eval.pipelines.inside_pictures import write_inside
 from ggvs_eval.pipelines.jobs.engine import Workers, as_engine
 from ggvs_eval.pipelines.jobs.job import Job, code_digest, run_jobs
 from ggvs_eval.pipelines.jobs.ledger import Ledger
@@ -161,6 +162,7 @@ def _instants(capture: Capture, plan: SourcePlan, frames: range, store: DepthSto
 def _render_frame(method: Method, instant: Instant, path: Path) -> dict[str, float]:
     rendering = method.step(instant)
     write_image(path, quantise(rendering.image))
+    write_inside(path.parent, instant.index, rendering.inside, instant.target)
     return rendering.seconds
 
 

@@ -15,11 +15,14 @@ from ggvs_eval.errors import RenderError
 from ggvs_eval.images import Image8, read_image
 from ggvs_eval.progress import track
 from ggvs_eval.reports.data_uri import fitting_width, shrink, webp_uri
+from ggvs_eval.reports.inside import inside_folders, inside_name, told_label
 from ggvs_eval.reports.measured import MeasuredRun
 from ggvs_eval.run_folder import frame_path
 
-FRAME_BYTES = 7_500_000
+FRAME_BYTES = 10_000_000
 FRAMES_AT_MOST = 900
+CLEAR_WIDTH = 320  # pixels; where all frames would be narrower, fewer are shown
+FRAMES_AT_LEAST = 8
 ERROR_SHARE = 0.5
 ERROR_FULL_SCALE = 64.0
 
@@ -35,7 +38,7 @@ class Comparison:
         width: width of the pictures, pixels.
         height: their height.
         full_size: width and height of the frames on disk.
-        keys: ``truth`` and the methods' labels.
+        keys: ``truth``, the methods' labels, and what one of them decided inside, see `inside_folders`.
         names: what each is called.
         images: view -> key -> one picture per frame shown.
         errors: view -> label -> one error map per frame shown.
@@ -58,33 +61,58 @@ def compare_frames(run: MeasuredRun, byte_budget: int = FRAME_BYTES) -> Comparis
 
     Args:
         run: a scored run.
-        byte_budget: what the frames may take, before base64; it decides their width. Error maps take about a quarter more.
+        byte_budget: what the frames may take, before base64; it decides their width. Error maps and what a method decided inside
+            take about a quarter more each.
 
     Raises:
         RenderError: a frame and its truth differ in size.
     """
-    views, keys = run.protocol.views.test, ("truth", *run.pictured)
-    stride = math.ceil(len(run.frames) * len(views) * len(keys) / FRAMES_AT_MOST)
-    frames = run.frames[::stride]
+    views, inside = run.protocol.views.test, _inside(run)
+    keys = ("truth", *run.pictured, *next(iter(inside.values())))
     samples = _middle_frames(run)
-    width = fitting_width(samples, byte_budget / (len(frames) * len(views) * len(keys)))
+    stride, width = _fit(run, samples, byte_budget)
+    frames = run.frames[::stride]
     height, full_size = shrink(samples[0], width).shape[0], (samples[0].shape[1], samples[0].shape[0])
     images: dict[str, dict[str, list[str]]] = {view: {key: [] for key in keys} for view in views}
     errors: dict[str, dict[str, list[str]]] = {view: {label: [] for label in run.pictured} for view in views}
     instants = [(view, frame) for view in views for frame in frames]
     with ThreadPoolExecutor(os.cpu_count()) as pool:  # OpenCV's codecs release the GIL
-        compressed = pool.map(partial(_compress, run, width), instants)
+        compressed = pool.map(partial(_compress, run, inside, width), instants)
         for (view, _), pictures in zip(instants, track(compressed, "compressing frames", len(instants)), strict=True):
             for key, (picture, error) in pictures.items():
                 images[view][key].append(picture)
-                if key != "truth":
+                if error:
                     errors[view][key].append(error)
-    names = tuple(run.name(key) for key in keys)
+    names = tuple(inside_name(run, key) for key in keys)
     return Comparison(views, tuple(frames), stride, width, height, full_size, keys, names, images, errors)
 
 
-def _compress(run: MeasuredRun, width: int, instant: tuple[str, int]) -> dict[str, tuple[str, str]]:
-    """Key -> compressed frame and error map of one view and frame; the truth has no error."""
+def _fit(run: MeasuredRun, samples: list[Image8], byte_budget: int) -> tuple[int, int]:
+    """Which frames are shown, every so many-th, and their width in pixels: all of them, unless fewer can be seen better."""
+    n_pictures = len(run.protocol.views.test) * (1 + len(run.pictured))
+    stride = math.ceil(len(run.frames) * n_pictures / FRAMES_AT_MOST)
+    while True:
+        width = fitting_width(samples, byte_budget / (len(run.frames[::stride]) * n_pictures))
+        if width >= min(CLEAR_WIDTH, samples[0].shape[1]) or len(run.frames[:: stride + 1]) < FRAMES_AT_LEAST:
+            return stride, width
+        stride += 1
+
+
+def _inside(run: MeasuredRun) -> dict[str, dict[str, Path]]:
+    """View -> key -> folder of what a method decided inside, the same keys for every view."""
+    label = told_label(run)
+    found = {
+        view: {} if label is None else dict(inside_folders(run.folder.renders(label, view), label, run.frames))
+        for view in run.protocol.views.test
+    }
+    common = set.intersection(*(set(folders) for folders in found.values()))
+    return {view: {key: folder for key, folder in folders.items() if key in common} for view, folders in found.items()}
+
+
+def _compress(
+    run: MeasuredRun, inside: dict[str, dict[str, Path]], width: int, instant: tuple[str, int]
+) -> dict[str, tuple[str, str]]:
+    """Key -> compressed picture and error map of one view and frame; only methods have errors."""
     view, frame = instant
     files = {key: frame_path(folder, frame) for key, folder in run.frame_folders(view).items()}
     truth = read_image(files["truth"])
@@ -93,6 +121,8 @@ def _compress(run: MeasuredRun, width: int, instant: tuple[str, int]) -> dict[st
         rendered = read_image(files[label])
         error = error_map(rendered, truth, files[label])
         pictures[label] = webp_uri(shrink(rendered, width)), webp_uri(shrink(error, round(width * ERROR_SHARE)))
+    for key, folder in inside[view].items():
+        pictures[key] = webp_uri(shrink(read_image(frame_path(folder, frame)), width)), ""
     return pictures
 
 

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.reports.references import Reference, read_references
@@ -66,6 +67,17 @@ class MeasuredRun:
     def scene(self) -> str:
         """Name of the captured scene."""
         return ", ".join(dict.fromkeys(self.results.table["scene"].astype(str)))
+
+    @property
+    def title(self) -> str:
+        """What a reader knows the scene by.
+
+        Reading:
+            A demo capture is called like its folder or file (``demo-capture``, ``scene000``), which says nothing to a reader; its
+            data set's name does.
+        """
+        is_demo = self.folder.capture_record().get("units_origin") == DEMO_NOTES
+        return self.protocol.dataset if is_demo else self.scene
 
     @property
     def frames(self) -> range:

@@ -1,6 +1,5 @@
 """The page: one HTML file that carries everything it shows and opens without a network."""
 
-import itertools
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,14 +8,16 @@ from typing import Any
 import numpy as np
 
 from ggvs_eval.images import Image8
-from ggvs_eval.reports.comparison import ERROR_FULL_SCALE, FRAME_BYTES, compare_frames, error_scale
+from ggvs_eval.reports.comparison import ERROR_FULL_SCALE, compare_frames, error_scale
 from ggvs_eval.reports.curves import COLOURS, DASHES, MARGIN, SIZE
 from ggvs_eval.reports.data_uri import png_uri, shrink, webp_uri
 from ggvs_eval.reports.heat_map import heat_colours, heat_maps
+from ggvs_eval.reports.inside import inside_legend
 from ggvs_eval.reports.leaders import leaders
 from ggvs_eval.reports.measured import MeasuredRun
-from ggvs_eval.reports.method_videos import VIDEO_BYTES, method_videos
-from ggvs_eval.reports.path_pictures import PATH_BYTES, path_pictures
+from ggvs_eval.reports.method_videos import method_videos
+from ggvs_eval.reports.path_pictures import path_pictures
+from ggvs_eval.reports.picture_room import PictureRoom, share_room
 from ggvs_eval.reports.published import CAVEATS, published_tables
 from ggvs_eval.reports.reproduction import MEANING, Reproduction
 from ggvs_eval.reports.reproduction_formats import blocks, count_words
@@ -29,6 +30,7 @@ from ggvs_eval.reports.viewer_data import viewer_data
 from ggvs_eval.run_folder import JOB_FILE
 
 CONTEXT_WIDTH = 480
+FACT_NAMES = {"n_frames": "frames captured", "fps": "frames per second", "units_origin": "scale known from"}
 PLOT = {"size": SIZE, "margin": MARGIN, "dashes": DASHES, "colours": len(COLOURS)}
 
 
@@ -50,7 +52,7 @@ def render_page(groups: Sequence[RunGroup], reproduced: Sequence[Reproduction] =
     )
     scripts = {"first": page_script(FIRST_SCRIPTS), "last": page_script()}
     return environment.get_template("page.html.j2").render(
-        title=" · ".join(dict.fromkeys(group.scenes for group in groups)),
+        title=" · ".join(dict.fromkeys(group.titles for group in groups)),
         css=(TEMPLATES / "page.css").read_text(encoding="utf-8"),
         dark_css=(TEMPLATES / "dark.css").read_text(encoding="utf-8"),
         scripts=scripts,
@@ -74,14 +76,14 @@ def render_page(groups: Sequence[RunGroup], reproduced: Sequence[Reproduction] =
 
 def _groups(groups: Sequence[RunGroup]) -> list[dict[str, Any]]:
     """What the templates need of each group; places in the page have the same names in all groups, behind the group's own."""
-    n_sections, numbers = sum(len(group.sections) for group in groups), itertools.count()
+    rooms = enumerate(share_room([section.run for group in groups for section in group.sections]))
     return [
         {
             "id": f"group{at}",
             "place": f"group{at}-" if len(groups) > 1 else "",
             "level": 3 if len(groups) > 1 else 2,
-            "name": group.name,
-            "scenes": group.scenes,
+            "heading": group.heading,
+            "titles": group.titles,
             "protocol": group.protocol,
             "provenance": group.results.provenance,
             "metrics": group.sections[0].run.metrics,
@@ -90,7 +92,7 @@ def _groups(groups: Sequence[RunGroup]) -> list[dict[str, Any]]:
             "leaders": leaders(group.tables),
             "several_datasets": len({table.dataset for table in group.tables}) > 1,
             "has_published_rows": any(row.kind == "published" for table in group.tables for row in table.rows),
-            "sections": [_section(next(numbers), section, n_sections) for section in group.sections],
+            "sections": [_section(*next(rooms), section) for section in group.sections],
         }
         for at, group in enumerate(groups)
     ]
@@ -107,11 +109,11 @@ def reproduce(run: MeasuredRun, capture: str) -> list[str]:
     return [shlex.join(["ggvs-eval", *command]) for command in commands]
 
 
-def _section(index: int, section: RunSection, n_sections: int) -> dict[str, Any]:
-    """What the templates need of one run, pictures as data addresses; runs share the room for pictures equally."""
+def _section(index: int, room: PictureRoom, section: RunSection) -> dict[str, Any]:
+    """What the templates need of one run, pictures as data addresses."""
     run, maps = section.run, heat_maps(section.run)
-    comparison = compare_frames(run, FRAME_BYTES // n_sections)
-    path = path_pictures(run, PATH_BYTES // n_sections)
+    comparison = compare_frames(run, room.frames)
+    path = path_pictures(run, room.path)
     capture = run.folder.capture_record()
     fps = float(capture.get("fps") or 0)
     row = next((slices.row for slices in section.slices if slices.kind == "time"), comparison.full_size[1] // 2)
@@ -123,10 +125,11 @@ def _section(index: int, section: RunSection, n_sections: int) -> dict[str, Any]
         "view_tables": section.view_tables,
         "timing": section.timing,
         "comparison": comparison,
+        "inside": inside_legend(comparison.keys),
         "first_left": _shown_first(run),
         "data": viewer_data(run, comparison, path, maps, row, fps),
         "heat_maps": maps,
-        "videos": method_videos(run, fps, VIDEO_BYTES // n_sections),
+        "videos": method_videos(run, fps, room.videos),
         "slices": [_slice_pictures(slices) for slices in section.slices],
         "commands": reproduce(run, str(capture.get("path", "CAPTURE"))),
         "has_path": any(slices.kind == "epi" for slices in section.slices),
@@ -143,7 +146,8 @@ def _shown_first(run: MeasuredRun) -> str:
 
 def _facts(capture: dict[str, Any]) -> dict[str, str | int | float]:
     """What is said of the capture, notes about what was left out included."""
-    facts = {key: value for key, value in capture.items() if key != "path" and isinstance(value, str | int | float)}
+    plain = {key: value for key, value in capture.items() if key != "path" and isinstance(value, str | int | float)}
+    facts = {FACT_NAMES.get(key, key.replace("_", " ")): value for key, value in plain.items()}
     notes = "; ".join(capture.get("notes", ()))
     return facts | ({"notes": notes} if notes else {})
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from ggvs_eval.images import read_image
 from ggvs_eval.reports.data_uri import fitting_width, shrink, webp_uri
+from ggvs_eval.reports.inside import inside_folders, told_label
 from ggvs_eval.reports.measured import MeasuredRun
 from ggvs_eval.run_folder import frame_path, require_frames
 
@@ -22,7 +23,7 @@ class PathPictures:
 
     Attributes:
         poses: numbers of the poses shown, every so many-th one.
-        keys: ``truth``, where the path has one, and the labels that have a path.
+        keys: ``truth``, where the path has one, the labels that have a path, and what one of them decided inside.
         images: key -> one picture per pose shown.
     """
 
@@ -47,6 +48,9 @@ def path_pictures(run: MeasuredRun, byte_budget: int = PATH_BYTES) -> PathPictur
         return None
     require_frames({f"{run.name(key)} on the path": folder for key, folder in folders.items()}, range(count))
     poses = range(0, count, math.ceil(count * len(folders) / POSES_AT_MOST))
+    told = told_label(run)
+    if told in folders:
+        folders |= dict(inside_folders(folders[told], told, range(count)))
     files = {key: [frame_path(folder, pose) for pose in poses] for key, folder in folders.items()}
     middle = [read_image(paths[len(paths) // 2]) for paths in files.values()]
     width = fitting_width(middle, byte_budget / (len(poses) * len(folders)))

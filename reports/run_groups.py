@@ -2,12 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import starmap
 from pathlib import Path
 
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.reports.curves import Panel, curve_panels
 from ggvs_eval.reports.decomposition_table import decomposition_table
+from ggvs_eval.reports.error_budget import budget_table
 from ggvs_eval.reports.measured import MeasuredRun, read_run
 from ggvs_eval.reports.slices import Slices, all_slices
 from ggvs_eval.reports.table import Table
@@ -24,7 +26,7 @@ class RunSection:
 
     Attributes:
         run: the run.
-        view_tables: where the error varies, and one per metric.
+        view_tables: where the error lies, where it varies, and one per metric.
         timing: time per stage.
         slices: along the path and over time.
         panels: error curves.
@@ -43,12 +45,14 @@ class RunGroup:
 
     Attributes:
         name: short, and no other group of the report has it.
+        heading: the same for a reader of the page.
         sections: one per run.
         results: of all runs in one.
         tables: quality, consistency and whatever else was measured, over all runs.
     """
 
     name: str
+    heading: str
     sections: tuple[RunSection, ...]
     results: Results
     tables: tuple[Table, ...]
@@ -62,6 +66,11 @@ class RunGroup:
     def scenes(self) -> str:
         """Names of the captured scenes."""
         return ", ".join(dict.fromkeys(section.run.scene for section in self.sections))
+
+    @property
+    def titles(self) -> str:
+        """What a reader knows the captured scenes by."""
+        return ", ".join(dict.fromkeys(section.run.title for section in self.sections))
 
     @property
     def all_tables(self) -> tuple[Table, ...]:
@@ -87,23 +96,24 @@ def read_groups(roots: Sequence[Path]) -> tuple[RunGroup, ...]:
     by_protocol: dict[str, list[MeasuredRun]] = {}
     for run in map(read_run, roots):
         by_protocol.setdefault(run.protocol.sha256, []).append(run)
-    names = _name_groups([runs[0] for runs in by_protocol.values()])
-    return tuple(_make_group(name, runs) for name, runs in zip(names, by_protocol.values(), strict=True))
+    firsts = [runs[0] for runs in by_protocol.values()]
+    names = _name_groups(firsts, [run.scene for run in firsts])
+    headings = _name_groups(firsts, [run.title for run in firsts])
+    return tuple(starmap(_make_group, zip(names, headings, by_protocol.values(), strict=True)))
 
 
-def _make_group(name: str, runs: Sequence[MeasuredRun]) -> RunGroup:
+def _make_group(name: str, heading: str, runs: Sequence[MeasuredRun]) -> RunGroup:
     results = merge_results([run.results for run in runs])
-    return RunGroup(name, tuple(map(_make_section, runs)), results, main_tables(runs, results))
+    return RunGroup(name, heading, tuple(map(_make_section, runs)), results, main_tables(runs, results))
 
 
 def _make_section(run: MeasuredRun) -> RunSection:
-    decomposition = decomposition_table(run)
-    by_view = ((decomposition,) if decomposition else ()) + view_tables(run)
-    return RunSection(run, by_view, timing_table(run), all_slices(run), curve_panels(run))
+    taken_apart = tuple(table for table in (budget_table(run), decomposition_table(run)) if table)
+    return RunSection(run, taken_apart + view_tables(run), timing_table(run), all_slices(run), curve_panels(run))
 
 
-def _name_groups(firsts: Sequence[MeasuredRun]) -> list[str]:
+def _name_groups(firsts: Sequence[MeasuredRun], scenes: Sequence[str]) -> list[str]:
     """What tells the groups apart: scene, protocol and K, with the protocol's hash where these are the same."""
-    names = [f"{run.scene}, {run.protocol.name}, K = {run.protocol.synthesis.k}" for run in firsts]
+    names = [f"{scene}, {run.protocol.name}, K = {run.protocol.synthesis.k}" for run, scene in zip(firsts, scenes, strict=True)]
     hashes = [run.protocol.sha256[:HASH_DIGITS] for run in firsts]
     return [f"{name}, {digest}" if names.count(name) > 1 else name for name, digest in zip(names, hashes, strict=True)]

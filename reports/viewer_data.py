@@ -32,7 +32,7 @@ def viewer_data(
         "row": row,
         "keys": comparison.keys,
         "labels": run.labels,
-        "names": {key: run.name(key) for key in ("truth", *run.labels)},
+        "names": {key: run.name(key) for key in run.labels} | dict(zip(comparison.keys, comparison.names, strict=True)),
         "images": comparison.images,
         "errors": comparison.errors,
         "path": None if path is None else asdict(path),

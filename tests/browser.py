@@ -73,7 +73,7 @@ class Browser:
         features = [{"name": name, "value": value} for name, value in media.items()]
         self.driven.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
         self.driven.get("about:blank")  # the same address again would be a reload, which scrolls back to where it was
-        self.driven.get(page.as_uri())
+        self.driven.get(page.resolve().as_uri())
         self.wait("document.readyState === 'complete' && [...document.images].every(image => image.complete)")
         self._settle()
 
@@ -121,12 +121,30 @@ class Browser:
     def _mouse(self, kind: str, place: dict[str, float], **more) -> None:
         self.driven.execute_cdp_cmd("Input.dispatchMouseEvent", {"type": kind, **place, **more})
 
-    def press(self, *keys: str) -> None:
-        """Press keys one after the other, wherever the focus is."""
+    def press(self, *keys: str, held: str = "") -> None:
+        """Press keys one after the other, wherever the focus is; another one may be held down meanwhile."""
         from selenium.webdriver.common.action_chains import ActionChains
 
         for key in keys:
-            ActionChains(self.driven).send_keys(key).perform()
+            chain = ActionChains(self.driven)
+            (chain.key_down(held).send_keys(key).key_up(held) if held else chain.send_keys(key)).perform()
+
+    def focus(self, selector: str) -> None:
+        """Put the focus on the first element that a selector finds."""
+        self.run("document.querySelector(arguments[0]).focus()", selector)
+
+    def turn_wheel(self, selector: str, down_px: float, with_ctrl: bool = False) -> None:
+        """Turn the wheel above the middle of an element."""
+        box = self._box(selector)
+        middle = {"x": box["x"] + box["width"] / 2, "y": box["y"] + box["height"] / 2}
+        self._mouse("mouseWheel", middle, deltaX=0, deltaY=down_px, modifiers=2 if with_ctrl else 0)
+        self._settle()
+
+    def point(self, selector: str, x: float, y: float) -> None:
+        """Move the mouse to a place in an element without pressing, fractions of its box."""
+        box = self._box(selector)
+        self._mouse("mouseMoved", {"x": box["x"] + x * box["width"], "y": box["y"] + y * box["height"]})
+        self._settle()
 
     def choose(self, selector: str, option: str) -> None:
         """Choose an option of a select by its value."""

@@ -10,14 +10,19 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from ggvs_eval.images import read_image
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports import page
+from ggvs_eval.reports.comparison import FRAME_BYTES, compare_frames
+from ggvs_eval.reports.data_uri import fitting_width
 from ggvs_eval.reports.heat_map import heat_colours, heat_maps
-from ggvs_eval.reports.measured import read_run
+from ggvs_eval.reports.measured import MeasuredRun, read_run
 from ggvs_eval.reports.method_videos import FRAMES_AT_MOST, MethodVideo, method_videos
-from ggvs_eval.reports.path_pictures import POSES_AT_MOST, path_pictures
+from ggvs_eval.reports.path_pictures import PATH_BYTES, POSES_AT_MOST, path_pictures
+from ggvs_eval.reports.picture_room import share_room
 from ggvs_eval.reports.report import write_report
 from ggvs_eval.reports.scripts import FIRST_SCRIPTS, SCRIPTS, TEMPLATES, page_script, script_digest
+from ggvs_eval.run_folder import frame_path
 from page_reader import PageReader
 from run_folders import LABELS, RunShape, write_run
 
@@ -83,6 +88,33 @@ def test_path_pictures_are_bounded(tmp_path):
     assert count <= POSES_AT_MOST
     assert pictures.poses[:2] == (0, 2)
     assert sum(len(text) for images in pictures.images.values() for text in images) * 3 / 4 <= 800_000 * 1.1
+
+
+def test_room_is_shared_by_what_there_is_to_show(run, tmp_path):
+    """A run with twice the frames gets twice the room; pictures along a path go to the run that has one; none is left over."""
+    long = read_run(write_run(tmp_path / "long", RunShape(metrics=("PSNR",), frames=Frames(0, 8), poses=0)))
+    first, second = share_room([run, long])
+    assert second.frames == pytest.approx(2 * first.frames, rel=0.01)
+    assert second.videos == pytest.approx(2 * first.videos, rel=0.01)
+    assert first.frames + second.frames == pytest.approx(FRAME_BYTES, rel=0.01)
+    assert (first.path, second.path) == (PATH_BYTES, 0)
+    assert path_pictures(long, second.path) is None
+
+
+def test_fewer_frames_are_shown_rather_than_none_clearly(tmp_path):
+    """Where all frames would be narrow, every so many-th is shown, wider, at least eight; with room all are shown whole."""
+    shape = RunShape(width=480, height=48, frames=Frames(0, 24), views=("cam00",), labels=LABELS[:1], poses=0, metrics=("PSNR",))
+    run = read_run(write_run(tmp_path / "run", shape))
+    whole, tight = compare_frames(run), compare_frames(run, 48 * 1500)
+    assert (whole.stride, whole.width) == (1, 480)
+    assert tight.stride > 1
+    assert 8 <= len(tight.frames) == len(tight.images["cam00"]["truth"]) < 24
+    assert tight.width > fitting_width([run_frame(run)], 1500)
+
+
+def run_frame(run: MeasuredRun) -> np.ndarray:
+    """One of its frames."""
+    return read_image(frame_path(run.folder.renders(LABELS[0], "cam00"), 12))
 
 
 def decode(video: MethodVideo) -> list[np.ndarray]:

@@ -1,6 +1,8 @@
 """A report of runs under different protocols: one page, one group of sections each, and no table that mixes them."""
 
 import csv
+import html
+import json
 import re
 from dataclasses import replace
 from itertools import pairwise
@@ -11,6 +13,7 @@ import pytest
 
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.leaders import leaders
+from ggvs_eval.reports.page import render_page
 from ggvs_eval.reports.report import write_report
 from ggvs_eval.reports.run_groups import read_groups
 from ggvs_eval.reports.table import Cell, Column, Row, Table, rank
@@ -60,6 +63,20 @@ def test_groups_alike_in_name_are_told_apart_by_hash(tmp_path):
     assert len({group.name for group in groups}) == 2
 
 
+def test_a_demo_is_called_by_its_data_set(tmp_path):
+    """A demo whose scene is named like a file is headed by its data set; the file's name stands small beside it, once."""
+    demo = write_run(tmp_path / "demo", replace(SMALL, scene="scene000", dataset="Demo room, D3DMV's layout"))
+    record = json.loads((demo / "capture.json").read_text())
+    (demo / "capture.json").write_text(json.dumps(record | {"units_origin": "demo.json"}))
+    other = write_run(tmp_path / "other", replace(SMALL, scene="street", dataset="DyNeRF"))
+    text = render_page(read_groups([demo, other]))
+    head = html.unescape(text[text.index("<h1>") : text.index("</table>")])
+    assert "<h1>Demo room, D3DMV's layout · street</h1>" in head
+    assert re.search(r"Demo room, D3DMV's layout</a> <span class=\"on\">scene000</span></th>", head)
+    assert re.search(r'href="#group1">street</a></th>', head)
+    assert "Demo room, D3DMV's layout</h1>" in html.unescape(render_page(read_groups([demo])))
+
+
 def test_no_value_of_one_protocol_stands_among_anothers(report, runs):
     """Each group's main table is what a report of its runs alone holds; the CSV names protocol, K and hash in every line."""
     together = rows_of(report)
@@ -100,7 +117,7 @@ def test_files_tell_the_groups_apart(report):
     titles = re.findall(r"^## (.*)$", (report / "tables.md").read_text(encoding="utf-8"), re.MULTILINE)
     labels = re.findall(r"\\label\{([^}]*)\}", (report / "tables.tex").read_text(encoding="utf-8"))
     assert len(titles) == len(set(titles)) == len(labels) == len(set(labels))
-    assert sum("street, tiny, K = 2" in title for title in titles) == 2 + 3
+    assert sum("street, tiny, K = 2" in title for title in titles) == 2 + 4
     assert {folder.name for folder in (report / "figures").iterdir()} == {"run0", "run1", "run2"}
     pytest.importorskip("openpyxl", reason="no openpyxl, by which pandas writes workbooks")
     assert len(pd.ExcelFile(report / "tables.xlsx").sheet_names) == len(titles) + 2

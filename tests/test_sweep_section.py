@@ -1,30 +1,20 @@
 """The folder of a sweep as a report: its table and its curves over K above the groups of its runs."""
 
 import re
-from dataclasses import replace
 from pathlib import Path
 
-import pandas as pd
 import pytest
 
 from ggvs_eval.reports.measured import read_run
 from ggvs_eval.reports.report import write_report
 from ggvs_eval.reports.sweep_section import sweep_runs, sweep_section
-from run_folders import RunShape, write_run
-
-SHAPE = RunShape(metrics=("PSNR",), poses=0, views=("cam00",))
-KS = (2, 3, 5)
-LINES = [(f"k{k}", method, base + k / 10, 0.2 * k) for k in KS for method, base in (("Ours", 30.0), ("No Blending", 20.0))]
+from sweep_folders import KS, LINES, write_sweep
 
 
 @pytest.fixture(scope="module")
 def sweep(tmp_path_factory) -> Path:
-    """A sweep of one capture over K as `ggvs-eval sweep` leaves it; nobody changes it."""
-    root = tmp_path_factory.mktemp("sweeps") / "by-k"
-    for k in KS:
-        write_run(root / f"k{k}", replace(SHAPE, k=k))
-    pd.DataFrame(LINES, columns=["variant", "method", "PSNR", "s/frame"]).to_csv(root / "sweep.csv", index=False)
-    return root
+    """A sweep of one capture over K; nobody changes it."""
+    return write_sweep(tmp_path_factory.mktemp("sweeps") / "by-k")
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +28,7 @@ def page(sweep) -> str:
 def test_a_sweep_stands_for_its_runs(sweep, page):
     """Each K is a group of its own, in the order of the sweep's table; the figure for a paper lies beside the page."""
     assert sweep_runs(sweep) == [sweep / f"k{k}" for k in KS]
-    assert re.findall(r'class="group-name">room <span class="on">tiny, K = (\d)', page) == ["2", "3", "5"]
+    assert re.findall(r'class="group-name">room <span class="on">tiny, K&nbsp;=&nbsp;(\d)', page) == ["2", "3", "5"]
     assert (sweep / "report" / "figures" / "k.png").is_file()
 
 

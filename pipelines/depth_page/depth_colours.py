@@ -44,7 +44,7 @@ def depth_colours(depth: Map, nearest: float, farthest: float) -> Image8:
         farthest: depth of the darkest.
     """
     inverse = np.divide(1, depth, out=np.zeros_like(depth), where=depth > 0)
-    return _coloured(_share(inverse, 1 / farthest, 1 / nearest), "viridis", depth > 0)
+    return coloured(_share(inverse, 1 / farthest, 1 / nearest), "viridis", depth > 0)
 
 
 def depth_scale(nearest: float, farthest: float) -> Scale:
@@ -55,7 +55,7 @@ def depth_scale(nearest: float, farthest: float) -> Scale:
 
 def confidence_colours(confidence: Map, is_known: Mask, is_filled: Mask) -> Image8:
     """Confidence in cividis, 0 = dark blue, 1 = yellow; stripes where depth was filled in, checks where there is none."""
-    colours = _coloured(confidence, "cividis", is_known)
+    colours = coloured(confidence, "cividis", is_known)
     colours[is_filled] = _stripes(confidence.shape)[is_filled]
     return colours
 
@@ -67,7 +67,7 @@ def confidence_scale() -> Scale:
 
 def difference_colours(difference: Map, is_known: Mask) -> Image8:
     """Differences of images in magma, none = black, 64 of 255 levels or more = near white; checks where there is nothing."""
-    return _coloured(_share(difference, 0, DIFFERENCE_FULL_SCALE), "magma", is_known)
+    return coloured(_share(difference, 0, DIFFERENCE_FULL_SCALE), "magma", is_known)
 
 
 def difference_scale() -> Scale:
@@ -84,7 +84,8 @@ def _share(values: Map, low: float, high: float) -> Map:
     return ((values - np.float32(low)) / np.float32(max(high - low, 1e-12))).astype(np.float32)
 
 
-def _coloured(share: Map, name: str, is_known: Mask) -> Image8:
+def coloured(share: Map, name: str, is_known: Mask) -> Image8:
+    """Values from 0 to 1 in a colour map of Matplotlib, checks where there is none, (H, W, 3)."""
     colours = _table(name)
     return with_checks(colours[np.clip(np.rint(share * 255), 0, 255).astype(np.intp)], is_known)
 

@@ -1,4 +1,5 @@
 const NO_TRUTH = "no truth on a virtual path";
+const NOT_ALONG = "not rendered along the path";
 
 /**
  * The row of the chosen pixel over viewpoints and over time, for the truth and every method, with the curves of its view.
@@ -18,7 +19,7 @@ function makeLinkedSlices(root, data, open) {
   function addStrips(table, key) {
     const path = data.path && key in data.path.images ? made("canvas") : null;
     const time = data.frames.length > 1 ? made("canvas", "placed") : null;
-    const over = made("div", "cut", path ?? made("p", "absent", NO_TRUTH));
+    const over = made("div", "cut", path ?? made("p", "absent", key === "truth" ? NO_TRUTH : NOT_ALONG));
     const along = made("div", "cut along", time ?? made("p", "absent", "one frame only"));
     if (time) along.append(made("span", "mark-frame"), made("span", "mark-column"));
     if (time) along.addEventListener("click", (event) => jump(along, event));

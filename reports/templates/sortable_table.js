@@ -1,8 +1,8 @@
-/** Value of a row in a column: a number, a name, or null where nothing was measured. */
+/** Value of a row in a column: a number, words, or null where nothing was measured. */
 function valueIn(row, column) {
   const cell = row.cells[column];
-  if (column === 0) return cell.textContent.trim().toLowerCase();
   const text = cell.dataset.value;
+  if (text === undefined) return cell.textContent.trim().toLowerCase();
   return text ? Number(text.replace("inf", "Infinity")) : null;
 }
 

@@ -22,8 +22,15 @@ function startRun(root) {
     for (const plot of plots) moveCursor(plot, data.frames[frame]);
   });
   for (const plot of plots) openOnClick(plot, openFromAbove);
+  for (const video of document.querySelectorAll(`[data-videos="${id}"] video`)) showBeginning(video, data);
   viewer.show();
   return viewer.press;
+}
+
+/** Until a video is played it shows the frame that it begins with; browsers leave it black where they only read its length. */
+function showBeginning(video, data) {
+  const key = data.keys.find((one) => data.names[one] === video.dataset.name);
+  if (key) video.poster = data.images[data.views[0]][key][0];
 }
 
 /** Keys go to the viewer that was touched last, unless the focused control has a use for them itself. */

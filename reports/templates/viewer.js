@@ -17,7 +17,7 @@ function makeViewer(root, data, alongside) {
   const state = { frame: 0, divider: 0.5, mode: "wipe", playing: null, blinking: null, pixel: { x: 0.5, y: data.row / data.size[1] } };
   const zoom = makeZoomWindow();
   const all = addPictures(part("all"), data.keys, data.names);
-  const maps = addPictures(errors, data.keys.filter((key) => key !== "truth"), data.names);
+  const maps = addPictures(errors, data.keys.filter((key) => key in data.errors[data.views[0]]), data.names);
   const listeners = [];
 
   function show() {

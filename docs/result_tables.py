@@ -1,0 +1,92 @@
+"""Tables of scored runs as Markdown, for `fill_tables`."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import pandas as pd
+
+from ggvs_eval.errors import ResultsError
+from ggvs_eval.reports.error_budget import budget_table
+from ggvs_eval.reports.measured import read_run
+from ggvs_eval.results import Results, merge_results
+from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
+from ggvs_eval.statistics.bootstrap import Interval, intervals
+
+DECIMALS = {"PSNR": 2, "PSNR_cc": 2, "SSIM": 3, "LPIPS": 3, "L1": 2, "TCC": 3, "STED": 2, "Flicker": 2, "SDT": 3, "SDV": 3}
+DECIMALS |= {"EPI_coherence": 3, "switch_ratio": 2}
+
+
+def results_table(run: Path) -> str:
+    """Means of one run as Markdown, methods by their shown names."""
+    summary = Results.read(run).summary().droplevel("dataset")
+    columns = [name for name in DECIMALS if name in summary.columns]
+    return _markdown(_named(summary[columns], run))
+
+
+def views_table(run: Path) -> str:
+    """PSNR per test view as Markdown."""
+    return _markdown(_named(Results.read(run).per_view("PSNR"), run))
+
+
+def ceilings_table(run: Path) -> str:
+    """What perfect renderings would score on the capture of one run, as Markdown."""
+    entries = [entry for entry in read_json(run / "references.json") if entry["group"] == "consistency"]
+    columns = list(entries[0]["values"])
+    values = [[entry["values"][column] for column in columns] for entry in entries]
+    return _markdown(pd.DataFrame(values, [entry["name"] for entry in entries], columns))
+
+
+def sweep_table(root: Path, metrics: Sequence[str]) -> str:
+    """Means over the captures of a sweep, each with half the width of its interval, and seconds per frame, as Markdown.
+
+    Raises:
+        ResultsError: nothing is scored there.
+    """
+    runs = sorted(file.parent for file in root.glob("*/*/results.parquet"))
+    if not runs:
+        raise ResultsError(f"{root} holds no scored runs of a sweep")
+    results = merge_results([Results.read(run) for run in runs])
+    (dataset,) = results.table["dataset"].unique()
+    shown = [metric for metric in metrics if metric in set(results.table["metric"])]
+    columns = {metric: intervals(results, metric, dataset) for metric in shown}
+    names = read_json(runs[0] / "methods.json")
+    rows = [f"| method | {' | '.join(shown)} | s / frame |", "| --- |" + " ---: |" * (len(shown) + 1)]
+    for label in names["labels"]:
+        cells = [_with_interval(metric, columns[metric][label]) for metric in shown]
+        rows.append(f"| {names['names'].get(label, label)} | {' | '.join(cells)} | {_seconds(runs, label):.2f} |")
+    return "\n".join(rows)
+
+
+def budget_rows(run: Path) -> str:
+    """Where the squared error of the first method shown lies, view by view, as Markdown."""
+    table = budget_table(read_run(run))
+    if table is None:
+        raise ResultsError(f"{run} has no pictures")
+    heads = [" ".join(filter(None, (column.name, f"({column.unit})"))) for column in table.columns]
+    rows = ["| | " + " | ".join(heads) + " |", "| --- |" + " ---: |" * len(heads)]
+    return "\n".join([*rows, *(f"| {row.name} | {' | '.join(cell.text for cell in row.cells)} |" for row in table.rows)])
+
+
+def _with_interval(metric: str, interval: Interval) -> str:
+    value = f"{interval.value:.{DECIMALS.get(metric, 3)}f}"
+    return value if interval.half_width is None else f"{value} ± {interval.half_width:.{DECIMALS.get(metric, 3)}f}"
+
+
+def _seconds(runs: Sequence[Path], label: str) -> float:
+    """Median over all frames of all views and captures."""
+    records = [read_json(file)["seconds"] for run in runs for file in (run / "renders" / label).glob(f"*/{JOB_FILE}")]
+    return float(pd.Series([sum(stages) for record in records for stages in zip(*record.values(), strict=True)]).median())
+
+
+def _named(table: pd.DataFrame, run: Path) -> pd.DataFrame:
+    names = read_json(RunFolder(run).root / "methods.json")["names"]
+    index = ["+".join(filter(None, label)) for label in table.index]
+    return table.set_axis([names.get(label, label) for label in index], axis=0)
+
+
+def _markdown(table: pd.DataFrame) -> str:
+    rows = ["| method | " + " | ".join(map(str, table.columns)) + " |", "| --- |" + " ---: |" * len(table.columns)]
+    for name, values in table.iterrows():
+        cells = (f"{value:.{DECIMALS.get(column, DECIMALS['PSNR'])}f}" for column, value in values.items())
+        rows.append(f"| {name} | " + " | ".join(cells) + " |")
+    return "\n".join(rows)

@@ -1,0 +1,62 @@
+"""What a method decided on the way to its image, as pictures that lie beside its frames and that the page shows."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from ggvs_eval.baselines.method import Map
+from ggvs_eval.camera import Camera
+from ggvs_eval.images import Image8, write_image
+from ggvs_eval.pipelines.depth_page.depth_colours import coloured, depth_colours
+from ggvs_eval.run_folder import inside_path
+
+# Okabe and Ito's colours, which the colour-blind tell apart: one for each source view, nearest first.
+VIEW_COLOURS = np.array(
+    [(230, 159, 0), (86, 180, 233), (0, 158, 115), (240, 228, 66), (0, 114, 178), (213, 94, 0), (204, 121, 167)], np.float32
+)
+
+
+def write_inside(folder: Path, index: int, inside: Mapping[str, Map], target: Camera) -> None:
+    """Write one picture per kind of map.
+
+    Args:
+        folder: of the method's frames in one view.
+        index: number of the frame.
+        inside: as of `Rendering`.
+        target: camera of the image, for the scale of depth.
+    """
+    for name, values in inside.items():
+        write_image(inside_path(folder, name, index), _PICTURES[name](values, target))
+
+
+def view_colours(weights: Map) -> Image8:
+    """Weights as a mixture of one colour per source view; dark where the background takes over.
+
+    Args:
+        weights: (K, h, w); what is missing to a sum of 1 is the background's. From the eighth view on colours come again.
+    """
+    colours = np.take(VIEW_COLOURS, np.arange(len(weights)), axis=0, mode="wrap")
+    return np.rint(np.einsum("khw,kc->hwc", weights, colours).clip(0, 255)).astype(np.uint8)
+
+
+def _depth(depth: Map, target: Camera) -> Image8:
+    return depth_colours(depth, target.near, target.far)
+
+
+def _share(values: Map, target: Camera) -> Image8:
+    del target
+    return coloured(values, "cividis", np.ones(values.shape, np.bool_))
+
+
+def _views(weights: Map, target: Camera) -> Image8:
+    del target
+    return view_colours(weights)
+
+
+_PICTURES: Mapping[str, Callable[[Map, Camera], Image8]] = {
+    "depth": _depth,
+    "weights": _views,
+    "coverage": _share,
+    "motion": _share,
+}
