@@ -87,3 +87,11 @@ def test_a_run_that_goes_on_is_tried_as_well(capture, tmp_path, monkeypatch):
     assert [counts(plan.portions[0]) for plan in tried[1:]] == [counts(tried[0].portions[0])] != [counts(untried.portions[0])]
     for plan in tried:
         assert plan.rates.depth_s > 0
+
+
+def test_pictures_of_the_inside_count_with_their_frame(capture, tmp_path, monkeypatch):
+    """A frame of ours takes what it and the four small pictures behind it take, not the mean of five pictures."""
+    monkeypatch.setattr(run_plan, "PROBED_FROM_PIXELS", 0)
+    plan = plan_runs([Wish(tmp_path / "run", capture, PROTOCOL, ("ours",))], 1, tmp_path)
+
+    assert plan.rates.render_bytes > 1.5 * 64 * 48

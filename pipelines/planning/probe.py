@@ -30,7 +30,7 @@ from ggvs_eval.pipelines.path_depth import write_path_depth
 from ggvs_eval.pipelines.planning.rates import Rates
 from ggvs_eval.pipelines.planning.score_trial import timed, try_scoring
 from ggvs_eval.pipelines.prepare import Prepared, SourcePlan
-from ggvs_eval.run_folder import RunFolder, frame_path
+from ggvs_eval.run_folder import INSIDE, RunFolder, frame_path
 
 INSTANTS = 2  # the first of a method or a metric pays for what is loaded and compiled once
 KIB = 1024
@@ -65,7 +65,7 @@ def probe(planned: Prepared, options: DepthOptions, specs: Mapping[str, MethodSp
             label: _try_method(capture, plan, frames, store, spec, scratch.renders(label, view)) for label, spec in specs.items()
         }
         score_setup_s, score_s, plain_score_s = try_scoring(planned, scratch, view, frames, list(specs), shared / "truth")
-        sizes = [file.stat().st_size for file in (scratch.root / "renders").rglob("*.png")]
+        pictures = [(file.stat().st_size, INSIDE in file.parts) for file in (scratch.root / "renders").rglob("*.png")]
     finally:
         shutil.rmtree(scratch.root, ignore_errors=True)
     truths = [file.stat().st_size for file in (shared / "truth").rglob("*.png")]
@@ -83,7 +83,7 @@ def probe(planned: Prepared, options: DepthOptions, specs: Mapping[str, MethodSp
         plain_score_s,
         _most_memory(),
         sum(truths) / len(truths),
-        sum(sizes) / max(len(sizes), 1),
+        sum(size for size, _ in pictures) / max(sum(not is_inside for _, is_inside in pictures), 1),
         time.time() - submitted_s,
     )
 
