@@ -20,6 +20,7 @@ SOURCES = [camera_at(-0.15), camera_at(0.15), camera_at(-0.45), camera_at(0.45)]
 SIZE = (TARGET.height, TARGET.width)
 CELLS = (-(-SIZE[0] // 4), -(-SIZE[1] // 4))
 QUIET = np.full(CELLS, 1 / 255, np.float32)
+NOTHING_MOVES = stillness(QUIET)
 NOISE = 2 / 255
 
 
@@ -48,7 +49,7 @@ def test_four_still_instants_are_their_mean():
 
     for index in range(4):
         noise = random.normal(0.5, NOISE, (*SIZE, 3)).astype(np.float32)
-        output = recurrent.step(index, TARGET, noise, QUIET)
+        output = recurrent.step(index, TARGET, noise, NOTHING_MOVES)
 
     assert output.std() == pytest.approx(NOISE / 2, rel=0.06)
 
@@ -58,7 +59,7 @@ def test_the_limit_bounds_the_past():
     random, recurrent = np.random.default_rng(0), RecurrentOutput(0.5)
 
     for index in range(12):
-        output = recurrent.step(index, TARGET, random.normal(0.5, NOISE, (*SIZE, 3)).astype(np.float32), QUIET)
+        output = recurrent.step(index, TARGET, random.normal(0.5, NOISE, (*SIZE, 3)).astype(np.float32), NOTHING_MOVES)
 
     assert output.std() == pytest.approx(NOISE * np.sqrt(0.5 / 1.5), rel=0.06)
 
@@ -69,13 +70,13 @@ def test_what_moves_is_shown_as_it_is():
     change[:9] = 0.2
     grey = np.full((*SIZE, 3), 0.5, np.float32)
     new = np.random.default_rng(0).random((*SIZE, 3), np.float32)
-    recurrent.step(0, TARGET, grey, QUIET)
+    recurrent.step(0, TARGET, grey, NOTHING_MOVES)
 
-    output = recurrent.step(1, TARGET, new, change)
+    output = recurrent.step(1, TARGET, new, stillness(change))
 
     np.testing.assert_allclose(output[:32], new[:32], atol=1e-6)
     assert np.abs(output[40:] - 0.5).mean() < 0.6 * np.abs(new[40:] - 0.5).mean()
-    again = recurrent.step(2, TARGET, grey, QUIET)
+    again = recurrent.step(2, TARGET, grey, NOTHING_MOVES)
     np.testing.assert_allclose(again[:28], (new[:28] + grey[:28]) / 2, atol=0.1)
 
 
@@ -84,7 +85,7 @@ def test_slow_light_does_not_lag():
     recurrent, random = RecurrentOutput(0.85), np.random.default_rng(0)
     for index in range(20):
         light = np.float32(0.3 + index / 255)
-        output = recurrent.step(index, TARGET, light + random.normal(0, NOISE, (*SIZE, 3)).astype(np.float32), QUIET)
+        output = recurrent.step(index, TARGET, light + random.normal(0, NOISE, (*SIZE, 3)).astype(np.float32), NOTHING_MOVES)
 
     assert abs(float(output.mean() - light)) < 0.5 / 255
     assert output.std() < 0.5 * NOISE
@@ -98,10 +99,10 @@ def test_slow_light_does_not_lag():
 def test_the_past_counts_from_the_same_view_alone(index, target):
     """After a gap in time, a move or a zoom the output is the new image itself."""
     recurrent = RecurrentOutput(0.85)
-    recurrent.step(0, TARGET, np.zeros((*SIZE, 3), np.float32), QUIET)
+    recurrent.step(0, TARGET, np.zeros((*SIZE, 3), np.float32), NOTHING_MOVES)
     new = np.full((*SIZE, 3), 0.5, np.float32)
 
-    np.testing.assert_array_equal(recurrent.step(index, target, new, QUIET), new)
+    np.testing.assert_array_equal(recurrent.step(index, target, new, NOTHING_MOVES), new)
 
 
 @pytest.mark.parametrize("sigma", [0.5, 1.5, 4.0])

@@ -21,7 +21,7 @@ from ggvs_eval.pipelines.online.depth_filter import FilteredDepth, TemporalDepth
 from ggvs_eval.pipelines.online.geometric_blender import GeometricBlender
 from ggvs_eval.pipelines.online.inside import inside_maps
 from ggvs_eval.pipelines.online.printed_march import FieldReading, printed_march
-from ggvs_eval.pipelines.online.recurrent_output import RecurrentOutput, splatted_change
+from ggvs_eval.pipelines.online.recurrent_output import RecurrentOutput, splatted_change, stillness
 
 
 @dataclass(frozen=True)
@@ -149,12 +149,12 @@ class GeometryGuided:
     ) -> tuple[Map, dict[str, Map]]:
         """Blend the views and mix the output with the one before where nothing moves; and what was decided for it."""
         chosen = self.options
-        change = splatted_change(splats, chosen.covered_alpha, chosen.beta_mask, chosen.lambda_t)
+        still = stillness(splatted_change(splats, chosen.covered_alpha, chosen.beta_mask, chosen.lambda_t))
         known = np.zeros((instant.target.height, instant.target.width), np.float32) if depth is None else depth
         depths = [view.depth for view in filtered]
         blended = self.blender.blend(BlendingInputs(instant, depths, splats, known, self._tau(instant)))
-        inside = inside_maps(depth, splats, change, blended.weights)
-        return self._output.step(instant.index, instant.target, blended.image, change), inside
+        inside = inside_maps(depth, splats, still, blended.weights)
+        return self._output.step(instant.index, instant.target, blended.image, still), inside
 
     def _splat(self, instant: Instant, filtered: list[FilteredDepth]) -> list[Splat]:
         """Render each view forward: colour, difference mask, coverage and depth (Sec. 3.1)."""

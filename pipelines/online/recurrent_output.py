@@ -56,23 +56,22 @@ class RecurrentOutput:
         self._limit = limit
         self._shown: _Shown | None = None
 
-    def step(self, index: int, target: Camera, image: Map, change: Map) -> Map:
+    def step(self, index: int, target: Camera, image: Map, still: Map) -> Map:
         """The output of an instant.
 
         Args:
             index: of the instant; after a gap, or from another pose, the past does not count.
             target: camera of the output.
             image: blended, (H, W, 3), float32.
-            change: of colour at each cell as the sources see it, see `splatted_change`.
+            still: how sure it is that nothing moves at each cell, see `stillness`.
 
         Returns:
             (H, W, 3), float32.
         """
         if self._limit <= 0:
             return image
-        before, age = self._shown, np.ones_like(change)
+        before, age = self._shown, np.ones_like(still)
         if before is not None and before.index == index - 1 and _same_view(before.target, target):
-            still = stillness(change)
             age += still * before.age
             image = mixed(image, before.image, still * np.minimum(1 - 1 / age, np.float32(self._limit)))
         self._shown = _Shown(index, target, image, age)
@@ -102,6 +101,9 @@ def splatted_change(splats: Sequence[Splat], covered_alpha: float, beta_mask: fl
 
 def stillness(change: Map) -> Map:
     """How sure it is that nothing moves: 1 up to twice the noise, 0 from four times the noise on.
+
+    Args:
+        change: of colour at each cell as the sources see it, see `splatted_change`.
 
     Reading:
         The noise is the change that a quarter of the picture does not exceed, within bounds: a fixed threshold would have to be
