@@ -83,8 +83,7 @@ def budget_table(run: MeasuredRun) -> Table | None:
     """A row per method, and one per view of the one that the page shows first; None where there are no pictures."""
     if not run.pictured:
         return None
-    ours = sorted((label for label in run.pictured if label in run.ours), key=lambda label: "+" in label)  # stable
-    shown = (*ours, *run.pictured)[0]
+    shown = run.ours_first[0]
     frames = run.frames[:: math.ceil(len(run.frames) / FRAMES_AT_MOST)]
     instants = [(view, frame) for view in run.protocol.views.test for frame in frames]
     with ThreadPoolExecutor(os.cpu_count()) as pool:  # OpenCV releases the GIL

@@ -16,9 +16,8 @@ MEANINGS = {
 
 def told_label(run: MeasuredRun) -> str | None:
     """The method whose inside is shown: ours, rather itself than a variant of it, or whatever tells; None where none does."""
-    ours = sorted((label for label in run.pictured if label in run.ours), key=lambda label: "+" in label)  # stable
     first = run.protocol.views.test[0]
-    return next((label for label in (*ours, *run.pictured) if (run.folder.renders(label, first) / INSIDE).is_dir()), None)
+    return next((label for label in run.ours_first if (run.folder.renders(label, first) / INSIDE).is_dir()), None)
 
 
 def inside_folders(frames: Path, label: str, indices: range) -> Iterator[tuple[str, Path]]:

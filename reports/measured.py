@@ -95,6 +95,12 @@ class MeasuredRun:
         """Labels of the methods that have every frame, which alone can stand beside each other in pictures."""
         return tuple(label for label in self.labels if label not in self.partial)
 
+    @property
+    def ours_first(self) -> tuple[str, ...]:
+        """The same with the paper's method before its variants, and these before all others: whom to show where one is shown."""
+        ours = sorted((label for label in self.pictured if label in self.ours), key=lambda label: "+" in label)  # stable
+        return (*ours, *(label for label in self.pictured if label not in self.ours))
+
     def name(self, label: str) -> str:
         """Name of a method to show; ``truth`` has one too, and partial renders say that they are."""
         name = "Truth" if label == "truth" else self.names.get(label, label)

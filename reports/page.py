@@ -126,7 +126,7 @@ def _section(index: int, room: PictureRoom, section: RunSection) -> dict[str, An
         "timing": section.timing,
         "comparison": comparison,
         "inside": inside_legend(comparison.keys),
-        "first_left": _shown_first(run),
+        "first_left": (*run.ours_first, "truth")[0],
         "data": viewer_data(run, comparison, path, maps, row, fps),
         "heat_maps": maps,
         "videos": method_videos(run, fps, room.videos),
@@ -136,12 +136,6 @@ def _section(index: int, room: PictureRoom, section: RunSection) -> dict[str, An
         "panels": section.panels,
         "plot": PLOT,
     }
-
-
-def _shown_first(run: MeasuredRun) -> str:
-    """The label that the viewer opens with: ours, rather itself than a variant of it, or whatever has pictures."""
-    ours = sorted((label for label in run.pictured if label in run.ours), key=lambda label: "+" in label)  # stable
-    return (*ours, *run.pictured, "truth")[0]
 
 
 def _facts(capture: dict[str, Any]) -> dict[str, str | int | float]:

@@ -3,16 +3,15 @@
 import base64
 import hashlib
 import math
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from ggvs_eval.images import read_image
 from ggvs_eval.protocol import Frames
-from ggvs_eval.reports import page
 from ggvs_eval.reports.comparison import FRAME_BYTES, compare_frames
 from ggvs_eval.reports.data_uri import fitting_width
 from ggvs_eval.reports.heat_map import heat_colours, heat_maps
@@ -161,9 +160,9 @@ def test_every_script_is_in_the_page(run, tmp_path):
     assert f"script-src 'sha256-{digests[0]}' 'sha256-{digests[1]}';" in text
 
 
-def test_the_viewer_opens_with_ours():
+def test_the_viewer_opens_with_ours(run):
     """Beside the truth stands the method itself, not a variant listed before it; without ours, the first with pictures."""
-    run = SimpleNamespace(pictured=("no-blending", "ours+no-tsdf", "ours"), ours=frozenset({"ours", "ours+no-tsdf"}))
-    assert page._shown_first(run) == "ours"
-    assert page._shown_first(SimpleNamespace(pictured=("mine",), ours=frozenset())) == "mine"
-    assert page._shown_first(SimpleNamespace(pictured=(), ours=frozenset())) == "truth"
+    mixed = replace(run, labels=("no-blending", "ours+no-tsdf", "ours"), ours=frozenset({"ours", "ours+no-tsdf"}))
+    assert mixed.ours_first == ("ours", "ours+no-tsdf", "no-blending")
+    assert replace(run, labels=("mine",), ours=frozenset()).ours_first == ("mine",)
+    assert replace(run, labels=()).ours_first == ()
