@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from blender_inputs import inputs_of
 from ggvs_eval.images import read_image
 from ggvs_eval.pipelines.evaluate import evaluate
 from ggvs_eval.pipelines.inside_pictures import VIEW_COLOURS, view_colours
@@ -16,9 +17,11 @@ from ggvs_eval.reports.comparison import compare_frames
 from ggvs_eval.reports.inside import MEANINGS
 from ggvs_eval.reports.measured import read_run
 from ggvs_eval.run_folder import INSIDE, RunFolder, inside_path
+from scenes import camera_at, instant
 from small_runs import small_protocol, write_small_capture
-from test_network_blender import SOURCES, TARGET, inputs_of, instant
 
+TARGET = camera_at(0.0, name="target")
+SOURCES = [camera_at(-0.15), camera_at(0.3)]
 LABELS = ("no-blending", "ours", "ours+no-tsdf", "ours-geometric")
 
 

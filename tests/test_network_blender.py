@@ -5,7 +5,7 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from ggvs_eval.baselines.method import Instant
+from blender_inputs import inputs_of
 from ggvs_eval.errors import RenderError, WeightsError
 from ggvs_eval.one_thread import one_thread
 from ggvs_eval.pipelines.online.blend_maps import blend_maps
@@ -17,7 +17,6 @@ from ggvs_eval.pipelines.online.blend_network import (
     read_outputs,
 )
 from ggvs_eval.pipelines.online.blend_weights import load_blend_network, shipped_blend_weights
-from ggvs_eval.pipelines.online.blending import Blended, BlendingInputs
 from ggvs_eval.pipelines.online.geometric_blender import GeometricBlender
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
 from ggvs_eval.pipelines.online.network_blender import NetworkBlender, blend_by, blend_start
@@ -50,22 +49,6 @@ def weights(network, tmp_path):
     path = tmp_path / "blend.safetensors"
     write_weights(path, network, {})
     return path
-
-
-class Keep:
-    """A blender that keeps what it is given."""
-
-    def blend(self, inputs: BlendingInputs) -> Blended:
-        """Nothing to see."""
-        self.inputs = inputs
-        return Blended(np.zeros((*inputs.depth.shape, 3), np.float32))
-
-
-def inputs_of(moment: Instant) -> BlendingInputs:
-    """What the online method hands to its blender."""
-    keeper = Keep()
-    GeometryGuided(blender=keeper).step(moment)
-    return keeper.inputs
 
 
 def start_of(batch: int, views: int, height: int, width: int) -> dict[str, torch.Tensor]:
