@@ -1,20 +1,26 @@
-"""The demo rooms evaluated one after another, and one page of them all: `ggvs-eval run OUT` where no capture is given."""
+"""The demo rooms evaluated one after another, the figure over K, and one page of all: `ggvs-eval run` without a capture."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
 from ggvs_eval.capture import Capture
+from ggvs_eval.errors import RenderError
 from ggvs_eval.pipelines.evaluate import measure, report
 from ggvs_eval.pipelines.jobs.engine import Workers, as_engine
 from ggvs_eval.pipelines.methods.registry import NO_CHECKPOINTS, Checkpoints
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.planning.wish import Wish
+from ggvs_eval.pipelines.sweep.cells import SHARED_FOLDERS, wishes_of
+from ggvs_eval.pipelines.sweep.run_sweep import run_sweep
 from ggvs_eval.protocol import load_protocol
+from ggvs_eval.sweep import Sweep, load_sweep
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.demo_rooms import DEMO_ROOMS, MAIN
 from ggvs_eval.synthetic.options import DemoOptions
 
+K_PROTOCOL = "demo-k"
 SMALL_ROOMS_METHODS = ("no-blending", "distance-based", "ours")
 
 
@@ -27,9 +33,9 @@ def evaluate_demos(
     depth: DepthChoice | None = None,
     checkpoints: Checkpoints = NO_CHECKPOINTS,
     rooms: Mapping[str, DemoOptions] = MappingProxyType(DEMO_ROOMS),
-    tell: Callable[[Wish], None] | None = None,
+    tell: Callable[[Sequence[Wish]], None] = lambda _: None,
 ) -> Path:
-    """Film and evaluate every demo room; a second call does only what is missing.
+    """Film and evaluate every demo room, the main one also over K; a second call does only what is missing.
 
     Args:
         root: run folder of the main room; the others' lie beside it, and each capture beside its run.
@@ -40,24 +46,55 @@ def evaluate_demos(
         depth: how depth is found.
         checkpoints: of methods whose weights do not ship.
         rooms: name of the protocol -> what is filmed.
-        tell: is called before each evaluation.
+        tell: is called before each evaluation, with its runs.
 
     Returns:
         The page of all rooms, in the main room's run folder.
+
+    Raises:
+        RenderError: a run over K failed; the page is there without it.
     """
     roots = {name: demo_root(root, name) for name in rooms}
     for name, options in rooms.items():
         capture = open_demo(write_demo(capture_beside(roots[name]), options, as_engine(workers).jobs))
         wish = Wish(roots[name], capture, load_protocol(name), labels if name == MAIN else small_labels, depth, checkpoints)
-        if tell is not None:
-            tell(wish)
+        tell([wish])
         measure(wish.root, capture, wish.protocol, wish.labels, workers, depth, checkpoints)
-    return report([*roots.values()])
+    sweep, swept = k_sweep(labels), k_root(root)
+    if not sweep.row:
+        return report([*roots.values()])
+    capture, protocol = open_demo(capture_beside(root)), load_protocol(K_PROTOCOL)
+    share_prepared(root, swept)
+    tell(wishes_of(swept, {"": (capture, protocol)}, sweep, depth, checkpoints))
+    result = run_sweep(swept, capture, sweep, protocol, workers, depth, checkpoints)
+    page = report([*roots.values()], tables_of=[] if result.table.empty else [swept])
+    if result.failures:
+        raise RenderError(f"{swept}: {len(result.failures)} failed, first {result.failures[0]}; the same call tries again")
+    return page
 
 
 def demo_root(root: Path, name: str) -> Path:
     """Run folder of a demo room: the given one, or ``<root>-<layout>`` beside it."""
     return root.with_name(root.name + name.removeprefix(MAIN))
+
+
+def k_root(root: Path) -> Path:
+    """Folder of the main room's sweep over K."""
+    return root.with_name(f"{root.name}-k")
+
+
+def k_sweep(labels: Sequence[str]) -> Sweep:
+    """The packaged sweep over K with those of its methods that are wanted."""
+    sweep = load_sweep("k")
+    return replace(sweep, row=tuple(row for row in sweep.row if row.method in labels))
+
+
+def share_prepared(root: Path, sweep: Path) -> None:
+    """Let a sweep find frames and depth of a run beside it."""
+    sweep.mkdir(parents=True, exist_ok=True)
+    for name in SHARED_FOLDERS:
+        if not (sweep / name).exists():
+            (sweep / name).symlink_to(Path("..") / root.name / name, target_is_directory=True)
 
 
 def capture_beside(root: Path) -> Path:

@@ -74,8 +74,8 @@ def recorded_capture(run: RunFolder) -> Capture:
     return replace(capture, units_origin=record["units_origin"], notes=tuple(record["notes"]))
 
 
-def report(roots: Sequence[Path], out: Path | None = None) -> Path:
-    """Write the page, tables and figures of one or several run folders."""
+def report(roots: Sequence[Path], out: Path | None = None, tables_of: Sequence[Path] = ()) -> Path:
+    """Write the page, tables and figures of one or several run folders, see `write_report`."""
     from ggvs_eval.reports.report import write_report
 
-    return write_report(roots, out)
+    return write_report(roots, out, tables_of)

@@ -40,7 +40,7 @@ def render_page(groups: Sequence[RunGroup], reproduced: Sequence[Reproduction] =
     Args:
         groups: runs by protocol; one alone has no heading of its own.
         reproduced: every value that the paper publishes, beside ours.
-        sweeps: tables and curves over K, to stand first.
+        sweeps: tables and curves over K; they stand first where their runs follow, else behind the groups.
 
     Returns:
         The whole page; equal inputs give equal text.
@@ -58,7 +58,7 @@ def render_page(groups: Sequence[RunGroup], reproduced: Sequence[Reproduction] =
         scripts=scripts,
         script_digests=[script_digest(script) for script in scripts.values()],
         groups=_groups(groups),
-        sweeps=[{"id": f"sweep{at}", **vars(sweep)} for at, sweep in enumerate(sweeps)],
+        sweeps=[{"id": f"sweep{at}", "title": sweep.title, **vars(sweep)} for at, sweep in enumerate(sweeps)],
         plot=PLOT,
         published=published_tables(),
         caveats=CAVEATS,

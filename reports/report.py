@@ -16,7 +16,7 @@ from ggvs_eval.reports.table_files import write_tables
 from ggvs_eval.run_folder import RunFolder, write_text
 
 
-def write_report(runs: Sequence[Path], out: Path | None = None) -> Path:
+def write_report(runs: Sequence[Path], out: Path | None = None, tables_of: Sequence[Path] = ()) -> Path:
     """Write ``index.html``, ``tables.*``, ``reproduction.*`` (the paper's values beside ours) and ``figures/*.png``.
 
     Runs of one protocol share their tables, as scenes of one data set; runs of another protocol stand in a group of their own,
@@ -26,6 +26,7 @@ def write_report(runs: Sequence[Path], out: Path | None = None) -> Path:
         runs: run folders, rendered and scored, of one protocol or of several; the folder of a sweep stands for its runs, and its
             table and curves over K come first.
         out: folder to write to; None takes ``report`` in the first of them.
+        tables_of: folders of sweeps that are shown by their tables and curves alone, without their runs.
 
     Returns:
         The page.
@@ -43,8 +44,8 @@ def write_report(runs: Sequence[Path], out: Path | None = None) -> Path:
     write_tables(groups, reproduced, out)
     for index, section in enumerate(sections):
         _draw_figures(section, out / "figures" / (f"run{index}" if len(sections) > 1 else ""))
-    swept = [sweep_section(sweep, sections[0].run.metrics) for sweep in sweeps]
-    for index, sweep in enumerate(sweeps):
+    swept = [sweep_section(sweep, sections[0].run.metrics, runs_follow=sweep in sweeps) for sweep in (*sweeps, *tables_of)]
+    for index, sweep in enumerate((*sweeps, *tables_of)):
         if swept[index].panels:
             draw_k(sweep, out / "figures" / f"k{index or ''}.png")
     page = out / "index.html"

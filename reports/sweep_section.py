@@ -1,5 +1,6 @@
 """A sweep in a report: its table, and quality and time over the number of source views K."""
 
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,10 +15,9 @@ from ggvs_eval.reports.table import Cell, Column, Row, Table, format_value
 from ggvs_eval.run_folder import RunFolder
 
 MEAN = "mean"  # what the table of a sweep calls the mean over its captures
-CAPTION = (
-    "As `ggvs-eval sweep` has written it. Each K is a protocol of its own, so nothing is ranked here; "
-    "intervals stand in the tables of the single runs below."
-)
+CAPTION = "As `ggvs-eval sweep` has written it. Each variant is a protocol of its own, so nothing is ranked here"
+RUNS_FOLLOW = "; intervals stand in the tables of the single runs below."
+RUNS_ELSEWHERE = "; intervals and pictures of the single runs: `ggvs-eval report {}`."
 
 
 @dataclass(frozen=True)
@@ -29,12 +29,21 @@ class SweepSection:
         table: a row per method and variant.
         panels: a curve per method over K; none where the sweep has a single K.
         ks: numbers of source views, rising.
+        measured_on: protocol, frames and views of the curves.
+        runs_follow: whether the page shows its runs too.
     """
 
     name: str
     table: Table
     panels: tuple[Panel, ...]
     ks: tuple[int, ...]
+    measured_on: str
+    runs_follow: bool
+
+    @property
+    def title(self) -> str:
+        """Heading of the section."""
+        return "Quality and time over K" if self.panels else "Sweep"
 
 
 def is_sweep(root: Path) -> bool:
@@ -51,23 +60,35 @@ def sweep_runs(sweep: Path) -> list[Path]:
     return [sweep / capture / variant for capture, variant in names if capture != MEAN]
 
 
-def sweep_section(sweep: Path, notes: Mapping[str, MetricNote]) -> SweepSection:
+def sweep_section(sweep: Path, notes: Mapping[str, MetricNote], runs_follow: bool = True) -> SweepSection:
     """Read the table of a sweep.
 
     Args:
         sweep: folder that ``ggvs-eval sweep`` has made.
         notes: metric -> unit and direction, of the sweep's runs.
+        runs_follow: whether the page shows these runs too.
+        runs_follow: whether the page shows these runs too.
     """
+    caption = CAPTION + (RUNS_FOLLOW if runs_follow else RUNS_ELSEWHERE.format(shlex.quote(str(sweep))))
+    table = _table(sweep, notes, caption)
     try:
         over_k = read_k_table(sweep)
     except ResultsError:  # a sweep over other things than K
-        return SweepSection(sweep.name, _table(sweep, notes), (), ())
+        return SweepSection(sweep.name, table, (), (), "", runs_follow)
     metrics = [metric for metric in (*USUAL, SECONDS) if metric in over_k]
     ks = tuple(sorted({int(k) for k in over_k.index.get_level_values("K")}))
-    return SweepSection(sweep.name, _table(sweep, notes), tuple(_panel(over_k, metric, notes) for metric in metrics), ks)
+    panels = tuple(_panel(over_k, metric, notes) for metric in metrics)
+    return SweepSection(sweep.name, table, panels, ks, _measured_on(sweep), runs_follow)
 
 
-def _table(sweep: Path, notes: Mapping[str, MetricNote]) -> Table:
+def _measured_on(sweep: Path) -> str:
+    """Protocol, frames and views of its runs; those of one capture differ in K alone."""
+    protocols = [RunFolder(run).protocol() for run in sweep_runs(sweep)]
+    kinds = dict.fromkeys((each.name, each.frames.count, ", ".join(each.views.test)) for each in protocols)
+    return "; ".join(f"protocol {name}: {count} frames of {views}" for name, count, views in kinds)
+
+
+def _table(sweep: Path, notes: Mapping[str, MetricNote], caption: str) -> Table:
     lines = pd.read_csv(sweep / SWEEP_FILE)
     levels = [name for name in ("method", "variant", "capture") if name in lines]
     metrics = [name for name in lines.columns if name not in levels]
@@ -76,7 +97,7 @@ def _table(sweep: Path, notes: Mapping[str, MetricNote]) -> Table:
         Row(", ".join(str(line[level]) for level in levels), tuple(_cell(metric, float(line[metric])) for metric in metrics))
         for _, line in lines.iterrows()
     ]
-    return Table("sweep", f"Sweep {sweep.name}", CAPTION, columns, tuple(rows), sweep.name)
+    return Table("sweep", f"Sweep {sweep.name}", caption, columns, tuple(rows), sweep.name)
 
 
 def _column(metric: str, notes: Mapping[str, MetricNote]) -> Column:

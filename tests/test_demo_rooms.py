@@ -149,13 +149,17 @@ def test_all_rooms_stand_on_one_page(tmp_path, small_protocols, monkeypatch):
 
     page = run()
 
+    over_k = [tmp_path / "out-k" / f"k{k}" for k in (2, 3, 4, 5)]  # of the main room's six cameras one is synthesised
     assert page == root / "report" / "index.html"
-    assert [wish.root for wish in told] == [root, tmp_path / "out-d3dmv"]
+    assert [wish.root for wishes in told for wish in wishes] == [root, tmp_path / "out-d3dmv", *over_k]
     assert len(Results.read(root).summary()) == 2
     assert len(Results.read(demo_root(root, "demo-d3dmv")).summary()) == 1
     assert (capture_beside(demo_root(root, "demo-d3dmv")) / "scene000.h5").is_file()
     text = page.read_text()
     assert all(load_protocol(name).dataset.replace("'", "&#39;") in text for name in rooms)
+    assert all(folder.joinpath("depth").resolve() == root / "depth" for folder in over_k)
+    assert text.index('id="group1"') < text.index("Quality and time over K <") < text.index('id="paper"')
+    assert 'class="group-name">Demo room <span class="on">demo-k' not in text  # the runs over K lie beside, in out-k
     before = {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.png") if "report" not in file.parts}
     run()
     assert {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.png") if "report" not in file.parts} == before
@@ -166,8 +170,9 @@ def test_a_dry_run_films_nothing(tmp_path, capsys):
     run_command(["run", str(tmp_path / "out"), "--dry-run"])
 
     told = capsys.readouterr().out.splitlines()
-    assert [line.split(":")[0] for line in told] == ["film", "plan", "disk"] * 3
+    assert [line.split(":")[0] for line in told] == ["film", "plan", "disk"] * 4
     assert "24 cameras x 24 frames at 480 x 360, into " in told[0]
     assert "3 views x 24 frames x 6 methods at 480 x 360, K = 4" in told[1]
     assert "2 views x 8 frames x 3 methods at 384 x 216, K = 2" in told[7]
+    assert "5 runs of 2 views x 6 frames x 2 methods at 480 x 360, K = 2, 3, 4, 5, 6" in told[10]
     assert list(tmp_path.iterdir()) == []

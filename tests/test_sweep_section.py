@@ -55,6 +55,17 @@ def test_a_sweep_of_one_k_has_a_table_alone(sweep, tmp_path):
     """A sweep over methods at one K shows its lines and no curve; of several captures the mean is a line and no run."""
     (tmp_path / "sweep.csv").write_text("capture,variant,method,PSNR\na,demo,Ours,30\nb,demo,Ours,31\nmean,demo,Ours,30.5\n")
     section = sweep_section(tmp_path, read_run(sweep / "k2").metrics)
-    assert section.panels == ()
+    assert (section.panels, section.title) == ((), "Sweep")
     assert [row.name for row in section.table.rows] == ["Ours, demo, a", "Ours, demo, b", "Ours, demo, mean"]
     assert sweep_runs(tmp_path) == [tmp_path / "a" / "demo", tmp_path / "b" / "demo"]
+
+
+def test_a_sweep_may_stand_without_its_runs(sweep, tmp_path):
+    """As `tables_of` it follows the groups, says on what it was measured, and which command shows its runs."""
+    page = write_report([sweep / "k2"], tmp_path / "report", tables_of=[sweep]).read_text(encoding="utf-8")
+
+    assert 'class="group"' not in page  # one run, one group, which then has no frame of its own
+    assert page.index('id="videos"') < page.index('id="sweep0"') < page.index('id="paper"')
+    assert f"ggvs-eval report {sweep}" in page
+    assert "protocol tiny: 4 frames of" in page
+    assert (tmp_path / "report" / "figures" / "k.png").is_file()

@@ -1,6 +1,7 @@
 """The verbs of the command line that make runs: prepare, render, run, sweep, status."""
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -115,12 +116,12 @@ def run(
     if capture is None and protocol is None:
         few = SMALL_ROOMS_METHODS if methods == USUAL_METHODS else methods
         if dry_run:
-            for wish in demo_wishes(root, methods, few, reading.open, depth, checkpoints):
-                announce([wish], engine.jobs, wish.root, dry_run)
+            for wishes in demo_wishes(root, methods, few, reading.open, depth, checkpoints):
+                announce(wishes, engine.jobs, wishes[0].root, dry_run)
             return
 
-        def tell(each: Wish) -> None:
-            announce([each], engine.jobs, each.root)
+        def tell(wishes: Sequence[Wish]) -> None:
+            announce(wishes, engine.jobs, wishes[0].root)
 
         print(evaluate_demos(root, methods, few, engine, reading.open, depth, checkpoints, tell=tell))
         return

@@ -1,14 +1,16 @@
 """What `ggvs-eval run OUT` wants where no capture is given, to be planned without filming."""
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from ggvs_eval.capture import Capture
-from ggvs_eval.pipelines.demo_runs import capture_beside, demo_root
+from ggvs_eval.pipelines.demo_runs import K_PROTOCOL, capture_beside, demo_root, k_root, k_sweep
 from ggvs_eval.pipelines.methods.registry import NO_CHECKPOINTS, Checkpoints
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.planning.unfilmed import demo_to_plan
 from ggvs_eval.pipelines.planning.wish import Wish
+from ggvs_eval.pipelines.sweep.cells import wishes_of
 from ggvs_eval.protocol import load_protocol
 from ggvs_eval.synthetic.demo_rooms import DEMO_ROOMS, MAIN
 
@@ -20,8 +22,8 @@ def demo_wishes(
     open_demo: Callable[[Path], Capture],
     depth: DepthChoice | None = None,
     checkpoints: Checkpoints = NO_CHECKPOINTS,
-) -> Iterator[Wish]:
-    """A wish for each demo room, as `evaluate_demos` evaluates them; nothing is written.
+) -> Iterator[list[Wish]]:
+    """The runs of each demo room, and those over K, as `evaluate_demos` evaluates them; nothing is written.
 
     Args:
         root: run folder of the main room.
@@ -35,4 +37,8 @@ def demo_wishes(
         place = demo_root(root, name)
         capture = demo_to_plan(capture_beside(place), options, open_demo)
         wanted = labels if name == MAIN else small_labels
-        yield Wish(place, capture, load_protocol(name), wanted, depth, checkpoints)
+        yield [Wish(place, capture, load_protocol(name), wanted, depth, checkpoints)]
+    if (sweep := k_sweep(labels)).row:
+        main = demo_to_plan(capture_beside(root), DEMO_ROOMS[MAIN], open_demo)
+        over_k = wishes_of(k_root(root), {"": (main, load_protocol(K_PROTOCOL))}, sweep, depth, checkpoints)
+        yield [replace(wish, shared=root) for wish in over_k]

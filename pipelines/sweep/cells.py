@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import ProtocolError, RenderError, WeightsError
-from ggvs_eval.pipelines.jobs.shard import Shard
+from ggvs_eval.pipelines.jobs.shard import WHOLE, Shard
 from ggvs_eval.pipelines.methods.registry import METHODS, Checkpoints, find_method
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.planning.wish import Wish
@@ -100,7 +100,12 @@ def share_of(cells: list[Cell], shard: Shard) -> dict[str, set[str]]:
 
 
 def wishes_of(
-    root: Path, captures: Captures, sweep: Sweep, depth: DepthChoice | None, checkpoints: Checkpoints, shard: Shard
+    root: Path,
+    captures: Captures,
+    sweep: Sweep,
+    depth: DepthChoice | None,
+    checkpoints: Checkpoints,
+    shard: Shard = WHOLE,
 ) -> list[Wish]:
     """The runs of a sweep that a shard works on, as they are planned."""
     cells, _ = sweep_cells(root, captures if len(captures) > 1 else {"": next(iter(captures.values()))}, sweep, checkpoints)
