@@ -2,6 +2,7 @@
 
 import dataclasses
 import shutil
+import time
 from collections import namedtuple
 from pathlib import Path
 
@@ -12,13 +13,15 @@ from ggvs_eval.errors import ProtocolError
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.evaluate import measure
 from ggvs_eval.pipelines.jobs.shard import WHOLE, Shard
-from ggvs_eval.pipelines.methods.registry import NO_CHECKPOINTS
+from ggvs_eval.pipelines.methods.registry import NO_CHECKPOINTS, find_method
+from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.planning import plan as run_plan
+from ggvs_eval.pipelines.planning import probe as trial
 from ggvs_eval.pipelines.planning.estimate import DEPTH_BYTES, Portion
 from ggvs_eval.pipelines.planning.plan import RunPlan, duration, plan_runs
 from ggvs_eval.pipelines.planning.rates import Rates
 from ggvs_eval.pipelines.planning.wish import Wish
-from ggvs_eval.pipelines.planning.work_left import WorkLeft
+from ggvs_eval.pipelines.planning.work_left import WorkLeft, plan_frames
 from ggvs_eval.pipelines.sweep.cells import wishes_of
 from ggvs_eval.protocol import CameraPath, Frames, Protocol, Synthesis
 from ggvs_eval.run_folder import RunFolder
@@ -212,3 +215,25 @@ def test_a_folder_of_another_run_is_refused_before_a_trial(finished, capture, pr
 def test_durations_are_told_in_their_unit(seconds, text):
     """Seconds below two minutes, minutes below two hours, then hours."""
     assert duration(seconds) == text
+
+
+def test_a_slow_method_is_tried_once(capture, protocol, tmp_path, monkeypatch):
+    """Where the first frame takes long a second one would double the trial; scoring is tried all the same."""
+    spec, asked = find_method("no-blending"), []
+
+    class Slow:
+        def __init__(self) -> None:
+            self.method = spec.make()
+
+        def step(self, instant):
+            asked.append(instant.index)
+            return self.method.step(instant)
+
+    monkeypatch.setattr(trial, "SLOW_S", 0.0)
+    options = DepthChoice().options()
+    planned, _ = plan_frames(tmp_path, capture, protocol, options, None)
+    rates = trial.probe(planned, options, {"slow": dataclasses.replace(spec, make=Slow)}, tmp_path, time.time())
+
+    assert asked == [protocol.frames.start]
+    assert rates.step_s["slow"] > 0
+    assert rates.score_s > 0

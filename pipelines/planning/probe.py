@@ -33,6 +33,7 @@ from ggvs_eval.pipelines.prepare import Prepared, SourcePlan
 from ggvs_eval.run_folder import INSIDE, RunFolder, frame_path
 
 INSTANTS = 2  # the first of a method or a metric pays for what is loaded and compiled once
+SLOW_S = 10.0  # a method whose first frame takes so long is not asked for another: what it loads is little of that
 KIB = 1024
 
 
@@ -170,10 +171,15 @@ def _try_method(
     setup_s, seconds = time.perf_counter() - begun_s, []
     for frame in frames:
         begun_s = time.perf_counter()
-        write_image(frame_path(folder, frame), quantise(method.step(_instant(capture, plan, frame, store)).image))
+        image = quantise(method.step(_instant(capture, plan, frame, store)).image)
+        write_image(frame_path(folder, frame), image)
         seconds.append(time.perf_counter() - begun_s)
+        if seconds[-1] > SLOW_S:
+            break
+    for frame in frames[len(seconds) :]:  # scoring is tried on as many as of the others
+        write_image(frame_path(folder, frame), image)
     usual_s = seconds[-1] + (setup_s / len(frames) if isinstance(method, LookaheadMethod) else 0.0)
-    return max(setup_s + sum(seconds) - len(frames) * usual_s, 0.0), usual_s
+    return max(setup_s + sum(seconds) - len(seconds) * usual_s, 0.0), usual_s
 
 
 def _instant(capture: Capture, plan: SourcePlan, frame: int, store: DepthStore) -> Instant:
