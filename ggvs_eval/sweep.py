@@ -1,6 +1,7 @@
 """A sweep: which methods stand in a table, and over which numbers of source cameras; one TOML file."""
 
 import dataclasses
+import re
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -9,6 +10,9 @@ from ggvs_eval.errors import ProtocolError
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.toml_tables import build_table, parse_toml, read_toml
 
+RENDERED = "rendered:"
+CAPTURE = "{capture}"
+
 
 @dataclass(frozen=True)
 class SweepRow:
@@ -16,13 +20,32 @@ class SweepRow:
 
     Attributes:
         title: what the paper calls it.
-        method: label of the method; one that is not built yet is reported as not computed.
+        method: label of the method; one that is not built yet is reported as not computed. ``rendered:PATH`` is frames that
+            others rendered, in any form that ``ggvs-eval score`` takes; ``{capture}`` in the path is the capture's name.
         only_own_k: compute this row at the protocol's own number of source cameras and leave it out of the other variants.
     """
 
     title: str
     method: str
     only_own_k: bool = False
+
+    @property
+    def label(self) -> str:
+        """What its folders are called: the method, or the title as a plain name where others rendered."""
+        return self.method if self.rendered is None else re.sub(r"[^a-z0-9]+", "-", self.title.lower()).strip("-")
+
+    @property
+    def rendered(self) -> str | None:
+        """The path of frames that others rendered; None where we render them."""
+        return self.method.removeprefix(RENDERED) if self.method.startswith(RENDERED) else None
+
+    def frames_of(self, capture: str) -> Path | None:
+        """Where others' frames of a capture lie.
+
+        Args:
+            capture: name of its folder.
+        """
+        return None if self.rendered is None else Path(self.rendered.replace(CAPTURE, capture))
 
 
 @dataclass(frozen=True)
@@ -66,6 +89,8 @@ class Sweep:
 def load_sweep(source: str) -> Sweep:
     """Read a sweep from a TOML file, or one that ships with the package by its name (``ablations``, ``k``).
 
+    Paths of frames that others rendered are taken from the folder of the file.
+
     Raises:
         ProtocolError: no such file, not TOML, or an unknown, missing or mistyped key.
     """
@@ -79,7 +104,15 @@ def load_sweep(source: str) -> Sweep:
     sweep = build_table(Sweep, values, source, "", ProtocolError)
     if not sweep.row or any(k < 1 for k in sweep.k):
         raise ProtocolError(f"{source}: wanted at least one [[row]] and k of at least 1, got {len(sweep.row)} rows, k {sweep.k}")
-    return sweep
+    labels = [row.label for row in sweep.row if row.rendered is not None]
+    if "" in labels or len(set(labels)) < len(labels):
+        raise ProtocolError(f"{source}: wanted titles that tell rendered frames apart by letters and digits, got {labels}")
+    folder = Path(source).parent
+    return dataclasses.replace(sweep, row=tuple(_resolved(row, folder) for row in sweep.row))
+
+
+def _resolved(row: SweepRow, folder: Path) -> SweepRow:
+    return row if row.rendered is None else dataclasses.replace(row, method=f"{RENDERED}{folder / row.rendered}")
 
 
 def packaged_sweeps() -> list[str]:

@@ -1,6 +1,7 @@
 """Sweeps: what is packaged fits the methods and the paper, what runs ends in one table, what cannot run is named."""
 
 import dataclasses
+import shutil
 
 import numpy as np
 import pytest
@@ -96,6 +97,49 @@ def test_every_variant_is_a_line_and_absent_methods_are_named(capture, protocol,
     assert "has 6 cameras" in result.not_computed["K = 8"]
     assert (tmp_path / "sweep" / "k2" / "depth").resolve() == (tmp_path / "sweep" / "k3" / "depth").resolve()
     assert (tmp_path / "sweep" / "sweep.csv").is_file()
+
+
+def test_frames_rendered_elsewhere_are_a_row(capture, protocol, tmp_path):
+    """``rendered:PATH`` is scored as the method whose frames it holds, without a time; a wrong path stops nothing else."""
+    sweep = Sweep("one", "test", (SweepRow("Distance", "distance-based"),))
+    run_sweep(tmp_path / "theirs", capture, sweep, protocol, workers=1)
+    frames = tmp_path / "theirs" / protocol.name / "renders" / "distance-based"
+    shutil.copytree(frames, tmp_path / "Others" / capture.path.name, ignore=shutil.ignore_patterns("*.json"))
+    file = tmp_path / "sweep.toml"
+    file.write_text(
+        "name = 'x'\ndescribe = 'x'\n"
+        "[[row]]\ntitle = 'Distance'\nmethod = 'distance-based'\n"
+        "[[row]]\ntitle = '4DGS (theirs)'\nmethod = 'rendered:Others/{capture}'\n"
+        "[[row]]\ntitle = 'Lost'\nmethod = 'rendered:nowhere'\n"
+    )
+
+    result = run_sweep(tmp_path / "sweep", capture, load_sweep(str(file)), protocol, workers=1)
+
+    lines = result.table.loc[protocol.name]
+    assert list(lines.index) == ["Distance", "4DGS (theirs)"]
+    assert lines.loc["4DGS (theirs)", "PSNR"] == lines.loc["Distance", "PSNR"]
+    assert np.isnan(lines.loc["4DGS (theirs)", "s/frame"])
+    assert (tmp_path / "sweep" / protocol.name / "renders" / "4dgs-theirs" / "import.json").is_file()
+    (failure,) = result.failures
+    assert "nowhere: wanted renders, there is no such folder" in str(failure)
+    assert not failure.traceback
+
+
+def test_frames_of_several_captures_are_told_apart(capture, protocol, tmp_path):
+    """One folder for two captures is refused before anything is rendered; titles that make one folder name are too."""
+    noisy = retake(capture, Retake(hold_frames=2, sensor_noise_255=20.0))
+    rows = (SweepRow("None", "no-blending"), SweepRow("Theirs", "rendered:frames"))
+
+    result = run_sweeps(
+        tmp_path / "s", {"still": (noisy, protocol), "moving": (capture, protocol)}, Sweep("x", "x", rows), workers=1
+    )
+
+    assert "wanted {capture} in the path, as there are 2 captures" in result.not_computed["Theirs"]
+    file = tmp_path / "twice.toml"
+    row = "[[row]]\ntitle = '{}'\nmethod = 'rendered:a'\n"
+    file.write_text("name = 'x'\ndescribe = 'x'\n" + row.format("A b") + row.format("a-B"))
+    with pytest.raises(ProtocolError, match="titles that tell rendered frames apart"):
+        load_sweep(str(file))
 
 
 def test_several_captures_are_averaged(capture, protocol, tmp_path):

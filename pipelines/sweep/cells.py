@@ -12,7 +12,7 @@ from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.planning.wish import Wish
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import RunFolder
-from ggvs_eval.sweep import Sweep, SweepRow
+from ggvs_eval.sweep import CAPTURE, Sweep, SweepRow
 
 SHARED_FOLDERS = ("truth", "depth")
 PATH = "path"  # the unit of the camera path, beside the test views
@@ -53,8 +53,19 @@ class Cell:
 
     @property
     def labels(self) -> list[str]:
-        """Its methods."""
-        return list(dict.fromkeys(row.method for row in self.rows))
+        """Its methods, by the names of their folders."""
+        return list(dict.fromkeys(row.label for row in self.rows))
+
+    @property
+    def synthesised(self) -> list[str]:
+        """Those that are rendered here."""
+        return list(dict.fromkeys(row.method for row in self.rows if row.rendered is None))
+
+    @property
+    def imported(self) -> dict[str, Path]:
+        """Those that others rendered, and where their frames lie."""
+        name = self.capture.path.resolve().name
+        return {row.label: path for row in self.rows if (path := row.frames_of(name)) is not None}
 
     def share_folders(self) -> None:
         """Let all variants of a capture have their frames and depth in common, so that K = 2 finds what K = 6 has computed."""
@@ -72,7 +83,7 @@ def sweep_cells(root: Path, captures: Captures, sweep: Sweep, checkpoints: Check
     Raises:
         ProtocolError: no row has a method that can be rendered.
     """
-    absent = {row.title: reason for row in sweep.row if (reason := _why_not(row.method, checkpoints))}
+    absent = {row.title: reason for row in sweep.row if (reason := _why_not(row, len(captures), checkpoints))}
     if all(row.title in absent for row in sweep.row):
         raise ProtocolError(f"sweep {sweep.name}: no row has a method of this version; known are {', '.join(METHODS)}")
     cells = []
@@ -116,7 +127,7 @@ def wishes_of(
             cell.run.root,
             cell.capture,
             cell.protocol,
-            () if shard.prepares_only else cell.labels,
+            () if shard.prepares_only else cell.synthesised,
             depth,
             checkpoints,
             root / cell.folder,
@@ -126,8 +137,12 @@ def wishes_of(
     ]
 
 
-def _why_not(label: str, checkpoints: Checkpoints) -> str | None:
-    """Why a row's method cannot be rendered; None where it can."""
+def _why_not(row: SweepRow, n_captures: int, checkpoints: Checkpoints) -> str | None:
+    """Why a row cannot be computed; None where it can, as far as can be told before it is tried."""
+    label = row.method
+    if row.rendered is not None:
+        ambiguous = n_captures > 1 and CAPTURE not in row.rendered
+        return f"{row.rendered}: wanted {CAPTURE} in the path, as there are {n_captures} captures" if ambiguous else None
     if label not in METHODS and "=" not in label:
         return f"this version has no method {label!r}"
     try:

@@ -15,9 +15,10 @@ from ggvs_eval.pipelines.jobs.ledger import Failure
 from ggvs_eval.pipelines.jobs.shard import WHOLE, Shard
 from ggvs_eval.pipelines.methods.registry import NO_CHECKPOINTS, Checkpoints, split_label
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
+from ggvs_eval.pipelines.renders.coverage import read_import
 from ggvs_eval.pipelines.scoring.score import score
 from ggvs_eval.pipelines.sweep.cells import Captures, Cell, share_of, sweep_cells
-from ggvs_eval.pipelines.sweep.stages import attempt, prepare_cells, render_cells, score_cells
+from ggvs_eval.pipelines.sweep.stages import attempt, import_cells, prepare_cells, render_cells, score_cells
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
@@ -130,9 +131,11 @@ def _run(
     share = share_of(cells, shard)
     taken = cells if shard.prepares_only else [cell for cell in cells if cell.name in share]
     ready, failures = prepare_cells(taken, engine, depth)
+    imported, refused = import_cells(taken, ready, engine)
+    failures += refused
     if shard.prepares_only or not taken:
         return SweepResult(pd.DataFrame(), absent, runs, tuple(failures))
-    whole, unrendered = render_cells(taken, ready, engine, checkpoints, share)
+    whole, unrendered = render_cells(taken, ready, engine, checkpoints, share, imported)
     good, unscored = score_cells(taken, whole, engine, share)
     failures += [*unrendered, *unscored]
     parts = []
@@ -154,20 +157,22 @@ def _write_table(table: pd.DataFrame, root: Path) -> None:
 def _score_lines(cell: Cell, labels: Sequence[str], engine: Engine) -> pd.DataFrame:
     """Collect what is measured of one run into its results, and its rows of the sweep's table."""
     results = score(cell.run, engine, without=[label for label in cell.labels if label not in labels])
-    return _lines(cell, results, [row for row in cell.rows if row.method in labels])
+    return _lines(cell, results, [row for row in cell.rows if row.label in labels])
 
 
 def _lines(cell: Cell, results: Results, rows: list[SweepRow]) -> pd.DataFrame:
     """The rows of one run by their titles, with the time of a frame."""
     summary = results.summary().droplevel("dataset")
-    lines = pd.DataFrame([summary.loc[split_label(row.method)] for row in rows], index=[row.title for row in rows])
-    lines["s/frame"] = [_seconds_per_frame(cell.run, row.method) for row in rows]
+    lines = pd.DataFrame([summary.loc[split_label(row.label)] for row in rows], index=[row.title for row in rows])
+    lines["s/frame"] = [_seconds_per_frame(cell.run, row.label) for row in rows]
     names = ["capture", "variant", "method"]
     lines.index = pd.MultiIndex.from_product([[cell.folder], [cell.variant], lines.index], names=names)
     return lines
 
 
 def _seconds_per_frame(run: RunFolder, label: str) -> float:
-    """Median over all frames of all views."""
+    """Median over all frames of all views; nothing is known of frames that others rendered."""
+    if read_import(run, label) is not None:
+        return float("nan")
     records = [read_json(run.renders(label, view) / JOB_FILE)["seconds"] for view in run.protocol().views.test]
     return float(np.median([sum(stages) for record in records for stages in zip(*record.values(), strict=True)]))

@@ -14,6 +14,7 @@ from ggvs_eval.pipelines.methods.registry import Checkpoints
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.prepare import Prepared, prepare
 from ggvs_eval.pipelines.render import note_labels, render_jobs
+from ggvs_eval.pipelines.renders.import_renders import import_renders
 from ggvs_eval.pipelines.scoring.score import score_jobs
 from ggvs_eval.pipelines.sweep.cells import PATH, Cell
 
@@ -49,17 +50,49 @@ def prepare_cells(cells: Sequence[Cell], engine: Engine, depth: DepthChoice | No
     return ready, failures
 
 
+def import_cells(
+    cells: Sequence[Cell], ready: Mapping[str, Prepared], engine: Engine
+) -> tuple[dict[str, list[str]], list[Failure]]:
+    """Take in what others rendered for the runs that are ready; what is there already is left alone.
+
+    Returns:
+        Name of a cell -> such methods, whole; and why others are not.
+    """
+    whole: dict[str, list[str]] = {}
+    failures: list[Failure] = []
+    for cell in (each for each in cells if each.name in ready):
+        for label, path in cell.imported.items():
+            taken, why_not = attempt(f"{cell.name}: {label}", partial(import_renders, cell.run, label, path, workers=engine.jobs))
+            failures += why_not
+            if taken is not None:
+                whole.setdefault(cell.name, []).append(label)
+    return whole, failures
+
+
 def render_cells(
-    cells: Sequence[Cell], ready: Mapping[str, Prepared], engine: Engine, checkpoints: Checkpoints, share: Share
+    cells: Sequence[Cell],
+    ready: Mapping[str, Prepared],
+    engine: Engine,
+    checkpoints: Checkpoints,
+    share: Share,
+    imported: Mapping[str, list[str]],
 ) -> tuple[dict[str, list[str]], list[Failure]]:
     """Render what is shared out of every run that is ready.
+
+    Args:
+        cells: runs.
+        ready: by their names, those that can be rendered into.
+        engine: where jobs run.
+        checkpoints: of methods whose weights do not ship.
+        share: what of each run is worked on.
+        imported: name of a cell -> methods that others rendered.
 
     Returns:
         Name of a cell -> methods whose views are all there, as far as they are shared out; and what failed.
     """
     jobs: dict[tuple[str, str], list[Job]] = {}
     for cell in cells:
-        for label in cell.labels if cell.name in ready else ():
+        for label in cell.synthesised if cell.name in ready else ():
             made = render_jobs(ready[cell.name], [label], engine, checkpoints)
             mine = [job for job in made if _view_of(job, cell) in share[cell.name]]
             jobs[cell.name, label] = [replace(job, name=f"{cell.name}: {job.name}") for job in mine]
@@ -68,8 +101,9 @@ def render_cells(
     for cell in cells:
         if cell.name in ready:
             note_labels(cell.run, cell.labels)
-            seen = {label: [job for job in jobs[cell.name, label] if _view_of(job, cell) != PATH] for label in cell.labels}
+            seen = {label: [job for job in jobs[cell.name, label] if _view_of(job, cell) != PATH] for label in cell.synthesised}
             whole[cell.name] = [label for label, views in seen.items() if all(job.is_done() for job in views)]
+            whole[cell.name] += imported.get(cell.name, [])
     return whole, list(tried.failures)
 
 
