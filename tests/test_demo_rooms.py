@@ -143,9 +143,8 @@ def test_all_rooms_stand_on_one_page(tmp_path, small_protocols, monkeypatch):
     root, told = tmp_path / "out", []
 
     def run() -> Path:
-        return evaluate_demos(
-            root, ["no-blending", "distance-based"], ["no-blending"], 1, open_capture, rooms=rooms, tell=told.append
-        )
+        labels = {MAIN: ["no-blending", "distance-based"], "demo-d3dmv": ["no-blending"]}
+        return evaluate_demos(root, labels, 1, open_capture, rooms=rooms, tell=told.append)
 
     page = run()
 
@@ -173,6 +172,7 @@ def test_a_dry_run_films_nothing(tmp_path, capsys):
     assert [line.split(":")[0] for line in told] == ["film", "plan", "disk"] * 4
     assert "24 cameras x 24 frames at 480 x 360, into " in told[0]
     assert "3 views x 24 frames x 6 methods at 480 x 360, K = 4" in told[1]
-    assert "2 views x 8 frames x 3 methods at 384 x 216, K = 2" in told[7]
+    assert "2 views x 8 frames x 3 methods at 384 x 216, K = 4" in told[4]
+    assert "2 views x 8 frames x 7 methods at 384 x 216, K = 2" in told[7]
     assert "5 runs of 2 views x 6 frames x 2 methods at 480 x 360, K = 2, 3, 4, 5, 6" in told[10]
     assert list(tmp_path.iterdir()) == []

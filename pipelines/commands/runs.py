@@ -98,32 +98,32 @@ def run(
     Args:
         run: run folder to make or to go on with.
         capture: folder of the capture; without one the demo rooms are filmed and evaluated, each beside the run folder: the
-            main one, and small ones in the layouts of ENeRF-Outdoor and D3DMV. One page shows them all. With --protocol the
-            main one alone.
+            main one, also over K, and small ones in the layouts of ENeRF-Outdoor and D3DMV. One page shows them all. With
+            --protocol the main one alone.
         protocol: a .toml file or a packaged name; by default the packaged one that fits the capture.
-        methods: which methods.
+        methods: which methods; by default the demo's smallest room has the baselines too.
         weights: METHOD=FILE of a method whose weights do not ship: the authors' checkpoint of a baseline.
         reading: how the capture is read.
         depth: how depth is found.
         engine: where jobs run.
         dry_run: only tell how much there is to do, what it needs and how long it takes; nothing is filmed for it.
     """
-    from ggvs_eval.pipelines.demo_runs import SMALL_ROOMS_METHODS, evaluate_demos
+    from ggvs_eval.pipelines.demo_runs import evaluate_demos, room_labels
     from ggvs_eval.pipelines.evaluate import evaluate
     from ggvs_eval.pipelines.planning.demo_wishes import demo_wishes
 
     root, checkpoints = engine.place(run), _checkpoints(weights)
     if capture is None and protocol is None:
-        few = SMALL_ROOMS_METHODS if methods == USUAL_METHODS else methods
+        labels = room_labels(methods, USUAL_METHODS)
         if dry_run:
-            for wishes in demo_wishes(root, methods, few, reading.open, depth, checkpoints):
+            for wishes in demo_wishes(root, labels, reading.open, depth, checkpoints):
                 announce(wishes, engine.jobs, wishes[0].root, dry_run)
             return
 
         def tell(wishes: Sequence[Wish]) -> None:
             announce(wishes, engine.jobs, wishes[0].root)
 
-        print(evaluate_demos(root, methods, few, engine, reading.open, depth, checkpoints, tell=tell))
+        print(evaluate_demos(root, labels, engine, reading.open, depth, checkpoints, tell=tell))
         return
     opened = reading.open(engine.place(capture)) if capture else _demo_beside(root, engine.jobs, reading, dry_run)
     chosen = _protocol(protocol, opened)

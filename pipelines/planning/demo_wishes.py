@@ -1,6 +1,6 @@
 """What `ggvs-eval run OUT` wants where no capture is given, to be planned without filming."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,8 +17,7 @@ from ggvs_eval.synthetic.demo_rooms import DEMO_ROOMS, MAIN
 
 def demo_wishes(
     root: Path,
-    labels: Sequence[str],
-    small_labels: Sequence[str],
+    labels: Mapping[str, Sequence[str]],
     open_demo: Callable[[Path], Capture],
     depth: DepthChoice | None = None,
     checkpoints: Checkpoints = NO_CHECKPOINTS,
@@ -27,8 +26,7 @@ def demo_wishes(
 
     Args:
         root: run folder of the main room.
-        labels: methods of the main room.
-        small_labels: methods of the others.
+        labels: name of a room -> its methods.
         open_demo: opens the folder of a capture that was filmed already.
         depth: how depth is found.
         checkpoints: of methods whose weights do not ship.
@@ -36,9 +34,8 @@ def demo_wishes(
     for name, options in DEMO_ROOMS.items():
         place = demo_root(root, name)
         capture = demo_to_plan(capture_beside(place), options, open_demo)
-        wanted = labels if name == MAIN else small_labels
-        yield [Wish(place, capture, load_protocol(name), wanted, depth, checkpoints)]
-    if (sweep := k_sweep(labels)).row:
+        yield [Wish(place, capture, load_protocol(name), labels[name], depth, checkpoints)]
+    if (sweep := k_sweep(labels[MAIN])).row:
         main = demo_to_plan(capture_beside(root), DEMO_ROOMS[MAIN], open_demo)
         over_k = wishes_of(k_root(root), {"": (main, load_protocol(K_PROTOCOL))}, sweep, depth, checkpoints)
         yield [replace(wish, shared=root) for wish in over_k]
