@@ -217,6 +217,18 @@ def test_durations_are_told_in_their_unit(seconds, text):
     assert duration(seconds) == text
 
 
+def test_a_trial_asks_what_is_left_alone(capture, protocol, finished, tmp_path, monkeypatch):
+    """Methods that have all their frames cost a trial nothing."""
+    root = tmp_path / "run"
+    shutil.copytree(finished, root)
+    monkeypatch.setattr(run_plan, "PROBED_FROM_PIXELS", 0)
+
+    plan = plan_runs([Wish(root, capture, protocol, (*LABELS, "ours-geometric"))], 1, root)
+
+    assert plan.rates is not None
+    assert set(plan.rates.step_s) == {"ours-geometric"}
+
+
 def test_a_slow_method_is_tried_once(capture, protocol, tmp_path, monkeypatch):
     """Where the first frame takes long a second one would double the trial; scoring is tried all the same."""
     spec, asked = find_method("no-blending"), []

@@ -17,7 +17,7 @@ from ggvs_eval.pipelines.planning.probe import probe
 from ggvs_eval.pipelines.planning.rates import Rates
 from ggvs_eval.pipelines.planning.unfilmed import films
 from ggvs_eval.pipelines.planning.wish import Wish
-from ggvs_eval.pipelines.planning.work_left import plan_frames, work_left
+from ggvs_eval.pipelines.planning.work_left import WorkLeft, plan_frames, work_left
 from ggvs_eval.pipelines.prepare import Prepared, claim_run, depth_choice_of
 from ggvs_eval.processes import worker_pool
 from ggvs_eval.run_folder import RunFolder
@@ -129,7 +129,7 @@ def plan_runs(wishes: Sequence[Wish], jobs: int, folder: Path, keep: bool = True
         return plan
     plan.require_disk()
     index = max(range(len(portions)), key=lambda i: portions[i].left.n_rendered)
-    rates = _tried(wishes[index], planned[index], trials[index][0], jobs, keep)
+    rates = _tried(wishes[index], portions[index].left, planned[index], trials[index][0], jobs, keep)
     if keep:  # what the trial has made is done
         portions = tuple(_count(wish, options)[1] for options, wish in trials)
     return replace(plan, rates=rates, probed_k=portions[index].k, portions=portions)
@@ -143,8 +143,8 @@ def _count(wish: Wish, options: DepthOptions) -> tuple[Prepared, Portion]:
     return planned, Portion(left, width * height, wish.protocol.synthesis.k)
 
 
-def _tried(wish: Wish, planned: Prepared, options: DepthOptions, jobs: int, keep: bool) -> Rates:
-    """The trial, in a process that has as many threads as those of the run."""
+def _tried(wish: Wish, left: WorkLeft, planned: Prepared, options: DepthOptions, jobs: int, keep: bool) -> Rates:
+    """The trial of what is left, in a process that has as many threads as those of the run."""
     with ExitStack() as stack:
         if keep:
             root = wish.root
@@ -152,7 +152,8 @@ def _tried(wish: Wish, planned: Prepared, options: DepthOptions, jobs: int, keep
         else:
             root = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix=".plan.", dir=_existing(wish.root))))
         shared = (wish.shared or root) if keep else root
-        specs = {label: find_method(label, wish.checkpoints) for label in wish.labels}
+        labels = [label for label in wish.labels if label in left.rendered] or wish.labels
+        specs = {label: find_method(label, wish.checkpoints) for label in labels}
         pool = stack.enter_context(worker_pool(jobs))
         return pool.submit(probe, replace(planned, run=RunFolder(root)), options, specs, shared, time.time()).result()
 

@@ -53,6 +53,11 @@ class WorkLeft:
         """Frames to synthesise."""
         return sum(self.renders.values()) + sum(self.path_renders.values())
 
+    @property
+    def rendered(self) -> set[str]:
+        """Methods that have frames to synthesise."""
+        return {label for counts in (self.renders, self.path_renders) for (label, _), n in counts.items() if n}
+
     def is_nothing(self) -> bool:
         """Whether everything is done."""
         counts = (
