@@ -1,7 +1,8 @@
 """IBRNet: names and shapes of the published checkpoint, outputs equal to the authors', and the method as a whole."""
 
+import copy
 import json
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +12,12 @@ import torch
 from ggvs_eval import kernels
 from ggvs_eval.baselines.ibrnet.method import IBRNet, depth_range
 from ggvs_eval.baselines.ibrnet.networks import PARTS, Networks, load_ibrnet
-from ggvs_eval.baselines.ibrnet.rendering import opacity_shares, render_rays
+from ggvs_eval.baselines.ibrnet.pooling_kernel import packed_layers
+from ggvs_eval.baselines.ibrnet.rendering import _shade, opacity_shares, render_rays
 from ggvs_eval.baselines.ibrnet.samples import coarse_depths, finer_depths, quantiles
 from ggvs_eval.baselines.ibrnet.views import SeenView, projection_of
 from ggvs_eval.errors import RenderError, WeightsError
+from ggvs_eval.kernels import _core
 from ggvs_eval.one_thread import one_thread
 from hostile import Hostile
 from seeded_baselines import seed_weights, turned_rig
@@ -231,7 +234,79 @@ def test_points_are_looked_up_where_they_are_seen():
     image = as_tensor(source.image)[0]
     view = SeenView(image, image, image, projection_of(source.camera), torch.zeros(3))
     pixels = source.camera.unproject(np.array([[10.5, 20.5], [60.5, 40.5], [-3.0, 20.5]]), np.array([4.0, 4.0, 4.0]))
-    seen, inside = view.look_up(torch.from_numpy(pixels).float(), image)
+    seen, inside = view.look_up(torch.from_numpy(pixels).float(), "coarse")
     np.testing.assert_allclose(seen[0, :3], image[:, 20, 10], atol=1e-4)
     np.testing.assert_allclose(seen[1, :3], image[:, 40, 60], atol=1e-4)
     assert inside[:, 0].tolist() == [True, True, False]
+
+
+@pytest.fixture
+def shaded(networks):
+    """Two rays' worth of samples, near ones that no view sees included, through a network that nobody trains or somebody does."""
+    instant = turned_rig(3)
+    views = [see(networks, source) for source in instant.sources]
+    rays = torch.from_numpy(instant.target.rays().reshape(-1, 3)[::29]).float()
+    near, far = depth_range(instant)
+    depths = torch.linspace(0.02 * near, far, 21).expand(len(rays), -1)
+    centre = torch.from_numpy(instant.target.centre).float()
+
+    def shade(with_gradients: bool, dtype: torch.dtype = torch.float32) -> tuple[torch.Tensor, torch.Tensor]:
+        network = copy.deepcopy(networks.net_fine).to(dtype).requires_grad_(with_gradients)
+        seen = [SeenView(*(getattr(view, field.name).to(dtype) for field in fields(SeenView))) for view in views]
+        return _shade(network, seen, "fine", *(each.to(dtype) for each in (centre, rays, depths)))
+
+    return shade
+
+
+def test_the_kernel_is_the_network(shaded):
+    """What nobody wants gradients of comes from a compiled pass, as near to the network in double precision as torch comes."""
+    exact, of_torch, compiled = shaded(True, torch.float64), shaded(True), shaded(False)
+    assert of_torch[1].requires_grad
+    assert not compiled[1].requires_grad
+    assert 0 < (compiled[1] == 0).sum() < compiled[1].numel()  # samples that no view sees are among them
+    for wanted, theirs, ours in zip(exact, of_torch, compiled, strict=True):
+        rounding = (theirs - wanted).abs().detach()
+        assert (ours - wanted).abs().mean() < 1.5 * rounding.mean() < 1e-5
+        assert (ours - wanted).abs().max() < 2 * rounding.max()
+
+
+def test_vectors_of_any_size_agree(shaded):
+    """Every instruction set gives the same to rounding, those with fused multiply-adds the same bits."""
+    best, by_level = kernels.get_level(), {}
+    try:
+        for level in kernels.available_levels():
+            kernels.set_level(level)
+            by_level[level] = shaded(with_gradients=False)
+    finally:
+        kernels.set_level(best)
+    for colours, density in by_level.values():
+        np.testing.assert_allclose(colours, by_level["baseline"][0], atol=1e-5)
+        np.testing.assert_allclose(density, by_level["baseline"][1], atol=1e-5)
+    if "avx512" in by_level:
+        assert all(torch.equal(*pair) for pair in zip(by_level["avx512"], by_level["avx2"], strict=True))
+
+
+def test_the_kernel_takes_what_fits_alone(networks):
+    """Arrays of another shape or type are refused by name, before anything is read."""
+    image, features = np.zeros((8, 9, 3), np.float32), np.zeros((4, 5, 32), np.float32)
+    view = (image, features, np.zeros((3, 4), np.float32), np.zeros(3, np.float32))
+    good = {
+        "layers": packed_layers(networks.net_fine),
+        "closeness": 0.2,
+        "views": [view],
+        "centre": np.zeros(3, np.float32),
+        "rays": np.zeros((2, 3), np.float32),
+        "depths": np.ones((2, 5), np.float32),
+        "level": 0,
+    }
+    cases = {
+        "14 layers": {"layers": good["layers"][:3]},
+        "at least one view": {"views": []},
+        "features: wanted float32": {"views": [(image, features[..., :31].copy(), *view[2:])]},
+        "rays: wanted float32": {"rays": np.zeros((3, 3), np.float32)},
+        "depths: wanted float32": {"depths": np.ones((2, 5))},
+    }
+    assert _core.pool_views(**good)[0].shape == (2, 5, 3)
+    for message, wrong in cases.items():
+        with pytest.raises((TypeError, ValueError), match=message):
+            _core.pool_views(**{**good, **wrong})

@@ -6,11 +6,12 @@ import torch
 from torch import Tensor
 
 from ggvs_eval.baselines.ibrnet.networks import Networks
+from ggvs_eval.baselines.ibrnet.pooling_kernel import shade_by_kernel
 from ggvs_eval.baselines.ibrnet.ray_network import RayNetwork
 from ggvs_eval.baselines.ibrnet.samples import coarse_depths, finer_depths
-from ggvs_eval.baselines.ibrnet.views import SeenView, directions
+from ggvs_eval.baselines.ibrnet.views import Pass, SeenView, directions
 
-Pass = tuple[Tensor, Tensor, Tensor]  # colours (R, 3), share of each sample in them (R, S), depths of the samples (R, S)
+Shaded = tuple[Tensor, Tensor, Tensor]  # colours (R, 3), share of each sample in them (R, S), depths of the samples (R, S)
 ROWS_AT_ONCE = 2**16  # samples times views that pass through the networks together: some 0.1 GB, and fast in the caches
 
 
@@ -39,15 +40,15 @@ def render_rays(
 
 def render_passes(
     networks: Networks, views: Sequence[SeenView], centre: Tensor, rays: Tensor, near: float, far: float
-) -> tuple[Tensor, Pass]:
+) -> tuple[Tensor, Shaded]:
     """Colours (R, 3) of the coarse pass, and the fine pass; arguments as of `render_rays`. Gradients reach the networks."""
     count = networks.config.samples
     depths = coarse_depths(near, far, count).expand(rays.shape[0], -1)
-    colours, density = _shade(networks.net_coarse, views, [view.coarse for view in views], centre, rays, depths)
+    colours, density = _shade(networks.net_coarse, views, "coarse", centre, rays, depths)
     shares = opacity_shares(density)
     rough = (shares[..., None] * colours).sum(dim=1)
     depths = finer_depths(depths, shares.detach(), count)
-    colours, density = _shade(networks.net_fine, views, [view.fine for view in views], centre, rays, depths)
+    colours, density = _shade(networks.net_fine, views, "fine", centre, rays, depths)
     shares = opacity_shares(density)
     return rough, ((shares[..., None] * colours).sum(dim=1), shares, depths)
 
@@ -65,11 +66,13 @@ def rays_at_once(views: int, samples: int) -> int:
 
 
 def _shade(
-    network: RayNetwork, views: Sequence[SeenView], features: Sequence[Tensor], centre: Tensor, rays: Tensor, depths: Tensor
+    network: RayNetwork, views: Sequence[SeenView], of_pass: Pass, centre: Tensor, rays: Tensor, depths: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """RGB (R, S, 3) and density (R, S) of the samples at the depths (R, S)."""
+    """RGB (R, S, 3) and density (R, S) of the samples at the depths (R, S); compiled where nobody wants gradients."""
+    if not (torch.is_grad_enabled() and network.s.requires_grad):
+        return shade_by_kernel(network, views, of_pass, centre, rays, depths)
     points_world = centre + depths[..., None] * rays[:, None]  # (R, S, 3)
-    looked_up = [view.look_up(points_world, of_view) for view, of_view in zip(views, features, strict=True)]
+    looked_up = [view.look_up(points_world, of_pass) for view in views]
     seen = torch.stack([values for values, _ in looked_up], dim=2)
     visible = torch.stack([inside for _, inside in looked_up], dim=2)
     differences = torch.stack([directions(points_world, centre, view.centre) for view in views], dim=2)

@@ -1,13 +1,19 @@
 """What the source views show at points of the world."""
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
 from ggvs_eval.camera import Camera
+
+Pixels = NDArray[np.float32]
+Pass = Literal["coarse", "fine"]
 
 PIXEL_CENTRE = 0.5  # ours lie at halves, the network was trained with centres at whole numbers
 FARTHEST_PX = 1e6
@@ -32,12 +38,18 @@ class SeenView:
     projection: Tensor
     centre: Tensor
 
-    def look_up(self, points_world: Tensor, features: Tensor) -> tuple[Tensor, Tensor]:
+    @cached_property
+    def pixels(self) -> dict[str, Pixels]:
+        """``image``, ``coarse`` and ``fine`` with the channels of a pixel side by side, (H, W, C), as kernels read them."""
+        maps = {"image": self.image, "coarse": self.coarse, "fine": self.fine}
+        return {name: np.ascontiguousarray(each.permute(1, 2, 0).numpy(), np.float32) for name, each in maps.items()}
+
+    def look_up(self, points_world: Tensor, of_pass: Pass) -> tuple[Tensor, Tensor]:
         """Colour and features at points, and whether the image shows them.
 
         Args:
             points_world: (..., 3).
-            features: `coarse` or `fine`.
+            of_pass: whose features.
 
         Returns:
             (..., 35), linear between pixels, and (..., 1) bool.
@@ -48,6 +60,7 @@ class SeenView:
         largest = uv.new_tensor([self.image.shape[2] - 1, self.image.shape[1] - 1])
         inside = ((uv >= 0) & (uv <= largest)).all(dim=-1, keepdim=True)
         places = 2 * uv / largest - 1  # of the corners' centres: -1 and 1, at whatever size
+        features = self.coarse if of_pass == "coarse" else self.fine
         return torch.cat([_sample(self.image, places), _sample(features, places)], dim=-1), inside & (depth > 0)
 
 

@@ -139,3 +139,12 @@ def unet(
     threads: int,
     level: int,
 ) -> Image: ...
+def pool_views(
+    layers: Sequence[tuple[Image, Image]],  # weights (before, padded), bias (padded), see pooling.packed_layers
+    closeness: float,
+    views: Sequence[tuple[Image, Image, Image, Image]],  # image (H, W, 3), features (h, w, 32), projection (3, 4), centre (3)
+    centre: Image,  # (3,)
+    rays: Image,  # (R, 3)
+    depths: Image,  # (R, S)
+    level: int,
+) -> tuple[Image, Image, Image]: ...  # colours (R, S, 3), features (R, S, 16), number of views that see each (R, S)

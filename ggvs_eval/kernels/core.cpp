@@ -128,4 +128,5 @@ PYBIND11_MODULE(_core, m) {
     ggvs::bind_images(m);
     ggvs::bind_learned(m);
     ggvs::bind_unet(m);
+    ggvs::bind_ray_pooling(m);
 }

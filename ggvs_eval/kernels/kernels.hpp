@@ -3,6 +3,7 @@
 #include "blend.hpp"
 #include "compose.hpp"
 #include "level.hpp"
+#include "ray_pooling.hpp"
 #include "refine.hpp"
 #include "register.hpp"
 #include "splat.hpp"
@@ -29,6 +30,7 @@ struct Kernels {
     void (*convolve_row)(const ConvolvedRow&);  // 3 x 3
     Moments (*moments_of_row)(const float* row, int64_t stride, int width, int channels);
     void (*normalise_row)(const NormalisedRow&);
+    void (*pool_samples)(const RayPooling&, int64_t first, int count, const RaySamples& out, void* memory);
 };
 
 extern const Kernels kBaselineKernels, kAvx2Kernels, kAvx512Kernels;

@@ -1,4 +1,4 @@
-// Bindings of the kernels of the blending network: learned.cpp, and unet_bindings.cpp for its U-Net.
+// Bindings of the kernels of networks: learned.cpp and unet_bindings.cpp for ours, ray_pooling_bindings.cpp for IBRNet.
 #pragma once
 #include <pybind11/pybind11.h>
 
@@ -6,5 +6,6 @@ namespace ggvs {
 
 void bind_learned(pybind11::module_& m);
 void bind_unet(pybind11::module_& m);
+void bind_ray_pooling(pybind11::module_& m);
 
 }  // namespace ggvs
