@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from result_tables import budget_rows, ceilings_table, results_table, sweep_table, views_table
+from result_tables import budget_rows, ceilings_table, k_table, results_table, sweep_table, views_table
 
 from ggvs_eval.errors import ResultsError
 
@@ -69,6 +69,7 @@ def main() -> None:
         {
             "real_frame_budget": lambda: budget_rows(OUT / "real_frame"),
             "ablations": lambda: sweep_table(OUT / "rooms_ablations", ABLATION_METRICS),
+            "over_k": lambda: k_table(OUT / "rooms_k", BASELINE_METRICS),
             "held": lambda: results_table(OUT / "real_frame_held"),
             "calibration": lambda: figures_table(OUT / "validate.json", r"calibration\."),
             "depth": lambda: figures_table(OUT / "depth_validation" / "figures.json", DEPTH_FIGURES),

@@ -7,6 +7,7 @@ import pandas as pd
 
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.reports.error_budget import budget_table
+from ggvs_eval.reports.k_figure import SECONDS, read_k_table
 from ggvs_eval.reports.measured import read_run
 from ggvs_eval.results import Results, merge_results
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
@@ -54,6 +55,18 @@ def sweep_table(root: Path, metrics: Sequence[str]) -> str:
     for label in names["labels"]:
         cells = [_with_interval(metric, columns[metric][label]) for metric in shown]
         rows.append(f"| {names['names'].get(label, label)} | {' | '.join(cells)} | {_seconds(runs, label):.2f} |")
+    return "\n".join(rows)
+
+
+def k_table(sweep: Path, metrics: Sequence[str]) -> str:
+    """Means of a sweep over the number of source views K, as Markdown: a row per method and K."""
+    lines = read_k_table(sweep)
+    shown = [metric for metric in metrics if metric in lines]
+    rows = [f"| method | K | {' | '.join(shown)} | s / frame |", "| --- | ---: |" + " ---: |" * (len(shown) + 1)]
+    for method in dict.fromkeys(lines.index.get_level_values("method")):
+        for k, line in lines.loc[method].iterrows():
+            cells = [f"{line[metric]:.{DECIMALS.get(metric, 3)}f}" for metric in shown]
+            rows.append(f"| {method} | {k} | {' | '.join(cells)} | {line[SECONDS]:.2f} |")
     return "\n".join(rows)
 
 
