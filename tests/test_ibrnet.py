@@ -292,19 +292,22 @@ def test_the_kernel_takes_what_fits_alone(networks):
     view = (image, features, np.zeros((3, 4), np.float32), np.zeros(3, np.float32))
     good = {
         "layers": packed_layers(networks.net_fine),
+        "norm": np.ones((2, 16), np.float32),
         "closeness": 0.2,
         "views": [view],
         "centre": np.zeros(3, np.float32),
         "rays": np.zeros((2, 3), np.float32),
         "depths": np.ones((2, 5), np.float32),
+        "places": np.zeros((5, 16), np.float32),
         "level": 0,
     }
     cases = {
-        "14 layers": {"layers": good["layers"][:3]},
+        "20 layers": {"layers": good["layers"][:3]},
         "at least one view": {"views": []},
         "features: wanted float32": {"views": [(image, features[..., :31].copy(), *view[2:])]},
         "rays: wanted float32": {"rays": np.zeros((3, 3), np.float32)},
         "depths: wanted float32": {"depths": np.ones((2, 5))},
+        "places: wanted float32": {"places": np.zeros((4, 16), np.float32)},
     }
     assert _core.pool_views(**good)[0].shape == (2, 5, 3)
     for message, wrong in cases.items():

@@ -1,14 +1,14 @@
-"""The ray network without gradients: what the views show and say of each sample in one compiled pass, then the attention."""
+"""The ray network without gradients, compiled: what the views show and say of each sample, and the attention along rays."""
 
 from collections.abc import Sequence
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
+from torch import Tensor, nn
 
 from ggvs_eval import kernels
-from ggvs_eval.baselines.ibrnet.ray_network import SEEN, RayNetwork
+from ggvs_eval.baselines.ibrnet.ray_network import SEEN, RayNetwork, positions
 from ggvs_eval.baselines.ibrnet.views import Pass, SeenView
 
 Packed = tuple[NDArray[np.float32], NDArray[np.float32]]
@@ -34,40 +34,49 @@ def shade_by_kernel(
     from ggvs_eval.kernels import _core
 
     seen = [(view.pixels["image"], view.pixels[of_pass], view.projection.numpy(), view.centre.numpy()) for view in views]
-    colours, features, seen_by = _core.pool_views(
+    norm = network.ray_attention.layer_norm
+    colours, density = _core.pool_views(
         packed_layers(network),
+        np.stack([norm.weight.detach().numpy(), norm.bias.detach().numpy()]),
         abs(float(network.s)),
         seen,
         centre.numpy(),
         rays.contiguous().numpy(),
         depths.contiguous().numpy(),
+        positions(depths.shape[1])[0].numpy().astype(np.float32),
         kernels.LEVELS.index(kernels.get_level()),
     )
-    with torch.no_grad():
-        density = network.density(torch.from_numpy(features), torch.from_numpy(seen_by)[..., None])
-    return torch.from_numpy(colours), density.float()
+    return torch.from_numpy(colours), torch.from_numpy(density)
 
 
 def packed_layers(network: RayNetwork) -> list[Packed]:
     """Weights (before, after) and bias (after) of the layers in the order of use, outputs filled up to a multiple of 8."""
-    first = network.base_fc.get_parameter("0.weight")
-    layers = [(network.base_fc.get_parameter("2.weight"), network.base_fc.get_parameter("2.bias"))]
-    shared = (first[:, : 2 * SEEN], network.base_fc.get_parameter("0.bias"))
-    own = (first[:, 2 * SEEN :], torch.zeros(len(first)))
-    before, after = (
-        [(part.get_parameter(f"{at}.weight"), part.get_parameter(f"{at}.bias")) for part, ats in parts for at in ats]
-        for parts in (
-            [(network.ray_dir_fc, (0, 2))],
-            [(network.vis_fc, (0, 2)), (network.vis_fc2, (0, 2)), (network.geometry_fc, (0, 2)), (network.rgb_fc, (0, 2, 4))],
-        )
+    attention = network.ray_attention
+    (first, bias), base = _linear(network.base_fc)
+    parts = (network.vis_fc, network.vis_fc2, network.geometry_fc, network.rgb_fc)
+    projections = (attention.w_qs, attention.w_ks, attention.w_vs, attention.fc)
+    in_order = (
+        *_linear(network.ray_dir_fc),
+        (first[:, : 2 * SEEN], bias),  # for what the views share
+        (first[:, 2 * SEEN :], None),  # for what is a view's own
+        base,
+        *(layer for part in parts for layer in _linear(part)),
+        *((each.weight, None) for each in projections),
+        *_linear(network.out_geometry_fc),
     )
-    return [_packed(weights, bias) for weights, bias in (*before, shared, own, *layers, *after)]
+    return [_packed(weights, bias) for weights, bias in in_order]
 
 
-def _packed(weights: Tensor, bias: Tensor) -> Packed:
+def _linear(part: nn.Sequential) -> list[tuple[Tensor, Tensor]]:
+    """Weights and biases of its linear layers."""
+    return [(layer.weight, layer.bias) for layer in part if isinstance(layer, nn.Linear)]
+
+
+def _packed(weights: Tensor, bias: Tensor | None) -> Packed:
     after, before = weights.shape
     padded = -(-after // OUTPUTS) * OUTPUTS
     packed = np.zeros((before + 1, padded), np.float32)
     packed[:-1, :after] = weights.detach().T.numpy()
-    packed[-1, :after] = bias.detach().numpy()
+    if bias is not None:
+        packed[-1, :after] = bias.detach().numpy()
     return packed[:-1], packed[-1]

@@ -46,7 +46,7 @@ class RayNetwork(nn.Module):
         weights = visibility / (visibility.sum(dim=2, keepdim=True) + EPSILON)
         mean, variance = weighted_moments(features, weights)
         pooled = torch.cat([mean, variance, weights.mean(dim=2, keepdim=True)], dim=-1)[:, :, 0]  # (R, S, 65)
-        density = self.density(self.geometry_fc(pooled), visible.sum(dim=2))
+        density = self._density(pooled, visible.sum(dim=2))
         scores = self.rgb_fc(torch.cat([features, visibility, directions], dim=-1)).masked_fill(~visible, -1e9)
         return (torch.softmax(scores, dim=2) * seen[..., :3]).sum(dim=2), density
 
@@ -72,8 +72,9 @@ class RayNetwork(nn.Module):
         weights = (closeness - closeness.amin(dim=2, keepdim=True)) * mask
         return weights / (weights.sum(dim=2, keepdim=True) + EPSILON)
 
-    def density(self, samples: Tensor, views: Tensor) -> Tensor:
-        """Density (R, S) from features of the samples, (R, S, 16), and the number of views that see each, (R, S, 1)."""
+    def _density(self, pooled: Tensor, views: Tensor) -> Tensor:
+        """Density (R, S) from pooled features (R, S, 65) and the number of views that see each sample, (R, S, 1)."""
+        samples = self.geometry_fc(pooled)
         samples = samples + positions(samples.shape[1]).to(samples)
         density = self.out_geometry_fc(self.ray_attention(samples, views > 1))
         return density.masked_fill(views < 1, 0.0)[..., 0]

@@ -140,11 +140,13 @@ def unet(
     level: int,
 ) -> Image: ...
 def pool_views(
-    layers: Sequence[tuple[Image, Image]],  # weights (before, padded), bias (padded), see pooling.packed_layers
+    layers: Sequence[tuple[Image, Image]],  # weights (before, padded), bias (padded), see pooling_kernel.packed_layers
+    norm: Image,  # (2, 16)
     closeness: float,
     views: Sequence[tuple[Image, Image, Image, Image]],  # image (H, W, 3), features (h, w, 32), projection (3, 4), centre (3)
     centre: Image,  # (3,)
     rays: Image,  # (R, 3)
     depths: Image,  # (R, S)
+    places: Image,  # (S, 16)
     level: int,
-) -> tuple[Image, Image, Image]: ...  # colours (R, S, 3), features (R, S, 16), number of views that see each (R, S)
+) -> tuple[Image, Image]: ...  # colours (R, S, 3), density (R, S)

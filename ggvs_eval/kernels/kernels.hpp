@@ -30,7 +30,8 @@ struct Kernels {
     void (*convolve_row)(const ConvolvedRow&);  // 3 x 3
     Moments (*moments_of_row)(const float* row, int64_t stride, int width, int channels);
     void (*normalise_row)(const NormalisedRow&);
-    void (*pool_samples)(const RayPooling&, int64_t first, int count, const RaySamples& out, void* memory);
+    void (*pool_ray)(const RayPooling&, int64_t ray, const RaySamples& out, void* memory);
+    void (*attend_ray)(const RayPooling&, const RaySamples& ray, void* memory);
 };
 
 extern const Kernels kBaselineKernels, kAvx2Kernels, kAvx512Kernels;

@@ -1,5 +1,5 @@
-// What IBRNet makes of its source views at the samples of rays: colours, and what the ray attention goes on with.
-// The arithmetic stands in ray_pooling_simd.hpp.
+// IBRNet's ray network: what it makes of its source views at the samples of rays, and of the samples of a ray together.
+// The arithmetic stands in ray_pooling_simd.hpp and ray_attention_simd.hpp.
 #pragma once
 #include <cstdint>
 #include <vector>
@@ -29,6 +29,9 @@ struct RayLayers {
     DenseLayer vis2[2];       // vis_fc2: 32 - 32 - 1
     DenseLayer geometry[2];   // geometry_fc: 65 - 64 - 16
     DenseLayer rgb[3];        // rgb_fc: 37 - 16 - 8 - 1
+    DenseLayer queries, keys, values, mixed;  // of the attention: 16 - 16, without bias
+    DenseLayer density[2];    // out_geometry_fc: 16 - 16 - 1
+    const float *norm_gain, *norm_shift;  // of its layer norm, (16)
     float closeness;          // |s|, how much a view that looks along the target's ray is preferred
 };
 
@@ -47,19 +50,26 @@ struct RayPooling {
     float centre[3];      // of the target camera
     const float* rays;    // (rays, 3), such that centre + depth * ray has that depth
     const float* depths;  // (rays, samples)
+    const float* places;  // (samples, 16): sinusoids that tell the samples of a ray apart
     int64_t n_rays;
     int n_samples;
 };
 
+// The samples of one ray, channels one after another, filled up to whole packets.
 struct RaySamples {
-    float* colours;   // (rays, samples, 3)
-    float* features;  // (rays, samples, 16)
-    float* seen_by;   // (rays, samples): number of views that see it
+    float* colours;   // (3, stride)
+    float* features;  // (16, stride)
+    float* seen_by;   // (stride): number of views that see it
+    float* density;   // (stride)
+    float *keys, *values;  // (16, stride)
+    int stride;
 };
 
-void pool_views(const RayPooling& job, const RaySamples& out, int level);
+struct RayColours {
+    float* colours;  // (rays, samples, 3)
+    float* density;  // (rays, samples), per sample, not per length
+};
 
-// Floats of memory that a packet of samples needs for so many views.
-int64_t packet_floats(int views);
+void pool_views(const RayPooling& job, const RayColours& out, int level);
 
 }  // namespace ggvs

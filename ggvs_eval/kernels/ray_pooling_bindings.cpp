@@ -9,7 +9,7 @@ namespace {
 
 using namespace py::literals;
 
-constexpr int kLayers = 14;
+constexpr int kLayers = 20;
 
 // (weights (before, padded), bias (padded)) of a layer whose sizes are known.
 DenseLayer layer_of(const py::handle& object, int before, int after) {
@@ -19,8 +19,8 @@ DenseLayer layer_of(const py::handle& object, int before, int after) {
             data_of<float>(layer[1], "bias", {padded})};
 }
 
-RayLayers layers_of(const py::sequence& layers, float closeness) {
-    if (py::len(layers) != kLayers) throw py::value_error("pool_views: wanted 14 layers");
+RayLayers layers_of(const py::sequence& layers, const py::handle& norm, float closeness) {
+    if (py::len(layers) != kLayers) throw py::value_error("pool_views: wanted 20 layers");
     const int seen = kRaySeen, features = kRayFeatures;
     return {{layer_of(layers[0], 4, 16), layer_of(layers[1], 16, seen)},
             layer_of(layers[2], 2 * seen, 64),
@@ -30,6 +30,13 @@ RayLayers layers_of(const py::sequence& layers, float closeness) {
             {layer_of(layers[7], features, 32), layer_of(layers[8], 32, 1)},
             {layer_of(layers[9], 2 * features + 1, 64), layer_of(layers[10], 64, kRayOut)},
             {layer_of(layers[11], features + 5, 16), layer_of(layers[12], 16, 8), layer_of(layers[13], 8, 1)},
+            layer_of(layers[14], kRayOut, kRayOut),
+            layer_of(layers[15], kRayOut, kRayOut),
+            layer_of(layers[16], kRayOut, kRayOut),
+            layer_of(layers[17], kRayOut, kRayOut),
+            {layer_of(layers[18], kRayOut, 16), layer_of(layers[19], 16, 1)},
+            data_of<float>(norm, "norm", {2, kRayOut}),
+            data_of<float>(norm, "norm", {2, kRayOut}) + kRayOut,
             closeness};
 }
 
@@ -52,9 +59,10 @@ RayView view_of(const py::handle& object) {
     return made;
 }
 
-py::tuple pool_views_of(const py::sequence& layers, float closeness, const py::sequence& views, const py::array& centre,
-                        const py::array& rays, const py::array& depths, int level) {
-    RayPooling job{layers_of(layers, closeness), {}, {}, nullptr, nullptr, 0, 0};
+py::tuple pool_views_of(const py::sequence& layers, const py::array& norm, float closeness, const py::sequence& views,
+                        const py::array& centre, const py::array& rays, const py::array& depths, const py::array& places,
+                        int level) {
+    RayPooling job{layers_of(layers, norm, closeness), {}, {}, nullptr, nullptr, nullptr, 0, 0};
     for (const py::handle& view : views) job.views.push_back(view_of(view));
     if (job.views.empty()) throw py::value_error("pool_views: wanted at least one view");
     std::copy_n(data_of<float>(centre, "centre", {3}), 3, job.centre);
@@ -63,20 +71,21 @@ py::tuple pool_views_of(const py::sequence& layers, float closeness, const py::s
     job.n_samples = int(shape[1]);
     job.depths = data_of<float>(depths, "depths", {shape[0], shape[1]});
     job.rays = data_of<float>(rays, "rays", {shape[0], 3});
-    py::array_t<float> colours({shape[0], shape[1], py::ssize_t(3)}), features({shape[0], shape[1], py::ssize_t(kRayOut)});
-    py::array_t<float> seen_by({shape[0], shape[1]});
-    const RaySamples out{colours.mutable_data(), features.mutable_data(), seen_by.mutable_data()};
+    job.places = data_of<float>(places, "places", {shape[1], kRayOut});
+    py::array_t<float> colours({shape[0], shape[1], py::ssize_t(3)}), density({shape[0], shape[1]});
+    const RayColours out{colours.mutable_data(), density.mutable_data()};
     {
         py::gil_scoped_release released;
         pool_views(job, out, level);
     }
-    return py::make_tuple(colours, features, seen_by);
+    return py::make_tuple(colours, density);
 }
 
 }  // namespace
 
 void bind_ray_pooling(py::module_& m) {
-    m.def("pool_views", &pool_views_of, "layers"_a, "closeness"_a, "views"_a, "centre"_a, "rays"_a, "depths"_a, "level"_a);
+    m.def("pool_views", &pool_views_of, "layers"_a, "norm"_a, "closeness"_a, "views"_a, "centre"_a, "rays"_a, "depths"_a,
+          "places"_a, "level"_a);
 }
 
 }  // namespace ggvs

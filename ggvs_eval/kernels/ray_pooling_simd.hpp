@@ -211,33 +211,25 @@ GGVS_INLINE void describe_samples(const RayLayers& layers, F* memory, int views,
     for (int c = 0; c < kRayOut; ++c) out[c] = second[c];
 }
 
-// Points of `count` samples on their rays; lanes beyond them repeat the last.
-GGVS_INLINE F3 points_of(const RayPooling& job, int64_t first, int count) {
-    alignas(64) float lanes[3][kWidth];
+// Points of a packet of samples of a ray; lanes beyond the last repeat it.
+GGVS_INLINE F3 points_of(const RayPooling& job, int64_t ray, int first) {
+    alignas(64) float depths[kWidth];
     for (int lane = 0; lane < kWidth; ++lane) {
-        const int64_t sample = first + (lane < count ? lane : count - 1);
-        const float* ray = job.rays + sample / job.n_samples * 3;
-        for (int axis = 0; axis < 3; ++axis) lanes[axis][lane] = job.centre[axis] + job.depths[sample] * ray[axis];
+        const int sample = first + lane < job.n_samples ? first + lane : job.n_samples - 1;
+        depths[lane] = job.depths[ray * job.n_samples + sample];
     }
-    return {load(lanes[0]), load(lanes[1]), load(lanes[2])};
+    F depth = load(depths);
+    F3 from = everywhere(job.centre), along = everywhere(job.rays + 3 * ray);
+    return {from.x + depth * along.x, from.y + depth * along.y, from.z + depth * along.z};
 }
 
-GGVS_INLINE void store_lanes(float* to, int channels, const F* values, int count) {
-    alignas(64) float lanes[kWidth];
-    for (int c = 0; c < channels; ++c) {
-        store(lanes, values[c]);
-        for (int lane = 0; lane < count; ++lane) to[lane * channels + c] = lanes[lane];
-    }
-}
-
-// At most 16 samples from `first` on.
-static void pool_samples(const RayPooling& job, int64_t first, int count, const RaySamples& out, void* memory) {
+// All samples of one ray.
+static void pool_ray(const RayPooling& job, int64_t ray, const RaySamples& out, void* memory) {
     const int views = int(job.views.size());
     F* looks = static_cast<F*>(memory);
     F* scratch = looks + views * (kRaySeen + kRayFeatures + 10);
-    for (int64_t last = first + count; first < last; first += kWidth) {
-        const int part = last - first < kWidth ? int(last - first) : kWidth;
-        const F3 points = points_of(job, first, part);
+    for (int first = 0; first < job.n_samples; first += kWidth) {
+        const F3 points = points_of(job, ray, first);
         F seen_by = all(0.0f), colours[3], features[kRayOut];
         for (int k = 0; k < views; ++k) {
             look_at(job.views[k], points, everywhere(job.centre), look_of(looks, k));
@@ -247,9 +239,9 @@ static void pool_samples(const RayPooling& job, int64_t first, int count, const 
         understand(job.layers, looks, views, scratch);
         mix_colours(job.layers, looks, views, scratch, colours);
         describe_samples(job.layers, looks, views, scratch, features);
-        store_lanes(out.colours + 3 * first, 3, colours, part);
-        store_lanes(out.features + kRayOut * first, kRayOut, features, part);
-        store_lanes(out.seen_by + first, 1, &seen_by, part);
+        for (int c = 0; c < 3; ++c) store(out.colours + c * out.stride + first, colours[c]);
+        for (int c = 0; c < kRayOut; ++c) store(out.features + c * out.stride + first, features[c]);
+        store(out.seen_by + first, seen_by);
     }
 }
 
