@@ -62,7 +62,7 @@ class IbrnetTask(BaselineTask):
         """What `validate` measures."""
         whole = super().judged_on.removeprefix("PSNR (dB) and SSIM of ").removesuffix(".")
         return (
-            f"PSNR (dB) of each {JUDGED_STEP}th pixel of each {JUDGED_STEP}th row of {whole}: a whole view takes half a minute."
+            f"PSNR (dB) of each {JUDGED_STEP}th pixel of each {JUDGED_STEP}th row of {whole}: whole views take minutes."
         )
 
     def validate(self, network: nn.Module) -> Mapping[str, float]:
