@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from benchmarks import bench_decoding, bench_depth, bench_geometry, bench_metrics, bench_online, bench_page
+from benchmarks import bench_baselines, bench_decoding, bench_depth, bench_geometry, bench_metrics, bench_online, bench_page
 from ggvs_eval.run_folder import write_json
 
 
@@ -15,6 +15,7 @@ def main() -> None:
         | bench_decoding.measure()
         | bench_depth.measure()
         | bench_page.measure()
+        | bench_baselines.measure()
     )
     for name, figure in figures.items():
         peer = f"  {figure['peer']}: {figure['peer_value']:.4g}, ratio {figure['ratio']:.3g}" if figure.get("peer") else ""

@@ -61,9 +61,7 @@ class IbrnetTask(BaselineTask):
     def judged_on(self) -> str:
         """What `validate` measures."""
         whole = super().judged_on.removeprefix("PSNR (dB) and SSIM of ").removesuffix(".")
-        return (
-            f"PSNR (dB) of each {JUDGED_STEP}th pixel of each {JUDGED_STEP}th row of {whole}: whole views take minutes."
-        )
+        return f"PSNR (dB) of each {JUDGED_STEP}th pixel of each {JUDGED_STEP}th row of {whole}: whole views take minutes."
 
     def validate(self, network: nn.Module) -> Mapping[str, float]:
         """PSNR of the mean squared error over pixels on a grid, mean of the views; without their neighbours there is no SSIM."""
