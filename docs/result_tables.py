@@ -37,15 +37,18 @@ def ceilings_table(run: Path) -> str:
     return _markdown(pd.DataFrame(values, [entry["name"] for entry in entries], columns))
 
 
-def sweep_table(root: Path, metrics: Sequence[str]) -> str:
+def sweep_table(root: Path, metrics: Sequence[str], timed: Path | None = None) -> str:
     """Means over the captures of a sweep, each with half the width of its interval, and seconds per frame, as Markdown.
+
+    Args:
+        root: folder of the sweep.
+        metrics: which.
+        timed: folder of a short sweep over the same methods at one go, if the times are to be taken from there.
 
     Raises:
         ResultsError: nothing is scored there.
     """
-    runs = sorted(file.parent for file in root.glob("*/*/results.parquet"))
-    if not runs:
-        raise ResultsError(f"{root} holds no scored runs of a sweep")
+    runs, timed_runs = (_runs_of(each) for each in (root, timed or root))
     results = merge_results([Results.read(run) for run in runs])
     (dataset,) = results.table["dataset"].unique()
     shown = [metric for metric in metrics if metric in set(results.table["metric"])]
@@ -54,7 +57,7 @@ def sweep_table(root: Path, metrics: Sequence[str]) -> str:
     rows = [f"| method | {' | '.join(shown)} | s / frame |", "| --- |" + " ---: |" * (len(shown) + 1)]
     for label in names["labels"]:
         cells = [_with_interval(metric, columns[metric][label]) for metric in shown]
-        rows.append(f"| {names['names'].get(label, label)} | {' | '.join(cells)} | {_seconds(runs, label):.2f} |")
+        rows.append(f"| {names['names'].get(label, label)} | {' | '.join(cells)} | {_seconds(timed_runs, label):.2f} |")
     return "\n".join(rows)
 
 
@@ -78,6 +81,14 @@ def budget_rows(run: Path) -> str:
     heads = [" ".join(filter(None, (column.name, f"({column.unit})"))) for column in table.columns]
     rows = ["| | " + " | ".join(heads) + " |", "| --- |" + " ---: |" * len(heads)]
     return "\n".join([*rows, *(f"| {row.name} | {' | '.join(cell.text for cell in row.cells)} |" for row in table.rows)])
+
+
+def _runs_of(sweep: Path) -> list[Path]:
+    """The scored runs of a sweep, of one capture or of several."""
+    runs = sorted(file.parent for pattern in ("*", "*/*") for file in sweep.glob(f"{pattern}/results.parquet"))
+    if not runs:
+        raise ResultsError(f"{sweep} holds no scored runs of a sweep")
+    return runs
 
 
 def _with_interval(metric: str, interval: Interval) -> str:

@@ -63,11 +63,10 @@ def evaluate_demos(
         wish = Wish(roots[name], capture, load_protocol(name), labels[name], depth, checkpoints)
         tell([wish])
         measure(wish.root, capture, wish.protocol, wish.labels, workers, depth, checkpoints)
-    sweep, swept = k_sweep(labels[MAIN]), k_root(root)
-    if not sweep.row:
+    if not (sweep := k_sweep(labels[MAIN])).row:
         return report([*roots.values()])
-    capture, protocol = open_demo(capture_beside(root)), load_protocol(K_PROTOCOL)
-    share_prepared(root, swept)
+    swept, protocol, capture = k_root(root), load_protocol(K_PROTOCOL), open_demo(capture_beside(root))
+    _share_prepared(root, swept)
     tell(wishes_of(swept, {"": (capture, protocol)}, sweep, depth, checkpoints))
     result = run_sweep(swept, capture, sweep, protocol, workers, depth, checkpoints)
     page = report([*roots.values()], tables_of=[] if result.table.empty else [swept])
@@ -103,14 +102,14 @@ def k_sweep(labels: Sequence[str]) -> Sweep:
     return replace(sweep, row=tuple(row for row in sweep.row if row.method in labels))
 
 
-def share_prepared(root: Path, sweep: Path) -> None:
+def capture_beside(root: Path) -> Path:
+    """Where the capture of a demo's run lies."""
+    return root.with_name(f"{root.name}-capture")
+
+
+def _share_prepared(root: Path, sweep: Path) -> None:
     """Let a sweep find frames and depth of a run beside it."""
     sweep.mkdir(parents=True, exist_ok=True)
     for name in SHARED_FOLDERS:
         if not (sweep / name).exists():
             (sweep / name).symlink_to(Path("..") / root.name / name, target_is_directory=True)
-
-
-def capture_beside(root: Path) -> Path:
-    """Where the capture of a demo's run lies."""
-    return root.with_name(f"{root.name}-capture")
