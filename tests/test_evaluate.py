@@ -17,7 +17,7 @@ from ggvs_eval.pipelines.methods.registry import METHODS
 from ggvs_eval.pipelines.prepare import prepare
 from ggvs_eval.pipelines.render import render
 from ggvs_eval.pipelines.renders.import_renders import import_renders
-from ggvs_eval.pipelines.scoring.score import score
+from ggvs_eval.pipelines.scoring.score import score, score_jobs
 from ggvs_eval.pipelines.suggest_protocol import suggest_protocol
 from ggvs_eval.protocol import Frames, Protocol, Synthesis, Views, load_protocol
 from ggvs_eval.results import Results
@@ -165,6 +165,17 @@ def test_a_changed_frame_is_scored_again(run):
 
     assert after.loc[("Demo room", "no-blending", "")] < before.loc[("Demo room", "no-blending", "")]
     assert after.loc[("Demo room", "ours-geometric", "")] == before.loc[("Demo room", "ours-geometric", "")]
+
+
+def test_scores_of_methods_that_nobody_asks_for_stay(run):
+    """A sweep of one row in a folder of several methods does not cost the others their scores."""
+    file = run.scores("cam00") / "job.json"
+    before = read_json(file)["methods"]
+    (job,) = score_jobs(run, [next(iter(before))], ["cam00"])
+
+    job.run()
+
+    assert read_json(file)["methods"] == before
 
 
 def test_frames_rendered_elsewhere_are_a_method(run, tmp_path):

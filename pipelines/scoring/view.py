@@ -38,7 +38,7 @@ def view_job(run: RunFolder, protocol: Protocol, coverage: Coverage, labels: Seq
         | coverage.identity(label, view)
         for label in stretches
     }
-    work = partial(_score_view, run, view, identities, stretches, measurement)
+    work = partial(_score_view, run, view, tuple(labels), identities, stretches, measurement)
     return Job(f"scores of {view}", run.scores(view), identities, work)
 
 
@@ -56,15 +56,18 @@ def digest_frames(folder: Path, frames: Sequence[int]) -> str:
 def _score_view(
     run: RunFolder,
     view: str,
+    asked: Sequence[str],
     identities: dict[str, Any],
     stretches: dict[str, tuple[range, ...]],
     measurement: Measurement,
     _folder: Path,
 ) -> dict[str, Any]:
-    """Measure the methods of one view whose frames changed, those with the same frames side by side."""
+    """Measure the methods of one view whose frames changed, those with the same frames side by side; others' values stay."""
     known = run.scores(view) / JOB_FILE
     records = read_json(known)["methods"] if known.is_file() else {}
-    methods = {label: records[label] for label in identities if records.get(label, {}).get("identity") == identities[label]}
+    methods = {
+        label: record for label, record in records.items() if label not in asked or record["identity"] == identities.get(label)
+    }
     alike: dict[tuple[range, ...], list[str]] = defaultdict(list)
     for label in identities:
         if label not in methods:
