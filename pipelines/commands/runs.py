@@ -117,11 +117,11 @@ def run(
         labels = room_labels(methods, USUAL_METHODS)
         if dry_run:
             for wishes in demo_wishes(root, labels, reading.open, depth, checkpoints):
-                announce(wishes, engine.jobs, wishes[0].root, dry_run)
+                announce(wishes, engine.jobs, _home(wishes), dry_run)
             return
 
         def tell(wishes: Sequence[Wish]) -> None:
-            announce(wishes, engine.jobs, wishes[0].root)
+            announce(wishes, engine.jobs, _home(wishes))
 
         print(evaluate_demos(root, labels, engine, reading.open, depth, checkpoints, tell=tell))
         return
@@ -241,6 +241,11 @@ def _demo_beside(run: Path, jobs: int, reading: ReadingOptions, dry_run: bool) -
     if dry_run:
         return demo_to_plan(folder, DemoOptions(), reading.open)
     return reading.open(write_demo(folder, DemoOptions(), jobs))
+
+
+def _home(wishes: Sequence[Wish]) -> Path:
+    """The folder of one run, or of the sweep that several belong to."""
+    return wishes[0].root if len(wishes) == 1 else wishes[0].root.parent
 
 
 def _protocol(source: str | None, capture: Capture) -> Protocol:
