@@ -66,5 +66,5 @@ def test_mistakes_are_refused_in_one_line(old, new, message, tmp_path):
 
 def test_an_unknown_name_lists_the_packaged_ones():
     """Asking for a protocol that does not ship says which do."""
-    with pytest.raises(ProtocolError, match=r"'dinerf' is not packaged.*demo, demo-d3dmv, demo-enerf-outdoor, dynerf"):
+    with pytest.raises(ProtocolError, match=r"'dinerf' is not packaged.*demo, demo-d3dmv, demo-enerf-outdoor, demo-k, dynerf"):
         load_protocol("dinerf")
