@@ -67,7 +67,6 @@ def sweep_section(sweep: Path, notes: Mapping[str, MetricNote], runs_follow: boo
         sweep: folder that ``ggvs-eval sweep`` has made.
         notes: metric -> unit and direction, of the sweep's runs.
         runs_follow: whether the page shows these runs too.
-        runs_follow: whether the page shows these runs too.
     """
     caption = CAPTION + (RUNS_FOLLOW if runs_follow else RUNS_ELSEWHERE.format(shlex.quote(str(sweep))))
     table = _table(sweep, notes, caption)
