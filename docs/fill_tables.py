@@ -76,6 +76,7 @@ def main() -> None:
             "depth": lambda: figures_table(OUT / "depth_validation" / "figures.json", DEPTH_FIGURES),
             "validate": lambda: figures_table(OUT / "validate.json", r"(?!calibration|depth)"),
             "bench": lambda: figures_table(OUT / "bench.json"),
+            "device": device_table,
         },
     )
 
@@ -117,6 +118,17 @@ def speed_table() -> str:
     for shown, name in SPEED_ROWS.items():
         cells = [f"{figures[name + stage]['value']:.0f}" for stage in STAGES.values()]
         rows.append(f"| {shown} | " + " | ".join(cells) + f" | {figures[name + '_rate']['value']:.2f} |")
+    return "\n".join(rows)
+
+
+def device_table() -> str:
+    """What ``python -m benchmarks.bench_device --device cuda --json out/device.json`` printed: milliseconds per frame on both."""
+    measured = _read(OUT / "device.json")
+    rows = [f"{measured['machine']}:", "", "| ms per frame | CPU | GPU | times as fast |", "| --- | ---: | ---: | ---: |"]
+    for figure in measured["figures"]:
+        here, there = (f"{1e3 * figure[place]['whole']:.0f}" if place in figure else "" for place in ("cpu", "device"))
+        ratio = f"{figure['ratio']:.3g}" if "ratio" in figure else ""
+        rows.append(f"| {figure['label']}, {figure['width']}x{figure['height']} | {here} | {there} | {ratio} |")
     return "\n".join(rows)
 
 

@@ -40,6 +40,10 @@ class WeightsError(GgvsError):
     """Network weights are absent, damaged or belong to another network."""
 
 
+class DeviceError(GgvsError):
+    """There is no such device to compute on, or its memory is out."""
+
+
 class TrainingError(GgvsError):
     """A training cannot start or go on."""
 

@@ -25,7 +25,8 @@ class Results:
         table: one row per value with the columns `COLUMNS`; ``view`` is None where a value belongs to the whole rig (SDV),
             ``frame`` is -1 where it belongs to the whole sequence (STED, SDT).
         provenance: ``protocol`` (values), ``protocol_sha256``, ``inputs`` (digest per camera), ``renders`` (digest per method and
-            view), ``partial`` (method -> what its row stands on, where that is not everything), ``versions``.
+            view), ``partial`` (method -> what its row stands on, where that is not everything), ``devices`` (method and view ->
+            where its networks computed, there alone where that is not the CPU), ``versions``.
         not_computed: metric -> reason, for what was asked for and could not be had.
     """
 
@@ -101,6 +102,8 @@ def merge_results(parts: Sequence[Results]) -> Results:
     provenance = dict(parts[0].provenance)
     provenance["inputs"] = {name: digest for part in parts for name, digest in part.provenance["inputs"].items()}
     provenance["partial"] = _merge_marks([part.provenance.get("partial", {}) for part in parts])
+    if devices := {name: device for part in parts for name, device in part.provenance.get("devices", {}).items()}:
+        provenance["devices"] = devices
     not_computed = {name: reason for part in parts for name, reason in part.not_computed.items()}
     table = pd.concat([part.table for part in parts], ignore_index=True)
     return Results(table.drop_duplicates(list(COLUMNS[:-1]), keep="last"), provenance, not_computed)

@@ -9,7 +9,7 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.errors import RenderError
 from ggvs_eval.pipelines.evaluate import measure, report
 from ggvs_eval.pipelines.jobs.engine import Workers, as_engine
-from ggvs_eval.pipelines.methods.registry import NO_CHECKPOINTS, Checkpoints
+from ggvs_eval.pipelines.methods.network_choice import AS_SHIPPED, NetworkChoice
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.planning.wish import Wish
 from ggvs_eval.pipelines.sweep.cells import SHARED_FOLDERS, wishes_of
@@ -35,7 +35,7 @@ def evaluate_demos(
     workers: Workers,
     open_demo: Callable[[Path], Capture],
     depth: DepthChoice | None = None,
-    checkpoints: Checkpoints = NO_CHECKPOINTS,
+    networks: NetworkChoice = AS_SHIPPED,
     rooms: Mapping[str, DemoOptions] = MappingProxyType(DEMO_ROOMS),
     tell: Callable[[Sequence[Wish]], None] = lambda _: None,
 ) -> Path:
@@ -47,7 +47,7 @@ def evaluate_demos(
         workers: where jobs run.
         open_demo: opens the folder of a capture.
         depth: how depth is found.
-        checkpoints: of methods whose weights do not ship.
+        networks: with which weights and where networks compute.
         rooms: name of the protocol -> what is filmed.
         tell: is called before each evaluation, with its runs.
 
@@ -60,15 +60,15 @@ def evaluate_demos(
     roots = {name: demo_root(root, name) for name in rooms}
     for name, options in rooms.items():
         capture = open_demo(write_demo(capture_beside(roots[name]), options, as_engine(workers).jobs))
-        wish = Wish(roots[name], capture, load_protocol(name), labels[name], depth, checkpoints)
+        wish = Wish(roots[name], capture, load_protocol(name), labels[name], depth, networks)
         tell([wish])
-        measure(wish.root, capture, wish.protocol, wish.labels, workers, depth, checkpoints)
+        measure(wish.root, capture, wish.protocol, wish.labels, workers, depth, networks)
     if not (sweep := k_sweep(labels[MAIN])).row:
         return report([*roots.values()])
     swept, protocol, capture = k_root(root), load_protocol(K_PROTOCOL), open_demo(capture_beside(root))
     _share_prepared(root, swept)
-    tell(wishes_of(swept, {"": (capture, protocol)}, sweep, depth, checkpoints))
-    result = run_sweep(swept, capture, sweep, protocol, workers, depth, checkpoints)
+    tell(wishes_of(swept, {"": (capture, protocol)}, sweep, depth, networks))
+    result = run_sweep(swept, capture, sweep, protocol, workers, depth, networks)
     page = report([*roots.values()], tables_of=[] if result.table.empty else [swept])
     if result.failures:
         raise RenderError(f"{swept}: {len(result.failures)} failed, first {result.failures[0]}; the same call tries again")

@@ -8,7 +8,7 @@ from ggvs_eval.capture import Capture, Retake
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.held_still import retake
 from ggvs_eval.pipelines.jobs.engine import Workers
-from ggvs_eval.pipelines.methods.registry import NO_CHECKPOINTS, Checkpoints
+from ggvs_eval.pipelines.methods.network_choice import AS_SHIPPED, NetworkChoice
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.prepare import Prepared, prepare
 from ggvs_eval.pipelines.render import render
@@ -24,7 +24,7 @@ def evaluate(
     labels: Sequence[str],
     workers: Workers,
     depth: DepthChoice | None = None,
-    checkpoints: Checkpoints = NO_CHECKPOINTS,
+    networks: NetworkChoice = AS_SHIPPED,
 ) -> Path:
     """Evaluate methods on a capture; a second call does only what is missing.
 
@@ -35,12 +35,12 @@ def evaluate(
         labels: methods, see `ggvs_eval.pipelines.methods.registry.METHODS`.
         workers: where jobs run: so many processes, or an `Engine`.
         depth: how depth is found, see `DepthChoice`.
-        checkpoints: of methods whose weights do not ship.
+        networks: with which weights and where networks compute.
 
     Returns:
         Path of the report's page.
     """
-    measure(root, capture, protocol, labels, workers, depth, checkpoints)
+    measure(root, capture, protocol, labels, workers, depth, networks)
     return report([root])
 
 
@@ -51,11 +51,11 @@ def measure(
     labels: Sequence[str],
     workers: Workers,
     depth: DepthChoice | None = None,
-    checkpoints: Checkpoints = NO_CHECKPOINTS,
+    networks: NetworkChoice = AS_SHIPPED,
 ) -> None:
     """Everything of `evaluate` but the report."""
     prepared = prepare(root, capture, protocol, workers, depth)
-    render(prepared, labels, workers, checkpoints)
+    render(prepared, labels, workers, networks)
     score(RunFolder(root), workers)
 
 

@@ -39,19 +39,21 @@ class Timing:
         return "\n".join([*lines, rates])
 
 
-def record(reel: Reel, out: Path, method: str = DEFAULT_METHOD) -> Timing:
+def record(reel: Reel, out: Path, method: str = DEFAULT_METHOD, device: str = "cpu") -> Timing:
     """Synthesise every step of a reel into a video; frames and depth are read one instant at a time.
 
     Args:
         reel: what to play.
         out: MP4 file to write; it appears when it is whole.
         method: label of `ggvs_eval.pipelines.methods.registry.METHODS`.
+        device: where its networks compute.
 
     Raises:
+        DeviceError: no such device here.
         RenderError: the file cannot be written, or unknown method.
     """
     require_writable(out)
-    synthesizer = OnlineSynthesizer(reel.capture.cameras, reel.k, reel.capture.units_per_metre, method)
+    synthesizer = OnlineSynthesizer(reel.capture.cameras, reel.k, reel.capture.units_per_metre, method, device)
     timing = Timing()
     write_video(out, _views(reel, synthesizer, timing), reel.capture.fps or FPS_OF_STILLS)
     return timing

@@ -15,7 +15,8 @@ from ggvs_eval.pipelines.inside_pictures import write_inside
 from ggvs_eval.pipelines.jobs.engine import Workers, as_engine
 from ggvs_eval.pipelines.jobs.job import Job, code_digest, run_jobs
 from ggvs_eval.pipelines.jobs.ledger import Ledger
-from ggvs_eval.pipelines.methods.registry import NO_CHECKPOINTS, Checkpoints, find_method, split_label
+from ggvs_eval.pipelines.methods.network_choice import AS_SHIPPED, NetworkChoice
+from ggvs_eval.pipelines.methods.registry import find_method, split_label
 from ggvs_eval.pipelines.methods.spec import MethodSpec
 from ggvs_eval.pipelines.prepare import Prepared, SourcePlan
 from ggvs_eval.processes import default_workers
@@ -23,23 +24,24 @@ from ggvs_eval.results import installed_versions
 from ggvs_eval.run_folder import RunFolder, frame_path, read_json, write_json
 
 
-def render(prepared: Prepared, labels: Sequence[str], workers: Workers = 1, checkpoints: Checkpoints = NO_CHECKPOINTS) -> int:
+def render(prepared: Prepared, labels: Sequence[str], workers: Workers = 1, networks: NetworkChoice = AS_SHIPPED) -> int:
     """Synthesise the protocol's views and the camera path by each method; what exists is not rendered again.
 
     Args:
         prepared: the run folder with truth and depth.
         labels: methods, see `ggvs_eval.pipelines.methods.registry.METHODS`.
         workers: where jobs run.
-        checkpoints: of methods whose weights do not ship.
+        networks: with which weights and where networks compute.
 
     Returns:
         Number of (method, view) jobs that were run.
 
     Raises:
+        DeviceError: no such device here.
         RenderError: unknown method, or jobs that failed; each is listed.
         WeightsError: a method lacks its weights, or they are not its own.
     """
-    jobs = render_jobs(prepared, labels, workers, checkpoints)
+    jobs = render_jobs(prepared, labels, workers, networks)
     ledger = Ledger(prepared.run.root, "render")
     ledger.write([job.entry for job in jobs])
     done = run_jobs(jobs, workers, "rendering", ledger)
@@ -48,15 +50,16 @@ def render(prepared: Prepared, labels: Sequence[str], workers: Workers = 1, chec
 
 
 def render_jobs(
-    prepared: Prepared, labels: Sequence[str], workers: Workers = 1, checkpoints: Checkpoints = NO_CHECKPOINTS
+    prepared: Prepared, labels: Sequence[str], workers: Workers = 1, networks: NetworkChoice = AS_SHIPPED
 ) -> list[Job]:
     """What `render` runs: one job per method and test view, and one per method along the camera path.
 
     Raises:
+        DeviceError: no such device here.
         RenderError: unknown method.
         WeightsError: a method lacks its weights, or they are not its own.
     """
-    specs = {label: find_method(label, checkpoints) for label in labels}
+    specs = {label: find_method(label, networks) for label in labels}
     for spec in specs.values():
         spec.make()  # what is missing shows before anything is rendered
     at_once = as_engine(workers).jobs
@@ -89,7 +92,7 @@ def _path_job(prepared: Prepared, label: str, spec: MethodSpec, workers: int) ->
 
 
 def _identity(prepared: Prepared, label: str, spec: MethodSpec, plans: Sequence[SourcePlan]) -> dict[str, Any]:
-    """Everything that the pixels depend on."""
+    """Everything that the pixels depend on; the CPU goes without saying, as its bits are equal everywhere."""
     sources = {(name, prepared.capture.digest(name), key) for plan in plans for name, key in plan.depth_keys.items()}
     return {
         "method": label,
@@ -100,7 +103,15 @@ def _identity(prepared: Prepared, label: str, spec: MethodSpec, plans: Sequence[
         "frames": [prepared.frames.start, prepared.frames.stop, prepared.path_frame],
         "units_per_metre": prepared.capture.units_per_metre,
         "resize": prepared.capture.resize_filter,
+        **({} if spec.device == "cpu" else {"device": _described(spec.device)}),
     }
+
+
+def _described(device: str) -> str:
+    """A device in words, its model included: another one rounds otherwise."""
+    from ggvs_eval.compute_device import compute_device, describe_device
+
+    return describe_device(compute_device(device))
 
 
 def _camera_values(camera: Camera) -> list[float]:

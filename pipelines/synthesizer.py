@@ -10,6 +10,7 @@ from ggvs_eval.camera import Camera, nearest_cameras
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import CameraError, DepthError, RenderError
 from ggvs_eval.images import Image8
+from ggvs_eval.pipelines.methods.network_choice import NetworkChoice, found_device
 from ggvs_eval.pipelines.methods.registry import find_method
 
 DEFAULT_METHOD = "ours"
@@ -26,8 +27,10 @@ class OnlineSynthesizer:
         k: number of source views per step; may be set anew between steps.
         units_per_metre: world units per metre.
         method: a label of `ggvs_eval.pipelines.methods.registry.METHODS`, or what makes a fresh method.
+        device: where the networks of a method compute that is given by its label, see `compute_device`.
 
     Raises:
+        DeviceError: no such device here.
         CameraError: two cameras of one name, or fewer than `k`.
         RenderError: unknown method, or one that is not online.
     """
@@ -38,6 +41,7 @@ class OnlineSynthesizer:
         k: int = 4,
         units_per_metre: float = 1.0,
         method: str | Callable[[], Method] = DEFAULT_METHOD,
+        device: str = "cpu",
     ) -> None:
         twice = [name for name, count in Counter(camera.name for camera in cameras).items() if count > 1]
         if twice:
@@ -46,7 +50,7 @@ class OnlineSynthesizer:
             raise CameraError(f"rig: wanted a positive number of world units per metre, got {units_per_metre:g}")
         self.cameras = tuple(cameras)
         self.units_per_metre = units_per_metre
-        self._make = online_method(method)
+        self._make = online_method(method, device)
         self.k = k
         self.restart()
 
@@ -99,13 +103,15 @@ class OnlineSynthesizer:
         return rendering
 
 
-def online_method(method: str | Callable[[], Method]) -> Callable[[], Method]:
-    """What makes a method, given its label or itself.
+def online_method(method: str | Callable[[], Method], device: str = "cpu") -> Callable[[], Method]:
+    """What makes a method, given its label and where its networks compute, or itself.
 
     Raises:
+        DeviceError: no such device here.
         RenderError: unknown method, or one that wants to see the whole sequence first.
     """
-    make = find_method(method).make if isinstance(method, str) else method
+    networks = NetworkChoice(device=found_device(device))
+    make = find_method(method, networks).make if isinstance(method, str) else method
     if isinstance(make(), LookaheadMethod):
         raise RenderError(f"method {method!r} looks at the whole sequence before its first step; choose one that is online")
     return make

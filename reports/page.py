@@ -104,7 +104,10 @@ def reproduce(run: MeasuredRun, capture: str) -> list[str]:
     ours = [label for label in run.labels if (run.folder.renders(label, run.protocol.views.test[0]) / JOB_FILE).is_file()]
     foreign = [f"{label}=RENDERS/{label}" for label in run.labels if label not in ours]
     commands = [["prepare", root, "--capture", Path(capture).name, "--protocol", f"{root}/protocol.toml"]]
-    commands += [["render", root, "--methods", *ours]] if ours else []
+    on_gpu = {render.rsplit("/", 1)[0] for render in run.results.provenance.get("devices", {})}
+    for device, flags in ((False, []), (True, ["--device", "cuda"])):
+        if labels := [label for label in ours if (label in on_gpu) == device]:
+            commands.append(["render", root, "--methods", *labels, *flags])
     commands += [["score", root, *(["--renders", *foreign] if foreign else [])], ["report", root]]
     return [shlex.join(["ggvs-eval", *command]) for command in commands]
 

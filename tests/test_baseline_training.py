@@ -10,6 +10,7 @@ from ggvs_eval.baselines.configuration import configuration_of
 from ggvs_eval.errors import TrainingError, WeightsError
 from ggvs_eval.one_thread import one_thread
 from ggvs_eval.pipelines.methods import baselines
+from ggvs_eval.pipelines.methods.network_choice import NetworkChoice
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
 from ggvs_eval.pipelines.training.baseline_tasks import BASELINE_TASKS, TAKING_DEPTH, baseline_task
 from ggvs_eval.pipelines.training.blend_samples import SampleMaker
@@ -145,7 +146,7 @@ def test_what_a_training_writes_renders(what, cache, tmp_path):
     assert configuration_of(weights, ("compact",), what) == "compact"
     figures = dict(zip(*(line.split(",") for line in (tmp_path / "validation.csv").read_text().splitlines()), strict=True))
     sample = task.validation.read(0)
-    rendered = find_method(LABELS.get(what, what), {what: weights}).make().step(sample.instant).image
+    rendered = find_method(LABELS.get(what, what), NetworkChoice({what: weights})).make().step(sample.instant).image
     assert rendered.shape == sample.truth.shape
     step = 4 if what == "ibrnet" else 1
     error = np.square(rendered - sample.truth / np.float32(255))[::step, ::step].mean()
@@ -175,7 +176,7 @@ def test_retrained_methods_are_labelled(tmp_path, monkeypatch):
         method = label.partition("+")[0]
         assert METHODS[label].title.endswith("(retrained, compact)")
         assert not METHODS[label].usual
-        with_own = find_method(label, {method: tmp_path / "authors.pth"})
+        with_own = find_method(label, NetworkChoice({method: tmp_path / "authors.pth"}))
         assert "retrained" not in with_own.title
         assert with_own.weights == (tmp_path / "authors.pth",)
     monkeypatch.setattr(baselines, "shipped", lambda name: tmp_path / name)

@@ -24,6 +24,7 @@ from ggvs_eval.pipelines.online.full_size import Composed, composed, refined
 from ggvs_eval.pipelines.online.network_blender import blend_by, blend_start
 from ggvs_eval.pipelines.online.network_inputs import GUIDED, input_channels
 from ggvs_eval.pipelines.online.refiner import Refiner, evidence
+from ggvs_eval.pipelines.online.torch_blender import blend_on
 
 pytestmark = pytest.mark.usefixtures("kernel_settings")
 
@@ -101,6 +102,22 @@ def test_the_blender_makes_the_twins_image(config, width, size, views):
         torch.nn.init.zeros_(silent.refiner.taps.weight)
         torch.nn.init.zeros_(silent.refiner.taps.bias)
         assert np.abs(twin(silent, maps) - expected).max() > 0.01  # the refiner did something that could be wrong
+
+
+DEVICES = ("cpu", pytest.param("cuda", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="torch finds no GPU here")))
+
+
+@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize(("config", "width", "size", "views"), SHAPES)
+def test_torch_blends_on_a_device_as_the_kernels_do(config, width, size, views, device):
+    """The path that a GPU takes gives the kernels' image, and the same shares of the views."""
+    maps, network = random_maps(np.random.default_rng(1), *size, views), random_network(config, width)
+    expected = blend_by(network, maps)
+    found = blend_on(network.to(device), maps, torch.device(device))
+    assert found.image.flags.c_contiguous
+    assert found.image.dtype == found.weights.dtype == np.float32
+    np.testing.assert_allclose(found.image, expected.image, atol=2e-5 if device == "cpu" else 5e-4)
+    np.testing.assert_allclose(found.weights, expected.weights, atol=2e-5 if device == "cpu" else 5e-4)
 
 
 @settings(deadline=None, max_examples=20)

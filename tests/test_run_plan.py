@@ -13,7 +13,8 @@ from ggvs_eval.errors import ProtocolError
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.evaluate import measure
 from ggvs_eval.pipelines.jobs.shard import WHOLE, Shard
-from ggvs_eval.pipelines.methods.registry import NO_CHECKPOINTS, find_method
+from ggvs_eval.pipelines.methods.network_choice import AS_SHIPPED
+from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.planning import plan as run_plan
 from ggvs_eval.pipelines.planning import probe as trial
@@ -189,7 +190,7 @@ def test_a_sweep_is_planned_as_one(capture, protocol, tmp_path):
     sweep = Sweep("s", "", (SweepRow("A", "no-blending"),), k=(2, 3))
     captures = {"": (capture, protocol)}
     whole, half, first = (
-        plan_runs(wishes_of(tmp_path, captures, sweep, None, NO_CHECKPOINTS, shard), 1, tmp_path)
+        plan_runs(wishes_of(tmp_path, captures, sweep, None, AS_SHIPPED, shard), 1, tmp_path)
         for shard in (WHOLE, Shard(1, 2), Shard(0, 2))
     )
 
@@ -197,7 +198,7 @@ def test_a_sweep_is_planned_as_one(capture, protocol, tmp_path):
     assert sum(each.left.n_rendered for each in whole.portions) == 2 * (2 * 3 + 3)
     assert sum(each.left.n_rendered for each in half.portions) == pytest.approx(9, abs=3)
     assert sum(each.left.n_rendered for each in first.portions) == 0
-    alone = plan_runs(wishes_of(tmp_path, captures, sweep, None, NO_CHECKPOINTS, WHOLE)[:1], 1, tmp_path)
+    alone = plan_runs(wishes_of(tmp_path, captures, sweep, None, AS_SHIPPED, WHOLE)[:1], 1, tmp_path)
     assert alone.disk_bytes < whole.disk_bytes < 2 * alone.disk_bytes
     assert list(tmp_path.iterdir()) == []
 

@@ -170,9 +170,10 @@ def test_one_bad_batch_does_not_spoil_the_weights(tmp_path):
 def test_the_card_tells_cost_and_quality(tmp_path):
     """The model card names the command, the steps, the data, the hash of the weights and the last validation."""
     train(LineTask(), tmp_path, OPTIONS)
-    text = write_card(LineTask(), tmp_path, "ggvs-eval train line").read_text()
+    text = write_card(LineTask(), tmp_path, "ggvs-eval train line", device="cuda: NVIDIA H100").read_text()
     assert "`ggvs-eval train line`" in text
     assert "Steps: 120" in text
+    assert text.count(", cuda: NVIDIA H100\n") == 1
     assert "points on a line" in text
     assert "| 120 |" in text
     assert "sha256" in text

@@ -1,7 +1,6 @@
 """ENeRF as a method: each instant from its own source frames, by the network that its authors trained."""
 
 from pathlib import Path
-from time import perf_counter
 
 import numpy as np
 import torch
@@ -13,11 +12,12 @@ from ggvs_eval.baselines.enerf.views import SeenView, extrinsics, intrinsics, pa
 from ggvs_eval.baselines.enerf.volumes import Surface, TargetGrid, find_surface
 from ggvs_eval.baselines.method import Instant, Rendering
 from ggvs_eval.camera import Camera
+from ggvs_eval.compute_device import clock_s, compute_device, rendering_on
 from ggvs_eval.errors import RenderError
-from ggvs_eval.one_thread import one_thread
 
 TRAINED_NEAR = 2.125  # nearest depth in training: DTU's 425 mm in units of 200 mm
 PIXELS_AT_ONCE = 2**14
+PIXELS_AT_ONCE_ON_GPU = 2**17  # some 2 GB; a few large pieces of work keep it busy
 FEWEST_VIEWS = 2  # disagreement of one view is nothing
 
 
@@ -28,9 +28,11 @@ class ENeRF:
         weights: the authors' checkpoint, see `load_enerf`.
         coarse_planes: planes of the coarse volume, a multiple of 4; by default those of the weights' configuration: 64 in the
             published training, 32 in the authors' runs on real scenes and in our compact one.
-        pixels_per_chunk: pixels that are rendered together.
+        pixels_per_chunk: pixels that are rendered together; by default as many as suit the device.
+        device: where the networks compute, see `compute_device`.
 
     Raises:
+        DeviceError: no such device here.
         WeightsError: the weights cannot be used.
         RenderError: `coarse_planes` is no positive multiple of 4.
 
@@ -41,12 +43,16 @@ class ENeRF:
         numbers; principal points are moved by half a pixel.
     """
 
-    def __init__(self, weights: Path, coarse_planes: int | None = None, pixels_per_chunk: int = PIXELS_AT_ONCE) -> None:
+    def __init__(
+        self, weights: Path, coarse_planes: int | None = None, pixels_per_chunk: int | None = None, device: str = "cpu"
+    ) -> None:
         if coarse_planes is not None and (coarse_planes < 4 or coarse_planes % 4):
             raise RenderError(f"ENeRF's coarse volume is halved twice; wanted planes in multiples of 4, got {coarse_planes}")
-        self._networks = load_enerf(weights)
+        self._device = compute_device(device)
+        self._networks = load_enerf(weights).to(self._device)
         self._coarse_planes = coarse_planes or self._networks.coarse_planes
-        self._pixels_per_chunk = pixels_per_chunk
+        suitable = PIXELS_AT_ONCE_ON_GPU if self._device.type == "cuda" else PIXELS_AT_ONCE
+        self._pixels_per_chunk = pixels_per_chunk or suitable
 
     def step(self, instant: Instant) -> Rendering:
         """Synthesise one instant; nothing is remembered.
@@ -60,17 +66,17 @@ class ENeRF:
             )
         near, far = depth_range(instant)
         unit = TRAINED_NEAR / near
-        started = perf_counter()
-        with one_thread(), torch.inference_mode():
+        started = clock_s(self._device)
+        with rendering_on(self._device):
             views = [see(self._networks.feature_net, source, unit) for source in instant.sources]
-            seen = perf_counter()
+            seen = clock_s(self._device)
             grid = target_grid(instant.target, unit)
             surface = find_surface(self._networks, views, grid, near * unit, far * unit, self._coarse_planes)
-            found = perf_counter()
+            found = clock_s(self._device)
             image, depth = render_surface(self._networks, views, surface, instant.target, unit, self._pixels_per_chunk)
-        rendered = np.ascontiguousarray(image.permute(1, 2, 0).clamp(0, 1).numpy())
-        seconds = {"features": seen - started, "volumes": found - seen, "rays": perf_counter() - found}
-        return Rendering(rendered, depth.numpy(), seconds)
+        rendered = np.ascontiguousarray(image.permute(1, 2, 0).clamp(0, 1).numpy(force=True))
+        seconds = {"features": seen - started, "volumes": found - seen, "rays": clock_s(self._device) - found}
+        return Rendering(rendered, depth.numpy(force=True), seconds)
 
 
 def render_surface(
@@ -82,8 +88,8 @@ def render_surface(
     pixels_per_chunk: int = PIXELS_AT_ONCE,
 ) -> tuple[Tensor, Tensor]:
     """RGB (3, H, W) and depth (H, W) in world units, by so many pixels at once; gradients reach the networks' parameters."""
-    centre = torch.from_numpy(target.centre * unit).float()
-    rays = torch.from_numpy(target.rays().reshape(-1, 3)).float()
+    centre = torch.as_tensor(target.centre * unit).float()
+    rays = torch.as_tensor(target.rays().reshape(-1, 3)).float()
     parts = []
     for chunk in torch.arange(len(rays)).split(pixels_per_chunk):
         pixels = torch.div(chunk, target.width, rounding_mode="floor"), chunk % target.width

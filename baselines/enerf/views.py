@@ -38,7 +38,7 @@ class SeenView:
     @property
     def centre(self) -> Tensor:
         """Of the camera in the world, (3,)."""
-        return torch.from_numpy(-self.world_to_camera[:3, :3].T @ self.world_to_camera[:3, 3]).float()
+        return torch.as_tensor(-self.world_to_camera[:3, :3].T @ self.world_to_camera[:3, 3]).float()
 
     def projection(self, scale: float) -> Matrix:
         """World to an image of that scale, (4, 4)."""
@@ -46,7 +46,7 @@ class SeenView:
 
     def look_up(self, points_world: Tensor) -> Tensor:
         """Features and colour at points (N, 3), those of the border outside the image, (N, 11)."""
-        world_to_image = torch.from_numpy(self.projection(1.0)).float()
+        world_to_image = torch.as_tensor(self.projection(1.0)).float()
         projected = points_world @ world_to_image[:3, :3].T + world_to_image[:3, 3]
         return sample(self.shown, image_places(projected, self.shown)[None], "border")[:, 0].T
 
@@ -71,7 +71,7 @@ def see(network: FeatureNetwork, source: SourceView, unit: float = 1.0) -> SeenV
 
 def see_together(network: FeatureNetwork, sources: Sequence[SourceView], unit: float = 1.0) -> list[SeenView]:
     """Features of source views of one size in one batch, as they are normalised in training; arguments as of `see`."""
-    images = torch.from_numpy(np.stack([source.image for source in sources])).permute(0, 3, 1, 2).float() / 255
+    images = torch.as_tensor(np.stack([source.image for source in sources])).permute(0, 3, 1, 2).float() / 255
     height, width = (padded(side) for side in images.shape[2:])
     images = functional.pad(images, (0, width - images.shape[3], 0, height - images.shape[2]), mode="replicate")
     quarter, half, full = (level.float() for level in network(2 * images - 1))

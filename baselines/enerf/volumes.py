@@ -127,7 +127,7 @@ def disagreement(views: Sequence[SeenView], target: TargetGrid, level: int, dept
         (C, D, h, w). A view contributes zeros where it does not see a cell, as in the authors' volume.
     """
     image_to_world = np.linalg.inv(projection(target.K, target.world_to_camera, (COARSE_SCALE, FINE_SCALE)[level]))
-    warps = [torch.from_numpy(view.projection(FEATURE_SCALES[level]) @ image_to_world).float() for view in views]
+    warps = [torch.as_tensor(view.projection(FEATURE_SCALES[level]) @ image_to_world).float() for view in views]
     rows, columns = torch.meshgrid(*(torch.arange(side, dtype=torch.float32) for side in depths.shape[1:]), indexing="ij")
     pixels = torch.stack([columns, rows, torch.ones_like(rows)], dim=-1)  # (h, w, 3)
     volume = []

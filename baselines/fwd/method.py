@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from time import perf_counter
 
 import numpy as np
 import torch
@@ -16,8 +15,8 @@ from ggvs_eval.baselines.fwd.warping import warp_view
 from ggvs_eval.baselines.fwd.weights import load_network
 from ggvs_eval.baselines.gaussians import near_plane
 from ggvs_eval.baselines.method import Instant, Rendering
+from ggvs_eval.compute_device import clock_s, compute_device, rendering_on
 from ggvs_eval.errors import RenderError
-from ggvs_eval.one_thread import one_thread
 
 SIZE_MULTIPLE = 4  # the decoder halves half the size once more
 
@@ -29,15 +28,18 @@ class Fwd:
     Attributes:
         weights: file of its weights, see `load_network`.
         points_per_pixel: most points that a view blends at a pixel; by default as many as the weights were trained with.
+        device: where the network computes, see `compute_device`.
     """
 
     weights: Path
     points_per_pixel: int | None = None
+    device: str = "cpu"
 
     def __post_init__(self) -> None:
         """Refuse options that mean nothing."""
         if self.points_per_pixel is not None and self.points_per_pixel < 1:
             raise RenderError(f"FWD: wanted at least one point per pixel, got {self.points_per_pixel}")
+        compute_device(self.device)
 
     def step(self, instant: Instant) -> Rendering:
         """Synthesise one instant.
@@ -45,14 +47,15 @@ class Fwd:
         Raises:
             WeightsError: no usable weights.
         """
-        network = load_network(self.weights)
-        with one_thread(), torch.inference_mode():
-            started = perf_counter()
+        device = compute_device(self.device)
+        network = load_network(self.weights, device)
+        with rendering_on(device):
+            started = clock_s(device)
             views = warp_views(network, instant, self.points_per_pixel)
-            warped = perf_counter()
+            warped = clock_s(device)
             image = decode_views(network, instant, views)
-        rendered = np.ascontiguousarray(image.permute(1, 2, 0).numpy())
-        return Rendering(rendered, None, {"warp": warped - started, "decode": perf_counter() - warped})
+        rendered = np.ascontiguousarray(image.permute(1, 2, 0).numpy(force=True))
+        return Rendering(rendered, None, {"warp": warped - started, "decode": clock_s(device) - warped})
 
 
 def warp_views(network: FwdNetwork, instant: Instant, points_per_pixel: int | None = None) -> list[PointSplat]:

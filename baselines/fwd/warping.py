@@ -27,8 +27,8 @@ def warp_view(
         Directions are taken in the target camera's frame, so that the world's axes do not matter, and depth enters the completion
         as a share of the largest inverse depth, 1 / `smallest`, so that its unit does not matter.
     """
-    images = torch.from_numpy(view.image).permute(2, 0, 1)[None].contiguous()
-    depth = _completed(network, images, torch.from_numpy(view.depth), smallest).flatten()
+    images = torch.as_tensor(view.image).permute(2, 0, 1)[None].contiguous()
+    depth = _completed(network, images, torch.as_tensor(view.depth), smallest).flatten()
     rays, centre = _rays(view.camera, target)
     points = centre + torch.where(depth > 0, depth, torch.ones(()))[:, None] * rays  # (N, 3)
     directions = direction_change(rays, points).float().T.view(1, -1, *view.depth.shape)
@@ -49,4 +49,4 @@ def _completed(network: FwdNetwork, images: Tensor, depth: Tensor, smallest: flo
 def _rays(camera: Camera, target: Camera) -> tuple[Tensor, Tensor]:
     """Each pixel's ray at depth 1, (H * W, 3), and the camera's centre, (3,), in the target camera, float64."""
     rays = camera.rays().reshape(-1, 3) @ target.rotation.T
-    return torch.from_numpy(rays), torch.from_numpy(np.array(target.rotation @ camera.centre + target.translation))
+    return torch.as_tensor(rays), torch.as_tensor(np.array(target.rotation @ camera.centre + target.translation))

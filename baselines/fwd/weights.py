@@ -3,6 +3,8 @@
 from functools import lru_cache
 from pathlib import Path
 
+import torch
+
 from ggvs_eval.baselines.configuration import FULL, configuration_of
 from ggvs_eval.baselines.fwd.network import CONFIGURATIONS, FwdNetwork
 from ggvs_eval.weights_file import pour_strictly, read_tensors
@@ -10,9 +12,9 @@ from ggvs_eval.weights_file import pour_strictly, read_tensors
 OF = "FWD (this project's names)"
 
 
-@lru_cache(maxsize=1)
-def load_network(path: Path) -> FwdNetwork:
-    """The network of a weights file, in evaluation mode.
+@lru_cache(maxsize=2)
+def load_network(path: Path, device: torch.device | str = "cpu") -> FwdNetwork:
+    """The network of a weights file, in evaluation mode, on a device.
 
     Whether it completes depth is known from its tensors, which configuration it is from its header.
 
@@ -23,4 +25,4 @@ def load_network(path: Path) -> FwdNetwork:
     configuration = configuration_of(path, CONFIGURATIONS, OF) or FULL
     network = FwdNetwork(any(name.startswith("completion.") for name in tensors), configuration)
     pour_strictly(tensors, network, path, OF)
-    return network.eval()
+    return network.eval().to(device)

@@ -75,11 +75,11 @@ def footprints(gaussians: Gaussians, target: Camera, near: float) -> Footprints:
 
     Equal depths stay in the order of the Gaussians.
     """
-    rotation = torch.from_numpy(np.array(target.rotation))
-    points = gaussians.centres @ rotation.T + torch.from_numpy(np.array(target.translation))  # (N, 3)
+    rotation = torch.as_tensor(np.array(target.rotation))
+    points = gaussians.centres @ rotation.T + torch.as_tensor(np.array(target.translation))  # (N, 3)
     seen = torch.nonzero(points[:, 2] > near)[:, 0]
     points = points[seen]
-    focal, middle = (torch.from_numpy(np.array(values)) for values in (target.K[[0, 1], [0, 1]], target.K[:2, 2]))
+    focal, middle = (torch.as_tensor(np.array(values)) for values in (target.K[[0, 1], [0, 1]], target.K[:2, 2]))
     centres = (points[:, :2] / points[:, 2:] * focal + middle - 0.5).float()
     covariance = _image_covariance(points.float(), gaussians.axes[seen], gaussians.scales[seen], target)
     conics, radii = _conics(covariance)
@@ -98,7 +98,7 @@ def _image_covariance(points: Tensor, axes: Tensor, scales: Tensor, target: Came
     limit = EDGE * torch.tensor([target.width / (2 * fx), target.height / (2 * fy)])
     z = points[:, 2]
     x, y = (points[:, :2] / points[:, 2:]).clamp(-limit, limit).unbind(dim=1)
-    turned = torch.from_numpy(np.array(target.rotation)).float() @ (axes * scales[:, None])  # (N, 3, 3), columns are sigmas
+    turned = torch.as_tensor(np.array(target.rotation)).float() @ (axes * scales[:, None])  # (N, 3, 3), columns are sigmas
     across = (turned[:, 0] - x[:, None] * turned[:, 2]) * (fx / z)[:, None]  # (N, 3), first row of J W R S
     down = (turned[:, 1] - y[:, None] * turned[:, 2]) * (fy / z)[:, None]
     return torch.stack([(across**2).sum(1) + BLUR_PX2, (across * down).sum(1), (down**2).sum(1) + BLUR_PX2], dim=1)

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from time import perf_counter
 from typing import Literal
 
 import numpy as np
@@ -18,8 +17,8 @@ from ggvs_eval.baselines.gps_gaussian.regressor import GaussianMaps
 from ggvs_eval.baselines.gps_gaussian.tile_renderer import render_gaussians
 from ggvs_eval.baselines.gps_gaussian.weights import load_network
 from ggvs_eval.baselines.method import Instant, Map, Rendering, SourceView
+from ggvs_eval.compute_device import clock_s, compute_device, rendering_on
 from ggvs_eval.errors import RenderError
-from ggvs_eval.one_thread import one_thread
 
 
 @dataclass(frozen=True)
@@ -31,6 +30,7 @@ class GpsGaussian:
         depth: ``own`` stereo between the two images, or the depth ``given`` with the sources; Gaussians are its own either way.
         pairs: how many pairs are rendered together; by default what the weights' configuration says, one for the authors'.
         rotations_in: what the network's rotations refer to, see `GpsGaussianConfig`, which says it where nothing is said here.
+        device: where the network computes and Gaussians are rendered, see `compute_device`.
 
     Reading:
         The network knows metres: inverse depth goes in per metre, and scales, at most 0.01 m, come out in metres. What that is in
@@ -42,6 +42,7 @@ class GpsGaussian:
     depth: Literal["own", "given"] = "own"
     pairs: int | None = None
     rotations_in: Literal["world", "camera"] | None = None
+    device: str = "cpu"
 
     def __post_init__(self) -> None:
         """Refuse options that mean nothing."""
@@ -51,6 +52,7 @@ class GpsGaussian:
                 "GPS-Gaussian: wanted depth own or given, rotations_in world or camera and at least one pair, got "
                 f"{self.depth!r}, {self.rotations_in!r} and {self.pairs}"
             )
+        compute_device(self.device)
 
     def step(self, instant: Instant) -> Rendering:
         """Synthesise one instant.
@@ -59,16 +61,17 @@ class GpsGaussian:
             RenderError: no two of the sources make a stereo pair.
             WeightsError: no usable weights.
         """
-        network = load_network(self.weights)
+        device = compute_device(self.device)
+        network = load_network(self.weights, device)
         config = network.config
-        with one_thread(), torch.inference_mode():
-            started = perf_counter()
+        with rendering_on(device):
+            started = clock_s(device)
             gaussians = instant_gaussians(
                 network, instant, self.depth, self.pairs or config.pairs, self.rotations_in or config.rotations_in
             )
-            regressed = perf_counter()
+            regressed = clock_s(device)
             image = render_gaussians(gaussians, instant.target, near_plane(instant))
-        seconds = {"network": regressed - started, "splat": perf_counter() - regressed}
+        seconds = {"network": regressed - started, "splat": clock_s(device) - regressed}
         return Rendering(np.minimum(image.colour, np.float32(1)), image.depth, seconds)
 
 
@@ -88,7 +91,7 @@ def instant_gaussians(
         images = torch.stack([_network_image(view, image) for view, image in zip(pair.views, colours, strict=True)])
         features = network.features(images)
         inverse = _given(pair, sources) if depth == "given" else _own(pair, network.flow(features))
-        per_metre = torch.from_numpy(inverse * np.float32(instant.units_per_metre))[:, None]
+        per_metre = torch.as_tensor(inverse * np.float32(instant.units_per_metre))[:, None]
         maps = network.gaussians(images, per_metre, features)
         parts += [
             _of_view(view, colours[half], inverse[half], _half(maps, half), instant.units_per_metre, rotations_in)
@@ -104,17 +107,17 @@ def _of_view(
     rows, columns = np.nonzero(view.inside & (inverse > 0))
     uv = np.stack([columns, rows], axis=1).astype(np.float64) + 0.5
     centres = view.camera.unproject(uv, 1 / inverse[rows, columns].astype(np.float64))
-    rotation, scale_m, opacity = (values[:, torch.from_numpy(rows), torch.from_numpy(columns)].float() for values in maps)
+    rotation, scale_m, opacity = (values[:, torch.as_tensor(rows), torch.as_tensor(columns)].float() for values in maps)
     axes = rotation_matrices(rotation.T)
     if rotations_in == "camera":
-        axes = torch.from_numpy(view.camera.rotation.T.astype(np.float32)) @ axes
-    colours = torch.from_numpy(image[rows, columns])
-    return Gaussians(torch.from_numpy(centres), axes, scale_m.T * units_per_metre, opacity[0], colours)
+        axes = torch.as_tensor(view.camera.rotation.T.astype(np.float32)) @ axes
+    colours = torch.as_tensor(image[rows, columns])
+    return Gaussians(torch.as_tensor(centres), axes, scale_m.T * units_per_metre, opacity[0], colours)
 
 
 def _network_image(view: RectifiedView, image: Map) -> Tensor:
     """(3, H, W) in [-1, 1], 0 outside."""
-    return torch.from_numpy(np.where(view.inside[..., None], 2 * image - 1, np.float32(0))).permute(2, 0, 1).contiguous()
+    return torch.as_tensor(np.where(view.inside[..., None], 2 * image - 1, np.float32(0))).permute(2, 0, 1).contiguous()
 
 
 def _given(pair: RectifiedPair, sources: tuple[SourceView, SourceView]) -> Map:
@@ -124,7 +127,7 @@ def _given(pair: RectifiedPair, sources: tuple[SourceView, SourceView]) -> Map:
 
 def _own(pair: RectifiedPair, flow: Tensor) -> Map:
     """Inverse depth of both halves from the network's flow (2, 1, Hc, Wc), (2, Hc, Wc), per world unit."""
-    return pair.inverse_depth(flow[:, 0].numpy())
+    return pair.inverse_depth(flow[:, 0].numpy(force=True))
 
 
 def _half(maps: GaussianMaps, half: int) -> GaussianMaps:

@@ -1,5 +1,6 @@
 """Renders anisotropic Gaussians tile by tile, front to back, as 3D Gaussian splatting does (Kerbl et al. 2023)."""
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -7,12 +8,11 @@ import torch
 from torch import Tensor
 
 from ggvs_eval.baselines.gps_gaussian.gaussians import TILE, Footprints, Gaussians, footprints
+from ggvs_eval.baselines.gps_gaussian.tile_batches import MAX_ALPHA, MIN_ALPHA, MIN_LIGHT, NEGLIGIBLE, blend_batches
 from ggvs_eval.baselines.method import Map
 from ggvs_eval.camera import Camera
 
 CHUNK = 256  # Gaussians of a tile that are evaluated at once
-MAX_ALPHA, MIN_ALPHA, MIN_LIGHT = 0.99, 1 / 255, 1e-4
-NEGLIGIBLE = -6.0  # an exponent that stays below MIN_ALPHA; far smaller ones give denormal numbers, which are slow
 
 
 class GaussianImage(NamedTuple):
@@ -31,7 +31,7 @@ class GaussianImage(NamedTuple):
 
 def render_gaussians(gaussians: Gaussians, target: Camera, near: float) -> GaussianImage:
     """Render Gaussians of any shape in one pass; arguments as of `blend_gaussians`."""
-    image = blend_gaussians(gaussians, target, near).numpy()
+    image = blend_gaussians(gaussians, target, near).numpy(force=True)
     alpha = image[..., 4]
     depth = np.divide(image[..., 3], alpha, out=np.zeros_like(alpha), where=alpha > MIN_ALPHA)
     return GaussianImage(np.ascontiguousarray(image[..., :3]), np.ascontiguousarray(alpha), depth)
@@ -57,10 +57,14 @@ def blend_gaussians(gaussians: Gaussians, target: Camera, near: float) -> Tensor
     columns, rows = -(-target.width // TILE), -(-target.height // TILE)
     members, starts = _tiles(seen, columns, rows)
     features = torch.cat([seen.colours, seen.depths[:, None], torch.ones_like(seen.depths)[:, None]], dim=1)  # (N, 5)
-    canvas = torch.zeros(rows, columns, TILE, TILE, features.shape[1])
-    for tile in torch.nonzero(starts[1:] > starts[:-1])[:, 0].tolist():
-        row, column = divmod(tile, columns)
-        canvas[row, column] = _blend(seen, features, members[starts[tile] : starts[tile + 1]], column * TILE, row * TILE)
+    if features.device.type == "cuda":
+        canvas = blend_batches(seen, features, members, starts, columns).view(rows, columns, TILE, TILE, -1)
+    else:
+        canvas = torch.zeros(rows, columns, TILE, TILE, features.shape[1])
+        for tile, (first, last) in enumerate(pairwise(starts.tolist())):
+            if first < last:
+                row, column = divmod(tile, columns)
+                canvas[row, column] = _blend(seen, features, members[first:last], column * TILE, row * TILE)
     image = canvas.permute(0, 2, 1, 3, 4).reshape(rows * TILE, columns * TILE, -1)
     return image[: target.height, : target.width]
 

@@ -3,6 +3,7 @@
 from functools import lru_cache
 from pathlib import Path
 
+import torch
 from torch.serialization import safe_globals
 
 from ggvs_eval.baselines.configuration import FULL, configuration_of
@@ -16,13 +17,14 @@ OF = "GPS-Gaussian (GPS-GS_stage2_final.pth)"
 FORGOTTEN = ("builtins.getattr", "torch.optim.lr_scheduler.OneCycleLR")
 
 
-@lru_cache(maxsize=1)
-def load_network(path: Path) -> GpsGaussianNetwork:
+@lru_cache(maxsize=2)
+def load_network(path: Path, device: torch.device | str = "cpu") -> GpsGaussianNetwork:
     """The network of a weights file, in evaluation mode.
 
     Args:
         path: the authors' checkpoint (a dict with ``network`` beside ``total_steps``, ``optimizer`` and ``scheduler``), or
             safetensors whose names begin with ``network.``, or what our training wrote.
+        device: where the network shall lie.
 
     Raises:
         WeightsError: absent, damaged, more than tensors and plain values inside, or tensors of another network.
@@ -32,7 +34,7 @@ def load_network(path: Path) -> GpsGaussianNetwork:
         tensors = read_tensors(path, *(() if configuration else ("network",)), of=OF)
     network = GpsGaussianNetwork(configuration or FULL)
     pour_strictly(tensors, network, path, OF)
-    return network.eval()
+    return network.eval().to(device)
 
 
 def _nothing(*_: object) -> None:

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from time import perf_counter
 
 import torch
 from torch import Tensor
@@ -14,8 +13,8 @@ from ggvs_eval.baselines.ibrnet.networks import Networks, load_ibrnet
 from ggvs_eval.baselines.ibrnet.rendering import rays_at_once, render_rays
 from ggvs_eval.baselines.ibrnet.views import SeenView, projection_of
 from ggvs_eval.baselines.method import Instant, Rendering, SourceView
+from ggvs_eval.compute_device import clock_s, compute_device, rendering_on
 from ggvs_eval.errors import RenderError
-from ggvs_eval.one_thread import one_thread
 
 NEARER, FARTHER = 0.9, 1.6  # margins that the authors put around the depths of a real scene
 FEWEST_VIEWS = 2  # a sample that one view sees cannot be compared with anything
@@ -26,9 +25,11 @@ class IBRNet:
 
     Args:
         weights: the authors' checkpoint, see `load_ibrnet`.
-        rays_per_chunk: rays that pass through the networks together; by default as many as need some 0.1 GB.
+        rays_per_chunk: rays that pass through the networks together; by default as many as suit the device.
+        device: where the networks compute, see `compute_device`.
 
     Raises:
+        DeviceError: no such device here.
         WeightsError: the weights cannot be used.
 
     Reading:
@@ -37,8 +38,9 @@ class IBRNet:
         whole numbers; principal points are moved by half a pixel.
     """
 
-    def __init__(self, weights: Path, rays_per_chunk: int | None = None) -> None:
-        self._networks = load_ibrnet(weights)
+    def __init__(self, weights: Path, rays_per_chunk: int | None = None, device: str = "cpu") -> None:
+        self._device = compute_device(device)
+        self._networks = load_ibrnet(weights).to(self._device)
         self._rays_per_chunk = rays_per_chunk
 
     def step(self, instant: Instant) -> Rendering:
@@ -48,27 +50,32 @@ class IBRNet:
             RenderError: fewer than two source views, or one too small for the network.
         """
         _check(instant)
-        started = perf_counter()
-        with one_thread(), torch.inference_mode():
+        started = clock_s(self._device)
+        with rendering_on(self._device):
             views = see(self._networks, instant.sources)
-            seen = perf_counter()
+            seen = clock_s(self._device)
             image, depth = self._render(instant, views)
-        return Rendering(image.numpy(), depth.numpy(), {"features": seen - started, "rays": perf_counter() - seen})
+        seconds = {"features": seen - started, "rays": clock_s(self._device) - seen}
+        return Rendering(image.numpy(force=True), depth.numpy(force=True), seconds)
 
     def _render(self, instant: Instant, views: list[SeenView]) -> tuple[Tensor, Tensor]:
         """RGB (H, W, 3) and depth (H, W)."""
         target = instant.target
         near, far = depth_range(instant)
-        centre = torch.from_numpy(target.centre).float()
-        rays = torch.from_numpy(target.rays().reshape(-1, 3)).float()
-        chunks = rays.split(self._rays_per_chunk or rays_at_once(len(views), self._networks.config.samples))
+        centre = torch.as_tensor(target.centre).float()
+        rays = torch.as_tensor(target.rays().reshape(-1, 3)).float()
+        together = self._rays_per_chunk or rays_at_once(len(views), self._networks.config.samples, self._device)
+        chunks = rays.split(together)
 
         def render(chunk: Tensor) -> tuple[Tensor, Tensor]:
             with torch.inference_mode():  # holds for the thread that enters it
                 return render_rays(self._networks, views, centre, chunk, near, far)
 
-        with ThreadPoolExecutor(kernels.get_threads()) as pool:  # whole chunks, so that their number moves no bit
-            parts = list(pool.map(render, chunks))
+        if self._device.type == "cpu":
+            with ThreadPoolExecutor(kernels.get_threads()) as pool:  # whole chunks, so that their number moves no bit
+                parts = list(pool.map(render, chunks))
+        else:  # what is made there is made so in the thread that asked for it alone
+            parts = [render(chunk) for chunk in chunks]
         image = torch.cat([colours for colours, _ in parts]).clamp(0, 1)
         depth = torch.cat([depths for _, depths in parts])
         return image.view(target.height, target.width, 3), depth.view(target.height, target.width)
@@ -78,9 +85,9 @@ def see(networks: Networks, sources: Sequence[SourceView]) -> list[SeenView]:
     """The source views, ready to be looked up."""
     views = []
     for source in sources:
-        image = torch.from_numpy(source.image).permute(2, 0, 1).float() / 255
+        image = torch.as_tensor(source.image).permute(2, 0, 1).float() / 255
         coarse, fine = networks.feature_net(image[None])
-        centre = torch.from_numpy(source.camera.centre).float()
+        centre = torch.as_tensor(source.camera.centre).float()
         views.append(SeenView(image, coarse[0].float(), fine[0].float(), projection_of(source.camera), centre))
     return views
 

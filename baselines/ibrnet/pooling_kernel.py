@@ -46,7 +46,7 @@ def shade_by_kernel(
         positions(depths.shape[1])[0].numpy().astype(np.float32),
         kernels.LEVELS.index(kernels.get_level()),
     )
-    return torch.from_numpy(colours), torch.from_numpy(density)
+    return torch.as_tensor(colours), torch.as_tensor(density)
 
 
 def packed_layers(network: RayNetwork) -> list[Packed]:

@@ -12,7 +12,8 @@ from ggvs_eval.baselines.ibrnet.samples import coarse_depths, finer_depths
 from ggvs_eval.baselines.ibrnet.views import Pass, SeenView, directions
 
 Shaded = tuple[Tensor, Tensor, Tensor]  # colours (R, 3), share of each sample in them (R, S), depths of the samples (R, S)
-ROWS_AT_ONCE = 2**16  # samples times views that pass through the networks together: some 0.1 GB, and fast in the caches
+# Samples times views that pass through the networks together: some 0.1 GB, and fast in the caches; on a GPU some 2 GB.
+ROWS_AT_ONCE = {"cpu": 2**16, "cuda": 2**20}
 
 
 def render_rays(
@@ -60,16 +61,16 @@ def opacity_shares(density: Tensor) -> Tensor:
     return alpha * torch.cat([torch.ones_like(alpha[:, :1]), passing], dim=1)
 
 
-def rays_at_once(views: int, samples: int) -> int:
-    """How many rays of so many coarse samples may pass through the networks together."""
-    return max(1, ROWS_AT_ONCE // (2 * samples * views))
+def rays_at_once(views: int, samples: int, device: torch.device | None = None) -> int:
+    """How many rays of so many coarse samples may pass through the networks together on a device, the CPU unless given."""
+    return max(1, ROWS_AT_ONCE[device.type if device else "cpu"] // (2 * samples * views))
 
 
 def _shade(
     network: RayNetwork, views: Sequence[SeenView], of_pass: Pass, centre: Tensor, rays: Tensor, depths: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """RGB (R, S, 3) and density (R, S) of the samples at the depths (R, S); compiled where nobody wants gradients."""
-    if not (torch.is_grad_enabled() and network.s.requires_grad):
+    """RGB (R, S, 3) and density (R, S) of the samples at the depths (R, S); compiled on the CPU where nobody wants gradients."""
+    if rays.device.type == "cpu" and not (torch.is_grad_enabled() and network.s.requires_grad):
         return shade_by_kernel(network, views, of_pass, centre, rays, depths)
     points_world = centre + depths[..., None] * rays[:, None]  # (R, S, 3)
     looked_up = [view.look_up(points_world, of_pass) for view in views]

@@ -8,7 +8,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.nn import functional
 
 from ggvs_eval.camera import Camera
 
@@ -17,6 +16,7 @@ Pass = Literal["coarse", "fine"]
 
 PIXEL_CENTRE = 0.5  # ours lie at halves, the network was trained with centres at whole numbers
 FARTHEST_PX = 1e6
+BILINEAR, ZEROS = 0, 0  # torch's numbers of interpolation and padding
 EPSILON = 1e-6
 
 
@@ -77,7 +77,7 @@ def projection_of(camera: Camera) -> Tensor:
     """World to image with pixel centres at whole numbers, (3, 4)."""
     K = camera.K.copy()
     K[:2, 2] -= PIXEL_CENTRE
-    return torch.from_numpy(np.ascontiguousarray(K @ camera.world_to_camera[:3])).float()
+    return torch.as_tensor(np.ascontiguousarray(K @ camera.world_to_camera[:3])).float()
 
 
 def _unit(vectors: Tensor) -> Tensor:
@@ -87,5 +87,6 @@ def _unit(vectors: Tensor) -> Tensor:
 def _sample(channels: Tensor, places: Tensor) -> Tensor:
     """Bilinear lookup of (C, H, W) at (..., 2) in [-1, 1], 0 outside, (..., C)."""
     flat = places.reshape(1, 1, -1, 2)
-    sampled = functional.grid_sample(channels[None], flat, mode="bilinear", padding_mode="zeros", align_corners=True)
+    # The kernel behind `functional.grid_sample`, which on a GPU would take cuDNN's: that refuses some numbers of places.
+    sampled = torch.grid_sampler_2d(channels[None], flat, BILINEAR, ZEROS, True)
     return sampled[0, :, 0].T.reshape(*places.shape[:-1], channels.shape[0])

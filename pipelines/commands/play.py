@@ -6,6 +6,8 @@ from typing import Annotated
 import tyro
 
 from ggvs_eval.pipelines.commands.captures import BY_DEFAULT, FOUND_BY_DEFAULT, Finding, Reading
+from ggvs_eval.pipelines.commands.runs import Device
+from ggvs_eval.pipelines.methods.network_choice import found_device
 from ggvs_eval.pipelines.methods.registry import METHODS
 from ggvs_eval.pipelines.synthesizer import DEFAULT_METHOD, online_method
 from ggvs_eval.processes import default_workers
@@ -18,6 +20,7 @@ def play(
     k: int | None = None,
     frames: int | None = None,
     width: int | None = None,
+    device: Device = "cpu",
     reading: Reading = BY_DEFAULT,
     depth: Finding = FOUND_BY_DEFAULT,
     jobs: int = default_workers(),
@@ -31,6 +34,7 @@ def play(
         k: source views; those of the run's protocol, or 4, by default.
         frames: instants from the first on, in which the camera goes round once; all, or 90 of a single instant, by default.
         width: of the video in pixels; that of the captured frames by default.
+        device: where networks of the method compute.
         reading: how a capture is read.
         depth: how depth of a capture is found.
         jobs: processes that prepare a capture; synthesis takes one instant after the other.
@@ -39,7 +43,8 @@ def play(
     from ggvs_eval.pipelines.play import record, require_writable
     from ggvs_eval.pipelines.reel import PlayOptions, reel_of_capture, reel_of_run
 
-    online_method(method)
+    device = found_device(device)
+    online_method(method, device)
     require_writable(out)
     wanted = PlayOptions(k, frames, width)
     if (source / "protocol.toml").is_file():
@@ -47,6 +52,6 @@ def play(
     else:
         cache = out.with_name(f"{out.stem}-cache")
         reel = reel_of_capture(reading.open(source), wanted, depth.options(), cache, jobs)
-    timing = record(reel, out, method)
+    timing = record(reel, out, method, device)
     size = "{} x {}".format(*reel.poses[0].size)
     print(f"{out}: {len(reel.poses)} frames of {size} by {method}, K = {reel.k}", timing.table(), sep="\n")

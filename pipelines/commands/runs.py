@@ -13,13 +13,15 @@ from ggvs_eval.pipelines.commands.announce import announce
 from ggvs_eval.pipelines.commands.captures import BY_DEFAULT, FOUND_BY_DEFAULT, Finding, Folder, Reading, ReadingOptions
 from ggvs_eval.pipelines.jobs.engine import Engine
 from ggvs_eval.pipelines.jobs.ledger import Failure
-from ggvs_eval.pipelines.methods.registry import METHODS, Checkpoints, usual_methods
+from ggvs_eval.pipelines.methods.network_choice import NetworkChoice, found_device
+from ggvs_eval.pipelines.methods.registry import METHODS, usual_methods
 from ggvs_eval.pipelines.planning.wish import Wish
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.synthetic.options import DemoOptions
 
 Labels = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"{{{','.join(METHODS)}}}")]
 Weights = Annotated[tuple[str, ...], tyro.conf.arg(metavar="METHOD=FILE")]
+Device = Annotated[str, tyro.conf.arg(metavar="{cpu,cuda,auto}")]
 Running = tyro.conf.OmitArgPrefixes[Engine]
 HERE = Engine()
 USUAL_METHODS = usual_methods()
@@ -66,20 +68,24 @@ def prepare(
         print(export_prepared(prepared, dense_workspace))
 
 
-def render(run: Folder, methods: Labels = USUAL_METHODS, weights: Weights = (), engine: Running = HERE) -> None:
+def render(
+    run: Folder, methods: Labels = USUAL_METHODS, weights: Weights = (), device: Device = "cpu", engine: Running = HERE
+) -> None:
     """Synthesise every test view of a prepared run by each method.
 
     Args:
         run: run folder that `prepare` has made.
         methods: which methods; what is rendered already is left alone.
         weights: METHOD=FILE of a method whose weights do not ship: the authors' checkpoint of a baseline.
+        device: where networks of methods compute; on a GPU pixels may differ by a level from those of the CPU.
         engine: where jobs run.
     """
     from ggvs_eval.pipelines.evaluate import reopen
     from ggvs_eval.pipelines.render import render as synthesise
 
+    networks = _networks(weights, device)
     prepared = reopen(engine.place(run), engine)
-    print(f"{synthesise(prepared, methods, engine, _checkpoints(weights))} jobs rendered in {run}")
+    print(f"{synthesise(prepared, methods, engine, networks)} jobs rendered in {run}")
 
 
 def run(
@@ -88,6 +94,7 @@ def run(
     protocol: str | None = None,
     methods: Labels = USUAL_METHODS,
     weights: Weights = (),
+    device: Device = "cpu",
     reading: Reading = BY_DEFAULT,
     depth: Finding = FOUND_BY_DEFAULT,
     engine: Running = HERE,
@@ -103,6 +110,7 @@ def run(
         protocol: a .toml file or a packaged name; by default the packaged one that fits the capture.
         methods: which methods; by default the demo's smallest room has the baselines too.
         weights: METHOD=FILE of a method whose weights do not ship: the authors' checkpoint of a baseline.
+        device: where networks of methods compute; on a GPU pixels may differ by a level from those of the CPU.
         reading: how the capture is read.
         depth: how depth is found.
         engine: where jobs run.
@@ -112,25 +120,25 @@ def run(
     from ggvs_eval.pipelines.evaluate import evaluate
     from ggvs_eval.pipelines.planning.demo_wishes import demo_wishes
 
-    root, checkpoints = engine.place(run), _checkpoints(weights)
+    root, networks = engine.place(run), _networks(weights, device)
     if capture is None and protocol is None:
         labels = room_labels(methods, USUAL_METHODS)
         if dry_run:
-            for wishes in demo_wishes(root, labels, reading.open, depth, checkpoints):
+            for wishes in demo_wishes(root, labels, reading.open, depth, networks):
                 announce(wishes, engine.jobs, _home(wishes), dry_run)
             return
 
         def tell(wishes: Sequence[Wish]) -> None:
             announce(wishes, engine.jobs, _home(wishes))
 
-        print(evaluate_demos(root, labels, engine, reading.open, depth, checkpoints, tell=tell))
+        print(evaluate_demos(root, labels, engine, reading.open, depth, networks, tell=tell))
         return
     opened = reading.open(engine.place(capture)) if capture else _demo_beside(root, engine.jobs, reading, dry_run)
     chosen = _protocol(protocol, opened)
-    announce([Wish(root, opened, chosen, methods, depth, checkpoints)], engine.jobs, root, dry_run)
+    announce([Wish(root, opened, chosen, methods, depth, networks)], engine.jobs, root, dry_run)
     if dry_run:
         return
-    print(evaluate(root, opened, chosen, methods, engine, depth, checkpoints))
+    print(evaluate(root, opened, chosen, methods, engine, depth, networks))
 
 
 def sweep(
@@ -139,6 +147,7 @@ def sweep(
     capture: tuple[Path, ...] = (),
     protocol: str | None = None,
     weights: Weights = (),
+    device: Device = "cpu",
     reading: Reading = BY_DEFAULT,
     depth: Finding = FOUND_BY_DEFAULT,
     engine: Running = HERE,
@@ -156,6 +165,7 @@ def sweep(
         capture: folder of the capture, or of several, whose means then stand beside them; without one the demo capture is made.
         protocol: what the variants start from; by default the packaged one that fits the capture.
         weights: METHOD=FILE of a method whose weights do not ship; without, its rows are not computed.
+        device: where networks of methods compute; on a GPU pixels may differ by a level from those of the CPU.
         reading: how the capture is read.
         depth: how depth is found.
         engine: where jobs run.
@@ -169,7 +179,8 @@ def sweep(
     from ggvs_eval.pipelines.sweep.run_sweep import run_sweep, run_sweeps
     from ggvs_eval.sweep import load_sweep
 
-    wanted, part, checkpoints = load_sweep(name), Shard.parse(shard), _checkpoints(weights)
+    wanted, part = load_sweep(name), Shard.parse(shard)
+    networks = _networks(weights, "cpu" if plan else device)  # planned commands may run where there is a GPU
     given = [reading.open(engine.place(path)) for path in capture]
     captures = given or [_demo_beside(engine.place(out), engine.jobs, reading, dry_run and not plan)]
     paths = [each.path for each in captures]
@@ -180,19 +191,20 @@ def sweep(
     if plan:
         options = [*flags(reading, BY_DEFAULT), *flags(depth, FOUND_BY_DEFAULT), *flags(engine, HERE)]
         chosen = [*(["--protocol", protocol] if protocol else []), *(["--weights", *weights] if weights else [])]
+        chosen += ["--device", device] if device != "cpu" else []
         command = ["ggvs-eval", "sweep", name, str(out), "--capture", *map(str, paths), *chosen, *options]
-        print(plan_sweep(plan, engine.place(out), starts, wanted, checkpoints, command))
+        print(plan_sweep(plan, engine.place(out), starts, wanted, networks, command))
         return
-    wishes = wishes_of(engine.place(out), starts, wanted, depth, checkpoints, part)
+    wishes = wishes_of(engine.place(out), starts, wanted, depth, networks, part)
     if wishes:
         announce(wishes, engine.jobs, engine.place(out), dry_run)
     if dry_run:
         return
     if len(starts) > 1:
-        result = run_sweeps(engine.place(out), starts, wanted, engine, depth, checkpoints, part)
+        result = run_sweeps(engine.place(out), starts, wanted, engine, depth, networks, part)
     else:
         ((only, start),) = starts.values()
-        result = run_sweep(engine.place(out), only, wanted, start, engine, depth, checkpoints, part)
+        result = run_sweep(engine.place(out), only, wanted, start, engine, depth, networks, part)
     if not result.table.empty:
         print(result.table.round(4).to_string())
     for title, reason in result.not_computed.items():
@@ -219,8 +231,12 @@ def _end_with(failures: tuple[Failure, ...]) -> None:
         sys.exit(f"ggvs-eval: {len(failures)} failed, listed above; the rest is done, the same call tries only these again")
 
 
-def _checkpoints(weights: tuple[str, ...]) -> Checkpoints:
-    """METHOD=FILE, as often as wanted."""
+def _networks(weights: tuple[str, ...], device: str) -> NetworkChoice:
+    """METHOD=FILE, as often as wanted, and a device that is there."""
+    return NetworkChoice(_checkpoints(weights), found_device(device))
+
+
+def _checkpoints(weights: tuple[str, ...]) -> dict[str, Path]:
     found: dict[str, Path] = {}
     for each in weights:
         method, equals, file = each.partition("=")

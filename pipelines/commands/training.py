@@ -60,11 +60,13 @@ def train(
         start_from: weights to begin with where the folder holds no state, such as those that ship.
         compile_network: let torch compile it first: some minutes once, a fifth less per step.
     """
+    from ggvs_eval.compute_device import compute_device, describe_device
     from ggvs_eval.pipelines.online.blend_network import BlendConfig
     from ggvs_eval.pipelines.training.card import write_card
     from ggvs_eval.pipelines.training.loop import TrainingOptions
     from ggvs_eval.pipelines.training.loop import train as go_on
 
+    hardware = describe_device(compute_device(device))  # what is missing shows before anything is filmed
     samples = out.parent / "blend-samples"
     if what == "stereo":
         task = _stereo(seed)
@@ -81,7 +83,7 @@ def train(
         command += f" --captures {' '.join(path.name for path in captures)}" if captures else ""
     if what not in ("stereo", "blend"):
         command += f" --configuration {configuration} --rooms {rooms} --targets {targets}"
-    print(go_on(task, out, options), write_card(task, out, command), sep="\n")
+    print(go_on(task, out, options), write_card(task, out, command, device=hardware), sep="\n")
 
 
 def _stereo(seed: int) -> "Task":

@@ -22,41 +22,42 @@ def _distance_based() -> Method:
     return DistanceBased()
 
 
-def _ibrnet(checkpoint: Path) -> Method:
+def _ibrnet(checkpoint: Path, device: str = "cpu") -> Method:
     from ggvs_eval.baselines.ibrnet.method import IBRNet
 
-    return IBRNet(checkpoint)
+    return IBRNet(checkpoint, device=device)
 
 
-def _enerf(checkpoint: Path) -> Method:
+def _enerf(checkpoint: Path, device: str = "cpu") -> Method:
     from ggvs_eval.baselines.enerf.method import ENeRF
 
-    return ENeRF(checkpoint)
+    return ENeRF(checkpoint, device=device)
 
 
-def _gps_gaussian(checkpoint: Path, depth: Literal["own", "given"] = "own") -> Method:
+def _gps_gaussian(checkpoint: Path, depth: Literal["own", "given"] = "own", device: str = "cpu") -> Method:
     from ggvs_eval.baselines.gps_gaussian.method import GpsGaussian
 
-    return GpsGaussian(checkpoint, depth=depth)
+    return GpsGaussian(checkpoint, depth=depth, device=device)
 
 
-def _fwd(checkpoint: Path) -> Method:
+def _fwd(checkpoint: Path, device: str = "cpu") -> Method:
     from ggvs_eval.baselines.fwd.method import Fwd
 
-    return Fwd(checkpoint)
+    return Fwd(checkpoint, device=device)
 
 
-def _without_checkpoint(title: str, label: str, checkpoint: str) -> NoReturn:
+def _without_checkpoint(title: str, label: str, checkpoint: str, device: str = "cpu") -> NoReturn:
+    """Without weights there is nothing to put on a device."""
     method = label.partition("+")[0]
     raise WeightsError(f"{title}: its weights do not ship; wanted {checkpoint}, give it by --weights {method}=FILE")
 
 
-def _retrained(title: str, label: str, checkpoint: str, make_from: Callable[[Path], Method]) -> Method:
+def _retrained(title: str, label: str, checkpoint: str, make_from: Callable[..., Method], device: str = "cpu") -> Method:
     """With the weights that ship, if they do."""
     weights = shipped(_weights_name(label))
     if not weights.is_file():
         _without_checkpoint(title, label, checkpoint)
-    return make_from(weights)
+    return make_from(weights, device=device)
 
 
 def _weights_name(label: str) -> str:
@@ -64,13 +65,13 @@ def _weights_name(label: str) -> str:
 
 
 def _learned(
-    label: str, title: str, describe: str, checkpoint: str, make_from: Callable[[Path], Method], retrained: str = ""
+    label: str, title: str, describe: str, checkpoint: str, make_from: Callable[..., Method], retrained: str = ""
 ) -> MethodSpec:
     """A network that renders with a checkpoint of its authors, or of whoever trained it.
 
     `retrained` says in what configuration we trained it; without, it needs a checkpoint.
     """
-    make: Callable[[], Method] = partial(_without_checkpoint, title, label, checkpoint)
+    make: Callable[..., Method] = partial(_without_checkpoint, title, label, checkpoint)
     weights: tuple[Path, ...] = ()
     if retrained:
         make = partial(_retrained, title, label, checkpoint, make_from)

@@ -30,18 +30,18 @@ def _offline() -> Method:
     return WholeSequence()
 
 
-def _learned(options: Any = None, guidance: "Guidance" = "registered") -> Method:
-    """With the network that ships for a guidance, and `OnlineOptions`."""
+def _learned(options: Any = None, guidance: "Guidance" = "registered", device: str = "cpu") -> Method:
+    """With the network that ships for a guidance, on a device, and `OnlineOptions`."""
     from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
     from ggvs_eval.pipelines.online.network_blender import NetworkBlender
 
-    return GeometryGuided(options, NetworkBlender(guidance=guidance))
+    return GeometryGuided(options, NetworkBlender(guidance=guidance, device=device))
 
 
-def _learned_with(guidance: "Guidance", **changed: Any) -> Method:
+def _learned_with(guidance: "Guidance", device: str = "cpu", **changed: Any) -> Method:
     from ggvs_eval.pipelines.online.geometry_guided import OnlineOptions
 
-    return _learned(OnlineOptions(**changed), guidance)
+    return _learned(OnlineOptions(**changed), guidance, device)
 
 
 OURS: dict[str, MethodSpec] = {

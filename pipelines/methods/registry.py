@@ -6,17 +6,14 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from ggvs_eval.errors import RenderError
 from ggvs_eval.pipelines.methods.baselines import BASELINES
+from ggvs_eval.pipelines.methods.network_choice import AS_SHIPPED, NetworkChoice
 from ggvs_eval.pipelines.methods.ours import OURS
 from ggvs_eval.pipelines.methods.spec import MethodSpec
 from ggvs_eval.toml_tables import build_table
-
-Checkpoints = Mapping[str, Path]  # method -> file of weights that the user gave
-NO_CHECKPOINTS: Checkpoints = MappingProxyType({})
 
 # The label is `method` or `method+variant`; renders of a method lie in a folder of that name.
 METHODS: dict[str, MethodSpec] = {
@@ -30,16 +27,22 @@ def usual_methods() -> tuple[str, ...]:
     return tuple(label for label, spec in METHODS.items() if spec.usual)
 
 
-def find_method(label: str, checkpoints: Checkpoints = NO_CHECKPOINTS) -> MethodSpec:
+def find_method(label: str, networks: NetworkChoice = AS_SHIPPED) -> MethodSpec:
     """The method of that label; ``METHOD+OPTION=VALUE+...`` is one with other `OnlineOptions`.
 
     Args:
         label: ``method`` or ``method+variant``.
-        checkpoints: the user's, instead of weights that ship; a method that has neither is found but cannot be made.
+        networks: the user's weights, instead of those that ship, and the device; a method that has neither weights is found but
+            cannot be made.
 
     Raises:
         RenderError: unknown; the message names the nearest known one.
     """
+    return _found(label, networks.checkpoints).on(networks.device)
+
+
+def _found(label: str, checkpoints: Mapping[str, Path]) -> MethodSpec:
+    """The method of a label on the CPU."""
     method, variant = split_label(label)
     if method in checkpoints:
         return _with_checkpoint(label, checkpoints[method])

@@ -1,10 +1,10 @@
 """What the command line, the folders and the tables know of a method."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 from ggvs_eval.baselines.method import Method
 
@@ -24,7 +24,7 @@ class MethodSpec:
     Attributes:
         title: how tables call it.
         describe: one line for the help and the report.
-        make: builds a fresh object that renders one sequence.
+        make: builds a fresh object that renders one sequence; that of a method with networks takes their ``device``.
         packages: code its output depends on; a change there makes its renders stale.
         ours: whether it is this project's method or an ablation of it.
         online: whether it sees nothing of the future.
@@ -34,17 +34,25 @@ class MethodSpec:
         make_from: builds one with such a checkpoint.
         title_from: how tables call it then, if not by `title`: weights that we trained are labelled so.
         make_with: builds one with other `OnlineOptions`, for labels such as ``ours+beta_temporal=0.6``.
+        device: where its networks compute, if it has any.
     """
 
     title: str
     describe: str
-    make: Callable[[], Method]
+    make: Callable[..., Method]
     packages: tuple[str, ...]
     ours: bool = False
     online: bool = True
     usual: bool = True
     weights: tuple[Path, ...] = ()
     checkpoint: str = ""
-    make_from: Callable[[Path], Method] | None = None
+    make_from: Callable[..., Method] | None = None
     title_from: str = ""
-    make_with: Callable[[Any], Method] | None = None
+    make_with: Callable[..., Method] | None = None
+    device: str = "cpu"
+
+    def on(self, device: str) -> "MethodSpec":
+        """The method with its networks on a device; one without networks stays as it is."""
+        if device == self.device or not (self.weights or self.checkpoint):
+            return self
+        return replace(self, make=partial(self.make, device=device), device=device)

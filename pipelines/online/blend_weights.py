@@ -15,6 +15,7 @@ from ggvs_eval.pipelines.online.refiner import EVIDENCE
 from ggvs_eval.weights_file import pour_strictly, read_tensors, require_shapes
 
 NETWORK = "a blending network"  # in messages
+CPU = torch.device("cpu")
 MOST_SCALE = 8  # of a weights file, lest a wrong one asks for anything
 SUFFIXES: dict[Guidance, str] = {"registered": "", "channels": "-as-printed", "none": "-no-tsdf", "naive": "-naive"}
 
@@ -42,11 +43,12 @@ def shipped_blend_weights(guidance: Guidance = "registered") -> Path:
 
 
 @lru_cache(maxsize=4)
-def load_blend_network(path: Path) -> BlendNetwork:
+def load_blend_network(path: Path, device: torch.device = CPU) -> BlendNetwork:
     """The network of a weights file, in evaluation mode; its configuration is known from the tensors' shapes.
 
     Args:
         path: safetensors, or a torch checkpoint that is a state dict.
+        device: where the network shall lie.
 
     Raises:
         WeightsError: absent, damaged, or tensors of no blending network.
@@ -54,6 +56,8 @@ def load_blend_network(path: Path) -> BlendNetwork:
     tensors = read_tensors(path, of=NETWORK)
     network = BlendNetwork(_configuration(tensors, path))
     pour_strictly(tensors, network, path, NETWORK)
+    if device.type != "cpu":
+        return network.eval().to(device)
     # Channels that lie side by side are convolved twice as fast.
     return network.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 

@@ -7,12 +7,13 @@ import numpy as np
 import torch
 
 from ggvs_eval.baselines.method import Map
+from ggvs_eval.compute_device import compute_device
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.per_pixel import weighted_mean
 from ggvs_eval.kernels.side_by_side import side_by_side
 from ggvs_eval.one_thread import one_thread
 from ggvs_eval.pipelines.online.blend_maps import BlendMaps, Guidance, blend_maps
-from ggvs_eval.pipelines.online.blend_network import SURE, BlendNetwork, small_outputs
+from ggvs_eval.pipelines.online.blend_network import BlendNetwork, small_outputs
 from ggvs_eval.pipelines.online.blend_weights import load_blend_network, shipped_blend_weights
 from ggvs_eval.pipelines.online.blending import COVERED_ALPHA, Blended, BlendingInputs
 from ggvs_eval.pipelines.online.full_size import composed, refined
@@ -20,7 +21,9 @@ from ggvs_eval.pipelines.online.inpainting import push_pull
 from ggvs_eval.pipelines.online.input_kernel import network_channels
 from ggvs_eval.pipelines.online.network_inputs import GUIDED
 from ggvs_eval.pipelines.online.overview import overview
+from ggvs_eval.pipelines.online.torch_blender import blend_on
 from ggvs_eval.pipelines.online.unet_kernel import unet_outputs
+from ggvs_eval.pipelines.online.view_shares import view_shares
 
 
 @dataclass(frozen=True)
@@ -30,26 +33,34 @@ class NetworkBlender:
     Attributes:
         weights: file of the weights; those that ship unless given.
         guidance: which of those that ship, see `BlendConfig`. A given file knows by itself.
+        device: where the network computes, see `compute_device`.
     """
 
     weights: Path | None = None
     guidance: Guidance = "registered"
+    device: str = "cpu"
+
+    def __post_init__(self) -> None:
+        """Refuse a device that is not there."""
+        compute_device(self.device)
 
     def blend(self, inputs: BlendingInputs) -> Blended:
         """The target view of one instant.
 
         Raises:
+            DeviceError: the GPU's memory is out.
             WeightsError: no usable weights.
             RenderError: more source views than the network is made for.
         """
-        path = self.weights or shipped_blend_weights(self.guidance)
-        network, views = load_blend_network(path), len(inputs.instant.sources)
+        path, device = self.weights or shipped_blend_weights(self.guidance), compute_device(self.device)
+        network, views = load_blend_network(path, device), len(inputs.instant.sources)
         if views > network.config.views:
             raise RenderError(
                 f"{path.name}: a blending network for at most {network.config.views} source views, got {views}; "
                 "change the protocol's number of sources, or train one for more (ggvs-eval train blend --views)"
             )
-        return blend_by(network, blend_maps(inputs, network.config.guidance))
+        maps = blend_maps(inputs, network.config.guidance)
+        return blend_by(network, maps) if device.type == "cpu" else blend_on(network, maps, device)
 
 
 def blend_by(network: BlendNetwork, maps: BlendMaps) -> Blended:
@@ -76,20 +87,6 @@ def _small_outputs(network: BlendNetwork, reduced: BlendMaps, near: Map) -> tupl
     with one_thread(), torch.inference_mode():
         small = small_outputs(torch.from_numpy(raw)[None], torch.from_numpy(near)[None], config.views)[0].contiguous().numpy()
     return small, view_shares(small, reduced)
-
-
-def view_shares(small: Map, reduced: BlendMaps) -> Map:
-    """Share of each view in the composed picture (Eqs. 4-5) at the network's own size, (K, h, w).
-
-    Args:
-        small: `small_outputs` of the network, (K + 4 + F, h, w).
-        reduced: the maps of that size.
-    """
-    views = len(reduced.coverage)
-    weights = small[:views] * reduced.coverage
-    unseen = np.clip(reduced.unseen(), SURE, 1 - SURE)
-    background = 1 / (1 + np.exp(-small[views]) * (1 - unseen) / unseen)
-    return np.asarray(weights * ((1 - background) / (weights.sum(axis=0) + 1e-6)), np.float32)
 
 
 def blend_start(maps: BlendMaps) -> dict[str, Map]:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.pipelines.demo_runs import K_PROTOCOL, capture_beside, demo_root, k_root, k_sweep
-from ggvs_eval.pipelines.methods.registry import NO_CHECKPOINTS, Checkpoints
+from ggvs_eval.pipelines.methods.network_choice import AS_SHIPPED, NetworkChoice
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.planning.unfilmed import demo_to_plan
 from ggvs_eval.pipelines.planning.wish import Wish
@@ -20,7 +20,7 @@ def demo_wishes(
     labels: Mapping[str, Sequence[str]],
     open_demo: Callable[[Path], Capture],
     depth: DepthChoice | None = None,
-    checkpoints: Checkpoints = NO_CHECKPOINTS,
+    networks: NetworkChoice = AS_SHIPPED,
 ) -> Iterator[list[Wish]]:
     """The runs of each demo room, and those over K, as `evaluate_demos` evaluates them; nothing is written.
 
@@ -29,13 +29,13 @@ def demo_wishes(
         labels: name of a room -> its methods.
         open_demo: opens the folder of a capture that was filmed already.
         depth: how depth is found.
-        checkpoints: of methods whose weights do not ship.
+        networks: with which weights and where networks compute.
     """
     for name, options in DEMO_ROOMS.items():
         place = demo_root(root, name)
         capture = demo_to_plan(capture_beside(place), options, open_demo)
-        yield [Wish(place, capture, load_protocol(name), labels[name], depth, checkpoints)]
+        yield [Wish(place, capture, load_protocol(name), labels[name], depth, networks)]
     if (sweep := k_sweep(labels[MAIN])).row:
         main = demo_to_plan(capture_beside(root), DEMO_ROOMS[MAIN], open_demo)
-        over_k = wishes_of(k_root(root), {"": (main, load_protocol(K_PROTOCOL))}, sweep, depth, checkpoints)
+        over_k = wishes_of(k_root(root), {"": (main, load_protocol(K_PROTOCOL))}, sweep, depth, networks)
         yield [replace(wish, shared=root) for wish in over_k]

@@ -138,7 +138,7 @@ def plan_runs(wishes: Sequence[Wish], jobs: int, folder: Path, keep: bool = True
 def _count(wish: Wish, options: DepthOptions) -> tuple[Prepared, Portion]:
     """The plan of a run and what is left of it."""
     planned, truth = plan_frames(wish.root, wish.capture, wish.protocol, options, wish.shared)
-    left = work_left(planned, truth, options, wish.labels, wish.checkpoints, wish.shared, wish.views)
+    left = work_left(planned, truth, options, wish.labels, wish.networks, wish.shared, wish.views)
     width, height = planned.capture.cameras[0].size
     return planned, Portion(left, width * height, wish.protocol.synthesis.k)
 
@@ -153,7 +153,7 @@ def _tried(wish: Wish, left: WorkLeft, planned: Prepared, options: DepthOptions,
             root = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix=".plan.", dir=_existing(wish.root))))
         shared = (wish.shared or root) if keep else root
         labels = [label for label in wish.labels if label in left.rendered] or wish.labels
-        specs = {label: find_method(label, wish.checkpoints) for label in labels}
+        specs = {label: find_method(label, wish.networks) for label in labels}
         pool = stack.enter_context(worker_pool(jobs))
         return pool.submit(probe, replace(planned, run=RunFolder(root)), options, specs, shared, time.time()).result()
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ggvs_eval.capture import Capture
-from ggvs_eval.pipelines.methods.registry import NO_CHECKPOINTS, Checkpoints
+from ggvs_eval.pipelines.methods.network_choice import AS_SHIPPED, NetworkChoice
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.protocol import Protocol
 
@@ -20,7 +20,7 @@ class Wish:
         protocol: what is evaluated.
         labels: methods; none where it is only prepared.
         depth: how depth is found; as the folder says, or the default.
-        checkpoints: of methods whose weights do not ship.
+        networks: with which weights and where networks compute.
         shared: folder whose truth/ and depth/ it uses together with others; its own where None.
         views: units of a shard, test views or ``path``; None for all.
     """
@@ -30,6 +30,6 @@ class Wish:
     protocol: Protocol
     labels: Sequence[str]
     depth: DepthChoice | None = None
-    checkpoints: Checkpoints = field(default_factory=lambda: NO_CHECKPOINTS)
+    networks: NetworkChoice = field(default_factory=lambda: AS_SHIPPED)
     shared: Path | None = None
     views: Collection[str] | None = None

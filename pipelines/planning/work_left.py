@@ -7,7 +7,7 @@ from pathlib import Path
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import ResultsError
-from ggvs_eval.pipelines.methods.registry import NO_CHECKPOINTS, Checkpoints
+from ggvs_eval.pipelines.methods.network_choice import AS_SHIPPED, NetworkChoice
 from ggvs_eval.pipelines.offline.depth import DepthOptions
 from ggvs_eval.pipelines.offline.prepare import depth_spec
 from ggvs_eval.pipelines.path_depth import pose_file
@@ -98,7 +98,7 @@ def work_left(
     truth: Mapping[Path, int],
     options: DepthOptions,
     labels: Sequence[str],
-    checkpoints: Checkpoints = NO_CHECKPOINTS,
+    networks: NetworkChoice = AS_SHIPPED,
     shared: Path | None = None,
     views: Collection[str] | None = None,
 ) -> WorkLeft:
@@ -109,7 +109,7 @@ def work_left(
         truth: missing truth frames.
         options: how depth is found.
         labels: methods; none where a run is only prepared.
-        checkpoints: of methods whose weights do not ship.
+        networks: with which weights and where networks compute.
         shared: as of `plan_frames`.
         views: units of a shard, test views or ``path``; None for all.
     """
@@ -122,7 +122,7 @@ def work_left(
     renders: dict[tuple[str, Path], int] = {}
     path_renders: dict[tuple[str, Path], int] = {}
     for label in labels:
-        for job in render_jobs(planned, [label], 1, checkpoints):
+        for job in render_jobs(planned, [label], 1, networks):
             along_path = job.folder.parent == run.path("")
             unit = "path" if along_path else job.folder.name
             if (views is None or unit in views) and not job.is_done():

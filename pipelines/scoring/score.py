@@ -106,6 +106,8 @@ def _collect(
         if label in methods
     }
     provenance = _provenance(protocol, capture, renders) | {"imported": coverage.imported, "partial": coverage.marks}
+    if devices := _devices(run, list(renders)):
+        provenance["devices"] = devices
     return Results(make_table(rows), provenance, not_computed)
 
 
@@ -155,6 +157,13 @@ def _provenance(protocol: Protocol, capture: dict[str, Any], renders: dict[str, 
         "renders": renders,
         "versions": installed_versions(),
     }
+
+
+def _devices(run: RunFolder, renders: Sequence[str]) -> dict[str, str]:
+    """``method/view`` -> where its networks computed, of renders that are not the CPU's."""
+    files = {render: run.renders(*render.rsplit("/", 1)) / JOB_FILE for render in renders}
+    identities = {render: read_json(file).get("identity", {}) for render, file in files.items() if file.is_file()}
+    return {render: identity["device"] for render, identity in identities.items() if "device" in identity}
 
 
 def _write_shown_names(run: RunFolder, protocol: Protocol, labels: Sequence[str]) -> None:

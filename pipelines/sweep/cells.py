@@ -7,7 +7,8 @@ from pathlib import Path
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import ProtocolError, RenderError, WeightsError
 from ggvs_eval.pipelines.jobs.shard import WHOLE, Shard
-from ggvs_eval.pipelines.methods.registry import METHODS, Checkpoints, find_method
+from ggvs_eval.pipelines.methods.network_choice import NetworkChoice
+from ggvs_eval.pipelines.methods.registry import METHODS, find_method
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.planning.wish import Wish
 from ggvs_eval.protocol import Protocol
@@ -77,13 +78,13 @@ class Cell:
                 (run / name).symlink_to(Path("..") / name, target_is_directory=True)
 
 
-def sweep_cells(root: Path, captures: Captures, sweep: Sweep, checkpoints: Checkpoints) -> tuple[list[Cell], dict[str, str]]:
+def sweep_cells(root: Path, captures: Captures, sweep: Sweep, networks: NetworkChoice) -> tuple[list[Cell], dict[str, str]]:
     """The runs of a sweep, and what of it cannot be computed: title -> reason.
 
     Raises:
         ProtocolError: no row has a method that can be rendered.
     """
-    absent = {row.title: reason for row in sweep.row if (reason := _why_not(row, len(captures), checkpoints))}
+    absent = {row.title: reason for row in sweep.row if (reason := _why_not(row, len(captures), networks))}
     if all(row.title in absent for row in sweep.row):
         raise ProtocolError(f"sweep {sweep.name}: no row has a method of this version; known are {', '.join(METHODS)}")
     cells = []
@@ -115,11 +116,11 @@ def wishes_of(
     captures: Captures,
     sweep: Sweep,
     depth: DepthChoice | None,
-    checkpoints: Checkpoints,
+    networks: NetworkChoice,
     shard: Shard = WHOLE,
 ) -> list[Wish]:
     """The runs of a sweep that a shard works on, as they are planned."""
-    cells, _ = sweep_cells(root, captures if len(captures) > 1 else {"": next(iter(captures.values()))}, sweep, checkpoints)
+    cells, _ = sweep_cells(root, captures if len(captures) > 1 else {"": next(iter(captures.values()))}, sweep, networks)
     share = share_of(cells, shard)
     taken = cells if shard.prepares_only else [cell for cell in cells if cell.name in share]
     return [
@@ -129,7 +130,7 @@ def wishes_of(
             cell.protocol,
             () if shard.prepares_only else cell.synthesised,
             depth,
-            checkpoints,
+            networks,
             root / cell.folder,
             share.get(cell.name),
         )
@@ -137,7 +138,7 @@ def wishes_of(
     ]
 
 
-def _why_not(row: SweepRow, n_captures: int, checkpoints: Checkpoints) -> str | None:
+def _why_not(row: SweepRow, n_captures: int, networks: NetworkChoice) -> str | None:
     """Why a row cannot be computed; None where it can, as far as can be told before it is tried."""
     label = row.method
     if row.rendered is not None:
@@ -146,7 +147,7 @@ def _why_not(row: SweepRow, n_captures: int, checkpoints: Checkpoints) -> str | 
     if label not in METHODS and "=" not in label:
         return f"this version has no method {label!r}"
     try:
-        find_method(label, checkpoints).make()
+        find_method(label, networks).make()
     except (RenderError, WeightsError) as error:
         return str(error)
     return None

@@ -5,7 +5,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from ggvs_eval.pipelines.methods.registry import Checkpoints
+from ggvs_eval.pipelines.methods.network_choice import NetworkChoice
 from ggvs_eval.pipelines.sweep.cells import PATH, Captures, Cell, sweep_cells, units_of
 from ggvs_eval.run_folder import write_json
 from ggvs_eval.sweep import Sweep
@@ -13,9 +13,7 @@ from ggvs_eval.sweep import Sweep
 PREPARE, TABLE = "prepare", "table"
 
 
-def plan_sweep(
-    file: Path, root: Path, captures: Captures, sweep: Sweep, checkpoints: Checkpoints, command: Sequence[str]
-) -> Path:
+def plan_sweep(file: Path, root: Path, captures: Captures, sweep: Sweep, networks: NetworkChoice, command: Sequence[str]) -> Path:
     """Write a JSON plan: a job that prepares, one per run and view, and one that makes the table.
 
     Each job is a command that can be given to any machine which sees the captures and the sweep's folder; given twice it finds
@@ -26,7 +24,7 @@ def plan_sweep(
         root: folder of the sweep.
         captures: as of `run_sweeps`; a single one needs no folder of its own.
         sweep: rows and variants.
-        checkpoints: of methods whose weights do not ship.
+        networks: with which weights and where networks compute.
         command: the words that run the whole sweep.
 
     Returns:
@@ -35,7 +33,7 @@ def plan_sweep(
     Raises:
         ProtocolError: no row can be computed.
     """
-    cells, _ = sweep_cells(root, captures if len(captures) > 1 else {"": next(iter(captures.values()))}, sweep, checkpoints)
+    cells, _ = sweep_cells(root, captures if len(captures) > 1 else {"": next(iter(captures.values()))}, sweep, networks)
     units = units_of(cells)
     ids = [f"{cell.name}/{view}" for cell, view in units]
     views = [

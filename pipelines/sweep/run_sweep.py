@@ -13,7 +13,8 @@ from ggvs_eval.errors import ProtocolError
 from ggvs_eval.pipelines.jobs.engine import Engine, Workers, as_engine
 from ggvs_eval.pipelines.jobs.ledger import Failure
 from ggvs_eval.pipelines.jobs.shard import WHOLE, Shard
-from ggvs_eval.pipelines.methods.registry import NO_CHECKPOINTS, Checkpoints, split_label
+from ggvs_eval.pipelines.methods.network_choice import AS_SHIPPED, NetworkChoice
+from ggvs_eval.pipelines.methods.registry import split_label
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.renders.coverage import read_import
 from ggvs_eval.pipelines.scoring.score import score
@@ -48,7 +49,7 @@ def run_sweeps(
     sweep: Sweep,
     workers: Workers,
     depth: DepthChoice | None = None,
-    checkpoints: Checkpoints = NO_CHECKPOINTS,
+    networks: NetworkChoice = AS_SHIPPED,
     shard: Shard = WHOLE,
 ) -> SweepResult:
     """Run a sweep on several captures, each in a folder of its own, and give their means beside the single tables.
@@ -59,7 +60,7 @@ def run_sweeps(
         sweep: rows and variants.
         workers: where jobs run.
         depth: how depth is found, see `DepthChoice`.
-        checkpoints: of methods whose weights do not ship.
+        networks: with which weights and where networks compute.
         shard: which views are rendered and scored; only the whole has a table.
 
     Returns:
@@ -71,7 +72,7 @@ def run_sweeps(
     kinds = {protocol.measurement for _, protocol in captures.values()}
     if len(kinds) != 1:
         raise ProtocolError(f"{root}: wanted captures that are measured alike, got {len(kinds)} kinds; name one with --protocol")
-    result = _run(root, captures, sweep, as_engine(workers), depth, checkpoints, shard)
+    result = _run(root, captures, sweep, as_engine(workers), depth, networks, shard)
     if result.table.empty:
         return result
     lines = result.table.groupby(level=["variant", "method"], sort=False)
@@ -88,7 +89,7 @@ def run_sweep(
     protocol: Protocol,
     workers: Workers,
     depth: DepthChoice | None = None,
-    checkpoints: Checkpoints = NO_CHECKPOINTS,
+    networks: NetworkChoice = AS_SHIPPED,
     shard: Shard = WHOLE,
 ) -> SweepResult:
     """Evaluate every row under every variant; what exists is not computed again, and what fails does not stop the rest.
@@ -102,13 +103,13 @@ def run_sweep(
         protocol: what the variants start from.
         workers: where jobs run.
         depth: how depth is found, see `DepthChoice`.
-        checkpoints: of methods whose weights do not ship.
+        networks: with which weights and where networks compute.
         shard: which views are rendered and scored; only the whole has a table.
 
     Raises:
         ProtocolError: no row can be computed.
     """
-    result = _run(root, {"": (capture, protocol)}, sweep, as_engine(workers), depth, checkpoints, shard)
+    result = _run(root, {"": (capture, protocol)}, sweep, as_engine(workers), depth, networks, shard)
     if result.table.empty:
         return result
     table = result.table.droplevel("capture")
@@ -122,11 +123,11 @@ def _run(
     sweep: Sweep,
     engine: Engine,
     depth: DepthChoice | None,
-    checkpoints: Checkpoints,
+    networks: NetworkChoice,
     shard: Shard,
 ) -> SweepResult:
     """Every stage for all runs, then a line per run and row of which nothing is missing."""
-    cells, absent = sweep_cells(root, captures, sweep, checkpoints)
+    cells, absent = sweep_cells(root, captures, sweep, networks)
     runs = {cell.name: cell.run.root for cell in cells}
     share = share_of(cells, shard)
     taken = cells if shard.prepares_only else [cell for cell in cells if cell.name in share]
@@ -135,7 +136,7 @@ def _run(
     failures += refused
     if shard.prepares_only or not taken:
         return SweepResult(pd.DataFrame(), absent, runs, tuple(failures))
-    whole, unrendered = render_cells(taken, ready, engine, checkpoints, share, imported)
+    whole, unrendered = render_cells(taken, ready, engine, networks, share, imported)
     good, unscored = score_cells(taken, whole, engine, share)
     failures += [*unrendered, *unscored]
     parts = []

@@ -10,7 +10,7 @@ from ggvs_eval.errors import GgvsError
 from ggvs_eval.pipelines.jobs.engine import Engine
 from ggvs_eval.pipelines.jobs.job import Attempt, Job, attempt_jobs
 from ggvs_eval.pipelines.jobs.ledger import Failure, Ledger
-from ggvs_eval.pipelines.methods.registry import Checkpoints
+from ggvs_eval.pipelines.methods.network_choice import NetworkChoice
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.prepare import Prepared, prepare
 from ggvs_eval.pipelines.render import note_labels, render_jobs
@@ -73,7 +73,7 @@ def render_cells(
     cells: Sequence[Cell],
     ready: Mapping[str, Prepared],
     engine: Engine,
-    checkpoints: Checkpoints,
+    networks: NetworkChoice,
     share: Share,
     imported: Mapping[str, list[str]],
 ) -> tuple[dict[str, list[str]], list[Failure]]:
@@ -83,7 +83,7 @@ def render_cells(
         cells: runs.
         ready: by their names, those that can be rendered into.
         engine: where jobs run.
-        checkpoints: of methods whose weights do not ship.
+        networks: with which weights and where networks compute.
         share: what of each run is worked on.
         imported: name of a cell -> methods that others rendered.
 
@@ -93,7 +93,7 @@ def render_cells(
     jobs: dict[tuple[str, str], list[Job]] = {}
     for cell in cells:
         for label in cell.synthesised if cell.name in ready else ():
-            made = render_jobs(ready[cell.name], [label], engine, checkpoints)
+            made = render_jobs(ready[cell.name], [label], engine, networks)
             mine = [job for job in made if _view_of(job, cell) in share[cell.name]]
             jobs[cell.name, label] = [replace(job, name=f"{cell.name}: {job.name}") for job in mine]
     tried = _attempt_all(cells, "render", [job for some in jobs.values() for job in some], engine, "rendering")

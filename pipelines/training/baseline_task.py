@@ -107,7 +107,7 @@ class BaselineTask(ABC):
             "colours": np.stack([rng.permutation(3) for _ in range(size)]),
             "step": np.array(step),
         }
-        return {name: torch.from_numpy(np.asarray(values, np.int64)) for name, values in drawn.items()}
+        return {name: torch.as_tensor(np.asarray(values, np.int64)) for name, values in drawn.items()}
 
     def loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, Mapping[str, float]]:
         """Mean over the crops."""
@@ -128,7 +128,7 @@ class BaselineTask(ABC):
         for index in range(len(self.validation)):
             sample = self.validation.read(index)
             with torch.inference_mode():
-                image = quantise(self.whole_view(network, sample.instant).float().permute(1, 2, 0).numpy())
+                image = quantise(self.whole_view(network, sample.instant).float().permute(1, 2, 0).numpy(force=True))
             sums["psnr_db"] += psnr(image, sample.truth)
             sums["ssim"] += ssim(image, sample.truth)
         return {name: value / len(self.validation) for name, value in sums.items()}
@@ -136,4 +136,4 @@ class BaselineTask(ABC):
 
 def truth_of(sample: InstantSample) -> Tensor:
     """What the target's camera saw, (3, H, W) in [0, 1]."""
-    return torch.from_numpy(np.ascontiguousarray(np.moveaxis(sample.truth, 2, 0))).float() / 255
+    return torch.as_tensor(np.ascontiguousarray(np.moveaxis(sample.truth, 2, 0))).float() / 255

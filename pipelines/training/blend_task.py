@@ -1,6 +1,7 @@
 """What the blending network learns: to make the target's picture of splatted views and fused depth."""
 
 from collections.abc import Mapping
+from copy import deepcopy
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -105,6 +106,7 @@ class BlendTask:
     def validate(self, network: nn.Module) -> Mapping[str, float]:
         """Scores of the network and of the geometric blender, as an evaluation would measure them."""
         assert isinstance(network, BlendNetwork)
+        network = deepcopy(network).cpu()  # where the kernels are
         sums = dict.fromkeys(("psnr_db", "ssim", "geometric_psnr_db", "geometric_ssim"), 0.0)
         guidance = self.config.guidance
         for index in range(len(self.validation)):

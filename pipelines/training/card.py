@@ -13,7 +13,7 @@ from ggvs_eval.pipelines.training.task import Task
 SHOWN_VALIDATIONS = 12
 
 
-def write_card(task: Task, folder: Path, command: str, note: str = "") -> Path:
+def write_card(task: Task, folder: Path, command: str, note: str = "", device: str = "cpu") -> Path:
     """Write ``<task>.md`` from the logs of a training.
 
     Args:
@@ -21,6 +21,7 @@ def write_card(task: Task, folder: Path, command: str, note: str = "") -> Path:
         folder: of the training, with its logs and weights.
         command: that made them.
         note: what a reader should know beside.
+        device: that it was trained on, see `ggvs_eval.compute_device.describe_device`.
 
     Returns:
         The card's file.
@@ -34,6 +35,7 @@ def write_card(task: Task, folder: Path, command: str, note: str = "") -> Path:
     validations = _rows(folder / "validation.csv")
     shown = validations[:: max(1, len(validations) // SHOWN_VALIDATIONS)]
     cost = f", {on_cpu:.0f} minutes of one core" if on_cpu else ""
+    cost += "" if device == "cpu" else f", {device}"
     lines = [
         f"# {task.name}",
         "",

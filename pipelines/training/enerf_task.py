@@ -56,8 +56,8 @@ class EnerfTask(BaselineTask):
         coarse = search_coarsely(network, views, grid, near * unit, far * unit, network.coarse_planes)
         fine = refine_surface(network, views, grid, coarse)
         image, _ = render_surface(network, views, fine, target, unit, target.width * target.height)
-        centre = torch.from_numpy(target.centre * unit).float()
-        rays = torch.from_numpy(target.rays()[::SCALE, ::SCALE]).float()
+        centre = torch.as_tensor(target.centre * unit).float()
+        rays = torch.as_tensor(target.rays()[::SCALE, ::SCALE]).float()
         rough, _ = render_coarsely(network, coarse_views(views), coarse, centre, rays)
         wanted = functional.avg_pool2d(truth, SCALE).flatten(1).T
         terms = {

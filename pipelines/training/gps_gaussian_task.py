@@ -65,5 +65,5 @@ def _render(network: nn.Module, instant: Instant) -> Tensor:
     assert isinstance(network, GpsGaussianNetwork)
     config = network.config
     gaussians = instant_gaussians(network, instant, "given", config.pairs, config.rotations_in)
-    with torch.autocast("cpu", enabled=False):  # few bits of a distance would move Gaussians
+    with torch.autocast(next(network.parameters()).device.type, enabled=False):  # few bits of a distance would move Gaussians
         return blend_gaussians(gaussians, instant.target, near_plane(instant))[..., :3].permute(2, 0, 1)

@@ -46,9 +46,9 @@ class IbrnetTask(BaselineTask):
         """Squared error of both passes."""
         assert isinstance(network, Networks)
         target, truth = sample.instant.target, truth_of(sample).flatten(1).T  # (H * W, 3)
-        drawn = torch.from_numpy(np.random.default_rng([self.seed, step, 1]).choice(len(truth), self.rays, replace=False))
-        centre = torch.from_numpy(target.centre).float()
-        rays = torch.from_numpy(target.rays().reshape(-1, 3)).float()[drawn]
+        drawn = torch.as_tensor(np.random.default_rng([self.seed, step, 1]).choice(len(truth), self.rays, replace=False))
+        centre = torch.as_tensor(target.centre).float()
+        rays = torch.as_tensor(target.rays().reshape(-1, 3)).float()[drawn]
         views = see(network, sample.instant.sources)
         rough, (colours, _, _) = render_passes(network, views, centre, rays, *depth_range(sample.instant))
         terms = {
@@ -72,23 +72,23 @@ class IbrnetTask(BaselineTask):
             sample = self.validation.read(index)
             rays = sample.instant.target.rays()[::JUDGED_STEP, ::JUDGED_STEP].reshape(-1, 3)
             with torch.inference_mode():
-                colours = _colours(network, sample.instant, torch.from_numpy(rays).float())
+                colours = _colours(network, sample.instant, torch.as_tensor(rays).float())
             truth = sample.truth[::JUDGED_STEP, ::JUDGED_STEP].reshape(-1, 3) / np.float32(255)
-            total += -10 * float(np.log10(np.mean((colours.numpy() - truth) ** 2)))
+            total += -10 * float(np.log10(np.mean((colours.numpy(force=True) - truth) ** 2)))
         return {"psnr_db": total / len(self.validation)}
 
     def whole_view(self, network: nn.Module, instant: Instant) -> Tensor:
         """The target view."""
         assert isinstance(network, Networks)
         target = instant.target
-        colours = _colours(network, instant, torch.from_numpy(target.rays().reshape(-1, 3)).float())
+        colours = _colours(network, instant, torch.as_tensor(target.rays().reshape(-1, 3)).float())
         return colours.T.reshape(3, target.height, target.width)
 
 
 def _colours(network: Networks, instant: Instant, rays: Tensor) -> Tensor:
     """Colours (N, 3) in [0, 1] of rays (N, 3)."""
     views = see(network, instant.sources)
-    centre = torch.from_numpy(instant.target.centre).float()
+    centre = torch.as_tensor(instant.target.centre).float()
     chunks = rays.split(rays_at_once(len(views), network.config.samples))
     parts = [render_rays(network, views, centre, chunk, *depth_range(instant))[0] for chunk in chunks]
     return torch.cat(parts).clamp(0, 1)

@@ -11,6 +11,7 @@ import torch
 from torch import nn
 from torch.optim.swa_utils import AveragedModel
 
+from ggvs_eval.compute_device import compute_device, computing_on
 from ggvs_eval.pipelines.training.batches import batches
 from ggvs_eval.pipelines.training.checkpoint import TrainingState, read_state, state_file, write_state
 from ggvs_eval.pipelines.training.log import TrainingLog
@@ -58,9 +59,10 @@ def train(task: Task, folder: Path, options: TrainingOptions) -> Path:
         The file of the averaged weights.
 
     Raises:
+        DeviceError: there is no such device here.
         TrainingError: the folder's state belongs to another network, or is damaged.
     """
-    device = torch.device(("cuda" if torch.cuda.is_available() else "cpu") if options.device == "auto" else options.device)
+    device = compute_device(options.device)
     state = _start(task, folder, device, options.start_from)
     log = TrainingLog(folder, state.step)
     if options.compile:
@@ -72,7 +74,8 @@ def train(task: Task, folder: Path, options: TrainingOptions) -> Path:
         state.step = step + 1
         last = state.step == options.steps
         if last or state.step % options.validate_every == 0:
-            log.validation(state.step, task.validate(state.average.module))
+            with computing_on(device):
+                log.validation(state.step, task.validate(state.average.module))
         if last or state.step % options.save_every == 0:
             write_state(folder, state)
             write_weights(folder / f"{task.name}.safetensors", state.average.module, _notes(state))
@@ -122,7 +125,7 @@ def _step(
     rate = task.schedule.rate(step, options.steps)
     for group in state.optimiser.param_groups:
         group["lr"] = rate
-    with torch.autocast(device.type, torch.bfloat16, enabled=uses_bfloat16(options.precision, device)):
+    with computing_on(device), torch.autocast(device.type, torch.bfloat16, enabled=uses_bfloat16(options.precision, device)):
         loss, figures = task.loss(state.network, _to(batch, device))
     state.optimiser.zero_grad(set_to_none=True)
     loss.backward()
@@ -138,7 +141,7 @@ def uses_bfloat16(precision: Precision, device: torch.device) -> bool:
     if precision != "auto":
         return precision == "bfloat16"
     if device.type == "cuda":
-        return bool(torch.cuda.is_bf16_supported())
+        return bool(torch.cuda.is_bf16_supported(including_emulation=False))
     return bool(torch.cpu._is_amx_tile_supported())
 
 

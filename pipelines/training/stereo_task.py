@@ -80,9 +80,9 @@ class StereoTask:
         return {
             "left": _images([sample.left for sample in samples]),
             "right": _images([sample.right for sample in samples]),
-            "disparity": torch.from_numpy(np.stack([sample.disparity for sample in samples])),
-            "visible": torch.from_numpy(np.stack([sample.visible for sample in samples])),
-            "initial": torch.from_numpy(np.stack(starts))[:, None],
+            "disparity": torch.as_tensor(np.stack([sample.disparity for sample in samples])),
+            "visible": torch.as_tensor(np.stack([sample.visible for sample in samples])),
+            "initial": torch.as_tensor(np.stack(starts))[:, None],
         }
 
     def loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, Mapping[str, float]]:
@@ -114,10 +114,10 @@ class StereoTask:
         }
         for index in range(self.validation_scenes):
             sample = stereo_sample(VALIDATION_SEED + index, 512, 320)
-            truth = torch.from_numpy(-sample.disparity)[None, None]
+            truth = torch.as_tensor(-sample.disparity)[None, None]
             left, right = _images([sample.left]), _images([sample.right])
             start = start_from_matching(sample.left, sample.right, 0, _range(sample), self.config.factor)
-            initial = torch.from_numpy(start)[None, None]
+            initial = torch.as_tensor(start)[None, None]
             errors = {
                 "": (network.flow(left, right, 8, initial)[0] - truth).abs(),
                 "zero_": (network.flow(left, right, 24)[0] - truth).abs(),
@@ -158,4 +158,4 @@ def _range(sample: StereoSample) -> int:
 
 
 def _images(images: list[np.ndarray]) -> Tensor:
-    return torch.from_numpy(np.stack(images)).permute(0, 3, 1, 2).float()
+    return torch.as_tensor(np.stack(images)).permute(0, 3, 1, 2).float()

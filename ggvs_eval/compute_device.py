@@ -1,0 +1,83 @@
+"""Where networks compute: on the CPU, with equal bits wherever that is, or on a GPU."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from time import perf_counter
+from typing import Literal
+
+import torch
+
+from ggvs_eval.errors import DeviceError
+from ggvs_eval.one_thread import one_thread
+
+DeviceName = Literal["cpu", "cuda", "auto"]
+
+
+def compute_device(wanted: str) -> torch.device:
+    """The device of a name that somebody has typed.
+
+    Args:
+        wanted: ``cpu``, ``cuda``, ``cuda:1`` and so on, or ``auto``: the GPU where torch finds one.
+
+    Raises:
+        DeviceError: no such device here.
+    """
+    if wanted == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    try:
+        device = torch.device(wanted)
+    except RuntimeError as error:
+        raise DeviceError(f"device {wanted!r}: wanted cpu, cuda, cuda:N or auto") from error
+    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
+        raise DeviceError(
+            f"device {wanted}: torch {torch.__version__} finds {torch.cuda.device_count()} GPUs; take cpu, or install torch "
+            f"{torch.__version__.partition('+')[0]} for CUDA into this environment"
+        )
+    if device.type not in ("cpu", "cuda"):
+        raise DeviceError(f"device {wanted!r}: wanted cpu, cuda, cuda:N or auto")
+    return device
+
+
+@contextmanager
+def computing_on(device: torch.device) -> Iterator[None]:
+    """Within, tensors that name no device, `torch.as_tensor` of arrays included, are made on this one."""
+    if device.type == "cpu":
+        yield  # where they are made anyway
+        return
+    with device:
+        yield
+
+
+@contextmanager
+def rendering_on(device: torch.device) -> Iterator[None]:
+    """`computing_on` for a picture: no gradients, one thread on the CPU, whole single precision on a GPU.
+
+    Raises:
+        DeviceError: the GPU's memory is out.
+
+    Reading:
+        cuDNN rounds the factors of convolutions to ten bits unless told otherwise, which moves pixels of a render by levels.
+    """
+    rounds = torch.backends.cudnn.allow_tf32
+    torch.backends.cudnn.allow_tf32 = False
+    try:
+        with one_thread(), torch.inference_mode(), computing_on(device):
+            yield
+    except torch.OutOfMemoryError as error:
+        raise DeviceError(
+            f"device {device}: its memory is out; render at a smaller size, or fewer jobs at once (--jobs)"
+        ) from error
+    finally:
+        torch.backends.cudnn.allow_tf32 = rounds
+
+
+def clock_s(device: torch.device) -> float:
+    """The time, seconds, when all is done that the device was asked for: a GPU works on while Python goes ahead."""
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
+    return perf_counter()
+
+
+def describe_device(device: torch.device) -> str:
+    """What a result says of where it was computed: ``cpu``, or ``cuda: NVIDIA H100 80GB HBM3``."""
+    return f"cuda: {torch.cuda.get_device_name(device)}" if device.type == "cuda" else device.type

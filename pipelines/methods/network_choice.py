@@ -1,0 +1,34 @@
+"""With which weights networks render and where they compute, in the few words that the command line takes."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class NetworkChoice:
+    """What is not the same for everybody about the networks of methods.
+
+    Attributes:
+        checkpoints: method -> file of weights that the user gave, of methods whose weights do not ship.
+        device: ``cpu``, where equal inputs give equal bits, ``cuda`` or ``cuda:N``.
+    """
+
+    checkpoints: Mapping[str, Path] = field(default_factory=dict)
+    device: str = "cpu"
+
+
+AS_SHIPPED = NetworkChoice()
+
+
+def found_device(wanted: str) -> str:
+    """The device behind what somebody has typed, ``auto`` included.
+
+    Raises:
+        DeviceError: no such device here.
+    """
+    if wanted == "cpu":  # needs no torch
+        return wanted
+    from ggvs_eval.compute_device import compute_device
+
+    return str(compute_device(wanted))
