@@ -20,7 +20,7 @@ from ggvs_eval.images import Image8, quantise
 from ggvs_eval.kernels import get_threads
 from ggvs_eval.one_thread import one_thread
 from ggvs_eval.pipelines.online.blend_maps import blend_maps, raw_views
-from ggvs_eval.pipelines.online.blend_network import BlendConfig, BlendNetwork, compose_tensors, read_outputs
+from ggvs_eval.pipelines.online.blend_network import WIDTHS, BlendConfig, BlendNetwork, compose_tensors, read_outputs
 from ggvs_eval.pipelines.online.blending import Blended, BlendingInputs
 from ggvs_eval.pipelines.online.geometric_blender import GeometricBlender
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
@@ -97,20 +97,30 @@ class _Recorder:
 
 
 def measure_network_blender(setting: Setting, repeats: int = 5) -> dict[str, dict[str, Any]]:
-    """CPU time of the learned blender at a setting, of the torch code in its place, and their ratio; seeded random weights."""
+    """CPU time of the learned blender at a setting in its sizes, and of the torch code in place of the one that ships."""
     scene, recorder = _scene(setting), _Recorder()
     GeometryGuided(blender=recorder).step(_instant(scene, _images(scene)[0], 0, setting.views))
-    torch.manual_seed(0)
-    network = BlendNetwork(BlendConfig()).eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    inputs, guidance = recorder.inputs[0], network.config.guidance
-    kernels_ms = _cpu_ms(lambda: blend_by(network, blend_maps(inputs, guidance)), repeats)
-    torch_ms = _cpu_ms(lambda: torch_blend(network, inputs), repeats)
+    networks = {size: _random_network(width) for size, width in WIDTHS.items()}
+    inputs, shipped = recorder.inputs[0], networks["standard"]
+    guidance = shipped.config.guidance
+    times_ms = {
+        size: _cpu_ms(lambda network=each: blend_by(network, blend_maps(inputs, guidance)), repeats)
+        for size, each in networks.items()
+    }
+    torch_ms = _cpu_ms(lambda: torch_blend(shipped, inputs), repeats)
     name = f"{setting.name}_network_blend"
     return {
-        name: _figure(kernels_ms, "CPU ms", 400.0),
+        name: _figure(times_ms["standard"], "CPU ms", 400.0),
         f"{name}_torch": _figure(torch_ms, "CPU ms", None),
-        f"{name}_speedup": _figure(torch_ms / kernels_ms, "x", None, higher_is_better=True),
+        f"{name}_speedup": _figure(torch_ms / times_ms["standard"], "x", None, higher_is_better=True),
+        **{f"{name}_{size}": _figure(times_ms[size], "CPU ms", None) for size in ("small", "large")},
     }
+
+
+def _random_network(width: int) -> BlendNetwork:
+    torch.manual_seed(0)
+    network: BlendNetwork = BlendNetwork(BlendConfig(width=width)).eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    return network
 
 
 def torch_blend(network: BlendNetwork, inputs: BlendingInputs) -> NDArray[np.float32]:

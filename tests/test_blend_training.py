@@ -9,8 +9,8 @@ import torch
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.metrics.image import ssim
 from ggvs_eval.one_thread import one_thread
-from ggvs_eval.pipelines.online.blend_network import BlendConfig, BlendOutputs
-from ggvs_eval.pipelines.online.blend_weights import load_blend_network
+from ggvs_eval.pipelines.online.blend_network import WIDTHS, BlendConfig, BlendNetwork, BlendOutputs
+from ggvs_eval.pipelines.online.blend_weights import load_blend_network, shipped_blend_weights
 from ggvs_eval.pipelines.online.network_inputs import input_channels
 from ggvs_eval.pipelines.training.blend_loss import BlendLossWeights, blend_loss, depth_loss, mask_loss, structural_loss
 from ggvs_eval.pipelines.training.blend_rooms import RoomSamples
@@ -274,6 +274,16 @@ def test_a_real_training_learns(task, tmp_path):
     card = write_card(quick, tmp_path, "ggvs-eval train blend").read_text()
     assert "procedural rooms" in card
     assert str(tmp_path.parent) not in card  # where samples lie is not told
+
+
+def test_named_sizes():
+    """The standard one is what ships and fits 10 MB in half precision; the others are smaller and larger."""
+    megabytes = {
+        size: 2 * sum(values.numel() for values in BlendNetwork(BlendConfig(width=width)).parameters()) / 2**20
+        for size, width in WIDTHS.items()
+    }
+    assert megabytes["small"] < megabytes["standard"] < 10 < megabytes["large"]
+    assert load_blend_network(shipped_blend_weights()).config == BlendConfig(width=WIDTHS["standard"])
 
 
 def test_what_does_not_fit_is_refused(task):

@@ -10,8 +10,10 @@ from safetensors.torch import load_file, save_file
 from torch import nn
 
 from ggvs_eval.errors import TrainingError, WeightsError
+from ggvs_eval.images import read_image
 from ggvs_eval.pipelines.offline.raft.config import COMPACT
 from ggvs_eval.pipelines.training.card import write_card
+from ggvs_eval.pipelines.training.curves import draw_curves
 from ggvs_eval.pipelines.training.loop import TrainingOptions, train
 from ggvs_eval.pipelines.training.stereo_loss import matching_loss, sequence_loss
 from ggvs_eval.pipelines.training.stereo_task import StereoTask
@@ -165,6 +167,19 @@ def test_one_bad_batch_does_not_spoil_the_weights(tmp_path):
     weights = load_file(train(BrokenTask(), tmp_path, OPTIONS))
     assert abs(float(weights["weight"]) - 2) < 0.1
     assert "nan" in (tmp_path / "log.csv").read_text() or "inf" in (tmp_path / "log.csv").read_text()
+
+
+def test_a_training_is_drawn(tmp_path):
+    """The picture beside the logs follows them: losses and validations, the same bytes for the same logs."""
+    train(LineTask(), tmp_path, OPTIONS)
+    picture = tmp_path / "line.png"
+    drawn = picture.read_bytes()
+    assert read_image(picture).std() > 10
+    assert draw_curves(tmp_path, "line") == picture
+    assert picture.read_bytes() == drawn
+    log = (tmp_path / "log.csv").read_text().splitlines()
+    (tmp_path / "log.csv").write_text("\n".join(log[: len(log) // 2]) + "\n")
+    assert draw_curves(tmp_path, "line").read_bytes() != drawn
 
 
 def test_the_card_tells_cost_and_quality(tmp_path):

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 Precision = Literal["auto", "float32", "bfloat16"]
 Guidance = Literal["registered", "channels", "none", "naive"]
+Size = Literal["small", "standard", "large"]
 
 
 def train(
@@ -24,7 +25,7 @@ def train(
     steps: int = 20000,
     seed: int = 0,
     views: int = 6,
-    width: int = 16,
+    size: Size = "standard",
     guidance: Guidance = "registered",
     rooms: int = 25,
     targets: int = 9,
@@ -46,7 +47,7 @@ def train(
         steps: of the whole training, those of earlier calls included.
         seed: of the weights and the scenes.
         views: blend: the most source views it can take, K; it learns from two views on.
-        width: blend: channels of the U-Net's first level.
+        size: blend: of the U-Net; its first level has 8, 16 or 32 channels.
         guidance: blend: what it sees of the fused depth: views registered by it, its channels as the paper prints them, none
             of it (ablation), or no depth at all (naive).
         rooms: blend, baselines: rooms to film, about a minute and 50 MB each.
@@ -61,7 +62,7 @@ def train(
         compile_network: let torch compile it first: some minutes once, a fifth less per step.
     """
     from ggvs_eval.compute_device import compute_device, describe_device
-    from ggvs_eval.pipelines.online.blend_network import BlendConfig
+    from ggvs_eval.pipelines.online.blend_network import WIDTHS, BlendConfig
     from ggvs_eval.pipelines.training.card import write_card
     from ggvs_eval.pipelines.training.loop import TrainingOptions
     from ggvs_eval.pipelines.training.loop import train as go_on
@@ -71,7 +72,7 @@ def train(
     if what == "stereo":
         task = _stereo(seed)
     elif what == "blend":
-        task = _blend(samples, seed, BlendConfig(views, guidance, width), rooms, captures)
+        task = _blend(samples, seed, BlendConfig(views, guidance, WIDTHS[size]), rooms, captures)
     else:
         task = _baseline(what, samples, seed, configuration, rooms, targets)
     options = TrainingOptions(
@@ -79,7 +80,7 @@ def train(
     )
     command = f"ggvs-eval train {what} {out.name} --steps {steps} --seed {seed}"
     if what == "blend":
-        command += f" --guidance {guidance} --views {views} --width {width} --rooms {rooms}"
+        command += f" --guidance {guidance} --views {views} --size {size} --rooms {rooms}"
         command += f" --captures {' '.join(path.name for path in captures)}" if captures else ""
     if what not in ("stereo", "blend"):
         command += f" --configuration {configuration} --rooms {rooms} --targets {targets}"

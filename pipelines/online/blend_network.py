@@ -13,6 +13,7 @@ from ggvs_eval.pipelines.online.refiner import Refiner, evidence
 from ggvs_eval.pipelines.online.unet import UNet
 
 BEYOND_VIEWS = 4  # outputs beside one per view: weight of the background and change of its colour
+WIDTHS = {"small": 8, "standard": 16, "large": 32}  # of named sizes; the standard one ships
 SURE = 0.02  # the background's weight starts between this and 1 - this
 
 

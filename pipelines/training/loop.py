@@ -14,6 +14,7 @@ from torch.optim.swa_utils import AveragedModel
 from ggvs_eval.compute_device import compute_device, computing_on
 from ggvs_eval.pipelines.training.batches import batches
 from ggvs_eval.pipelines.training.checkpoint import TrainingState, read_state, state_file, write_state
+from ggvs_eval.pipelines.training.curves import draw_curves
 from ggvs_eval.pipelines.training.log import TrainingLog
 from ggvs_eval.pipelines.training.task import Task
 from ggvs_eval.pipelines.training.weights import pour_weights, write_weights
@@ -52,7 +53,8 @@ def train(task: Task, folder: Path, options: TrainingOptions) -> Path:
 
     Args:
         task: what is learned.
-        folder: gets ``state.pt`` (to go on from), ``log.csv``, ``validation.csv`` and ``<task>.safetensors``.
+        folder: gets ``state.pt`` (to go on from), ``log.csv``, ``validation.csv``, both drawn in ``<task>.png``, and
+            ``<task>.safetensors``.
         options: how.
 
     Returns:
@@ -76,6 +78,7 @@ def train(task: Task, folder: Path, options: TrainingOptions) -> Path:
         if last or state.step % options.validate_every == 0:
             with computing_on(device):
                 log.validation(state.step, task.validate(state.average.module))
+            draw_curves(folder, task.name)
         if last or state.step % options.save_every == 0:
             write_state(folder, state)
             write_weights(folder / f"{task.name}.safetensors", state.average.module, _notes(state))
