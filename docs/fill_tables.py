@@ -69,6 +69,7 @@ def main() -> None:
         {
             "real_frame_budget": lambda: budget_rows(OUT / "real_frame"),
             "ablations": lambda: sweep_table(OUT / "rooms_ablations", ABLATION_METRICS),
+            "clean": lambda: sweep_table(OUT / "rooms_clean", BASELINE_METRICS),
             "noise": lambda: sweep_table(OUT / "rooms_noise", ABLATION_METRICS),
             "switches": lambda: sweep_table(OUT / "rooms_switches", BASELINE_METRICS),
             "over_k": lambda: k_table(OUT / "rooms_k", BASELINE_METRICS),

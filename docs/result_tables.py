@@ -38,7 +38,7 @@ def ceilings_table(run: Path) -> str:
 
 
 def sweep_table(root: Path, metrics: Sequence[str], timed: Path | None = None) -> str:
-    """Means over the captures of a sweep, each with half the width of its interval, and seconds per frame, as Markdown.
+    """Means over the captures of a sweep, each with half the width of its interval, and seconds per frame of what was rendered there.
 
     Args:
         root: folder of the sweep.
@@ -54,10 +54,12 @@ def sweep_table(root: Path, metrics: Sequence[str], timed: Path | None = None) -
     shown = [metric for metric in metrics if metric in set(results.table["metric"])]
     columns = {metric: intervals(results, metric, dataset) for metric in shown}
     names = read_json(runs[0] / "methods.json")
-    rows = [f"| method | {' | '.join(shown)} | s / frame |", "| --- |" + " ---: |" * (len(shown) + 1)]
+    seconds = {label: _seconds(timed_runs, label) for label in names["labels"]}
+    heads = [*shown, "s / frame"] if any(value == value for value in seconds.values()) else shown
+    rows = [f"| method | {' | '.join(heads)} |", "| --- |" + " ---: |" * len(heads)]
     for label in names["labels"]:
-        cells = [_with_interval(metric, columns[metric][label]) for metric in shown]
-        rows.append(f"| {names['names'].get(label, label)} | {' | '.join(cells)} | {_seconds(timed_runs, label):.2f} |")
+        cells = [*(_with_interval(metric, columns[metric][label]) for metric in shown), f"{seconds[label]:.2f}"][: len(heads)]
+        rows.append(f"| {names['names'].get(label, label)} | {' | '.join(cells)} |")
     return "\n".join(rows)
 
 
