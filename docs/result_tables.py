@@ -38,7 +38,7 @@ def ceilings_table(run: Path) -> str:
 
 
 def sweep_table(root: Path, metrics: Sequence[str], timed: Path | None = None) -> str:
-    """Means over the captures of a sweep, each with half the width of its interval, and seconds per frame of what was rendered there.
+    """Means over the captures of a sweep, each with half the width of its interval, and seconds per frame where it rendered.
 
     Args:
         root: folder of the sweep.
