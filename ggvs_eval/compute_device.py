@@ -3,14 +3,11 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from time import perf_counter
-from typing import Literal
 
 import torch
 
 from ggvs_eval.errors import DeviceError
 from ggvs_eval.one_thread import one_thread
-
-DeviceName = Literal["cpu", "cuda", "auto"]
 
 
 def compute_device(wanted: str) -> torch.device:
