@@ -19,7 +19,8 @@ class DistanceBased:
 
     Reading:
         w_k = exp(-gamma |C_k - C_target|) with LLFF's gamma = f / (P z0), f in pixels, P planes (32), z0 the nearest depth.
-        There is no background term: what no view covers stays black.
+        There is no background term: what no view covers stays black. LLFF adds 1e-10 to the sum of weights; at full size far
+        views weigh less than that and would come out black, so nothing is added.
     """
 
     def step(self, instant: Instant) -> Rendering:
@@ -29,7 +30,7 @@ class DistanceBased:
         splats = [splat([pixel_gaussians(source)], instant.target, near=near) for source in instant.sources]
         splatted = perf_counter()
         weights = distance_weights(instant.target, [source.camera for source in instant.sources])
-        image = weighted_mean([view.features for view in splats], [view.alpha for view in splats], weights, black_weight=1e-10)
+        image = weighted_mean([view.features for view in splats], [view.alpha for view in splats], weights)
         return Rendering(image, None, {"splat": splatted - started, "blend": perf_counter() - splatted})
 
 

@@ -202,7 +202,7 @@ def test_batches_depend_on_the_step_alone(task):
         "coverage": (2, 3, 48, 64),
         "alphas": (2, 3, 48, 64),
         "depths": (2, 3, 48, 64),
-        "near": (2, 3),
+        "weights": (2, 3),
         "unseen": (2, 48, 64),
         "background": (2, 3, 48, 64),
         "fused_depth": (2, 48, 64),

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ggvs_eval.baselines.distance_based import distance_weights
 from ggvs_eval.baselines.method import Instant
+from ggvs_eval.geometry.view_weights import view_weights
 from ggvs_eval.images import quantise
 from ggvs_eval.pipelines.online.colour_harmony import ColourHarmony, gained_image
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
@@ -34,9 +34,9 @@ def estimated(harmony: ColourHarmony, seen: Instant) -> np.ndarray:
 
 def anchored(gains: np.ndarray, sources=SOURCES) -> np.ndarray:
     """The factors that undo gains, their free factor fixed by the distance-weighted mean of the logarithms."""
-    near = np.array(distance_weights(TARGET, sources))
+    weights = view_weights(TARGET, sources).astype(float)
     logarithms = np.log(gains)
-    return np.exp(near @ logarithms / near.sum() - logarithms)
+    return np.exp(weights @ logarithms / weights.sum() - logarithms)
 
 
 def psnr_db(image: np.ndarray, truth: np.ndarray) -> float:
@@ -128,8 +128,8 @@ def test_images_stay_in_8_bit():
 
 def test_the_picture_is_better_for_it():
     """With gains whose weighted mean is 1, the harmonised picture is more than a decibel nearer to the truth."""
-    near, truth = np.array(distance_weights(TARGET, SOURCES)), look(TARGET)[0]
-    gains = GAINS / np.exp(near @ np.log(GAINS) / near.sum()).astype(np.float32)
+    weights, truth = view_weights(TARGET, SOURCES).astype(float), look(TARGET)[0]
+    gains = GAINS / np.exp(weights @ np.log(GAINS) / weights.sum()).astype(np.float32)
 
     scores = {
         on: psnr_db(GeometryGuided(OnlineOptions(harmonised=on)).step(planted(0, gains=gains)).image, truth)

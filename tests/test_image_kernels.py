@@ -184,14 +184,14 @@ def test_what_does_not_fit_is_refused():
     depth, image, black = np.ones((6, 8), np.float32), image8(random, 6, 8), np.zeros((6, 8, 3), np.float32)
     with pytest.raises(RenderError, match=r"camera camera: wanted a uint8 image \(6, 8, 3\)"):
         look_up(camera, depth, [CapturedView(camera, image.astype(np.float32), depth, 1.0)], black, TAU)
-    with pytest.raises(RenderError, match="largest weight must be positive"):
+    with pytest.raises(RenderError, match="tolerance and weights must be positive"):
         look_up(camera, depth, [CapturedView(camera, image, depth, 0.0)], black, TAU)
     with pytest.raises(RenderError, match=r"background \(H, W, 3\), got \(6, 8\)"):
         look_up(camera, depth, [CapturedView(camera, image, depth, 1.0)], depth, TAU)
     with pytest.raises(RenderError, match="got 1 views, 2 weights"):
         weighted_mean([black], [depth, depth])
     with pytest.raises(TypeError, match=r"weight: wanted float32 \(6, 8\), C-contiguous, got float32 \(5, 8\)"):
-        _core.weighted_mean([(black, depth, 1.0), (black, depth[:5], 1.0)], (6, 8), 1e-6, 1)
+        _core.weighted_mean([(black, depth, 1.0), (black, depth[:5], 1.0)], (6, 8), 1)
     with pytest.raises(TypeError, match=r"before: wanted uint8 \(6, 8, 3\)"):
         difference_mask(image, image[:5])
     with pytest.raises(ValueError, match="cells must cover 1 to 128 rows"):

@@ -37,17 +37,17 @@ def run(tmp_path_factory) -> RunFolder:
 def test_shares_are_those_of_the_composed_picture():
     """Eqs. 4-5 at the network's own size: the views by their shares and the background by the rest are the composed picture."""
     maps = blend_maps(inputs_of(instant(0, TARGET, SOURCES)), "registered")
-    near = maps.near_weights()
-    small = np.random.default_rng(0).uniform(0, 1, (len(near) + 4, TARGET.height, TARGET.width)).astype(np.float32)
-    small[: len(near)] /= small[: len(near)].sum(axis=0)
-    small[len(near) + 1 :] = 0
-    background = filled_picture(maps, near)
+    views = len(maps.sources)
+    small = np.random.default_rng(0).uniform(0, 1, (views + 4, TARGET.height, TARGET.width)).astype(np.float32)
+    small[:views] /= small[:views].sum(axis=0)
+    small[views + 1 :] = 0
+    background = filled_picture(maps)
     shares = view_shares(small, maps)
     mixed = np.einsum("khw,khwc->hwc", shares, maps.colours)
-    foreground = small[: len(near)] * maps.coverage
-    shown = foreground.sum(axis=0) / (foreground.sum(axis=0) + 1e-6)  # 0 where no view has weight
+    foreground = small[:views] * maps.coverage
+    shown = foreground.sum(axis=0) > 0  # 0 where no view has weight
     unseen = np.clip(maps.unseen(), SURE, 1 - SURE)
-    weight = 1 / (1 + np.exp(-(small[len(near)] + np.log(unseen / (1 - unseen)))))
+    weight = 1 / (1 + np.exp(-(small[views] + np.log(unseen / (1 - unseen)))))
     np.testing.assert_allclose(shares.sum(axis=0), (1 - weight) * shown, atol=1e-5)
     expected = composed(maps, maps.unseen(), background, small, 1).picture
     np.testing.assert_allclose(mixed + weight[..., None] * background, np.moveaxis(expected, 0, 2), atol=1e-4)

@@ -52,16 +52,16 @@ def weights(network, tmp_path):
 
 
 def start_of(batch: int, views: int, height: int, width: int) -> dict[str, torch.Tensor]:
-    """A start at which all views are equally near and nothing is unseen."""
+    """A start at which all views weigh the same and nothing is unseen."""
     return {
-        "near": torch.ones(batch, views),
+        "weights": torch.ones(batch, views),
         "unseen": torch.full((batch, height, width), 0.5),
         "background": torch.full((batch, 3, height, width), 0.25),
     }
 
 
 def test_outputs_are_weights():
-    """Raw outputs of any size become weights that sum to 1 and a background in [0, 1]; equal logits weigh as near views do."""
+    """Raw outputs of any size become weights that sum to 1 and a background in [0, 1]; equal logits weigh as the start does."""
     raw = 20 * torch.randn(2, 7, 4, 5)
     raw[0, :3] = 1.5
     outputs = read_outputs(raw, start_of(2, 3, 4, 5), 3)
@@ -75,7 +75,7 @@ def test_outputs_are_weights():
 
 def test_zeros_change_nothing():
     """With outputs of zero, enlarged or not, the start comes back: its weights, what is unseen, its background."""
-    start = start_of(1, 2, 5, 7) | {"near": torch.tensor([[1.0, 0.25]])}
+    start = start_of(1, 2, 5, 7) | {"weights": torch.tensor([[1.0, 0.25]])}
     for size in ((5, 7), (3, 4)):
         outputs = read_outputs(torch.zeros(1, 6, *size), start, 2)
         torch.testing.assert_close(outputs.weights[0, :, 2, 3], torch.tensor([0.8, 0.2]))
@@ -92,7 +92,7 @@ def test_views_are_composed_over_the_background():
     single = [array.astype(np.float32) for array in (colours, alphas, shares, background, background_weight)]
     colours, alphas, shares, background, background_weight = single
     weights = (alphas * shares)[..., None]
-    foreground = (weights * colours).sum(axis=0) / (weights.sum(axis=0) + 1e-6)
+    foreground = (weights * colours).sum(axis=0) / np.maximum(weights.sum(axis=0), 1e-30)
     expected = foreground + background_weight[..., None] * (background - foreground)
     shown = torch.from_numpy(background).permute(2, 0, 1)[None]
     outputs = BlendOutputs(

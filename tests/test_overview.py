@@ -26,10 +26,9 @@ MAPS = ("colours", "coverage", "seen", "alphas", "depths", "fused_depth")
 def test_one_pass_finds_what_the_maps_say(seed, width, height, views, scale, threads):
     """Any size, number of views and scale: the reduced maps, what is unseen, the mean picture and what is covered."""
     maps = random_maps(np.random.default_rng(seed), width, height, views)
-    near = maps.near_weights()
     kernels.set_threads(threads)
 
-    found = overview(maps, near, scale)
+    found = overview(maps, scale)
 
     expected = maps.reduced(scale)
     for name in MAPS:
@@ -39,7 +38,7 @@ def test_one_pass_finds_what_the_maps_say(seed, width, height, views, scale, thr
     assert found.small.target.size == expected.target.size
     assert found.small.sources == maps.sources
     np.testing.assert_allclose(found.unseen, maps.unseen(), atol=1e-6)
-    mean = weighted_mean(list(maps.colours), list(maps.coverage), near.tolist())
+    mean = weighted_mean(list(maps.colours), list(maps.coverage), maps.weights.tolist())
     np.testing.assert_allclose(found.picture, mean, atol=1e-6)
     np.testing.assert_array_equal(found.covered, maps.alphas.max(axis=0) > COVERED_ALPHA)
 
@@ -73,7 +72,7 @@ def test_threads_do_not_change_a_bit():
     maps, found = random_maps(np.random.default_rng(1), 130, 90, 4), []
     for threads in (1, 3):
         kernels.set_threads(threads)
-        seen = overview(maps, maps.near_weights(), 4)
+        seen = overview(maps, 4)
         found.append([seen.unseen, seen.picture, seen.small.colours, network_channels(seen.small, "registered", 6)])
     for first, second in zip(*found, strict=True):
         np.testing.assert_array_equal(first, second)
@@ -85,6 +84,6 @@ def test_what_does_not_fit_is_refused():
     with pytest.raises(ValueError, match="not more than the network takes"):
         network_channels(maps, "registered", 2)
     with pytest.raises(ValueError, match="scale of at least 1"):
-        _core.overview(maps.colours, maps.coverage, maps.seen, maps.alphas, maps.near_weights(), 0, 1e-6, 0.5, 1)
+        _core.overview(maps.colours, maps.coverage, maps.seen, maps.alphas, maps.weights, 0, 0.5, 1)
     with pytest.raises(TypeError, match="seen: wanted float32"):
-        overview(replace(maps, seen=maps.seen[:, :5]), maps.near_weights(), 2)
+        overview(replace(maps, seen=maps.seen[:, :5]), 2)

@@ -134,7 +134,7 @@ def test_outputs_are_composed_as_the_twin_does(seed, width, height, views, scale
     raw = torch.from_numpy(random.normal(0, 20, (1, views + BEYOND_VIEWS + features, -(-height // scale), -(-width // scale))))
     start = {name: torch.from_numpy(array)[None] for name, array in blend_start(maps).items()}
     outputs, tensors = read_outputs(raw, start, views), as_tensors(maps)
-    small = small_outputs(raw, start["near"], views)[0].contiguous().numpy()
+    small = small_outputs(raw, start["weights"], views)[0].contiguous().numpy()
     picture = compose_tensors(outputs, tensors["colours"], tensors["coverage"])
     shares = outputs.weights * tensors["coverage"]
     sure = evidence(picture, tensors["colours"], shares, tensors["coverage"], tensors["fused_depth"])[0].numpy()

@@ -11,19 +11,16 @@ from ggvs_eval.kernels import get_threads
 Map = NDArray[np.float32]
 
 
-def weighted_mean(
-    colours: Sequence[Map], weights: Sequence[Map], factors: Sequence[float] | None = None, *, black_weight: float = 1e-6
-) -> Map:
-    """Mean of the views' colours; black where no view has weight.
+def weighted_mean(colours: Sequence[Map], weights: Sequence[Map], factors: Sequence[float] | None = None) -> Map:
+    """Mean of the views' colours, however small their weights; black where none has any.
 
     Args:
         colours: each (H, W, C) with at least three channels, float32; the first three count.
         weights: each (H, W), float32, at least 0; only their ratios matter.
         factors: one more weight per view, 1 unless given.
-        black_weight: of a black view everywhere, so that no division is by zero.
 
     Returns:
-        (H, W, 3), float32: sum of weighted colours over (sum of weights + black_weight).
+        (H, W, 3), float32: sum of weighted colours over sum of weights.
 
     Raises:
         RenderError: no view, or not as many weights as colours.
@@ -39,7 +36,7 @@ def weighted_mean(
         (evenly_spaced(colour), np.ascontiguousarray(weight, np.float32), float(factor))
         for colour, weight, factor in zip(colours, weights, factors, strict=True)
     ]
-    return _core.weighted_mean(views, views[0][1].shape, black_weight, get_threads())
+    return _core.weighted_mean(views, views[0][1].shape, get_threads())
 
 
 def largest_feature(features: Sequence[Map], alphas: Sequence[Map], *, channel: int, least_alpha: float, otherwise: float) -> Map:

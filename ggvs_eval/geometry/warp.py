@@ -35,7 +35,7 @@ class CapturedView:
         camera: the source camera.
         image: (Hs, Ws, 3) uint8.
         depth: the source's own depth, (Hs, Ws) float32, world units, 0 = invalid.
-        weight: how far the view counts beside the others where it is visible, at least 0.
+        weight: how far the view counts beside the others that see the surface, positive.
     """
 
     camera: Camera
@@ -95,12 +95,12 @@ def look_up(
     """Look the target's surface up in all source images at once: their weighted mean, over a background.
 
     What `warp` does for each view (bicubic), the mean of their colours by visibility times weight, and the background as far as
-    the sum of those falls short of the largest weight, in one pass without images in between.
+    the sum of the visibilities falls short of 1, in one pass without images in between.
 
     Args:
         target: the camera to render.
         target_depth: its depth, (H, W) float32, world units, 0 = unknown.
-        views: the source views, at least one with a positive weight; sizes may differ.
+        views: the source views, at least one; sizes may differ.
         background: (H, W, 3) float32.
         tolerance: as in `warp`, world units.
 
@@ -108,13 +108,14 @@ def look_up(
         (H, W, 3) float32.
 
     Raises:
-        RenderError: images that do not fit their cameras or are not 8-bit RGB, a tolerance that is not positive, or no weight.
+        RenderError: images that do not fit their cameras or are not 8-bit RGB, a tolerance or a weight that is not positive,
+            or no view.
     """
     from ggvs_eval.kernels import _core
 
-    full_weight = max((view.weight for view in views), default=0.0)
-    if not (0 < tolerance < np.inf and 0 < full_weight < np.inf):
-        raise RenderError(f"look-up: tolerance and largest weight must be positive, got {tolerance:g} and {full_weight:g}")
+    least, largest = min((view.weight for view in views), default=0.0), max((view.weight for view in views), default=0.0)
+    if not (0 < tolerance < np.inf and 0 < least <= largest < np.inf):
+        raise RenderError(f"look-up: tolerance and weights must be positive, got {tolerance:g} and {least:g} .. {largest:g}")
     if background.shape[2:] != (3,):
         raise RenderError(f"look-up: wanted a background (H, W, 3), got {background.shape}")
     fields = [
@@ -127,7 +128,7 @@ def look_up(
     depth = as_image(target_depth, target, "target depth", RenderError)
     under = as_image(background, target, "background", RenderError)
     level = LEVELS.index(get_level())
-    return _core.look_up(pinhole(target), depth, fields, under, tolerance, full_weight, get_threads(), level)
+    return _core.look_up(pinhole(target), depth, fields, under, tolerance, get_threads(), level)
 
 
 def captured_fields(target: Camera, view: CapturedView) -> tuple[Any, ...]:

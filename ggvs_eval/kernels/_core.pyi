@@ -52,7 +52,6 @@ def mix_depth(depth: Image, history: Image, mask: Image, tolerance: float, threa
 def weighted_mean(
     views: Sequence[tuple[Image, Image, float]],  # colour, weight, factor
     size: tuple[int, ...],
-    black_weight: float,
     threads: int,
 ) -> Image: ...
 def largest_feature(
@@ -69,7 +68,6 @@ def look_up(
     views: Sequence[tuple[Pinhole, Matrix, Image8, Image, float]],  # camera, from_target, image, depth, factor
     background: Image,
     tolerance: float,
-    full_weight: float,
     threads: int,
     level: int,
 ) -> Image: ...
@@ -88,9 +86,8 @@ def overview(
     coverage: Image,
     seen: Image,
     alphas: Image,
-    near: Image,
+    weights: Image,
     scale: int,
-    black_weight: float,
     covered_alpha: float,
     threads: int,
 ) -> tuple[Image, Image, NDArray[np.bool_], tuple[Image, Image, Image, Image]]: ...

@@ -32,10 +32,10 @@ void add_view(const WeightedView& view, int64_t first, int64_t last, float* sum,
 
 }  // namespace
 
-void weighted_mean(const std::vector<WeightedView>& views, int64_t pixels, float black_weight, float* out, int threads) {
+void weighted_mean(const std::vector<WeightedView>& views, int64_t pixels, float* out, int threads) {
     for_chunks(pixels, threads, [&](int64_t first, int64_t last) {
         float total[kChunk];
-        std::fill_n(total, last - first, black_weight);
+        std::fill_n(total, last - first, 0.0f);
         float* sum = out + 3 * first;
         std::fill_n(sum, 3 * (last - first), 0.0f);
         for (const WeightedView& view : views) {
@@ -43,7 +43,7 @@ void weighted_mean(const std::vector<WeightedView>& views, int64_t pixels, float
             add(view, first, last, sum, total);
         }
         for (int64_t n = 0; n < last - first; ++n)
-            for (int c = 0; c < 3; ++c) sum[3 * n + c] /= total[n];
+            for (int c = 0; c < 3; ++c) sum[3 * n + c] /= std::max(total[n], kNoWeight);
     });
 }
 

@@ -15,8 +15,11 @@ struct WeightedView {
     float factor;
 };
 
-// Weighted mean of the views, (pixels, 3): the weighted sum over (the sum of weights + black_weight).
-void weighted_mean(const std::vector<WeightedView>& views, int64_t pixels, float black_weight, float* out, int threads);
+// A sum of weights below this is none: it keeps a division by zero away and darkens nothing, however small the weights are.
+constexpr float kNoWeight = 1e-30f;
+
+// Weighted mean of the views, (pixels, 3), black where no view has weight.
+void weighted_mean(const std::vector<WeightedView>& views, int64_t pixels, float* out, int threads);
 
 // One splatted feature and the coverage it came with.
 struct CoveredFeature {
@@ -35,7 +38,7 @@ struct LookUpView {
     const double* from_target;  // target camera -> this camera, rigid 4x4
     const uint8_t* image;       // (height, width, 3), at least two pixels
     const float* depth;         // (height, width), 0 = invalid
-    float factor;               // of its visibility, which makes its weight
+    float factor;               // of its visibility among those of the views that see the surface
     PixelMap map;               // filled by look_up
 };
 
@@ -44,7 +47,6 @@ struct LookUp {
     const float* depth;       // (height, width) of the target, 0 = unknown
     const float* background;  // (height, width, 3)
     float tolerance;          // visibility as in warp.hpp
-    float full_weight;        // sum of weights from which on no background shows
     std::vector<LookUpView> views;
 };
 

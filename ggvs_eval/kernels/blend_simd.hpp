@@ -8,10 +8,10 @@ struct Colour {
     F red, green, blue;
 };
 
-// A view's colours and weights in one packet of target pixels.
+// A view's colours in one packet of target pixels, and whether it sees them; where it does not the colour means nothing.
 struct Seen {
     Colour colour;  // 0 .. 255
-    F weight;
+    F visibility;
 };
 
 // Four neighbours and their weights; the border is repeated.
@@ -107,7 +107,7 @@ GGVS_INLINE Colour colour_at(const LookUpView& view, F u, F v) {
     return {min(max(sum.red, zero), most), min(max(sum.green, zero), most), min(max(sum.blue, zero), most)};
 }
 
-// What one view shows at the surface of target pixels (column, row) of this depth; without weight the colour means nothing.
+// What one view shows at the surface of target pixels (column, row) of this depth.
 GGVS_INLINE Seen see(const LookUpView& view, F column, F row, F depth, float tolerance) {
     const float *m = view.map.matrix, *o = view.map.offset;
     F z = depth * (all(m[6]) * column + all(m[7]) * row + all(m[8])) + all(o[2]);
@@ -127,7 +127,7 @@ GGVS_INLINE Seen see(const LookUpView& view, F column, F row, F depth, float tol
     F visibility = min(max(all(2.0f) - excess, all(0.0f)), all(1.0f));
     M visible = both(inside, both(less(all(0.0f), there), less(all(0.0f), visibility)));
     if (!any(visible)) return seen;
-    seen.weight = select(visible, visibility * all(view.factor), all(0.0f));
+    seen.visibility = select(visible, visibility, all(0.0f));
     seen.colour = colour_at(view, u, v);
     return seen;
 }
@@ -138,21 +138,22 @@ GGVS_INLINE void look_up_packet(const LookUp& job, int y, int left, int count, f
     const int64_t first = int64_t(y) * job.target.width + left;
     for (int lane = 0; lane < kWidth; ++lane) column[lane] = float(left + lane) + 0.5f;
     __builtin_memcpy(depth, job.depth + first, count * sizeof(float));
-    F red = all(0.0f), green = red, blue = red, total = red;
+    F red = all(0.0f), green = red, blue = red, total = red, shown = red;
     if (any(less(all(0.0f), load(depth)))) {
         for (const LookUpView& view : job.views) {
             Seen seen = see(view, load(column), all(float(y) + 0.5f), load(depth), job.tolerance);
-            red = red + seen.weight * seen.colour.red;
-            green = green + seen.weight * seen.colour.green;
-            blue = blue + seen.weight * seen.colour.blue;
-            total = total + seen.weight;
+            F weight = seen.visibility * all(view.factor);
+            red = red + weight * seen.colour.red;
+            green = green + weight * seen.colour.green;
+            blue = blue + weight * seen.colour.blue;
+            total = total + weight, shown = shown + seen.visibility;
         }
     }
-    F per = all(1.0f) / ((total + all(1e-6f)) * all(255.0f));
+    F per = all(1.0f) / (max(total, all(kNoWeight)) * all(255.0f));
     store(channels[0], red * per);
     store(channels[1], green * per);
     store(channels[2], blue * per);
-    store(cover, min(total / all(job.full_weight), all(1.0f)));
+    store(cover, min(shown, all(1.0f)));
     for (int lane = 0; lane < count; ++lane) {
         for (int c = 0; c < 3; ++c) {
             const int64_t at = 3 * (first + lane) + c;

@@ -24,7 +24,7 @@ GGVS_INLINE Colour foreground(const ComposedRow& row, int x, int count, F* total
     const int64_t pixels = int64_t(job.height) * job.width, first = int64_t(row.y) * job.width + x;
     const I at = strides(3, count);
     Colour sum{all(0.0f), all(0.0f), all(0.0f)};
-    *total = all(1e-6f), *shown = all(0.0f);
+    *total = all(0.0f), *shown = all(0.0f);
     for (int k = 0; k < job.views; ++k, kept += 4 * kWidth) {
         F coverage = load_part(job.coverage + k * pixels + first, count);
         F weight = load(row.enlarged + k * row.stride + x) * coverage;
@@ -36,6 +36,7 @@ GGVS_INLINE Colour foreground(const ComposedRow& row, int x, int count, F* total
         store(kept, weight), store(kept + kWidth, colour.red);
         store(kept + 2 * kWidth, colour.green), store(kept + 3 * kWidth, colour.blue);
     }
+    *total = max(*total, all(kNoWeight));
     return {sum.red / *total, sum.green / *total, sum.blue / *total};
 }
 

@@ -54,7 +54,7 @@ int pixel_stride(const py::array& image, const char* name) {
     return int(image.strides(1) / item);
 }
 
-py::array_t<float> weighted_mean_of(const py::sequence& views, Size size, float black_weight, int threads) {
+py::array_t<float> weighted_mean_of(const py::sequence& views, Size size, int threads) {
     const auto [height, width] = size;
     std::vector<WeightedView> list;
     for (const py::handle& item : views) {
@@ -69,7 +69,7 @@ py::array_t<float> weighted_mean_of(const py::sequence& views, Size size, float 
     py::array_t<float> out = empty({height, width, 3});
     float* data = out.mutable_data();
     py::gil_scoped_release released;
-    ggvs::weighted_mean(list, int64_t(height) * width, black_weight, data, threads);
+    ggvs::weighted_mean(list, int64_t(height) * width, data, threads);
     return out;
 }
 
@@ -95,10 +95,10 @@ py::array_t<float> largest_feature_of(const py::sequence& views, int channel, Si
 }
 
 py::array_t<float> look_up_of(const py::handle& target, const py::handle& depth, const py::sequence& views,
-                           const py::handle& background, float tolerance, float full_weight, int threads, int level) {
+                           const py::handle& background, float tolerance, int threads, int level) {
     const Pinhole to = pinhole_of(target);
     LookUp job{to, image_of(depth, "depth", to), data_of<float>(background, "background", {to.height, to.width, 3}),
-               tolerance, full_weight, {}};
+               tolerance, {}};
     for (const py::handle& item : views) {
         const py::tuple view = py::cast<py::tuple>(item);
         const Pinhole from = pinhole_of(view[0]);
@@ -132,10 +132,9 @@ py::array_t<float> push_pull_of(const py::array& colour, const py::handle& known
 void bind_images(py::module_& m) {
     m.def("colour_difference", &colour_difference_of, "now"_a, "before"_a, "cells"_a, "mean"_a, "threads"_a);
     m.def("mix_depth", &mix_depth_of, "depth"_a, "history"_a, "mask"_a, "tolerance"_a, "threads"_a);
-    m.def("weighted_mean", &weighted_mean_of, "views"_a, "size"_a, "black_weight"_a, "threads"_a);
+    m.def("weighted_mean", &weighted_mean_of, "views"_a, "size"_a, "threads"_a);
     m.def("largest_feature", &largest_feature_of, "views"_a, "channel"_a, "size"_a, "least_alpha"_a, "otherwise"_a, "threads"_a);
-    m.def("look_up", &look_up_of, "target"_a, "depth"_a, "views"_a, "background"_a, "tolerance"_a, "full_weight"_a, "threads"_a,
-          "level"_a);
+    m.def("look_up", &look_up_of, "target"_a, "depth"_a, "views"_a, "background"_a, "tolerance"_a, "threads"_a, "level"_a);
     m.def("push_pull", &push_pull_of, "colour"_a, "known"_a, "threads"_a);
 }
 

@@ -92,7 +92,7 @@ py::tuple compose_of(const py::array& colours, const py::handle& coverage, const
 }
 
 py::tuple overview_of(const py::array& colours, const py::handle& coverage, const py::handle& seen, const py::handle& alphas,
-                      const py::handle& near, int scale, float black_weight, float covered_alpha, int threads) {
+                      const py::handle& weights, int scale, float covered_alpha, int threads) {
     const auto shape = shape_of(colours, "colours", 4);
     if (shape[0] < 1 || shape[1] < 1 || shape[2] < 1 || scale < 1 || shape[1] > kMostPixels || shape[2] > kMostPixels)
         throw py::value_error("overview: wanted views of 1 to 65535 pixels per side and a scale of at least 1");
@@ -106,8 +106,7 @@ py::tuple overview_of(const py::array& colours, const py::handle& coverage, cons
                     data_of<float>(coverage, "coverage", {views, height, width}),
                     data_of<float>(seen, "seen", {views, height, width}),
                     data_of<float>(alphas, "alphas", {views, height, width}),
-                    data_of<float>(near, "near", {views}),
-                    black_weight,
+                    data_of<float>(weights, "weights", {views}),
                     covered_alpha};
     py::array_t<float> mean = empty({height, width, 3}), unseen = empty({height, width});
     py::array_t<bool> covered({height, width});
@@ -200,7 +199,7 @@ py::array_t<float> refine_of(const py::array& picture, const py::handle& spread,
 void bind_learned(py::module_& m) {
     m.def("register_views", &register_views_of, "target"_a, "depth"_a, "views"_a, "tolerance"_a, "faint"_a, "threads"_a,
           "level"_a);
-    m.def("overview", &overview_of, "colours"_a, "coverage"_a, "seen"_a, "alphas"_a, "near"_a, "scale"_a, "black_weight"_a,
+    m.def("overview", &overview_of, "colours"_a, "coverage"_a, "seen"_a, "alphas"_a, "weights"_a, "scale"_a,
           "covered_alpha"_a, "threads"_a);
     m.def("network_inputs", &network_inputs_of, "colours"_a, "depths"_a, "alphas"_a, "seen"_a, "fused"_a, "rays"_a, "cameras"_a,
           "far"_a, "unit"_a, "most_views"_a, "threads"_a);

@@ -5,6 +5,7 @@
 #include <cstring>
 #include <vector>
 
+#include "blend.hpp"
 #include "parallel.hpp"
 
 namespace ggvs {
@@ -58,14 +59,14 @@ private:
     template <class Read>
     Four blended(int y, int x, const Read& read) const {
         Four sum{};
-        float total = job_.black_weight;
+        float total = 0.0f;
         for (int k = 0; k < job_.views; ++k) {
             const int64_t pixel = at(k, y) + x;
-            const float weight = job_.near[k] * job_.coverage[pixel];
+            const float weight = job_.weights[k] * job_.coverage[pixel];
             total += weight;
             sum = sum + weight * read(job_.colours + 3 * pixel);
         }
-        return sum / total;
+        return sum / std::max(total, kNoWeight);
     }
 
     void survey_row(int y) {
@@ -74,9 +75,9 @@ private:
         std::fill_n(shown, job_.width, 0.0f);
         std::fill_n(covered, job_.width, false);
         for (int k = 0; k < job_.views; ++k) {
-            const float near = job_.near[k], least = job_.covered_alpha;
+            const float least = job_.covered_alpha;
             const float *seen = job_.seen + at(k, y), *alpha = job_.alphas + at(k, y);
-            for (int x = 0; x < job_.width; ++x) shown[x] += near * seen[x];
+            for (int x = 0; x < job_.width; ++x) shown[x] += seen[x];
             for (int x = 0; x < job_.width; ++x) covered[x] |= alpha[x] > least;
         }
         for (int x = 0; x < job_.width; ++x) unseen[x] = 1.0f - std::min(shown[x], 1.0f);

@@ -11,14 +11,13 @@ struct Views {
     const float* coverage;  // (views, height, width), factors of the weights
     const float* seen;      // (views, height, width), how far they show what the target sees
     const float* alphas;    // (views, height, width), coverages of the splats
-    const float* near;      // (views), weights by distance
-    float black_weight;     // of a black view everywhere, so that no division is by zero
+    const float* weights;   // (views), of each beside the others
     float covered_alpha;    // coverage from which a splat shows something
 };
 
 struct OverviewMaps {
-    float* mean;      // (height, width, 3): of the colours, weighted by coverage and distance
-    float* unseen;    // (height, width): how little of what the target sees is shown by near views
+    float* mean;      // (height, width, 3): of the colours, weighted by coverage and view
+    float* unseen;    // (height, width): how little of what the target sees any view shows
     bool* covered;    // (height, width): whether a splat shows something
     float* small[4];  // colours, coverage, seen, alphas: means of scale x scale pixels, the last row and column repeated
 };

@@ -45,7 +45,7 @@ GGVS_INLINE void register_packet(const Registration& job, const RegisteredView& 
     F visibility = all(0.0f);
     if (any(less(all(0.0f), depth))) {
         Seen found = see(view.captured, column, all(float(y) + 0.5f), depth, job.tolerance);
-        visibility = found.weight;
+        visibility = found.visibility;
         F per = all(1.0f / 255.0f);
         colour.red = colour.red + visibility * (found.colour.red * per - colour.red);
         colour.green = colour.green + visibility * (found.colour.green * per - colour.green);

@@ -7,11 +7,11 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from ggvs_eval.baselines.distance_based import distance_weights
 from ggvs_eval.baselines.method import Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.register import register_views
+from ggvs_eval.geometry.view_weights import view_weights
 from ggvs_eval.geometry.warp import CapturedView, Warp, warp
 from ggvs_eval.pipelines.online.blending import BlendingInputs
 
@@ -33,6 +33,7 @@ class RawViews:
         warps: colour of the source image at the fused surface, (K, H, W, 3).
         visibilities: whether the view sees the fused surface, (K, H, W), in [0, 1].
         fused_depth: of the ray march, (H, W), float32, world units, 0 where it met nothing.
+        shares: of the views, see `SourceView.share`, (K,); 1 unless given.
     """
 
     target: Camera
@@ -43,6 +44,7 @@ class RawViews:
     warps: Map
     visibilities: Map
     fused_depth: Map
+    shares: tuple[float, ...] | None = None
 
     def cropped(self, left: int, top: int, width: int, height: int) -> "RawViews":
         """The window that starts at pixel (left, top)."""
@@ -64,7 +66,8 @@ class RawViews:
             colours = self.splats + self.visibilities[..., None] * (self.warps - self.splats)
         coverage = np.maximum(self.visibilities, FAINT * self.alphas) if registered else self.alphas
         seen = self.visibilities if registered else self.alphas
-        return BlendMaps(self.target, self.sources, colours, coverage, seen, self.alphas, self.depths, self.fused_depth)
+        stacks = (colours, coverage, seen, self.alphas, self.depths)
+        return BlendMaps(self.target, self.sources, *stacks, self.fused_depth, self.shares)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +83,7 @@ class BlendMaps:
         alphas: coverage of the splats, (K, H, W), in [0, 1).
         depths: splatted depth, (K, H, W), world units, 0 where unknown.
         fused_depth: of the ray march, (H, W), world units, 0 where unknown.
+        shares: of the views, see `SourceView.share`, (K,); 1 unless given.
     """
 
     target: Camera
@@ -90,6 +94,7 @@ class BlendMaps:
     alphas: Map
     depths: Map
     fused_depth: Map
+    shares: tuple[float, ...] | None = None
 
     def reduced(self, scale: int) -> "BlendMaps":
         """The maps of a camera with so many times fewer pixels: averages, but of depths one pixel of each block.
@@ -108,15 +113,16 @@ class BlendMaps:
         top, left = (min(scale // 2, size - 1) for size in self.fused_depth.shape)
         picked = (maps[..., top::scale, left::scale] for maps in (self.depths, self.fused_depth))
         continued = (_continued(maps, height, width) for maps in picked)
-        return BlendMaps(target, self.sources, *averaged, *continued)
+        return BlendMaps(target, self.sources, *averaged, *continued, self.shares)
 
-    def near_weights(self) -> Map:
-        """LLFF's weight of each view, (K,), 1 for the nearest."""
-        return np.array(distance_weights(self.target, self.sources), np.float32)
+    @property
+    def weights(self) -> Map:
+        """How far each view counts beside the others, (K,), see `view_weights`."""
+        return view_weights(self.target, self.sources, self.shares)
 
     def unseen(self) -> Map:
-        """How little of what the target sees is shown by near views, (H, W), in [0, 1]."""
-        return np.float32(1) - np.minimum(np.einsum("k,khw->hw", self.near_weights(), self.seen), np.float32(1))
+        """How little of what the target sees any view shows, (H, W), in [0, 1]."""
+        return np.float32(1) - np.minimum(self.seen.sum(axis=0), np.float32(1))
 
 
 def blend_maps(inputs: BlendingInputs, guidance: Guidance) -> BlendMaps:
@@ -130,8 +136,9 @@ def blend_maps(inputs: BlendingInputs, guidance: Guidance) -> BlendMaps:
     views = [CapturedView(sources[k].camera, sources[k].image, inputs.filtered_depths[k], 1.0) for k in order]
     splats = [inputs.splats[k] for k in order]
     found = register_views(target, inputs.depth, views, splats, inputs.tau, float(FAINT))
-    cameras, stacks = tuple(sources[k].camera for k in order), (found.alphas, found.depths)
-    return BlendMaps(target, cameras, found.colours, found.coverage, found.visibilities, *stacks, inputs.depth)
+    cameras, shares = tuple(sources[k].camera for k in order), tuple(sources[k].share for k in order)
+    stacks = (found.colours, found.coverage, found.visibilities, found.alphas, found.depths)
+    return BlendMaps(target, cameras, *stacks, inputs.depth, shares)
 
 
 def nearest_first(inputs: BlendingInputs) -> list[int]:
@@ -155,7 +162,8 @@ def raw_views(inputs: BlendingInputs, warped: bool = True) -> RawViews:
         visibilities = np.stack([each.visibility for each in found])
     depths = np.stack([view.depth for view in splats])
     cameras = tuple(inputs.instant.sources[k].camera for k in order)
-    return RawViews(target, cameras, colours, depths, alphas, warps, visibilities, inputs.depth)
+    shares = tuple(inputs.instant.sources[k].share for k in order)
+    return RawViews(target, cameras, colours, depths, alphas, warps, visibilities, inputs.depth, shares)
 
 
 def _warped(inputs: BlendingInputs, k: int) -> Warp:

@@ -9,7 +9,7 @@ from torch.nn import functional
 
 from ggvs_eval.pipelines.online.blend_maps import Guidance
 from ggvs_eval.pipelines.online.network_inputs import GUIDED, channel_count
-from ggvs_eval.pipelines.online.refiner import Refiner, evidence
+from ggvs_eval.pipelines.online.refiner import NO_WEIGHT, Refiner, evidence
 from ggvs_eval.pipelines.online.unet import UNet
 
 BEYOND_VIEWS = 4  # outputs beside one per view: weight of the background and change of its colour
@@ -61,7 +61,7 @@ class BlendNetwork(nn.Module):
         self.register_buffer("scale", torch.tensor(config.scale))  # lies in the weights file: no shape tells it
         self.unet = UNet(config.inputs, config.outputs, config.width)
         for parameter in self.unet.last.parameters():
-            nn.init.zeros_(parameter)  # so it begins as distance-based weights and learns what to change
+            nn.init.zeros_(parameter)  # so it begins as geometric weights and learns what to change
         self.refiner = Refiner(config.features) if config.features else None
 
     def forward(self, channels: Tensor) -> Tensor:
@@ -109,16 +109,16 @@ def read_outputs(raw: Tensor, start: Mapping[str, Tensor], most_views: int) -> B
 
     Args:
         raw: of the network.
-        start: where it starts from: ``near`` (B, K), the distance-based weight of each view, ``unseen`` (B, H, W), how little of
+        start: where it starts from: ``weights`` (B, K), the geometric weight of each view, ``unseen`` (B, H, W), how little of
             what the target sees is shown, ``background`` (B, 3, H, W), the picture filled from its surroundings.
         most_views: N, how many views the network takes; K of them are there.
 
     Reading:
         The paper names no activations: a softmax over the views, whose ratios alone matter, a sigmoid for the background's
-        weight. Outputs are changes to distance-based weights and to a filled picture, so that an untrained network is the
+        weight. Outputs are changes to geometric weights and to a filled picture, so that an untrained network is the
         geometric blender and training goes on from there.
     """
-    views, small = start["near"].shape[1], small_outputs(raw, start["near"], most_views)
+    views, small = start["weights"].shape[1], small_outputs(raw, start["weights"], most_views)
     height, width = start["unseen"].shape[1:]
     scale = -(-height // small.shape[2])
     if scale > 1:
@@ -131,11 +131,11 @@ def read_outputs(raw: Tensor, start: Mapping[str, Tensor], most_views: int) -> B
     )
 
 
-def small_outputs(raw: Tensor, near: Tensor, most_views: int) -> Tensor:
+def small_outputs(raw: Tensor, weights: Tensor, most_views: int) -> Tensor:
     """What `read_outputs` enlarges, (B, K + 4 + F, h, w): w_k, change of the background's weight, of its colour, features."""
-    views = near.shape[1]
+    views = weights.shape[1]
     values = raw.float()
-    logits = values[:, :views] + near.clamp_min(1e-6).log()[:, :, None, None]
+    logits = values[:, :views] + weights.clamp_min(NO_WEIGHT).log()[:, :, None, None]
     sure, colour, features = values[:, most_views:].split([1, 3, values.shape[1] - most_views - BEYOND_VIEWS], dim=1)
     return torch.cat([torch.softmax(logits, dim=1), sure, torch.tanh(colour), features], dim=1)
 
@@ -165,5 +165,5 @@ def weighted_mean_tensor(values: Tensor, weights: Tensor) -> Tensor:
         values: (B, K, C, H, W).
         weights: (B, K, H, W).
     """
-    total = weights.sum(dim=1, keepdim=True) + 1e-6  # (B, 1, H, W)
+    total = weights.sum(dim=1, keepdim=True).clamp_min(NO_WEIGHT)  # (B, 1, H, W)
     return (weights[:, :, None] * values).sum(dim=1) / total

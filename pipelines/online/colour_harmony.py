@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.baselines.distance_based import distance_weights
 from ggvs_eval.baselines.method import Instant, Map, SourceView
 from ggvs_eval.geometry.pinhole import rigid_between
+from ggvs_eval.geometry.view_weights import view_weights
 from ggvs_eval.images import Image8
 
 Array = NDArray[np.float64]
@@ -34,7 +34,7 @@ class ColourHarmony:
 
     Reading:
         Not in the paper. A gain common to all sources does not show; the target camera, which is never looked at, is taken to
-        have the mean gain of the sources, weighted as `distance_weights` blends them. Nine views of the validation rooms (demo
+        have the mean gain of the sources, weighted as `view_weights` blends them. Nine views of the validation rooms (demo
         seeds 101-103, gains of cameras 2 % apart): 31.20 to 31.33 dB and LPIPS 0.0872 to 0.0850 with the shipped network, 30.68
         to 30.75 dB with geometric weights; with the plain mean of the sources 31.26 and 30.68 dB.
     """
@@ -61,8 +61,9 @@ class ColourHarmony:
         """
         views = [Lattice(source, depth) for source, depth in zip(instant.sources, depths, strict=True)]
         log_gains = self._solve(views, tolerance)
-        near = np.array(distance_weights(instant.target, [source.camera for source in instant.sources]))
-        log_gains -= near @ log_gains / near.sum()
+        cameras, shares = [source.camera for source in instant.sources], [source.share for source in instant.sources]
+        weights = view_weights(instant.target, cameras, shares).astype(np.float64)
+        log_gains -= weights @ log_gains / weights.sum()
         return np.exp(-np.clip(log_gains, -LARGEST_LOG_GAIN, LARGEST_LOG_GAIN)).astype(np.float32)
 
     def _solve(self, views: Sequence["Lattice"], tolerance: float) -> Array:

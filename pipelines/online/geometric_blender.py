@@ -1,12 +1,12 @@
-"""Geometric weights in place of the blending network: trust the views that see the fused surface, the nearest camera most."""
+"""Geometric weights in place of the blending network: trust the views that see the fused surface, those most that look from near the target."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ggvs_eval.baselines.distance_based import distance_weights
 from ggvs_eval.baselines.method import Map
 from ggvs_eval.geometry.per_pixel import weighted_mean
 from ggvs_eval.geometry.splat import Splat
+from ggvs_eval.geometry.view_weights import view_weights
 from ggvs_eval.geometry.warp import CapturedView, look_up
 from ggvs_eval.pipelines.online.blending import COVERED_ALPHA, Blended, BlendingInputs
 from ggvs_eval.pipelines.online.inpainting import push_pull
@@ -14,7 +14,7 @@ from ggvs_eval.pipelines.online.inpainting import push_pull
 
 @dataclass(frozen=True)
 class GeometricBlender:
-    """Weights from visibility and camera distance; holes are filled from their surroundings.
+    """Weights from visibility and the angle between the cameras; holes are filled from their surroundings.
 
     Where the ray march found a surface each view is sampled at it (backward warp) and counts as far as its own depth agrees.
     Where it found none, or no view agrees, the splatted views show through; where they show nothing, the hole is filled from
@@ -35,10 +35,12 @@ class GeometricBlender:
 
     def blend(self, inputs: BlendingInputs) -> Blended:
         """The target view of one instant."""
-        weights = distance_weights(inputs.instant.target, [source.camera for source in inputs.instant.sources])
+        sources = inputs.instant.sources
+        cameras, shares = [source.camera for source in sources], [source.share for source in sources]
+        weights = view_weights(inputs.instant.target, cameras, shares).tolist()
         views = [
             CapturedView(source.camera, source.image, depth, weight)
-            for source, depth, weight in zip(inputs.instant.sources, inputs.filtered_depths, weights, strict=True)
+            for source, depth, weight in zip(sources, inputs.filtered_depths, weights, strict=True)
         ]
         tolerance = self.tolerance_tau * inputs.tau
         background = self._background(inputs.splats, weights)

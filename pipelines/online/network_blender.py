@@ -68,35 +68,35 @@ def blend_by(network: BlendNetwork, maps: BlendMaps) -> Blended:
 
     Compiled kernels compute it, those of `unet_kernel` at the network's own size and those of `full_size` at full size.
     """
-    config, near = network.config, maps.near_weights()
-    seen = overview(maps, near, config.scale)
+    config = network.config
+    seen = overview(maps, config.scale)
     (small, weights), background = side_by_side(
-        lambda: _small_outputs(network, seen.small, near), lambda: push_pull(seen.picture, seen.covered)
+        lambda: _small_outputs(network, seen.small), lambda: push_pull(seen.picture, seen.covered)
     )
     picture = composed(maps, seen.unseen, background, small, config.scale)
     if network.refiner is None:
         return Blended(picture.image(), weights)
     depth = maps.fused_depth if config.guidance in GUIDED else None
-    return Blended(refined(network.refiner, picture, depth, small, config.scale, len(near)), weights)
+    return Blended(refined(network.refiner, picture, depth, small, config.scale, len(maps.sources)), weights)
 
 
-def _small_outputs(network: BlendNetwork, reduced: BlendMaps, near: Map) -> tuple[Map, Map]:
+def _small_outputs(network: BlendNetwork, reduced: BlendMaps) -> tuple[Map, Map]:
     """`small_outputs` of the network for one instant, (K + 4 + F, h, w), and the share of each view by them, (K, h, w)."""
     config = network.config
     raw = unet_outputs(network.unet, network_channels(reduced, config.guidance, config.views))
     with one_thread(), torch.inference_mode():
-        small = small_outputs(torch.from_numpy(raw)[None], torch.from_numpy(near)[None], config.views)[0].contiguous().numpy()
+        start = torch.from_numpy(reduced.weights)[None]
+        small = small_outputs(torch.from_numpy(raw)[None], start, config.views)[0].contiguous().numpy()
     return small, view_shares(small, reduced)
 
 
 def blend_start(maps: BlendMaps) -> dict[str, Map]:
-    """What a network starts from: distance-based weights, and the blended views with their holes filled, see `read_outputs`."""
-    near = maps.near_weights()
-    background = np.ascontiguousarray(np.moveaxis(filled_picture(maps, near), 2, 0))
-    return {"near": near, "unseen": maps.unseen(), "background": background}
+    """What a network starts from: geometric weights, and the blended views with their holes filled, see `read_outputs`."""
+    background = np.ascontiguousarray(np.moveaxis(filled_picture(maps), 2, 0))
+    return {"weights": maps.weights, "unseen": maps.unseen(), "background": background}
 
 
-def filled_picture(maps: BlendMaps, near: Map) -> Map:
-    """The views blended by coverage and distance, what none covers filled from its surroundings, (H, W, 3)."""
-    blended = weighted_mean(list(maps.colours), list(maps.coverage), near.tolist())
+def filled_picture(maps: BlendMaps) -> Map:
+    """The views blended by coverage and their weights, what none covers filled from its surroundings, (H, W, 3)."""
+    blended = weighted_mean(list(maps.colours), list(maps.coverage), maps.weights.tolist())
     return push_pull(blended, maps.alphas.max(axis=0) > COVERED_ALPHA)

@@ -10,8 +10,6 @@ from ggvs_eval.kernels import get_threads
 from ggvs_eval.pipelines.online.blend_maps import BlendMaps
 from ggvs_eval.pipelines.online.blending import COVERED_ALPHA
 
-BLACK_WEIGHT = 1e-6  # of a black view everywhere, as in `weighted_mean`
-
 
 @dataclass(frozen=True, eq=False)
 class Overview:
@@ -20,7 +18,7 @@ class Overview:
     Attributes:
         small: `BlendMaps.reduced`.
         unseen: `BlendMaps.unseen`, (H, W), in [0, 1].
-        picture: the views blended by coverage and distance, black where none has any, (H, W, 3).
+        picture: the views blended by coverage and their weights, black where none has any, (H, W, 3).
         covered: where a splat shows something, (H, W).
     """
 
@@ -30,12 +28,11 @@ class Overview:
     covered: NDArray[np.bool_]
 
 
-def overview(maps: BlendMaps, near: Map, scale: int) -> Overview:
+def overview(maps: BlendMaps, scale: int) -> Overview:
     """All that follows from the views alone.
 
     Args:
         maps: the K views.
-        near: weight of each by distance, (K,).
         scale: of the network, see `BlendConfig`.
     """
     from ggvs_eval.kernels import _core
@@ -43,6 +40,6 @@ def overview(maps: BlendMaps, near: Map, scale: int) -> Overview:
     arrays = (maps.colours, maps.coverage, maps.seen, maps.alphas)
     colours, coverage, seen, alphas = (np.ascontiguousarray(each, np.float32) for each in arrays)
     picture, unseen, covered, means = _core.overview(
-        colours, coverage, seen, alphas, near, scale, BLACK_WEIGHT, COVERED_ALPHA, get_threads()
+        colours, coverage, seen, alphas, maps.weights, scale, COVERED_ALPHA, get_threads()
     )
     return Overview(maps.with_means(scale, means), unseen, picture, covered)

@@ -12,6 +12,7 @@ EVIDENCE = 6  # channels of `evidence`
 COLOUR_GAIN = 10.0  # a spread of a tenth of full scale is as much as can be
 CONTRAST_GAIN = 4.0
 DEPTH_GAIN = 20.0  # a step of a twentieth of the depth is an edge
+NO_WEIGHT = 1e-30  # a sum of weights below this is none
 ENOUGH_VIEWS = 3.0  # so many views can outvote one
 
 
@@ -82,7 +83,7 @@ def evidence(picture: Tensor, colours: Tensor, weights: Tensor, seen: Tensor, de
     """
     with torch.no_grad():
         difference = (colours - picture[:, None]).square().mean(dim=2)  # (B, K, H, W)
-        spread = ((weights * difference).sum(dim=1) / (weights.sum(dim=1) + 1e-6)).sqrt()
+        spread = ((weights * difference).sum(dim=1) / weights.sum(dim=1).clamp_min(NO_WEIGHT)).sqrt()
         known = depth > 0
         logarithm = torch.where(known, depth, torch.ones_like(depth)).log()
         channels = [

@@ -30,19 +30,19 @@ def blend_on(network: BlendNetwork, maps: BlendMaps, device: torch.device) -> Bl
     Raises:
         DeviceError: the GPU's memory is out.
     """
-    config, near = network.config, maps.near_weights()
-    seen = overview(maps, near, config.scale)
+    config = network.config
+    seen = overview(maps, config.scale)
     channels = network_channels(seen.small, config.guidance, config.views)
     with rendering_on(device):
         raw = network(torch.as_tensor(channels)[None])
         background = push_pull(seen.picture, seen.covered)  # while a GPU works on what it was asked for
-        start = _tensors({"near": near, "unseen": seen.unseen, "background": np.moveaxis(background, 2, 0)})
+        start = _tensors({"weights": maps.weights, "unseen": seen.unseen, "background": np.moveaxis(background, 2, 0)})
         views = _tensors({"coverage": maps.coverage, "fused_depth": maps.fused_depth})
         views["colours"] = torch.as_tensor(maps.colours)[None].permute(0, 1, 4, 2, 3)  # (1, K, 3, H, W)
         outputs = read_outputs(raw, start, config.views)
         picture = network.refine(compose_tensors(outputs, views["colours"], views["coverage"]), outputs, views)
         image = picture[0].clamp(0, 1).permute(1, 2, 0).contiguous().numpy(force=True)
-        small = small_outputs(raw, start["near"], config.views)[0].contiguous().numpy(force=True)
+        small = small_outputs(raw, start["weights"], config.views)[0].contiguous().numpy(force=True)
     return Blended(image, view_shares(small, seen.small))
 
 

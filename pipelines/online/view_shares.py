@@ -5,6 +5,7 @@ import numpy as np
 from ggvs_eval.baselines.method import Map
 from ggvs_eval.pipelines.online.blend_maps import BlendMaps
 from ggvs_eval.pipelines.online.blend_network import SURE
+from ggvs_eval.pipelines.online.refiner import NO_WEIGHT
 
 
 def view_shares(small: Map, reduced: BlendMaps) -> Map:
@@ -18,4 +19,4 @@ def view_shares(small: Map, reduced: BlendMaps) -> Map:
     weights = small[:views] * reduced.coverage
     unseen = np.clip(reduced.unseen(), SURE, 1 - SURE)
     background = 1 / (1 + np.exp(-small[views]) * (1 - unseen) / unseen)
-    return np.asarray(weights * ((1 - background) / (weights.sum(axis=0) + 1e-6)), np.float32)
+    return np.asarray(weights * ((1 - background) / np.maximum(weights.sum(axis=0), NO_WEIGHT)), np.float32)

@@ -21,7 +21,7 @@ from ggvs_eval.pipelines.training.capture_views import CapturePlan, draw_views, 
 from ggvs_eval.pipelines.training.room_plan import FIRST_TRAINING_ROOM
 from ggvs_eval.processes import finish_all, worker_pool
 
-VERSION = 1  # counts up whenever equal plans give other samples
+VERSION = 2  # counts up whenever equal plans give other samples
 
 
 class CaptureSamples:

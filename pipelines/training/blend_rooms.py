@@ -8,7 +8,7 @@ from ggvs_eval.pipelines.training.blend_samples import BlendSample, SampleMaker,
 from ggvs_eval.pipelines.training.room_lot import RoomLot
 from ggvs_eval.pipelines.training.room_plan import RoomPlan
 
-VERSION = 3  # counts up whenever equal plans give other samples
+VERSION = 4  # counts up whenever equal plans give other samples
 
 
 class RoomSamples(RoomLot[BlendSample]):

@@ -143,10 +143,10 @@ def crop_arrays(sample: BlendSample, window: tuple[int, int, int, int], config: 
         "depths": maps.depths / np.float32(unit),
     }
     start = blend_start(maps)
-    near = of_views | {"near": start.pop("near")}
+    of_views |= {"weights": start.pop("weights")}
     return {
         "channels": input_channels(maps.reduced(config.scale), config.guidance, config.views, unit),
-        **{name: _filled_up(array, config.views) for name, array in near.items()},
+        **{name: _filled_up(array, config.views) for name, array in of_views.items()},
         **start,
         "fused_depth": maps.fused_depth / np.float32(unit),
         "truth": np.moveaxis(truth, 2, 0).astype(np.float32) / np.float32(255),

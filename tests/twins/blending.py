@@ -13,14 +13,14 @@ from twins.warp import warp_twin
 Map = NDArray[np.float32]
 
 
-def weighted_mean_twin(colours: Sequence[Map], weights: Sequence[Map], black_weight: float = 1e-6) -> Map:
+def weighted_mean_twin(colours: Sequence[Map], weights: Sequence[Map]) -> Map:
     """What `ggvs_eval.geometry.per_pixel.weighted_mean` computes."""
-    total = np.full(weights[0].shape, black_weight, np.float32)
+    total = np.zeros(weights[0].shape, np.float32)
     mean = np.zeros((*weights[0].shape, 3), np.float32)
     for colour, weight in zip(colours, weights, strict=True):
         total += weight
         mean += weight[..., None] * colour[..., :3]
-    return mean / total[..., None]
+    return mean / np.maximum(total, np.float32(1e-30))[..., None]
 
 
 def look_up_twin(
@@ -32,7 +32,7 @@ def look_up_twin(
     ]
     weights = [each.visibility * view.weight for each, view in zip(warped, views, strict=True)]
     foreground = weighted_mean_twin([each.colour for each in warped], weights)
-    seen = np.minimum(np.sum(weights, axis=0) / max(view.weight for view in views), 1.0)
+    seen = np.minimum(np.sum([each.visibility for each in warped], axis=0), 1.0)
     return foreground + (1 - seen)[..., None] * (background - foreground)
 
 
