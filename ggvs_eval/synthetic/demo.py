@@ -16,7 +16,7 @@ from ggvs_eval.processes import worker_pool
 from ggvs_eval.progress import track
 from ggvs_eval.synthetic.film import PARTS, Footage, light_instant, stored_instant
 from ggvs_eval.synthetic.layouts import LAYOUTS
-from ggvs_eval.synthetic.options import DemoOptions
+from ggvs_eval.synthetic.options import LATER, DemoOptions
 from ggvs_eval.synthetic.sensor import camera_gains
 from ggvs_eval.synthetic.shots import Shot
 
@@ -86,10 +86,9 @@ def _await(doing: str, jobs: list[Future[T]]) -> list[T]:
 
 
 def _description(options: DemoOptions) -> str:
-    """The text of demo.json; of the usual rig it says what it said before there were others, so that old demos stay valid."""
-    chosen = asdict(options)
-    if options.rig == DemoOptions.rig:
-        del chosen["rig"]
+    """The text of demo.json; of options that came later it names those that are used, so that old demos stay valid."""
+    unused = {name for name in LATER if getattr(options, name) == getattr(DemoOptions, name)}
+    chosen = {name: value for name, value in asdict(options).items() if name not in unused}
     described = {
         "version": VERSION,
         "options": chosen,

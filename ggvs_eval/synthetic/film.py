@@ -11,11 +11,13 @@ import numpy as np
 from ggvs_eval.camera import Camera
 from ggvs_eval.images import Image8, quantise
 from ggvs_eval.synthetic.exact_depth import DepthWriter, depth_path
+from ggvs_eval.synthetic.garden import build_garden
 from ggvs_eval.synthetic.geometry import Array32
 from ggvs_eval.synthetic.lighting import Instant, LitRoom
-from ggvs_eval.synthetic.options import DemoOptions
+from ggvs_eval.synthetic.options import DemoOptions, SceneName
 from ggvs_eval.synthetic.raycast import Picture, View
 from ggvs_eval.synthetic.room import build_room
+from ggvs_eval.synthetic.shading import expose
 from ggvs_eval.synthetic.shots import Shot
 
 # Kept beside the demo while it is made, and thrown away: light of the instants, and what layouts put together at the end.
@@ -60,7 +62,7 @@ class Footage:
         """All frames in the order of time, one at a time."""
         noise = self._noise(FRAME_NOISE)
         for index in range(len(self.shot.instants)):
-            picture = self._view.render(self.instant(index))
+            picture = self._render(self.instant(index))
             yield Frame(self._expose(picture, noise), picture.foreground, picture.depth)
 
     def frames_keeping_depth(self, folder: Path, depth_scale: float = 1.0) -> Iterator[Frame]:
@@ -73,7 +75,7 @@ class Footage:
 
     def empty_room(self) -> Frame:
         """The room without what moves."""
-        picture = self._view.render(lit_room(self.options.seed).empty())
+        picture = self._view.render(lit_room(self.options.seed, self.options.scene).empty())
         return Frame(self._expose(picture, self._noise(BACKGROUND_NOISE)), picture.foreground, picture.depth)
 
     def noted_camera(self) -> Camera:
@@ -82,10 +84,21 @@ class Footage:
         near, far = np.percentile(depth[depth > 0], [1.0, 99.9])
         return replace(self.shot.noted, near=float(near), far=float(far))
 
+    def _render(self, instant: Instant) -> Picture:
+        """What the camera sees; where it moves while it exposes, the mean light of its poses, with the middle one's depth."""
+        if not self.shot.poses:
+            return self._view.render(instant)
+        lights = [self._view_from(pose).light(instant) for pose in self.shot.poses]
+        linear, covered = (np.mean(values, axis=0, dtype=np.float32) for values in zip(*lights, strict=True))
+        return Picture(expose(linear), covered, self._view.depth(instant))
+
     @cached_property
     def _view(self) -> View:
-        static = lit_room(self.options.seed).static
-        return View(static, self.shot.camera, self.options.supersampling, self.shot.lens)
+        return self._view_from(self.shot.camera)
+
+    def _view_from(self, camera: Camera) -> View:
+        static = lit_room(self.options.seed, self.options.scene).static
+        return View(static, camera, self.options.supersampling, self.shot.lens)
 
     def _noise(self, stream: int) -> np.random.Generator | None:
         return None if self.shot.sensor is None else self.shot.sensor.noise(stream)
@@ -97,14 +110,14 @@ class Footage:
 
 
 @lru_cache(maxsize=1)
-def lit_room(seed: int) -> LitRoom:
-    """The room of a seed, lit; kept, as it takes seconds."""
-    return LitRoom(build_room(seed))
+def lit_room(seed: int, scene: SceneName = "room") -> LitRoom:
+    """The room or garden of a seed, lit; kept, as it takes seconds."""
+    return LitRoom(build_garden(seed) if scene == "garden" else build_room(seed))
 
 
 def light_instant(parts: Path, options: DemoOptions, index: int) -> None:
     """Light the room at a frame number, which may be negative, and store it for all cameras."""
-    instant = lit_room(options.seed).at(index / options.fps)
+    instant = lit_room(options.seed, options.scene).at(index / options.fps)
     np.savez(_light_file(parts, index), static=instant.static_light, moving=instant.moving_light)
 
 
@@ -112,7 +125,7 @@ def light_instant(parts: Path, options: DemoOptions, index: int) -> None:
 def stored_instant(parts: Path, options: DemoOptions, index: int) -> Instant:
     """The instant that `light_instant` has stored."""
     with np.load(_light_file(parts, index)) as stored:
-        return lit_room(options.seed).recall(index / options.fps, stored["static"], stored["moving"])
+        return lit_room(options.seed, options.scene).recall(index / options.fps, stored["static"], stored["moving"])
 
 
 def _light_file(parts: Path, index: int) -> Path:

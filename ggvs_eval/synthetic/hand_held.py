@@ -13,7 +13,16 @@ AIM_SWAY, ROLL_RAD = 0.8, 0.03
 
 
 def hand_held_poses(
-    seed: int, width: int, height: int, count: int, fps: float, near: float = 1.0, far: float = 100.0
+    seed: int,
+    width: int,
+    height: int,
+    count: int,
+    fps: float,
+    near: float = 1.0,
+    far: float = 100.0,
+    later_s: float = 0.0,
+    sway: float = 1.0,
+    spacing: float = 1.0,
 ) -> list[Camera]:
     """Poses along a smooth walk at up to 0.7 m/s between the two rows of the rig, called ``0``, ``1``, ...
 
@@ -25,14 +34,17 @@ def hand_held_poses(
         fps: poses per second.
         near: depth range to note, world units.
         far: as near.
+        later_s: every pose is that of so many seconds later.
+        sway: factor on how far the camera looks about.
+        spacing: factor on how far it is carried.
     """
     phase = np.random.default_rng([seed, 8]).uniform(0, 2 * np.pi, (2, 3))
     aim = room_to_world(np.array(AIM_M, np.float32))
     poses = []
     for index in range(count):
-        turn = 2 * np.pi * SWINGS_HZ * index / fps
-        centre = np.array([0.0, ROW_GAP / 2, 0.0]) + REACH * np.sin(turn + phase[0])
-        target = aim + AIM_SWAY * np.sin(0.7 * turn + phase[1])
+        turn = 2 * np.pi * SWINGS_HZ * (index + later_s * fps) / fps
+        centre = np.array([0.0, ROW_GAP / 2, 0.0]) + spacing * REACH * np.sin(turn + phase[0])
+        target = aim + sway * AIM_SWAY * np.sin(0.7 * turn + phase[1])
         pose = _look_at(centre, target, ROLL_RAD * float(np.sin(turn[0] + phase[1, 0])))
         poses.append(Camera(str(index), intrinsics(width, height), pose, width, height, near, far))
     return poses

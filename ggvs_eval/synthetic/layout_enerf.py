@@ -81,7 +81,7 @@ def _opencv_K(camera: Camera) -> Array:
 
 def moving_bounds(options: DemoOptions, index: int) -> Array:
     """Lowest and highest corner of all that moves at a frame number, world metres, (2, 3)."""
-    moving = Geometry(lit_room(options.seed).room.at(index / options.fps))
+    moving = Geometry(lit_room(options.seed, options.scene).room.at(index / options.fps))
     points_m = room_to_world(moving.vertices) / UNITS_PER_METRE
     return np.stack([points_m.min(axis=0), points_m.max(axis=0)])
 

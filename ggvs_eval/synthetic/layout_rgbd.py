@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ggvs_eval.camera import Camera
+from ggvs_eval.synthetic.depth_sensor import measured, misplaced
 from ggvs_eval.synthetic.encoded_images import write_grey_png, write_jpeg
 from ggvs_eval.synthetic.film import Footage
 from ggvs_eval.synthetic.options import DemoOptions
@@ -25,9 +26,10 @@ def write_shot(folder: Path, footage: Footage) -> Camera:
     Reading:
         The depth camera has half the colour camera's resolution, its place and its view; its pixels are looked at by themselves.
     """
-    camera, true = in_metres(footage.noted_camera()), footage.shot.camera
+    camera, options = in_metres(footage.noted_camera()), footage.options
     write_jpeg(folder / "color" / f"{camera.name}.jpg", next(footage.frames()).image)
-    depth = render_depth(footage.instant(0), depth_camera(true))
+    sensor = misplaced(options, depth_camera(footage.shot.depth_pose or footage.shot.camera), options.width)
+    depth = measured(options, render_depth(footage.instant(0), sensor), int(camera.name))
     millimetres = np.minimum(np.rint(depth.astype(np.float64) * MILLIMETRES_PER_UNIT), LARGEST_MM).astype(np.uint16)
     write_grey_png(folder / "depth" / f"{camera.name}.png", millimetres)
     _write_matrix(folder / "pose" / f"{camera.name}.txt", _camera_to_world(camera))

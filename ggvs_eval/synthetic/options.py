@@ -8,7 +8,24 @@ from ggvs_eval.errors import CaptureError
 
 LayoutName = Literal["dynerf", "enerf-outdoor", "d3dmv", "colmap", "rgbd"]
 RigName = Literal["rows", "arc", "grid"]
+SceneName = Literal["room", "garden"]
 LEAST = {"width": 16, "height": 16, "n_frames": 1, "cameras_per_row": 2, "supersampling": 1, "path_poses": 0, "depth_stride": 0}
+# What came after demos had been written: a demo says nothing of those that are as they were, so that it stays valid.
+LATER = (
+    "rig",
+    "scene",
+    "spacing",
+    "sway",
+    "shutter_s",
+    "defocus_px",
+    "processing",
+    "jpeg_quality",
+    "depth_offset_px",
+    "depth_rotation_rad",
+    "depth_delay_s",
+    "depth_noise",
+)
+RGBD_ONLY = ("shutter_s", "depth_offset_px", "depth_rotation_rad", "depth_delay_s", "depth_noise")
 
 
 @dataclass(frozen=True)
@@ -36,6 +53,20 @@ class DemoOptions:
         focal_error: a fault, camera and factor: its focal length is written down so much longer. Images are not touched.
         rig: the two rows of DyNeRF's rig, on an arc; as many cameras in one row on a wide arc, as ENeRF-Outdoor's stand; or two
             rows that look almost straight ahead, as D3DMV's do.
+        scene: the living room, or a garden: thin foliage before a far background.
+        spacing: factor on the distances between the cameras of rows and grids.
+        sway: factor on how far the hand-held camera of rgbd looks about.
+        shutter_s: rgbd: how long the hand-held camera exposes each picture while it moves; 0 for no motion blur.
+        defocus_px: radius of the disc into which the lens spreads every point, pixels; 0 for a sharp picture.
+        processing: how strongly each camera makes its own picture of a mosaic of colours: shot noise, denoising and sharpening
+            at 1 as a telephone's; 0 for none of it.
+        jpeg_quality: at which each camera compresses its pictures, 1 to 100; 0 for no compression.
+        depth_offset_px: rgbd: depth is of a sensor whose picture is shifted by so many pixels of the colour image, in a
+            direction that the seed chooses. What is written down says nothing of it, nor of the next three.
+        depth_rotation_rad: rgbd: the sensor of depth is turned by so much about an axis that the seed chooses.
+        depth_delay_s: rgbd: the sensor of depth measures so long before the colour camera.
+        depth_noise: rgbd: standard deviation of measured depth at 1 m, metres; it grows with the square of depth, as of sensors
+            that triangulate. Depth at edges is lost with it.
     """
 
     layout: LayoutName = "dynerf"
@@ -56,13 +87,23 @@ class DemoOptions:
     calibration_error_px: float = 0.0
     focal_error: tuple[tuple[str, float], ...] = ()
     rig: RigName = "rows"
+    scene: SceneName = "room"
+    spacing: float = 1.0
+    sway: float = 1.0
+    shutter_s: float = 0.0
+    defocus_px: float = 0.0
+    processing: float = 0.0
+    jpeg_quality: int = 0
+    depth_offset_px: float = 0.0
+    depth_rotation_rad: float = 0.0
+    depth_delay_s: float = 0.0
+    depth_noise: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse what cannot be filmed."""
-        if self.layout not in get_args(LayoutName):
-            raise CaptureError(f"demo: wanted a layout of {', '.join(get_args(LayoutName))}, got {self.layout!r}")
-        if self.rig not in get_args(RigName):
-            raise CaptureError(f"demo: wanted a rig of {', '.join(get_args(RigName))}, got {self.rig!r}")
+        for kind, names in (("layout", LayoutName), ("rig", RigName), ("scene", SceneName)):
+            if getattr(self, kind) not in get_args(names):
+                raise CaptureError(f"demo: wanted a {kind} of {', '.join(get_args(names))}, got {getattr(self, kind)!r}")
         for name, least in LEAST.items():
             if getattr(self, name) < least:
                 raise CaptureError(f"demo: {name} must be at least {least}, got {getattr(self, name)}")
@@ -72,6 +113,20 @@ class DemoOptions:
             values = f"{self.fps:g}, {self.noise_sigma_255:g}, {self.exposure_spread:g}"
             raise CaptureError(f"demo: fps must be positive, noise and exposure spread not negative, got {values}")
         self._check_faults()
+        self._check_later()
+
+    def _check_later(self) -> None:
+        numbers = [name for name in LATER if name not in ("rig", "scene")]
+        for name in numbers:
+            least = 1e-3 if name == "spacing" else 0.0
+            if not least <= getattr(self, name) < math.inf:
+                raise CaptureError(f"demo: {name} must be at least {least:g}, got {getattr(self, name):g}")
+        if self.jpeg_quality > 100:
+            raise CaptureError(f"demo: jpeg_quality must be 1 to 100, or 0 for none, got {self.jpeg_quality}")
+        if self.layout != "rgbd":
+            for name in RGBD_ONLY:
+                if getattr(self, name):
+                    raise CaptureError(f"demo: {name} wants the hand-held camera of rgbd, got layout {self.layout}; drop it")
 
     def _check_faults(self) -> None:
         for option in ("camera_gain", "frame_offset", "focal_error"):

@@ -78,12 +78,17 @@ class View:
 
     def render(self, instant: Instant) -> Picture:
         """What the camera sees of the same room at an instant."""
+        linear, covered = self.light(instant)
+        return Picture(expose(linear), covered, self.depth(instant))
+
+    def light(self, instant: Instant) -> tuple[Array32, Array32]:
+        """Linear light in every pixel, (H, W, 3), and the share of it that moving things cover, (H, W)."""
         self._update_static(instant)
         linear = self._radiance.copy()
         covered = np.zeros(len(linear), np.float32)
         if instant.moving is not None:
             covered[self._draw_moving(instant, instant.moving, linear)] = 1.0
-        return Picture(expose(self._averaged(linear)), self._averaged(covered), self.depth(instant))
+        return self._averaged(linear), self._averaged(covered)
 
     def depth(self, instant: Instant) -> Array32:
         """Depth of the same room at an instant, world units, 0 where nothing is, (H, W)."""

@@ -33,6 +33,7 @@ def rig(
     near: float = 1.0,
     far: float = 100.0,
     outermost_yaw_rad: float = OUTERMOST_YAW_RAD,
+    spacing: float = 1.0,
 ) -> list[Camera]:
     """Cameras of both rows in the order of their names, ``cam00`` in the middle of the top row.
 
@@ -46,6 +47,7 @@ def rig(
         near: depth range to note, world units.
         far: as near.
         outermost_yaw_rad: how far the outermost camera is turned towards the middle.
+        spacing: factor on the distances between cameras, in rows and between them; the circle they stand on stays.
     """
     rng, n = np.random.default_rng([seed, 1]), cameras_per_row
     top = [*range(n - 1, n // 2, -1), 0, *range(n // 2, 0, -1)]
@@ -55,7 +57,7 @@ def rig(
         along = np.cumsum(rng.uniform(0.92, 1.12, n)) * SPACING
         along -= along[top.index(0)]
         for number, distance in zip(numbers, along, strict=True):
-            pose = _pose(distance, below, np.abs(along).max() / outermost_yaw_rad, rng)
+            pose = _pose(distance * spacing, below * spacing, np.abs(along).max() / outermost_yaw_rad, rng, min(spacing, 1.0))
             cameras.append(Camera(f"cam{number:02d}", intrinsics(width, height), pose, width, height, near, far))
     return sorted(cameras, key=lambda camera: camera.name)
 
@@ -84,12 +86,15 @@ def intrinsics(width: int, height: int) -> Array:
     return np.array([[FOCAL_PER_WIDTH * width, 0, width / 2], [0, FOCAL_PER_WIDTH * width, height / 2], [0, 0, 1]])
 
 
-def _pose(along: float, below: float, radius: float, rng: np.random.Generator) -> Array:
-    """World to camera at an arc length from the middle of a row: on a circle, looking across its centre, slightly down."""
+def _pose(along: float, below: float, radius: float, rng: np.random.Generator, care: float = 1.0) -> Array:
+    """World to camera at an arc length from the middle of a row: on a circle, looking across its centre, slightly down.
+
+    `care` scales how far the mounting is off, so that cameras close to one another stay in their row.
+    """
     from scipy.spatial.transform import Rotation
 
     yaw = along / radius
-    centre = np.array([radius * np.sin(yaw), below, radius * (1 - np.cos(yaw))]) + rng.normal(0, 0.05, 3)
+    centre = np.array([radius * np.sin(yaw), below, radius * (1 - np.cos(yaw))]) + rng.normal(0, 0.05, 3) * care
     drop_m = TOP_ROW_M - centre[1] / UNITS_PER_METRE - AIM_M[2]
     angles = np.array([-yaw, -np.arctan2(drop_m, AIM_M[1]), 0.0]) + rng.normal(0, 0.012, 3)
     camera_to_world = Rotation.from_euler("YXZ", angles).as_matrix()

@@ -12,6 +12,8 @@ from ggvs_eval.synthetic.rig import GRID_YAW_RAD, OUTERMOST_YAW_RAD, arc_rig, ri
 from ggvs_eval.synthetic.sensor import Sensor, rig_sensors
 
 PATH_LENGTH = 5.0
+# Pictures of which a blurred one is the mean.
+BLUR_POSES = 4
 # Barrel distortion as of a wide-angle lens: k1, k2, p1, p2, k3; every lens differs a little from it.
 LENS = (-0.12, 0.03, 3e-4, -2e-4, 0.0)
 LENS_SPREAD = (0.008, 0.002, 1e-4, 1e-4, 0.0)
@@ -27,6 +29,8 @@ class Shot:
         instants: the instant that each frame shows, in frames from time 0.
         sensor: what films; None gives the pictures without gain and noise.
         lens: distortion of the images.
+        poses: where the camera is while it exposes a picture, evenly spaced in time; empty where it stands still.
+        depth_pose: where the sensor of depth of a hand-held camera is when it measures; None where it has none.
     """
 
     camera: Camera
@@ -34,6 +38,8 @@ class Shot:
     instants: tuple[int, ...]
     sensor: Sensor | None
     lens: Coefficients = ()
+    poses: tuple[Camera, ...] = ()
+    depth_pose: Camera | None = None
 
 
 def rig_of(options: DemoOptions) -> list[Camera]:
@@ -41,7 +47,9 @@ def rig_of(options: DemoOptions) -> list[Camera]:
     if options.rig == "arc":
         return arc_rig(options.seed, options.width, options.height, len(options.camera_names))
     yaw_rad = GRID_YAW_RAD if options.rig == "grid" else OUTERMOST_YAW_RAD
-    return rig(options.seed, options.width, options.height, options.cameras_per_row, outermost_yaw_rad=yaw_rad)
+    return rig(
+        options.seed, options.width, options.height, options.cameras_per_row, outermost_yaw_rad=yaw_rad, spacing=options.spacing
+    )
 
 
 def rig_shots(options: DemoOptions) -> list[Shot]:
@@ -68,12 +76,26 @@ def distorted_shots(options: DemoOptions) -> list[Shot]:
 def hand_held_shots(options: DemoOptions) -> list[Shot]:
     """One camera, cam00, that walks through the rig's volume while time stands still at 0; a shot per pose."""
     sensor = rig_sensors(options)[0]
-    poses = hand_held_poses(options.seed, options.width, options.height, options.n_frames, options.fps)
+    exposed_s = options.shutter_s * ((np.arange(BLUR_POSES) + 0.5) / BLUR_POSES - 0.5)
     shots = []
-    for index, camera in enumerate(poses):
+    for index, camera in enumerate(_poses_at(options)):
         grain = replace(sensor, seed=(*sensor.seed, index))
-        shots.append(Shot(camera, noted_camera(options, camera, "cam00", index), (0,), grain))
+        shots.append(Shot(camera, noted_camera(options, camera, "cam00", index), (0,), grain, depth_pose=camera))
+    if options.shutter_s:
+        during = [_poses_at(options, seconds) for seconds in exposed_s]
+        shots = [replace(shot, poses=poses) for shot, poses in zip(shots, zip(*during, strict=True), strict=True)]
+    if options.depth_delay_s:
+        earlier = _poses_at(options, -options.depth_delay_s)
+        shots = [replace(shot, depth_pose=pose) for shot, pose in zip(shots, earlier, strict=True)]
     return shots
+
+
+def _poses_at(options: DemoOptions, later_s: float = 0.0) -> list[Camera]:
+    """The poses of the hand-held camera, each so many seconds later."""
+    size = (options.width, options.height)
+    return hand_held_poses(
+        options.seed, *size, options.n_frames, options.fps, later_s=later_s, sway=options.sway, spacing=options.spacing
+    )
 
 
 def path_shots(options: DemoOptions) -> list[Shot]:

@@ -41,7 +41,7 @@ class Sightings(NamedTuple):
 
 def surface_points(options: DemoOptions) -> Array:
     """Points on what never moves, as many from the view of each camera of the rig, world units, (P, 3)."""
-    static, cameras = lit_room(options.seed).static, rig_of(options)
+    static, cameras = lit_room(options.seed, options.scene).static, rig_of(options)
     rng = np.random.default_rng([options.seed, 10])
     points = []
     for camera in cameras:

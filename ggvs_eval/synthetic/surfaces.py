@@ -93,6 +93,27 @@ def sheet(points: Array, uv: Array, material: Material, closed: bool = False) ->
     return Surface(_mesh(points.reshape(-1, 3), faces, normals.reshape(-1, 3)), uv.reshape(-1, 2), material)
 
 
+def blades(points: Array, uv: Array, material: Material, thickness_m: float = 0.001) -> Surface:
+    """Many thin sheets of one material as one surface, each seen from both sides.
+
+    Args:
+        points: (N, n, m, 3).
+        uv: of all sheets, (n, m, 2), metres.
+        material: how it answers light.
+        thickness_m: distance of a sheet's two sides.
+    """
+    normals = np.cross(np.gradient(points, axis=2), np.gradient(points, axis=1))
+    normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-30)
+    both = np.stack([points, points - thickness_m * normals]).reshape(-1, 3)
+    count, size = 2 * len(points), points.shape[1] * points.shape[2]
+    index = np.arange(size).reshape(points.shape[1:3])
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
+    faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
+    faces = (size * np.arange(count)[:, None, None] + faces).reshape(-1, 3)
+    mesh = _mesh(both, faces, np.stack([normals, -normals]).reshape(-1, 3))
+    return Surface(mesh, np.tile(uv.reshape(-1, 2), (count, 1)), material)
+
+
 def panel(corner: Vector, edge_u: Vector, edge_v: Vector, material: Material, cell_m: float = 0.05) -> Surface:
     """Flat rectangle from a corner along two edges; its outside is edge_u x edge_v, its texture starts at the corner."""
     corner, edge_u, edge_v = (np.asarray(vector, np.float64) for vector in (corner, edge_u, edge_v))

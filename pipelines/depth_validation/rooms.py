@@ -8,9 +8,9 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.synthetic.demo import write_demo
+from ggvs_eval.synthetic.domains import VALIDATION_SEEDS
 from ggvs_eval.synthetic.options import DemoOptions
 
-VALIDATION_SEEDS = (101, 102, 103)
 FRAMES = 8  # of every room; no judge looks at more
 DEMO = "demo"
 

@@ -12,14 +12,13 @@ from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.digest import digest_values
 from ggvs_eval.errors import TrainingError
-from ggvs_eval.pipelines.depth_validation.rooms import VALIDATION_SEEDS
 from ggvs_eval.pipelines.offline.depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.offline.sensor_depth import SensorDepthEstimator
 from ggvs_eval.pipelines.training.blend_samples import BlendSample, SampleMaker, read_sample, write_sample
 from ggvs_eval.pipelines.training.capture_views import CapturePlan, draw_views, is_sequence, possible_targets
-from ggvs_eval.pipelines.training.room_plan import FIRST_TRAINING_ROOM
 from ggvs_eval.processes import finish_all, worker_pool
+from ggvs_eval.synthetic.domains import FIRST_TRAINING_SEED, VALIDATION_SEEDS
 
 VERSION = 2  # counts up whenever equal plans give other samples
 
@@ -182,10 +181,10 @@ def _refuse_tests(capture: Capture) -> None:
         seed = int(json.loads(file.read_text(encoding="utf-8"))["options"]["seed"])
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise TrainingError(f"{file}: wanted the seed of a demo capture, got none ({error}); write it again") from error
-    if seed < FIRST_TRAINING_ROOM and seed not in VALIDATION_SEEDS:
+    if seed < FIRST_TRAINING_SEED and seed not in VALIDATION_SEEDS:
         raise TrainingError(
             f"{capture.path}: the demo capture of seed {seed} is for tests and must not be learned from; make another by "
-            f"`ggvs-eval demo --seed {FIRST_TRAINING_ROOM}`"
+            f"`ggvs-eval demo --seed {FIRST_TRAINING_SEED}`"
         )
 
 

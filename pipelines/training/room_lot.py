@@ -5,14 +5,16 @@ import json
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
+from ggvs_eval.pipelines.training.blend_rgbd import MeasuredSampleMaker
 from ggvs_eval.pipelines.training.blend_samples import SampleMaker
 from ggvs_eval.pipelines.training.room_plan import RoomPlan, choose_views, film_room, refuse_tests
 from ggvs_eval.processes import finish_all, worker_pool
+from ggvs_eval.synthetic.domains import PLAIN, find_domain
 
 Sample = TypeVar("Sample")
 
@@ -49,7 +51,8 @@ class RoomLot(ABC, Generic[Sample]):
     def data(self) -> str:
         """What they show, for the model card."""
         depth = f"depth by {self.plan.matcher}" if self._depth else "no depth"
-        return f"{len(self)} views of {self.plan.rooms} procedural rooms (ggvs_eval.synthetic), {depth}"
+        domain = "" if self.plan.domain == PLAIN else f" of domain {self.plan.domain}"
+        return f"{len(self)} views of {self.plan.rooms} procedural rooms{domain} (ggvs_eval.synthetic), {depth}"
 
     @abstractmethod
     def make(self, maker: SampleMaker, target: Camera, sources: Sequence[Camera]) -> Sample:
@@ -94,7 +97,7 @@ class RoomLot(ABC, Generic[Sample]):
 
     def prepare_capture(self, seed: int, capture: Capture) -> None:
         """Make the samples of a room that has been filmed."""
-        maker = SampleMaker(capture, DepthChoice(self.plan.matcher).options())
+        maker = MeasuredSampleMaker(capture, DepthChoice(self.plan.matcher).options())
         for number in range(self.plan.targets):
             path = self._path(seed, number)
             if not path.is_file():
@@ -115,4 +118,16 @@ def _digest(plan: RoomPlan, version: int, depth: bool) -> str:
         "depth": options.describe() if depth else None,
         "consistency": options.consistency.describe() if depth and options.consistency else None,
     }
+    if plan.domain != PLAIN:
+        described |= _describe_domain(plan.domain)
     return hashlib.sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()[:12]
+
+
+def _describe_domain(name: str) -> dict[str, Any]:
+    """What samples depend on of their domain."""
+    domain = find_domain(name)
+    described = {"domain": name, "options": dict(domain.options), "strengths": dict(domain.strengths)}
+    if domain.hand_held:
+        sensor = DepthChoice().options().sensor
+        described |= {"frames": [domain.gap, domain.span], "sensor": sensor.describe() if sensor else None}
+    return described

@@ -1,6 +1,6 @@
 """Which procedural rooms networks learn from: their seeds, how each is filmed, and the views of each sample."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +9,12 @@ from ggvs_eval.camera import Camera, nearest_cameras
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import TrainingError
-from ggvs_eval.pipelines.depth_validation.rooms import VALIDATION_SEEDS
+from ggvs_eval.pipelines.training.capture_views import CapturePlan, draw_views, is_sequence
 from ggvs_eval.synthetic.demo import write_demo
+from ggvs_eval.synthetic.domains import FIRST_TRAINING_SEED, PLAIN, VALIDATION_SEEDS, domain_options, find_domain
 from ggvs_eval.synthetic.options import DemoOptions
 
-FIRST_TRAINING_ROOM = 1000  # the demo capture and the validation rooms lie below
+FIRST_TRAINING_ROOM = FIRST_TRAINING_SEED
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,8 @@ class RoomPlan:
         width: of the images, pixels.
         height: of the images, pixels.
         wide_share: share of the samples whose sources are drawn from twice as many near cameras instead of being the nearest.
-        matcher: whose depth the samples have, see `ggvs_eval.pipelines.offline.matchers`.
+        matcher: whose depth the samples have, see `ggvs_eval.pipelines.offline.matchers`; a sensor's where there is one.
+        domain: kind of captures, see `ggvs_eval.synthetic.domains`.
     """
 
     first_room: int = FIRST_TRAINING_ROOM
@@ -43,6 +45,7 @@ class RoomPlan:
     height: int = 360
     wide_share: float = 0.5
     matcher: str = "sgbm"
+    domain: str = PLAIN
 
     @property
     def most_views(self) -> int:
@@ -73,17 +76,14 @@ def refuse_tests(plan: RoomPlan) -> None:
 
 def film_room(folder: Path, seed: int, plan: RoomPlan) -> Capture:
     """The capture of a room, filmed unless it has been."""
-    size = f"{plan.width}x{plan.height}"
-    return open_capture(write_demo(folder / f"seed{seed}-{size}", room_options(seed, plan), workers=1))
+    kind = "" if plan.domain == PLAIN else f"{plan.domain}-"
+    name = f"{kind}seed{seed}-{plan.width}x{plan.height}"
+    return open_capture(write_demo(folder / name, room_options(seed, plan), workers=1))
 
 
 def room_options(seed: int, plan: RoomPlan) -> DemoOptions:
-    """How a room is filmed: one instant; training rooms differ in noise and exposure, validation rooms are as the demo."""
-    room = DemoOptions(seed=seed, width=plan.width, height=plan.height, n_frames=1, path_poses=0, depth_stride=0)
-    if seed < FIRST_TRAINING_ROOM:
-        return room
-    rng = np.random.default_rng([seed, 84])
-    return replace(room, noise_sigma_255=float(rng.uniform(0, 2.5)), exposure_spread=float(rng.uniform(0, 0.03)))
+    """How a room is filmed: one instant; training rooms differ in their strengths, validation rooms are as their domain."""
+    return domain_options(plan.domain, seed, plan.width, plan.height)
 
 
 def choose_views(capture: Capture, plan: RoomPlan, seed: int, number: int) -> tuple[Camera, list[Camera]]:
@@ -91,8 +91,11 @@ def choose_views(capture: Capture, plan: RoomPlan, seed: int, number: int) -> tu
 
     Reading:
         The paper draws inputs and target at random. Half of ours are the nearest cameras, as in the evaluation; the others are
-        drawn from twice as many, so that the network also sees wide gaps.
+        drawn from twice as many, so that the network also sees wide gaps. Of a hand-held camera they are drawn as of any
+        RGB-D sequence, see `draw_views`.
     """
+    if is_sequence(capture):
+        return _choose_frames(capture, plan, seed, number)
     count = len(capture.cameras)
     turn, place = divmod(number, count)
     target = capture.cameras[np.random.default_rng([seed, 85, turn]).permutation(count)[place]]
@@ -102,3 +105,11 @@ def choose_views(capture: Capture, plan: RoomPlan, seed: int, number: int) -> tu
         return target, nearest_cameras(target, capture.cameras, views)
     near = nearest_cameras(target, capture.cameras, min(2 * views, count - 1))
     return target, [near[index] for index in sorted(rng.choice(len(near), views, replace=False))]
+
+
+def _choose_frames(capture: Capture, plan: RoomPlan, seed: int, number: int) -> tuple[Camera, list[Camera]]:
+    """Target and sources of a hand-held camera's sample."""
+    rng, domain = np.random.default_rng([seed, 86, number]), find_domain(plan.domain)
+    views = int(rng.choice(plan.other_views)) if rng.random() < plan.other_share else plan.views
+    rule = CapturePlan(plan.targets, views, domain.span, domain.gap, width=plan.width, height=plan.height, matcher=plan.matcher)
+    return draw_views(capture, rule, f"{plan.domain}{seed}", number)

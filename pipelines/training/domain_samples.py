@@ -1,0 +1,56 @@
+"""What networks learn from or are chosen by, of many domains: a plan per domain, and their samples as one lot."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+from ggvs_eval.pipelines.training.blend_rooms import RoomSamples
+from ggvs_eval.pipelines.training.joined_samples import JoinedSamples, Samples
+from ggvs_eval.pipelines.training.room_plan import RoomPlan
+from ggvs_eval.synthetic.domains import DOMAINS, VALIDATION_SEEDS, find_domain
+
+
+def domain_plans(domains: Iterable[str] = tuple(DOMAINS), rooms: int = 4, targets: int = 8, **shared: object) -> list[RoomPlan]:
+    """A training plan per domain, at the domain's own size.
+
+    Args:
+        domains: their names.
+        rooms: per domain.
+        targets: views per room.
+        shared: whatever else plans have in common, see `RoomPlan`.
+    """
+    plan = replace(RoomPlan(rooms=rooms, targets=targets), **shared)  # type: ignore[arg-type]
+    return [_sized(plan, name) for name in domains]
+
+
+def mixed_samples(cache: Path, plans: Iterable[RoomPlan] | None = None, *others: Samples) -> JoinedSamples:
+    """The blending network's samples of many domains as one lot, each as likely as any other.
+
+    Args:
+        cache: where rooms and samples are kept.
+        plans: which rooms of which domains; `domain_plans()` by default.
+        others: further samples, such as those of real captures.
+    """
+    return JoinedSamples(*(RoomSamples(cache, plan) for plan in (domain_plans() if plans is None else plans)), *others)
+
+
+def domain_validation_plan(
+    domain: str, views: int = 4, targets: int = 3, seeds: int = 1, matcher: str = "sgbm", size: tuple[int, int] | None = None
+) -> RoomPlan:
+    """The views of a domain by which choices may be made, with the sources that an evaluation would take.
+
+    Args:
+        domain: its name.
+        views: K.
+        targets: views per seed.
+        seeds: how many of the validation seeds.
+        matcher: whose depth rigs get.
+        size: of the images, pixels; the domain's by default.
+    """
+    first, width, height = VALIDATION_SEEDS[0], *(size or find_domain(domain).size)
+    return RoomPlan(first, seeds, targets, views, (), 0.0, width, height, wide_share=0.0, matcher=matcher, domain=domain)
+
+
+def _sized(plan: RoomPlan, domain: str) -> RoomPlan:
+    width, height = find_domain(domain).size
+    return replace(plan, domain=domain, width=width, height=height)
