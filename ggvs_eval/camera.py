@@ -132,6 +132,11 @@ class Camera:
         """Image coordinates of every pixel, (H, W, 2)."""
         return np.stack(np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5), axis=-1)
 
+    def shows_the_same_rays(self, other: "Camera") -> bool:
+        """Whether two cameras show the same rays at the same pixels, whatever they are called."""
+        same_pose = np.array_equal(self.world_to_camera, other.world_to_camera)
+        return same_pose and np.array_equal(self.K, other.K) and self.size == other.size
+
     def rays(self) -> Array:
         """Direction of each pixel's ray in the world, (H, W, 3), scaled so that centre + depth * ray has that depth."""
         return self.unproject(self.pixel_centres(), np.ones((self.height, self.width))) - self.centre

@@ -1,4 +1,4 @@
-"""Geometric weights in place of the blending network: trust the views that see the fused surface, those most that look from near the target."""
+"""Geometric weights in place of the blending network: trust views that see the fused surface, those near the target most."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -22,6 +22,7 @@ from ggvs_eval.pipelines.online.geometric_blender import GeometricBlender
 from ggvs_eval.pipelines.online.inside import inside_maps
 from ggvs_eval.pipelines.online.printed_march import FieldReading, printed_march
 from ggvs_eval.pipelines.online.recurrent_output import RecurrentOutput, splatted_change, stillness
+from ggvs_eval.pipelines.online.remembered_background import RememberedBackground
 
 
 @dataclass(frozen=True)
@@ -29,8 +30,8 @@ class OnlineOptions:
     """Constants of the method; the paper's values, in metres where they are lengths.
 
     Attributes:
-        temporal: the temporal depth filter, the temporal term of the ray march, the recurrent output and the memory of gains
-            (off: 'No Temporal Filtering').
+        temporal: the temporal depth filter, the temporal term of the ray march, the recurrent output, the remembered background
+            and the memory of gains (off: 'No Temporal Filtering').
         fused: the ray march itself; without it the fused depth is unknown everywhere, for blenders that do not look at it
             ('No TSDF Guidance').
         lambda_t: colour difference that counts as motion (Eq. 1).
@@ -52,6 +53,7 @@ class OnlineOptions:
         recurrent_limit: largest weight of the previous output where nothing moves, below 1, see `RecurrentOutput`; 0 for none,
             as in the paper.
         harmonised: sources are brought to one colour before they are blended, see `ColourHarmony`; not in the paper.
+        remembered: what no source sees is shown as it was seen before, see `RememberedBackground`; not in the paper.
 
     Reading:
         What each reading is worth is measured in docs/readings.md.
@@ -81,6 +83,7 @@ class OnlineOptions:
     normalised_field: bool = True
     recurrent_limit: float = 0.85
     harmonised: bool = True
+    remembered: bool = True
 
 
 @dataclass(frozen=True)
@@ -98,7 +101,7 @@ class GeometryGuided:
     Per instant: difference masks and temporally filtered depth of each source view, forward splatting of each view as
     pixel-sized Gaussians, fusion of the filtered depths by an image-based TSDF ray march in which the previous fused depth
     takes part, and blending. Beyond the paper, sources are brought to one colour and outputs averaged where nothing moves.
-    State: one frame and one depth map per source camera, one fused depth map and one output of the target.
+    State: one frame and one depth map per source camera; fused depth, output and background of the target.
     """
 
     def __init__(self, options: OnlineOptions | None = None, blender: Blender | None = None) -> None:
@@ -111,6 +114,7 @@ class GeometryGuided:
         )
         self._previous: _Fused | None = None
         self._output = RecurrentOutput(chosen.recurrent_limit if chosen.temporal else 0.0)
+        self._background = RememberedBackground(chosen.covered_alpha) if chosen.temporal and chosen.remembered else None
         self._harmony = ColourHarmony() if chosen.temporal else ColourHarmony(memory=1)
 
     def step(self, instant: Instant) -> Rendering:
@@ -154,7 +158,10 @@ class GeometryGuided:
         depths = [view.depth for view in filtered]
         blended = self.blender.blend(BlendingInputs(instant, depths, splats, known, self._tau(instant)))
         inside = inside_maps(depth, splats, still, blended.weights)
-        return self._output.step(instant.index, instant.target, blended.image, still), inside
+        image = blended.image
+        if self._background is not None:
+            image = self._background.step(instant.index, instant.target, image, known, splats, still)
+        return self._output.step(instant.index, instant.target, image, still), inside
 
     def _splat(self, instant: Instant, filtered: list[FilteredDepth]) -> list[Splat]:
         """Render each view forward: colour, difference mask, coverage and depth (Sec. 3.1)."""

@@ -71,7 +71,7 @@ class RecurrentOutput:
         if self._limit <= 0:
             return image
         before, age = self._shown, np.ones_like(still)
-        if before is not None and before.index == index - 1 and _same_view(before.target, target):
+        if before is not None and before.index == index - 1 and before.target.shows_the_same_rays(target):
             age += still * before.age
             image = mixed(image, before.image, still * np.minimum(1 - 1 / age, np.float32(self._limit)))
         self._shown = _Shown(index, target, image, age)
@@ -146,9 +146,3 @@ def _wide(difference: Map, weight: Map) -> Map:
     sums = cv2.GaussianBlur(cv2.resize(parts, small, interpolation=cv2.INTER_AREA), (0, 0), 1)
     mean = sums[..., :3] / (sums[..., 3:] + np.float32(1e-3))
     return np.asarray(cv2.resize(mean, weight.shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
-
-
-def _same_view(first: Camera, second: Camera) -> bool:
-    """Whether two cameras show the same rays at the same pixels."""
-    same_rays = np.array_equal(first.K, second.K) and np.array_equal(first.world_to_camera, second.world_to_camera)
-    return same_rays and first.size == second.size

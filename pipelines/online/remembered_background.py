@@ -1,0 +1,103 @@
+"""What no source sees, as it was seen before: the background that moving things have uncovered, and fillings that do not boil."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from ggvs_eval.baselines.method import Map
+from ggvs_eval.camera import Camera
+from ggvs_eval.geometry.splat import Splat
+
+BEHIND = 0.98  # of the remembered depth: what lies so far back at least is the same surface, or one behind it
+FORGETTING = 0.99  # of the remembered depth from one instant to the next, so that a wrong one does not last
+RENEWAL = 0.15  # share of a new filling in the recursive mean of fillings
+SURE_STILL = 0.5  # stillness from which on a pixel is background
+FEATHER = 0.5  # share of the covering alpha below which a pixel is a hole altogether
+
+
+@dataclass(eq=False)
+class _Memory:
+    """The farthest that the target saw at each pixel: colour (H, W, 3) and depth (H, W), 0 where it is but a filling."""
+
+    index: int
+    target: Camera
+    image: Map
+    depth: Map
+
+
+class RememberedBackground:
+    """Replaces the filling of holes by what the target showed there before, as long as it stands still.
+
+    A pixel that stands still is remembered with its depth unless something behind it is, and forgotten when it begins to move: a
+    hole shows the wall that somebody hides from the sources, or has uncovered, and not the body that has left. Where nothing is
+    remembered the recursive mean of the fillings is shown. State: one image and one depth map of the target.
+
+    Args:
+        covered_alpha: coverage from which a splat shows something.
+
+    Reading:
+        Not in the paper, whose network invents the background anew in every frame.
+    """
+
+    def __init__(self, covered_alpha: float) -> None:
+        self._covered_alpha = covered_alpha
+        self._memory: _Memory | None = None
+
+    def step(self, index: int, target: Camera, image: Map, depth: Map, splats: Sequence[Splat], still: Map) -> Map:
+        """The output of an instant with its holes filled from memory.
+
+        Args:
+            index: of the instant; after a gap, or from another pose, nothing is remembered.
+            target: camera of the output.
+            image: blended, holes filled from their surroundings, (H, W, 3), float32.
+            depth: fused, (H, W), world units, 0 where unknown.
+            splats: forward renderings of the sources; their coverage tells the holes.
+            still: how sure it is that nothing moves at each cell, see `stillness`.
+
+        Returns:
+            (H, W, 3), float32.
+        """
+        hole = hole_weight(splats, self._covered_alpha)
+        memory = self._memory
+        if memory is None or memory.index != index - 1 or not memory.target.shows_the_same_rays(target):
+            self._memory = _Memory(index, target, image.copy(), np.where(hole > 0, np.float32(0), depth))
+            return image
+        memory.index = index
+        filled = _filled(memory, image, hole)
+        _remember(memory, image, np.where(hole > 0, np.float32(0), depth), still)
+        return filled
+
+
+def hole_weight(splats: Sequence[Splat], covered_alpha: float) -> Map:
+    """How far each pixel is a hole: 0 where a splat covers it, 1 where the largest coverage is half of that or less, (H, W)."""
+    alpha = splats[0].alpha
+    for view in splats[1:]:
+        alpha = cv2.max(alpha, view.alpha)
+    return np.clip((covered_alpha - alpha) / (covered_alpha * (1 - FEATHER)), 0, 1).astype(np.float32)
+
+
+def _filled(memory: _Memory, image: Map, hole: Map) -> Map:
+    """The image with memory in its holes; fillings that stand for nothing seen are renewed a little."""
+    at = np.flatnonzero(hole)
+    if not at.size:
+        return image
+    past, new = memory.image.reshape(-1, 3), image.reshape(-1, 3)
+    guessed = at[memory.depth.ravel()[at] <= 0]
+    past[guessed] += np.float32(RENEWAL) * (new[guessed] - past[guessed])
+    filled = image.copy()
+    filled.reshape(-1, 3)[at] += hole.ravel()[at][:, None] * (past[at] - new[at])
+    return filled
+
+
+def _remember(memory: _Memory, image: Map, depth: Map, still: Map) -> None:
+    """Note what is seen now where nothing behind it is remembered; what moves is no background."""
+    memory.depth *= np.float32(FORGETTING)
+    size = depth.shape[::-1]
+    farthest = cv2.compare(depth, cv2.multiply(memory.depth, BEHIND), cv2.CMP_GE)
+    seen = cv2.bitwise_and(farthest, cv2.compare(depth, 0, cv2.CMP_GT))
+    quiet = cv2.resize(cv2.compare(still, SURE_STILL, cv2.CMP_GE), size, interpolation=cv2.INTER_NEAREST)
+    cv2.copyTo(image, seen, memory.image)
+    cv2.copyTo(depth, cv2.bitwise_and(seen, quiet), memory.depth)
+    memory.depth[cv2.bitwise_and(seen, cv2.bitwise_not(quiet)) > 0] = 0
