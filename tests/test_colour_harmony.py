@@ -8,7 +8,7 @@ import pytest
 from ggvs_eval.baselines.method import Instant
 from ggvs_eval.geometry.view_weights import view_weights
 from ggvs_eval.images import quantise
-from ggvs_eval.pipelines.online.colour_harmony import ColourHarmony, gained_image
+from ggvs_eval.pipelines.online.colour_harmony import GAUGE_POWER, ColourHarmony, gained_image
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
 from scenes import camera_at, instant, look
 
@@ -34,7 +34,7 @@ def estimated(harmony: ColourHarmony, seen: Instant) -> np.ndarray:
 
 def anchored(gains: np.ndarray, sources=SOURCES) -> np.ndarray:
     """The factors that undo gains, their free factor fixed by the distance-weighted mean of the logarithms."""
-    weights = view_weights(TARGET, sources).astype(float)
+    weights = view_weights(TARGET, sources).astype(float) ** GAUGE_POWER
     logarithms = np.log(gains)
     return np.exp(weights @ logarithms / weights.sum() - logarithms)
 
@@ -128,7 +128,7 @@ def test_images_stay_in_8_bit():
 
 def test_the_picture_is_better_for_it():
     """With gains whose weighted mean is 1, the harmonised picture is more than a decibel nearer to the truth."""
-    weights, truth = view_weights(TARGET, SOURCES).astype(float), look(TARGET)[0]
+    weights, truth = view_weights(TARGET, SOURCES).astype(float) ** GAUGE_POWER, look(TARGET)[0]
     gains = GAINS / np.exp(weights @ np.log(GAINS) / weights.sum()).astype(np.float32)
 
     scores = {

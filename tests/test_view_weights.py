@@ -12,7 +12,7 @@ from ggvs_eval.baselines.distance_based import DistanceBased
 from ggvs_eval.baselines.method import Instant
 from ggvs_eval.camera import Camera
 from ggvs_eval.geometry.per_pixel import weighted_mean
-from ggvs_eval.geometry.view_weights import LEAST_WEIGHT, PARALLAX_RAD, view_weights
+from ggvs_eval.geometry.view_weights import FALL_OFF, LEAST_PARALLAX_RAD, view_weights
 from ggvs_eval.pipelines.online.blend_maps import blend_maps
 from ggvs_eval.pipelines.online.geometric_blender import GeometricBlender
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
@@ -20,6 +20,7 @@ from ggvs_eval.pipelines.online.overview import overview
 from scenes import camera_at, instant, look
 
 TARGET = camera_at(0.0, name="target")
+DEPTH = 2 / (1 / TARGET.near + 1 / TARGET.far)  # in the middle of the range, in which inverse depth is even
 places = st.lists(st.tuples(st.floats(-3, 3), st.floats(-3, 3)), min_size=1, max_size=6)
 
 
@@ -53,11 +54,10 @@ def test_the_unit_of_length_does_not_matter(positions, unit):
 
 
 def test_weights_fall_with_the_angle():
-    """By 1 / e for each step of parallax in the middle of the depth range, never below the least; 1 for the nearest."""
-    depth = 2 / (1 / TARGET.near + 1 / TARGET.far)
-    steps = np.array([0.0, 1.0, 2.5, 500.0])
-    cameras = rig([(0.2 + PARALLAX_RAD * depth * step, 0.0) for step in steps])
-    np.testing.assert_allclose(view_weights(TARGET, cameras), [1, np.exp(-1), np.exp(-2.5), LEAST_WEIGHT], rtol=1e-5)
+    """As a power of the parallax in the middle of the depth range; 1 for the nearest; times the shares."""
+    steps = np.array([1.0, 2.0, 4.0, 500.0])
+    cameras = rig([(10 * DEPTH * LEAST_PARALLAX_RAD * step - DEPTH * LEAST_PARALLAX_RAD, 0.0) for step in steps])
+    np.testing.assert_allclose(view_weights(TARGET, cameras), steps**-FALL_OFF, rtol=1e-5)
     shares = (1.0, 0.5, 0.1, 1.0)
     np.testing.assert_allclose(
         view_weights(TARGET, cameras, shares), view_weights(TARGET, cameras) * np.float32(shares), rtol=1e-6
@@ -66,10 +66,9 @@ def test_weights_fall_with_the_angle():
 
 @given(places, st.floats(-2, 2), st.floats(-1e-4, 1e-4))
 def test_weights_are_continuous(positions, x, step):
-    """A target that moves a little changes a weight a little."""
+    """A target that moves a little changes a weight a little, through the very place of a source too."""
     before, after = (view_weights(camera_at(at, name="target"), rig(positions)) for at in (x, x + step))
-    depth = 2 / (1 / TARGET.near + 1 / TARGET.far)
-    assert np.abs(after - before).max() <= 2 * abs(step) / (PARALLAX_RAD * depth) + 1e-6
+    assert np.abs(after - before).max() <= 2 * FALL_OFF * abs(step) / (DEPTH * LEAST_PARALLAX_RAD) + 1e-6
 
 
 def half_seen(far_x: float, share: float) -> Instant:

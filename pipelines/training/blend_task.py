@@ -1,8 +1,9 @@
 """What the blending network learns: to make the target's picture of splatted views and fused depth."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from copy import deepcopy
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 import torch
@@ -12,15 +13,18 @@ from ggvs_eval.baselines.method import Map
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.images import quantise
 from ggvs_eval.metrics.image import psnr, ssim
+from ggvs_eval.pipelines.online.blend_maps import RawViews
 from ggvs_eval.pipelines.online.blend_network import BlendConfig, BlendNetwork, compose_tensors, read_outputs
 from ggvs_eval.pipelines.online.blend_weights import weights_name
 from ggvs_eval.pipelines.online.network_blender import blend_by, blend_start
 from ggvs_eval.pipelines.online.network_inputs import GUIDED, guide_depth, input_channels, reference_depth
+from ggvs_eval.pipelines.training.blend_augmentation import Augmentation, augment
 from ggvs_eval.pipelines.training.blend_loss import BlendLossWeights, blend_loss
-from ggvs_eval.pipelines.training.blend_rooms import RoomSamples
 from ggvs_eval.pipelines.training.blend_samples import BlendSample
 from ggvs_eval.pipelines.training.joined_samples import Samples
 from ggvs_eval.pipelines.training.task import Schedule
+
+Change = Callable[[RawViews, Map], tuple[RawViews, Map]]
 
 
 @dataclass(frozen=True)
@@ -36,6 +40,7 @@ class BlendTask:
         crop_height: of the crops.
         batch_size: crops per step.
         weights: of the loss.
+        augmentation: of the crops; None leaves them as they are but for mirroring and the order of colours.
         schedule: see `Schedule`; the weight decay is the paper's.
 
     Reading:
@@ -44,13 +49,14 @@ class BlendTask:
     """
 
     training: Samples
-    validation: RoomSamples
+    validation: Samples
     config: BlendConfig = field(default_factory=BlendConfig)
     seed: int = 0
     crop_width: int = 320
     crop_height: int = 240
     batch_size: int = 4
     weights: BlendLossWeights = field(default_factory=BlendLossWeights)
+    augmentation: Augmentation | None = field(default_factory=Augmentation)
     schedule: Schedule = field(default_factory=lambda: Schedule(1e-3, weight_decay=1e-5, warm_up=100, cool_down=0.4))
 
     def __post_init__(self) -> None:
@@ -78,11 +84,9 @@ class BlendTask:
     @property
     def judged_on(self) -> str:
         """What `validate` measures."""
-        plan = self.validation.plan
-        rooms = ", ".join(str(seed) for seed in plan.seeds)
         return (
-            f"PSNR (dB) and SSIM of {len(self.validation)} whole views of rooms {rooms}, single instants, K = {plan.views}, and "
-            "`geometric_`: of the geometric blender on the same views."
+            f"PSNR (dB) and SSIM, means of whole views, single instants, and `geometric_`: of the geometric blender on the same "
+            f"views: {self.validation.data}."
         )
 
     def network(self) -> nn.Module:
@@ -122,20 +126,25 @@ class BlendTask:
         sample = self.training.read(int(rng.integers(len(self.training))))
         width, height = sample.views.target.size
         left, top = rng.integers(width - self.crop_width + 1), rng.integers(height - self.crop_height + 1)
-        arrays = crop_arrays(sample, (int(left), int(top), self.crop_width, self.crop_height), self.config)
+        change = None if self.augmentation is None else partial(augment, rng=rng, options=self.augmentation)
+        arrays = crop_arrays(sample, (int(left), int(top), self.crop_width, self.crop_height), self.config, change)
         return mirrored(recoloured(arrays, rng.permutation(3)), bool(rng.random() < 0.5))
 
 
-def crop_arrays(sample: BlendSample, window: tuple[int, int, int, int], config: BlendConfig) -> dict[str, Map]:
+def crop_arrays(
+    sample: BlendSample, window: tuple[int, int, int, int], config: BlendConfig, change: Change | None = None
+) -> dict[str, Map]:
     """What the network and its loss take of a window (left, top, width, height) of a sample.
 
     Depths and distances are measured in the unit of the whole view, as they are when the network is used. Views that the sample
-    does not have cover nothing.
+    does not have cover nothing. `change` may alter the crop's views and truth first.
     """
     left, top, width, height = window
     unit = reference_depth(guide_depth(sample.views, config.guidance), sample.views.target)
-    maps = sample.views.cropped(*window).maps(config.guidance)
-    truth = sample.truth[top : top + height, left : left + width]
+    views = sample.views.cropped(*window)
+    truth = sample.truth[top : top + height, left : left + width].astype(np.float32) / np.float32(255)
+    views, truth = (views, truth) if change is None else change(views, truth)
+    maps = views.maps(config.guidance)
     of_views = {
         "colours": np.moveaxis(maps.colours, 3, 1),
         "coverage": maps.coverage,
@@ -149,7 +158,7 @@ def crop_arrays(sample: BlendSample, window: tuple[int, int, int, int], config: 
         **{name: _filled_up(array, config.views) for name, array in of_views.items()},
         **start,
         "fused_depth": maps.fused_depth / np.float32(unit),
-        "truth": np.moveaxis(truth, 2, 0).astype(np.float32) / np.float32(255),
+        "truth": np.moveaxis(truth, 2, 0),
     }
 
 
