@@ -11,6 +11,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError, TrainingError
 from ggvs_eval.pipelines.training.blend_rooms import RoomSamples
+from ggvs_eval.pipelines.training.capture_views import overlap
 from ggvs_eval.pipelines.training.domain_samples import domain_plans, domain_validation_plan, mixed_samples
 from ggvs_eval.pipelines.training.held_back import held_back_halves
 from ggvs_eval.pipelines.training.room_plan import RoomPlan, choose_views, film_room, room_options
@@ -296,10 +297,24 @@ def _names(views: tuple[Camera, list[Camera]]) -> list[str]:
 def test_a_sequence_is_split_so_that_no_view_is_in_both_parts(tmp_path: Path) -> None:
     """Frames of one part are further than the span from those of the other, and keep their depth."""
     capture = open_capture(write_demo(tmp_path / "walk", replace(WALK, width=32, height=24, n_frames=12), workers=1))
-    first, last = held_back_halves(capture, span=3)
+    first, last = held_back_halves(capture, span=3, most_overlap=1.0)
     assert [camera.name for camera in first.cameras] == [f"{number:06d}" for number in range(6)]
     assert [camera.name for camera in last.cameras] == ["000009", "000010", "000011"]
-    assert (next(last.extras_of("000009").depth.depths(0, 1)) == next(capture.extras_of("000009").depth.depths(0, 1))).all()
+    kept, whole = (next(each.extras_of("000009").depth.depths(0, 1)) for each in (last, capture))
+    assert (kept == whole).all()
     assert (last.frame("000010", 0) == capture.frame("000010", 0)).all()
-    with pytest.raises(TrainingError, match="longer than 12 frames"):
+    with pytest.raises(TrainingError, match="12 frames of layout rgbd, 0 after the gap"):
         held_back_halves(capture, span=6)
+
+
+def test_what_the_camera_comes_back_to_is_not_held_back(tmp_path: Path) -> None:
+    """Frames of which a learned frame sees more than the share are in neither part; a walk around one place has no other."""
+    capture = open_capture(write_demo(tmp_path / "walk", replace(WALK, width=32, height=24, n_frames=12), workers=1))
+    first, last = held_back_halves(capture, 3, most_overlap=1.0)
+    shares = {camera.name: max(overlap(camera, learned) for learned in first.cameras) for camera in last.cameras}
+    middle = sorted(shares.values())[1]
+    kept = held_back_halves(capture, 3, most_overlap=middle)[1]
+    assert list(kept.camera_names) == [name for name, share in shares.items() if share <= middle]
+    assert len(kept.cameras) < 3
+    with pytest.raises(TrainingError, match="3 after the gap, 0 of them new"):
+        held_back_halves(capture, 3, most_overlap=0.1)

@@ -132,8 +132,8 @@ def domain_options(name: str, seed: int, width: int | None = None, height: int |
     return options if seed < FIRST_TRAINING_SEED else replace(options, **_drawn(name, domain, seed))
 
 
-def _drawn(name: str, domain: Domain, seed: int) -> dict[str, float | int]:
+def _drawn(name: str, domain: Domain, seed: int) -> dict[str, Any]:
     """Strengths of a training capture; plain rooms keep those that they have always had."""
     rng = np.random.default_rng([seed, 84] if name == PLAIN else [seed, 87, *name.encode()])
-    drawn: dict[str, float | int] = {option: float(rng.uniform(*limits)) for option, limits in domain.strengths.items()}
+    drawn = {option: float(rng.uniform(*limits)) for option, limits in domain.strengths.items()}
     return {option: round(value) if option == "jpeg_quality" else value for option, value in drawn.items()}

@@ -89,7 +89,7 @@ class Footage:
         if not self.shot.poses:
             return self._view.render(instant)
         lights = [self._view_from(pose).light(instant) for pose in self.shot.poses]
-        linear, covered = (np.mean(values, axis=0, dtype=np.float32) for values in zip(*lights, strict=True))
+        linear, covered = (np.asarray(np.mean(values, axis=0), np.float32) for values in zip(*lights, strict=True))
         return Picture(expose(linear), covered, self._view.depth(instant))
 
     @cached_property

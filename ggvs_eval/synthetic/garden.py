@@ -33,7 +33,7 @@ def build_garden(seed: int) -> Room:
 def _foreground(rng: np.random.Generator) -> list[Surface]:
     """Shrubs, reeds and bare twigs between 0.9 and 2.6 m, with gaps between them."""
     parts: list[Surface] = []
-    for x in np.array([-1.15, -0.5, 0.2, 0.85, 1.4]) + rng.uniform(-0.15, 0.15, 5):
+    for x in np.linspace(-1.5, 1.5, 8) + rng.uniform(-0.15, 0.15, 8):
         maker = foliage.SHAPES[int(rng.integers(len(foliage.SHAPES)))]
         parts += maker(rng, (float(x), float(rng.uniform(1.0, 1.9))), float(rng.uniform(0.8, 1.75)))
     for _ in range(4):

@@ -5,33 +5,36 @@ from dataclasses import replace
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import TrainingError
-from ggvs_eval.pipelines.training.capture_views import is_sequence
+from ggvs_eval.pipelines.training.capture_views import is_sequence, overlap
 
 
-def held_back_halves(capture: Capture, span: int = 30) -> tuple[Capture, Capture]:
+def held_back_halves(capture: Capture, span: int = 30, most_overlap: float = 0.5) -> tuple[Capture, Capture]:
     """The frames to learn from and those held back, with `span` frames between them that belong to neither.
 
     Args:
         capture: an RGB-D sequence.
-        span: how far from its target a source may be: what either half's samples show is at least so far from the other's.
+        span: how far from its target a source may be: what either part's samples show is at least so far from the other's.
+        most_overlap: frames of whose view a learned frame sees a larger share belong to neither, see `capture_views.overlap`.
 
     Raises:
-        TrainingError: no sequence, or too short.
+        TrainingError: no sequence, or too short, or all of it comes back to what is learned.
 
     Reading:
-        The first half in time is learned from. A camera that comes back sees again what it saw before: apart are the frames,
-        and thereby noise, blur and errors of depth and poses, not the place.
+        The first half in time is learned from. A camera that comes back sees again what it saw before: such frames of the second
+        half are left out, so that apart are the places as well as noise, blur and the errors of depth and poses.
     """
     numbers = [int(camera.name) for camera in capture.cameras] if is_sequence(capture) else []
     middle = (numbers[0] + numbers[-1] + 1) // 2 if numbers else 0
-    first = {camera.name for camera, number in zip(capture.cameras, numbers, strict=False) if number < middle}
-    last = {camera.name for camera, number in zip(capture.cameras, numbers, strict=False) if number >= middle + span}
-    if not first or not last:
+    learned = [camera for camera, number in zip(capture.cameras, numbers, strict=False) if number < middle]
+    later = [camera for camera, number in zip(capture.cameras, numbers, strict=False) if number >= middle + span]
+    apart = [camera for camera in later if all(overlap(camera, other) <= most_overlap for other in learned)]
+    if not learned or not apart:
         raise TrainingError(
-            f"{capture.path}: wanted a sequence of one moving camera longer than {2 * span} frames to split, got "
-            f"{len(numbers)} frames of layout {capture.layout}; give an RGB-D sequence or a smaller span"
+            f"{capture.path}: wanted a sequence of one moving camera, longer than {2 * span} frames, whose second half sees "
+            f"what is new, got {len(numbers)} frames of layout {capture.layout}, {len(later)} after the gap, {len(apart)} of them "
+            "new; give another RGB-D sequence or a smaller span"
         )
-    return restricted(capture, first), restricted(capture, last)
+    return restricted(capture, {camera.name for camera in learned}), restricted(capture, {camera.name for camera in apart})
 
 
 def restricted(capture: Capture, names: Collection[str]) -> Capture:

@@ -126,7 +126,7 @@ def _digest(plan: RoomPlan, version: int, depth: bool) -> str:
 def _describe_domain(name: str) -> dict[str, Any]:
     """What samples depend on of their domain."""
     domain = find_domain(name)
-    described = {"domain": name, "options": dict(domain.options), "strengths": dict(domain.strengths)}
+    described: dict[str, Any] = {"domain": name, "options": dict(domain.options), "strengths": dict(domain.strengths)}
     if domain.hand_held:
         sensor = DepthChoice().options().sensor
         described |= {"frames": [domain.gap, domain.span], "sensor": sensor.describe() if sensor else None}

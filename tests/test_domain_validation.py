@@ -1,0 +1,111 @@
+"""The table of methods by domains: its rows, its differences, and that candidates need no files. Not in the wheel."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from ggvs_eval.baselines.method import Instant, Method, Rendering
+from ggvs_eval.metrics.image import psnr
+
+domain_validation = pytest.importorskip("benchmarks.domain_validation", reason="benchmarks lie beside the package")
+domain_views = pytest.importorskip("benchmarks.domain_views", reason="benchmarks lie beside the package")
+
+PLAN = domain_views.ViewPlan(targets=2, views=2, frames=2, size=(96, 72))
+DOMAINS = ("arc", "misplaced_depth")
+
+
+class Painted:
+    """A method that shows one grey, or the nearest source."""
+
+    def __init__(self, level: float | None) -> None:
+        self._level = level
+        self.indices: list[int] = []
+
+    def step(self, instant: Instant) -> Rendering:
+        """One colour everywhere, or what the nearest source shows."""
+        self.indices.append(instant.index)
+        nearest = instant.sources[0].image.astype(np.float32) / 255
+        return Rendering(nearest if self._level is None else np.full_like(nearest, self._level))
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two small domains, filmed and with depth."""
+    folder = tmp_path_factory.mktemp("domains")
+    domain_views.prepare_views(folder, DOMAINS, PLAN)
+    return folder
+
+
+def candidates(made: list[Painted]) -> dict[str, Callable[[], Method]]:
+    """Methods of this test; those that are made are noted."""
+
+    def make(level: float | None) -> Painted:
+        made.append(Painted(level))
+        return made[-1]
+
+    return {"nearest": lambda: make(None), "grey": lambda: make(0.5)}
+
+
+def test_candidates_are_scored_in_every_domain_without_files(cache: Path) -> None:
+    """A row per domain, view and method; each view has a fresh method that sees its instants in order; PSNR is the metric's."""
+    made: list[Painted] = []
+    scores = domain_validation.validate_domains(candidates(made), cache, DOMAINS, PLAN, perceptual=False)
+    assert len(scores) == 2 * 2 * 2
+    assert [each.indices for each in made] == [[0, 1]] * 4 + [[0]] * 4
+    view = domain_views.prepare_views(cache, DOMAINS, PLAN)[-1]
+    truth = next(view.samples()).truth
+    grey = scores[(scores["domain"] == "misplaced_depth") & (scores["method"] == "grey")].iloc[-1]
+    assert grey["PSNR"] == pytest.approx(psnr(np.full_like(truth, 128), truth))
+    assert scores[scores["domain"] == "arc"]["STED"].notna().all()
+    assert scores[scores["domain"] == "misplaced_depth"]["STED"].isna().all()
+
+
+def test_views_on_disk_are_not_made_again(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another call reads them; more targets than there are would be made."""
+    monkeypatch.setattr(domain_views, "make_views", lambda *job: pytest.fail(f"made again: {job}"))
+    first, again = (domain_views.prepare_views(cache, DOMAINS, PLAN) for _ in range(2))
+    assert first == again
+    with pytest.raises(pytest.fail.Exception, match="made again"):
+        domain_views.prepare_views(cache, DOMAINS, replace(PLAN, targets=3))
+
+
+def test_a_view_comes_back_from_its_file_as_it_was(cache: Path, tmp_path: Path) -> None:
+    """Images, depth and cameras bit by bit, confidence within half a level of 255; depth is known and the target no source."""
+    sample = next(domain_views.prepare_views(cache, DOMAINS, PLAN)[0].samples())
+    assert sample.instant.target.name not in {source.camera.name for source in sample.instant.sources}
+    domain_views.write_view(tmp_path / "view.npz", sample)
+    back = domain_views.read_view(tmp_path / "view.npz")
+    assert (back.truth == sample.truth).all()
+    for source, other in zip(sample.instant.sources, back.instant.sources, strict=True):
+        assert (source.image == other.image).all()
+        assert (source.depth == other.depth).all()
+        assert (source.depth > 0).mean() > 0.5
+        np.testing.assert_allclose(source.confidence, other.confidence, atol=0.5 / 255)
+        np.testing.assert_array_equal(source.camera.world_to_camera, other.camera.world_to_camera)
+
+
+def test_tables_end_with_the_mean_and_the_differences() -> None:
+    """Means over views first, then over domains, so that a domain with more views weighs no more; the first minus each other."""
+    rows = [("a", "ours", 30.0), ("a", "ours", 32.0), ("a", "peer", 30.0), ("b", "ours", 20.0), ("b", "peer", 21.0)]
+    table = domain_validation.mean_scores(pd.DataFrame(rows, columns=["domain", "method", "PSNR"]), "PSNR")
+    assert list(table.columns) == ["a", "b", "mean"]
+    assert table.loc["ours"].tolist() == [31.0, 20.0, 25.5]
+    assert table.loc["ours - peer"].tolist() == [1.0, -1.0, 0.0]
+
+
+def test_what_is_absent_is_named_in_the_file(cache: Path, tmp_path: Path) -> None:
+    """Without the real capture its domain is left out of the scores; the file holds rows, means and the reason."""
+    domains = ("arc", domain_views.REAL)
+    scores = domain_validation.validate_domains(candidates([]), cache, domains, PLAN, tmp_path, perceptual=False)
+    assert set(scores["domain"]) == {"arc"}
+    domain_validation.write_scores(tmp_path / "table.json", scores, ["nearest", "grey"], ["real: absent"])
+    record = json.loads((tmp_path / "table.json").read_text())
+    assert record["not_computed"] == ["real: absent"]
+    assert record["means"]["PSNR"]["nearest"]["mean"] == pytest.approx(record["means"]["PSNR"]["nearest"]["arc"])
+    assert len(record["rows"]) == 4
+    assert "LPIPS" not in domain_validation.show_tables(scores, ["nearest", "grey"])
