@@ -1,17 +1,16 @@
 """The verb of the command line that trains the networks of this package."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from ggvs_eval.errors import TrainingError
 from ggvs_eval.pipelines.commands.captures import Folder
 from ggvs_eval.processes import default_workers
 
 if TYPE_CHECKING:
     from ggvs_eval.pipelines.online.blend_network import BlendConfig
+    from ggvs_eval.pipelines.training.blend_data import BlendData
     from ggvs_eval.pipelines.training.task import Task
 
 Precision = Literal["auto", "float32", "bfloat16"]
@@ -27,10 +26,12 @@ def train(
     views: int = 6,
     size: Size = "standard",
     guidance: Guidance = "registered",
-    rooms: int = 25,
+    rooms: int = 3,
     targets: int = 9,
+    domains: tuple[str, ...] = (),
     configuration: Literal["compact", "full"] = "compact",
     captures: tuple[Path, ...] = (),
+    hold_back: bool = False,
     device: str = "auto",
     precision: Precision = "auto",
     workers: int = 1,
@@ -50,11 +51,13 @@ def train(
         size: blend: of the U-Net; its first level has 8, 16 or 32 channels.
         guidance: blend: what it sees of the fused depth: views registered by it, its channels as the paper prints them, none
             of it (ablation), or no depth at all (naive).
-        rooms: blend, baselines: rooms to film, about a minute and 50 MB each.
-        targets: baselines: target views per room.
+        rooms: blend, baselines: rooms to film of each domain, one to four minutes and 50 MB each.
+        targets: blend, baselines: target views per room.
+        domains: blend: kinds of captures to learn from and to choose by (plain, narrow, arc, ...); all of them unless named.
         configuration: baselines: compact, which an hour of one core trains, or full, as the authors publish it.
         captures: blend: folders of captures to learn from beside the rooms (RGB-D sequences by ScanNet's rule, Spaces, DyNeRF,
             rigs of your own), never those that you test on.
+        hold_back: captures: RGB-D sequences are learned from in their first half, and what is new in the rest validates.
         device: cpu, cuda, or the better one by default.
         precision: of convolutions; auto takes bfloat16 where the hardware multiplies it faster.
         workers: processes that make batches.
@@ -63,6 +66,7 @@ def train(
     """
     from ggvs_eval.compute_device import compute_device, describe_device
     from ggvs_eval.pipelines.online.blend_network import WIDTHS, BlendConfig
+    from ggvs_eval.pipelines.training.blend_data import BlendData
     from ggvs_eval.pipelines.training.card import write_card
     from ggvs_eval.pipelines.training.loop import TrainingOptions
     from ggvs_eval.pipelines.training.loop import train as go_on
@@ -72,7 +76,8 @@ def train(
     if what == "stereo":
         task = _stereo(seed)
     elif what == "blend":
-        task = _blend(samples, seed, BlendConfig(views, guidance, WIDTHS[size]), rooms, captures)
+        data = BlendData(rooms, targets, domains, captures, hold_back)
+        task = _blend(samples, seed, BlendConfig(views, guidance, WIDTHS[size]), data)
     else:
         task = _baseline(what, samples, seed, configuration, rooms, targets)
     options = TrainingOptions(
@@ -81,7 +86,10 @@ def train(
     command = f"ggvs-eval train {what} {out.name} --steps {steps} --seed {seed}"
     if what == "blend":
         command += f" --guidance {guidance} --views {views} --size {size} --rooms {rooms}"
+        command += f" --targets {targets}" + (f" --domains {' '.join(domains)}" if domains else "")
         command += f" --captures {' '.join(path.name for path in captures)}" if captures else ""
+        command += " --hold-back" if hold_back else ""
+        command += f" --start-from {start_from.name}" if start_from else ""
     if what not in ("stereo", "blend"):
         command += f" --configuration {configuration} --rooms {rooms} --targets {targets}"
     print(go_on(task, out, options), write_card(task, out, command, device=hardware), sep="\n")
@@ -93,25 +101,12 @@ def _stereo(seed: int) -> "Task":
     return StereoTask(seed=seed)
 
 
-def _blend(cache: Path, seed: int, config: "BlendConfig", rooms: int, captures: Sequence[Path]) -> "Task":
+def _blend(cache: Path, seed: int, config: "BlendConfig", data: "BlendData") -> "Task":
     """The task with its samples in place."""
-    from ggvs_eval.datasets import open_capture
-    from ggvs_eval.pipelines.training.blend_rgbd import CaptureSamples
-    from ggvs_eval.pipelines.training.blend_rooms import RoomSamples
+    from ggvs_eval.pipelines.training.blend_data import blend_samples
     from ggvs_eval.pipelines.training.blend_task import BlendTask
-    from ggvs_eval.pipelines.training.capture_views import CapturePlan
-    from ggvs_eval.pipelines.training.joined_samples import JoinedSamples, Samples
-    from ggvs_eval.pipelines.training.room_plan import RoomPlan, validation_plan
 
-    usual = min(4, config.views)
-    others = tuple(views for views in range(2, config.views + 1) if views != usual)
-    plan = RoomPlan(rooms=rooms, views=usual, other_views=others, other_share=0.4 if others else 0.0)
-    lots: list[Samples] = [RoomSamples(cache, plan)] if rooms else []
-    if captures:
-        lots.append(CaptureSamples(cache, [open_capture(path) for path in captures], CapturePlan(views=usual)))
-    if not lots:
-        raise TrainingError("train blend: wanted rooms or captures to learn from, got neither; give --rooms or --captures")
-    training, validation = JoinedSamples(*lots), RoomSamples(cache, validation_plan(usual, "sgbm"))
+    training, validation = blend_samples(cache, data, config.views)
     for samples in (validation, training):
         samples.prepare(default_workers())
     return BlendTask(training, validation, config, seed=seed)
