@@ -28,7 +28,7 @@ class ColourHarmony:
 
     A lattice of pixels of each source is looked up in every other source that sees the same surface. The median ratio of two
     sources' colours tells their gains apart; least squares over all pairs gives every source's. State: the mean ratio of each
-    pair of cameras that were sources together.
+    pair of cameras that were sources together, since the last gap in time.
 
     Args:
         memory: instants that a ratio is the mean of, at most; 1 for none but the present one.
@@ -45,6 +45,7 @@ class ColourHarmony:
     def __init__(self, memory: int = 10) -> None:
         self._memory = memory
         self._ratios: dict[tuple[str, str], tuple[int, Array]] = {}
+        self._index: int | None = None
 
     def step(self, instant: Instant, depths: Sequence[Map], tolerance: float) -> Instant:
         """The instant with its source images multiplied by `gains`; they stay in 8 bit, and nobody else need know."""
@@ -62,6 +63,9 @@ class ColourHarmony:
             depths: of each source view, in its own image, world units, 0 where unknown.
             tolerance: depths that differ by less are the same surface, world units.
         """
+        if self._index is not None and instant.index != self._index + 1:
+            self._ratios.clear()  # stale history is worse than none
+        self._index = instant.index
         views = [Lattice(source, depth) for source, depth in zip(instant.sources, depths, strict=True)]
         log_gains = self._solve(views, tolerance)
         cameras, shares = [source.camera for source in instant.sources], [source.share for source in instant.sources]

@@ -2,9 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from ggvs_eval.baselines.method import Map
 from ggvs_eval.camera import Camera
@@ -51,53 +53,50 @@ class RememberedBackground:
         Args:
             index: of the instant; after a gap, or from another pose, nothing is remembered.
             target: camera of the output.
-            image: blended, holes filled from their surroundings, (H, W, 3), float32.
+            image: blended, holes filled from their surroundings, (H, W, 3), float32; written into.
             depth: fused, (H, W), world units, 0 where unknown.
             splats: forward renderings of the sources; their coverage tells the holes.
             still: how sure it is that nothing moves at each cell, see `stillness`.
 
         Returns:
-            (H, W, 3), float32.
+            The image.
         """
-        hole = hole_weight(splats, self._covered_alpha)
+        alpha = largest_alpha(splats)
+        in_hole = cv2.compare(alpha, self._covered_alpha, cv2.CMP_LT)
         memory = self._memory
         if memory is None or memory.index != index - 1 or not memory.target.shows_the_same_rays(target):
-            self._memory = _Memory(index, target, image.copy(), np.where(hole > 0, np.float32(0), depth))
+            self._memory = _Memory(index, target, image.copy(), np.where(in_hole > 0, np.float32(0), depth))
             return image
         memory.index = index
-        filled = _filled(memory, image, hole)
-        _remember(memory, image, np.where(hole > 0, np.float32(0), depth), still)
-        return filled
+        _remember(memory, image, depth, in_hole, still)
+        self._fill(memory, image, alpha, in_hole)
+        return image
+
+    def _fill(self, memory: _Memory, image: Map, alpha: Map, in_hole: NDArray[np.uint8]) -> None:
+        """Put memory into the holes; fillings that stand for nothing seen are renewed a little."""
+        at = np.flatnonzero(in_hole)
+        past, new = memory.image.reshape(-1, 3), image.reshape(-1, 3)
+        guessed = at[memory.depth.ravel()[at] <= 0]
+        past[guessed] += np.float32(RENEWAL) * (new[guessed] - past[guessed])
+        new[at] += hole_weight(alpha.ravel()[at], self._covered_alpha)[:, None] * (past[at] - new[at])
 
 
-def hole_weight(splats: Sequence[Splat], covered_alpha: float) -> Map:
-    """How far each pixel is a hole: 0 where a splat covers it, 1 where the largest coverage is half of that or less, (H, W)."""
-    alpha = splats[0].alpha
-    for view in splats[1:]:
-        alpha = cv2.max(alpha, view.alpha)
+def largest_alpha(splats: Sequence[Splat]) -> Map:
+    """The largest coverage by any source, (H, W)."""
+    return reduce(cv2.max, (view.alpha for view in splats))
+
+
+def hole_weight(alpha: Map, covered_alpha: float) -> Map:
+    """How far a pixel of that coverage is a hole: not at all where it is covered, altogether from half of that coverage down."""
     return np.clip((covered_alpha - alpha) / (covered_alpha * (1 - FEATHER)), 0, 1).astype(np.float32)
 
 
-def _filled(memory: _Memory, image: Map, hole: Map) -> Map:
-    """The image with memory in its holes; fillings that stand for nothing seen are renewed a little."""
-    at = np.flatnonzero(hole)
-    if not at.size:
-        return image
-    past, new = memory.image.reshape(-1, 3), image.reshape(-1, 3)
-    guessed = at[memory.depth.ravel()[at] <= 0]
-    past[guessed] += np.float32(RENEWAL) * (new[guessed] - past[guessed])
-    filled = image.copy()
-    filled.reshape(-1, 3)[at] += hole.ravel()[at][:, None] * (past[at] - new[at])
-    return filled
-
-
-def _remember(memory: _Memory, image: Map, depth: Map, still: Map) -> None:
+def _remember(memory: _Memory, image: Map, depth: Map, in_hole: NDArray[np.uint8], still: Map) -> None:
     """Note what is seen now where nothing behind it is remembered; what moves is no background."""
-    memory.depth *= np.float32(FORGETTING)
-    size = depth.shape[::-1]
+    cv2.multiply(memory.depth, FORGETTING, dst=memory.depth)
     farthest = cv2.compare(depth, cv2.multiply(memory.depth, BEHIND), cv2.CMP_GE)
-    seen = cv2.bitwise_and(farthest, cv2.compare(depth, 0, cv2.CMP_GT))
-    quiet = cv2.resize(cv2.compare(still, SURE_STILL, cv2.CMP_GE), size, interpolation=cv2.INTER_NEAREST)
+    seen = cv2.bitwise_and(cv2.bitwise_and(farthest, cv2.compare(depth, 0, cv2.CMP_GT)), cv2.bitwise_not(in_hole))
+    quiet = cv2.resize(cv2.compare(still, SURE_STILL, cv2.CMP_GE), depth.shape[::-1], interpolation=cv2.INTER_NEAREST)
     cv2.copyTo(image, seen, memory.image)
-    cv2.copyTo(depth, cv2.bitwise_and(seen, quiet), memory.depth)
+    cv2.copyTo(depth, seen, memory.depth)
     memory.depth[cv2.bitwise_and(seen, cv2.bitwise_not(quiet)) > 0] = 0

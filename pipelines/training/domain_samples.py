@@ -9,13 +9,15 @@ from ggvs_eval.pipelines.training.joined_samples import JoinedSamples, Samples
 from ggvs_eval.pipelines.training.room_plan import RoomPlan
 from ggvs_eval.synthetic.domains import DOMAINS, VALIDATION_SEEDS, find_domain
 
+MOST_PIXELS = 640 * 480  # of images that are not large
+
 
 def domain_plans(domains: Iterable[str] = tuple(DOMAINS), rooms: int = 4, targets: int = 8, **shared: object) -> list[RoomPlan]:
     """A training plan per domain, at the domain's own size.
 
     Args:
         domains: their names.
-        rooms: per domain.
+        rooms: per domain; of domains whose images are large a third of that, as they take as much time.
         targets: views per room.
         shared: whatever else plans have in common, see `RoomPlan`.
     """
@@ -53,4 +55,5 @@ def domain_validation_plan(
 
 def _sized(plan: RoomPlan, domain: str) -> RoomPlan:
     width, height = find_domain(domain).size
-    return replace(plan, domain=domain, width=width, height=height)
+    rooms = plan.rooms if width * height <= MOST_PIXELS else max(plan.rooms // 3, 1)
+    return replace(plan, domain=domain, rooms=rooms, width=width, height=height)
