@@ -22,12 +22,15 @@ class SourceView:
         image: captured frame, RGB uint8, (H, W, 3).
         depth: depth from the offline half, (H, W), world units, 0 where unknown.
         confidence: how far that depth is to be trusted, (H, W), in [0, 1].
+        share: how far the choice of sources counts on this view, in (0, 1]; falls towards 0 as the view is about to give way to
+            another one when the target moves.
     """
 
     camera: Camera
     image: Image8
     depth: Map
     confidence: Map
+    share: float = 1.0
 
 
 @dataclass(frozen=True)
