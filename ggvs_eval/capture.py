@@ -153,6 +153,11 @@ class Capture:
         index = self._index(name)
         return self.extras[index] if self.extras else Extras()
 
+    @property
+    def sensed_cameras(self) -> frozenset[str]:
+        """Names of the cameras whose depth a sensor measured."""
+        return frozenset(name for name in self.camera_names if self.extras_of(name).depth is not None)
+
     def background(self, name: str) -> Image8 | None:
         """The static background of one camera at the size of that camera, (H, W, 3); None where the capture has none."""
         source = self.extras_of(name).background

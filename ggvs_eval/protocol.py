@@ -9,6 +9,7 @@ from importlib import resources
 from typing import Any, Literal
 
 from ggvs_eval.errors import ProtocolError
+from ggvs_eval.geometry.source_views import SourceChoice
 from ggvs_eval.images import ResizeFilter
 from ggvs_eval.toml_tables import build_table, parse_toml
 
@@ -39,16 +40,19 @@ class Synthesis:
     """What a method is given.
 
     Attributes:
-        k: number of source cameras, nearest by centre.
+        k: number of source cameras.
         width: width of input and output images; 0 keeps the capture's.
         height: height of input and output images; 0 keeps the capture's.
         resize_filter: how the capture's frames reach that size.
+        sources: which cameras these are, see `choose_sources`: the ``nearest`` by centre, as in the paper, or those that by their
+            calibration see most of the target's view (``coverage``); all methods get the same.
     """
 
     k: int
     width: int = 0
     height: int = 0
     resize_filter: ResizeFilter = "lanczos"
+    sources: SourceChoice = "nearest"
 
 
 @dataclass(frozen=True)
@@ -114,8 +118,14 @@ class Protocol:
 
     @property
     def sha256(self) -> str:
-        """Hash of every value (not of the file's layout or comments); results carry it, tables refuse to mix it."""
-        return hashlib.sha256(json.dumps(dataclasses.asdict(self), sort_keys=True).encode()).hexdigest()
+        """Hash of every value (not of the file's layout or comments); results carry it, tables refuse to mix it.
+
+        A choice that came later is left out where it is as it always was, so that the hashes of older results stay valid.
+        """
+        values = dataclasses.asdict(self)
+        if self.synthesis.sources == Synthesis.sources:
+            del values["synthesis"]["sources"]
+        return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
     def to_toml(self) -> str:
         """The protocol as a TOML file that `load_protocol` reads back."""

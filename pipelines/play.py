@@ -53,7 +53,7 @@ def record(reel: Reel, out: Path, method: str = DEFAULT_METHOD, device: str = "c
         RenderError: the file cannot be written, or unknown method.
     """
     require_writable(out)
-    synthesizer = OnlineSynthesizer(reel.capture.cameras, reel.k, reel.capture.units_per_metre, method, device)
+    synthesizer = OnlineSynthesizer(reel.capture.cameras, reel.k, reel.capture.units_per_metre, method, device, reel.sources)
     timing = Timing()
     write_video(out, _views(reel, synthesizer, timing), reel.capture.fps or FPS_OF_STILLS)
     return timing

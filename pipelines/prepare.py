@@ -13,6 +13,8 @@ from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.path import CameraPath, open_path
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import CaptureError, ProtocolError
+from ggvs_eval.geometry.sight import require_sight
+from ggvs_eval.geometry.source_views import choose_sources
 from ggvs_eval.images import resize, write_image
 from ggvs_eval.pipelines.frame_cache import cache_frames
 from ggvs_eval.pipelines.jobs.engine import Workers
@@ -34,11 +36,13 @@ class SourcePlan:
         target: the camera to synthesise, at synthesis size.
         jobs: depth of each source camera, nearest first; the target takes no part in any of it.
         depth_keys: source camera -> key of its depth in the depth store.
+        shares: source camera -> how far the choice counts on it, see `ChosenSource`.
     """
 
     target: Camera
     jobs: tuple[DepthJob, ...]
     depth_keys: dict[str, str]
+    shares: dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -139,20 +143,35 @@ def fit_capture(capture: Capture, protocol: Protocol) -> Capture:
 
 
 def plan(run: RunFolder, protocol: Protocol, capture: Capture, options: DepthOptions) -> Prepared:
-    """Choose source cameras and depth partners of every test view and path pose."""
+    """Choose source cameras and depth partners of every test view and path pose.
+
+    Raises:
+        CameraError: fewer sources than the protocol wants, or sources that can show too little of a test view.
+        DepthError: a source that no camera can be matched with.
+
+    Reading:
+        Shares are for targets that move. A test view stands still and its sources never change, so that all count whole: with the
+        path's shares, nearest sources score 0.02 to 0.17 dB less and chosen ones 0.05 to 0.36 dB (validation rooms).
+    """
     path = _camera_path(capture, protocol)
     targets = [*(capture.camera(view) for view in protocol.views.test), *path.cameras]
-    jobs = plan_depth(capture, targets, protocol.synthesis.k, options)
+    k, choice = protocol.synthesis.k, protocol.synthesis.sources
+    chosen = {target.name: choose_sources(target, capture.cameras, k, choice) for target in targets}
+    sensed = capture.sensed_cameras if options.sensor is not None else frozenset[str]()
+    for target in targets[: len(protocol.views.test)]:
+        require_sight(target, [each.camera for each in chosen[target.name]], capture.cameras, sensed)
+    jobs = plan_depth(capture, targets, k, options, choice)
     keys = {job: DepthStore.key(depth_spec(capture, job, options)) for sources in jobs.values() for job in sources.values()}
     plans = {
         target.name: SourcePlan(
             target,
             tuple(jobs[target.name].values()),
             {name: keys[job] for name, job in jobs[target.name].items()},
+            {each.camera.name: each.share for each in chosen[target.name]},
         )
         for target in targets
     }
-    views = {view: plans[view] for view in protocol.views.test}
+    views = {view: replace(plans[view], shares=dict.fromkeys(plans[view].shares, 1.0)) for view in protocol.views.test}
     frame = min(max(round(path.time_s * capture.fps), protocol.frames.start), capture.n_frames - 1)
     return Prepared(run, protocol, capture, views, tuple(plans[pose.name] for pose in path.cameras), frame, path.images)
 

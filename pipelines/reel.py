@@ -4,11 +4,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from ggvs_eval.camera import Camera, nearest_cameras
+from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.digest import digest_values
 from ggvs_eval.errors import RenderError
+from ggvs_eval.geometry.source_views import SourceChoice, choose_sources
 from ggvs_eval.pipelines.camera_loop import camera_loop
 from ggvs_eval.pipelines.frame_cache import cache_frames
 from ggvs_eval.pipelines.offline.depth import DepthOptions
@@ -26,11 +27,13 @@ class PlayOptions:
         k: source views; those of the run's protocol, or 4, when None.
         frames: instants from the first on, in which the camera goes round once; all, or 90 of a single instant, when None.
         width: of the video in pixels; that of the rig's images when None.
+        sources: which cameras are source views, see `choose_sources`; as the run's protocol says, or the nearest, when None.
     """
 
     k: int | None = None
     frames: int | None = None
     width: int | None = None
+    sources: SourceChoice | None = None
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,7 @@ class Reel:
         k: source views.
         store: holds the depth.
         depth_keys: camera -> key of its depth.
+        sources: which cameras are source views.
     """
 
     capture: Capture
@@ -52,6 +56,7 @@ class Reel:
     k: int
     store: DepthStore
     depth_keys: Mapping[str, str]
+    sources: SourceChoice = "nearest"
 
 
 def reel_of_run(prepared: Prepared, options: PlayOptions) -> Reel:
@@ -68,7 +73,8 @@ def reel_of_run(prepared: Prepared, options: PlayOptions) -> Reel:
     instants = _instants(capture, prepared.frames, options.frames)
     poses = camera_loop(capture.cameras, len(instants), options.width)
     k = _checked_k(capture, prepared.protocol.synthesis.k if options.k is None else options.k)
-    return Reel(capture, poses, instants, k, DepthStore(prepared.run.depth), keys)
+    sources = options.sources or prepared.protocol.synthesis.sources
+    return Reel(capture, poses, instants, k, DepthStore(prepared.run.depth), keys, sources)
 
 
 def reel_of_capture(capture: Capture, options: PlayOptions, depth: DepthOptions, cache: Path, workers: int = 1) -> Reel:
@@ -94,15 +100,16 @@ def reel_of_capture(capture: Capture, options: PlayOptions, depth: DepthOptions,
     poses = camera_loop(capture.cameras, len(instants), options.width)
     k = _checked_k(capture, min(4, len(capture.cameras)) if options.k is None else options.k)
     alone = replace(depth, consistency=None)
-    needed = _needed(capture, poses, instants, k)
-    jobs = _jobs(capture, poses, k, alone)
+    sources = options.sources or "nearest"
+    needed = _needed(capture, poses, instants, k, sources)
+    jobs = _jobs(capture, poses, k, alone, sources)
     root = cache / _digest(capture)
     store, blocks = DepthStore(root / "depth"), list(blocks_of(needed, 2 * k))
     capture = cache_frames(capture, _wanted(blocks, jobs, alone), root / "frames", workers)
     for block, names in blocks:
         prepare_depth(capture, [jobs[name] for name in sorted(names)], block, store, alone, workers)
     keys = {name: DepthStore.key(depth_spec(capture, job, alone)) for name, job in jobs.items()}
-    return Reel(capture, poses, instants, k, store, keys)
+    return Reel(capture, poses, instants, k, store, keys, sources)
 
 
 def blocks_of(needed: Mapping[int, set[str]], most: int) -> Iterator[tuple[range, set[str]]]:
@@ -138,20 +145,22 @@ def _checked_k(capture: Capture, k: int) -> int:
     return k
 
 
-def _needed(capture: Capture, poses: Sequence[Camera], instants: Sequence[int], k: int) -> dict[int, set[str]]:
+def _needed(
+    capture: Capture, poses: Sequence[Camera], instants: Sequence[int], k: int, sources: SourceChoice
+) -> dict[int, set[str]]:
     """Instant -> the source cameras of its poses."""
     needed: dict[int, set[str]] = {instant: set() for instant in instants}
     for instant, pose in zip(instants, poses, strict=True):
-        needed[instant] |= {camera.name for camera in nearest_cameras(pose, capture.cameras, k)}
+        needed[instant] |= {each.camera.name for each in choose_sources(pose, capture.cameras, k, sources)}
     return needed
 
 
-def _jobs(capture: Capture, poses: Sequence[Camera], k: int, options: DepthOptions) -> dict[str, DepthJob]:
+def _jobs(capture: Capture, poses: Sequence[Camera], k: int, options: DepthOptions, sources: SourceChoice) -> dict[str, DepthJob]:
     """How the depth of each source camera is computed: the same wherever the virtual camera stands."""
     jobs: dict[str, DepthJob] = {}
     for pose in poses:
-        if any(camera.name not in jobs for camera in nearest_cameras(pose, capture.cameras, k)):
-            jobs |= plan_depth(capture, [pose], k, options)[pose.name]
+        if any(each.camera.name not in jobs for each in choose_sources(pose, capture.cameras, k, sources)):
+            jobs |= plan_depth(capture, [pose], k, options, sources)[pose.name]
     return jobs
 
 

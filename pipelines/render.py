@@ -100,6 +100,7 @@ def _identity(prepared: Prepared, label: str, spec: MethodSpec, plans: Sequence[
         "weights": [hashlib.sha256(file.read_bytes()).hexdigest() for file in spec.weights],
         "targets": [_camera_values(plan.target) for plan in plans],
         "sources": sorted(sources),
+        "shares": [plan.shares for plan in plans],
         "frames": [prepared.frames.start, prepared.frames.stop, prepared.path_frame],
         "units_per_metre": prepared.capture.units_per_metre,
         "resize": prepared.capture.resize_filter,
@@ -149,7 +150,7 @@ def _render_path(
     seconds = []
     for pose, plan in enumerate(plans):
         views = [
-            SourceView(capture.camera(name), images[name], stored.depth, stored.confidence)
+            SourceView(capture.camera(name), images[name], stored.depth, stored.confidence, plan.shares[name])
             for name, key in plan.depth_keys.items()
             for stored in [depths.read(key, frame)]
         ]
@@ -164,7 +165,7 @@ def _instants(capture: Capture, plan: SourcePlan, frames: range, store: DepthSto
     for index, images in zip(frames, zip(*streams, strict=True), strict=True):
         depths = [store.read(key, index) for key in plan.depth_keys.values()]
         sources = tuple(
-            SourceView(capture.camera(name), image, stored.depth, stored.confidence)
+            SourceView(capture.camera(name), image, stored.depth, stored.confidence, plan.shares[name])
             for name, image, stored in zip(plan.depth_keys, images, depths, strict=True)
         )
         yield Instant(index, plan.target, sources, capture.units_per_metre)

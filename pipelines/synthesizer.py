@@ -2,13 +2,15 @@
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from typing import get_args
 
 import numpy as np
 
 from ggvs_eval.baselines.method import Instant, LookaheadMethod, Map, Method, Rendering, SourceView
-from ggvs_eval.camera import Camera, nearest_cameras
+from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import CameraError, DepthError, RenderError
+from ggvs_eval.geometry.source_views import ChosenSource, SourceChoice, choose_sources
 from ggvs_eval.images import Image8
 from ggvs_eval.pipelines.methods.network_choice import NetworkChoice, found_device
 from ggvs_eval.pipelines.methods.registry import find_method
@@ -19,8 +21,8 @@ DEFAULT_METHOD = "ours"
 class OnlineSynthesizer:
     """A method behind a rig of fixed cameras.
 
-    Each step looks from the K cameras nearest to the target, so that the sources follow a target that moves. A camera that was no
-    source at the step before begins without history.
+    Each step looks from K cameras chosen for the target, so that the sources follow a target that moves; a camera counts less and
+    less as it is about to give way to another one. A camera that was no source at the step before begins without history.
 
     Args:
         cameras: the rig, at the size of its images.
@@ -28,6 +30,7 @@ class OnlineSynthesizer:
         units_per_metre: world units per metre.
         method: a label of `ggvs_eval.pipelines.methods.registry.METHODS`, or what makes a fresh method.
         device: where the networks of a method compute that is given by its label, see `compute_device`.
+        sources: which cameras a step takes: the K ``nearest``, or those that see most of the target's view (``coverage``).
 
     Raises:
         DeviceError: no such device here.
@@ -42,6 +45,7 @@ class OnlineSynthesizer:
         units_per_metre: float = 1.0,
         method: str | Callable[[], Method] = DEFAULT_METHOD,
         device: str = "cpu",
+        sources: SourceChoice = "nearest",
     ) -> None:
         twice = [name for name, count in Counter(camera.name for camera in cameras).items() if count > 1]
         if twice:
@@ -50,7 +54,10 @@ class OnlineSynthesizer:
             raise CameraError(f"rig: wanted a positive number of world units per metre, got {units_per_metre:g}")
         self.cameras = tuple(cameras)
         self.units_per_metre = units_per_metre
+        if sources not in get_args(SourceChoice):
+            raise CameraError(f"rig: wanted sources to be one of {', '.join(get_args(SourceChoice))}, got {sources!r}")
         self._make = online_method(method, device)
+        self._choice: SourceChoice = sources
         self.k = k
         self.restart()
 
@@ -74,9 +81,9 @@ class OnlineSynthesizer:
         """The cameras that a step towards this target takes, nearest first; one of the target's own name is left out.
 
         Raises:
-            CameraError: fewer than K are left.
+            CameraError: fewer than K are left, or none of them looks the target's way.
         """
-        return nearest_cameras(target, self.cameras, self.k)
+        return [each.camera for each in choose_sources(target, self.cameras, self.k, self._choice)]
 
     def step(
         self, images_by_camera: Mapping[str, Image8], depths_by_camera: Mapping[str, Map | DepthMap], target: Camera
@@ -94,10 +101,13 @@ class OnlineSynthesizer:
             RenderError: an image that is missing or does not fit its camera.
             DepthError: depth that is missing, does not fit its camera, is negative or not finite.
         """
-        chosen = self.sources(target)
-        _check_names(images_by_camera, chosen, target, "an image")
-        _check_names(depths_by_camera, chosen, target, "depth")
-        views = tuple(_source_view(each, images_by_camera[each.name], depths_by_camera[each.name]) for each in chosen)
+        chosen = choose_sources(target, self.cameras, self.k, self._choice)
+        names = [each.camera.name for each in chosen]
+        _check_names(images_by_camera, names, target, "an image")
+        _check_names(depths_by_camera, names, target, "depth")
+        views = tuple(
+            _source_view(each, images_by_camera[name], depths_by_camera[name]) for name, each in zip(names, chosen, strict=True)
+        )
         rendering = self._method.step(Instant(self._index, target, views, self.units_per_metre))
         self._index += 1
         return rendering
@@ -117,17 +127,18 @@ def online_method(method: str | Callable[[], Method], device: str = "cpu") -> Ca
     return make
 
 
-def _check_names(given: Mapping[str, object], chosen: Sequence[Camera], target: Camera, what: str) -> None:
-    missing = [camera.name for camera in chosen if camera.name not in given]
+def _check_names(given: Mapping[str, object], names: Sequence[str], target: Camera, what: str) -> None:
+    missing = [name for name in names if name not in given]
     if missing:
         raise RenderError(
-            f"camera {target.name}: wanted {what} of each of its sources {', '.join(camera.name for camera in chosen)}, got none "
+            f"camera {target.name}: wanted {what} of each of its sources {', '.join(names)}, got none "
             f"of {', '.join(missing)}; give those of the whole rig, or leave cameras without out of it"
         )
 
 
-def _source_view(camera: Camera, image: Image8, found: Map | DepthMap) -> SourceView:
+def _source_view(source: ChosenSource, image: Image8, found: Map | DepthMap) -> SourceView:
     """A copy of what a camera gives, since methods remember it and cameras write into the same memory again."""
+    camera = source.camera
     shape = (camera.height, camera.width)
     image = np.asarray(image)
     if image.shape != (*shape, 3) or image.dtype != np.uint8:
@@ -139,7 +150,7 @@ def _source_view(camera: Camera, image: Image8, found: Map | DepthMap) -> Source
     confidence = found.confidence if isinstance(found, DepthMap) else (depth > 0).astype(np.float32)
     if confidence.shape != shape:
         raise DepthError(f"camera {camera.name}: wanted confidence of {shape} like its depth, got {confidence.shape}")
-    return SourceView(camera, image.copy(), depth, confidence.astype(np.float32))
+    return SourceView(camera, image.copy(), depth, confidence.astype(np.float32), source.share)
 
 
 def _checked_depth(camera: Camera, depth: Map) -> Map:

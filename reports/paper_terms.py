@@ -54,6 +54,7 @@ class PaperTerms:
             f"{_count(frames, 'frame')}, not {self.frames}": frames != self.frames,
             f"{_count(views, 'test view')}, not {self.test_views}": views != self.test_views,
             f"K = {protocol.synthesis.k}, not {self.k}": protocol.synthesis.k != self.k,
+            "source views chosen by coverage, not the nearest": protocol.synthesis.sources != "nearest",
             f"{_size(size)} pixels, not {_size(self.size)}": size != self.size,
             f"measured at {_size(measured)}, not {_size(self.metric_size)}": size == self.size and measured != self.metric_size,
             "a frame held still or noise added": bool(capture.get("retake")),

@@ -28,6 +28,7 @@ GROUPS = {
         ),
     ),
 }
+CHOSEN_FOR = {"nearest": "", "coverage": ", chosen for what they see of the target"}  # words after the number of sources
 PUBLISHED_GROUPS = ("quality", "consistency")
 
 
@@ -108,9 +109,10 @@ def _main_table(
     grey += published_rows(key, dataset, metrics) if key in PUBLISHED_GROUPS else ()
     protocol = runs[0].protocol
     frames, views = _count(protocol.frames.count, "frame"), _count(len(protocol.views.test), "view")
-    means = f"Mean over {frames}, then {views}, then scenes; K = {protocol.synthesis.k} source views."
+    sources = f"K = {protocol.synthesis.k} source views{CHOSEN_FOR[protocol.synthesis.sources]}"
+    means = f"Mean over {frames}, then {views}, then scenes; {sources}."
     if key == "path":
-        means = f"Over the whole camera path, at one instant; K = {protocol.synthesis.k} source views."
+        means = f"Over the whole camera path, at one instant; {sources}."
     notes = [f"{reference.name}: {reference.note}" for reference in references if reference.group == key]
     marks = [f"{label} is {mark}; it is not ranked." for label, mark in partial.items()]
     caption = " ".join([means, *marks, *_certainty_captions(certain), *dict.fromkeys(notes)])

@@ -7,6 +7,8 @@ import pytest
 from ggvs_eval.errors import ProtocolError
 from ggvs_eval.protocol import load_protocol, packaged_protocols
 
+DEMO_SHA256 = "f25aff147bd9170d9c2c6249a923c3ffb6af271568f72c610bd99b08fcbc3240"  # at 3326e7f
+
 
 @pytest.mark.parametrize("name", packaged_protocols())
 def test_packaged_protocols_survive_a_round_trip(name, tmp_path):
@@ -28,9 +30,25 @@ def test_the_hash_depends_on_every_value():
         dataclasses.replace(protocol, frames=dataclasses.replace(protocol.frames, count=3)),
         dataclasses.replace(protocol, measurement=dataclasses.replace(protocol.measurement, ddof=0)),
         dataclasses.replace(protocol, synthesis=dataclasses.replace(protocol.synthesis, resize_filter="area")),
+        dataclasses.replace(protocol, synthesis=dataclasses.replace(protocol.synthesis, sources="coverage")),
     ]
 
-    assert len({item.sha256 for item in [protocol, *changed]}) == 5
+    assert len({item.sha256 for item in [protocol, *changed]}) == 6
+
+
+def test_older_results_keep_their_hash():
+    """The choice of sources came later: protocols that do not use it have the hash that results of before carry."""
+    assert load_protocol("demo").sha256 == DEMO_SHA256
+
+
+def test_the_choice_of_sources_survives_a_round_trip(tmp_path):
+    """Written as TOML and read back, with its own hash."""
+    protocol = load_protocol("demo")
+    chosen = dataclasses.replace(protocol, synthesis=dataclasses.replace(protocol.synthesis, sources="coverage"))
+    (tmp_path / "copy.toml").write_text(chosen.to_toml())
+
+    assert load_protocol(tmp_path / "copy.toml") == chosen
+    assert load_protocol(tmp_path / "copy.toml").sha256 == chosen.sha256
 
 
 @pytest.mark.parametrize(
@@ -40,6 +58,7 @@ def test_the_hash_depends_on_every_value():
         ("k = 4", "k = '4'", "synthesis.k must be a whole number, got '4'"),
         ("k = 4", "k = true", "synthesis.k must be a whole number, got True"),
         ("k = 4", "k = 0", "synthesis.k must be at least 1"),
+        ("k = 4", "k = 4\nsources = 'covrage'", "synthesis.sources must be one of 'nearest', 'coverage', got 'covrage'"),
         ("count = 24", "", "missing key frames.count"),
         ("count = 24", "count = 0", "frames.count at least 1"),
         ('"lanczos"', '"lanzcos"', "synthesis.resize_filter must be one of 'area', 'lanczos'"),

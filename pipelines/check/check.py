@@ -114,7 +114,7 @@ def examine(capture: Capture, records: list[CameraRecord]) -> tuple[Finding, ...
         lambda: poses.check_poses(cameras, verdict.suspects),
         lambda: intrinsics.check_intrinsics(cameras),
         lambda: depth_range.check_depth_range(cameras, depths, verdict.suspects),
-        lambda: overlap.check_overlap(cameras),
+        lambda: overlap.check_overlap(cameras, capture.sensed_cameras),
         lambda: verdict.findings,
         lambda: timing.check_timing(cameras, records, verdict.suspects, capture.fps),
         lambda: colour.check_gain(capture.camera_names, verdict.pairs),

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import tyro
 
+from ggvs_eval.geometry.source_views import SourceChoice
 from ggvs_eval.pipelines.commands.captures import BY_DEFAULT, FOUND_BY_DEFAULT, Finding, Reading
 from ggvs_eval.pipelines.commands.runs import Device
 from ggvs_eval.pipelines.methods.network_choice import found_device
@@ -20,6 +21,7 @@ def play(
     k: int | None = None,
     frames: int | None = None,
     width: int | None = None,
+    sources: SourceChoice | None = None,
     device: Device = "cpu",
     reading: Reading = BY_DEFAULT,
     depth: Finding = FOUND_BY_DEFAULT,
@@ -34,6 +36,8 @@ def play(
         k: source views; those of the run's protocol, or 4, by default.
         frames: instants from the first on, in which the camera goes round once; all, or 90 of a single instant, by default.
         width: of the video in pixels; that of the captured frames by default.
+        sources: which cameras are source views: the nearest, or those that see most of the view (coverage); as the run's protocol
+            says, or the nearest, by default.
         device: where networks of the method compute.
         reading: how a capture is read.
         depth: how depth of a capture is found.
@@ -46,7 +50,7 @@ def play(
     device = found_device(device)
     online_method(method, device)
     require_writable(out)
-    wanted = PlayOptions(k, frames, width)
+    wanted = PlayOptions(k, frames, width, sources)
     if (source / "protocol.toml").is_file():
         reel = reel_of_run(reopen(source, jobs), wanted)
     else:

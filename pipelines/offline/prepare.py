@@ -4,9 +4,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from ggvs_eval.camera import Camera, nearest_cameras
+from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore, describe_depth
+from ggvs_eval.geometry.source_views import SourceChoice, choose_sources
 from ggvs_eval.pipelines.jobs.do_all import do_all
 from ggvs_eval.pipelines.jobs.engine import Workers
 from ggvs_eval.pipelines.offline.checked_depth import check_depth
@@ -36,26 +37,29 @@ class DepthJob:
         return replace(self, checked_with=())
 
 
-def plan_depth(capture: Capture, targets: Sequence[Camera], k: int, options: DepthOptions) -> dict[str, dict[str, DepthJob]]:
-    """Which depth each target needs: of its k nearest cameras, matched with any camera but the target.
+def plan_depth(
+    capture: Capture, targets: Sequence[Camera], k: int, options: DepthOptions, sources: SourceChoice = "nearest"
+) -> dict[str, dict[str, DepthJob]]:
+    """Plan the depth that each target needs: of its k sources, matched with any camera but the target.
 
     Args:
         capture: the capture.
         targets: cameras to be rendered, of the capture (left out of everything) or of a virtual path.
         k: number of sources per target.
         options: parameters.
+        sources: which cameras they are.
 
     Returns:
         For each target's name its sources' names, nearest first, each with its job; equal jobs are shared between targets.
 
     Raises:
-        CameraError: fewer than k sources.
+        CameraError: fewer sources than `choose_sources` wants.
         DepthError: a source that no camera can be matched with.
     """
     plan = {}
     for target in targets:
-        sources = nearest_cameras(target, capture.cameras, k)
-        found = {source.name: _plan_job(capture, source, target, options) for source in sources}
+        chosen = [each.camera for each in choose_sources(target, capture.cameras, k, sources)]
+        found = {source.name: _plan_job(capture, source, target, options) for source in chosen}
         plan[target.name] = {name: _checked(job, found, options) for name, job in found.items()}
     return plan
 

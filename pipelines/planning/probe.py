@@ -184,7 +184,10 @@ def _try_method(
 
 def _instant(capture: Capture, plan: SourcePlan, frame: int, store: DepthStore) -> Instant:
     stored = [(name, store.read(key, frame)) for name, key in plan.depth_keys.items()]
-    views = [SourceView(capture.camera(name), capture.frame(name, frame), each.depth, each.confidence) for name, each in stored]
+    views = [
+        SourceView(capture.camera(name), capture.frame(name, frame), each.depth, each.confidence, plan.shares[name])
+        for name, each in stored
+    ]
     return Instant(frame, plan.target, tuple(views), capture.units_per_metre)
 
 

@@ -1,0 +1,209 @@
+"""The choice of source views: what is never chosen, what a choice does not depend on, and how its shares follow the target."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from ggvs_eval.camera import Camera, nearest_cameras
+from ggvs_eval.errors import CameraError
+from ggvs_eval.geometry import source_views
+from ggvs_eval.geometry.source_views import LEAST_SHARE, choose_sources, covered_share, sample_view, turn_rad
+from ggvs_eval.pipelines.camera_loop import camera_loop
+from ggvs_eval.synthetic import hand_held
+from ggvs_eval.synthetic.hand_held import hand_held_poses
+from ggvs_eval.synthetic.rig import GRID_YAW_RAD, OUTERMOST_YAW_RAD, arc_rig, rig
+
+CHOICES = ("nearest", "coverage")
+SIZE, NEAR, FAR = (64, 48), 10.0, 32.0
+
+
+def make_rig(shape: str, seed: int = 101) -> list[Camera]:
+    """Cameras of a procedural room's rig, or poses of a camera that is carried through it and pans."""
+    if shape == "arc":
+        return arc_rig(seed, *SIZE, 12, NEAR, FAR)
+    if shape in ("rows", "grid"):
+        yaw_rad = OUTERMOST_YAW_RAD if shape == "rows" else GRID_YAW_RAD
+        return rig(seed, *SIZE, 8, NEAR, FAR, yaw_rad)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(hand_held, "AIM_SWAY", 10.0)
+        return hand_held_poses(seed, *SIZE, 20, 4.0, NEAR, FAR)
+
+
+def names(sources) -> list[str]:
+    return [each.camera.name for each in sources]
+
+
+def shares(sources) -> dict[str, float]:
+    return {each.camera.name: each.share for each in sources}
+
+
+def moved(camera: Camera, rotation: np.ndarray, shift: np.ndarray, scale: float) -> Camera:
+    """The same camera in a world that is turned, shifted and scaled."""
+    world_to_camera = np.eye(4)
+    world_to_camera[:3, :3] = camera.rotation @ rotation.T
+    world_to_camera[:3, 3] = -world_to_camera[:3, :3] @ (scale * rotation @ camera.centre + shift)
+    return replace(camera, world_to_camera=world_to_camera, near=scale * camera.near, far=scale * camera.far)
+
+
+def turned(camera: Camera, angle_rad: float, name: str) -> Camera:
+    """A camera at the same place that looks elsewhere."""
+    turn = Rotation.from_euler("y", angle_rad).as_matrix()
+    world_to_camera = np.eye(4)
+    world_to_camera[:3, :3] = turn @ camera.rotation
+    world_to_camera[:3, 3] = turn @ camera.translation
+    return replace(camera, name=name, world_to_camera=world_to_camera)
+
+
+def value(target: Camera, sources: list[Camera]) -> float:
+    """What `coverage` maximises, for one set of sources."""
+    worth = np.stack([source_views._worth(target, source, sample_view(target)) for source in sources])
+    return float(source_views._values(np.ones((1, len(sources)), bool), worth)[0])
+
+
+@pytest.mark.parametrize("how", CHOICES)
+@pytest.mark.parametrize("shape", ["rows", "arc", "grid", "walk"])
+def test_sources_are_others_nearest_first_and_few(shape, how):
+    """Never the target, never twice, nearest first, at most K, shares in (0, 1], and the same again."""
+    cameras = make_rig(shape)
+    for target in cameras[::3]:
+        chosen = choose_sources(target, cameras, 4, how)
+        distances = [np.linalg.norm(each.camera.centre - target.centre) for each in chosen]
+        assert target.name not in names(chosen)
+        assert 1 <= len(set(names(chosen))) == len(chosen) <= 4
+        assert distances == sorted(distances)
+        assert all(LEAST_SHARE <= each.share <= 1 for each in chosen)
+        assert shares(choose_sources(target, cameras[::-1], 4, how)) == shares(chosen)
+
+
+def test_nearest_are_the_nearest():
+    """`nearest` is the paper's rule, whatever the cameras see."""
+    cameras = make_rig("walk")
+    for target in cameras:
+        assert names(choose_sources(target, cameras, 3)) == [each.name for each in nearest_cameras(target, cameras, 3)]
+
+
+@pytest.mark.parametrize("k", [1, 2, 4])
+def test_coverage_covers_what_nearest_covers(k):
+    """By the measure that it maximises it is never worse; by the plain one it is better on average and never much worse."""
+    plain = []
+    for shape in ("rows", "arc", "grid", "walk"):
+        cameras = make_rig(shape, 102)
+        for target in cameras[::2]:
+            near, chosen = ([each.camera for each in choose_sources(target, cameras, k, how)] for how in ("nearest", "coverage"))
+            assert value(target, chosen) >= value(target, near) - 1e-9
+            plain.append(covered_share(target, chosen) - covered_share(target, near))
+    assert np.mean(plain) > 0
+    assert min(plain) > -0.05
+
+
+def test_a_panning_camera_gets_sources_that_look_where_it_looks():
+    """Of a walk with pans the two nearest places leave half of a view out; chosen ones see it."""
+    cameras = make_rig("walk")
+    covered = {
+        how: [covered_share(target, [each.camera for each in choose_sources(target, cameras, 2, how)]) for target in cameras]
+        for how in CHOICES
+    }
+    assert min(covered["nearest"]) < 0.5
+    assert min(covered["coverage"]) > 0.9
+
+
+def test_turned_away_cameras_are_never_chosen():
+    """A camera beside the target that looks elsewhere is not taken, though fewer than K are left; alone it is refused."""
+    target = make_rig("grid")[0]
+    beside = [turned(target, angle_rad, f"turned{index}") for index, angle_rad in enumerate((1.4, 2.0, np.pi, -1.6))]
+    fellow = turned(target, 0.1, "fellow")
+    assert min(turn_rad(target, camera) for camera in beside) > source_views.MOST_TURN_RAD
+    assert names(choose_sources(target, [target, *beside, fellow], 4, "coverage")) == ["fellow"]
+    with pytest.raises(CameraError, match="none of 4 cameras is turned by less than 75 degrees and sees any of its view"):
+        choose_sources(target, [target, *beside], 2, "coverage")
+
+
+@pytest.mark.parametrize("how", CHOICES)
+def test_k_of_k_are_all(how):
+    """Where there are no others to choose, all are taken, and all count whole where all are of use."""
+    cameras = make_rig("grid")[:5]
+    chosen = choose_sources(cameras[0], cameras, 4, how)
+    assert set(names(chosen)) == {camera.name for camera in cameras[1:]}
+    assert set(shares(chosen).values()) == {1.0}
+
+
+@pytest.mark.parametrize("how", CHOICES)
+@given(
+    turn=st.tuples(*[st.floats(-3, 3)] * 3),
+    shift=st.tuples(*[st.floats(-50, 50)] * 3),
+    scale=st.floats(0.01, 100),
+    index=st.integers(0, 15),
+)
+@settings(max_examples=10, deadline=None)
+def test_the_world_may_be_turned_shifted_and_scaled(how, turn, shift, scale, index):
+    """Neither the choice nor its shares depend on where the world's origin lies and how long its unit is."""
+    rotation, offset = Rotation.from_rotvec(turn).as_matrix(), np.array(shift)
+    cameras = make_rig("rows", 103)
+    there = [moved(camera, rotation, offset, scale) for camera in cameras]
+    here, away = (shares(choose_sources(each[index], each, 3, how)) for each in (cameras, there))
+    assert {*here} == {*away}
+    np.testing.assert_allclose([away[name] for name in here], list(here.values()), atol=1e-3)
+
+
+@pytest.mark.parametrize("how", CHOICES)
+@given(shape=st.sampled_from(["rows", "arc", "grid"]), start=st.integers(0, 58), part=st.floats(0, 0.99), k=st.integers(2, 4))
+@settings(max_examples=20, deadline=None)
+def test_shares_are_continuous_as_the_target_moves(how, shape, start, part, k):
+    """In 1/6000 of the way round no share changes much, that of a camera that comes or goes included."""
+    cameras = make_rig(shape)
+    poses = camera_loop(cameras, 60)[start : start + 2]
+    before, after = (shares(choose_sources(between(*poses, place), cameras, k, how)) for place in (part, part + 0.01))
+    assert max(abs(before.get(name, 0) - after.get(name, 0)) for name in {*before, *after}) < 0.1
+
+
+@pytest.mark.parametrize("how", CHOICES)
+def test_a_view_has_no_share_at_its_exchange(how):
+    """Found by bisection: just before and just after the set changes, who goes and who comes have the least share."""
+    cameras = make_rig("rows")
+    poses = camera_loop(cameras, 60)
+    start = next(i for i in range(59) if {*names(at(poses[i], cameras, how))} != {*names(at(poses[i + 1], cameras, how))})
+    low, high = 0.0, 1.0
+    for _ in range(40):
+        middle = (low + high) / 2
+        same = {*names(at(between(poses[start], poses[start + 1], middle), cameras, how))} == {
+            *names(at(poses[start], cameras, how))
+        }
+        low, high = (middle, high) if same else (low, middle)
+    before, after = (shares(at(between(poses[start], poses[start + 1], place), cameras, how)) for place in (low, high))
+    exchanged = {*before} ^ {*after}
+    assert exchanged
+    assert all((before | after)[name] <= LEAST_SHARE + 1e-3 for name in exchanged)
+
+
+def at(target: Camera, cameras: list[Camera], how: str):
+    return choose_sources(target, cameras, 4, how)
+
+
+def between(one: Camera, other: Camera, part: float) -> Camera:
+    """A pose on the way from one to another: its centre moves, it looks where the first one looks."""
+    world_to_camera = one.world_to_camera.copy()
+    world_to_camera[:3, 3] = -one.rotation @ ((1 - part) * one.centre + part * other.centre)
+    return replace(one, world_to_camera=world_to_camera)
+
+
+@pytest.mark.parametrize("how", CHOICES)
+def test_too_few_cameras_and_unknown_choices_are_refused(how):
+    """One line each."""
+    cameras = make_rig("grid")[:3]
+    with pytest.raises(CameraError, match="wanted 3 source cameras, the capture has 2 others"):
+        choose_sources(cameras[0], cameras, 3, how)
+    with pytest.raises(CameraError, match="wanted one of nearest, coverage, got 'covrage'"):
+        choose_sources(cameras[0], cameras, 2, "covrage")  # type: ignore[arg-type]
+
+
+def test_a_camera_covers_itself():
+    """The lattice measure: all from the same place, nothing back to back, half from a window of half the width."""
+    camera = make_rig("grid")[0]
+    assert covered_share(camera, [camera]) == 1
+    assert covered_share(camera, [turned(camera, np.pi, "back")]) == 0
+    assert covered_share(camera, [camera.cropped(0, 0, camera.width // 2, camera.height)]) == pytest.approx(0.5)
+    assert covered_share(camera, []) == 0
