@@ -24,12 +24,14 @@ check: $(READY) view
 	$(BIN)/ruff format --check .
 	cd build/view && ../../$(BIN)/python -m mypy --config-file ../../setup.cfg ggvs_eval
 
-# Heavier proofs: speed against peers (out/bench.json), quality on real captures (out/validate.json).
+# Heavier proofs: speed against peers (out/bench.json), quality on real captures (out/validate.json) and by domains of captures
+# (out/validate_domains.json).
 bench: $(READY)
 	$(BIN)/python -m benchmarks
 
 validate: $(READY)
 	$(BIN)/python -m ggvs_eval.pipelines.validate $(if $(DATA),--data $(DATA))
+	$(BIN)/python -m benchmarks.domain_validation $(if $(DATA),--data $(DATA))
 
 # What users get: the wheel, with no checkout in sight; its dependencies are those of .venv.
 wheel-test: $(READY)

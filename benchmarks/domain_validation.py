@@ -38,8 +38,9 @@ def main() -> None:
     methods = {label: find_method(label).make for label in arguments.methods}
     plan = ViewPlan(arguments.targets, arguments.views, arguments.frames, arguments.seeds, arguments.matcher)
     scores = validate_domains(methods, arguments.out / "domains", arguments.domains, plan, arguments.data, workers=arguments.jobs)
-    print(show_tables(scores, list(methods)))
-    not_computed = [] if REAL in set(scores["domain"]) else [f"{REAL_TITLE}: no {REAL_CAPTURE} in {arguments.data}; give --data"]
+    print(show_tables(scores))
+    absent = REAL in arguments.domains and REAL not in set(scores["domain"])
+    not_computed = [f"{REAL_TITLE}: no {REAL_CAPTURE} in {arguments.data}; give --data"] if absent else []
     for line in not_computed:
         print(f"not computed: {line}")
     write_scores(arguments.out / "validate_domains.json", scores, list(methods), not_computed)
@@ -109,7 +110,7 @@ def mean_scores(scores: pd.DataFrame, metric: str) -> pd.DataFrame:
     return table.assign(mean=table.mean(axis=1))
 
 
-def show_tables(scores: pd.DataFrame, methods: list[str]) -> str:
+def show_tables(scores: pd.DataFrame) -> str:
     """The tables of all metrics as text."""
     blocks = []
     for metric, form in METRICS.items():

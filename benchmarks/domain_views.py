@@ -14,6 +14,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.digest import digest_values
+from ggvs_eval.errors import CaptureError
 from ggvs_eval.images import Image8
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.training.blend_rgbd import MeasuredSampleMaker
@@ -142,7 +143,7 @@ def _real(data: Path | None, plan: ViewPlan) -> tuple[Capture, Choices]:
     """The held-back part of the real sequence; its views are drawn as those of any sequence that networks learn from."""
     path = real_capture(data)
     if path is None:
-        raise FileNotFoundError(f"wanted the captures' folder with {REAL_CAPTURE}, got {data}; give --data")
+        raise CaptureError(f"{data}: wanted a folder with the capture {REAL_CAPTURE}, got none; give --data")
     held_back, rule = held_back_halves(open_capture(path))[1], CapturePlan(plan.targets, plan.views, matcher=plan.matcher)
     return held_back, [draw_views(held_back, rule, REAL_CAPTURE, number) for number in range(plan.targets)]
 

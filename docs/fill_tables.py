@@ -44,6 +44,7 @@ SPEED_ROWS = {  # shown: first part of the figures' names
 STAGES = {"filter": "_filter", "splat": "_splat", "TSDF": "_tsdf", "blend": "_blend", "frame, p50": "", "frame, p95": "_p95"}
 
 ABLATION_METRICS = ("PSNR", "LPIPS", "TCC", "STED", "SDT", "EPI_coherence", "EPI_line_texture", "EPI_slope_error")
+DOMAIN_METRICS = {"PSNR": ".2f", "LPIPS": ".3f"}
 BASELINE_METRICS = ("PSNR", "SSIM", "LPIPS", "L1", "TCC", "STED", "SDT", "SDV")
 
 Figures = dict[str, dict[str, Any]]
@@ -77,6 +78,7 @@ def main() -> None:
             "calibration": lambda: figures_table(OUT / "validate.json", r"calibration\."),
             "depth": lambda: figures_table(OUT / "depth_validation" / "figures.json", DEPTH_FIGURES),
             "validate": lambda: figures_table(OUT / "validate.json", r"(?!calibration|depth)"),
+            "domains": domains_table,
             "bench": lambda: figures_table(OUT / "bench.json"),
             "device": device_table,
         },
@@ -121,6 +123,20 @@ def speed_table() -> str:
         cells = [f"{figures[name + stage]['value']:.0f}" for stage in STAGES.values()]
         rows.append(f"| {shown} | " + " | ".join(cells) + f" | {figures[name + '_rate']['value']:.2f} |")
     return "\n".join(rows)
+
+
+def domains_table() -> str:
+    """What ``python -m benchmarks.domain_validation`` printed: a row per domain, a column per method, PSNR and LPIPS."""
+    measured = _read(OUT / "validate_domains.json")
+    means, methods = measured["means"], measured["methods"]
+    columns = [(metric, label) for metric in DOMAIN_METRICS if metric in means for label in methods]
+    columns += [("PSNR", label) for label in means["PSNR"] if label not in methods]
+    rows = ["| domain | " + " | ".join(f"{metric}, {label}" for metric, label in columns) + " |"]
+    rows.append("| --- |" + " ---: |" * len(columns))
+    for domain in means["PSNR"][methods[0]]:
+        cells = [f"{means[metric][label][domain]:{DOMAIN_METRICS[metric]}}" for metric, label in columns]
+        rows.append(f"| {domain} | " + " | ".join(cells) + " |")
+    return "\n".join([*rows, *(f"\nNot computed: {line}." for line in measured["not_computed"])])
 
 
 def device_table() -> str:

@@ -12,9 +12,10 @@ from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError, TrainingError
 from ggvs_eval.pipelines.training.blend_rooms import RoomSamples
 from ggvs_eval.pipelines.training.capture_views import overlap
-from ggvs_eval.pipelines.training.domain_samples import domain_plans, domain_validation_plan, mixed_samples
+from ggvs_eval.pipelines.training.domain_samples import domain_plans, mixed_instants, mixed_samples
 from ggvs_eval.pipelines.training.held_back import held_back_halves
-from ggvs_eval.pipelines.training.room_plan import RoomPlan, choose_views, film_room, room_options
+from ggvs_eval.pipelines.training.room_instants import RoomInstants
+from ggvs_eval.pipelines.training.room_plan import RoomPlan, choose_views, draw_window, film_room, room_options
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.depth_sensor import measured, misplaced
 from ggvs_eval.synthetic.domains import DOMAINS, VALIDATION_SEEDS, domain_options
@@ -280,14 +281,32 @@ def test_samples_of_many_domains_are_one_lot(tmp_path: Path) -> None:
     assert "domain handheld" in lot.data
 
 
+def test_of_large_images_a_window_is_kept(tmp_path: Path) -> None:
+    """It shows what the whole sample shows there, for the network and for the baselines, whose sources are cut to it."""
+    whole = replace(domain_plans(["large"], rooms=1, targets=1)[0], width=96, height=72, window=None)
+    part = replace(whole, window=(64, 48))
+    lots = [mixed_samples(tmp_path, [whole]), mixed_samples(tmp_path, [part]), mixed_instants(tmp_path, [part])]
+    for plan in (whole, part):
+        RoomSamples(tmp_path, plan).prepare_room(1000)
+    RoomInstants(tmp_path, part).prepare_room(1000)
+    sample, window, instant = (lot.read(0) for lot in lots)
+    left, top, width, height = draw_window(part, 1000, 0)
+    assert (width, height) == (64, 48)
+    assert (window.truth == sample.truth[top : top + 48, left : left + 64]).all()
+    assert (window.views.fused_depth == sample.views.cropped(left, top, 64, 48).fused_depth).all()
+    np.testing.assert_allclose(window.views.target.K[:2, 2], sample.views.target.K[:2, 2] - (left, top))
+    assert (instant.truth == window.truth).all()
+    assert (lots[2].plan.width, lots[2].plan.height) == (64, 48)
+
+
 def test_sources_of_a_hand_held_camera_follow_the_rule_of_sequences(tmp_path: Path) -> None:
     """They lie within the domain's span, beyond its gap, and equal seeds give equal views."""
-    plan = replace(domain_validation_plan("misplaced_depth", views=3), width=64, height=48)
-    capture, domain = film_room(tmp_path, 101, plan), DOMAINS["misplaced_depth"]
-    target, sources = choose_views(capture, plan, 101, 0)
+    plan = RoomPlan(width=64, height=48, views=3, other_share=0.0, domain="misplaced_depth")
+    capture, domain = film_room(tmp_path, 1000, plan), DOMAINS["misplaced_depth"]
+    target, sources = choose_views(capture, plan, 1000, 0)
     apart = [abs(int(source.name) - int(target.name)) for source in sources]
     assert all(domain.gap < each <= domain.span for each in apart)
-    assert _names(choose_views(capture, plan, 101, 0)) == _names((target, sources))
+    assert _names(choose_views(capture, plan, 1000, 0)) == _names((target, sources))
 
 
 def _names(views: tuple[Camera, list[Camera]]) -> list[str]:

@@ -22,19 +22,19 @@ Place = tuple[float, float]
 
 def shrub(rng: np.random.Generator, place: Place, height: float) -> list[Surface]:
     """Stems that bend outwards, with leaves along them; the ground shows through."""
-    stems = _curves(rng, place, int(rng.integers(7, 12)), height, bend=0.35)
+    stems = _curves(rng, place, int(rng.integers(7, 12)), height, bend=0.35, points=5)
     return [*_stalks(rng, stems, 0.006), *_leaves_along(rng, stems, int(rng.integers(18, 30)), rng.uniform(0.05, 0.09))]
 
 
 def shoot(rng: np.random.Generator, place: Place, height: float) -> list[Surface]:
     """One thin stem with leaves."""
-    stem = _curves(rng, place, 1, height, bend=0.2)
+    stem = _curves(rng, place, 1, height, bend=0.2, points=5)
     return [*_stalks(rng, stem, 0.005), *_leaves_along(rng, stem, 26, 0.07)]
 
 
 def hanging(rng: np.random.Generator, place: Place, length: float) -> list[Surface]:
     """Leafy shoots that hang down into the picture from 2.4 m."""
-    stems = _curves(rng, place, int(rng.integers(2, 5)), length, bend=0.35)
+    stems = _curves(rng, place, int(rng.integers(2, 5)), length, bend=0.35, points=5)
     stems = stems * (1, 1, -1) + np.array([0, 0, 2.4])
     return [*_stalks(rng, stems, 0.005), *_leaves_along(rng, stems, int(rng.integers(18, 26)), rng.uniform(0.05, 0.08))]
 
@@ -128,7 +128,7 @@ def _leaves_along(rng: np.random.Generator, stems: Array, per_stem: int, length:
     return [_leaves(rng, places.reshape(-1, 3), pointing.reshape(-1, 3), length)]
 
 
-def _leaves(rng: np.random.Generator, places: Array, pointing: Array, length: float, rows: int = 5) -> Surface:
+def _leaves(rng: np.random.Generator, places: Array, pointing: Array, length: float, rows: int = 4) -> Surface:
     """One leaf at each place, (N, 3), growing in its direction, (N, 3), bent downwards."""
     along = pointing / np.linalg.norm(pointing, axis=1, keepdims=True)
     across = np.cross(along, (0, 0, 1)) + 1e-6

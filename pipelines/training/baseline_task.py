@@ -12,7 +12,7 @@ from ggvs_eval.baselines.method import Instant
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.images import quantise
 from ggvs_eval.metrics.image import psnr, ssim
-from ggvs_eval.pipelines.training.room_instants import InstantSample, RoomInstants
+from ggvs_eval.pipelines.training.room_instants import InstantSample, JoinedInstants, RoomInstants
 from ggvs_eval.pipelines.training.task import Schedule
 
 LEARNING_RATE = 1e-3  # ours has the same: what a rate for a GPU's day would learn in an hour of one core is little
@@ -38,7 +38,7 @@ class BaselineTask(ABC):
         schedule: see `Schedule`.
     """
 
-    training: RoomInstants
+    training: RoomInstants | JoinedInstants
     validation: RoomInstants
     configuration: str = "compact"
     seed: int = 0

@@ -34,6 +34,10 @@ class RoomSamples(RoomLot[BlendSample]):
         """The views of the sources in the target, and what the geometric blender makes of them."""
         return maker.sample(target, sources)
 
+    def cropped(self, sample: BlendSample, left: int, top: int, width: int, height: int) -> BlendSample:
+        """A window of all that belongs to the target view."""
+        return sample.cropped(left, top, width, height)
+
     def read_file(self, path: Path) -> BlendSample:
         """See `read_sample`."""
         return read_sample(path)

@@ -39,6 +39,11 @@ class BlendSample:
     truth: Image8
     geometric: Image8
 
+    def cropped(self, left: int, top: int, width: int, height: int) -> "BlendSample":
+        """The window that starts at pixel (left, top)."""
+        rows, columns = slice(top, top + height), slice(left, left + width)
+        return BlendSample(self.views.cropped(left, top, width, height), self.truth[rows, columns], self.geometric[rows, columns])
+
 
 class SampleMaker:
     """Makes samples of one instant of a capture; depth that several targets share is computed once.

@@ -6,14 +6,15 @@ from pathlib import Path
 
 from ggvs_eval.pipelines.training.blend_rooms import RoomSamples
 from ggvs_eval.pipelines.training.joined_samples import JoinedSamples, Samples
+from ggvs_eval.pipelines.training.room_instants import JoinedInstants, RoomInstants
 from ggvs_eval.pipelines.training.room_plan import RoomPlan
 from ggvs_eval.synthetic.domains import DOMAINS, VALIDATION_SEEDS, find_domain
 
-MOST_PIXELS = 640 * 480  # of images that are not large
+WINDOW = (480, 360)  # of large images, pixels
 
 
 def domain_plans(domains: Iterable[str] = tuple(DOMAINS), rooms: int = 4, targets: int = 8, **shared: object) -> list[RoomPlan]:
-    """A training plan per domain, at the domain's own size.
+    """A training plan per domain, filmed at the domain's own size; of large images windows of the usual size are kept.
 
     Args:
         domains: their names.
@@ -36,6 +37,11 @@ def mixed_samples(cache: Path, plans: Iterable[RoomPlan] | None = None, *others:
     return JoinedSamples(*(RoomSamples(cache, plan) for plan in (domain_plans() if plans is None else plans)), *others)
 
 
+def mixed_instants(cache: Path, plans: Iterable[RoomPlan] | None = None, depth: bool = True) -> JoinedInstants:
+    """The baselines' samples of the same views, see `mixed_samples`."""
+    return JoinedInstants([RoomInstants(cache, plan, depth) for plan in (domain_plans() if plans is None else plans)])
+
+
 def domain_validation_plan(
     domain: str, views: int = 4, targets: int = 3, seeds: int = 1, matcher: str = "sgbm", size: tuple[int, int] | None = None
 ) -> RoomPlan:
@@ -55,5 +61,6 @@ def domain_validation_plan(
 
 def _sized(plan: RoomPlan, domain: str) -> RoomPlan:
     width, height = find_domain(domain).size
-    rooms = plan.rooms if width * height <= MOST_PIXELS else max(plan.rooms // 3, 1)
-    return replace(plan, domain=domain, rooms=rooms, width=width, height=height)
+    if width <= WINDOW[0] and height <= WINDOW[1]:
+        return replace(plan, domain=domain, width=width, height=height)
+    return replace(plan, domain=domain, rooms=max(plan.rooms // 3, 1), width=width, height=height, window=WINDOW)

@@ -31,8 +31,8 @@ def held_back_halves(capture: Capture, span: int = 30, most_overlap: float = 0.5
     if not learned or not apart:
         raise TrainingError(
             f"{capture.path}: wanted a sequence of one moving camera, longer than {2 * span} frames, whose second half sees "
-            f"what is new, got {len(numbers)} frames of layout {capture.layout}, {len(later)} after the gap, {len(apart)} new; "
-            "give another RGB-D sequence or a smaller span"
+            f"what is new, got {len(numbers)} frames of layout {capture.layout}, {len(later)} after the gap, {len(apart)} "
+            "of them new; give another RGB-D sequence or a smaller span"
         )
     return restricted(capture, {camera.name for camera in learned}), restricted(capture, {camera.name for camera in apart})
 

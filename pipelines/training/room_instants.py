@@ -86,6 +86,10 @@ class RoomInstants(RoomLot[InstantSample]):
             views.append(SourceView(source, maker.truth(source), unknown, unknown))
         return InstantSample(Instant(0, target, tuple(views), maker.capture.units_per_metre), maker.truth(target))
 
+    def cropped(self, sample: InstantSample, left: int, top: int, width: int, height: int) -> InstantSample:
+        """A window of the target, sources cut to what it can show of them."""
+        return sample.cropped(left, top, width, height).focused()
+
     def read_file(self, path: Path) -> InstantSample:
         """See `read_instant`."""
         return read_instant(path)
@@ -93,6 +97,53 @@ class RoomInstants(RoomLot[InstantSample]):
     def write_file(self, path: Path, sample: InstantSample) -> None:
         """See `write_instant`."""
         write_instant(path, sample)
+
+
+class JoinedInstants:
+    """The baselines' samples of several plans, one after the other; each is as likely as any other.
+
+    Args:
+        lots: at least one; samples of all are at least as large as those of the smallest.
+    """
+
+    def __init__(self, lots: Sequence[RoomInstants]) -> None:
+        self._lots = tuple(lots)
+
+    def __repr__(self) -> str:
+        """The plans; the model card shows them."""
+        return "; ".join(map(repr, self._lots))
+
+    def __len__(self) -> int:
+        return sum(map(len, self._lots))
+
+    @property
+    def plan(self) -> RoomPlan:
+        """The first plan, with the size that every sample has at least."""
+        sizes = [lot.plan.window or (lot.plan.width, lot.plan.height) for lot in self._lots]
+        width, height = (min(sides) for sides in zip(*sizes, strict=True))
+        return replace(self._lots[0].plan, width=width, height=height, window=None)
+
+    @property
+    def data(self) -> str:
+        """What they show, for the model card."""
+        return "; ".join(lot.data for lot in self._lots)
+
+    def read(self, index: int) -> InstantSample:
+        """One of the samples.
+
+        Raises:
+            TrainingError: it has not been prepared, or is damaged.
+        """
+        for lot in self._lots:
+            if index < len(lot):
+                return lot.read(index)
+            index -= len(lot)
+        raise IndexError(index)
+
+    def prepare(self, workers: int) -> None:
+        """Make the samples that are not there yet."""
+        for lot in self._lots:
+            lot.prepare(workers)
 
 
 def _window_in(source: Camera, target: Camera) -> NDArray[np.float64]:

@@ -12,7 +12,7 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.training.blend_rgbd import MeasuredSampleMaker
 from ggvs_eval.pipelines.training.blend_samples import SampleMaker
-from ggvs_eval.pipelines.training.room_plan import RoomPlan, choose_views, film_room, refuse_tests
+from ggvs_eval.pipelines.training.room_plan import RoomPlan, choose_views, draw_window, film_room, refuse_tests
 from ggvs_eval.processes import finish_all, worker_pool
 from ggvs_eval.synthetic.domains import PLAIN, find_domain
 
@@ -59,6 +59,10 @@ class RoomLot(ABC, Generic[Sample]):
         """The sample of a target and its source cameras."""
 
     @abstractmethod
+    def cropped(self, sample: Sample, left: int, top: int, width: int, height: int) -> Sample:
+        """The window of a sample that starts at pixel (left, top)."""
+
+    @abstractmethod
     def read_file(self, path: Path) -> Sample:
         """Read a sample.
 
@@ -101,7 +105,9 @@ class RoomLot(ABC, Generic[Sample]):
         for number in range(self.plan.targets):
             path = self._path(seed, number)
             if not path.is_file():
-                self.write_file(path, self.make(maker, *choose_views(capture, self.plan, seed, number)))
+                sample = self.make(maker, *choose_views(capture, self.plan, seed, number))
+                window = draw_window(self.plan, seed, number)
+                self.write_file(path, self.cropped(sample, *window) if self.plan.window else sample)
 
     def _path(self, seed: int, number: int) -> Path:
         return self._samples / f"room{seed}-{number:02d}.npz"
@@ -120,6 +126,8 @@ def _digest(plan: RoomPlan, version: int, depth: bool) -> str:
     }
     if plan.domain != PLAIN:
         described |= _describe_domain(plan.domain)
+    if plan.window:
+        described["window"] = plan.window
     return hashlib.sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()[:12]
 
 

@@ -33,6 +33,8 @@ class RoomPlan:
         wide_share: share of the samples whose sources are drawn from twice as many near cameras instead of being the nearest.
         matcher: whose depth the samples have, see `ggvs_eval.pipelines.offline.matchers`; a sensor's where there is one.
         domain: kind of captures, see `ggvs_eval.synthetic.domains`.
+        window: width and height of the random part of each view that is kept, pixels; None keeps whole views. Large images would
+            fill disks, and a training looks at crops anyway.
     """
 
     first_room: int = FIRST_TRAINING_ROOM
@@ -46,6 +48,7 @@ class RoomPlan:
     wide_share: float = 0.5
     matcher: str = "sgbm"
     domain: str = PLAIN
+    window: tuple[int, int] | None = None
 
     @property
     def most_views(self) -> int:
@@ -70,6 +73,8 @@ def refuse_tests(plan: RoomPlan) -> None:
             f"rooms {plan.seeds.start}..{plan.seeds.stop - 1}: wanted seeds from {FIRST_TRAINING_ROOM} on for training, or "
             f"of {', '.join(map(str, VALIDATION_SEEDS))} for validation; the others are for tests"
         )
+    if plan.window and not (0 < plan.window[0] <= plan.width and 0 < plan.window[1] <= plan.height):
+        raise TrainingError(f"wanted windows within images of {plan.width} x {plan.height}, got {plan.window}; lower the window")
     if min(plan.rooms, plan.targets, plan.views) < 1:
         raise TrainingError(f"wanted at least one room, target and view, got {plan}")
 
@@ -105,6 +110,13 @@ def choose_views(capture: Capture, plan: RoomPlan, seed: int, number: int) -> tu
         return target, nearest_cameras(target, capture.cameras, views)
     near = nearest_cameras(target, capture.cameras, min(2 * views, count - 1))
     return target, [near[index] for index in sorted(rng.choice(len(near), views, replace=False))]
+
+
+def draw_window(plan: RoomPlan, seed: int, number: int) -> tuple[int, int, int, int]:
+    """Left, top, width and height of the part of a room's sample of that number that is kept, pixels."""
+    width, height = plan.window or (plan.width, plan.height)
+    rng = np.random.default_rng([seed, 88, number])
+    return int(rng.integers(plan.width - width + 1)), int(rng.integers(plan.height - height + 1)), width, height
 
 
 def _choose_frames(capture: Capture, plan: RoomPlan, seed: int, number: int) -> tuple[Camera, list[Camera]]:
