@@ -93,7 +93,8 @@ class DepthFrames:
         if self.K is None or self.K_depth is None:
             raise CaptureError(f"{self.path}: a sensor beside its camera wants the intrinsics of both; export them again")
         colour = Camera("colour", self.K, np.eye(4), self.width, self.height, *ANY_DEPTH)
-        sensor = Camera("depth", self.K_depth, np.linalg.inv(depth_to_colour), *steps.shape[::-1], *ANY_DEPTH)
+        colour_to_depth = np.asarray(np.linalg.inv(depth_to_colour), np.float64)
+        sensor = Camera("depth", self.K_depth, colour_to_depth, steps.shape[1], steps.shape[0], *ANY_DEPTH)
         return reproject_depth(sensor, steps * self.scale_to_units, colour)
 
     def _found_at(self, axis: int, length_depth_px: int) -> NDArray[np.int64]:

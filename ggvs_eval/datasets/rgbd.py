@@ -252,8 +252,8 @@ def _make_camera(path: Path, number: int, sequence: _Sequence, size: tuple[int, 
 
 def _depth_source(sequence: _Sequence, number: int, size: tuple[int, int]) -> DepthFrames:
     file = sequence.depths[number]
-    matrices = (sequence.K[0], sequence.K_depth[0]) if sequence.K_depth else (None, None)
-    return DepthFrames(file, METRES_PER_STEP, *size, *matrices, sequence.depth_to_colour)
+    K, K_depth = (sequence.K[0], sequence.K_depth[0]) if sequence.K_depth else (None, None)
+    return DepthFrames(file, METRES_PER_STEP, *size, K, K_depth, sequence.depth_to_colour)
 
 
 def _name(number: int) -> str:
