@@ -81,15 +81,17 @@ def edge_response(image: Image8, sigma_px: float) -> tuple[NDArray[np.float32], 
     return across / (across + half), down / (down + half)
 
 
-def responses_at(response: tuple[NDArray[np.float32], NDArray[np.float32]], edges: DepthEdges, uv: Array) -> NDArray[np.float32]:
-    """The response of colour to each edge, moved to uv, (N,); 0 outside the image.
+def responses_at(
+    response: tuple[NDArray[np.float32], NDArray[np.float32]], upright: NDArray[np.bool_], uv: Array
+) -> NDArray[np.float32]:
+    """The response of colour to upright and lying edges at uv, (N,).
 
     Cubic interpolation: a linear one is blunt between pixels, which would draw edges to pixels' centres.
     """
     result = np.empty(len(uv), np.float32)
-    for upright, values in zip((True, False), response, strict=True):
-        chosen = edges.upright == upright
-        x, y = ((uv[chosen, axis] - 0.5).astype(np.float32) for axis in (0, 1))
+    for is_upright, values in zip((True, False), response, strict=True):
+        chosen = upright == is_upright
+        x, y = ((uv[chosen, axis] - 0.5).astype(np.float32)[:, None] for axis in (0, 1))
         if len(x):
             result[chosen] = cv2.remap(values, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_CONSTANT).ravel()
     return result

@@ -67,7 +67,7 @@ def load_pair(capture: Capture, pair: FramePair) -> tuple[View, View]:
 
 
 def warp_errors(pair: tuple[View, View], scales: NDArray[np.float64]) -> list[float]:
-    """Mean absolute difference of detail between a frame and its neighbour warped onto it, with the depth of both times each scale.
+    """Mean absolute difference of detail between a frame and its neighbour warped onto it, at each scale of both depths.
 
     Large differences count as 0.15 of the value range, and so do pairs of which too little is seen.
     """
