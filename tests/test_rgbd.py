@@ -249,14 +249,40 @@ def test_frames_that_are_not_whole(scannet, change, message):
         ("intrinsic_color", K.T, "wanted pinhole intrinsics without skew"),
         ("intrinsic_color", np.diag([2, 2, 1]) @ K, "wanted a principal point near the middle of 64 x 48 images, got (66, 46)"),
         ("intrinsic_depth", K, "intrinsic_depth.txt: wanted a principal point near the middle of 32 x 24 images, got (33, 23)"),
-        ("extrinsic_depth", np.eye(4) + np.eye(4, k=3) * 0.04, "extrinsic_depth.txt: wanted the identity, got 0.04 off it"),
-        ("extrinsic_color", np.eye(4) * np.nan, "extrinsic_color.txt: wanted the identity, got nan off it"),
+        ("extrinsic_depth", np.eye(4) + np.eye(4, k=3) * 40, "a depth camera within 1 m of the colour camera, got 40 m; write"),
+        ("extrinsic_depth", np.diag([1.1, 1, 1, 1]), "extrinsic_depth.txt: wanted a rotation and a translation, 4 x 4, got"),
+        ("extrinsic_color", np.eye(4) * np.nan, "extrinsic_color.txt: wanted a rotation and a translation, 4 x 4, got"),
     ],
 )
 def test_calibration_that_makes_no_sense(scannet, name, matrix, message):
-    """Intrinsics of another size or kind, and a sensor that is not registered, are refused."""
+    """Intrinsics of another size or kind, and extrinsics that are no rigid transform or in millimetres, are refused."""
     write_matrix(scannet / "intrinsic" / f"{name}.txt", matrix)
     assert message in refusal(scannet)
+
+
+def test_a_depth_camera_beside_the_colour_camera(scannet):
+    """Extrinsics run from each camera to the device: depth of a sensor 0.3 m to the right belongs to the right.
+
+    points_colour = inv(E_colour) E_depth points_depth, which is 0.33 - 0.03 = 0.3 m to the right here.
+    """
+    for file in (scannet / "depth").iterdir():
+        cv2.imwrite(str(file), np.full((DEPTH_HEIGHT, DEPTH_WIDTH), 3000, np.uint16))
+    for name, right_m in (("color", 0.03), ("depth", 0.33)):
+        extrinsic = np.eye(4)
+        extrinsic[0, 3] = right_m
+        write_matrix(scannet / "intrinsic" / f"extrinsic_{name}.txt", extrinsic)
+    capture = open_capture(scannet)
+    depth = read_depth(capture, "000001")
+    left, right = (60 * (0.3 / 3 + (edge - 16.5) / 28) + 33 for edge in (0, DEPTH_WIDTH))
+    centres = np.arange(WIDTH) + 0.5
+    np.testing.assert_allclose(depth[HEIGHT // 2], np.where((centres > left) & (centres < right), 3.0, 0.0), rtol=1e-6)
+    assert not depth[HEIGHT // 2].all()
+    beside = capture.extras_of("000001").depth.digest
+    for name in ("color", "depth"):
+        write_matrix(scannet / "intrinsic" / f"extrinsic_{name}.txt", extrinsic)
+    together = open_capture(scannet).extras_of("000001").depth
+    assert together.depth_to_colour is None
+    assert together.digest != beside
 
 
 def test_calibration_that_is_missing(scannet):

@@ -9,12 +9,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.camera import Camera
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.digest import digest_values
 from ggvs_eval.errors import CaptureError
+from ggvs_eval.geometry.reproject_depth import reproject_depth
 from ggvs_eval.images import decode_image
 
 Array = NDArray[np.float64]
+ANY_DEPTH = (1e-6, 1e6)  # near and far of cameras that only say where pixels look
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,11 +31,14 @@ class DepthFrames:
         height: of the camera's frames, pixels.
         K: intrinsics of the camera's frames, (3, 3); None where both show the same field of view.
         K_depth: intrinsics of the depth maps as they lie on disk, (3, 3); None likewise.
+        depth_to_colour: rigid transform of points in the depth camera's frame to the colour camera's, (4, 4), world units; None
+            where the sensor stands in the camera's centre and looks its way. Needs both intrinsics.
 
     Reading:
-        Nearest value, never a mean: a mean of two depths lies where nothing is. The depth sensor is taken to stand in the
-        camera's centre and to look its way, so that each pixel's ray is followed through both intrinsics; rays that the sensor
-        does not see are unknown.
+        Nearest value, never a mean: a mean of two depths lies where nothing is. Where sensor and camera are one, each pixel's
+        ray is followed through both intrinsics; rays that the sensor does not see are unknown. Where the sensor stands beside
+        the camera, its pixels are drawn into the camera's grid (`reproject_depth`): the nearest surface is seen, and what is
+        hidden from the sensor is unknown.
     """
 
     path: Path
@@ -41,6 +47,7 @@ class DepthFrames:
     height: int
     K: Array | None = None
     K_depth: Array | None = None
+    depth_to_colour: Array | None = None
 
     @cached_property
     def _images(self) -> ImageFrames:
@@ -56,6 +63,7 @@ class DepthFrames:
         """Identifies the files and what is done to them."""
         matrices = [np.zeros(9) if K is None else K.ravel() for K in (self.K, self.K_depth)]
         values = [self.scale_to_units, self.width, self.height, *np.concatenate(matrices)]
+        values += [] if self.depth_to_colour is None else self.depth_to_colour.ravel().tolist()
         return digest_values(self._images.digest, *(f"{value:.17g}" for value in values))
 
     def depths(self, start: int, stop: int) -> Iterator[NDArray[np.float32]]:
@@ -70,6 +78,8 @@ class DepthFrames:
             yield self._on_grid(read_depth_png(file))
 
     def _on_grid(self, steps: NDArray[np.uint16]) -> NDArray[np.float32]:
+        if self.depth_to_colour is not None:
+            return self._reprojected(steps, self.depth_to_colour)
         columns, rows = (self._found_at(axis, steps.shape[1 - axis]) for axis in (0, 1))
         depth = steps[np.clip(rows, 0, steps.shape[0] - 1)][:, np.clip(columns, 0, steps.shape[1] - 1)]  # (height, width)
         seen_columns, seen_rows = (
@@ -77,6 +87,15 @@ class DepthFrames:
         )
         depth = np.where(seen_rows[:, None] & seen_columns, depth, 0)
         return (depth * self.scale_to_units).astype(np.float32)
+
+    def _reprojected(self, steps: NDArray[np.uint16], depth_to_colour: Array) -> NDArray[np.float32]:
+        """What the camera sees of what a sensor beside it measured."""
+        if self.K is None or self.K_depth is None:
+            raise CaptureError(f"{self.path}: a sensor beside its camera wants the intrinsics of both; export them again")
+        colour = Camera("colour", self.K, np.eye(4), self.width, self.height, *ANY_DEPTH)
+        colour_to_depth = np.asarray(np.linalg.inv(depth_to_colour), np.float64)
+        sensor = Camera("depth", self.K_depth, colour_to_depth, steps.shape[1], steps.shape[0], *ANY_DEPTH)
+        return reproject_depth(sensor, steps * self.scale_to_units, colour)
 
     def _found_at(self, axis: int, length_depth_px: int) -> NDArray[np.int64]:
         """In which column (axis 0) or row (axis 1) of the depth map each column or row of the frame looks."""

@@ -24,8 +24,10 @@ NEAR_FACTOR, FAR_FACTOR = 0.8, 1.2
 SAMPLED_FRAMES = 32
 # A principal point farther off the middle, in widths of the image, belongs to images of another size.
 LARGEST_OFFSET = 0.15
-# A sensor this far off the camera, in metres or radians, would shift depth by a pixel or more.
-LARGEST_EXTRINSIC = 1e-3
+# A sensor less far off the camera, in metres or radians, shifts depth by less than a pixel and is taken to stand in its place.
+LEAST_EXTRINSIC = 1e-3
+# Farther off than this, metres, two sensors are no RGB-D camera: the numbers are millimetres or belong to another device.
+LARGEST_DISTANCE_M = 1.0
 LISTED = 8
 Array = NDArray[np.float64]
 
@@ -40,6 +42,8 @@ class _Sequence:
         poses: camera_to_world of each frame, (4, 4); not finite where tracking was lost.
         K: intrinsics of the images, (3, 3), and the file that says so.
         K_depth: intrinsics of the depth maps likewise; None where they have the images' field of view.
+        depth_to_colour: rigid transform of points in the depth camera's frame to the colour camera's, (4, 4), metres; None where
+            they are one.
     """
 
     images: dict[int, Path]
@@ -47,6 +51,7 @@ class _Sequence:
     poses: dict[int, Array]
     K: tuple[Array, Path]
     K_depth: tuple[Array, Path] | None
+    depth_to_colour: Array | None = None
 
 
 def refuse(path: Path) -> str | None:
@@ -113,10 +118,9 @@ def _read_sequence(path: Path) -> _Sequence:
         return _Sequence(images, depths, _read_pose_rows(path / HOLOLENS[2], list(images)), _read_K(path / HOLOLENS[3]), None)
     files = _numbered(path / "pose", sorted((path / "pose").glob("*.txt")))
     _check_complete(images, files, path / "pose", "pose")
-    for kind in ("color", "depth"):
-        _check_extrinsic(path / "intrinsic" / f"extrinsic_{kind}.txt")
     K, K_depth = (_read_K(path / "intrinsic" / f"intrinsic_{kind}.txt") for kind in ("color", "depth"))
-    return _Sequence(images, depths, {number: _read_matrix(files[number], (4,)) for number in images}, K, K_depth)
+    poses = {number: _read_matrix(files[number], (4,)) for number in images}
+    return _Sequence(images, depths, poses, K, K_depth, _read_extrinsics(path / "intrinsic"))
 
 
 def _numbered(folder: Path, files: Sequence[Path]) -> dict[int, Path]:
@@ -157,13 +161,36 @@ def _read_K(file: Path) -> tuple[Array, Path]:
     return K, file
 
 
-def _check_extrinsic(file: Path) -> None:
-    """Which way a pose between sensor and camera would run is nowhere said, so that none but the usual identity is taken."""
-    offset = np.abs(_read_matrix(file, (4,)) - np.eye(4)).max() if file.is_file() else 0.0
-    if not offset <= LARGEST_EXTRINSIC:
+def _read_extrinsics(folder: Path) -> Array | None:
+    """Where the depth camera stands beside the colour camera: depth_to_colour, (4, 4), metres; None where they are one.
+
+    Reading:
+        SensReader writes both matrices and does not say which way they run. ScanNet's own calibration code multiplies
+        unprojected points of the depth camera by its extrinsic: it maps the sensor's frame to the device's. So does the colour
+        camera's, and points_colour = inv(E_colour) E_depth points_depth. The poses are taken as the colour camera's.
+    """
+    colour, depth = (_read_extrinsic(folder / f"extrinsic_{kind}.txt") for kind in ("color", "depth"))
+    relative = np.linalg.inv(colour) @ depth
+    if np.abs(relative - np.eye(4)).max() <= LEAST_EXTRINSIC:
+        return None
+    distance_m = float(np.linalg.norm(relative[:3, 3]))
+    if distance_m > LARGEST_DISTANCE_M:
         raise CaptureError(
-            f"{file}: wanted the identity, got {offset:g} off it; register the depth maps to the colour camera first"
+            f"{folder / 'extrinsic_depth.txt'}: wanted a depth camera within {LARGEST_DISTANCE_M:g} m of the colour camera, got "
+            f"{distance_m:g} m; write the extrinsics in metres"
         )
+    return relative
+
+
+def _read_extrinsic(file: Path) -> Array:
+    """A rigid transform, (4, 4); the identity where there is no file."""
+    matrix = _read_matrix(file, (4,)) if file.is_file() else np.eye(4)
+    rotation = matrix[:3, :3]
+    is_rigid = np.isfinite(matrix).all() and np.allclose(matrix[3], [0, 0, 0, 1]) and np.linalg.det(rotation) > 0
+    if not is_rigid or not np.allclose(rotation @ rotation.T, np.eye(3), atol=LEAST_EXTRINSIC):
+        found = f"{matrix.round(4).tolist()}"
+        raise CaptureError(f"{file}: wanted a rotation and a translation, 4 x 4, got {found}; export the calibration again")
+    return matrix
 
 
 def _read_matrix(file: Path, sides: tuple[int, ...]) -> Array:
@@ -225,8 +252,8 @@ def _make_camera(path: Path, number: int, sequence: _Sequence, size: tuple[int, 
 
 def _depth_source(sequence: _Sequence, number: int, size: tuple[int, int]) -> DepthFrames:
     file = sequence.depths[number]
-    matrices = (sequence.K[0], sequence.K_depth[0]) if sequence.K_depth else (None, None)
-    return DepthFrames(file, METRES_PER_STEP, *size, *matrices)
+    K, K_depth = (sequence.K[0], sequence.K_depth[0]) if sequence.K_depth else (None, None)
+    return DepthFrames(file, METRES_PER_STEP, *size, K, K_depth, sequence.depth_to_colour)
 
 
 def _name(number: int) -> str:

@@ -12,6 +12,7 @@ from ggvs_eval.errors import GgvsError
 from ggvs_eval.pipelines.check import (
     colour,
     depth_range,
+    depth_registration,
     epipolar_findings,
     frames,
     intrinsics,
@@ -120,6 +121,7 @@ def examine(capture: Capture, records: list[CameraRecord]) -> tuple[Finding, ...
         lambda: colour.check_gain(capture.camera_names, verdict.pairs),
         lambda: colour.check_noise(records),
         lambda: scale.check_scale(capture, depths),
+        lambda: depth_registration.check_depth_registration(capture),
     )
     return tuple(finding for answer in answers for finding in answer())
 

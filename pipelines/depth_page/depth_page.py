@@ -27,6 +27,7 @@ from ggvs_eval.pipelines.depth_page.depth_record import CameraPictures, CameraRe
 from ggvs_eval.pipelines.depth_page.depth_statistics import DepthStatistics, describe_map
 from ggvs_eval.pipelines.depth_page.depth_warnings import find_notes, find_warnings
 from ggvs_eval.pipelines.depth_page.pair_errors import PairErrors, measure_pair
+from ggvs_eval.pipelines.offline.registration import Registration
 from ggvs_eval.processes import finish_all, worker_pool
 from ggvs_eval.run_folder import read_json, write_json
 
@@ -139,7 +140,15 @@ def examine_depth(
     unmatched = tuple(name for name in capture.camera_names if name not in matched)
     errors = tuple(pair for pair, _ in pairs.values())
     units = capture.units_per_metre, capture.units_origin
-    return DepthRecord(capture.scene, *units, tuple(cameras), errors, unmatched)
+    return DepthRecord(capture.scene, *units, tuple(cameras), errors, unmatched, _registrations(capture, stored, store))
+
+
+def _registrations(capture: Capture, stored: Sequence[StoredDepth], store: DepthStore) -> tuple[str, ...]:
+    """What was done to sensor depth, in words, each once."""
+    specs = [store.folder(each.key) / "spec.json" for each in stored]
+    applied = [read_json(spec)["options"].get("registration") for spec in specs if spec.is_file()]
+    width_px = capture.cameras[0].width
+    return tuple(dict.fromkeys(Registration(**values).describe(width_px) for values in applied if values))
 
 
 def _all(pool: Executor, running: list[Future[Any]], doing: str) -> list[Any]:

@@ -72,6 +72,7 @@ class DepthRecord:
         cameras: source cameras in the order of the capture.
         pairs: every pair of a camera and a partner, measured at the first instant.
         unmatched: cameras of the capture that no camera is matched with.
+        registrations: what was done to sensor depth before it was used, in words.
     """
 
     scene: str
@@ -80,6 +81,7 @@ class DepthRecord:
     cameras: tuple[CameraRecord, ...]
     pairs: tuple[PairErrors, ...]
     unmatched: tuple[str, ...]
+    registrations: tuple[str, ...] = ()
 
     def pair(self, camera: str, partner: str) -> PairErrors:
         """The errors of two cameras, in whichever order they were measured."""

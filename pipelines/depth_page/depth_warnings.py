@@ -37,6 +37,7 @@ def find_notes(record: DepthRecord) -> list[str]:
         )
     if record.unmatched:
         notes.append(f"No camera is matched with {_listed(record.unmatched)}.")
+    notes += [f"Sensor depth was registered to its colour by the images: {each}." for each in record.registrations]
     return notes
 
 

@@ -7,7 +7,7 @@ from typing import Any
 from ggvs_eval.errors import DepthError
 from ggvs_eval.pipelines.offline.depth import DepthOptions, TimeOptions
 from ggvs_eval.pipelines.offline.matchers import DEFAULT_MATCHER, find_matcher
-from ggvs_eval.pipelines.offline.sensor_depth import SensorDepthOptions
+from ggvs_eval.pipelines.offline.sensor_depth import RegistrationName, SensorDepthOptions
 
 KEYFRAME_EVERY = 16  # instants, where instants depend on each other
 
@@ -20,6 +20,7 @@ class DepthChoice:
         matcher: sgbm, sweep, raft (compact, ships with the package) or raft:CHECKPOINT.
         stereo_weights: a checkpoint of RAFT-Stereo's authors, e.g. raftstereo-middlebury.pth; the same as raft:CHECKPOINT.
         sensor: take the depth that a sensor measured where the capture has it (RGB-D), filtered, instead of stereo.
+        registration: bring sensor depth to its colour as the images of a sequence tell, where significant; or leave it as given.
         reuse_static: compute depth again only where the picture changes, everything again every 16 instants.
     """
 
@@ -27,6 +28,7 @@ class DepthChoice:
     stereo_weights: Path | None = None
     sensor: bool = True
     reuse_static: bool = False
+    registration: RegistrationName = "estimated"
 
     def options(self) -> DepthOptions:
         """All parameters of the depth estimation.
@@ -39,7 +41,8 @@ class DepthChoice:
             raise DepthError(f"--stereo-weights are for the matcher raft, got the matcher {self.matcher}")
         name = self.matcher if self.stereo_weights is None else f"raft:{self.stereo_weights}"
         time = TimeOptions(KEYFRAME_EVERY, warm=True, reuse=True) if self.reuse_static else TimeOptions()
-        return DepthOptions(matcher=find_matcher(name), time=time, sensor=SensorDepthOptions() if self.sensor else None)
+        sensor = SensorDepthOptions(registration=self.registration) if self.sensor else None
+        return DepthOptions(matcher=find_matcher(name), time=time, sensor=sensor)
 
     def record(self) -> dict[str, Any]:
         """As values that JSON knows."""
@@ -49,4 +52,5 @@ class DepthChoice:
     def from_record(cls, record: dict[str, Any]) -> "DepthChoice":
         """What `record` wrote."""
         weights = record.get("stereo_weights")
-        return cls(**record | {"stereo_weights": None if weights is None else Path(weights)})
+        given = {"registration": "given"}  # what runs did before there was a choice
+        return cls(**given | record | {"stereo_weights": None if weights is None else Path(weights)})

@@ -14,6 +14,7 @@ from ggvs_eval.pipelines.offline.checked_depth import check_depth
 from ggvs_eval.pipelines.offline.depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth_stream import DepthStream
 from ggvs_eval.pipelines.offline.pairing import choose_partners
+from ggvs_eval.pipelines.offline.registered_capture import registered
 from ggvs_eval.pipelines.offline.sensor_depth import SensorDepthEstimator
 
 
@@ -79,7 +80,9 @@ def _checked(job: DepthJob, found: Mapping[str, DepthJob], options: DepthOptions
 
 def _sensor(capture: Capture, name: str, options: DepthOptions) -> SensorDepthEstimator | None:
     """What filters the depth that a sensor measured; None where there is no such depth or it is not wanted."""
-    source = capture.extras_of(name).depth
+    if options.sensor is None or capture.extras_of(name).depth is None:
+        return None
+    source = registered(capture, options.sensor).extras_of(name).depth
     return (
         None if source is None or options.sensor is None else SensorDepthEstimator(capture.camera(name), source, options.sensor)
     )
@@ -117,6 +120,9 @@ def prepare_depth(
         DepthError: a job that cannot be computed.
         CaptureError: frames that cannot be read.
     """
+    if options.sensor is not None:  # estimated once, here, for all workers
+        capture = registered(capture, options.sensor)
+        options = replace(options, sensor=replace(options.sensor, registration="given"))
     missing = [job for job in dict.fromkeys(jobs) if _missing(store, _key(capture, job, options), frames)]
     checked = [job for job in missing if job.checked_with]
     found = [each for job in missing for each in (job.unchecked, *job.checked_with)]

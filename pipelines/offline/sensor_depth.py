@@ -1,6 +1,7 @@
 """Depth that a sensor measured beside the images, made fit for rendering: what no surface explains goes, small holes close."""
 
 from dataclasses import asdict, dataclass
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -11,11 +12,13 @@ from ggvs_eval.depth_store import DepthMap, Map
 from ggvs_eval.errors import DepthError
 from ggvs_eval.images import Image8
 from ggvs_eval.pipelines.offline.fusion import drop_flying_pixels, smooth_surfaces
+from ggvs_eval.pipelines.offline.registration import RegisteredDepth
 from ggvs_eval.pipelines.offline.sensor_grid import SensorGrid
 from ggvs_eval.pipelines.offline.sensor_holes import close_edges, close_holes
 
 ALGORITHM = "sensor-filter 1"  # counts up whenever equal options give other bits
 STEPS = 1000  # of the logarithm of depth in which OpenCV looks for speckles; one is a thousandth of the depth
+RegistrationName = Literal["given", "estimated"]
 OPPOSITE = ((0, 1), (1, 0), (1, 1), (1, -1))  # rows down and columns right to one of two opposite neighbours
 
 
@@ -32,6 +35,7 @@ class SensorDepthOptions:
         smooth_radius_px: over neighbours this far away.
         edge_px: confidence falls nearer than this to edges and holes.
         filled_confidence: confidence of filled pixels, over that of measured ones.
+        registration: "estimated" from the images of a sequence, where that is significant, or as "given".
 
     Reading:
         Chosen on a HoloLens sequence, by how far depth warped between near frames agrees, and on validation rooms (demo seeds
@@ -46,10 +50,13 @@ class SensorDepthOptions:
     smooth_radius_px: int = 4
     edge_px: float = 3.0
     filled_confidence: float = 0.2
+    registration: RegistrationName = "estimated"
 
     def describe(self) -> dict[str, object]:
-        """All of it as values that JSON knows, with the version of the algorithm."""
-        return {"algorithm": ALGORITHM, **asdict(self)}
+        """The filter as values that JSON knows, with the version of the algorithm; a registration tells of itself where it is."""
+        described = {"algorithm": ALGORITHM, **asdict(self)}
+        del described["registration"]
+        return described
 
 
 class SensorDepthEstimator:
@@ -85,7 +92,10 @@ class SensorDepthEstimator:
 
     def describe(self) -> dict[str, object]:
         """What the depth depends on beside camera and images: the options of `describe_depth`."""
-        return self.options.describe() | {"sensor": self.source.digest}
+        described = self.options.describe() | {"sensor": self.source.digest}
+        if isinstance(self.source, RegisteredDepth):
+            described["registration"] = asdict(self.source.registration)
+        return described
 
 
 def filter_sensor_depth(depth: Map, image: Image8, camera: Camera, options: SensorDepthOptions) -> DepthMap:

@@ -1,0 +1,105 @@
+"""Depth of one camera brought to the grid of another: every pixel a small plane, the nearest of them is seen."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.errors import RenderError
+from ggvs_eval.geometry.pinhole import as_image, rigid_between
+
+Array = NDArray[np.float64]
+Map = NDArray[np.float32]
+# Neighbours whose depths differ by more than this share lie on two surfaces, unless the surface is as steep as this.
+STEP, STEEPEST_SLOPE = 0.02, 6.0
+# A pixel is drawn over this many pixels of the other camera along a side at most: a denser sensor is sold everywhere.
+LARGEST_FOOTPRINT_PX = 24
+CORNERS = ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))
+
+
+def reproject_depth(source: Camera, depth: NDArray[np.floating], target: Camera) -> Map:
+    """What a depth camera measured, as the target sees it.
+
+    Args:
+        source: the depth camera.
+        depth: its z, (H, W), world units, 0 = unknown.
+        target: the camera on whose grid depth is wanted; of any size and field of view, near the source.
+
+    Returns:
+        z in the target camera, (H', W') float32, 0 where the source measured nothing that the target sees.
+
+    Raises:
+        RenderError: depth of another size than the source.
+
+    Reading:
+        A pixel of the sensor stands for the piece of plane that it covers: its inverse depth goes on as that of its neighbours
+        on the same surface does, so that planes stay planes and no gaps open where the target has more pixels. The target's
+        pixel takes a piece when its centre lies in the rectangle around the four projected corners; of several the nearest.
+    """
+    inverse, rows, columns, slopes = _pieces(source, depth)
+    rays = np.stack([(columns + 0.5 - source.K[0, 2]) / source.K[0, 0], (rows + 0.5 - source.K[1, 2]) / source.K[1, 1]])  # (2, N)
+    transform = rigid_between(source, target)
+    low, high = _footprints(source, target, transform, rays, inverse, slopes)
+    # The piece's plane: a x + b y + c z = 1 in the source's frame, n . X = 1 + n . t in the target's.
+    normals = np.stack([*slopes, inverse - (rays * slopes).sum(axis=0)]).T @ transform[:3, :3].T  # (N, 3)
+    offsets = 1 + normals @ transform[:3, 3]  # (N,)
+    return _draw(target, low, high, normals, offsets)
+
+
+def _pieces(source: Camera, depth: NDArray[np.floating]) -> tuple[Array, Array, Array, Array]:
+    """Inverse depth, row and column of each known pixel, (N,) each, and how inverse depth grows along the rays' axes, (2, N)."""
+    z = as_image(np.nan_to_num(depth, posinf=0, neginf=0), source, "depth", RenderError).astype(np.float64)
+    rows, columns = np.nonzero(z > 0)
+    slopes = np.stack([_slope(z, source.K[0, 0]), _slope(z.T, source.K[1, 1]).T])[:, rows, columns]  # (2, N)
+    return 1 / z[rows, columns], rows.astype(np.float64), columns.astype(np.float64), slopes
+
+
+def _slope(z: Array, focal_px: float) -> Array:
+    """Mean growth of inverse depth per unit of ray towards the two neighbours on the same surface along each row, (H, W)."""
+    step = max(STEP, STEEPEST_SLOPE / focal_px)
+    before, after = z[:, :-1], z[:, 1:]
+    joined = (before > 0) & (after > 0) & (np.abs(after - before) <= step * np.minimum(before, after))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        growth = np.where(joined, (1 / after - 1 / before) * focal_px, 0.0)
+    total, count = np.zeros(z.shape), np.zeros(z.shape)
+    total[:, :-1], count[:, :-1] = growth, joined
+    total[:, 1:] += growth
+    count[:, 1:] += joined
+    return total / np.maximum(count, 1)
+
+
+def _footprints(
+    source: Camera, target: Camera, transform: Array, rays: Array, inverse: Array, slopes: Array
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """First column and row of the target whose centre each piece covers, and one past the last, (2, N) each."""
+    corners = []
+    for across, down in CORNERS:
+        shift = np.array([[across / source.K[0, 0]], [down / source.K[1, 1]]])
+        z = 1 / np.maximum(inverse + (shift * slopes).sum(axis=0), 0.5 * inverse)
+        points = np.concatenate([(rays + shift) * z, z[None]]).T @ transform[:3, :3].T + transform[:3, 3]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            uv = points[:, :2] / points[:, 2:] * target.K[[0, 1], [0, 1]] + target.K[:2, 2]
+        corners.append(np.where(points[:, 2:] > 0, uv, np.nan).T)
+    size = np.array([[target.width], [target.height]], np.float64)
+    found = np.stack(corners)  # (4, 2, N)
+    seen = np.isfinite(found).all(axis=(0, 1))
+    found = np.where(seen, found, -1.0)
+    low, high = (np.ceil(np.clip(each, 0, size) - 0.5).astype(np.int64) for each in (found.min(axis=0), found.max(axis=0)))
+    return low, np.minimum(high, low + LARGEST_FOOTPRINT_PX)
+
+
+def _draw(target: Camera, low: NDArray[np.int64], high: NDArray[np.int64], normals: Array, offsets: Array) -> Map:
+    """The nearest piece in each pixel, (H, W); one pass for each place within the largest footprint."""
+    nearest = np.full(target.height * target.width, np.inf)
+    widths, heights = high - low
+    for down in range(int(heights.max(initial=0))):
+        tall = np.flatnonzero((heights > down) & (widths > 0))
+        for across in range(int(widths[tall].max(initial=0))):
+            chosen = tall[widths[tall] > across]
+            column, row = low[0, chosen] + across, low[1, chosen] + down
+            x, y = ((at + 0.5 - target.K[axis, 2]) / target.K[axis, axis] for axis, at in ((0, column), (1, row)))
+            normal = normals[chosen]
+            inverse = (normal[:, 0] * x + normal[:, 1] * y + normal[:, 2]) / offsets[chosen]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                z = np.where(inverse > 0, 1 / inverse, np.inf)
+            np.minimum.at(nearest, row * target.width + column, z)
+    return np.where(np.isfinite(nearest), nearest, 0).astype(np.float32).reshape(target.height, target.width)
