@@ -59,7 +59,7 @@ def test_depth_that_fits_is_left_alone(room):
     (finding,) = check_depth_registration(capture)
     assert (finding.verdict, finding.advice) == ("ok", "")
     job = DepthJob(capture.camera_names[0], ())
-    assert depth_spec(capture, job, DepthOptions()) == depth_spec(capture, job, DepthChoice(registration="given").options())
+    assert depth_spec(capture, job, DepthChoice(registration="estimated").options()) == depth_spec(capture, job, DepthOptions())
 
 
 @pytest.mark.parametrize(("right_px", "down_px", "roll_deg", "scale"), [(4, -2, 0, 1), (-2, 3, 0.8, 1.04)])
@@ -77,12 +77,12 @@ def test_planted_errors_are_recovered(room, tmp_path, right_px, down_px, roll_de
     assert measured.psnr_db[1] > measured.psnr_db[0] + 1
     (finding,) = check_depth_registration(capture)
     assert finding.verdict == "bad"
-    assert "registration = estimated mends it" in finding.advice
+    assert "--registration estimated mends it" in finding.advice
     truth = depth_of(open_capture(room), 5)
     given, mended = (depth_of(each, 5) for each in (capture, with_registration(capture, applied)))
     wrong = [np.mean(np.abs(each / truth - 1)[10:-10, 10:-10] > 0.03) for each in (given, mended)]
     assert wrong[1] < 0.5 * wrong[0]
-    spec = depth_spec(capture, DepthJob(capture.camera_names[0], ()), DepthOptions())
+    spec = depth_spec(capture, DepthJob(capture.camera_names[0], ()), DepthChoice(registration="estimated").options())
     assert spec["options"]["registration"]["scale"] == applied.scale
 
 

@@ -69,7 +69,7 @@ def _judge(measured: Displacement, width_px: int) -> Finding:
 def _advice(measured: Displacement, width_px: int) -> str:
     if measured.applied != Registration():
         return (
-            f"registration = estimated mends it ({measured.applied.describe(width_px)}): warped neighbours "
+            f"--registration estimated mends it ({measured.applied.describe(width_px)}): warped neighbours "
             f"{measured.psnr_db[1]:.2f} dB; or register the depth maps to the colour camera"
         )
     if measured.frame_px > WARN_FRAME_PX:

@@ -28,7 +28,7 @@ class DepthChoice:
     stereo_weights: Path | None = None
     sensor: bool = True
     reuse_static: bool = False
-    registration: RegistrationName = "estimated"
+    registration: RegistrationName = "given"
 
     def options(self) -> DepthOptions:
         """All parameters of the depth estimation.
@@ -52,5 +52,4 @@ class DepthChoice:
     def from_record(cls, record: dict[str, Any]) -> "DepthChoice":
         """What `record` wrote."""
         weights = record.get("stereo_weights")
-        given = {"registration": "given"}  # what runs did before there was a choice
-        return cls(**given | record | {"stereo_weights": None if weights is None else Path(weights)})
+        return cls(**record | {"stereo_weights": None if weights is None else Path(weights)})

@@ -50,7 +50,7 @@ class SensorDepthOptions:
     smooth_radius_px: int = 4
     edge_px: float = 3.0
     filled_confidence: float = 0.2
-    registration: RegistrationName = "estimated"
+    registration: RegistrationName = "given"
 
     def describe(self) -> dict[str, object]:
         """The filter as values that JSON knows, with the version of the algorithm; a registration tells of itself where it is."""
