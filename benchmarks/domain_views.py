@@ -17,8 +17,9 @@ from ggvs_eval.digest import digest_values
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.images import Image8
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
+from ggvs_eval.pipelines.training.blend_data import HELD_BACK
 from ggvs_eval.pipelines.training.blend_rgbd import MeasuredSampleMaker
-from ggvs_eval.pipelines.training.capture_views import CapturePlan, draw_views
+from ggvs_eval.pipelines.training.capture_views import draw_views
 from ggvs_eval.pipelines.training.domain_samples import domain_validation_plan
 from ggvs_eval.pipelines.training.held_back import held_back_halves
 from ggvs_eval.pipelines.training.room_instants import InstantSample
@@ -28,7 +29,7 @@ from ggvs_eval.processes import finish_all, worker_pool
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.domains import VALIDATION_SEEDS, find_domain
 
-VERSION = 1  # counts up whenever equal plans give other views
+VERSION = 2  # counts up whenever equal plans give other views
 REAL, REAL_TITLE = "real", "real hand-held"
 REAL_CAPTURE = "hololens_rgbd"
 
@@ -144,7 +145,8 @@ def _real(data: Path | None, plan: ViewPlan) -> tuple[Capture, Choices]:
     path = real_capture(data)
     if path is None:
         raise CaptureError(f"{data}: wanted a folder with the capture {REAL_CAPTURE}, got none; give --data")
-    held_back, rule = held_back_halves(open_capture(path))[1], CapturePlan(plan.targets, plan.views, matcher=plan.matcher)
+    held_back = held_back_halves(open_capture(path))[1]
+    rule = replace(HELD_BACK, targets=plan.targets, views=plan.views, matcher=plan.matcher)
     return held_back, [draw_views(held_back, rule, REAL_CAPTURE, number) for number in range(plan.targets)]
 
 

@@ -4,11 +4,12 @@ import numpy as np
 
 from blender_inputs import inputs_of
 from ggvs_eval.pipelines.online.blend_maps import RawViews, raw_views
-from ggvs_eval.pipelines.training.blend_augmentation import SHIFTED, Augmentation, augment, displaced
+from ggvs_eval.pipelines.training.blend_augmentation import Augmentation, augment, displaced
 from scenes import camera_at, instant, look
 
 NOTHING = Augmentation(gain=0, view_gain_share=0, blur_share=0, shift_share=0)
 TARGET = camera_at(0.0, name="target")
+SHIFTED = ("splats", "warps", "alphas", "visibilities", "depths")
 MAPS = (*SHIFTED, "fused_depth")
 
 

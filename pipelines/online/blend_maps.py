@@ -112,8 +112,9 @@ class BlendMaps:
         target = replace(self.target, width=width * scale, height=height * scale).resized(width, height)
         top, left = (min(scale // 2, size - 1) for size in self.fused_depth.shape)
         picked = (maps[..., top::scale, left::scale] for maps in (self.depths, self.fused_depth))
-        continued = (_continued(maps, height, width) for maps in picked)
-        return BlendMaps(target, self.sources, *averaged, *continued, self.shares)
+        depths, fused_depth = (_continued(maps, height, width) for maps in picked)
+        colours, coverage, seen, alphas = averaged
+        return BlendMaps(target, self.sources, colours, coverage, seen, alphas, depths, fused_depth, self.shares)
 
     @property
     def weights(self) -> Map:

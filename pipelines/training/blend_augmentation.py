@@ -4,11 +4,10 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from ggvs_eval.baselines.method import Map
 from ggvs_eval.pipelines.online.blend_maps import RawViews
-
-SHIFTED = ("splats", "warps", "alphas", "visibilities", "depths")
 
 
 @dataclass(frozen=True)
@@ -58,12 +57,20 @@ def augment(views: RawViews, truth: Map, rng: np.random.Generator, options: Augm
     return changed, np.clip(truth * common.astype(np.float32), 0, 1)
 
 
-def displaced(views: RawViews, shifts_px: np.ndarray) -> RawViews:
+def displaced(views: RawViews, shifts_px: NDArray[np.float64]) -> RawViews:
     """Each view moved in the target view by (right, down) pixels, (K, 2); the border is repeated."""
-    moved = {
-        name: np.stack([_moved(m, *shift) for m, shift in zip(getattr(views, name), shifts_px, strict=True)]) for name in SHIFTED
-    }
-    return replace(views, **moved)
+
+    def moved(maps: Map) -> Map:
+        return np.stack([_moved(each, *shift) for each, shift in zip(maps, shifts_px, strict=True)])
+
+    return replace(
+        views,
+        splats=moved(views.splats),
+        warps=moved(views.warps),
+        alphas=moved(views.alphas),
+        visibilities=moved(views.visibilities),
+        depths=moved(views.depths),
+    )
 
 
 def _moved(image: Map, right: float, down: float) -> Map:
@@ -76,7 +83,7 @@ def _moved(image: Map, right: float, down: float) -> Map:
 
 def _blurred(views: RawViews, which: int, sigma_px: float) -> RawViews:
     """One view out of focus."""
-    stacks = {name: getattr(views, name).copy() for name in ("splats", "warps")}
-    for stack in stacks.values():
-        stack[which] = cv2.GaussianBlur(stack[which], (0, 0), sigma_px)
-    return replace(views, **stacks)
+    splats, warps = views.splats.copy(), views.warps.copy()
+    for colours in (splats, warps):
+        colours[which] = cv2.GaussianBlur(colours[which], (0, 0), sigma_px)
+    return replace(views, splats=splats, warps=warps)

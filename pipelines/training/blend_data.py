@@ -1,7 +1,7 @@
 """What a training of the blending network learns from and is judged by: rooms of many domains, and captures."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ggvs_eval.capture import Capture
@@ -17,7 +17,7 @@ from ggvs_eval.synthetic.domains import DOMAINS
 
 VALIDATION_TARGETS = 2  # per domain
 CAPTURE_TARGETS = 72  # per capture that is learned from
-HELD_BACK = {"targets": 6, "gap": 0, "span": 4}  # of a sequence that is held back: sources as an evaluation would have them
+HELD_BACK = CapturePlan(targets=6, gap=0, span=4)  # of a sequence that is held back: sources as an evaluation would have them
 
 
 @dataclass(frozen=True)
@@ -52,16 +52,17 @@ def blend_samples(cache: Path, data: BlendData, most_views: int) -> tuple[Joined
     """
     views = min(4, most_views)
     others = tuple(count for count in range(2, most_views + 1) if count != views)
-    shared = {"views": views, "other_views": others, "other_share": 0.4 if others else 0.0}
     domains = data.domains or tuple(DOMAINS)
     training: list[Samples] = []
     if data.rooms:
-        training += [RoomSamples(cache, plan) for plan in domain_plans(domains, data.rooms, data.targets, **shared)]
+        share = 0.4 if others else 0.0
+        plans = domain_plans(domains, data.rooms, data.targets, views=views, other_views=others, other_share=share)
+        training += [RoomSamples(cache, plan) for plan in plans]
     validation: list[Samples] = [RoomSamples(cache, domain_validation_plan(name, views, VALIDATION_TARGETS)) for name in domains]
     for learned, held_back in _parts(data):
         training.append(CaptureSamples(cache, [learned], CapturePlan(targets=CAPTURE_TARGETS, views=views)))
         if held_back is not None:
-            validation.append(CaptureSamples(cache, [held_back], CapturePlan(views=views, **HELD_BACK)))
+            validation.append(CaptureSamples(cache, [held_back], replace(HELD_BACK, views=views)))
     if not training:
         raise TrainingError("train blend: wanted rooms or captures to learn from, got neither; give --rooms or --captures")
     return JoinedSamples(*training), JoinedSamples(*validation)

@@ -147,7 +147,10 @@ def read_sample(path: Path) -> BlendSample:
             sources=tuple(sources),
             depths=arrays["depths"].astype(np.float32) * np.float32(arrays["unit"]),
             fused_depth=arrays["fused_depth"],
-            **{name: _unit_range(arrays[name]) for name in IN_8_BIT},
+            splats=_unit_range(arrays["splats"]),
+            alphas=_unit_range(arrays["alphas"]),
+            warps=_unit_range(arrays["warps"]),
+            visibilities=_unit_range(arrays["visibilities"]),
         )
         return BlendSample(views, arrays["truth"], arrays["geometric"])
 
