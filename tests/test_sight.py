@@ -33,7 +33,7 @@ def nearest(cameras: list[Camera], index: int, k: int) -> list[Camera]:
 
 def test_what_can_be_shown_falls_with_the_spacing():
     """Five cameras ever farther apart: all is shown, then less and less, then nothing."""
-    spacings = (5, 10, 15, 20, 30, 45, 60)
+    spacings = (5, 10, 20, 30, 45, 60, 90)
     shares = []
     for spacing in spacings:
         cameras = ring(spacing * np.arange(-2, 3))
@@ -45,7 +45,7 @@ def test_what_can_be_shown_falls_with_the_spacing():
 
 def test_a_sensor_spares_the_stereo():
     """Two cameras have no partner but the target to be matched with; with depth of their own they show what they see."""
-    cameras = ring([-20, 0, 60])
+    cameras = ring([-20, 0, 100])
     target, sources = cameras[0], cameras[1:]
     assert shown_share(target, sources, cameras) == 0
     assert shown_share(target, sources, cameras, sensed=("cam01",)) > 0.8
@@ -58,8 +58,8 @@ def test_four_wide_cameras_are_refused_in_one_line():
         require_sight(cameras[0], nearest(cameras, 0, 3), cameras)
     message = str(caught.value)
     assert "\n" not in message
-    assert message.startswith("camera cam00: its 3 sources look from 5")
-    assert "(cam01) or more and show 0% of its view at a depth that can be found, wanted 40%" in message
+    assert message.startswith("camera cam00: its 3 sources look from 47 degrees away (cam01) or more")
+    assert "show 0% of its view at a depth that can be found, wanted 40%" in message
     assert message.endswith("add cameras between, 20 degrees apart or less, or leave it out of the test views")
 
 
@@ -86,7 +86,7 @@ def test_the_check_says_it_too():
 
     rig, *each = check_overlap(ring([0, 8, 16, 24, 120]))
     assert [finding.verdict for finding in (rig, *each)] == ["ok", "ok", "ok", "ok", "ok", "warn"]
-    assert each[-1].values["shown_share"] == 0
+    assert each[-1].values["shown_share"] < 0.1
 
     assert {finding.verdict for finding in check_overlap(ring([0, 8, 16, 24]))} == {"ok"}
 
