@@ -151,7 +151,7 @@ def plan(run: RunFolder, protocol: Protocol, capture: Capture, options: DepthOpt
 
     Reading:
         Shares are for targets that move. A test view stands still and its sources never change, so that all count whole: with the
-        path's shares, nearest sources score 0.02 to 0.17 dB less and chosen ones 0.05 to 0.36 dB (validation rooms).
+        path's shares, nearest sources score up to 0.17 dB less and chosen ones 0.08 to 0.18 dB (validation rooms).
     """
     path = _camera_path(capture, protocol)
     targets = [*(capture.camera(view) for view in protocol.views.test), *path.cameras]
