@@ -1,5 +1,6 @@
 """Sensor depth that lies off its colour: measured in pixels, mended by what the images tell, left alone where it fits."""
 
+import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -11,11 +12,13 @@ import pytest
 from ggvs_eval.camera import Camera
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.pipelines.check.depth_registration import check_depth_registration
+from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.offline.depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.offline.prepare import DepthJob, depth_spec
+from ggvs_eval.pipelines.offline.registered_capture import displacement
 from ggvs_eval.pipelines.offline.registration import Registration, pose_after, with_registration
-from ggvs_eval.pipelines.offline.registration_estimate import measure_registration
+from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthesis, Views
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.options import DemoOptions
 
@@ -51,7 +54,7 @@ def depth_of(capture, index: int) -> np.ndarray:
 def test_depth_that_fits_is_left_alone(room):
     """Of the room as it was filmed nothing is mended, and the check has nothing against it."""
     capture = open_capture(room)
-    measured = measure_registration(capture)
+    measured = displacement(capture)
     assert measured.applied == Registration()
     assert measured.displacement_px < 0.5
     assert abs(measured.registration.scale - 1) < 0.004
@@ -66,7 +69,7 @@ def test_depth_that_fits_is_left_alone(room):
 def test_planted_errors_are_recovered(room, tmp_path, right_px, down_px, roll_deg, scale):
     """Offsets come back within half a pixel, a roll within 0.2 degrees, a scale within 0.5 %; mended depth is nearly the true."""
     capture = open_capture(planted(room, tmp_path / "planted", right_px, down_px, roll_deg, scale))
-    measured = measure_registration(capture)
+    measured = displacement(capture)
     applied = measured.applied
     back = -np.array([applied.right, applied.down]) * WIDTH
     turn = np.radians(roll_deg)
@@ -84,6 +87,31 @@ def test_planted_errors_are_recovered(room, tmp_path, right_px, down_px, roll_de
     assert wrong[1] < 0.5 * wrong[0]
     spec = depth_spec(capture, DepthJob(capture.camera_names[0], ()), DepthChoice(registration="estimated").options())
     assert spec["options"]["registration"]["scale"] == applied.scale
+
+
+def test_the_command_line_asks_for_it(room, tmp_path):
+    """`--registration estimated` prepares mended depth, says so beside it, and keeps the choice."""
+    capture = planted(room, tmp_path / "planted", 4, -2, 0, 1)
+    target = open_capture(capture).camera_names[5]
+    protocol = tmp_path / "one.toml"
+    views, measured = Views((target,), "by hand"), Measurement(("PSNR",), ceilings=False)
+    protocol.write_text(Protocol("one", "room", views, Frames(0, 1), Synthesis(1), measured, CameraPath(0)).to_toml())
+    arguments = [
+        "prepare",
+        tmp_path / "run",
+        "--capture",
+        capture,
+        "--protocol",
+        protocol,
+        "--registration",
+        "estimated",
+        "--jobs",
+        1,
+    ]
+    run_command([str(each) for each in arguments])
+    (spec,) = (json.loads(file.read_text()) for file in (tmp_path / "run" / "depth").glob("*/spec.json"))
+    assert spec["options"]["registration"]["right"] * WIDTH == pytest.approx(-4, abs=0.5)
+    assert json.loads((tmp_path / "run" / "depth.json").read_text())["registration"] == "estimated"
 
 
 def make_camera(x: float = 0.0) -> Camera:

@@ -5,9 +5,9 @@ import numpy as np
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import GgvsError
 from ggvs_eval.pipelines.check.finding import RIG, SEVERITY, Finding, Verdict, graded
-from ggvs_eval.pipelines.offline.registered_capture import is_sequence
+from ggvs_eval.pipelines.offline.registered_capture import displacement, is_sequence
 from ggvs_eval.pipelines.offline.registration import Registration
-from ggvs_eval.pipelines.offline.registration_estimate import Displacement, measure_registration
+from ggvs_eval.pipelines.offline.registration_estimate import Displacement
 
 QUESTION = "depth registration"
 # Of images 480 pixels wide: a pixel beside an edge takes the other surface's colour along; three show at arm's length.
@@ -25,7 +25,7 @@ def check_depth_registration(capture: Capture) -> tuple[Finding, ...]:
     if not is_sequence(capture):
         return (Finding(RIG, QUESTION, "unknown", "several cameras with a sensor each: only sequences of one are measured"),)
     try:
-        measured = measure_registration(capture)
+        measured = displacement(capture)
     except GgvsError as error:
         return (Finding(RIG, QUESTION, "unknown", f"frames cannot be read: {error}"),)
     if measured is None:

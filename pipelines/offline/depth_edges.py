@@ -49,10 +49,9 @@ def find_edges(depth: Map) -> DepthEdges:
         for mirrored in (False, True):
             row, place, z = _edges_to_the_right(lines[:, ::-1] if mirrored else lines, hole_px)
             place = lines.shape[1] - place if mirrored else place
-            uv = (place, row) if upright else (row, place)
-            found.append((np.stack(uv, axis=1), np.full(len(z), upright), z))
-    uv, is_upright, z = (np.concatenate(part) for part in zip(*found, strict=True))
-    return DepthEdges(uv, is_upright, z)
+            uv = np.stack((place, row) if upright else (row, place), axis=1)
+            found.append(DepthEdges(uv, np.full(len(z), upright), z))
+    return DepthEdges(*(np.concatenate([getattr(part, name) for part in found]) for name in ("uv", "upright", "depth")))
 
 
 def _edges_to_the_right(lines: Map, hole_px: int) -> tuple[Array, Array, Array]:

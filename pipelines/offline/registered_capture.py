@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 from ggvs_eval.capture import Capture
-from ggvs_eval.pipelines.offline.registration import Registration, with_registration
-from ggvs_eval.pipelines.offline.registration_estimate import measure_registration
+from ggvs_eval.pipelines.offline.registration import with_registration
+from ggvs_eval.pipelines.offline.registration_estimate import Displacement, measure_registration
 from ggvs_eval.pipelines.offline.sensor_depth import SensorDepthOptions
 
 SEQUENCE_LAYOUT = "rgbd"  # frames of one camera and one sensor; of a rig every camera has a sensor of its own
@@ -34,13 +34,18 @@ def registered(capture: Capture, options: SensorDepthOptions | None) -> Capture:
     """
     if options is None or options.registration == "given" or not is_sequence(capture):
         return capture
-    return with_registration(capture, _estimated(_Sequence(_digest(capture), capture)))
+    measured = displacement(capture)
+    return capture if measured is None else with_registration(capture, measured.applied)
+
+
+def displacement(capture: Capture) -> Displacement | None:
+    """`measure_registration` of all frames, kept for the next question about the same sequence: every depth job asks."""
+    return _measured(_Sequence(_digest(capture), capture))
 
 
 @lru_cache(maxsize=4)
-def _estimated(sequence: _Sequence) -> Registration:
-    measured = measure_registration(sequence.capture)
-    return Registration() if measured is None else measured.applied
+def _measured(sequence: _Sequence) -> Displacement | None:
+    return measure_registration(sequence.capture)
 
 
 def _digest(capture: Capture) -> str:

@@ -82,8 +82,8 @@ class _Edges:
     def of(self, frames: Sequence[int]) -> "_Edges":
         """Those of some frames."""
         chosen = np.isin(self.frame, frames)
-        parts = (each[chosen] for each in (self.uv, self.upright, self.frame, self.motion))
-        return _Edges(*parts, self.responses, self.height)
+        uv, upright, frame, motion = self.uv[chosen], self.upright[chosen], self.frame[chosen], self.motion[chosen]
+        return replace(self, uv=uv, upright=upright, frame=frame, motion=motion)
 
     def response(self, values: Array, level: int) -> float:
         """Mean response of colour to the edges, moved; 0 outside the images."""
