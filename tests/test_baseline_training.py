@@ -15,9 +15,11 @@ from ggvs_eval.pipelines.methods.registry import METHODS, find_method
 from ggvs_eval.pipelines.training.baseline_tasks import BASELINE_TASKS, TAKING_DEPTH, baseline_task
 from ggvs_eval.pipelines.training.blend_samples import SampleMaker
 from ggvs_eval.pipelines.training.card import write_card
+from ggvs_eval.pipelines.training.instant_lots import RoomInstants
+from ggvs_eval.pipelines.training.instant_samples import read_instant
 from ggvs_eval.pipelines.training.loop import TrainingOptions, train
-from ggvs_eval.pipelines.training.room_instants import RoomInstants, read_instant
 from ggvs_eval.pipelines.training.room_plan import RoomPlan, choose_views, validation_plan
+from ggvs_eval.pipelines.training.training_data import TrainingData
 from stereo_scenes import write_capture
 
 WIDTH, HEIGHT = 100, 75
@@ -123,7 +125,7 @@ def test_a_batch_is_learned(what, cache):
     task = small_task(what, cache)
     batch, again, other = task.batch(3), task.batch(3), task.batch(4)
     assert all(torch.equal(batch[name], again[name]) for name in batch)
-    assert not torch.equal(batch["windows"], other["windows"])
+    assert not torch.equal(batch["places"], other["places"])
     network = task.network()
     optimiser = torch.optim.Adam(network.parameters(), 1e-3)
     losses = []
@@ -167,7 +169,7 @@ def test_weights_of_an_unknown_configuration_are_refused(cache, tmp_path):
     assert configuration_of(tmp_path / "old.safetensors", ("full",), "FWD") is None
     assert configuration_of(tmp_path / "authors.pth", ("full",), "FWD") is None
     with pytest.raises(TrainingError, match="stereo network, which is not taught here"):
-        baseline_task("gps-gaussian", cache, PLAN, "full")
+        baseline_task("gps-gaussian", cache, TrainingData(rooms=1), "full")
 
 
 def test_retrained_methods_are_labelled(tmp_path, monkeypatch):

@@ -10,12 +10,13 @@ import pytest
 from ggvs_eval.camera import Camera
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError, TrainingError
-from ggvs_eval.pipelines.training.blend_rooms import RoomSamples
+from ggvs_eval.pipelines.training.blend_lots import RoomSamples
 from ggvs_eval.pipelines.training.capture_views import overlap
-from ggvs_eval.pipelines.training.domain_samples import domain_plans, mixed_instants, mixed_samples
+from ggvs_eval.pipelines.training.domain_samples import domain_plans
 from ggvs_eval.pipelines.training.held_back import held_back_halves
-from ggvs_eval.pipelines.training.room_instants import RoomInstants
+from ggvs_eval.pipelines.training.instant_lots import RoomInstants
 from ggvs_eval.pipelines.training.room_plan import RoomPlan, choose_views, draw_window, film_room, room_options
+from ggvs_eval.pipelines.training.samples import JoinedSamples
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.depth_sensor import measured, misplaced
 from ggvs_eval.synthetic.domains import DOMAINS, VALIDATION_SEEDS, domain_options
@@ -270,7 +271,7 @@ TINY_DOMAINS = ("narrow", "handheld", "misplaced_depth")
 def test_samples_of_many_domains_are_one_lot(tmp_path: Path) -> None:
     """Each domain is filmed into its own folder, and its samples stand one after another, sensors' depth included."""
     plans = [replace(plan, width=96, height=72) for plan in domain_plans(TINY_DOMAINS, rooms=1, targets=1, matcher="sgbm")]
-    lot = mixed_samples(tmp_path, plans)
+    lot = JoinedSamples(*(RoomSamples(tmp_path, plan) for plan in plans))
     assert len(lot) == 3
     for plan in plans:
         RoomSamples(tmp_path, plan).prepare_room(plan.seeds[0])
@@ -285,7 +286,7 @@ def test_of_large_images_a_window_is_kept(tmp_path: Path) -> None:
     """It shows what the whole sample shows there, for the network and for the baselines, whose sources are cut to it."""
     whole = replace(domain_plans(["large"], rooms=1, targets=1)[0], width=96, height=72, window=None)
     part = replace(whole, window=(64, 48))
-    lots = [mixed_samples(tmp_path, [whole]), mixed_samples(tmp_path, [part]), mixed_instants(tmp_path, [part])]
+    lots = [RoomSamples(tmp_path, whole), RoomSamples(tmp_path, part), RoomInstants(tmp_path, part)]
     for plan in (whole, part):
         RoomSamples(tmp_path, plan).prepare_room(1000)
     RoomInstants(tmp_path, part).prepare_room(1000)
@@ -296,7 +297,7 @@ def test_of_large_images_a_window_is_kept(tmp_path: Path) -> None:
     assert (window.views.fused_depth == sample.views.cropped(left, top, 64, 48).fused_depth).all()
     np.testing.assert_allclose(window.views.target.K[:2, 2], sample.views.target.K[:2, 2] - (left, top))
     assert (instant.truth == window.truth).all()
-    assert (lots[2].plan.width, lots[2].plan.height) == (64, 48)
+    assert part.least_size == (64, 48)
 
 
 def test_sources_of_a_hand_held_camera_follow_the_rule_of_sequences(tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
 """What is common to the trainings of the baselines: samples, crops, validation; each adds its network and its loss."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,10 +9,10 @@ import torch
 from torch import Tensor, nn
 
 from ggvs_eval.baselines.method import Instant
-from ggvs_eval.errors import TrainingError
 from ggvs_eval.images import quantise
 from ggvs_eval.metrics.image import psnr, ssim
-from ggvs_eval.pipelines.training.room_instants import InstantSample, JoinedInstants, RoomInstants
+from ggvs_eval.pipelines.training.instant_samples import InstantSample
+from ggvs_eval.pipelines.training.samples import Samples, require_room
 from ggvs_eval.pipelines.training.task import Schedule
 
 LEARNING_RATE = 1e-3  # ours has the same: what a rate for a GPU's day would learn in an hour of one core is little
@@ -38,8 +38,8 @@ class BaselineTask(ABC):
         schedule: see `Schedule`.
     """
 
-    training: RoomInstants | JoinedInstants
-    validation: RoomInstants
+    training: Samples[InstantSample]
+    validation: Samples[InstantSample]
     configuration: str = "compact"
     seed: int = 0
     crop_width: int = 320
@@ -49,11 +49,7 @@ class BaselineTask(ABC):
 
     def __post_init__(self) -> None:
         """Refuse what does not fit together."""
-        for plan in (self.training.plan, self.validation.plan):
-            if plan.width < self.crop_width or plan.height < self.crop_height:
-                raise TrainingError(
-                    f"crops of {self.crop_width} x {self.crop_height} do not fit samples of {plan.width} x {plan.height}"
-                )
+        require_room(self.training, self.crop_width, self.crop_height)
 
     @property
     @abstractmethod
@@ -68,9 +64,7 @@ class BaselineTask(ABC):
     @property
     def judged_on(self) -> str:
         """What `validate` measures."""
-        plan = self.validation.plan
-        rooms = ", ".join(str(seed) for seed in plan.seeds)
-        return f"PSNR (dB) and SSIM of {len(self.validation)} whole views of rooms {rooms}, single instants, K = {plan.views}."
+        return f"PSNR (dB) and SSIM, means of whole views, single instants: {self.validation.data}."
 
     def network(self) -> nn.Module:
         """A fresh network."""
@@ -96,30 +90,38 @@ class BaselineTask(ABC):
         """The target view, (3, H, W) in [0, 1], by a network in evaluation mode."""
 
     def batch(self, step: int) -> dict[str, Tensor]:
-        """Which crops a step learns from: number of the sample, window (left, top), order of the colours, and the step."""
+        """Which crops a step learns from.
+
+        Returns:
+            ``samples``: numbers, (B,). ``places``: of the windows, as shares of the room that each sample leaves to its right
+            and below, (B, 2), in [0, 1). ``colours``: their order, (B, 3). ``step``: its number, ().
+        """
         rng = np.random.default_rng([self.seed, step])
-        plan, size = self.training.plan, self.batch_size
-        left = rng.integers(plan.width - self.crop_width + 1, size=size)
-        top = rng.integers(plan.height - self.crop_height + 1, size=size)
         drawn = {
-            "samples": rng.integers(len(self.training), size=size),
-            "windows": np.stack([left, top], axis=1),
-            "colours": np.stack([rng.permutation(3) for _ in range(size)]),
+            "samples": rng.integers(len(self.training), size=self.batch_size),
+            "places": rng.random((self.batch_size, 2)),
+            "colours": np.stack([rng.permutation(3) for _ in range(self.batch_size)]),
             "step": np.array(step),
         }
-        return {name: torch.as_tensor(np.asarray(values, np.int64)) for name, values in drawn.items()}
+        return {name: torch.as_tensor(values) for name, values in drawn.items()}
 
     def loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, Mapping[str, float]]:
         """Mean over the crops."""
         network.train()
         losses, figures = [], []
-        for number, (left, top), order in zip(*(batch[name].tolist() for name in ("samples", "windows", "colours")), strict=True):
-            sample = self.training.read(number).cropped(left, top, self.crop_width, self.crop_height)
+        for number, place, order in zip(*(batch[name].tolist() for name in ("samples", "places", "colours")), strict=True):
+            sample = self._crop(self.training.read(number), place)
             loss, terms = self.sample_loss(network, sample.focused().recoloured(tuple(order)), int(batch["step"]))
             losses.append(loss)
             figures.append({name: float(term.detach()) for name, term in terms.items()})
         means = {name: sum(each[name] for each in figures) / len(figures) for name in figures[0]}
         return torch.stack(losses).mean(), means
+
+    def _crop(self, sample: InstantSample, place: Sequence[float]) -> InstantSample:
+        """The window at a place of a sample, whatever the sample's size."""
+        width, height = sample.instant.target.size
+        left, top = int(place[0] * (width - self.crop_width + 1)), int(place[1] * (height - self.crop_height + 1))
+        return sample.cropped(left, top, self.crop_width, self.crop_height)
 
     def validate(self, network: nn.Module) -> Mapping[str, float]:
         """Scores as an evaluation would measure them."""

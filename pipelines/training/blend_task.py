@@ -21,7 +21,7 @@ from ggvs_eval.pipelines.online.network_inputs import GUIDED, guide_depth, input
 from ggvs_eval.pipelines.training.blend_augmentation import Augmentation, augment
 from ggvs_eval.pipelines.training.blend_loss import BlendLossWeights, blend_loss
 from ggvs_eval.pipelines.training.blend_samples import BlendSample
-from ggvs_eval.pipelines.training.joined_samples import Samples
+from ggvs_eval.pipelines.training.samples import Samples, require_room
 from ggvs_eval.pipelines.training.task import Schedule
 
 Change = Callable[[RawViews, Map], tuple[RawViews, Map]]
@@ -48,8 +48,8 @@ class BlendTask:
         of what it can learn after 500 steps.
     """
 
-    training: Samples
-    validation: Samples
+    training: Samples[BlendSample]
+    validation: Samples[BlendSample]
     config: BlendConfig = field(default_factory=BlendConfig)
     seed: int = 0
     crop_width: int = 320
@@ -66,10 +66,7 @@ class BlendTask:
                 raise TrainingError(
                     f"a network for {self.config.views} views cannot learn from samples of {plan.most_views} views"
                 )
-            if plan.width < self.crop_width or plan.height < self.crop_height:
-                raise TrainingError(
-                    f"crops of {self.crop_width} x {self.crop_height} do not fit samples of {plan.width} x {plan.height}"
-                )
+        require_room(self.training, self.crop_width, self.crop_height)
 
     @property
     def name(self) -> str:

@@ -1,4 +1,4 @@
-"""Which views of a capture the blending network learns from: of RGB-D sequences by ScanNet's rule, of rigs by what is near."""
+"""Which views of a capture networks learn from: of RGB-D sequences by ScanNet's rule, of rigs by what is near."""
 
 import hashlib
 from collections.abc import Sequence
@@ -45,6 +45,11 @@ class CapturePlan:
     def most_views(self) -> int:
         """The largest K of a sample."""
         return self.views
+
+    @property
+    def least_size(self) -> tuple[int, int]:
+        """Least width and height of the samples, pixels."""
+        return self.width, self.height
 
     def __post_init__(self) -> None:
         """Refuse plans without samples."""

@@ -1,12 +1,8 @@
-"""What networks learn from or are chosen by, of many domains: a plan per domain, and their samples as one lot."""
+"""Which rooms of which domains networks learn from or are chosen by: a plan per domain."""
 
 from collections.abc import Iterable
 from dataclasses import replace
-from pathlib import Path
 
-from ggvs_eval.pipelines.training.blend_rooms import RoomSamples
-from ggvs_eval.pipelines.training.joined_samples import JoinedSamples, Samples
-from ggvs_eval.pipelines.training.room_instants import JoinedInstants, RoomInstants
 from ggvs_eval.pipelines.training.room_plan import RoomPlan
 from ggvs_eval.synthetic.domains import DOMAINS, VALIDATION_SEEDS, find_domain
 
@@ -24,22 +20,6 @@ def domain_plans(domains: Iterable[str] = tuple(DOMAINS), rooms: int = 4, target
     """
     plan = replace(RoomPlan(rooms=rooms, targets=targets), **shared)  # type: ignore[arg-type]
     return [_sized(plan, name) for name in domains]
-
-
-def mixed_samples(cache: Path, plans: Iterable[RoomPlan] | None = None, *others: Samples) -> JoinedSamples:
-    """The blending network's samples of many domains as one lot, each as likely as any other.
-
-    Args:
-        cache: where rooms and samples are kept.
-        plans: which rooms of which domains; `domain_plans()` by default.
-        others: further samples, such as those of real captures.
-    """
-    return JoinedSamples(*(RoomSamples(cache, plan) for plan in (domain_plans() if plans is None else plans)), *others)
-
-
-def mixed_instants(cache: Path, plans: Iterable[RoomPlan] | None = None, depth: bool = True) -> JoinedInstants:
-    """The baselines' samples of the same views, see `mixed_samples`."""
-    return JoinedInstants([RoomInstants(cache, plan, depth) for plan in (domain_plans() if plans is None else plans)])
 
 
 def domain_validation_plan(

@@ -19,7 +19,7 @@ from ggvs_eval.baselines.enerf.volumes import find_surface, refine_surface, sear
 from ggvs_eval.baselines.method import Instant
 from ggvs_eval.pipelines.training.baseline_task import BaselineTask, truth_of
 from ggvs_eval.pipelines.training.blend_loss import structural_loss
-from ggvs_eval.pipelines.training.room_instants import InstantSample
+from ggvs_eval.pipelines.training.instant_samples import InstantSample
 
 COARSE_WEIGHT, STRUCTURE_WEIGHT = 0.1, 0.01
 

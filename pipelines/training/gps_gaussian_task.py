@@ -13,7 +13,7 @@ from ggvs_eval.baselines.method import Instant
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.pipelines.training.baseline_task import BaselineTask, truth_of
 from ggvs_eval.pipelines.training.blend_loss import structural_loss
-from ggvs_eval.pipelines.training.room_instants import InstantSample
+from ggvs_eval.pipelines.training.instant_samples import InstantSample
 
 L1_WEIGHT, STRUCTURE_WEIGHT = 0.8, 0.2
 

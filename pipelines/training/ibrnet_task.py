@@ -12,7 +12,7 @@ from ggvs_eval.baselines.ibrnet.networks import Networks
 from ggvs_eval.baselines.ibrnet.rendering import rays_at_once, render_passes, render_rays
 from ggvs_eval.baselines.method import Instant
 from ggvs_eval.pipelines.training.baseline_task import BaselineTask, truth_of
-from ggvs_eval.pipelines.training.room_instants import InstantSample
+from ggvs_eval.pipelines.training.instant_samples import InstantSample
 
 JUDGED_STEP = 4  # pixels
 
@@ -60,8 +60,8 @@ class IbrnetTask(BaselineTask):
     @property
     def judged_on(self) -> str:
         """What `validate` measures."""
-        whole = super().judged_on.removeprefix("PSNR (dB) and SSIM of ").removesuffix(".")
-        return f"PSNR (dB) of each {JUDGED_STEP}th pixel of each {JUDGED_STEP}th row of {whole}: whole views take minutes."
+        grid = f"each {JUDGED_STEP}th pixel of each {JUDGED_STEP}th row"
+        return f"PSNR (dB) of {grid}, for whole views take minutes; means of single instants: {self.validation.data}."
 
     def validate(self, network: nn.Module) -> Mapping[str, float]:
         """PSNR of the mean squared error over pixels on a grid, mean of the views; without their neighbours there is no SSIM."""

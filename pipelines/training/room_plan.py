@@ -56,6 +56,11 @@ class RoomPlan:
         return max(self.views, *self.other_views) if self.other_share else self.views
 
     @property
+    def least_size(self) -> tuple[int, int]:
+        """Width and height of the samples, pixels."""
+        return self.window or (self.width, self.height)
+
+    @property
     def seeds(self) -> range:
         """Seeds of the rooms."""
         return range(self.first_room, self.first_room + self.rooms)
@@ -114,7 +119,7 @@ def choose_views(capture: Capture, plan: RoomPlan, seed: int, number: int) -> tu
 
 def draw_window(plan: RoomPlan, seed: int, number: int) -> tuple[int, int, int, int]:
     """Left, top, width and height of the part of a room's sample of that number that is kept, pixels."""
-    width, height = plan.window or (plan.width, plan.height)
+    width, height = plan.least_size
     rng = np.random.default_rng([seed, 88, number])
     return int(rng.integers(plan.width - width + 1)), int(rng.integers(plan.height - height + 1)), width, height
 

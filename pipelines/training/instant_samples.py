@@ -1,6 +1,5 @@
-"""What the baselines learn from: the same targets and sources as the blending network's, as a method is shown them."""
+"""A training sample of a baseline: what a method is shown of a target view, and what the target's camera saw."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,14 +9,10 @@ from numpy.typing import NDArray
 from ggvs_eval.baselines.method import Instant, SourceView
 from ggvs_eval.camera import Camera
 from ggvs_eval.images import Image8
-from ggvs_eval.pipelines.training.blend_samples import SampleMaker
-from ggvs_eval.pipelines.training.room_lot import RoomLot
-from ggvs_eval.pipelines.training.room_plan import RoomPlan
 from ggvs_eval.pipelines.training.sample_file import camera_arrays, stored_arrays, stored_cameras, write_arrays
 
 FOCUS_MARGIN_PX = 8  # what a convolution sees around a pixel
 FOCUS_MULTIPLE = 32
-VERSION = 1  # counts up whenever equal plans give other samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,91 +54,6 @@ class InstantSample:
         """The same with red, green and blue in another order, in sources and truth alike."""
         sources = tuple(replace(source, image=np.ascontiguousarray(source.image[..., order])) for source in self.instant.sources)
         return InstantSample(replace(self.instant, sources=sources), np.ascontiguousarray(self.truth[..., order]))
-
-
-class RoomInstants(RoomLot[InstantSample]):
-    """The baselines' samples of a plan on disk, see `RoomLot`.
-
-    Args:
-        folder: where rooms and samples are kept; `RoomSamples` may share it.
-        plan: which samples.
-        depth: whether sources come with depth; methods that take none need not wait for it.
-
-    Raises:
-        TrainingError: seeds of neither training nor validation rooms, or a plan without samples.
-    """
-
-    def __init__(self, folder: Path, plan: RoomPlan, depth: bool = True) -> None:
-        super().__init__(folder, plan, "instants", VERSION, depth)
-
-    def make(self, maker: SampleMaker, target: Camera, sources: Sequence[Camera]) -> InstantSample:
-        """What a method is shown, and what the target's camera saw."""
-        if self._depth:
-            return InstantSample(maker.instant(target, sources), maker.truth(target))
-        views = []
-        for source in sources:
-            unknown = np.zeros((source.height, source.width), np.float32)
-            views.append(SourceView(source, maker.truth(source), unknown, unknown))
-        return InstantSample(Instant(0, target, tuple(views), maker.capture.units_per_metre), maker.truth(target))
-
-    def cropped(self, sample: InstantSample, left: int, top: int, width: int, height: int) -> InstantSample:
-        """A window of the target, sources cut to what it can show of them."""
-        return sample.cropped(left, top, width, height).focused()
-
-    def read_file(self, path: Path) -> InstantSample:
-        """See `read_instant`."""
-        return read_instant(path)
-
-    def write_file(self, path: Path, sample: InstantSample) -> None:
-        """See `write_instant`."""
-        write_instant(path, sample)
-
-
-class JoinedInstants:
-    """The baselines' samples of several plans, one after the other; each is as likely as any other.
-
-    Args:
-        lots: at least one; samples of all are at least as large as those of the smallest.
-    """
-
-    def __init__(self, lots: Sequence[RoomInstants]) -> None:
-        self._lots = tuple(lots)
-
-    def __repr__(self) -> str:
-        """The plans; the model card shows them."""
-        return "; ".join(map(repr, self._lots))
-
-    def __len__(self) -> int:
-        return sum(map(len, self._lots))
-
-    @property
-    def plan(self) -> RoomPlan:
-        """The first plan, with the size that every sample has at least."""
-        sizes = [lot.plan.window or (lot.plan.width, lot.plan.height) for lot in self._lots]
-        width, height = (min(sides) for sides in zip(*sizes, strict=True))
-        return replace(self._lots[0].plan, width=width, height=height, window=None)
-
-    @property
-    def data(self) -> str:
-        """What they show, for the model card."""
-        return "; ".join(lot.data for lot in self._lots)
-
-    def read(self, index: int) -> InstantSample:
-        """One of the samples.
-
-        Raises:
-            TrainingError: it has not been prepared, or is damaged.
-        """
-        for lot in self._lots:
-            if index < len(lot):
-                return lot.read(index)
-            index -= len(lot)
-        raise IndexError(index)
-
-    def prepare(self, workers: int) -> None:
-        """Make the samples that are not there yet."""
-        for lot in self._lots:
-            lot.prepare(workers)
 
 
 def _window_in(source: Camera, target: Camera) -> NDArray[np.float64]:

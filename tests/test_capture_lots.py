@@ -12,8 +12,10 @@ from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.metrics.image import psnr
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
-from ggvs_eval.pipelines.training.blend_rgbd import CaptureSamples, MeasuredSampleMaker, make_samples
+from ggvs_eval.pipelines.training.blend_lots import BlendSampleKind, CaptureSamples
+from ggvs_eval.pipelines.training.capture_lot import MeasuredSampleMaker, make_samples
 from ggvs_eval.pipelines.training.capture_views import CapturePlan, draw_views, overlap, possible_targets, within_rule
+from ggvs_eval.pipelines.training.instant_lots import CaptureInstants
 from stereo_scenes import HEIGHT, WIDTH, look_from, plane_depth, see_plane, write_capture
 
 HOLOLENS = Path(__file__).parents[2] / "shared" / "data" / "hololens_rgbd"
@@ -161,13 +163,34 @@ def test_samples_are_kept_and_read(sequence, rig, tmp_path):
     assert str(sequence.path) not in repr(samples)
 
 
+def test_baselines_are_shown_the_same_views(sequence, tmp_path):
+    """Instants have the targets, sources and truths of the network's samples, with the sensor's depth or with none."""
+    instants = (CaptureInstants(tmp_path, [sequence], PLAN, depth) for depth in (True, False))
+    lots = [CaptureSamples(tmp_path, [sequence], PLAN), *instants]
+    for lot in lots:
+        lot.jobs()[1]()
+    blended, shown, bare = (lot.read(1) for lot in lots)
+    for sample in (shown, bare):
+        assert sample.instant.target.name == blended.views.target.name
+        assert [view.camera.name for view in sample.instant.sources] == [source.name for source in blended.views.sources]
+        np.testing.assert_array_equal(sample.truth, blended.truth)
+    for view, without in zip(shown.instant.sources, bare.instant.sources, strict=True):
+        exact, measured = plane_depth(view.camera), view.depth > 0
+        assert measured.mean() > 0.7
+        assert np.median(np.abs(view.depth / exact - 1)[measured]) < 0.002
+        assert not without.depth.any()
+        np.testing.assert_array_equal(without.image, sequence.frame(view.camera.name, 0))
+    assert "no depth" in lots[2].data
+
+
 def test_a_rig_s_samples_take_turns_at_its_instants(rig, tmp_path):
     """Even numbers show one instant, odd ones another; targets are not among their sources; sizes cover the plan's."""
     samples = CaptureSamples(tmp_path, [rig], RIG_PLAN)
     (capture,) = samples._captures
     assert capture.cameras[0].size == (160, 120)
     for numbers, frame in (([0, 2], 0), ([1], 2)):
-        make_samples(capture, RIG_PLAN, samples._names[0], {number: samples._path(0, number) for number in numbers})
+        paths = {number: samples._path(0, number) for number in numbers}
+        make_samples(capture, RIG_PLAN, samples._names[0], paths, BlendSampleKind())
         for number in numbers:
             sample = samples.read(number)
             np.testing.assert_array_equal(sample.truth, capture.frame(sample.views.target.name, frame))
@@ -232,7 +255,7 @@ def test_a_real_sequence_gives_samples(tmp_path):
     capture = open_capture(HOLOLENS)
     plan = CapturePlan(targets=1, width=270, height=180)
     samples = CaptureSamples(tmp_path, [capture], plan)
-    make_samples(samples._captures[0], plan, samples._names[0], {0: samples._path(0, 0)})
+    make_samples(samples._captures[0], plan, samples._names[0], {0: samples._path(0, 0)}, BlendSampleKind())
     sample = samples.read(0)
     apart = [abs(int(source.name) - int(sample.views.target.name)) for source in sample.views.sources]
     assert all(4 < frames <= 30 for frames in apart)

@@ -1,9 +1,10 @@
-"""What the blending network can learn from beside rooms: captures, with the depth that a sensor measured or with stereo."""
+"""Samples of captures on disk, whatever a sample is, with the depth that a sensor measured or with stereo."""
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 
 from ggvs_eval.camera import Camera
@@ -15,32 +16,36 @@ from ggvs_eval.errors import TrainingError
 from ggvs_eval.pipelines.offline.depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.offline.sensor_depth import SensorDepthEstimator
-from ggvs_eval.pipelines.training.blend_samples import BlendSample, SampleMaker, read_sample, write_sample
+from ggvs_eval.pipelines.training.blend_samples import SampleMaker
 from ggvs_eval.pipelines.training.capture_views import CapturePlan, draw_views, is_sequence, possible_targets
-from ggvs_eval.processes import finish_all, worker_pool
+from ggvs_eval.pipelines.training.samples import Job, Sample, SampleKind, Samples
 from ggvs_eval.synthetic.domains import FIRST_TRAINING_SEED, VALIDATION_SEEDS
 
-VERSION = 2  # counts up whenever equal plans give other samples
 
-
-class CaptureSamples:
+class CaptureLot(Samples[Sample]):
     """The samples of some captures on disk; a capture is whatever `open_capture` opens: ScanNet, Spaces, DyNeRF, one's own rig.
 
     A test capture must never be trained on: none of those that the packaged protocols name test views of, nor any other that
     results are told of. Only the demo capture and its likes can be told from others here, and are refused.
 
     Args:
-        folder: where samples are kept; several plans may share it.
+        folder: where samples are kept; several plans, and several kinds of samples, may share it.
         captures: what to learn from, at their own size.
         plan: which samples.
+        kind: what a sample is.
+        name: of the kind; folders begin with it.
+        version: of the samples: counts up whenever equal plans give other ones.
 
     Raises:
         TrainingError: a capture that is for tests, too small, given twice, or has too few cameras.
     """
 
-    def __init__(self, folder: Path, captures: Sequence[Capture], plan: CapturePlan) -> None:
+    def __init__(
+        self, folder: Path, captures: Sequence[Capture], plan: CapturePlan, kind: SampleKind[Sample], name: str, version: int
+    ) -> None:
         self.plan = plan
-        self._folder = folder / f"captures-{_digest(plan)}"
+        self._kind = kind
+        self._folder = folder / f"{name}-{_digest(plan, version, kind.depth)}"
         self._names = [_name(capture) for capture in captures]
         if not captures or len(set(self._names)) < len(captures):
             listed = ", ".join(str(capture.path) for capture in captures) or "none"
@@ -66,38 +71,33 @@ class CaptureSamples:
     def data(self) -> str:
         """What they show, for the model card."""
         scenes = ", ".join(capture.scene for capture in self._captures)
-        return f"{len(self)} views of the captures {scenes}, depth as measured or by {self.plan.matcher}"
+        depth = f"depth as measured or by {self.plan.matcher}" if self._kind.depth else "no depth"
+        return f"{len(self)} views of the captures {scenes}, {depth}"
 
-    def read(self, index: int) -> BlendSample:
+    def read(self, index: int) -> Sample:
         """One of the samples.
 
         Raises:
             TrainingError: it has not been prepared, or is damaged.
         """
         capture, number = divmod(index, self.plan.targets)
-        return read_sample(self._path(capture, number))
+        return self._kind.read(self._path(capture, number))
 
-    def prepare(self, workers: int) -> None:
-        """Make the samples that are not there yet; a killed preparation goes on where it stopped.
-
-        Args:
-            workers: processes; targets that share an instant, and thereby depth, are one job.
-        """
-        jobs = []
+    def jobs(self) -> list[Job]:
+        """Make samples that are not there yet; targets that share an instant, and thereby depth, are one job."""
+        jobs: list[Job] = []
         for index, capture in enumerate(self._captures):
             for numbers in _groups(capture, self.plan):
-                missing = {number: path for number in numbers if not (path := self._path(index, number)).is_file()}
-                if missing:
-                    jobs.append((capture, self.plan, self._names[index], missing))
-        if jobs:
-            with worker_pool(min(workers, len(jobs))) as pool:
-                finish_all(pool, [pool.submit(make_samples, *job) for job in jobs], "views to learn from")
+                lacking = {number: path for number in numbers if not (path := self._path(index, number)).is_file()}
+                if lacking:
+                    jobs.append(partial(make_samples, capture, self.plan, self._names[index], lacking, self._kind))
+        return jobs
 
     def _path(self, capture: int, number: int) -> Path:
         return self._folder / f"{self._names[capture]}-{number:04d}.npz"
 
 
-def make_samples(capture: Capture, plan: CapturePlan, name: str, paths: dict[int, Path]) -> None:
+def make_samples(capture: Capture, plan: CapturePlan, name: str, paths: Mapping[int, Path], kind: SampleKind[Sample]) -> None:
     """Make samples of one instant of a capture; runs in a worker.
 
     Args:
@@ -105,10 +105,11 @@ def make_samples(capture: Capture, plan: CapturePlan, name: str, paths: dict[int
         plan: which samples.
         name: of the capture; with a sample's number it decides what is drawn.
         paths: number of each sample, and where it goes.
+        kind: what a sample is.
     """
     maker = MeasuredSampleMaker(capture, DepthChoice(plan.matcher).options(), _instant(capture, plan, next(iter(paths))))
     for number, path in paths.items():
-        write_sample(path, maker.sample(*draw_views(capture, plan, name, number)))
+        kind.write(path, kind.make(maker, *draw_views(capture, plan, name, number)))
 
 
 class MeasuredSampleMaker(SampleMaker):
@@ -194,14 +195,14 @@ def _name(capture: Capture) -> str:
     return f"{capture.scene}-{digest_values(capture.sources[0].digest, str(capture.n_frames), *poses)[:12]}"
 
 
-def _digest(plan: CapturePlan) -> str:
+def _digest(plan: CapturePlan, version: int, depth: bool) -> str:
     """Names all that a sample depends on but its capture and its number."""
     options = DepthChoice(plan.matcher).options()
-    described = {
-        "version": VERSION,
+    described: dict[str, object] = {
+        "version": version,
         "plan": {name: value for name, value in asdict(plan).items() if name != "targets"},
-        "depth": options.describe(),
-        "sensor": options.sensor.describe() if options.sensor else None,
-        "consistency": options.consistency.describe() if options.consistency else None,
+        "depth": options.describe() if depth else None,
+        "sensor": options.sensor.describe() if depth and options.sensor else None,
+        "consistency": options.consistency.describe() if depth and options.consistency else None,
     }
     return hashlib.sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()[:12]

@@ -1,0 +1,86 @@
+"""What the baselines learn from: the blending network's targets and sources, as a method is shown them, kept on disk."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ggvs_eval.baselines.method import Instant, SourceView
+from ggvs_eval.camera import Camera
+from ggvs_eval.capture import Capture
+from ggvs_eval.pipelines.training.blend_samples import SampleMaker
+from ggvs_eval.pipelines.training.capture_lot import CaptureLot
+from ggvs_eval.pipelines.training.capture_views import CapturePlan
+from ggvs_eval.pipelines.training.instant_samples import InstantSample, read_instant, write_instant
+from ggvs_eval.pipelines.training.room_lot import RoomLot
+from ggvs_eval.pipelines.training.room_plan import RoomPlan
+from ggvs_eval.pipelines.training.samples import SampleKind
+
+ROOM_VERSION, CAPTURE_VERSION = 1, 1  # each counts up whenever equal plans give other samples
+
+
+@dataclass(frozen=True)
+class InstantKind(SampleKind[InstantSample]):
+    """What a method is shown, and what the target's camera saw.
+
+    Attributes:
+        depth: whether sources come with depth; methods that take none need not wait for it.
+    """
+
+    depth: bool = True
+
+    def make(self, maker: SampleMaker, target: Camera, sources: Sequence[Camera]) -> InstantSample:
+        """The instant with the depth of `SampleMaker.instant`, or with none."""
+        if self.depth:
+            return InstantSample(maker.instant(target, sources), maker.truth(target))
+        views = []
+        for source in sources:
+            unknown = np.zeros((source.height, source.width), np.float32)
+            views.append(SourceView(source, maker.truth(source), unknown, unknown))
+        return InstantSample(Instant(0, target, tuple(views), maker.capture.units_per_metre), maker.truth(target))
+
+    def cropped(self, sample: InstantSample, left: int, top: int, width: int, height: int) -> InstantSample:
+        """A window of the target, sources cut to what it can show of them."""
+        return sample.cropped(left, top, width, height).focused()
+
+    def read(self, path: Path) -> InstantSample:
+        """See `read_instant`."""
+        return read_instant(path)
+
+    def write(self, path: Path, sample: InstantSample) -> None:
+        """See `write_instant`."""
+        write_instant(path, sample)
+
+
+class RoomInstants(RoomLot[InstantSample]):
+    """The baselines' samples of a plan, see `RoomLot`.
+
+    Args:
+        folder: where rooms and samples are kept; `RoomSamples` may share it.
+        plan: which samples.
+        depth: whether sources come with depth.
+
+    Raises:
+        TrainingError: seeds of neither training nor validation rooms, or a plan without samples.
+    """
+
+    def __init__(self, folder: Path, plan: RoomPlan, depth: bool = True) -> None:
+        super().__init__(folder, plan, InstantKind(depth), "instants", ROOM_VERSION)
+
+
+class CaptureInstants(CaptureLot[InstantSample]):
+    """The baselines' samples of captures, see `CaptureLot`.
+
+    Args:
+        folder: where samples are kept; `CaptureSamples` may share it.
+        captures: what to learn from, at their own size.
+        plan: which samples.
+        depth: whether sources come with depth.
+
+    Raises:
+        TrainingError: a capture that is for tests, too small, given twice, or has too few cameras.
+    """
+
+    def __init__(self, folder: Path, captures: Sequence[Capture], plan: CapturePlan, depth: bool = True) -> None:
+        super().__init__(folder, captures, plan, InstantKind(depth), "capture-instants", CAPTURE_VERSION)

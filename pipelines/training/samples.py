@@ -1,0 +1,154 @@
+"""Samples on disk: what a lot of them offers, what kinds there are to make, and several lots as one."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Generic, Protocol, TypeVar
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.errors import TrainingError
+from ggvs_eval.pipelines.training.blend_samples import SampleMaker
+from ggvs_eval.processes import finish_all, worker_pool
+
+Sample = TypeVar("Sample")
+Job = Callable[[], None]  # can be sent to a worker process
+
+
+class SamplePlan(Protocol):
+    """What a task asks of a plan."""
+
+    @property
+    def most_views(self) -> int:
+        """The largest K of a sample."""
+
+    @property
+    def least_size(self) -> tuple[int, int]:
+        """Least width and height of a sample, pixels."""
+
+
+class SampleKind(ABC, Generic[Sample]):
+    """What a sample is: how it is made of a capture, and its file.
+
+    Attributes:
+        depth: whether it depends on the depth of its sources.
+    """
+
+    depth: bool = True
+
+    @abstractmethod
+    def make(self, maker: SampleMaker, target: Camera, sources: Sequence[Camera]) -> Sample:
+        """The sample of a target and its source cameras."""
+
+    @abstractmethod
+    def cropped(self, sample: Sample, left: int, top: int, width: int, height: int) -> Sample:
+        """The window of a sample that starts at pixel (left, top)."""
+
+    @abstractmethod
+    def read(self, path: Path) -> Sample:
+        """Read a sample.
+
+        Raises:
+            TrainingError: absent or damaged.
+        """
+
+    @abstractmethod
+    def write(self, path: Path, sample: Sample) -> None:
+        """Write a sample, the whole file or none."""
+
+
+class Samples(ABC, Generic[Sample]):
+    """Samples of one kind on disk: of rooms, of captures, or several lots of them."""
+
+    @property
+    @abstractmethod
+    def plans(self) -> tuple[SamplePlan, ...]:
+        """Which samples there are."""
+
+    @property
+    @abstractmethod
+    def data(self) -> str:
+        """What they show, for the model card."""
+
+    @abstractmethod
+    def __len__(self) -> int: ...
+
+    @abstractmethod
+    def read(self, index: int) -> Sample:
+        """One of the samples.
+
+        Raises:
+            TrainingError: it has not been prepared, or is damaged.
+        """
+
+    @abstractmethod
+    def jobs(self) -> list[Job]:
+        """What makes the samples that are not there yet; each job is independent of the others."""
+
+    def prepare(self, workers: int) -> None:
+        """Make the samples that are not there yet; a killed preparation goes on where it stopped.
+
+        Args:
+            workers: processes that share the jobs.
+        """
+        jobs = self.jobs()
+        if jobs:
+            with worker_pool(min(workers, len(jobs))) as pool:
+                finish_all(pool, [pool.submit(job) for job in jobs], "views to learn from")
+
+
+class JoinedSamples(Samples[Sample]):
+    """Several lots, one after the other; each sample is as likely as any other.
+
+    Args:
+        lots: at least one.
+    """
+
+    def __init__(self, *lots: Samples[Sample]) -> None:
+        self.lots = lots
+
+    def __repr__(self) -> str:
+        """The lots; the model card shows them."""
+        return "; ".join(map(repr, self.lots))
+
+    def __len__(self) -> int:
+        return sum(map(len, self.lots))
+
+    @property
+    def plans(self) -> tuple[SamplePlan, ...]:
+        """Of all lots."""
+        return tuple(plan for lot in self.lots for plan in lot.plans)
+
+    @property
+    def data(self) -> str:
+        """What they show, for the model card."""
+        return "; ".join(lot.data for lot in self.lots)
+
+    def read(self, index: int) -> Sample:
+        """One of the samples.
+
+        Raises:
+            TrainingError: it has not been prepared, or is damaged.
+        """
+        for lot in self.lots:
+            if index < len(lot):
+                return lot.read(index)
+            index -= len(lot)
+        raise IndexError(index)
+
+    def jobs(self) -> list[Job]:
+        """Those of all lots."""
+        return [job for lot in self.lots for job in lot.jobs()]
+
+
+def require_room(samples: Samples[Sample], width: int, height: int) -> None:
+    """Refuse samples in which crops of that size do not fit.
+
+    Raises:
+        TrainingError: a sample may be smaller.
+    """
+    for plan in samples.plans:
+        least = plan.least_size
+        if least[0] < width or least[1] < height:
+            raise TrainingError(
+                f"crops of {width} x {height} do not fit samples of {least[0]} x {least[1]}; take larger samples or smaller crops"
+            )

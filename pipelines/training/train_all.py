@@ -1,0 +1,95 @@
+"""All networks from one command: samples first, then trainings side by side, each as the single command would run it."""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from ggvs_eval.compute_device import compute_device
+from ggvs_eval.errors import TrainingError
+from ggvs_eval.pipelines.online.blend_weights import weights_name
+from ggvs_eval.pipelines.training.baseline_tasks import BASELINE_TASKS, TAKING_DEPTH
+from ggvs_eval.pipelines.training.request import Guidance, TrainingRequest
+from ggvs_eval.pipelines.training.side_by_side import Training, default_jobs, run_trainings
+from ggvs_eval.pipelines.training.train_one import CACHE, requested_data
+from ggvs_eval.pipelines.training.training_data import baseline_samples, blend_samples, prepare_samples
+from ggvs_eval.processes import default_workers
+
+Network = tuple[str, Guidance]  # what `train` calls it, and what blend sees of the fused depth
+NETWORKS: tuple[Network, ...] = (
+    ("blend", "registered"),
+    ("blend", "none"),
+    ("blend", "naive"),
+    *((what, "registered") for what in BASELINE_TASKS),
+)
+
+
+def train_all(
+    folder: Path, request: TrainingRequest, jobs: int | None = None, networks: Sequence[Network] = NETWORKS
+) -> list[Path]:
+    """Train all networks of a comparison on the same views; what is done already is not done again.
+
+    Args:
+        folder: gets a folder per network, with state, logs, curve, weights and card, and the samples.
+        request: what is asked for, of each network.
+        jobs: trainings at a time; by default all on a GPU, one per two cores on a CPU.
+        networks: which.
+
+    Returns:
+        Weights and card of each network.
+
+    Raises:
+        DeviceError: there is no such device here.
+        TrainingError: nothing to learn from, an option that is for one network alone, or trainings that failed; all others are
+            finished then.
+    """
+    device = compute_device(request.device)
+    if request.start_from is not None or request.guidance != "registered":
+        raise TrainingError(
+            "train all: wanted options that all networks share, got --start-from or --guidance; train that network alone, as "
+            "`ggvs-eval train blend` does, and call again"
+        )
+    trainings = planned_trainings(folder, request, networks)
+    prepare_all(folder / CACHE, request, networks)
+    failures = run_trainings(trainings, default_jobs(device.type, len(trainings)) if jobs is None else jobs)
+    if failures:
+        print(*failures.values(), sep="\n", file=sys.stderr)
+        raise TrainingError(
+            f"train all: wanted {len(trainings)} trained networks, {', '.join(failures)} failed, the others are trained; mend "
+            "what their logs say and call again to go on"
+        )
+    return [training.folder / f"{training.name}{end}" for training in trainings for end in (".safetensors", ".md")]
+
+
+def planned_trainings(folder: Path, request: TrainingRequest, networks: Sequence[Network] = NETWORKS) -> list[Training]:
+    """The command of each network's training.
+
+    Args:
+        folder: of all trainings.
+        request: what is asked for, of each network.
+        networks: which.
+    """
+    trainings = []
+    for what, guidance in networks:
+        name = weights_name(guidance) if what == "blend" else what
+        words = replace(request, guidance=guidance).words(what)
+        trainings.append(Training(name, folder / name, ("train", what, str(folder / name), *words), request.steps))
+    return trainings
+
+
+def prepare_all(cache: Path, request: TrainingRequest, networks: Sequence[Network] = NETWORKS) -> None:
+    """Make the samples that any of the networks lacks, with all cores; rooms are filmed once for all.
+
+    Args:
+        cache: where rooms and samples are kept.
+        request: what is asked for.
+        networks: which.
+
+    Raises:
+        TrainingError: nothing to learn from, or captures that cannot be learned from.
+    """
+    data = requested_data(request)
+    if any(what == "blend" for what, _ in networks):
+        prepare_samples(*blend_samples(cache, data), default_workers())
+    for depth in sorted({what in TAKING_DEPTH for what, _ in networks if what in BASELINE_TASKS}):
+        prepare_samples(*baseline_samples(cache, data, depth), default_workers())

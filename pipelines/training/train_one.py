@@ -1,0 +1,69 @@
+"""The training of one network as it is asked for: samples in place, steps, the card."""
+
+from pathlib import Path
+
+from ggvs_eval.compute_device import compute_device, describe_device
+from ggvs_eval.pipelines.online.blend_network import WIDTHS, BlendConfig
+from ggvs_eval.pipelines.training.baseline_tasks import baseline_task
+from ggvs_eval.pipelines.training.blend_task import BlendTask
+from ggvs_eval.pipelines.training.card import write_card
+from ggvs_eval.pipelines.training.loop import TrainingOptions, train
+from ggvs_eval.pipelines.training.request import TrainingRequest
+from ggvs_eval.pipelines.training.stereo_task import StereoTask
+from ggvs_eval.pipelines.training.task import Task
+from ggvs_eval.pipelines.training.training_data import TrainingData, blend_samples, prepare_samples
+from ggvs_eval.processes import default_workers
+
+CACHE = "blend-samples"  # beside the folders of the trainings
+
+
+def train_one(what: str, folder: Path, request: TrainingRequest) -> tuple[Path, Path]:
+    """Train a network, or go on training it.
+
+    Args:
+        what: stereo, blend, or one of `BASELINE_TASKS`.
+        folder: of the training; samples are kept beside it.
+        request: what is asked for.
+
+    Returns:
+        The file of the weights, and the card.
+
+    Raises:
+        DeviceError: there is no such device here.
+        TrainingError: nothing to learn from, or the folder's state belongs to another network.
+    """
+    hardware = describe_device(compute_device(request.device))  # what is missing shows before anything is filmed
+    task = _task(what, folder.parent / CACHE, request)
+    options = TrainingOptions(
+        steps=request.steps,
+        device=request.device,
+        precision=request.precision,
+        workers=request.workers,
+        compile=request.compile_network,
+        start_from=request.start_from,
+    )
+    weights = train(task, folder, options)
+    command = " ".join(["ggvs-eval train", what, folder.name, *request.card_words(what)])
+    return weights, write_card(task, folder, command, device=hardware)
+
+
+def requested_data(request: TrainingRequest) -> TrainingData:
+    """What is learned from."""
+    return TrainingData(
+        request.rooms, request.targets, request.domains, request.captures, request.hold_back, most_views=request.views
+    )
+
+
+def _task(what: str, cache: Path, request: TrainingRequest) -> Task:
+    """The task with its samples in place."""
+    if what == "stereo":
+        return StereoTask(seed=request.seed)
+    data = requested_data(request)
+    if what != "blend":
+        baseline = baseline_task(what, cache, data, request.configuration, request.seed)
+        prepare_samples(baseline.training, baseline.validation, default_workers())
+        return baseline
+    config = BlendConfig(request.views, request.guidance, WIDTHS[request.size])
+    blend = BlendTask(*blend_samples(cache, data), config, seed=request.seed)
+    prepare_samples(blend.training, blend.validation, default_workers())
+    return blend
