@@ -15,6 +15,8 @@ from ggvs_eval.synthetic.options import DemoOptions
 from ggvs_eval.synthetic.rig import in_metres
 from ggvs_eval.synthetic.shots import rig_shots
 
+NEAR, FAR = 8.0, 40.0  # of the rooms, world units
+
 
 @dataclass(frozen=True)
 class UnfilmedFrames:
@@ -63,7 +65,8 @@ def unfilmed_demo(folder: Path, options: DemoOptions) -> Capture:
 
 
 def _noted(options: DemoOptions, camera: Camera) -> Camera:
-    """A camera as the layout names it, in its units."""
+    """A camera as the layout names it, in its units, with the depths that rooms have about: nobody has looked yet."""
+    camera = replace(camera, near=NEAR, far=FAR)
     return replace(in_metres(camera), name=easymocap_name(camera)) if options.layout == "enerf-outdoor" else camera
 
 
