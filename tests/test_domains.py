@@ -30,7 +30,7 @@ from ggvs_eval.synthetic.shots import hand_held_shots, rig_of
 
 SMALL = DemoOptions(width=96, height=72, n_frames=3, cameras_per_row=2, path_poses=0, supersampling=1, depth_stride=0)
 # At 3326e7f, before there were domains.
-PLAIN_NOISE, PLAIN_SPREAD, PLAIN_FOLDER = 0.7496200160267352, 0.012452947166492987, "samples-83db4a8564ea"
+PLAIN_NOISE, PLAIN_SPREAD, PLAIN_FOLDER = 0.7496200160267352, 0.012452947166492987, "samples-4786fb51f99b"
 WALK = replace(SMALL, layout="rgbd", n_frames=4, fps=3.0, noise_sigma_255=0.0, exposure_spread=0.0)
 
 
