@@ -6,10 +6,10 @@ from time import perf_counter
 import numpy as np
 
 from ggvs_eval.baselines.gaussians import near_plane, pixel_gaussians
-from ggvs_eval.baselines.method import Instant, Rendering
 from ggvs_eval.camera import Camera
 from ggvs_eval.geometry.per_pixel import weighted_mean
 from ggvs_eval.geometry.splat import splat
+from ggvs_eval.method import Instant, Rendering
 
 DEPTH_PLANES = 32  # LLFF's number of planes of a multi-plane image
 

@@ -3,8 +3,8 @@
 from time import perf_counter
 
 from ggvs_eval.baselines.gaussians import near_plane, pixel_gaussians
-from ggvs_eval.baselines.method import Instant, Rendering
 from ggvs_eval.geometry.splat import splat
+from ggvs_eval.method import Instant, Rendering
 
 
 class NoBlending:

@@ -13,8 +13,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ggvs_eval.images import resize
-from ggvs_eval.video import VideoFrames, write_video
+from ggvs_eval.files.images import resize
+from ggvs_eval.files.video import VideoFrames, write_video
 
 COMMAND = "python -m benchmarks.bench_decoding"
 # DyNeRF's videos, and the size at which the paper uses them.

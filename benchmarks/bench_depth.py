@@ -20,7 +20,7 @@ import torch
 from numpy.typing import NDArray
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.images import Image8, quantise
+from ggvs_eval.files.images import Image8, quantise
 from ggvs_eval.pipelines.offline.depth import DepthEstimator, DepthOptions
 from ggvs_eval.pipelines.offline.matchers import find_matcher
 from ggvs_eval.pipelines.offline.raft.config import PUBLISHED

@@ -14,10 +14,10 @@ import torch
 from numpy.typing import NDArray
 
 from benchmarks.bench_geometry import HEIGHT, WIDTH, Scene, make_scene
-from ggvs_eval.baselines.method import Instant, SourceView
 from ggvs_eval.camera import Camera
-from ggvs_eval.images import Image8, quantise
+from ggvs_eval.files.images import Image8, quantise
 from ggvs_eval.kernels import get_threads
+from ggvs_eval.method import Instant, SourceView
 from ggvs_eval.one_thread import one_thread
 from ggvs_eval.pipelines.online.blend_maps import blend_maps, raw_views
 from ggvs_eval.pipelines.online.blend_network import WIDTHS, BlendConfig, BlendNetwork, compose_tensors, read_outputs

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ggvs_eval.baselines.method import Instant, SourceView
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
-from ggvs_eval.digest import digest_values
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.images import Image8
+from ggvs_eval.files.digest import digest_values
+from ggvs_eval.files.images import Image8
+from ggvs_eval.method import Instant, SourceView
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.training.capture_lot import MeasuredSampleMaker
 from ggvs_eval.pipelines.training.capture_views import draw_views

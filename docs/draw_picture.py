@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib import font_manager
 from PIL import Image, ImageDraw, ImageFont
 
-from ggvs_eval.images import read_image
+from ggvs_eval.files.images import read_image
 from ggvs_eval.reports.slices import epipolar_plane_image, most_textured_row
 from ggvs_eval.run_folder import RunFolder, frame_path
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.images import Image8, ResizeFilter, resize
+from ggvs_eval.files.images import Image8, ResizeFilter, resize
 
 
 class FrameSource(Protocol):

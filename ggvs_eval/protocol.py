@@ -9,9 +9,9 @@ from importlib import resources
 from typing import Any, Literal
 
 from ggvs_eval.errors import ProtocolError
+from ggvs_eval.files.images import ResizeFilter
+from ggvs_eval.files.toml_tables import build_table, parse_toml
 from ggvs_eval.geometry.source_views import SourceChoice
-from ggvs_eval.images import ResizeFilter
-from ggvs_eval.toml_tables import build_table, parse_toml
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from importlib import resources
 from pathlib import Path
 
 from ggvs_eval.errors import ProtocolError
+from ggvs_eval.files.toml_tables import build_table, parse_toml, read_toml
 from ggvs_eval.protocol import Protocol
-from ggvs_eval.toml_tables import build_table, parse_toml, read_toml
 
 RENDERED = "rendered:"
 CAPTURE = "{capture}"

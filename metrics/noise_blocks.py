@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.errors import MetricError
-from ggvs_eval.images import Image8
+from ggvs_eval.files.images import Image8
 
 Array = NDArray[np.float64]
 Field = NDArray[np.float32]

@@ -9,11 +9,11 @@ from time import perf_counter
 import numpy as np
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.images import Image8, quantise
+from ggvs_eval.files.images import Image8, quantise
+from ggvs_eval.files.video import write_video
 from ggvs_eval.pipelines.reel import Reel
 from ggvs_eval.pipelines.synthesizer import DEFAULT_METHOD, OnlineSynthesizer
 from ggvs_eval.progress import track
-from ggvs_eval.video import write_video
 
 FPS_OF_STILLS = 30.0
 

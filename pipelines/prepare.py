@@ -13,9 +13,9 @@ from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.path import CameraPath, open_path
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import CaptureError, ProtocolError
+from ggvs_eval.files.images import resize, write_image
 from ggvs_eval.geometry.sight import require_sight
 from ggvs_eval.geometry.source_views import choose_sources
-from ggvs_eval.images import resize, write_image
 from ggvs_eval.pipelines.frame_cache import cache_frames
 from ggvs_eval.pipelines.jobs.engine import Workers
 from ggvs_eval.pipelines.offline.depth import DepthOptions

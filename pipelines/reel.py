@@ -7,8 +7,8 @@ from pathlib import Path
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore
-from ggvs_eval.digest import digest_values
 from ggvs_eval.errors import RenderError
+from ggvs_eval.files.digest import digest_values
 from ggvs_eval.geometry.source_views import SourceChoice, choose_sources
 from ggvs_eval.pipelines.camera_loop import camera_loop
 from ggvs_eval.pipelines.frame_cache import cache_frames

@@ -6,11 +6,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from ggvs_eval.baselines.method import Instant, LookaheadMethod, Method, SourceView
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore
-from ggvs_eval.images import quantise, write_image
+from ggvs_eval.files.images import quantise, write_image
+from ggvs_eval.method import Instant, LookaheadMethod, Method, SourceView
 from ggvs_eval.pipelines.inside_pictures import write_inside
 from ggvs_eval.pipelines.jobs.engine import Workers, as_engine
 from ggvs_eval.pipelines.jobs.job import Job, code_digest, run_jobs

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.images import Image8, read_image
+from ggvs_eval.files.images import Image8, read_image
 from ggvs_eval.progress import track
 from ggvs_eval.reports.data_uri import fitting_width, shrink, webp_uri
 from ggvs_eval.reports.inside import inside_folders, inside_name, told_label

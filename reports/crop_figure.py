@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ggvs_eval.images import Image8, read_image
+from ggvs_eval.files.images import Image8, read_image
 from ggvs_eval.reports.comparison import ERROR_FULL_SCALE
 from ggvs_eval.reports.curves import COLOURS
 from ggvs_eval.reports.figure_file import save_figure

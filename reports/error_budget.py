@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.images import Image8, read_image
+from ggvs_eval.files.images import Image8, read_image
 from ggvs_eval.reports.measured import MeasuredRun
 from ggvs_eval.reports.table import Cell, Column, Row, Table
 from ggvs_eval.run_folder import frame_path, missing_frames

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from ggvs_eval.images import Image8, read_image
+from ggvs_eval.files.images import Image8, read_image
+from ggvs_eval.files.video import write_video
 from ggvs_eval.reports.data_uri import shrink
 from ggvs_eval.reports.measured import MeasuredRun
 from ggvs_eval.run_folder import frame_path
-from ggvs_eval.video import write_video
 
 VIDEO_BYTES = 3_000_000
 FRAMES_AT_MOST = 300

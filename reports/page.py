@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ggvs_eval.images import Image8
+from ggvs_eval.files.images import Image8
 from ggvs_eval.reports.comparison import ERROR_FULL_SCALE, compare_frames, error_scale
 from ggvs_eval.reports.curves import COLOURS, DASHES, MARGIN, SIZE
 from ggvs_eval.reports.data_uri import png_uri, shrink, webp_uri

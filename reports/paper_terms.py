@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ggvs_eval.datasets.units import DEMO_NOTES
-from ggvs_eval.images import read_image
+from ggvs_eval.files.images import read_image
 from ggvs_eval.reports.measured import MeasuredRun
 from ggvs_eval.reports.published import read_published
 from ggvs_eval.run_folder import frame_path

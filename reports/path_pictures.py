@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from ggvs_eval.images import read_image
+from ggvs_eval.files.images import read_image
 from ggvs_eval.reports.data_uri import fitting_width, shrink, webp_uri
 from ggvs_eval.reports.inside import inside_folders, told_label
 from ggvs_eval.reports.measured import MeasuredRun

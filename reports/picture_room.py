@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ggvs_eval.images import read_image
+from ggvs_eval.files.images import read_image
 from ggvs_eval.reports.comparison import FRAME_BYTES, FRAMES_AT_MOST
 from ggvs_eval.reports.measured import MeasuredRun
 from ggvs_eval.reports.method_videos import VIDEO_BYTES

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.errors import ResultsError
-from ggvs_eval.images import read_image
+from ggvs_eval.files.images import read_image
 from ggvs_eval.reports.measured import MeasuredRun
 from ggvs_eval.run_folder import frame_path
 

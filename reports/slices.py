@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from ggvs_eval.errors import ResultsError
-from ggvs_eval.images import Image8, read_image
+from ggvs_eval.files.images import Image8, read_image
 from ggvs_eval.reports.measured import MeasuredRun, read_run
 from ggvs_eval.run_folder import frame_path, require_frames
 

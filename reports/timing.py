@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ggvs_eval.images import read_image
+from ggvs_eval.files.images import read_image
 from ggvs_eval.reports.measured import MeasuredRun
 from ggvs_eval.reports.table import Cell, Column, Row, Table
 from ggvs_eval.run_folder import JOB_FILE, frame_path, read_json

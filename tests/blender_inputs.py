@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ggvs_eval.baselines.method import Instant
+from ggvs_eval.method import Instant
 from ggvs_eval.pipelines.online.blending import Blended, BlendingInputs
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
 

@@ -13,8 +13,8 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.llff import llff_pose, write_llff_poses
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.images import Image8, write_image
-from ggvs_eval.video import write_video
+from ggvs_eval.files.images import Image8, write_image
+from ggvs_eval.files.video import write_video
 
 WIDTH, HEIGHT, N_FRAMES, FPS = 64, 48, 5, 30.0
 NAMES = ("cam00", "cam01", "cam02", "cam03")

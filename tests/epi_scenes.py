@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 
 from ggvs_eval.camera import Camera, translated_path
-from ggvs_eval.images import quantise
+from ggvs_eval.files.images import quantise
 from ggvs_eval.metrics.path_scores import PathPose
 
 WIDTH, HEIGHT, FOCAL, POSES = 128, 32, 110.0, 25

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from skimage import data
 
-from ggvs_eval.images import Image8
-from ggvs_eval.video import VideoFrames, write_video
+from ggvs_eval.files.images import Image8
+from ggvs_eval.files.video import VideoFrames, write_video
 
 HEIGHT, WIDTH, FACE = 240, 304, 88
 Noise = Callable[[np.ndarray], np.ndarray]  # clean frame -> standard deviation of its noise, grey levels

@@ -10,10 +10,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from ggvs_eval.images import Image8, write_image
+from ggvs_eval.files.images import Image8, write_image
+from ggvs_eval.files.video import write_video
 from ggvs_eval.protocol import Frames, Measurement, Protocol, Synthesis, Views
 from ggvs_eval.run_folder import RunFolder, frame_path, write_json
-from ggvs_eval.video import write_video
 
 CAMERAS = ("cam00", "cam01", "cam02")
 VIEWS = ("cam02", "cam00")  # the protocol's order is not the alphabet's

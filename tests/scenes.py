@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from ggvs_eval.baselines.method import Instant, SourceView
 from ggvs_eval.camera import Camera
-from ggvs_eval.images import quantise
+from ggvs_eval.files.images import quantise
+from ggvs_eval.method import Instant, SourceView
 
 WALL_Z, SQUARE_Z, SQUARE_HALF = 5.0, 3.5, 0.5
 WIDTH, HEIGHT, FOCAL = 96, 72, 90.0

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from ggvs_eval.baselines.method import Instant, SourceView
 from ggvs_eval.camera import Camera
+from ggvs_eval.method import Instant, SourceView
 from scenes import camera_at, look
 from seeded_networks import seeded_state
 

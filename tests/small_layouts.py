@@ -10,9 +10,9 @@ import numpy as np
 
 from captures import FPS, HEIGHT, NAMES, WIDTH, make_image, make_rig, write_colmap_model
 from ggvs_eval.camera import Camera
-from ggvs_eval.images import write_image
+from ggvs_eval.files.images import write_image
+from ggvs_eval.files.video import write_video
 from ggvs_eval.lens import Lens
-from ggvs_eval.video import write_video
 from lens_pictures import through_lens
 
 N_INSTANTS = 2

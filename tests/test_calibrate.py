@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from captures import make_image, make_rig, write_colmap_model, write_folders, write_videos
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CameraError, CaptureError
-from ggvs_eval.images import read_image, write_image
+from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.lens import Lens
 from ggvs_eval.pipelines.offline import calibration_job
 from ggvs_eval.pipelines.offline.alignment import align_similarity, pose_differences

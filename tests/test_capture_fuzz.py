@@ -25,7 +25,7 @@ from captures import make_binary, make_image, make_rig, write_colmap, write_dyne
 from ggvs_eval.datasets import DATASETS, open_capture
 from ggvs_eval.datasets.llff import llff_pose, write_llff_poses
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.images import write_image
+from ggvs_eval.files.images import write_image
 from small_layouts import NUMBERS, write_capture_toml, write_easymocap, write_frames, write_multipleview, write_nerfstudio
 
 LONGEST_S = 20

@@ -13,9 +13,9 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.units import triangulate
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.images import write_image
+from ggvs_eval.files.images import write_image
+from ggvs_eval.files.video import write_video
 from ggvs_eval.lens import Lens
-from ggvs_eval.video import write_video
 from lens_pictures import psnr, straight, through_lens
 from small_layouts import N_INSTANTS, camera_toml, write_capture_toml, write_frames
 

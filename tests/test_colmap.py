@@ -27,7 +27,7 @@ from captures import (
 )
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.colmap_model import read_model
-from ggvs_eval.images import write_image
+from ggvs_eval.files.images import write_image
 from lens_pictures import psnr, straight, through_lens
 
 FLAME_STEAK = Path(__file__).parents[2] / "shared" / "data" / "n3v_flame_steak"
@@ -293,7 +293,7 @@ def test_several_images_of_one_camera(colmap):
 def test_png_can_be_written_after_reading_a_model(colmap):
     """Reading a model leaves the process able to write PNG files, which pycolmap in the same process would not."""
     code = (
-        "import sys, pathlib, numpy; from ggvs_eval.datasets import open_capture; from ggvs_eval.images import write_image;"
+        "import sys, pathlib, numpy; from ggvs_eval.datasets import open_capture; from ggvs_eval.files.images import write_image;"
         "path = pathlib.Path(sys.argv[1]); open_capture(path);"
         "write_image(path / 'out.png', numpy.zeros((8, 8, 3), 'uint8'));"
         "print('pycolmap' in sys.modules)"

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ggvs_eval.baselines.method import Instant
+from ggvs_eval.files.images import quantise
 from ggvs_eval.geometry.view_weights import view_weights
-from ggvs_eval.images import quantise
+from ggvs_eval.method import Instant
 from ggvs_eval.pipelines.online.colour_harmony import GAUGE_POWER, ColourHarmony, gained_image
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
 from scenes import camera_at, instant, look

@@ -15,7 +15,7 @@ from captures import make_image, read_all, refusal
 from ggvs_eval.datasets import d3dmv, open_capture
 from ggvs_eval.datasets.h5_frames import H5Frames
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.images import write_image
+from ggvs_eval.files.images import write_image
 
 N_CAMERAS, N_FRAMES, WIDTH, HEIGHT = 3, 4, 64, 36
 NAMES = ("cam00", "cam01", "cam02")

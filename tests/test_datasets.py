@@ -19,7 +19,7 @@ from captures import (
 from ggvs_eval.datasets import DATASETS, open_capture
 from ggvs_eval.datasets.path import open_path
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.images import write_image
+from ggvs_eval.files.images import write_image
 
 
 def test_registry_describes_each_layout():

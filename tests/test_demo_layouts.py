@@ -13,7 +13,7 @@ import pytest
 from ggvs_eval.camera import Camera
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.images import quantise, read_image
+from ggvs_eval.files.images import quantise, read_image
 from ggvs_eval.lens import Lens
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.exact_depth import read_exact_depth

@@ -16,7 +16,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
-from ggvs_eval.images import read_image
+from ggvs_eval.files.images import read_image
 from ggvs_eval.pipelines.depth_export.colmap_arrays import read_array, write_array
 from ggvs_eval.pipelines.depth_export.dense_workspace import WorkspaceOptions, write_dense_workspace
 from stereo_scenes import PLANE, look_from, plane_depth, see_plane

@@ -15,17 +15,17 @@ from scipy.spatial.transform import Rotation
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
-from ggvs_eval.depth_store import DepthMap, DepthStore
-from ggvs_eval.errors import DepthError
-from ggvs_eval.images import read_image
-from ggvs_eval.pipelines.check.features import find_features
-from ggvs_eval.pipelines.depth_page.depth_colours import (
+from ggvs_eval.colour_maps import (
     CHECKS,
     confidence_colours,
     depth_colours,
     depth_scale,
     difference_colours,
 )
+from ggvs_eval.depth_store import DepthMap, DepthStore
+from ggvs_eval.errors import DepthError
+from ggvs_eval.files.images import read_image
+from ggvs_eval.pipelines.check.features import find_features
 from ggvs_eval.pipelines.depth_page.depth_page import examine_depth, render_depth_page, write_depth_page
 from ggvs_eval.pipelines.depth_page.depth_record import DepthRecord, StoredDepth
 from ggvs_eval.pipelines.depth_page.depth_statistics import describe_map

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from ggvs_eval.baselines.method import SourceView
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import CaptureError, DepthError
-from ggvs_eval.images import write_image
+from ggvs_eval.files.images import write_image
+from ggvs_eval.method import SourceView
 from ggvs_eval.pipelines.depth_validation import middlebury
 from ggvs_eval.pipelines.depth_validation.__main__ import main
 from ggvs_eval.pipelines.depth_validation.depth_errors import relative_errors, summarise

@@ -8,7 +8,7 @@ import pytest
 
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import RenderError
-from ggvs_eval.images import read_image
+from ggvs_eval.files.images import read_image
 from ggvs_eval.pipelines.doctor.examine import examine
 from ggvs_eval.pipelines.doctor.finding import DoctorFinding, findings_table
 from ggvs_eval.pipelines.doctor.run_views import cameras_of_run, views_of_run

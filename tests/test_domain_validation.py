@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from ggvs_eval.baselines.method import Instant, Method, Rendering
+from ggvs_eval.method import Instant, Method, Rendering
 from ggvs_eval.metrics.image import psnr
 
 domain_validation = pytest.importorskip("benchmarks.domain_validation", reason="benchmarks lie beside the package")

@@ -19,7 +19,7 @@ from captures import (
     write_videos,
 )
 from ggvs_eval.datasets import open_capture
-from ggvs_eval.video import VideoFrames
+from ggvs_eval.files.video import VideoFrames
 
 
 def test_opens_as_filmed(dynerf):

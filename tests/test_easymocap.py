@@ -11,7 +11,7 @@ import pytest
 from captures import HEIGHT, WIDTH, make_image, make_rig, refusal
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.easymocap_yaml import read_views
-from ggvs_eval.images import write_image
+from ggvs_eval.files.images import write_image
 from ggvs_eval.lens import Lens
 from lens_pictures import psnr, straight, through_lens
 from small_layouts import N_INSTANTS, NUMBERS, opencv_K, storage_entries, write_easymocap, write_frames, write_storage

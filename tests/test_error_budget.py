@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ggvs_eval.images import read_image, write_image
+from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.metrics.image import psnr
 from ggvs_eval.reports.error_budget import NOT_TOLD, budget_table, error_budget
 from ggvs_eval.reports.measured import read_run

@@ -11,7 +11,7 @@ import pytest
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError, ProtocolError, RenderError
-from ggvs_eval.images import read_image, write_image
+from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.pipelines.evaluate import evaluate, reopen
 from ggvs_eval.pipelines.methods.registry import METHODS
 from ggvs_eval.pipelines.prepare import prepare

@@ -19,8 +19,8 @@ from ggvs_eval.baselines.fwd.network import FwdNetwork, direction_change
 from ggvs_eval.baselines.fwd.point_splat import splat_points
 from ggvs_eval.baselines.fwd.warping import warp_view
 from ggvs_eval.baselines.fwd.weights import load_network
-from ggvs_eval.baselines.method import SourceView
 from ggvs_eval.errors import RenderError, WeightsError
+from ggvs_eval.method import SourceView
 from hostile import Hostile
 from scenes import camera_at, instant, look
 

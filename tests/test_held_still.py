@@ -10,7 +10,7 @@ from ggvs_eval.capture import Extras, Retake
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.held_still import HeldDepths, retake
 from ggvs_eval.errors import CaptureError, ProtocolError
-from ggvs_eval.images import read_image
+from ggvs_eval.files.images import read_image
 from ggvs_eval.pipelines.commands.captures import ReadingOptions
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.evaluate import reopen

@@ -13,7 +13,7 @@ from captures import (
     write_poses,
 )
 from ggvs_eval.datasets.frames import ImageFrames
-from ggvs_eval.images import write_image
+from ggvs_eval.files.images import write_image
 
 
 def test_numbers_are_sorted_as_numbers(tmp_path):

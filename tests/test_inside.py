@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from blender_inputs import inputs_of
-from ggvs_eval.images import read_image
+from ggvs_eval.files.images import read_image
 from ggvs_eval.pipelines.evaluate import evaluate
 from ggvs_eval.pipelines.inside_pictures import VIEW_COLOURS, view_colours
 from ggvs_eval.pipelines.online.blend_maps import blend_maps

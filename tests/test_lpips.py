@@ -12,7 +12,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from skimage import data
 
 from ggvs_eval.errors import MetricError, WeightsError
-from ggvs_eval.images import read_image
+from ggvs_eval.files.images import read_image
 from ggvs_eval.metrics import fetch_lpips
 from ggvs_eval.metrics.fetch_lpips import NETS, fetch_weights, read_checkpoint, unpickle_arrays, weights_path
 from ggvs_eval.metrics.lpips import load_weights, lpips, lpips_between, lpips_features

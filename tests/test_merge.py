@@ -9,7 +9,7 @@ import pytest
 
 from command_line import refusal
 from ggvs_eval.errors import ProtocolError, ResultsError
-from ggvs_eval.images import read_image, write_image
+from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.merging import merge as merging
 from ggvs_eval.pipelines.merging.merge import merge_runs

@@ -8,7 +8,7 @@ import pytest
 
 from captures import HEIGHT, NAMES, WIDTH, make_binary, make_image, make_rig, refusal, write_colmap_model
 from ggvs_eval.datasets import open_capture
-from ggvs_eval.images import write_image
+from ggvs_eval.files.images import write_image
 from ggvs_eval.lens import Lens
 from lens_pictures import psnr, straight, through_lens
 from small_layouts import N_INSTANTS, write_multipleview

@@ -9,7 +9,7 @@ import pytest
 
 from captures import HEIGHT, N_FRAMES, NAMES, WIDTH, make_image, make_rig, refusal, write_folders
 from ggvs_eval.datasets import open_capture
-from ggvs_eval.images import write_image
+from ggvs_eval.files.images import write_image
 from ggvs_eval.lens import Lens
 from lens_pictures import psnr, straight, through_lens
 from small_layouts import transforms, write_nerfstudio

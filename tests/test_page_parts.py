@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ggvs_eval.images import read_image
+from ggvs_eval.files.images import read_image
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.comparison import FRAME_BYTES, compare_frames
 from ggvs_eval.reports.data_uri import fitting_width

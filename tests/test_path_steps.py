@@ -5,7 +5,7 @@ import pytest
 
 from epi_scenes import FOCAL, SCENES, WALL, WIDTH, changed, exact, look, path, rendered
 from ggvs_eval.errors import MetricError
-from ggvs_eval.images import quantise
+from ggvs_eval.files.images import quantise
 from ggvs_eval.metrics.reprojection import StepError, mean_reprojection, reprojection_steps
 from ggvs_eval.metrics.view_switch import switch_score, switch_steps
 

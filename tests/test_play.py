@@ -8,7 +8,8 @@ import pytest
 from command_line import refusal
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import CameraError, GgvsError, RenderError
-from ggvs_eval.images import quantise
+from ggvs_eval.files.images import quantise
+from ggvs_eval.files.video import VideoFrames
 from ggvs_eval.pipelines.camera_loop import camera_loop
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.play import Timing, record
@@ -16,7 +17,6 @@ from ggvs_eval.pipelines.prepare import prepare
 from ggvs_eval.pipelines.reel import PlayOptions, blocks_of, reel_of_capture, reel_of_run
 from ggvs_eval.pipelines.synthesizer import OnlineSynthesizer
 from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthesis, Views
-from ggvs_eval.video import VideoFrames
 from stereo_scenes import HEIGHT, WIDTH, plane_depth, see_plane, write_capture
 
 DEPTH = DepthChoice("sgbm").options()

@@ -7,7 +7,7 @@ import torch
 from safetensors.torch import save_file
 
 from ggvs_eval import kernels
-from ggvs_eval.images import quantise
+from ggvs_eval.files.images import quantise
 from ggvs_eval.pipelines.offline.matchers import find_matcher
 from ggvs_eval.pipelines.offline.raft.config import COMPACT
 from ggvs_eval.pipelines.offline.raft.raft_stereo import RaftStereo

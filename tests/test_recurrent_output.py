@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from ggvs_eval import kernels
-from ggvs_eval.baselines.method import Instant
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.splat import Splat
+from ggvs_eval.method import Instant
 from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
 from ggvs_eval.pipelines.online.recurrent_output import RecurrentOutput, splatted_change, stillness

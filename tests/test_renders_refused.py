@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ggvs_eval.errors import GgvsError, ProtocolError, RenderError
-from ggvs_eval.images import write_image
+from ggvs_eval.files.images import write_image
 from ggvs_eval.pipelines.renders.import_renders import import_renders
 from ggvs_eval.pipelines.renders.run_for import named_renders
 from ggvs_eval.run_folder import RunFolder

@@ -10,7 +10,7 @@ import pytest
 from captures import write_dynerf
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import RenderError, ResultsError
-from ggvs_eval.images import write_image
+from ggvs_eval.files.images import write_image
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.prepare import prepare_truth
 from ggvs_eval.pipelines.renders.import_renders import import_renders

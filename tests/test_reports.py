@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ggvs_eval.errors import RenderError, ResultsError
-from ggvs_eval.images import write_image
+from ggvs_eval.files.images import write_image
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.comparison import compare_frames, error_map
 from ggvs_eval.reports.curves import curve_panels

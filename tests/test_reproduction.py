@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ggvs_eval.images import write_image
+from ggvs_eval.files.images import write_image
 from ggvs_eval.pipelines.methods.registry import METHODS
 from ggvs_eval.protocol import Frames, Measurement, Synthesis, load_protocol
 from ggvs_eval.reports.measured import MeasuredRun, MetricNote

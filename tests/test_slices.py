@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ggvs_eval.errors import RenderError, ResultsError
-from ggvs_eval.images import read_image, write_image
+from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.measured import read_run
 from ggvs_eval.reports.slices import (

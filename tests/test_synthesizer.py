@@ -9,7 +9,7 @@ import pytest
 
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import CameraError, DepthError, GgvsError, RenderError
-from ggvs_eval.images import quantise, read_image
+from ggvs_eval.files.images import quantise, read_image
 from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
 from ggvs_eval.pipelines.synthesizer import DEFAULT_METHOD, OnlineSynthesizer

@@ -10,7 +10,7 @@ from safetensors.torch import load_file, save_file
 from torch import nn
 
 from ggvs_eval.errors import TrainingError, WeightsError
-from ggvs_eval.images import read_image
+from ggvs_eval.files.images import read_image
 from ggvs_eval.pipelines.offline.raft.config import COMPACT
 from ggvs_eval.pipelines.training.card import write_card
 from ggvs_eval.pipelines.training.curves import draw_curves

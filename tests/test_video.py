@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.images import Image8
-from ggvs_eval.video import VideoFrames, write_video
+from ggvs_eval.files.images import Image8
+from ggvs_eval.files.video import VideoFrames, write_video
 
 N_FRAMES = 40
 REAL_VIDEO = Path(__file__).parents[2] / "shared" / "data" / "video_carphone" / "carphone_pristine.mp4"
@@ -197,7 +197,7 @@ def test_missing_video(tmp_path):
 
 def test_digest_sees_changes_in_large_files(tmp_path):
     """Files above the sampling limit change their digest with their size, their ends and any of the sampled blocks."""
-    from ggvs_eval.digest import digest_files
+    from ggvs_eval.files.digest import digest_files
 
     content = np.random.default_rng(0).integers(0, 256, 5 << 20, dtype=np.uint8)
     path = tmp_path / "large.mp4"

@@ -8,7 +8,7 @@ from safetensors.torch import save_file
 from torch import nn
 
 from ggvs_eval.errors import WeightsError
-from ggvs_eval.weights_file import pour_strictly, read_tensors, require_shapes
+from ggvs_eval.files.weights_file import pour_strictly, read_tensors, require_shapes
 from hostile import Hostile
 
 NETWORK = "a network of one convolution"

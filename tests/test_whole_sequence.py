@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ggvs_eval.baselines.method import Instant, LookaheadMethod, SourceView
 from ggvs_eval.datasets import open_capture
+from ggvs_eval.method import Instant, LookaheadMethod, SourceView
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
 from ggvs_eval.pipelines.online.whole_sequence import WholeSequence

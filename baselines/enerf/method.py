@@ -10,10 +10,10 @@ from ggvs_eval.baselines.enerf.networks import Networks, load_enerf
 from ggvs_eval.baselines.enerf.rendering import render_pixels
 from ggvs_eval.baselines.enerf.views import SeenView, extrinsics, intrinsics, padded, see
 from ggvs_eval.baselines.enerf.volumes import Surface, TargetGrid, find_surface
-from ggvs_eval.baselines.method import Instant, Rendering
 from ggvs_eval.camera import Camera
 from ggvs_eval.compute_device import clock_s, compute_device, rendering_on
 from ggvs_eval.errors import RenderError
+from ggvs_eval.method import Instant, Rendering
 
 TRAINED_NEAR = 2.125  # nearest depth in training: DTU's 425 mm in units of 200 mm
 PIXELS_AT_ONCE = 2**14

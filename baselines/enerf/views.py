@@ -10,8 +10,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from ggvs_eval.baselines.enerf.feature_network import FeatureNetwork
-from ggvs_eval.baselines.method import SourceView
 from ggvs_eval.camera import Camera
+from ggvs_eval.method import SourceView
 
 SIZE_MULTIPLE = 32  # sides are padded to it: the volume is at 1/8 and is halved twice
 PIXEL_CENTRE = 0.5  # ours lie at halves, the network was trained with centres at whole numbers

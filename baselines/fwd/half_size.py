@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.baselines.method import Map, SourceView
 from ggvs_eval.camera import Camera
+from ggvs_eval.method import Map, SourceView
 
 
 @dataclass(frozen=True, eq=False)

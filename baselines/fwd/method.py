@@ -14,9 +14,9 @@ from ggvs_eval.baselines.fwd.point_splat import PointSplat
 from ggvs_eval.baselines.fwd.warping import warp_view
 from ggvs_eval.baselines.fwd.weights import load_network
 from ggvs_eval.baselines.gaussians import near_plane
-from ggvs_eval.baselines.method import Instant, Rendering
 from ggvs_eval.compute_device import clock_s, compute_device, rendering_on
 from ggvs_eval.errors import RenderError
+from ggvs_eval.method import Instant, Rendering
 
 SIZE_MULTIPLE = 4  # the decoder halves half the size once more
 

@@ -7,7 +7,7 @@ import torch
 
 from ggvs_eval.baselines.configuration import FULL, configuration_of
 from ggvs_eval.baselines.fwd.network import CONFIGURATIONS, FwdNetwork
-from ggvs_eval.weights_file import pour_strictly, read_tensors
+from ggvs_eval.files.weights_file import pour_strictly, read_tensors
 
 OF = "FWD (this project's names)"
 

@@ -16,9 +16,9 @@ from ggvs_eval.baselines.gps_gaussian.rectification import RectifiedPair, Rectif
 from ggvs_eval.baselines.gps_gaussian.regressor import GaussianMaps
 from ggvs_eval.baselines.gps_gaussian.tile_renderer import render_gaussians
 from ggvs_eval.baselines.gps_gaussian.weights import load_network
-from ggvs_eval.baselines.method import Instant, Map, Rendering, SourceView
 from ggvs_eval.compute_device import clock_s, compute_device, rendering_on
 from ggvs_eval.errors import RenderError
+from ggvs_eval.method import Instant, Map, Rendering, SourceView
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from torch import Tensor
 
 from ggvs_eval.baselines.gps_gaussian.gaussians import TILE, Footprints, Gaussians, footprints
 from ggvs_eval.baselines.gps_gaussian.tile_batches import MAX_ALPHA, MIN_ALPHA, MIN_LIGHT, NEGLIGIBLE, blend_batches
-from ggvs_eval.baselines.method import Map
 from ggvs_eval.camera import Camera
+from ggvs_eval.method import Map
 
 CHUNK = 256  # Gaussians of a tile that are evaluated at once
 

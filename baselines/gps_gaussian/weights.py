@@ -8,7 +8,7 @@ from torch.serialization import safe_globals
 
 from ggvs_eval.baselines.configuration import FULL, configuration_of
 from ggvs_eval.baselines.gps_gaussian.network import CONFIGURATIONS, GpsGaussianNetwork
-from ggvs_eval.weights_file import pour_strictly, read_tensors
+from ggvs_eval.files.weights_file import pour_strictly, read_tensors
 
 OF = "GPS-Gaussian (GPS-GS_stage2_final.pth)"
 

@@ -12,9 +12,9 @@ from ggvs_eval.baselines.ibrnet.feature_network import SMALLEST_SIDE_PX
 from ggvs_eval.baselines.ibrnet.networks import Networks, load_ibrnet
 from ggvs_eval.baselines.ibrnet.rendering import rays_at_once, render_rays
 from ggvs_eval.baselines.ibrnet.views import SeenView, projection_of
-from ggvs_eval.baselines.method import Instant, Rendering, SourceView
 from ggvs_eval.compute_device import clock_s, compute_device, rendering_on
 from ggvs_eval.errors import RenderError
+from ggvs_eval.method import Instant, Rendering, SourceView
 
 NEARER, FARTHER = 0.9, 1.6  # margins that the authors put around the depths of a real scene
 FEWEST_VIEWS = 2  # a sample that one view sees cannot be compared with anything

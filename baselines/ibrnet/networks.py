@@ -8,7 +8,7 @@ from torch import nn
 from ggvs_eval.baselines.configuration import FULL, configuration_of
 from ggvs_eval.baselines.ibrnet.feature_network import FeatureNetwork
 from ggvs_eval.baselines.ibrnet.ray_network import RayNetwork
-from ggvs_eval.weights_file import pour_strictly, read_tensors
+from ggvs_eval.files.weights_file import pour_strictly, read_tensors
 
 PARTS = ("net_coarse", "net_fine", "feature_net")  # as the checkpoint calls them
 

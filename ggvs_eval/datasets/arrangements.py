@@ -6,7 +6,7 @@ from pathlib import Path, PurePosixPath
 from ggvs_eval.datasets.assemble import SizedSource
 from ggvs_eval.datasets.frames import ImageFrames, list_images
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.video import VideoFrames
+from ggvs_eval.files.video import VideoFrames
 
 ARRANGEMENTS = "CAM.mp4, videos/CAM.mp4, images/CAM/, CAM/images/, CAM/ or one image per camera in images/"
 LISTED = 24

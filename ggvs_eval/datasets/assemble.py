@@ -9,7 +9,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture, Extras, FrameSource
 from ggvs_eval.datasets.units import Units
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.video import VideoFrames
+from ggvs_eval.files.video import VideoFrames
 
 # Image folders do not say their rate; every capture published in this layout was filmed at this one.
 FOLDER_FPS = 30.0

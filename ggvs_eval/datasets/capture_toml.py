@@ -15,9 +15,9 @@ from ggvs_eval.datasets.depth_range import rig_depth_range
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.units import GivenUnits, Units, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.files.toml_tables import build_table, read_toml
+from ggvs_eval.files.video import VideoFrames
 from ggvs_eval.lens import Lens, LensModel
-from ggvs_eval.toml_tables import build_table, read_toml
-from ggvs_eval.video import VideoFrames
 
 Array = NDArray[np.float64]
 FILE = "capture.toml"

@@ -10,7 +10,7 @@ from ggvs_eval.datasets.colmap_model import CalibratedView, read_model, undistor
 from ggvs_eval.datasets.frames import ImageFrames, list_images
 from ggvs_eval.datasets.units import GivenUnits, choose_units
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.video import VideoFrames
+from ggvs_eval.files.video import VideoFrames
 
 MODEL_FOLDERS = ("sparse/0", "sparse", "colmap/sparse/0")
 __all__ = ["ARRANGEMENTS", "find_model", "load", "refuse"]

@@ -11,7 +11,7 @@ from ggvs_eval.datasets.h5_frames import h5_parts
 from ggvs_eval.datasets.llff import llff_camera, read_llff_poses
 from ggvs_eval.datasets.units import GivenUnits, choose_units
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.images import IMAGE_SUFFIXES
+from ggvs_eval.files.images import IMAGE_SUFFIXES
 
 POSES = "poses_bounds.npy"
 LISTED = 8

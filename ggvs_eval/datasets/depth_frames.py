@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.datasets.frames import ImageFrames
-from ggvs_eval.digest import digest_values
 from ggvs_eval.errors import CaptureError
+from ggvs_eval.files.digest import digest_values
+from ggvs_eval.files.images import decode_image
 from ggvs_eval.geometry.reproject_depth import reproject_depth
-from ggvs_eval.images import decode_image
 
 Array = NDArray[np.float64]
 ANY_DEPTH = (1e-6, 1e6)  # near and far of cameras that only say where pixels look

@@ -10,7 +10,7 @@ from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.llff import llff_camera, read_llff_poses
 from ggvs_eval.datasets.units import GivenUnits, choose_units
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.video import VideoFrames
+from ggvs_eval.files.video import VideoFrames
 
 POSES = "poses_bounds.npy"
 FRAME_FOLDERS = ("frames", "frames_2", "frames_4", "frames_8")

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 
 from ggvs_eval.capture import FrameSource
-from ggvs_eval.digest import digest_values
-from ggvs_eval.images import Image8
+from ggvs_eval.files.digest import digest_values
+from ggvs_eval.files.images import Image8
 from ggvs_eval.lens import Array, Lens
 
 

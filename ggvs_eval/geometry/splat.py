@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
+from ggvs_eval.files.images import Image8
 from ggvs_eval.geometry.pinhole import as_image, pinhole, rigid_between
-from ggvs_eval.images import Image8
 from ggvs_eval.kernels import LEVELS, get_level, get_threads
 
 MAX_FEATURES = 4

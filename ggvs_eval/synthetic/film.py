@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.images import Image8, quantise
+from ggvs_eval.files.images import Image8, quantise
 from ggvs_eval.synthetic.exact_depth import DepthWriter, depth_path
 from ggvs_eval.synthetic.garden import build_garden
 from ggvs_eval.synthetic.geometry import Array32

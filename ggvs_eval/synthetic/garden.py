@@ -5,7 +5,7 @@ Room frame: metres, x right, y away from the cameras, z up; the rig stands aroun
 
 import numpy as np
 
-from ggvs_eval.images import Image8
+from ggvs_eval.files.images import Image8
 from ggvs_eval.synthetic import foliage, textures
 from ggvs_eval.synthetic.figure import random_figure
 from ggvs_eval.synthetic.movers import Mover

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.synthetic.colmap_text import FILES, write_model
+from ggvs_eval.datasets.colmap_writer import FILES, write_model
 from ggvs_eval.synthetic.film import PARTS, Footage
 from ggvs_eval.synthetic.layout_dynerf import split_path, write_film, write_path_poses
 from ggvs_eval.synthetic.options import DemoOptions

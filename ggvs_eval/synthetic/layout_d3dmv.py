@@ -7,7 +7,7 @@ import numpy as np
 from numpy.lib.format import open_memmap
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.images import Image8, quantise
+from ggvs_eval.files.images import Image8, quantise
 from ggvs_eval.synthetic.film import PARTS, Footage, Frame
 from ggvs_eval.synthetic.lzf_chunks import create_lzf, write_chunk
 from ggvs_eval.synthetic.options import DemoOptions

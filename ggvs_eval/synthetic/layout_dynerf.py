@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.images import write_image
+from ggvs_eval.files.images import write_image
+from ggvs_eval.files.video import write_video
 from ggvs_eval.synthetic.film import Footage
 from ggvs_eval.synthetic.options import DemoOptions
 from ggvs_eval.synthetic.rig import llff_poses
-from ggvs_eval.video import write_video
 
 POSES = "poses_bounds.npy"
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.images import Image8
+from ggvs_eval.files.images import Image8
 from ggvs_eval.synthetic.encoded_images import write_grey_png, write_jpeg
 from ggvs_eval.synthetic.film import PARTS, Footage, Frame, lit_room
 from ggvs_eval.synthetic.geometry import Geometry

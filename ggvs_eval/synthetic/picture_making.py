@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from ggvs_eval.images import Image8
+from ggvs_eval.files.images import Image8
 from ggvs_eval.synthetic.geometry import Array32
 
 # A telephone indoors, at processing 1: electrons of a white pixel, and the noise of reading one, electrons.

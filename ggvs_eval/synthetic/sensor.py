@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ggvs_eval.images import Image8, quantise
+from ggvs_eval.files.images import Image8, quantise
 from ggvs_eval.synthetic.geometry import Array32
 from ggvs_eval.synthetic.options import DemoOptions
 from ggvs_eval.synthetic.picture_making import compress, defocus, denoise, mosaic_and_back, sharpen, to_linear, to_srgb

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.images import Image8
+from ggvs_eval.files.images import Image8
 from ggvs_eval.synthetic.film import lit_room
 from ggvs_eval.synthetic.geometry import Array32
 from ggvs_eval.synthetic.lighting import Instant

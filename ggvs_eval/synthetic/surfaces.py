@@ -10,7 +10,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from ggvs_eval.images import Image8
+from ggvs_eval.files.images import Image8
 
 Array = NDArray[np.float64]
 Vector = Sequence[float] | Array

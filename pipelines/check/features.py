@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.images import Image8
+from ggvs_eval.files.images import Image8
 
 Array = NDArray[np.float64]
 # Beyond this size SIFT finds the same corners at four times the cost.

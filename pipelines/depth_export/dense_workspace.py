@@ -19,12 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.camera import Array, Camera
+from ggvs_eval.datasets.colmap_writer import write_model
 from ggvs_eval.depth_store import DepthMap, Map
 from ggvs_eval.errors import DepthError
-from ggvs_eval.images import Image8, write_image
+from ggvs_eval.files.images import Image8, write_image
 from ggvs_eval.pipelines.depth_export.colmap_arrays import write_array
 from ggvs_eval.pipelines.depth_export.surface_normals import surface_normals
-from ggvs_eval.synthetic.colmap_text import write_model
 from ggvs_eval.synthetic.surface_points import Sightings
 
 AGREES = 0.01  # a camera sees a point where its own depth differs by no larger share

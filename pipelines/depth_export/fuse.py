@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ggvs_eval.camera import Array, Camera
 from ggvs_eval.depth_store import DepthMap, Map
 from ggvs_eval.errors import DepthError
-from ggvs_eval.images import Image8
+from ggvs_eval.files.images import Image8
 from ggvs_eval.pipelines.depth_export.surface_normals import surface_normals
 from ggvs_eval.pipelines.depth_export.tsdf_mesh import mesh_of
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ggvs_eval.camera import Array, Camera
 from ggvs_eval.depth_store import Map
-from ggvs_eval.images import Image8
+from ggvs_eval.files.images import Image8
 
 BLOCK = 8  # voxels along the edge of a block, the unit in which Open3D allocates
 FEWEST_VIEWS = 0.5  # weight of a voxel is the number of cameras that measured it: one is enough

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.camera import Array, Camera
-from ggvs_eval.images import Image8, resize
+from ggvs_eval.files.images import Image8, resize
 from ggvs_eval.pipelines.depth_page.pair_errors import on_canvas
 from ggvs_eval.pipelines.offline.rectification import RectifiedPair
 

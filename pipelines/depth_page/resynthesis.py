@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import Map
+from ggvs_eval.files.images import Image8, quantise
 from ggvs_eval.geometry.splat import PixelGaussians, splat
 from ggvs_eval.geometry.warp import warp
-from ggvs_eval.images import Image8, quantise
 from ggvs_eval.pipelines.online.blending import COVERED_ALPHA
 
 SAME_SURFACE = 0.03  # of the median depth: what lies deeper behind another pixel is hidden by it

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from ggvs_eval.errors import DepthError
-from ggvs_eval.images import Image8, read_image
+from ggvs_eval.files.images import Image8, read_image
 from ggvs_eval.pipelines.depth_validation.figures import Figures, Measure, figures_of, quoted_figures
 from ggvs_eval.pipelines.offline.fusion import fill_background
 from ggvs_eval.pipelines.offline.matcher import Map, StereoMatcher

@@ -7,7 +7,7 @@ import pandas as pd
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthMap
-from ggvs_eval.images import Image8
+from ggvs_eval.files.images import Image8
 from ggvs_eval.pipelines.depth_validation.depth_errors import MEASURES, relative_errors, summarise
 from ggvs_eval.pipelines.depth_validation.figures import Figures, figures_of
 from ggvs_eval.pipelines.depth_validation.room_regions import REGIONS, Mask, RegionOptions, find_regions

@@ -10,10 +10,10 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from ggvs_eval.baselines.method import SourceView
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import DepthError
-from ggvs_eval.images import Image8
+from ggvs_eval.files.images import Image8
+from ggvs_eval.method import SourceView
 from ggvs_eval.pipelines.depth_validation.figures import Figures, Measure, figures_of
 from ggvs_eval.pipelines.depth_validation.room_regions import Mask
 from ggvs_eval.pipelines.depth_validation.rooms import DEMO, FRAMES, FilmedRoom

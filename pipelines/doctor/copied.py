@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from ggvs_eval.images import Image8
+from ggvs_eval.files.images import Image8
 from ggvs_eval.pipelines.doctor.finding import DoctorFinding, Verdict, verdict_of
 from ggvs_eval.pipelines.doctor.identity import correlation
 from ggvs_eval.pipelines.doctor.view_frames import Array, ViewFrames

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ggvs_eval.images import Image8
+from ggvs_eval.files.images import Image8
 from ggvs_eval.pipelines.doctor.finding import DoctorFinding, verdict_of
 from ggvs_eval.pipelines.doctor.registration import Placement, place
 from ggvs_eval.pipelines.doctor.view_frames import Array, ViewFrames, shrink, spread

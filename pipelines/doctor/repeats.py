@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ggvs_eval.images import Image8
+from ggvs_eval.files.images import Image8
 from ggvs_eval.pipelines.doctor.finding import DoctorFinding
 from ggvs_eval.pipelines.doctor.view_frames import Array, ViewFrames, shrink
 from ggvs_eval.run_folder import as_ranges

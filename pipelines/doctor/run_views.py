@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.images import read_image
+from ggvs_eval.files.images import read_image
 from ggvs_eval.pipelines.doctor.view_frames import FrameReader, ViewFrames
 from ggvs_eval.run_folder import RunFolder, frame_path, missing_frames, require_frames
 

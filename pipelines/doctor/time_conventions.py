@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.errors import MetricError
-from ggvs_eval.images import Image8
+from ggvs_eval.files.images import Image8
 from ggvs_eval.pipelines.doctor.recompute import ALL_VIEWS, MaskReader, Recomputed, changes, mean_over_views, view_pairs
 from ggvs_eval.pipelines.doctor.ssim_conventions import GAUSSIAN, padded, similarity
 from ggvs_eval.pipelines.doctor.view_frames import ViewFrames

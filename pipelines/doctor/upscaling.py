@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.images import Image8
+from ggvs_eval.files.images import Image8
 from ggvs_eval.pipelines.doctor.finding import DoctorFinding, verdict_of
 from ggvs_eval.pipelines.doctor.view_frames import ViewFrames, spread
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.images import Image8
+from ggvs_eval.files.images import Image8
 
 FrameReader = Callable[[int], Image8]
 Array = NDArray[np.float32]

@@ -5,8 +5,8 @@ from functools import partial
 from pathlib import Path
 from typing import Literal, NoReturn
 
-from ggvs_eval.baselines.method import Method
 from ggvs_eval.errors import WeightsError
+from ggvs_eval.method import Method
 from ggvs_eval.pipelines.methods.spec import BASELINE_CODE, MethodSpec, shipped
 
 

@@ -3,7 +3,7 @@
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from ggvs_eval.baselines.method import Method
+from ggvs_eval.method import Method
 from ggvs_eval.pipelines.methods.spec import ONLINE_CODE, MethodSpec, shipped
 
 if TYPE_CHECKING:

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from ggvs_eval.errors import RenderError
+from ggvs_eval.files.toml_tables import build_table
 from ggvs_eval.pipelines.methods.baselines import BASELINES
 from ggvs_eval.pipelines.methods.network_choice import AS_SHIPPED, NetworkChoice
 from ggvs_eval.pipelines.methods.ours import OURS
 from ggvs_eval.pipelines.methods.spec import MethodSpec
-from ggvs_eval.toml_tables import build_table
 
 # The label is `method` or `method+variant`; renders of a method lie in a folder of that name.
 METHODS: dict[str, MethodSpec] = {

@@ -6,7 +6,7 @@ from functools import partial
 from importlib import resources
 from pathlib import Path
 
-from ggvs_eval.baselines.method import Method
+from ggvs_eval.method import Method
 
 BASELINE_CODE = ("ggvs_eval.kernels", "ggvs_eval.geometry", "ggvs_eval.baselines")
 ONLINE_CODE = (*BASELINE_CODE, "ggvs_eval.pipelines.online")

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from ggvs_eval.datasets.frames import ImageFrames, list_images
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.images import write_image
-from ggvs_eval.video import VideoFrames
+from ggvs_eval.files.images import write_image
+from ggvs_eval.files.video import VideoFrames
 
 CameraFiles = VideoFrames | ImageFrames
 VIDEO_SUFFIXES = (".mp4", ".mov")

@@ -9,7 +9,7 @@ import numpy as np
 from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
-from ggvs_eval.images import Image8
+from ggvs_eval.files.images import Image8
 from ggvs_eval.pipelines.offline.consistency import ConsistencyOptions
 from ggvs_eval.pipelines.offline.fusion import drop_flying_pixels, fill_background, smooth_surfaces
 from ggvs_eval.pipelines.offline.matcher import StereoMatcher

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.depth_store import Map
-from ggvs_eval.images import Image8
+from ggvs_eval.files.images import Image8
 
 Array = NDArray[np.float64]
 # The background is farther by this share, the foreground's own depth differs by less within so many pixels of its edge.

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
-from ggvs_eval.images import Image8
+from ggvs_eval.files.images import Image8
 from ggvs_eval.pipelines.offline.depth import DepthEstimator, DepthOptions
 
 Mask = NDArray[np.bool_]

@@ -14,8 +14,8 @@ from ggvs_eval.datasets.colmap import find_model
 from ggvs_eval.datasets.colmap_model import read_model
 from ggvs_eval.datasets.undistort import UndistortedFrames
 from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.files.toml_tables import build_table, read_toml
 from ggvs_eval.lens import Lens
-from ggvs_eval.toml_tables import build_table, read_toml
 
 INTRINSICS = "intrinsics.toml"
 

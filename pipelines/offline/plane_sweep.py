@@ -6,7 +6,7 @@ import numpy as np
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
-from ggvs_eval.images import Image8
+from ggvs_eval.files.images import Image8
 from ggvs_eval.pipelines.offline.matcher import Map
 from ggvs_eval.pipelines.offline.sweep_level import SweepLevel
 from ggvs_eval.pipelines.offline.sweep_options import PlaneSweep

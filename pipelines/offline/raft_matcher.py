@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from ggvs_eval import kernels
-from ggvs_eval.images import Image8
+from ggvs_eval.files.images import Image8
 from ggvs_eval.one_thread import one_thread
 from ggvs_eval.pipelines.offline.left_right import left_right_gap
 from ggvs_eval.pipelines.offline.matcher import Map

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ggvs_eval.camera import Array, Camera
 from ggvs_eval.errors import DepthError
-from ggvs_eval.images import Image8
+from ggvs_eval.files.images import Image8
 
 Map = NDArray[np.float32]
 Mask = NDArray[np.bool_]

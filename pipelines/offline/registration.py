@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture, DepthSource
 from ggvs_eval.depth_store import Map
-from ggvs_eval.digest import digest_values
+from ggvs_eval.files.digest import digest_values
 from ggvs_eval.geometry.pinhole import rigid_between
 from ggvs_eval.geometry.reproject_depth import reproject_depth
 from ggvs_eval.pipelines.offline.sensor_grid import SensorGrid, SensorLines

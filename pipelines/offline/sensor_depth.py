@@ -10,7 +10,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import DepthSource
 from ggvs_eval.depth_store import DepthMap, Map
 from ggvs_eval.errors import DepthError
-from ggvs_eval.images import Image8
+from ggvs_eval.files.images import Image8
 from ggvs_eval.pipelines.offline.fusion import drop_flying_pixels, smooth_surfaces
 from ggvs_eval.pipelines.offline.registration import RegisteredDepth
 from ggvs_eval.pipelines.offline.sensor_grid import SensorGrid

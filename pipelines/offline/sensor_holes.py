@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.depth_store import Map
-from ggvs_eval.images import Image8
+from ggvs_eval.files.images import Image8
 
 Indices = NDArray[np.intp]
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ggvs_eval.images import Image8
+from ggvs_eval.files.images import Image8
 from ggvs_eval.pipelines.offline.left_right import left_right_gap
 from ggvs_eval.pipelines.offline.matcher import Map
 from ggvs_eval.pipelines.offline.subpixel import refine_disparity

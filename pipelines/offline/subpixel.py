@@ -7,7 +7,7 @@ largest error in depth.
 import cv2
 import numpy as np
 
-from ggvs_eval.images import Image8
+from ggvs_eval.files.images import Image8
 from ggvs_eval.pipelines.offline.matcher import Map
 
 LARGEST_STEP_PX = 0.5  # larger corrections mean that the match itself is wrong

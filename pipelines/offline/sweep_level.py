@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ggvs_eval import kernels
 from ggvs_eval.camera import Camera
-from ggvs_eval.images import Image8
+from ggvs_eval.files.images import Image8
 from ggvs_eval.pipelines.offline.matcher import Map
 from ggvs_eval.pipelines.offline.sweep_fit import SurfaceFit
 from ggvs_eval.pipelines.offline.sweep_options import PlaneSweep

@@ -8,11 +8,11 @@ from pathlib import Path
 import torch
 
 from ggvs_eval.errors import WeightsError
+from ggvs_eval.files.weights_file import pour_strictly, read_tensors, require_shapes
 from ggvs_eval.pipelines.online.blend_maps import Guidance
 from ggvs_eval.pipelines.online.blend_network import BEYOND_VIEWS, BlendConfig, BlendNetwork
 from ggvs_eval.pipelines.online.network_inputs import channel_count
 from ggvs_eval.pipelines.online.refiner import EVIDENCE
-from ggvs_eval.weights_file import pour_strictly, read_tensors, require_shapes
 
 NETWORK = "a blending network"  # in messages
 CPU = torch.device("cpu")

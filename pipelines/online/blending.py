@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from ggvs_eval.baselines.method import Instant, Map
 from ggvs_eval.geometry.splat import Splat
+from ggvs_eval.method import Instant, Map
 
 COVERED_ALPHA = 0.5  # from this coverage on a splatted view shows something
 

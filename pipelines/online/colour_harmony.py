@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.baselines.method import Instant, Map, SourceView
+from ggvs_eval.files.images import Image8
 from ggvs_eval.geometry.pinhole import rigid_between
 from ggvs_eval.geometry.view_weights import view_weights
-from ggvs_eval.images import Image8
+from ggvs_eval.method import Instant, Map, SourceView
 
 Array = NDArray[np.float64]
 REDUCTION = 4  # of the images that are compared, so that a registration that is off by a pixel does not matter

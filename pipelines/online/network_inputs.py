@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.baselines.method import Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.geometry.pinhole import rigid_between
+from ggvs_eval.method import Map
 from ggvs_eval.pipelines.online.blend_maps import BlendMaps, Guidance, RawViews
 from ggvs_eval.pipelines.online.blending import COVERED_ALPHA
 

@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from ggvs_eval.baselines.gaussians import NEAR_M
-from ggvs_eval.baselines.method import Instant, LookaheadMethod, SourceView
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore
+from ggvs_eval.files.images import quantise, write_image
 from ggvs_eval.geometry.splat import PixelGaussians, splat
-from ggvs_eval.images import quantise, write_image
+from ggvs_eval.method import Instant, LookaheadMethod, SourceView
 from ggvs_eval.pipelines.frame_cache import CachedFrames
 from ggvs_eval.pipelines.methods.spec import MethodSpec
 from ggvs_eval.pipelines.offline.checked_depth import check_depth

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ggvs_eval.images import read_image, resize
+from ggvs_eval.files.images import read_image, resize
 from ggvs_eval.metrics.fetch_lpips import weights_path
 from ggvs_eval.pipelines.prepare import Prepared
 from ggvs_eval.pipelines.renders.coverage import Coverage

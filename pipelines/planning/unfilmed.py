@@ -8,7 +8,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.images import Image8
+from ggvs_eval.files.images import Image8
 from ggvs_eval.synthetic.layout_enerf import easymocap_name
 from ggvs_eval.synthetic.layouts import LAYOUTS
 from ggvs_eval.synthetic.options import DemoOptions

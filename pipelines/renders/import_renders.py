@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ggvs_eval.digest import digest_files, digest_values
 from ggvs_eval.errors import RenderError
+from ggvs_eval.files.digest import digest_files, digest_values
 from ggvs_eval.pipelines.methods.registry import METHODS
 from ggvs_eval.pipelines.renders.archive import Limits, is_archive, unpack
 from ggvs_eval.pipelines.renders.coverage import IMPORT_FILE, read_import

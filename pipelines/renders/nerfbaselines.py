@@ -8,7 +8,7 @@ import re
 from pathlib import Path
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.images import IMAGE_SUFFIXES
+from ggvs_eval.files.images import IMAGE_SUFFIXES
 from ggvs_eval.pipelines.renders.flat_set import found_in_order
 from ggvs_eval.pipelines.renders.numbering import last_number, number_items
 from ggvs_eval.pipelines.renders.picture import PictureView

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.images import PNG_SIGNATURE, read_image, write_image
+from ggvs_eval.files.images import PNG_SIGNATURE, read_image, write_image
 from ggvs_eval.run_folder import frame_path
 
 JPEG_SIGNATURE = b"\xff\xd8\xff"

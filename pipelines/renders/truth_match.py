@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.images import Image8, read_image
+from ggvs_eval.files.images import Image8, read_image
 from ggvs_eval.pipelines.renders.wanted import Wanted
 
 # On frames of Neural 3D Video another resize filter moves a picture by up to 0.9 levels of 255, one pixel by 0.9, another decoder

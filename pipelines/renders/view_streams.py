@@ -4,11 +4,11 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from ggvs_eval.errors import RenderError
+from ggvs_eval.files.video import VideoFrames
 from ggvs_eval.pipelines.renders.array_stack import ArrayStack, npz_members
 from ggvs_eval.pipelines.renders.numbering import number_stream
 from ggvs_eval.pipelines.renders.stream import FrameStream, StreamView
 from ggvs_eval.pipelines.renders.wanted import Found, RenderedView, Wanted
-from ggvs_eval.video import VideoFrames
 
 VIDEO_SUFFIXES = (".mp4", ".mov")
 ARRAY_SUFFIXES = (".npy", ".npz")

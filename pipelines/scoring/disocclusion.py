@@ -10,8 +10,8 @@ from ggvs_eval.baselines.gaussians import NEAR_M
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore
+from ggvs_eval.files.images import write_image
 from ggvs_eval.geometry.splat import PixelGaussians, splat
-from ggvs_eval.images import write_image
 from ggvs_eval.pipelines.jobs.do_all import do_all
 from ggvs_eval.pipelines.jobs.engine import Workers
 from ggvs_eval.pipelines.online.blending import COVERED_ALPHA

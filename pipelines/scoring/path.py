@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.digest import digest_files
-from ggvs_eval.images import read_image
+from ggvs_eval.files.digest import digest_files
+from ggvs_eval.files.images import read_image
 from ggvs_eval.metrics.path_scores import PathPose, score_path
 from ggvs_eval.metrics.registry import METRICS
 from ggvs_eval.pipelines.jobs.engine import Workers

@@ -10,7 +10,7 @@ from typing import Any
 import cv2
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.images import Image8, read_image, resize
+from ggvs_eval.files.images import Image8, read_image, resize
 from ggvs_eval.metrics.fetch_lpips import weights_path
 from ggvs_eval.metrics.regions import Mask
 from ggvs_eval.metrics.registry import METRICS

@@ -8,8 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from ggvs_eval.baselines.method import Instant
-from ggvs_eval.images import quantise
+from ggvs_eval.files.images import quantise
+from ggvs_eval.method import Instant
 from ggvs_eval.metrics.image import psnr, ssim
 from ggvs_eval.pipelines.training.instant_samples import InstantSample
 from ggvs_eval.pipelines.training.samples import Samples, require_room

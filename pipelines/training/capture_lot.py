@@ -11,8 +11,8 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.depth_store import DepthMap
-from ggvs_eval.digest import digest_values
 from ggvs_eval.errors import TrainingError
+from ggvs_eval.files.digest import digest_values
 from ggvs_eval.pipelines.offline.depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.offline.sensor_depth import SensorDepthEstimator

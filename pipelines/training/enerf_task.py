@@ -16,7 +16,7 @@ from ggvs_eval.baselines.enerf.method import (
 from ggvs_eval.baselines.enerf.networks import Networks
 from ggvs_eval.baselines.enerf.views import see, see_together
 from ggvs_eval.baselines.enerf.volumes import find_surface, refine_surface, search_coarsely
-from ggvs_eval.baselines.method import Instant
+from ggvs_eval.method import Instant
 from ggvs_eval.pipelines.training.baseline_task import BaselineTask, truth_of
 from ggvs_eval.pipelines.training.blend_loss import structural_loss
 from ggvs_eval.pipelines.training.instant_samples import InstantSample

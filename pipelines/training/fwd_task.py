@@ -6,7 +6,7 @@ from torch import Tensor, nn
 
 from ggvs_eval.baselines.fwd.method import decode_views, warp_views
 from ggvs_eval.baselines.fwd.network import FwdNetwork
-from ggvs_eval.baselines.method import Instant
+from ggvs_eval.method import Instant
 from ggvs_eval.pipelines.training.baseline_task import BaselineTask, truth_of
 from ggvs_eval.pipelines.training.blend_loss import structural_loss
 from ggvs_eval.pipelines.training.instant_samples import InstantSample

@@ -9,8 +9,8 @@ from ggvs_eval.baselines.gaussians import near_plane
 from ggvs_eval.baselines.gps_gaussian.method import instant_gaussians
 from ggvs_eval.baselines.gps_gaussian.network import CONFIGURATIONS, GpsGaussianNetwork
 from ggvs_eval.baselines.gps_gaussian.tile_renderer import blend_gaussians
-from ggvs_eval.baselines.method import Instant
 from ggvs_eval.errors import TrainingError
+from ggvs_eval.method import Instant
 from ggvs_eval.pipelines.training.baseline_task import BaselineTask, truth_of
 from ggvs_eval.pipelines.training.blend_loss import structural_loss
 from ggvs_eval.pipelines.training.instant_samples import InstantSample

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from ggvs_eval.baselines.ibrnet.method import depth_range, see
 from ggvs_eval.baselines.ibrnet.networks import Networks
 from ggvs_eval.baselines.ibrnet.rendering import rays_at_once, render_passes, render_rays
-from ggvs_eval.baselines.method import Instant
+from ggvs_eval.method import Instant
 from ggvs_eval.pipelines.training.baseline_task import BaselineTask, truth_of
 from ggvs_eval.pipelines.training.instant_samples import InstantSample
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ggvs_eval.baselines.method import Instant, SourceView
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
+from ggvs_eval.method import Instant, SourceView
 from ggvs_eval.pipelines.training.blend_samples import SampleMaker
 from ggvs_eval.pipelines.training.capture_lot import CaptureLot
 from ggvs_eval.pipelines.training.capture_views import CapturePlan

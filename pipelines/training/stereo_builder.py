@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from ggvs_eval.images import Image8
+from ggvs_eval.files.images import Image8
 from ggvs_eval.pipelines.training.stereo_paint import Light, Look
 from ggvs_eval.pipelines.training.stereo_render import Scene
 from ggvs_eval.pipelines.training.stereo_shapes import Ball, Shape, Sheet

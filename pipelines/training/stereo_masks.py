@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.images import Image8
+from ggvs_eval.files.images import Image8
 from ggvs_eval.pipelines.training.stereo_shapes import MASK_SIDE
 from ggvs_eval.synthetic.textures import fractal_noise
 

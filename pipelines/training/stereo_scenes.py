@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.errors import DepthError
-from ggvs_eval.images import Image8
+from ggvs_eval.files.images import Image8
 from ggvs_eval.pipelines.training.stereo_builder import SceneBuilder
 from ggvs_eval.pipelines.training.stereo_layouts import fill
 from ggvs_eval.pipelines.training.stereo_render import Scene, draw_view, visible_on_the_right

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.images import Image8
+from ggvs_eval.files.images import Image8
 from ggvs_eval.pipelines.training.stereo_patterns import SIDE, coloured_pattern, grey_pattern
 
 LEVELS = 7  # down to 4 x 4 texels

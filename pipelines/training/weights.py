@@ -6,7 +6,7 @@ from pathlib import Path
 from safetensors.torch import save_file
 from torch import nn
 
-from ggvs_eval.weights_file import pour_strictly, read_tensors
+from ggvs_eval.files.weights_file import pour_strictly, read_tensors
 
 NETWORK = "the network to be trained"  # in messages
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import torch
 
 from ggvs_eval.errors import WeightsError
+from ggvs_eval.files.weights_file import pour_strictly, read_tensors
 from ggvs_eval.pipelines.offline.raft.config import COMPACT, PUBLISHED, RaftConfig
 from ggvs_eval.pipelines.offline.raft.raft_stereo import RaftStereo
-from ggvs_eval.weights_file import pour_strictly, read_tensors
 
 SHIPPED = "raft-compact.safetensors"
 NETWORK = "RAFT-Stereo"  # in messages

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.images import Image8
+from ggvs_eval.files.images import Image8
 from ggvs_eval.synthetic.surface_points import Sightings
 from ggvs_eval.synthetic.surfaces import Array
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.images import Image8
+from ggvs_eval.files.images import Image8
 
 Map = NDArray[np.float32]
 Mask = NDArray[np.bool_]
