@@ -15,9 +15,9 @@ from captures import make_image, make_rig, write_colmap_model, write_folders, wr
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.images import read_image, write_image
+from ggvs_eval.geometry.alignment import align_similarity, pose_differences
 from ggvs_eval.lens import Lens
 from ggvs_eval.pipelines.offline import calibration_job
-from ggvs_eval.pipelines.offline.alignment import align_similarity, pose_differences
 from ggvs_eval.pipelines.offline.calibrate import Calibration, CalibrationOptions, calibrate, measure_against
 from ggvs_eval.pipelines.offline.camera_files import find_camera_files
 from ggvs_eval.pipelines.offline.known_cameras import colmap_camera, read_known, write_intrinsics

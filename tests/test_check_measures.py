@@ -11,13 +11,13 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError
+from ggvs_eval.geometry.epipolar import MatchedPair, consistent, epipolar_errors, ray_depths
+from ggvs_eval.geometry.features import Features, find_features, match_features
 from ggvs_eval.pipelines.check.calibration_errors import accused, camera_error, pair_error, triangulated_depths
 from ggvs_eval.pipelines.check.camera_record import difference_sigma, largest_change, record_camera
 from ggvs_eval.pipelines.check.check import check_capture
 from ggvs_eval.pipelines.check.colour import camera_gains, check_gain, check_noise
 from ggvs_eval.pipelines.check.depth_range import neighbour_spacing
-from ggvs_eval.pipelines.check.epipolar import MatchedPair, consistent, epipolar_errors, ray_depths
-from ggvs_eval.pipelines.check.features import Features, find_features, match_features
 from ggvs_eval.pipelines.check.finding import CaptureCheck, Finding, graded, worst
 from ggvs_eval.pipelines.check.frames import common_repeats, frozen_frames
 from ggvs_eval.pipelines.check.intrinsics import check_intrinsics, fields_of_view_deg, off_centre

@@ -25,7 +25,8 @@ from ggvs_eval.colour_maps import (
 from ggvs_eval.depth_store import DepthMap, DepthStore
 from ggvs_eval.errors import DepthError
 from ggvs_eval.files.images import read_image
-from ggvs_eval.pipelines.check.features import find_features
+from ggvs_eval.geometry.features import find_features
+from ggvs_eval.geometry.rectification import rectify
 from ggvs_eval.pipelines.depth_page.depth_page import examine_depth, render_depth_page, write_depth_page
 from ggvs_eval.pipelines.depth_page.depth_record import DepthRecord, StoredDepth
 from ggvs_eval.pipelines.depth_page.depth_statistics import describe_map
@@ -34,7 +35,6 @@ from ggvs_eval.pipelines.depth_page.pair_errors import measure_pair
 from ggvs_eval.pipelines.depth_page.pair_pictures import pair_picture
 from ggvs_eval.pipelines.depth_page.resynthesis import resynthesise
 from ggvs_eval.pipelines.offline.prepare import DepthJob
-from ggvs_eval.pipelines.offline.rectification import rectify
 from page_reader import PageReader
 from stereo_scenes import FOCAL, PLANE, look_from, plane_depth, see_plane, write_capture
 

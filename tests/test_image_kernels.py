@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 
 from geometry_scenes import TAU, random_camera, random_depth, seeds, sizes
 from ggvs_eval import kernels
-from ggvs_eval.difference_mask import difference_mask
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry import CapturedView, look_up, warp
+from ggvs_eval.geometry.difference_mask import difference_mask
 from ggvs_eval.geometry.per_pixel import largest_feature, weighted_mean
 from ggvs_eval.kernels import _core
 from ggvs_eval.pipelines.online.depth_filter import filter_depth

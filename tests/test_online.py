@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from ggvs_eval.difference_mask import difference_mask
 from ggvs_eval.errors import RenderError
+from ggvs_eval.geometry.difference_mask import difference_mask
 from ggvs_eval.method import SourceView
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method, split_label
 from ggvs_eval.pipelines.online.depth_filter import TemporalDepthFilter, filter_depth

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from ggvs_eval.baselines.gaussians import pixel_gaussians
-from ggvs_eval.difference_mask import difference_mask
 from ggvs_eval.errors import RenderError
+from ggvs_eval.geometry.difference_mask import difference_mask
 from ggvs_eval.geometry.point_splat import splat_points
 from ggvs_eval.geometry.splat import PixelGaussians, Splat, splat
 from ggvs_eval.geometry.tsdf import DepthView, PreviousDepth, ray_march

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.pipelines.check.epipolar import MatchedPair, epipolar_errors, ray_depths
+from ggvs_eval.geometry.epipolar import MatchedPair, epipolar_errors, ray_depths
 
 Array = NDArray[np.float64]
 # Median error of a pair. Sound calibrations lie at 0.2 - 0.5 pixels where features are found at full size (320 x 240), and at

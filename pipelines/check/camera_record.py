@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.images import Image8
-from ggvs_eval.pipelines.check.features import Features, find_features
+from ggvs_eval.geometry.features import Features, find_features
 
 # Still fine enough to see an arm move, small enough to cost less than decoding.
 LONGEST_SIDE_PX = 480

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.geometry.epipolar import MatchedPair
 from ggvs_eval.pipelines.check.camera_record import CameraRecord
-from ggvs_eval.pipelines.check.epipolar import MatchedPair
 from ggvs_eval.pipelines.check.finding import RIG, Finding, graded
 from ggvs_eval.pipelines.check.pair_graph import solve_differences
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ggvs_eval.camera import Camera
+from ggvs_eval.geometry.epipolar import MatchedPair
 from ggvs_eval.pipelines.check.calibration_errors import (
     PairError,
     accused,
@@ -17,7 +18,6 @@ from ggvs_eval.pipelines.check.calibration_errors import (
     tolerances,
 )
 from ggvs_eval.pipelines.check.camera_record import CameraRecord
-from ggvs_eval.pipelines.check.epipolar import MatchedPair
 from ggvs_eval.pipelines.check.finding import RIG, Finding, Verdict, graded
 from ggvs_eval.pipelines.check.pairs import match_pairs
 from ggvs_eval.pipelines.check.repairs import Repair, explain_camera, explain_rig

@@ -5,8 +5,8 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from ggvs_eval.camera import Camera
+from ggvs_eval.geometry.epipolar import MatchedPair, match_pair
 from ggvs_eval.pipelines.check.camera_record import CameraRecord
-from ggvs_eval.pipelines.check.epipolar import MatchedPair, match_pair
 from ggvs_eval.progress import track
 
 # Enough that a camera between two faulty neighbours still has honest ones.

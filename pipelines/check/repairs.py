@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.camera import Camera
+from ggvs_eval.geometry.epipolar import MatchedPair
 from ggvs_eval.pipelines.check.calibration_errors import FRONT_SHARE, camera_error, pair_error, tolerances
-from ggvs_eval.pipelines.check.epipolar import MatchedPair
 
 Array = NDArray[np.float64]
 FOCAL_FACTORS = np.linspace(0.85, 1.15, 31)

@@ -21,7 +21,7 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.colour_maps import confidence_scale, depth_scale, difference_scale
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import DepthError, ResultsError
-from ggvs_eval.pipelines.check.features import Features, find_features
+from ggvs_eval.geometry.features import Features, find_features
 from ggvs_eval.pipelines.depth_page.depth_pictures import write_instant, write_pairs
 from ggvs_eval.pipelines.depth_page.depth_record import CameraPictures, CameraRecord, DepthRecord, StoredDepth
 from ggvs_eval.pipelines.depth_page.depth_statistics import DepthStatistics, describe_map

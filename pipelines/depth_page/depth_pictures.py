@@ -13,10 +13,10 @@ from ggvs_eval.camera import Array, Camera
 from ggvs_eval.colour_maps import confidence_colours, depth_colours, difference_colours, with_checks
 from ggvs_eval.depth_store import DepthMap, Map
 from ggvs_eval.files.images import Image8, resize
+from ggvs_eval.geometry.rectification import rectify
 from ggvs_eval.pipelines.depth_page.depth_statistics import measured_pixels
 from ggvs_eval.pipelines.depth_page.pair_pictures import pair_picture
 from ggvs_eval.pipelines.depth_page.resynthesis import Resynthesis, resynthesise
-from ggvs_eval.pipelines.offline.rectification import rectify
 
 WIDTH_PX = 480  # of a picture; with QUALITY it keeps the page of 12 cameras below 10 MB
 QUALITY = 75

@@ -6,9 +6,9 @@ import numpy as np
 
 from ggvs_eval.camera import Array, Camera
 from ggvs_eval.errors import DepthError
-from ggvs_eval.pipelines.check.epipolar import match_pair
-from ggvs_eval.pipelines.check.features import Features
-from ggvs_eval.pipelines.offline.rectification import RectifiedPair, rectify
+from ggvs_eval.geometry.epipolar import match_pair
+from ggvs_eval.geometry.features import Features
+from ggvs_eval.geometry.rectification import RectifiedPair, rectify
 
 SLACK_PX = 1.0  # a disparity counts as outside its range only beyond this, the error of a feature's place
 

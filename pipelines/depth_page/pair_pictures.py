@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from ggvs_eval.camera import Array, Camera
 from ggvs_eval.files.images import Image8, resize
+from ggvs_eval.geometry.rectification import RectifiedPair
 from ggvs_eval.pipelines.depth_page.pair_errors import on_canvas
-from ggvs_eval.pipelines.offline.rectification import RectifiedPair
 
 WIDTH_PX = 640  # of a picture
 HEIGHT_PX = 400  # of each half

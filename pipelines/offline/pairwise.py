@@ -7,9 +7,9 @@ import numpy as np
 from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.files.images import Image8
+from ggvs_eval.geometry.rectification import RectifiedPair, depth_from_disparity, rectify
 from ggvs_eval.pipelines.offline.fusion import fuse
 from ggvs_eval.pipelines.offline.matcher import Map, StereoMatcher
-from ggvs_eval.pipelines.offline.rectification import RectifiedPair, depth_from_disparity, rectify
 
 
 class PairwiseEstimator:

@@ -12,7 +12,7 @@ Map = NDArray[np.float32]
 def difference_mask_twin(
     current: Image8, previous: Image8, *, lambda_t: float = 0.7, beta: float = 0.6, channels: str = "largest"
 ) -> Map:
-    """What `ggvs_eval.difference_mask.difference_mask` computes (Eq. 1): images averaged down, then subtracted."""
+    """What `ggvs_eval.geometry.difference_mask.difference_mask` computes (Eq. 1): images averaged down, then subtracted."""
     height, width = current.shape[:2]
     size = (max(width // 4, 1), max(height // 4, 1))
     now, before = (
