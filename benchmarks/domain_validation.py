@@ -14,12 +14,12 @@ import pandas as pd
 from benchmarks.domain_views import REAL, REAL_CAPTURE, REAL_TITLE, View, ViewPlan, prepare_views, real_capture
 from ggvs_eval.errors import WeightsError
 from ggvs_eval.files.images import Image8, quantise
+from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.method import Method
 from ggvs_eval.metrics.image import psnr, ssim
 from ggvs_eval.metrics.lpips import lpips_between, lpips_features
 from ggvs_eval.metrics.strred import strred
 from ggvs_eval.pipelines.methods.registry import find_method
-from ggvs_eval.processes import default_workers
 from ggvs_eval.progress import track
 from ggvs_eval.run_folder import write_json
 from ggvs_eval.synthetic.domains import DOMAINS

@@ -15,6 +15,7 @@ from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.digest import digest_values
 from ggvs_eval.files.images import Image8
+from ggvs_eval.jobs.processes import finish_all, worker_pool
 from ggvs_eval.method import Instant, SourceView
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.training.capture_lot import MeasuredSampleMaker
@@ -25,7 +26,6 @@ from ggvs_eval.pipelines.training.instant_samples import InstantSample
 from ggvs_eval.pipelines.training.room_plan import choose_views, room_options
 from ggvs_eval.pipelines.training.sample_file import camera_arrays, stored_arrays, stored_cameras, write_arrays
 from ggvs_eval.pipelines.training.training_data import HELD_BACK
-from ggvs_eval.processes import finish_all, worker_pool
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.domains import VALIDATION_SEEDS, find_domain
 

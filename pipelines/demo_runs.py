@@ -7,8 +7,8 @@ from types import MappingProxyType
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import RenderError
+from ggvs_eval.jobs.engine import Workers, as_engine
 from ggvs_eval.pipelines.evaluate import measure, report
-from ggvs_eval.pipelines.jobs.engine import Workers, as_engine
 from ggvs_eval.pipelines.methods.network_choice import AS_SHIPPED, NetworkChoice
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.planning.wish import Wish

@@ -7,7 +7,7 @@ from pathlib import Path
 from ggvs_eval.capture import Capture, Retake
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.held_still import retake
-from ggvs_eval.pipelines.jobs.engine import Workers
+from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.pipelines.methods.network_choice import AS_SHIPPED, NetworkChoice
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.prepare import Prepared, prepare

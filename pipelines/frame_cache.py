@@ -7,8 +7,8 @@ from pathlib import Path
 
 from ggvs_eval.capture import Capture, FrameSource
 from ggvs_eval.files.images import Image8, read_image, write_image
-from ggvs_eval.pipelines.jobs.do_all import do_all
-from ggvs_eval.pipelines.jobs.engine import Workers
+from ggvs_eval.jobs.engine import Workers
+from ggvs_eval.jobs.run_all import do_all
 from ggvs_eval.run_folder import frame_path, missing_frames
 
 

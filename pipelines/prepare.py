@@ -16,8 +16,8 @@ from ggvs_eval.errors import CaptureError, ProtocolError
 from ggvs_eval.files.images import resize, write_image
 from ggvs_eval.geometry.sight import require_sight
 from ggvs_eval.geometry.source_views import choose_sources
+from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.pipelines.frame_cache import cache_frames
-from ggvs_eval.pipelines.jobs.engine import Workers
 from ggvs_eval.pipelines.offline.depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.offline.prepare import DepthJob, depth_spec, plan_depth, prepare_depth

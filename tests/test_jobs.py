@@ -14,9 +14,9 @@ from typing import Any
 import pytest
 
 from ggvs_eval.errors import CaptureError, RenderError
-from ggvs_eval.pipelines.jobs.job import BrokenJobError, Job, attempt_jobs, run_jobs
-from ggvs_eval.pipelines.jobs.ledger import Ledger
-from ggvs_eval.processes import is_running
+from ggvs_eval.jobs.job import BrokenJobError, Job, attempt_jobs, run_jobs
+from ggvs_eval.jobs.ledger import Ledger
+from ggvs_eval.jobs.processes import is_running
 from ggvs_eval.run_folder import JOB_FILE, read_json
 
 
@@ -125,7 +125,7 @@ def test_what_another_process_works_on_is_left_alone(tmp_path):
 def test_workers_die_with_their_parent(tmp_path):
     """After kill -9 of the main process its workers are gone within seconds, in the middle of a job or idle."""
     script = (
-        "import os, sys, time; from pathlib import Path; from ggvs_eval.processes import worker_pool\n"
+        "import os, sys, time; from pathlib import Path; from ggvs_eval.jobs.processes import worker_pool\n"
         "if __name__ == '__main__':\n"
         "    with worker_pool(2) as pool:\n"
         "        Path(sys.argv[1], 'pid').write_text(str(pool.submit(os.getpid).result()))\n"
@@ -144,7 +144,7 @@ def test_a_killed_run_loses_only_the_job_in_hand(tmp_path):
     """After kill -9 what was finished stays, and the next call runs the rest and cleans up."""
     script = (
         "import sys, time; from functools import partial; from pathlib import Path\n"
-        "from ggvs_eval.pipelines.jobs.job import Job, run_jobs\n"
+        "from ggvs_eval.jobs.job import Job, run_jobs\n"
         "def work(number, folder):\n"
         "    (folder / 'number.txt').write_text(str(number)); time.sleep(60 if number == 1 else 0)\n"
         "    return {}\n"

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.pipelines.jobs import free_memory
-from ggvs_eval.pipelines.jobs.engine import Engine
-from ggvs_eval.pipelines.jobs.job import Job, attempt_jobs, run_jobs
+from ggvs_eval.jobs import free_memory
+from ggvs_eval.jobs.engine import Engine
+from ggvs_eval.jobs.job import Job, attempt_jobs, run_jobs
 
 ENGINES = [Engine(2), Engine(2, "dask")]
 

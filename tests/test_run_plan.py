@@ -10,9 +10,9 @@ import pytest
 
 from command_line import refusal
 from ggvs_eval.errors import ProtocolError
+from ggvs_eval.jobs.shard import WHOLE, Shard
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.evaluate import measure
-from ggvs_eval.pipelines.jobs.shard import WHOLE, Shard
 from ggvs_eval.pipelines.methods.network_choice import AS_SHIPPED
 from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice

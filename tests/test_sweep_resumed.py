@@ -18,13 +18,13 @@ import pytest
 
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import ResultsError
+from ggvs_eval.jobs.engine import Engine
+from ggvs_eval.jobs.processes import is_running
+from ggvs_eval.jobs.shard import Shard
+from ggvs_eval.jobs.status import read_status
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.commands.runs import status
-from ggvs_eval.pipelines.jobs.engine import Engine
-from ggvs_eval.pipelines.jobs.shard import Shard
-from ggvs_eval.pipelines.jobs.status import read_status
 from ggvs_eval.pipelines.sweep.run_sweep import run_sweep
-from ggvs_eval.processes import is_running
 from ggvs_eval.protocol import Frames, Views, load_protocol
 from ggvs_eval.sweep import load_sweep
 

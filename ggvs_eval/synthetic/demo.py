@@ -12,7 +12,7 @@ from typing import TypeVar
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.processes import worker_pool
+from ggvs_eval.jobs.processes import worker_pool
 from ggvs_eval.progress import track
 from ggvs_eval.synthetic.film import PARTS, Footage, light_instant, stored_instant
 from ggvs_eval.synthetic.layouts import LAYOUTS

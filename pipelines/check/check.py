@@ -9,6 +9,7 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.units import GivenUnits
 from ggvs_eval.errors import GgvsError
+from ggvs_eval.jobs.processes import worker_pool
 from ggvs_eval.pipelines.check import (
     colour,
     depth_range,
@@ -25,7 +26,6 @@ from ggvs_eval.pipelines.check.calibration_errors import triangulated_depths
 from ggvs_eval.pipelines.check.camera_record import CameraRecord, record_camera
 from ggvs_eval.pipelines.check.finding import RIG, CaptureCheck, Finding
 from ggvs_eval.pipelines.check.pairs import match_pairs, neighbour_pairs
-from ggvs_eval.processes import worker_pool
 from ggvs_eval.progress import track
 from ggvs_eval.run_folder import write_json
 

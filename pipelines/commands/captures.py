@@ -12,10 +12,10 @@ from ggvs_eval.datasets import DATASETS, open_capture
 from ggvs_eval.datasets.held_still import retake
 from ggvs_eval.datasets.units import GivenUnits
 from ggvs_eval.errors import CaptureError
+from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.pipelines.offline.calibrate import CalibrationOptions
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.offline.undistort import UndistortOptions
-from ggvs_eval.processes import default_workers
 from ggvs_eval.synthetic.options import DemoOptions
 
 Folder = Annotated[Path, tyro.conf.Positional]

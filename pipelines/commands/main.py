@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import tyro
 
 from ggvs_eval.errors import GgvsError, ProtocolError
+from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.pipelines.commands.captures import (
     BY_DEFAULT,
     Reading,
@@ -23,7 +24,6 @@ from ggvs_eval.pipelines.commands.play import play
 from ggvs_eval.pipelines.commands.renders import doctor, explain
 from ggvs_eval.pipelines.commands.runs import prepare, render, run, status, sweep
 from ggvs_eval.pipelines.commands.training import train
-from ggvs_eval.processes import default_workers
 
 
 def score(

@@ -7,8 +7,8 @@ from typing import Annotated
 import tyro
 
 from ggvs_eval.errors import ResultsError
+from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.pipelines.commands.captures import Folder
-from ggvs_eval.processes import default_workers
 
 
 def merge(

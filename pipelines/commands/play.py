@@ -6,12 +6,12 @@ from typing import Annotated
 import tyro
 
 from ggvs_eval.geometry.source_views import SourceChoice
+from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.pipelines.commands.captures import BY_DEFAULT, FOUND_BY_DEFAULT, Finding, Reading
 from ggvs_eval.pipelines.commands.runs import Device
 from ggvs_eval.pipelines.methods.network_choice import found_device
 from ggvs_eval.pipelines.methods.registry import METHODS
 from ggvs_eval.pipelines.synthesizer import DEFAULT_METHOD, online_method
-from ggvs_eval.processes import default_workers
 
 
 def play(

@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 import tyro
 
 from ggvs_eval.errors import RenderError
+from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.pipelines.commands.captures import BY_DEFAULT, Folder, Reading, ReadingOptions
-from ggvs_eval.processes import default_workers
 from ggvs_eval.run_folder import RunFolder
 
 Quoted = Annotated[str, tyro.conf.Positional]

@@ -9,10 +9,10 @@ import tyro
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import ProtocolError, WeightsError
+from ggvs_eval.jobs.engine import Engine
+from ggvs_eval.jobs.ledger import Failure
 from ggvs_eval.pipelines.commands.announce import announce
 from ggvs_eval.pipelines.commands.captures import BY_DEFAULT, FOUND_BY_DEFAULT, Finding, Folder, Reading, ReadingOptions
-from ggvs_eval.pipelines.jobs.engine import Engine
-from ggvs_eval.pipelines.jobs.ledger import Failure
 from ggvs_eval.pipelines.methods.network_choice import NetworkChoice, found_device
 from ggvs_eval.pipelines.methods.registry import METHODS, usual_methods
 from ggvs_eval.pipelines.planning.wish import Wish
@@ -173,7 +173,7 @@ def sweep(
         plan: JSON file to write instead of running: the commands of the sweep, and which waits for which.
         dry_run: only tell how much there is to do, what it needs and how long it takes.
     """
-    from ggvs_eval.pipelines.jobs.shard import Shard
+    from ggvs_eval.jobs.shard import Shard
     from ggvs_eval.pipelines.sweep.cells import wishes_of
     from ggvs_eval.pipelines.sweep.plan import flags, plan_sweep
     from ggvs_eval.pipelines.sweep.run_sweep import run_sweep, run_sweeps
@@ -218,7 +218,7 @@ def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
     Args:
         folder: run folder, or folder of a sweep.
     """
-    from ggvs_eval.pipelines.jobs.status import describe_status
+    from ggvs_eval.jobs.status import describe_status
 
     print(describe_status(folder))
 

@@ -7,6 +7,7 @@ import pandas as pd
 
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import DepthError
+from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.pipelines.depth_validation import (
     middlebury,
     region_errors,
@@ -19,7 +20,6 @@ from ggvs_eval.pipelines.depth_validation.figures import Figures
 from ggvs_eval.pipelines.depth_validation.named_matchers import depth_options, pairwise_matchers
 from ggvs_eval.pipelines.depth_validation.rooms import film_rooms
 from ggvs_eval.pipelines.offline.depth import DepthOptions
-from ggvs_eval.processes import default_workers
 from ggvs_eval.protocol import load_protocol
 from ggvs_eval.run_folder import read_json, write_json
 

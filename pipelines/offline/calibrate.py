@@ -15,10 +15,10 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.colmap_model import read_model
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.geometry.alignment import pose_differences, rig_extent
+from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.pipelines.offline.calibration_job import describe_known, keep_log, run_worker
 from ggvs_eval.pipelines.offline.camera_files import CameraFiles, check_lengths, find_camera_files, link_frames, write_instant
 from ggvs_eval.pipelines.offline.known_cameras import KnownCamera, fit_known, read_known
-from ggvs_eval.processes import default_workers
 from ggvs_eval.run_folder import write_json
 
 CameraModel = Literal["PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "OPENCV"]

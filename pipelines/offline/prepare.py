@@ -8,8 +8,8 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore, describe_depth
 from ggvs_eval.geometry.source_views import SourceChoice, choose_sources
-from ggvs_eval.pipelines.jobs.do_all import do_all
-from ggvs_eval.pipelines.jobs.engine import Workers
+from ggvs_eval.jobs.engine import Workers
+from ggvs_eval.jobs.run_all import do_all
 from ggvs_eval.pipelines.offline.checked_depth import check_depth
 from ggvs_eval.pipelines.offline.depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth_stream import DepthStream

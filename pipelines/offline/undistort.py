@@ -15,11 +15,11 @@ from ggvs_eval.datasets.undistort import UndistortedFrames
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.images import Image8, write_image
 from ggvs_eval.files.video import VideoFrames, write_video
+from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.lens import Lens
 from ggvs_eval.pipelines.offline.camera_files import CameraFiles, check_lengths, find_camera_files
 from ggvs_eval.pipelines.offline.known_cameras import INTRINSICS, write_intrinsics
 from ggvs_eval.pipelines.offline.lens_files import LensAndTarget, read_lenses
-from ggvs_eval.processes import default_workers
 from ggvs_eval.progress import track
 
 

@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ggvs_eval.errors import ProtocolError
-from ggvs_eval.pipelines.jobs.free_memory import available_bytes
+from ggvs_eval.jobs.free_memory import available_bytes
+from ggvs_eval.jobs.processes import worker_pool
 from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.offline.depth import DepthOptions
 from ggvs_eval.pipelines.planning.estimate import Pace, Portion, disk_bytes
@@ -19,7 +20,6 @@ from ggvs_eval.pipelines.planning.unfilmed import films
 from ggvs_eval.pipelines.planning.wish import Wish
 from ggvs_eval.pipelines.planning.work_left import WorkLeft, plan_frames, work_left
 from ggvs_eval.pipelines.prepare import Prepared, claim_run, depth_choice_of
-from ggvs_eval.processes import worker_pool
 from ggvs_eval.run_folder import RunFolder
 
 PROBED_FROM_PIXELS = 5e7  # depth maps and frames to render; the demo has 2e8, its small rooms 2e7 each

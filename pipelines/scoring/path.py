@@ -10,10 +10,10 @@ import numpy as np
 from ggvs_eval.camera import Camera
 from ggvs_eval.files.digest import digest_files
 from ggvs_eval.files.images import read_image
+from ggvs_eval.jobs.engine import Workers
+from ggvs_eval.jobs.job import Job, code_digest, run_jobs
 from ggvs_eval.metrics.path_scores import PathPose, score_path
 from ggvs_eval.metrics.registry import METRICS
-from ggvs_eval.pipelines.jobs.engine import Workers
-from ggvs_eval.pipelines.jobs.job import Job, code_digest, run_jobs
 from ggvs_eval.pipelines.path_depth import pose_file, read_path_depth
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, missing_frames, read_json, write_json

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from ggvs_eval.errors import MetricError
+from ggvs_eval.jobs.engine import Workers
+from ggvs_eval.jobs.job import Job, code_digest, run_jobs
 from ggvs_eval.metrics.ceilings import CEILING_METRICS, ceilings
-from ggvs_eval.pipelines.jobs.engine import Workers
-from ggvs_eval.pipelines.jobs.job import Job, code_digest, run_jobs
 from ggvs_eval.pipelines.scoring.path import TRUTH
 from ggvs_eval.pipelines.scoring.view import digest_frames, metric_options, truth_frames
 from ggvs_eval.protocol import Measurement, Protocol

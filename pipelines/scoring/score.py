@@ -10,10 +10,10 @@ from collections.abc import Collection, Sequence
 from typing import Any
 
 from ggvs_eval.errors import RenderError
+from ggvs_eval.jobs.engine import Workers
+from ggvs_eval.jobs.job import Job, run_jobs
+from ggvs_eval.jobs.ledger import Ledger
 from ggvs_eval.metrics.registry import METRICS
-from ggvs_eval.pipelines.jobs.engine import Workers
-from ggvs_eval.pipelines.jobs.job import Job, run_jobs
-from ggvs_eval.pipelines.jobs.ledger import Ledger
 from ggvs_eval.pipelines.methods.registry import METHODS, split_label
 from ggvs_eval.pipelines.renders.coverage import Coverage, read_coverage
 from ggvs_eval.pipelines.scoring.path import PATH_VIEW, score_paths

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import ProtocolError, RenderError, WeightsError
-from ggvs_eval.pipelines.jobs.shard import WHOLE, Shard
+from ggvs_eval.jobs.shard import WHOLE, Shard
 from ggvs_eval.pipelines.methods.network_choice import NetworkChoice
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice

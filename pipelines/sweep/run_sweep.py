@@ -10,9 +10,9 @@ import pandas as pd
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import ProtocolError
-from ggvs_eval.pipelines.jobs.engine import Engine, Workers, as_engine
-from ggvs_eval.pipelines.jobs.ledger import Failure
-from ggvs_eval.pipelines.jobs.shard import WHOLE, Shard
+from ggvs_eval.jobs.engine import Engine, Workers, as_engine
+from ggvs_eval.jobs.ledger import Failure
+from ggvs_eval.jobs.shard import WHOLE, Shard
 from ggvs_eval.pipelines.methods.network_choice import AS_SHIPPED, NetworkChoice
 from ggvs_eval.pipelines.methods.registry import split_label
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice

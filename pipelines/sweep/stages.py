@@ -7,9 +7,9 @@ from functools import partial
 from typing import TypeVar
 
 from ggvs_eval.errors import GgvsError
-from ggvs_eval.pipelines.jobs.engine import Engine
-from ggvs_eval.pipelines.jobs.job import Attempt, Job, attempt_jobs
-from ggvs_eval.pipelines.jobs.ledger import Failure, Ledger
+from ggvs_eval.jobs.engine import Engine
+from ggvs_eval.jobs.job import Attempt, Job, attempt_jobs
+from ggvs_eval.jobs.ledger import Failure, Ledger
 from ggvs_eval.pipelines.methods.network_choice import NetworkChoice
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.prepare import Prepared, prepare

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import IO
 
 from ggvs_eval.errors import TrainingError
+from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.pipelines.training.progress_lines import ProgressLines
-from ggvs_eval.processes import default_workers
 
 LOOK_S = 1.0  # between two looks at the trainings
 GRACE_S = 10.0  # that a stopped training has before it is killed

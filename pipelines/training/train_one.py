@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from ggvs_eval.compute_device import compute_device, describe_device
+from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.pipelines.online.blend_network import WIDTHS, BlendConfig
 from ggvs_eval.pipelines.training.baseline_tasks import baseline_task
 from ggvs_eval.pipelines.training.blend_task import BlendTask
@@ -12,7 +13,6 @@ from ggvs_eval.pipelines.training.request import TrainingRequest
 from ggvs_eval.pipelines.training.stereo_task import StereoTask
 from ggvs_eval.pipelines.training.task import Task
 from ggvs_eval.pipelines.training.training_data import TrainingData, blend_samples, prepare_samples
-from ggvs_eval.processes import default_workers
 
 CACHE = "blend-samples"  # beside the folders of the trainings
 

@@ -19,10 +19,10 @@ from typing import Any
 
 import ggvs_eval
 from ggvs_eval.errors import GgvsError, RenderError
-from ggvs_eval.pipelines.jobs.engine import Workers, as_engine
-from ggvs_eval.pipelines.jobs.ledger import Entry, Failure, Ledger
-from ggvs_eval.pipelines.jobs.lost_job import LostJob
-from ggvs_eval.processes import is_running
+from ggvs_eval.jobs.engine import Workers, as_engine
+from ggvs_eval.jobs.ledger import Entry, Failure, Ledger
+from ggvs_eval.jobs.lost_job import LostJob
+from ggvs_eval.jobs.processes import is_running
 from ggvs_eval.progress import track
 from ggvs_eval.run_folder import JOB_FILE, write_json
 

@@ -6,9 +6,9 @@ from functools import partial
 from typing import TypeVar
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.pipelines.jobs.engine import Workers, as_engine
-from ggvs_eval.pipelines.jobs.job import ALL_CODE, code_digest
-from ggvs_eval.pipelines.jobs.lost_job import LostJob
+from ggvs_eval.jobs.engine import Workers, as_engine
+from ggvs_eval.jobs.job import ALL_CODE, code_digest
+from ggvs_eval.jobs.lost_job import LostJob
 from ggvs_eval.progress import track
 
 Item = TypeVar("Item")

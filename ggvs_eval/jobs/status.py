@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ggvs_eval.errors import ResultsError
-from ggvs_eval.pipelines.jobs.job import is_in_hand
-from ggvs_eval.pipelines.jobs.ledger import STAGES, Entry, Failure, Ledger
+from ggvs_eval.jobs.job import is_in_hand
+from ggvs_eval.jobs.ledger import STAGES, Entry, Failure, Ledger
 from ggvs_eval.run_folder import JOB_FILE
 
 MEBIBYTE = 1 << 20

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Literal, TypeVar
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.pipelines.jobs.lost_job import LostJob
-from ggvs_eval.processes import default_workers
+from ggvs_eval.jobs.lost_job import LostJob
+from ggvs_eval.jobs.processes import default_workers
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -43,12 +43,12 @@ class Engine:
         if self.jobs < 1:
             raise RenderError(f"--jobs {self.jobs}: wanted at least 1")
         if self.engine == "dask":
-            from ggvs_eval.pipelines.jobs.dask_engine import run_on_dask
+            from ggvs_eval.jobs.dask_engine import run_on_dask
 
             return run_on_dask(work, items, self.jobs, self.scheduler)
         if self.scheduler:
             raise RenderError(f"--scheduler {self.scheduler}: processes need none; add --engine dask")
-        from ggvs_eval.pipelines.jobs.process_engine import run_in_processes
+        from ggvs_eval.jobs.process_engine import run_in_processes
 
         return run_in_processes(work, items, self.jobs)
 

@@ -7,9 +7,9 @@ from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import active_children
 from typing import TypeVar
 
-from ggvs_eval.pipelines.jobs.free_memory import has_room
-from ggvs_eval.pipelines.jobs.lost_job import LostJob
-from ggvs_eval.processes import worker_pool
+from ggvs_eval.jobs.free_memory import has_room
+from ggvs_eval.jobs.lost_job import LostJob
+from ggvs_eval.jobs.processes import worker_pool
 
 TRIES_ALONE = 2
 LOOK_AGAIN_S = 0.5  # while a job waits for memory
