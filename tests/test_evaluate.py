@@ -16,7 +16,7 @@ from ggvs_eval.pipelines.evaluate import evaluate, reopen
 from ggvs_eval.pipelines.methods.registry import METHODS
 from ggvs_eval.pipelines.prepare import prepare
 from ggvs_eval.pipelines.render import render
-from ggvs_eval.pipelines.renders.import_renders import import_renders
+from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.pipelines.scoring.score import score, score_jobs
 from ggvs_eval.pipelines.suggest_protocol import suggest_protocol
 from ggvs_eval.protocol import Frames, Protocol, Synthesis, Views, load_protocol

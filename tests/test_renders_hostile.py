@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.pipelines.renders.archive import Limits, unpack
-from ggvs_eval.pipelines.renders.import_renders import import_renders
+from ggvs_eval.pipelines.run.import_renders import import_renders
+from ggvs_eval.renders.archive import Limits, unpack
 from render_folders import VIEWS, make_run, stack
 
 LIMITS = Limits(n_files=20, n_bytes=100_000)

@@ -9,7 +9,7 @@ import pytest
 
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import read_image, write_image
-from ggvs_eval.pipelines.renders.import_renders import import_renders
+from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.run_folder import RunFolder, frame_path, read_json
 from render_folders import (
     FRAMES,

@@ -10,8 +10,8 @@ import pytest
 
 from ggvs_eval.errors import GgvsError, ProtocolError, RenderError
 from ggvs_eval.files.images import write_image
-from ggvs_eval.pipelines.renders.import_renders import import_renders
-from ggvs_eval.pipelines.renders.run_for import named_renders
+from ggvs_eval.pipelines.run.import_renders import import_renders
+from ggvs_eval.pipelines.run.run_for import named_renders
 from ggvs_eval.run_folder import RunFolder
 from render_folders import (
     FRAMES,

@@ -49,8 +49,8 @@ def score(
         reading: how the capture is read.
         jobs: processes.
     """
-    from ggvs_eval.pipelines.renders.import_renders import import_renders
-    from ggvs_eval.pipelines.renders.run_for import named_renders, run_for
+    from ggvs_eval.pipelines.run.import_renders import import_renders
+    from ggvs_eval.pipelines.run.run_for import named_renders, run_for
     from ggvs_eval.pipelines.scoring.score import score as measure
 
     if folder and run:

@@ -91,8 +91,8 @@ def _rendered(
     if (renders / "protocol.toml").is_file():
         folder = RunFolder(renders)
         return folder, folder.labels()
-    from ggvs_eval.pipelines.renders.import_renders import import_renders
-    from ggvs_eval.pipelines.renders.run_for import named_renders, run_for
+    from ggvs_eval.pipelines.run.import_renders import import_renders
+    from ggvs_eval.pipelines.run.run_for import named_renders, run_for
 
     folder = run_for(run, reading.open(capture) if capture else None, protocol, jobs)
     ((label, path),) = named_renders((str(renders),)).items()

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ggvs_eval.pipelines.renders.coverage import IMPORT_FILE
+from ggvs_eval.pipelines.run.coverage import IMPORT_FILE
 from ggvs_eval.run_folder import JOB_FILE, read_json
 
 ROUNDING = 1e-6  # machines add in different orders

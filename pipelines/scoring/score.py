@@ -15,7 +15,7 @@ from ggvs_eval.jobs.job import Job, run_jobs
 from ggvs_eval.jobs.ledger import Ledger
 from ggvs_eval.metrics.registry import METRICS
 from ggvs_eval.pipelines.methods.registry import METHODS, split_label
-from ggvs_eval.pipelines.renders.coverage import Coverage, read_coverage
+from ggvs_eval.pipelines.run.coverage import Coverage, read_coverage
 from ggvs_eval.pipelines.scoring.path import PATH_VIEW, score_paths
 from ggvs_eval.pipelines.scoring.references import score_ceilings, write_references
 from ggvs_eval.pipelines.scoring.view import view_job

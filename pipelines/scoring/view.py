@@ -16,7 +16,7 @@ from ggvs_eval.metrics.fetch_lpips import weights_path
 from ggvs_eval.metrics.regions import Mask
 from ggvs_eval.metrics.registry import METRICS
 from ggvs_eval.metrics.scorers import CORRECTED, MetricOptions
-from ggvs_eval.pipelines.renders.coverage import Coverage
+from ggvs_eval.pipelines.run.coverage import Coverage
 from ggvs_eval.protocol import Measurement, Protocol
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, missing_frames, read_json
 

@@ -11,11 +11,11 @@ from ggvs_eval.errors import RenderError
 from ggvs_eval.files.digest import digest_files, digest_values
 from ggvs_eval.jobs.processes import worker_pool
 from ggvs_eval.pipelines.methods.registry import METHODS
-from ggvs_eval.pipelines.renders.archive import Limits, is_archive, unpack
-from ggvs_eval.pipelines.renders.coverage import IMPORT_FILE, read_import
-from ggvs_eval.pipelines.renders.fit import Fit, fit, partial_text, require_whole
-from ggvs_eval.pipelines.renders.kinds import KINDS, detect
-from ggvs_eval.pipelines.renders.wanted import Found, RenderedView, Wanted, wanted_of
+from ggvs_eval.pipelines.run.coverage import IMPORT_FILE, read_import
+from ggvs_eval.renders.archive import Limits, is_archive, unpack
+from ggvs_eval.renders.fit import Fit, fit, partial_text, require_whole
+from ggvs_eval.renders.kinds import KINDS, detect
+from ggvs_eval.renders.wanted import Found, RenderedView, Wanted, wanted_of
 from ggvs_eval.run_folder import RunFolder, frame_path, write_json
 
 NAME = re.compile(r"\w[\w.+-]*")

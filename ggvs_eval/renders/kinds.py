@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.pipelines.renders import easyvolcap, flat_set, nerfbaselines, view_folders, view_streams
-from ggvs_eval.pipelines.renders.wanted import Found, Wanted
+from ggvs_eval.renders import easyvolcap, flat_set, nerfbaselines, view_folders, view_streams
+from ggvs_eval.renders.wanted import Found, Wanted
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,11 @@ from pathlib import Path
 
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import IMAGE_SUFFIXES
-from ggvs_eval.pipelines.renders.flat_set import found_in_order
-from ggvs_eval.pipelines.renders.numbering import last_number, number_items
-from ggvs_eval.pipelines.renders.picture import PictureView
-from ggvs_eval.pipelines.renders.truth_match import check_truth
-from ggvs_eval.pipelines.renders.wanted import Found, RenderedView, Wanted
+from ggvs_eval.renders.flat_set import found_in_order
+from ggvs_eval.renders.numbering import last_number, number_items
+from ggvs_eval.renders.picture import PictureView
+from ggvs_eval.renders.truth_match import check_truth
+from ggvs_eval.renders.wanted import Found, RenderedView, Wanted
 
 
 def refuse(path: Path, wanted: Wanted) -> str | None:

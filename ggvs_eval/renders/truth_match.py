@@ -12,7 +12,7 @@ import numpy as np
 
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import Image8, read_image
-from ggvs_eval.pipelines.renders.wanted import Wanted
+from ggvs_eval.renders.wanted import Wanted
 
 # On frames of Neural 3D Video another resize filter moves a picture by up to 0.9 levels of 255, one pixel by 0.9, another decoder
 # by 1.2, BT.601 taken for BT.709 by 2.3; studio range taken for full by 6.9, gamma 1.1 by 6.7, the next camera by 17.8.

@@ -13,10 +13,10 @@ from pathlib import Path
 
 from ggvs_eval.datasets.frames import list_images
 from ggvs_eval.errors import RenderError
-from ggvs_eval.pipelines.renders.numbering import number_items
-from ggvs_eval.pipelines.renders.picture import PictureView
-from ggvs_eval.pipelines.renders.truth_match import check_truth
-from ggvs_eval.pipelines.renders.wanted import Found, RenderedView, Wanted
+from ggvs_eval.renders.numbering import number_items
+from ggvs_eval.renders.picture import PictureView
+from ggvs_eval.renders.truth_match import check_truth
+from ggvs_eval.renders.wanted import Found, RenderedView, Wanted
 
 NAME = re.compile(r"frame(\d+)_camera(\d+)(_gt|_error)?")
 FOLDER = "RENDER"

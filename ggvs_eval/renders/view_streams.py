@@ -5,10 +5,10 @@ from pathlib import Path
 
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.video import VideoFrames
-from ggvs_eval.pipelines.renders.array_stack import ArrayStack, npz_members
-from ggvs_eval.pipelines.renders.numbering import number_stream
-from ggvs_eval.pipelines.renders.stream import FrameStream, StreamView
-from ggvs_eval.pipelines.renders.wanted import Found, RenderedView, Wanted
+from ggvs_eval.renders.array_stack import ArrayStack, npz_members
+from ggvs_eval.renders.numbering import number_stream
+from ggvs_eval.renders.stream import FrameStream, StreamView
+from ggvs_eval.renders.wanted import Found, RenderedView, Wanted
 
 VIDEO_SUFFIXES = (".mp4", ".mov")
 ARRAY_SUFFIXES = (".npy", ".npz")

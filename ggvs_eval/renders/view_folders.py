@@ -4,9 +4,9 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from ggvs_eval.datasets.frames import list_images
-from ggvs_eval.pipelines.renders.numbering import number_files
-from ggvs_eval.pipelines.renders.picture import PictureView
-from ggvs_eval.pipelines.renders.wanted import Found, RenderedView, Wanted
+from ggvs_eval.renders.numbering import number_files
+from ggvs_eval.renders.picture import PictureView
+from ggvs_eval.renders.wanted import Found, RenderedView, Wanted
 from ggvs_eval.run_folder import RunFolder
 
 

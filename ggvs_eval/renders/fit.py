@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.pipelines.renders.wanted import Found, Wanted
+from ggvs_eval.renders.wanted import Found, Wanted
 from ggvs_eval.run_folder import as_ranges
 
 LISTED = 20
