@@ -14,10 +14,10 @@ from ggvs_eval.files.images import quantise
 from ggvs_eval.geometry import warp
 from ggvs_eval.metrics.path_scores import PathPose, score_path
 from ggvs_eval.metrics.view_switch import switch_steps
-from ggvs_eval.synthetic.film import Footage, lit_room
-from ggvs_eval.synthetic.options import DemoOptions
-from ggvs_eval.synthetic.rig import rig
-from ggvs_eval.synthetic.shots import path_shots
+from ggvs_eval.synthetic.film.film import Footage, lit_room
+from ggvs_eval.synthetic.film.options import DemoOptions
+from ggvs_eval.synthetic.film.rig import rig
+from ggvs_eval.synthetic.film.shots import path_shots
 
 PICTURE = Path(__file__).parent / "images" / "epi_good_bad.jpg"
 OPTIONS = DemoOptions(width=480, height=360, path_poses=48)

@@ -18,7 +18,7 @@ from ggvs_eval.protocol import load_protocol
 from ggvs_eval.sweep import Sweep, load_sweep
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.demo_rooms import DEMO_ROOMS, MAIN
-from ggvs_eval.synthetic.options import DemoOptions
+from ggvs_eval.synthetic.film.options import DemoOptions
 
 K_PROTOCOL = "demo-k"
 FEW = ("no-blending", "distance-based", "ours")

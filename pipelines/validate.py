@@ -102,7 +102,7 @@ def validate_real_frame(capture: Path, run: Path, protocol: str) -> Figures:
 def validate_demo(run: Path) -> Figures:
     """The demo capture over time: ours against both baselines, and against itself without its temporal term."""
     from ggvs_eval.synthetic.demo import write_demo
-    from ggvs_eval.synthetic.options import DemoOptions
+    from ggvs_eval.synthetic.film.options import DemoOptions
 
     capture = write_demo(run.with_name(f"{run.name}-capture"), DemoOptions())
     evaluate(run, open_capture(capture), load_protocol("demo"), usual_methods(), default_workers())

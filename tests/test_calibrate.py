@@ -22,7 +22,7 @@ from ggvs_eval.pipelines.offline.calibrate import Calibration, CalibrationOption
 from ggvs_eval.pipelines.offline.camera_files import find_camera_files
 from ggvs_eval.pipelines.offline.known_cameras import colmap_camera, read_known, write_intrinsics
 from ggvs_eval.synthetic.demo import write_demo
-from ggvs_eval.synthetic.options import DemoOptions
+from ggvs_eval.synthetic.film.options import DemoOptions
 
 DEMO = DemoOptions(
     width=640, height=480, n_frames=1, cameras_per_row=4, supersampling=1, path_poses=0, depth_stride=0, noise_sigma_255=0

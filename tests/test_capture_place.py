@@ -13,7 +13,7 @@ from ggvs_eval.pipelines.prepare import prepare_truth
 from ggvs_eval.protocol import CameraPath, Frames, Synthesis, Views, load_protocol
 from ggvs_eval.run_folder import RunFolder, read_json, write_json
 from ggvs_eval.synthetic.demo import write_demo
-from ggvs_eval.synthetic.options import DemoOptions
+from ggvs_eval.synthetic.film.options import DemoOptions
 
 
 @pytest.fixture

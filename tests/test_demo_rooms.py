@@ -21,10 +21,10 @@ from ggvs_eval.protocol import CameraPath, Frames, Protocol, Synthesis, Views, l
 from ggvs_eval.results import Results
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.demo_rooms import DEMO_ROOMS, MAIN
-from ggvs_eval.synthetic.options import DemoOptions
-from ggvs_eval.synthetic.rig import AIM_M, ARC_YAW_RAD, UNITS_PER_METRE, arc_rig, eye_in_room
-from ggvs_eval.synthetic.room import build_room
-from ggvs_eval.synthetic.shots import rig_shots
+from ggvs_eval.synthetic.film.options import DemoOptions
+from ggvs_eval.synthetic.film.rig import AIM_M, ARC_YAW_RAD, UNITS_PER_METRE, arc_rig, eye_in_room
+from ggvs_eval.synthetic.film.shots import rig_shots
+from ggvs_eval.synthetic.room.room import build_room
 
 SMALL_ROOMS = [name for name in DEMO_ROOMS if name != MAIN]
 TINY = DemoOptions(width=64, height=48, n_frames=2, cameras_per_row=3, path_poses=0, supersampling=1, depth_stride=0)

@@ -20,7 +20,7 @@ from ggvs_eval.pipelines.offline.registered_capture import displacement
 from ggvs_eval.pipelines.offline.registration import Registration, pose_after, with_registration
 from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthesis, Views
 from ggvs_eval.synthetic.demo import write_demo
-from ggvs_eval.synthetic.options import DemoOptions
+from ggvs_eval.synthetic.film.options import DemoOptions
 
 WIDTH, HEIGHT = 240, 180
 

@@ -15,7 +15,7 @@ from ggvs_eval.pipelines.doctor.run_views import cameras_of_run, views_of_run
 from ggvs_eval.pipelines.doctor.view_frames import ViewFrames
 from ggvs_eval.run_folder import RunFolder, frame_path
 from ggvs_eval.synthetic.demo import write_demo
-from ggvs_eval.synthetic.options import DemoOptions
+from ggvs_eval.synthetic.film.options import DemoOptions
 from run_folders import write_run
 
 N_FRAMES = 9

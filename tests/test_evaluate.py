@@ -23,7 +23,7 @@ from ggvs_eval.protocol import Frames, Protocol, Synthesis, Views, load_protocol
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder, frame_path, read_json
 from ggvs_eval.synthetic.demo import write_demo
-from ggvs_eval.synthetic.options import DemoOptions
+from ggvs_eval.synthetic.film.options import DemoOptions
 
 LABELS = ("no-blending", "ours-geometric")
 REGIONAL = ("PSNR_static", "PSNR_disoccluded")

@@ -18,7 +18,7 @@ from ggvs_eval.pipelines.prepare import prepare
 from ggvs_eval.protocol import Frames, Synthesis, Views, load_protocol
 from ggvs_eval.run_folder import frame_path, read_json
 from ggvs_eval.synthetic.demo import write_demo
-from ggvs_eval.synthetic.options import DemoOptions
+from ggvs_eval.synthetic.film.options import DemoOptions
 
 HELD = Retake(hold_frames=6, hold_frame=2, sensor_noise_255=1.5, noise_seed=7)
 

@@ -14,8 +14,8 @@ from ggvs_eval.pipelines.offline.raft.raft_stereo import RaftStereo
 from ggvs_eval.pipelines.offline.raft.start import fill_from_background, start_from_disparity, start_from_matching
 from ggvs_eval.pipelines.offline.raft.weights import weights_digest
 from ggvs_eval.pipelines.offline.raft_matcher import RaftMatcher
-from ggvs_eval.pipelines.training.stereo_scenes import stereo_sample
 from ggvs_eval.pipelines.training.stereo_task import VALIDATION_SEED
+from ggvs_eval.synthetic.stereo.stereo_scenes import stereo_sample
 from seeded_networks import seeded_state
 from stereo_scenes import random_texture
 

@@ -10,14 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ggvs_eval.errors import DepthError
-from ggvs_eval.pipelines.training.stereo_builder import SceneBuilder, axes_across, rotation
-from ggvs_eval.pipelines.training.stereo_masks import mask_bank
-from ggvs_eval.pipelines.training.stereo_render import draw_view, visible_on_the_right
-from ggvs_eval.pipelines.training.stereo_scenes import StereoOptions, StereoSample, stereo_sample
-from ggvs_eval.pipelines.training.stereo_sensor import SensorOptions, expose_pair
-from ggvs_eval.pipelines.training.stereo_shapes import Ball, Sheet
-from ggvs_eval.pipelines.training.stereo_textures import LEVELS, SIDE, sample, texture_bank
-from ggvs_eval.pipelines.training.stereo_tubes import Tubes
+from ggvs_eval.synthetic.stereo.stereo_builder import SceneBuilder, axes_across, rotation
+from ggvs_eval.synthetic.stereo.stereo_masks import mask_bank
+from ggvs_eval.synthetic.stereo.stereo_render import draw_view, visible_on_the_right
+from ggvs_eval.synthetic.stereo.stereo_scenes import StereoOptions, StereoSample, stereo_sample
+from ggvs_eval.synthetic.stereo.stereo_sensor import SensorOptions, expose_pair
+from ggvs_eval.synthetic.stereo.stereo_shapes import Ball, Sheet
+from ggvs_eval.synthetic.stereo.stereo_textures import LEVELS, SIDE, sample, texture_bank
+from ggvs_eval.synthetic.stereo.stereo_tubes import Tubes
 
 WIDTH, HEIGHT = 224, 144
 PLAIN = StereoOptions(gloss=False, sensor=False)

@@ -17,7 +17,7 @@ from ggvs_eval.protocol import Frames, Views, load_protocol
 from ggvs_eval.reports.published import read_published
 from ggvs_eval.sweep import Sweep, SweepRow, load_sweep, packaged_sweeps
 from ggvs_eval.synthetic.demo import write_demo
-from ggvs_eval.synthetic.options import DemoOptions
+from ggvs_eval.synthetic.film.options import DemoOptions
 
 
 @pytest.fixture(scope="module")

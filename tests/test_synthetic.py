@@ -11,13 +11,13 @@ import pytest
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.video import VideoFrames
 from ggvs_eval.synthetic.demo import write_demo
-from ggvs_eval.synthetic.exact_depth import read_exact_depth
-from ggvs_eval.synthetic.film import Footage, lit_room
-from ggvs_eval.synthetic.options import DemoOptions
-from ggvs_eval.synthetic.raycast import render_view
-from ggvs_eval.synthetic.rig import UNITS_PER_METRE, eye_in_room, llff_poses, rays_in_room, rig, sideways_path
-from ggvs_eval.synthetic.sensor import camera_gains
-from ggvs_eval.synthetic.shots import rig_shots
+from ggvs_eval.synthetic.film.exact_depth import read_exact_depth
+from ggvs_eval.synthetic.film.film import Footage, lit_room
+from ggvs_eval.synthetic.film.options import DemoOptions
+from ggvs_eval.synthetic.film.raycast import render_view
+from ggvs_eval.synthetic.film.rig import UNITS_PER_METRE, eye_in_room, llff_poses, rays_in_room, rig, sideways_path
+from ggvs_eval.synthetic.film.sensor import camera_gains
+from ggvs_eval.synthetic.film.shots import rig_shots
 
 TINY = DemoOptions(width=64, height=48, n_frames=3, cameras_per_row=2, path_poses=2)
 CLEAN = replace(TINY, noise_sigma_255=0.0, exposure_spread=0.0)

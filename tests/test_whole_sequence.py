@@ -16,7 +16,7 @@ from ggvs_eval.pipelines.render import render
 from ggvs_eval.protocol import CameraPath, Frames, Synthesis, Views, load_protocol
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
 from ggvs_eval.synthetic.demo import write_demo
-from ggvs_eval.synthetic.options import DemoOptions
+from ggvs_eval.synthetic.film.options import DemoOptions
 from scenes import SQUARE_Z, camera_at, instant
 
 TARGET = camera_at(0.0, name="target")

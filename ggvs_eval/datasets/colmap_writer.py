@@ -7,8 +7,8 @@ import numpy as np
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.files.images import Image8
-from ggvs_eval.synthetic.surface_points import Sightings
-from ggvs_eval.synthetic.surfaces import Array
+from ggvs_eval.synthetic.film.surface_points import Sightings
+from ggvs_eval.synthetic.room.surfaces import Array
 
 FILES = ("cameras.txt", "images.txt", "points3D.txt")
 

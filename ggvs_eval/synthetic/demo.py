@@ -14,11 +14,11 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.jobs.processes import worker_pool
 from ggvs_eval.progress import track
-from ggvs_eval.synthetic.film import PARTS, Footage, light_instant, stored_instant
-from ggvs_eval.synthetic.layouts import LAYOUTS
-from ggvs_eval.synthetic.options import LATER, DemoOptions
-from ggvs_eval.synthetic.sensor import camera_gains
-from ggvs_eval.synthetic.shots import Shot
+from ggvs_eval.synthetic.film.film import PARTS, Footage, light_instant, stored_instant
+from ggvs_eval.synthetic.film.options import LATER, DemoOptions
+from ggvs_eval.synthetic.film.sensor import camera_gains
+from ggvs_eval.synthetic.film.shots import Shot
+from ggvs_eval.synthetic.layouts.layouts import LAYOUTS
 
 VERSION = 2
 DESCRIPTION = "demo.json"

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from ggvs_eval.synthetic.options import DemoOptions
+from ggvs_eval.synthetic.film.options import DemoOptions
 
 MAIN = "demo"
 SMALL = DemoOptions(width=384, height=216, n_frames=8, path_poses=0, depth_stride=0)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.synthetic.options import DemoOptions
+from ggvs_eval.synthetic.film.options import DemoOptions
 
 FIRST_TRAINING_SEED = 1000  # below lie the demo captures, for tests, and the validation seeds
 VALIDATION_SEEDS = (101, 102, 103)

@@ -16,7 +16,7 @@ from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.pipelines.offline.calibrate import CalibrationOptions
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
 from ggvs_eval.pipelines.offline.undistort import UndistortOptions
-from ggvs_eval.synthetic.options import DemoOptions
+from ggvs_eval.synthetic.film.options import DemoOptions
 
 Folder = Annotated[Path, tyro.conf.Positional]
 Layout = Annotated[str | None, tyro.conf.arg(metavar=f"{{{','.join(DATASETS)}}}")]

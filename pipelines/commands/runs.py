@@ -17,7 +17,7 @@ from ggvs_eval.pipelines.methods.network_choice import NetworkChoice, found_devi
 from ggvs_eval.pipelines.methods.registry import METHODS, usual_methods
 from ggvs_eval.pipelines.planning.wish import Wish
 from ggvs_eval.protocol import Protocol
-from ggvs_eval.synthetic.options import DemoOptions
+from ggvs_eval.synthetic.film.options import DemoOptions
 
 Labels = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"{{{','.join(METHODS)}}}")]
 Weights = Annotated[tuple[str, ...], tyro.conf.arg(metavar="METHOD=FILE")]

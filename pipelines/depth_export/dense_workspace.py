@@ -25,7 +25,7 @@ from ggvs_eval.errors import DepthError
 from ggvs_eval.files.images import Image8, write_image
 from ggvs_eval.pipelines.depth_export.colmap_arrays import write_array
 from ggvs_eval.pipelines.depth_export.surface_normals import surface_normals
-from ggvs_eval.synthetic.surface_points import Sightings
+from ggvs_eval.synthetic.film.surface_points import Sightings
 
 AGREES = 0.01  # a camera sees a point where its own depth differs by no larger share
 # COLMAP reads names up to a blank in images.txt, up to a comma in patch-match.cfg, and a stroke as a folder.

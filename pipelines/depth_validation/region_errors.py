@@ -17,7 +17,7 @@ from ggvs_eval.pipelines.offline.depth import DepthEstimator, DepthOptions
 from ggvs_eval.pipelines.offline.matcher import Map
 from ggvs_eval.pipelines.offline.pairing import choose_partners
 from ggvs_eval.progress import track
-from ggvs_eval.synthetic.exact_depth import read_exact_depth
+from ggvs_eval.synthetic.film.exact_depth import read_exact_depth
 
 FRAME = 4
 WHOLE = "whole picture"

@@ -9,7 +9,7 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.domains import VALIDATION_SEEDS
-from ggvs_eval.synthetic.options import DemoOptions
+from ggvs_eval.synthetic.film.options import DemoOptions
 
 FRAMES = 8  # of every room; no judge looks at more
 DEMO = "demo"

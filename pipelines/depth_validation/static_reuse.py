@@ -15,7 +15,7 @@ from ggvs_eval.pipelines.depth_validation.tables import Column, mean_of_rows, wi
 from ggvs_eval.pipelines.depth_validation.temporal_spread import estimate_views
 from ggvs_eval.pipelines.offline.depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
-from ggvs_eval.synthetic.exact_depth import read_exact_depth
+from ggvs_eval.synthetic.film.exact_depth import read_exact_depth
 
 MEASURES = (
     Measure("time_saved_percent", "% of CPU seconds", higher_is_better=True),

@@ -24,9 +24,9 @@ from ggvs_eval.pipelines.offline.matcher import Map
 from ggvs_eval.pipelines.offline.pairing import choose_partners
 from ggvs_eval.pipelines.online.depth_filter import TemporalDepthFilter
 from ggvs_eval.progress import track
-from ggvs_eval.synthetic.film import Footage, lit_room
-from ggvs_eval.synthetic.lighting import Instant
-from ggvs_eval.synthetic.shots import rig_shots
+from ggvs_eval.synthetic.film.film import Footage, lit_room
+from ggvs_eval.synthetic.film.shots import rig_shots
+from ggvs_eval.synthetic.room.lighting import Instant
 
 MEASURES = (
     Measure("spread_percent", "% of depth", higher_is_better=False),

@@ -9,11 +9,11 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.images import Image8
-from ggvs_eval.synthetic.layout_enerf import easymocap_name
-from ggvs_eval.synthetic.layouts import LAYOUTS
-from ggvs_eval.synthetic.options import DemoOptions
-from ggvs_eval.synthetic.rig import in_metres
-from ggvs_eval.synthetic.shots import rig_shots
+from ggvs_eval.synthetic.film.options import DemoOptions
+from ggvs_eval.synthetic.film.rig import in_metres
+from ggvs_eval.synthetic.film.shots import rig_shots
+from ggvs_eval.synthetic.layouts.layout_enerf import easymocap_name
+from ggvs_eval.synthetic.layouts.layouts import LAYOUTS
 
 NEAR, FAR = 8.0, 40.0  # of the rooms, world units
 

@@ -1,0 +1,140 @@
+"""Pictures and exact depth of the lit room, seen by any camera.
+
+Several rays per pixel are averaged in linear light; depth is that of the ray through the pixel's centre.
+"""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.synthetic.film.pixel_grid import Coefficients, PixelGrid
+from ggvs_eval.synthetic.film.rig import UNITS_PER_METRE, eye_in_room
+from ggvs_eval.synthetic.room.geometry import Array32, Geometry
+from ggvs_eval.synthetic.room.lighting import Instant
+from ggvs_eval.synthetic.room.shading import expose, radiance, read_finish
+
+
+class Picture(NamedTuple):
+    """What a camera sees of one instant.
+
+    Attributes:
+        image: as the lens shows it, sRGB in [0, 1], (H, W, 3).
+        foreground: share of each pixel of the image that moving things cover, [0, 1], (H, W).
+        depth: world units, 0 where nothing is, (H, W); of the camera without its lens, so that it fits the undistorted image.
+    """
+
+    image: Array32
+    foreground: Array32
+    depth: Array32
+
+
+def render_view(instant: Instant, camera: Camera, supersampling: int = 2) -> tuple[Array32, Array32]:
+    """Render one picture.
+
+    Args:
+        instant: the lit room.
+        camera: any camera in the world of the demo.
+        supersampling: rays per pixel along each side.
+
+    Returns:
+        Image, sRGB in [0, 1], (H, W, 3), and depth, world units, 0 where nothing is, (H, W).
+    """
+    picture = View(instant.static, camera, supersampling).render(instant)
+    return picture.image, picture.depth
+
+
+def render_depth(instant: Instant, camera: Camera) -> Array32:
+    """Depth at the pixel centres of any camera, world units, 0 where nothing is, (H, W)."""
+    grid, eye = PixelGrid(camera), eye_in_room(camera)
+    return _with_moving(instant.moving, grid, eye, depth_along(instant.static, eye, grid.rays))
+
+
+class View:
+    """A camera before the static part of a room, at which it looks only once.
+
+    Args:
+        static: what never moves.
+        camera: where to look from.
+        supersampling: rays per pixel along each side.
+        lens: distortion of the image.
+    """
+
+    def __init__(self, static: Geometry, camera: Camera, supersampling: int = 2, lens: Coefficients = ()) -> None:
+        self.camera = camera
+        self._eye = eye_in_room(camera)
+        self._fine = PixelGrid(camera.resized(camera.width * supersampling, camera.height * supersampling), lens)
+        self._grid = PixelGrid(camera)
+        self._pixel_m = 1 / (self._fine.camera.focal_px * UNITS_PER_METRE)
+        self._depth = depth_along(static, self._eye, self._grid.rays)
+        self._hits = static.cast(self._eye, self._fine.rays)
+        self._finish = read_finish(static, self._hits, self._pixel_m)
+        self._fine_depth = np.full(len(self._fine.rays), np.inf, np.float32)
+        self._fine_depth[self._hits.ray] = self._hits.distance
+        self._light = np.full_like(static.vertices, np.nan)
+        self._radiance = np.zeros_like(self._fine.rays)
+
+    def render(self, instant: Instant) -> Picture:
+        """What the camera sees of the same room at an instant."""
+        linear, covered = self.light(instant)
+        return Picture(expose(linear), covered, self.depth(instant))
+
+    def light(self, instant: Instant) -> tuple[Array32, Array32]:
+        """Linear light in every pixel, (H, W, 3), and the share of it that moving things cover, (H, W)."""
+        self._update_static(instant)
+        linear = self._radiance.copy()
+        covered = np.zeros(len(linear), np.float32)
+        if instant.moving is not None:
+            covered[self._draw_moving(instant, instant.moving, linear)] = 1.0
+        return self._averaged(linear), self._averaged(covered)
+
+    def depth(self, instant: Instant) -> Array32:
+        """Depth of the same room at an instant, world units, 0 where nothing is, (H, W)."""
+        return _with_moving(instant.moving, self._grid, self._eye, self._depth)
+
+    def _averaged(self, fine: Array32) -> Array32:
+        """Mean over the rays of each pixel, (H, W, ...)."""
+        image = fine.reshape(self._fine.camera.height, self._fine.camera.width, *fine.shape[1:])
+        return np.asarray(cv2.resize(image, self.camera.size, interpolation=cv2.INTER_AREA), np.float32)
+
+    def _update_static(self, instant: Instant) -> None:
+        """Shade those static samples again whose light is another than at the last call."""
+        changed = (instant.static_light != self._light).any(axis=1)
+        rows = np.flatnonzero(changed[instant.static.faces].any(axis=1)[self._hits.face])
+        hits = self._hits.rows(rows)
+        light = radiance(
+            instant.static, hits, self._finish.rows(rows), instant.static_light, instant.highlights, self._fine.rays[hits.ray]
+        )
+        self._radiance[hits.ray] = light
+        self._light = instant.static_light
+
+    def _draw_moving(self, instant: Instant, moving: Geometry, linear: Array32) -> NDArray[np.int64]:
+        """Paint moving things over the light of the static ones wherever they are nearer; gives the rays that show them."""
+        inside = self._fine.showing(moving)
+        hits = moving.cast(self._eye, self._fine.rays[inside])
+        hits = hits.rows(np.flatnonzero(hits.distance < self._fine_depth[inside[hits.ray]]))
+        rays = inside[hits.ray]
+        if len(rays):
+            finish = read_finish(moving, hits, self._pixel_m)
+            linear[rays] = radiance(moving, hits, finish, instant.moving_light, instant.highlights, self._fine.rays[rays])
+        return rays
+
+
+def depth_along(geometry: Geometry, eye: Array32, rays: Array32) -> Array32:
+    """Depth along rays of unit depth, infinite where they hit nothing, (N,)."""
+    depth = np.full(len(rays), np.inf, np.float32)
+    hits = geometry.cast(eye, rays)
+    depth[hits.ray] = hits.distance
+    return depth
+
+
+def _with_moving(moving: Geometry | None, grid: PixelGrid, eye: Array32, static_depth: Array32) -> Array32:
+    """Depth (H, W) of static things along all pixels, (N,), and of what moves before them."""
+    depth = static_depth.copy()
+    if moving is not None:
+        inside = grid.showing(moving)
+        depth[inside] = np.minimum(depth[inside], depth_along(moving, eye, grid.rays[inside]))
+    depth[np.isinf(depth)] = 0.0
+    return depth.reshape(grid.camera.height, grid.camera.width)

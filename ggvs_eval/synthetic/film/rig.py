@@ -1,0 +1,167 @@
+"""Two rows of cameras like DyNeRF's, an arc like ENeRF-Outdoor's, and the poses_bounds.npy that describes them.
+
+World frame: units of 1 / `UNITS_PER_METRE` metres as a structure-from-motion tool would give, x right, y down, z into the room.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.synthetic.room.geometry import Array32
+from ggvs_eval.synthetic.room.surfaces import Array
+
+UNITS_PER_METRE = 10.5
+FOCAL_PER_WIDTH = 0.543
+TOP_ROW_M, ROW_GAP = 1.5, 2.75
+SPACING, OUTERMOST_YAW_RAD = 1.1, np.radians(34)
+AIM_M = (0.0, 1.8, 1.12)
+ARC_YAW_RAD, GRID_YAW_RAD = np.radians(38), np.radians(8)
+
+# Room metres (x right, y into the room, z up) from world units, (4, 4).
+WORLD_TO_ROOM: Array = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, TOP_ROW_M * UNITS_PER_METRE], [0, 0, 0, UNITS_PER_METRE]])
+WORLD_TO_ROOM = WORLD_TO_ROOM / UNITS_PER_METRE
+
+
+def rig(
+    seed: int,
+    width: int,
+    height: int,
+    cameras_per_row: int,
+    near: float = 1.0,
+    far: float = 100.0,
+    outermost_yaw_rad: float = OUTERMOST_YAW_RAD,
+    spacing: float = 1.0,
+) -> list[Camera]:
+    """Cameras of both rows in the order of their names, ``cam00`` in the middle of the top row.
+
+    Seen from behind, the top row reads n-1 .. n//2+1, 0, n//2 .. 1 and the bottom row 2n-1 .. n, as on the real rig.
+
+    Args:
+        seed: moves and turns every camera a little, as mounting by hand does.
+        width: pixels.
+        height: pixels.
+        cameras_per_row: n, at least 2.
+        near: depth range to note, world units.
+        far: as near.
+        outermost_yaw_rad: how far the outermost camera is turned towards the middle.
+        spacing: factor on the distances between cameras, in rows and between them; the circle they stand on stays.
+    """
+    rng, n = np.random.default_rng([seed, 1]), cameras_per_row
+    top = [*range(n - 1, n // 2, -1), 0, *range(n // 2, 0, -1)]
+    rows = [(0.0, top), (ROW_GAP, list(range(2 * n - 1, n - 1, -1)))]
+    cameras = []
+    for below, numbers in rows:
+        along = np.cumsum(rng.uniform(0.92, 1.12, n)) * SPACING
+        along -= along[top.index(0)]
+        for number, distance in zip(numbers, along, strict=True):
+            pose = _pose(distance * spacing, below * spacing, np.abs(along).max() / outermost_yaw_rad, rng, min(spacing, 1.0))
+            cameras.append(Camera(f"cam{number:02d}", intrinsics(width, height), pose, width, height, near, far))
+    return sorted(cameras, key=lambda camera: camera.name)
+
+
+def arc_rig(seed: int, width: int, height: int, count: int, near: float = 1.0, far: float = 100.0) -> list[Camera]:
+    """One row on a wide arc around what the cameras look at, ``cam00`` at its left end.
+
+    Args:
+        seed: as of `rig`.
+        width: pixels.
+        height: pixels.
+        count: of cameras.
+        near: depth range to note, world units.
+        far: as near.
+    """
+    rng, radius = np.random.default_rng([seed, 8]), AIM_M[1] * UNITS_PER_METRE
+    along = np.cumsum(rng.uniform(0.92, 1.12, count))
+    along = (2 * (along - along[0]) / (along[-1] - along[0]) - 1) * ARC_YAW_RAD * radius
+    poses = [_pose(distance, 0.0, radius, rng) for distance in along]
+    K = intrinsics(width, height)
+    return [Camera(f"cam{number:02d}", K, pose, width, height, near, far) for number, pose in enumerate(poses)]
+
+
+def intrinsics(width: int, height: int) -> Array:
+    """K of every camera of the demo, pixels, (3, 3)."""
+    return np.array([[FOCAL_PER_WIDTH * width, 0, width / 2], [0, FOCAL_PER_WIDTH * width, height / 2], [0, 0, 1]])
+
+
+def _pose(along: float, below: float, radius: float, rng: np.random.Generator, care: float = 1.0) -> Array:
+    """World to camera at an arc length from the middle of a row: on a circle, looking across its centre, slightly down.
+
+    `care` scales how far the mounting is off, so that cameras close to one another stay in their row.
+    """
+    from scipy.spatial.transform import Rotation
+
+    yaw = along / radius
+    centre = np.array([radius * np.sin(yaw), below, radius * (1 - np.cos(yaw))]) + rng.normal(0, 0.05, 3) * care
+    drop_m = TOP_ROW_M - centre[1] / UNITS_PER_METRE - AIM_M[2]
+    angles = np.array([-yaw, -np.arctan2(drop_m, AIM_M[1]), 0.0]) + rng.normal(0, 0.012, 3)
+    camera_to_world = Rotation.from_euler("YXZ", angles).as_matrix()
+    world_to_camera = np.eye(4)
+    world_to_camera[:3, :3], world_to_camera[:3, 3] = camera_to_world.T, -camera_to_world.T @ centre
+    return world_to_camera
+
+
+def sideways_path(camera: Camera, length: float, count: int) -> list[Camera]:
+    """Cameras of one orientation on a straight line through `camera` along its image rows, from left to right.
+
+    Args:
+        camera: the middle of the path.
+        length: of the whole path, world units.
+        count: number of positions.
+    """
+    path = []
+    for index, shift in enumerate(np.linspace(-length / 2, length / 2, count)):
+        world_to_camera = camera.world_to_camera.copy()
+        world_to_camera[0, 3] -= shift
+        path.append(replace(camera, name=f"{index:04d}", world_to_camera=world_to_camera))
+    return path
+
+
+def in_metres(camera: Camera) -> Camera:
+    """The same camera in a world whose unit is the metre; its axes and its origin stay."""
+    world_to_camera = camera.world_to_camera.copy()
+    world_to_camera[:3, 3] /= UNITS_PER_METRE
+    return replace(camera, world_to_camera=world_to_camera, near=camera.near / UNITS_PER_METRE, far=camera.far / UNITS_PER_METRE)
+
+
+def llff_poses(cameras: Sequence[Camera]) -> NDArray[np.float64]:
+    """The rows of poses_bounds.npy: axes [down, right, backwards], centre, (H, W, f), near, far; (N, 17)."""
+    rows = []
+    for camera in cameras:
+        right, down, forward = camera.rotation
+        size = [camera.height, camera.width, camera.focal_px]
+        pose = np.stack([down, right, -forward, camera.centre, size], axis=1)  # (3, 5)
+        rows.append([*pose.ravel(), camera.near, camera.far])
+    return np.array(rows, np.float64)
+
+
+def eye_in_room(camera: Camera) -> Array32:
+    """Centre of a camera in the room frame, metres, (3,)."""
+    return (WORLD_TO_ROOM[:3, :3] @ camera.centre + WORLD_TO_ROOM[:3, 3]).astype(np.float32)
+
+
+def rays_in_room(camera: Camera) -> Array32:
+    """Rays of all pixels in the room frame whose length is one world unit of depth, (H * W, 3)."""
+    right, down, forward = (camera.rotation @ WORLD_TO_ROOM[:3, :3].T).astype(np.float32)
+    x = ((np.arange(camera.width) + 0.5 - camera.K[0, 2]) / camera.K[0, 0]).astype(np.float32)
+    y = ((np.arange(camera.height) + 0.5 - camera.K[1, 2]) / camera.K[1, 1]).astype(np.float32)
+    rays = x[None, :, None] * right + (y[:, None, None] * down + forward)
+    return rays.reshape(-1, 3)
+
+
+def directions_in_room(camera: Camera, positions: Array) -> Array32:
+    """Rays through positions on the plane of depth 1, camera frame, (N, 2), as `rays_in_room` gives those of pixels, (N, 3)."""
+    directions = np.concatenate([positions, np.ones_like(positions[:, :1])], axis=1) @ camera.rotation
+    return np.asarray(directions @ WORLD_TO_ROOM[:3, :3].T, np.float32)
+
+
+def room_to_world(points_m: Array32) -> Array:
+    """Points of the room, metres, in the world's units, (N, 3)."""
+    return (points_m - WORLD_TO_ROOM[:3, 3]) @ np.linalg.inv(WORLD_TO_ROOM[:3, :3]).T
+
+
+def room_from_world(points: Array) -> Array:
+    """Points of the world in the room, metres, (N, 3)."""
+    return points @ WORLD_TO_ROOM[:3, :3].T + WORLD_TO_ROOM[:3, 3]

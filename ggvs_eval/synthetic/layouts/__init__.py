@@ -1,0 +1,1 @@
+"""A demo capture written in the layout of each data set."""

@@ -1,0 +1,75 @@
+"""Deep 3D Mask Volume's layout, compressed as it is distributed: one HDF5 file with all frames, lossless, and LLFF poses."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.lib.format import open_memmap
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.files.images import Image8, quantise
+from ggvs_eval.synthetic.film.film import PARTS, Footage, Frame
+from ggvs_eval.synthetic.film.options import DemoOptions
+from ggvs_eval.synthetic.film.rig import llff_poses
+from ggvs_eval.synthetic.layouts.lzf_chunks import create_lzf, write_chunk
+
+SCENE = "scene000.h5"
+POSES = "scene000_pb.npy"
+# The poses are those of the images before they were compressed, 1280 x 720 for 640 x 360.
+POSE_SCALE = 2
+MEDIAN_FRAMES = 32
+
+
+def write_shot(folder: Path, footage: Footage) -> Camera:
+    """Write the frames of one camera to a file of their own and its exact depth; gives the camera to note."""
+    camera, options = footage.noted_camera(), footage.options
+    size = (options.n_frames, options.height, options.width)
+    rgb = open_memmap(_part(folder, camera.name, "rgb"), "w+", np.uint8, (*size, 3))
+    foreground = open_memmap(_part(folder, camera.name, "fg_rgb"), "w+", np.uint8, (*size, 4))
+    for index, frame in enumerate(footage.frames_keeping_depth(folder)):
+        rgb[index] = frame.image
+        foreground[index] = cut_out(frame)
+    np.save(_part(folder, camera.name, "bg_rgb"), median_background(rgb))
+    return camera
+
+
+def finish(folder: Path, options: DemoOptions, cameras: Sequence[Camera]) -> None:
+    """Join the frames of all cameras in ``scene000.h5`` and write ``scene000_pb.npy``."""
+    import h5py
+
+    frames, image = (options.n_frames,), (options.height, options.width)
+    with h5py.File(folder / SCENE, "w") as file:
+        for key, times, channels in (("rgb", frames, 3), ("fg_rgb", frames, 4), ("bg_rgb", (), 3)):
+            shape, chunk = (len(cameras), *times, *image, channels), (1, *(1 for _ in times), *image, channels)
+            joined = create_lzf(file, key, shape, chunk)
+            for row, camera in enumerate(cameras):
+                part = np.load(_part(folder, camera.name, key), mmap_mode="r")
+                for index in np.ndindex(times):
+                    write_chunk(joined, (row, *index), part[index])
+    large = [camera.resized(POSE_SCALE * camera.width, POSE_SCALE * camera.height) for camera in cameras]
+    np.save(folder / POSES, llff_poses(large))
+
+
+def cut_out(frame: Frame) -> Image8:
+    """What moves, cut out of a frame: RGBA, alpha the share of the pixel it covers, colour 0 where that is 0; (H, W, 4)."""
+    alpha = quantise(frame.foreground)[..., None]
+    return np.concatenate([np.where(alpha > 0, frame.image, 0), alpha], axis=-1).astype(np.uint8)
+
+
+def median_background(frames: Image8) -> Image8:
+    """Median over time, per pixel and channel, (H, W, 3).
+
+    Reading:
+        The original takes every 25th of some hundreds of frames; this takes evenly spaced ones, at most 32.
+    """
+    stride = -(-len(frames) // MEDIAN_FRAMES)
+    return np.rint(np.median(frames[::stride], axis=0)).astype(np.uint8)
+
+
+def files(options: DemoOptions) -> list[str]:
+    """What must be there."""
+    return [SCENE, POSES]
+
+
+def _part(folder: Path, name: str, key: str) -> Path:
+    return folder / PARTS / f"{name}_{key}.npy"

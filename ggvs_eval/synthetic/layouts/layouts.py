@@ -1,0 +1,40 @@
+"""The layouts in which the demo can be written."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.synthetic.film.film import Footage
+from ggvs_eval.synthetic.film.options import DemoOptions, LayoutName
+from ggvs_eval.synthetic.film.rig import UNITS_PER_METRE
+from ggvs_eval.synthetic.film.shots import Shot, distorted_shots, hand_held_shots, rig_and_path_shots, rig_shots
+from ggvs_eval.synthetic.layouts import layout_colmap, layout_d3dmv, layout_dynerf, layout_enerf, layout_rgbd
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How one layout is written.
+
+    Attributes:
+        units_per_metre: world units of its calibration per metre.
+        shots: what is filmed, in the order of the calibration.
+        write_shot: writes the frames of one shot into the folder, in any process; gives the camera as it is to be noted.
+        finish: writes what wants all cameras, once all shots are written.
+        files: names of files that every complete demo has.
+    """
+
+    units_per_metre: float
+    shots: Callable[[DemoOptions], list[Shot]]
+    write_shot: Callable[[Path, Footage], Camera]
+    finish: Callable[[Path, DemoOptions, Sequence[Camera]], None]
+    files: Callable[[DemoOptions], list[str]]
+
+
+LAYOUTS: dict[LayoutName, Layout] = {
+    "dynerf": Layout(UNITS_PER_METRE, rig_and_path_shots, layout_dynerf.write_film, layout_dynerf.finish, layout_dynerf.files),
+    "enerf-outdoor": Layout(1.0, distorted_shots, layout_enerf.write_shot, layout_enerf.finish, layout_enerf.files),
+    "d3dmv": Layout(UNITS_PER_METRE, rig_shots, layout_d3dmv.write_shot, layout_d3dmv.finish, layout_d3dmv.files),
+    "colmap": Layout(UNITS_PER_METRE, rig_and_path_shots, layout_colmap.write_shot, layout_colmap.finish, layout_colmap.files),
+    "rgbd": Layout(1.0, hand_held_shots, layout_rgbd.write_shot, layout_rgbd.finish, layout_rgbd.files),
+}

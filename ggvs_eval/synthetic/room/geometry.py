@@ -1,0 +1,105 @@
+"""Surfaces joined into one mesh that rays can hit."""
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.synthetic.room.surfaces import Material, Surface
+
+Array32 = NDArray[np.float32]
+
+
+class Hits(NamedTuple):
+    """Where rays hit a mesh; rays that hit nothing are left out.
+
+    Attributes:
+        ray: index of the ray, (N,).
+        distance: multiple of the ray's direction, (N,).
+        face: index of the triangle, (N,).
+        corner_weights: barycentric weights of the triangle's corners, (N, 3).
+    """
+
+    ray: NDArray[np.int64]
+    distance: Array32
+    face: NDArray[np.int32]
+    corner_weights: Array32
+
+    def rows(self, index: NDArray[np.int64]) -> "Hits":
+        """Some of the hits."""
+        return Hits(self.ray[index], self.distance[index], self.face[index], self.corner_weights[index])
+
+
+class Geometry:
+    """Many surfaces as one mesh, room frame, metres.
+
+    Attributes:
+        vertices: (V, 3).
+        normals: smooth normals, (V, 3).
+        uv: texture coordinates, metres, (V, 2).
+        faces: (F, 3).
+        material: index of the material of each face, (F,).
+        materials: what the index points to.
+        first_vertex: where each surface begins.
+    """
+
+    def __init__(self, surfaces: Sequence[Surface]) -> None:
+        sizes = [len(surface.uv) for surface in surfaces]
+        self.first_vertex = np.cumsum([0, *sizes[:-1]])
+        self.vertices: Array32 = np.concatenate([s.mesh.vertices for s in surfaces]).astype(np.float32)
+        self.normals: Array32 = np.concatenate([s.mesh.vertex_normals for s in surfaces]).astype(np.float32)
+        self.uv: Array32 = np.concatenate([s.uv for s in surfaces]).astype(np.float32)
+        faces = [s.mesh.faces + first for s, first in zip(surfaces, self.first_vertex, strict=True)]
+        self.faces = np.concatenate(faces).astype(np.int32)
+        kinds = {id(surface.material): surface.material for surface in surfaces}
+        order = {key: index for index, key in enumerate(kinds)}
+        self.materials: list[Material] = list(kinds.values())
+        self.material = np.repeat([order[id(s.material)] for s in surfaces], [len(s.mesh.faces) for s in surfaces])
+
+    @cached_property
+    def bounds(self) -> tuple[Array32, Array32]:
+        """Lowest and highest corner, (3,) each."""
+        return self.vertices.min(axis=0), self.vertices.max(axis=0)
+
+    def cast(self, origins: Array32, directions: Array32) -> Hits:
+        """Nearest hits of rays.
+
+        Args:
+            origins: (N, 3) or (3,), metres.
+            directions: (N, 3), any length.
+        """
+        answer = self._scene.cast_rays(self._rays(origins, directions), nthreads=1)
+        distance = answer["t_hit"].numpy()
+        ray = np.flatnonzero(np.isfinite(distance))
+        second_third = answer["primitive_uvs"].numpy()[ray]
+        weights = np.concatenate([1 - second_third.sum(axis=1, keepdims=True), second_third], axis=1)
+        return Hits(ray, distance[ray], answer["primitive_ids"].numpy()[ray].astype(np.int32), weights)
+
+    def blocks(self, origins: Array32, directions: Array32, reach: float = 1.0) -> NDArray[np.bool_]:
+        """Whether something lies on each ray within `reach` times its direction, the first and last percent left out."""
+        return self._scene.test_occlusions(self._rays(origins, directions), 0.005 * reach, 0.99 * reach, nthreads=1).numpy()
+
+    def at_hits(self, per_vertex: Array32, hits: Hits) -> Array32:
+        """Interpolate a value of the vertices, (V, C), to hits, (N, C)."""
+        corners = self.faces.take(hits.face, axis=0)
+        return np.einsum("nk,nkc->nc", hits.corner_weights, per_vertex.take(corners, axis=0))
+
+    @cached_property
+    def _scene(self):  # type: ignore[no-untyped-def]
+        from open3d import core
+        from open3d.t.geometry import RaycastingScene
+
+        # One thread builds the same tree every time, and the demo runs one process per core.
+        scene = RaycastingScene(nthreads=1)
+        scene.add_triangles(core.Tensor.from_numpy(self.vertices), core.Tensor.from_numpy(self.faces.astype(np.uint32)))
+        return scene
+
+    @staticmethod
+    def _rays(origins: Array32, directions: Array32):  # type: ignore[no-untyped-def]
+        from open3d import core
+
+        rays = np.empty((len(directions), 6), np.float32)
+        rays[:, :3], rays[:, 3:] = origins, directions
+        return core.Tensor.from_numpy(rays)

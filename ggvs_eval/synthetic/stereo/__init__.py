@@ -1,0 +1,1 @@
+"""Rectified pairs with exact disparity, for stereo networks to learn from."""
