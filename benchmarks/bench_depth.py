@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.files.images import Image8, quantise
-from ggvs_eval.pipelines.offline.depth import DepthEstimator, DepthOptions
-from ggvs_eval.pipelines.offline.matchers import find_matcher
-from ggvs_eval.pipelines.offline.raft.config import PUBLISHED
-from ggvs_eval.pipelines.offline.raft.raft_stereo import RaftStereo
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
+from ggvs_eval.pipelines.offline.depth.matchers import find_matcher
+from ggvs_eval.pipelines.offline.stereo.raft_config import PUBLISHED
+from ggvs_eval.pipelines.offline.stereo.raft_stereo import RaftStereo
 
 COMMAND = "python -m benchmarks.bench_depth"
 WIDTH, HEIGHT, FOCAL_PX = 1345, 1008, 730.0

@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 
 from ggvs_eval.datasets import open_capture
-from ggvs_eval.pipelines.offline.registration import Registration
-from ggvs_eval.pipelines.offline.registration_estimate import measure_registration
+from ggvs_eval.pipelines.offline.sensor.registration import Registration
+from ggvs_eval.pipelines.offline.sensor.registration_estimate import measure_registration
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.film.options import DemoOptions
 

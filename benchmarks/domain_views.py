@@ -17,7 +17,7 @@ from ggvs_eval.files.digest import digest_values
 from ggvs_eval.files.images import Image8
 from ggvs_eval.jobs.processes import finish_all, worker_pool
 from ggvs_eval.method import Instant, SourceView
-from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
 from ggvs_eval.pipelines.training.capture_lot import MeasuredSampleMaker
 from ggvs_eval.pipelines.training.capture_views import draw_views
 from ggvs_eval.pipelines.training.domain_samples import domain_validation_plan

@@ -5,11 +5,11 @@ from pathlib import Path
 
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import DepthError
-from ggvs_eval.pipelines.depth_export.dense_workspace import WorkspaceOptions, write_dense_workspace
-from ggvs_eval.pipelines.depth_export.fuse import FusedFiles, FuseOptions, fuse_instant
 from ggvs_eval.pipelines.depth_page.depth_page import write_depth_page
 from ggvs_eval.pipelines.depth_page.depth_record import StoredDepth
-from ggvs_eval.pipelines.offline.prepare import DepthJob
+from ggvs_eval.pipelines.offline.depth.fill_store import DepthJob
+from ggvs_eval.pipelines.offline.export.dense_workspace import WorkspaceOptions, write_dense_workspace
+from ggvs_eval.pipelines.offline.export.fuse import FusedFiles, FuseOptions, fuse_instant
 from ggvs_eval.pipelines.prepare import Prepared, SourcePlan
 
 

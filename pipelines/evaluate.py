@@ -9,7 +9,7 @@ from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.held_still import retake
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.pipelines.methods.network_choice import AS_SHIPPED, NetworkChoice
-from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
 from ggvs_eval.pipelines.prepare import Prepared, prepare
 from ggvs_eval.pipelines.render import render
 from ggvs_eval.pipelines.scoring.score import score

@@ -57,7 +57,7 @@ def main() -> None:
 
 def validate_calibration(capture: Path, out: Path) -> Figures:
     """Cameras found from the images alone, against those that come with the capture."""
-    from ggvs_eval.pipelines.offline.calibrate import CalibrationOptions, calibrate, measure_against
+    from ggvs_eval.pipelines.offline.calibration.calibrate import CalibrationOptions, calibrate, measure_against
 
     shutil.rmtree(out, ignore_errors=True)
     given = open_capture(capture)

@@ -77,7 +77,7 @@ def test_samples_are_those_of_the_blending_network_and_read_back(cache, capture)
 
 def sample_options():
     """How the samples' depth is computed."""
-    from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
+    from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
 
     return DepthChoice(PLAN.matcher).options()
 

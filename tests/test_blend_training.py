@@ -122,7 +122,7 @@ def test_a_sample_is_what_the_method_would_see(capture):
 
 def depth_options():
     """The depth that plans ask for."""
-    from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
+    from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
 
     return DepthChoice(PLAN.matcher).options()
 

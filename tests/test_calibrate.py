@@ -17,10 +17,10 @@ from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.geometry.alignment import align_similarity, pose_differences
 from ggvs_eval.lens import Lens
-from ggvs_eval.pipelines.offline import calibration_job
-from ggvs_eval.pipelines.offline.calibrate import Calibration, CalibrationOptions, calibrate, measure_against
-from ggvs_eval.pipelines.offline.camera_files import find_camera_files
-from ggvs_eval.pipelines.offline.known_cameras import colmap_camera, read_known, write_intrinsics
+from ggvs_eval.pipelines.offline.calibration import calibration_job
+from ggvs_eval.pipelines.offline.calibration.calibrate import Calibration, CalibrationOptions, calibrate, measure_against
+from ggvs_eval.pipelines.offline.calibration.camera_files import find_camera_files
+from ggvs_eval.pipelines.offline.calibration.known_cameras import colmap_camera, read_known, write_intrinsics
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.film.options import DemoOptions
 

@@ -11,7 +11,7 @@ import pytest
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.metrics.image import psnr
-from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
 from ggvs_eval.pipelines.training.blend_lots import BlendSampleKind, CaptureSamples
 from ggvs_eval.pipelines.training.capture_lot import MeasuredSampleMaker, make_samples
 from ggvs_eval.pipelines.training.capture_views import CapturePlan, draw_views, overlap, possible_targets, within_rule

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
-from ggvs_eval.pipelines.offline import consistency
-from ggvs_eval.pipelines.offline.consistency import ConsistencyOptions, check_consistency
+from ggvs_eval.pipelines.offline.depth import consistency
+from ggvs_eval.pipelines.offline.depth.consistency import ConsistencyOptions, check_consistency
 from stereo_scenes import look_from, plane_depth
 
 CAMERA = look_from(0, 0, "camera")

@@ -34,7 +34,7 @@ from ggvs_eval.pipelines.depth_page.depth_warnings import find_notes, find_warni
 from ggvs_eval.pipelines.depth_page.pair_errors import measure_pair
 from ggvs_eval.pipelines.depth_page.pair_pictures import pair_picture
 from ggvs_eval.pipelines.depth_page.resynthesis import resynthesise
-from ggvs_eval.pipelines.offline.prepare import DepthJob
+from ggvs_eval.pipelines.offline.depth.fill_store import DepthJob
 from page_reader import PageReader
 from stereo_scenes import FOCAL, PLANE, look_from, plane_depth, see_plane, write_capture
 

@@ -13,11 +13,11 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.pipelines.check.depth_registration import check_depth_registration
 from ggvs_eval.pipelines.commands.main import run_command
-from ggvs_eval.pipelines.offline.depth import DepthOptions
-from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
-from ggvs_eval.pipelines.offline.prepare import DepthJob, depth_spec
-from ggvs_eval.pipelines.offline.registered_capture import displacement
-from ggvs_eval.pipelines.offline.registration import Registration, pose_after, with_registration
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
+from ggvs_eval.pipelines.offline.depth.fill_store import DepthJob, depth_spec
+from ggvs_eval.pipelines.offline.sensor.registered_capture import displacement
+from ggvs_eval.pipelines.offline.sensor.registration import Registration, pose_after, with_registration
 from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthesis, Views
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.film.options import DemoOptions

@@ -7,13 +7,13 @@ import pytest
 
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import DepthError, WeightsError
-from ggvs_eval.pipelines.offline.depth import DepthEstimator, DepthOptions, TimeOptions
-from ggvs_eval.pipelines.offline.depth_choice import KEYFRAME_EVERY, DepthChoice
-from ggvs_eval.pipelines.offline.depth_stream import DepthStream
-from ggvs_eval.pipelines.offline.matchers import MATCHERS, find_matcher
-from ggvs_eval.pipelines.offline.prepare import DepthJob, depth_spec, prepare_depth
-from ggvs_eval.pipelines.offline.sgbm import SgbmMatcher
-from ggvs_eval.pipelines.offline.sweep_options import PlaneSweep
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions, TimeOptions
+from ggvs_eval.pipelines.offline.depth.depth_choice import KEYFRAME_EVERY, DepthChoice
+from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
+from ggvs_eval.pipelines.offline.depth.fill_store import DepthJob, depth_spec, prepare_depth
+from ggvs_eval.pipelines.offline.depth.matchers import MATCHERS, find_matcher
+from ggvs_eval.pipelines.offline.plane_sweep.sweep_options import PlaneSweep
+from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
 from stereo_scenes import look_from, paint, plane_depth, random_texture, write_capture
 
 CAMERA = look_from(0, 0, "camera").resized(600, 450)

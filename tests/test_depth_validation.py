@@ -27,8 +27,8 @@ from ggvs_eval.pipelines.depth_validation.rooms import FRAMES, FilmedRoom
 from ggvs_eval.pipelines.depth_validation.sparse_points import choose_points, judge_sparse, read_sparse_points, score_points
 from ggvs_eval.pipelines.depth_validation.static_reuse import judge_reuse
 from ggvs_eval.pipelines.depth_validation.temporal_spread import find_static, measure_spread, temporal_spread
-from ggvs_eval.pipelines.offline.depth import DepthOptions
-from ggvs_eval.pipelines.offline.sgbm import SgbmMatcher
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
+from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
 from ggvs_eval.synthetic.film.exact_depth import DepthWriter, depth_path
 from ggvs_eval.synthetic.film.options import DemoOptions
 from stereo_scenes import PLANE, look_from, plane_depth, random_texture, see_plane, write_capture

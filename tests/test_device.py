@@ -20,7 +20,7 @@ from ggvs_eval.pipelines import render
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.methods.network_choice import NetworkChoice
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
-from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
 from ggvs_eval.pipelines.planning.work_left import plan_frames
 from ggvs_eval.pipelines.scoring.score import _devices
 from ggvs_eval.pipelines.synthesizer import OnlineSynthesizer

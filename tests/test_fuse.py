@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
-from ggvs_eval.pipelines.depth_export.fuse import FuseOptions, fuse_instant
-from ggvs_eval.pipelines.depth_export.surface_normals import surface_normals
+from ggvs_eval.pipelines.offline.export.fuse import FuseOptions, fuse_instant
+from ggvs_eval.pipelines.offline.export.surface_normals import surface_normals
 from stereo_scenes import look_from
 
 WALL_Z, BALL, RADIUS = 7.0, np.array([0.3, -0.2, 5.0]), 0.8
@@ -183,7 +183,7 @@ import sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 from test_fuse import cameras, confident, see
-from ggvs_eval.pipelines.depth_export.fuse import fuse_instant
+from ggvs_eval.pipelines.offline.export.fuse import fuse_instant
 rig = cameras()
 seen = [see(camera) for camera in rig]
 fuse_instant(rig, [image for image, _ in seen], [confident(depth) for _, depth in seen], Path(sys.argv[2]))

@@ -7,11 +7,11 @@ import pytest
 
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import CaptureError, DepthError
-from ggvs_eval.pipelines.offline.depth import DepthEstimator, DepthOptions
-from ggvs_eval.pipelines.offline.fusion import drop_flying_pixels, fill_background, fuse, smooth_surfaces
-from ggvs_eval.pipelines.offline.pairing import choose_partners
-from ggvs_eval.pipelines.offline.prepare import DepthJob, depth_spec, plan_depth, prepare_depth
-from ggvs_eval.pipelines.offline.sgbm import SgbmMatcher
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
+from ggvs_eval.pipelines.offline.depth.fill_store import DepthJob, depth_spec, plan_depth, prepare_depth
+from ggvs_eval.pipelines.offline.depth.pairing import choose_partners
+from ggvs_eval.pipelines.offline.stereo.fusion import drop_flying_pixels, fill_background, fuse, smooth_surfaces
+from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
 from stereo_scenes import look_from, paint, plane_depth, random_texture, see_plane, write_capture
 
 CAMERA = look_from(0, 0, "camera")

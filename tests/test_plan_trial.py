@@ -10,7 +10,7 @@ from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.images import write_image
 from ggvs_eval.metrics.fetch_lpips import weights_path
-from ggvs_eval.pipelines.offline.depth import DepthOptions
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.planning import plan as run_plan
 from ggvs_eval.pipelines.planning.estimate import Portion
 from ggvs_eval.pipelines.planning.plan import plan_runs

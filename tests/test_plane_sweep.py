@@ -9,15 +9,15 @@ import pytest
 from ggvs_eval import kernels
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import DepthError
-from ggvs_eval.pipelines.offline.depth import DepthEstimator, DepthOptions, TimeOptions
-from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
-from ggvs_eval.pipelines.offline.depth_stream import DepthStream
-from ggvs_eval.pipelines.offline.plane_sweep import PlaneSweepEstimator
-from ggvs_eval.pipelines.offline.prepare import DepthJob, depth_spec, prepare_depth
-from ggvs_eval.pipelines.offline.sweep_level import SweepLevel
-from ggvs_eval.pipelines.offline.sweep_options import PlaneSweep
-from ggvs_eval.pipelines.offline.sweep_planes import plan_planes
-from ggvs_eval.pipelines.offline.sweep_views import find_hidden, turn_partner
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions, TimeOptions
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
+from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
+from ggvs_eval.pipelines.offline.depth.fill_store import DepthJob, depth_spec, prepare_depth
+from ggvs_eval.pipelines.offline.plane_sweep.plane_sweep import PlaneSweepEstimator
+from ggvs_eval.pipelines.offline.plane_sweep.sweep_level import SweepLevel
+from ggvs_eval.pipelines.offline.plane_sweep.sweep_options import PlaneSweep
+from ggvs_eval.pipelines.offline.plane_sweep.sweep_planes import plan_planes
+from ggvs_eval.pipelines.offline.plane_sweep.sweep_views import find_hidden, turn_partner
 from stereo_scenes import PLANE, look_from, paint, plane_depth, random_texture, see_plane, write_capture
 
 CAMERA = look_from(0, 0, "camera")

@@ -11,7 +11,7 @@ from ggvs_eval.errors import CameraError, GgvsError, RenderError
 from ggvs_eval.files.images import quantise
 from ggvs_eval.files.video import VideoFrames
 from ggvs_eval.pipelines.camera_loop import camera_loop
-from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
 from ggvs_eval.pipelines.play import Timing, record
 from ggvs_eval.pipelines.prepare import prepare
 from ggvs_eval.pipelines.reel import PlayOptions, blocks_of, reel_of_capture, reel_of_run

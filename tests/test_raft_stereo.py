@@ -9,11 +9,11 @@ import torch
 from torch.nn import functional
 
 from ggvs_eval.errors import WeightsError
-from ggvs_eval.pipelines.offline.raft.config import COMPACT, PUBLISHED
-from ggvs_eval.pipelines.offline.raft.correlation import Correlation
-from ggvs_eval.pipelines.offline.raft.raft_stereo import RaftStereo
-from ggvs_eval.pipelines.offline.raft.update import ConvGru, upsample_convex
-from ggvs_eval.pipelines.offline.raft.weights import load_network
+from ggvs_eval.pipelines.offline.stereo.raft_config import COMPACT, PUBLISHED
+from ggvs_eval.pipelines.offline.stereo.raft_correlation import Correlation
+from ggvs_eval.pipelines.offline.stereo.raft_stereo import RaftStereo
+from ggvs_eval.pipelines.offline.stereo.raft_update import ConvGru, upsample_convex
+from ggvs_eval.pipelines.offline.stereo.raft_weights import load_network
 from ggvs_eval.residual_block import ResidualBlock
 from hostile import Hostile
 from seeded_networks import seeded_pair, seeded_state

@@ -8,7 +8,7 @@ import pytest
 
 from ggvs_eval.errors import DepthError
 from ggvs_eval.geometry.rectification import depth_from_disparity, rectify
-from ggvs_eval.pipelines.offline.depth import DepthEstimator, DepthOptions
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
 from stereo_scenes import FAR, NEAR, look_from, plane_depth, see_plane
 
 REFERENCE = look_from(0, 0, "reference")

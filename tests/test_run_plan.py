@@ -15,7 +15,7 @@ from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.evaluate import measure
 from ggvs_eval.pipelines.methods.network_choice import AS_SHIPPED
 from ggvs_eval.pipelines.methods.registry import find_method
-from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
 from ggvs_eval.pipelines.planning import plan as run_plan
 from ggvs_eval.pipelines.planning import probe as trial
 from ggvs_eval.pipelines.planning.estimate import DEPTH_BYTES, Portion

@@ -13,8 +13,7 @@ from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.depth_frames import DepthFrames
 from ggvs_eval.depth_store import DepthStore, describe_depth
 from ggvs_eval.errors import DepthError
-from ggvs_eval.pipelines.offline.fusion import drop_flying_pixels
-from ggvs_eval.pipelines.offline.sensor_depth import (
+from ggvs_eval.pipelines.offline.sensor.sensor_depth import (
     SensorDepthEstimator,
     SensorDepthOptions,
     drop_mixed_pixels,
@@ -22,8 +21,9 @@ from ggvs_eval.pipelines.offline.sensor_depth import (
     filter_sensor_depth,
     surface_confidence,
 )
-from ggvs_eval.pipelines.offline.sensor_grid import SensorGrid
-from ggvs_eval.pipelines.offline.sensor_holes import close_edges, close_holes
+from ggvs_eval.pipelines.offline.sensor.sensor_grid import SensorGrid
+from ggvs_eval.pipelines.offline.sensor.sensor_holes import close_edges, close_holes
+from ggvs_eval.pipelines.offline.stereo.fusion import drop_flying_pixels
 
 HOLOLENS = Path(__file__).parents[2] / "shared" / "data" / "hololens_rgbd"
 WIDTH, HEIGHT, FOCAL = 80, 60, 150.0

@@ -7,8 +7,8 @@ import pytest
 from ggvs_eval.errors import CameraError
 from ggvs_eval.geometry.source_views import choose_sources
 from ggvs_eval.pipelines.evaluate import measure
-from ggvs_eval.pipelines.offline.depth import DepthOptions
-from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
 from ggvs_eval.pipelines.prepare import plan
 from ggvs_eval.pipelines.render import render_jobs
 from ggvs_eval.pipelines.suggest_protocol import suggest_protocol

@@ -11,7 +11,7 @@ from torch import nn
 
 from ggvs_eval.errors import TrainingError, WeightsError
 from ggvs_eval.files.images import read_image
-from ggvs_eval.pipelines.offline.raft.config import COMPACT
+from ggvs_eval.pipelines.offline.stereo.raft_config import COMPACT
 from ggvs_eval.pipelines.training.card import write_card
 from ggvs_eval.pipelines.training.curves import draw_curves
 from ggvs_eval.pipelines.training.loop import TrainingOptions, train

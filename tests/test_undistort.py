@@ -16,10 +16,10 @@ from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.images import Image8, read_image
 from ggvs_eval.files.video import VideoFrames, write_video
 from ggvs_eval.lens import Lens
-from ggvs_eval.pipelines.offline.calibrate import CalibrationOptions, calibrate
-from ggvs_eval.pipelines.offline.known_cameras import read_known
-from ggvs_eval.pipelines.offline.lens_pickle import LARGEST_FILE_BYTES, read_plain_pickle
-from ggvs_eval.pipelines.offline.undistort import UndistortOptions, undistort_videos
+from ggvs_eval.pipelines.offline.calibration.calibrate import CalibrationOptions, calibrate
+from ggvs_eval.pipelines.offline.calibration.known_cameras import read_known
+from ggvs_eval.pipelines.offline.calibration.lens_pickle import LARGEST_FILE_BYTES, read_plain_pickle
+from ggvs_eval.pipelines.offline.calibration.undistort import UndistortOptions, undistort_videos
 
 WIDTH, HEIGHT, FPS = 320, 180, 24.0
 # A wide lens whose image holds all of the pinhole image below, in our convention (pixel centres at halves).

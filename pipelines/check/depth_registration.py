@@ -5,9 +5,9 @@ import numpy as np
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import GgvsError
 from ggvs_eval.pipelines.check.finding import RIG, SEVERITY, Finding, Verdict, graded
-from ggvs_eval.pipelines.offline.registered_capture import displacement, is_sequence
-from ggvs_eval.pipelines.offline.registration import Registration
-from ggvs_eval.pipelines.offline.registration_estimate import Displacement
+from ggvs_eval.pipelines.offline.sensor.registered_capture import displacement, is_sequence
+from ggvs_eval.pipelines.offline.sensor.registration import Registration
+from ggvs_eval.pipelines.offline.sensor.registration_estimate import Displacement
 
 QUESTION = "depth registration"
 # Of images 480 pixels wide: a pixel beside an edge takes the other surface's colour along; three show at arm's length.

@@ -13,9 +13,9 @@ from ggvs_eval.datasets.held_still import retake
 from ggvs_eval.datasets.units import GivenUnits
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.jobs.processes import default_workers
-from ggvs_eval.pipelines.offline.calibrate import CalibrationOptions
-from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
-from ggvs_eval.pipelines.offline.undistort import UndistortOptions
+from ggvs_eval.pipelines.offline.calibration.calibrate import CalibrationOptions
+from ggvs_eval.pipelines.offline.calibration.undistort import UndistortOptions
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
 from ggvs_eval.synthetic.film.options import DemoOptions
 
 Folder = Annotated[Path, tyro.conf.Positional]
@@ -128,7 +128,7 @@ def calibrate(frames: Folder, out: Folder, options: Calibrating = CalibrationOpt
         out: capture to write, absent or empty.
         options: what is known and what is assumed.
     """
-    from ggvs_eval.pipelines.offline.calibrate import calibrate as find_cameras
+    from ggvs_eval.pipelines.offline.calibration.calibrate import calibrate as find_cameras
 
     found = find_cameras(frames, out, options)
     for name, reason in found.missing.items():
@@ -151,7 +151,7 @@ def undistort(
         lenses: intri.yml (EasyMocap), calib_1080.pkl or calib_2k.pkl (D3DMV; read, never unpickled), or a TOML file.
         options: how frames are written.
     """
-    from ggvs_eval.pipelines.offline.undistort import undistort_videos
+    from ggvs_eval.pipelines.offline.calibration.undistort import undistort_videos
 
     written = undistort_videos(source, lenses, out, options)
     print(f"{written.path}: {len(written.cameras)} cameras of {written.n_frames} frames")

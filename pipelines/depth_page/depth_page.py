@@ -28,7 +28,7 @@ from ggvs_eval.pipelines.depth_page.depth_record import CameraPictures, CameraRe
 from ggvs_eval.pipelines.depth_page.depth_statistics import DepthStatistics, describe_map
 from ggvs_eval.pipelines.depth_page.depth_warnings import find_notes, find_warnings
 from ggvs_eval.pipelines.depth_page.pair_errors import PairErrors, measure_pair
-from ggvs_eval.pipelines.offline.registration import Registration
+from ggvs_eval.pipelines.offline.sensor.registration import Registration
 from ggvs_eval.run_folder import read_json, write_json
 
 VERSION = 1  # counts up whenever equal depth gives another page

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from ggvs_eval.pipelines.depth_page.depth_pictures import InstantPictures, PictureOfPair
 from ggvs_eval.pipelines.depth_page.depth_statistics import DepthStatistics
 from ggvs_eval.pipelines.depth_page.pair_errors import PairErrors
-from ggvs_eval.pipelines.offline.prepare import DepthJob
+from ggvs_eval.pipelines.offline.depth.fill_store import DepthJob
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import numpy as np
 
 from ggvs_eval.errors import DepthError
 from ggvs_eval.pipelines.depth_validation.figures import Measure
-from ggvs_eval.pipelines.offline.matcher import Map
+from ggvs_eval.pipelines.offline.stereo.matcher import Map
 
 WITHIN = 0.02
 MEASURES = (

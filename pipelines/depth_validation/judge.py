@@ -19,7 +19,7 @@ from ggvs_eval.pipelines.depth_validation import (
 from ggvs_eval.pipelines.depth_validation.figures import Figures
 from ggvs_eval.pipelines.depth_validation.named_matchers import depth_options, pairwise_matchers
 from ggvs_eval.pipelines.depth_validation.rooms import film_rooms
-from ggvs_eval.pipelines.offline.depth import DepthOptions
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.protocol import load_protocol
 from ggvs_eval.run_folder import read_json, write_json
 

@@ -2,10 +2,10 @@
 
 from collections.abc import Mapping
 
-from ggvs_eval.pipelines.offline.depth import DepthOptions
-from ggvs_eval.pipelines.offline.matcher import StereoMatcher
-from ggvs_eval.pipelines.offline.matchers import find_matcher
-from ggvs_eval.pipelines.offline.sweep_options import PlaneSweep
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
+from ggvs_eval.pipelines.offline.depth.matchers import find_matcher
+from ggvs_eval.pipelines.offline.plane_sweep.sweep_options import PlaneSweep
+from ggvs_eval.pipelines.offline.stereo.matcher import StereoMatcher
 
 
 def depth_options(name: str) -> DepthOptions:

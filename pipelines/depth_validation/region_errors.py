@@ -13,9 +13,9 @@ from ggvs_eval.pipelines.depth_validation.figures import Figures, figures_of
 from ggvs_eval.pipelines.depth_validation.room_regions import REGIONS, Mask, RegionOptions, find_regions
 from ggvs_eval.pipelines.depth_validation.rooms import DEMO, FilmedRoom
 from ggvs_eval.pipelines.depth_validation.tables import Column, mean_of_rows, wide_table
-from ggvs_eval.pipelines.offline.depth import DepthEstimator, DepthOptions
-from ggvs_eval.pipelines.offline.matcher import Map
-from ggvs_eval.pipelines.offline.pairing import choose_partners
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
+from ggvs_eval.pipelines.offline.depth.pairing import choose_partners
+from ggvs_eval.pipelines.offline.stereo.matcher import Map
 from ggvs_eval.progress import track
 from ggvs_eval.synthetic.film.exact_depth import read_exact_depth
 

@@ -10,7 +10,7 @@ import pandas as pd
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.pipelines.depth_validation.figures import Figures, Measure, figures_of
-from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
 from ggvs_eval.pipelines.prepare import prepare
 from ggvs_eval.pipelines.render import render
 from ggvs_eval.pipelines.scoring.score import score

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ggvs_eval.errors import DepthError
 from ggvs_eval.files.images import Image8
-from ggvs_eval.pipelines.offline.matcher import Map
+from ggvs_eval.pipelines.offline.stereo.matcher import Map
 
 Mask = NDArray[np.bool_]
 REGIONS = ("texture", "untextured", "edge", "thin")

@@ -23,9 +23,9 @@ from ggvs_eval.errors import CaptureError, DepthError
 from ggvs_eval.pipelines.depth_validation.depth_errors import WITHIN, relative_errors
 from ggvs_eval.pipelines.depth_validation.figures import Figures, Measure, figures_of
 from ggvs_eval.pipelines.depth_validation.tables import Column, mean_of_rows, wide_table
-from ggvs_eval.pipelines.offline.depth import DepthEstimator, DepthOptions
-from ggvs_eval.pipelines.offline.matcher import Map
-from ggvs_eval.pipelines.offline.pairing import choose_partners
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
+from ggvs_eval.pipelines.offline.depth.pairing import choose_partners
+from ggvs_eval.pipelines.offline.stereo.matcher import Map
 from ggvs_eval.progress import track
 
 READER = "ggvs_eval.pipelines.depth_validation.sparse_reader"

@@ -13,8 +13,8 @@ from ggvs_eval.pipelines.depth_validation.figures import Figures, Measure, figur
 from ggvs_eval.pipelines.depth_validation.rooms import FRAMES, FilmedRoom
 from ggvs_eval.pipelines.depth_validation.tables import Column, mean_of_rows, wide_table
 from ggvs_eval.pipelines.depth_validation.temporal_spread import estimate_views
-from ggvs_eval.pipelines.offline.depth import DepthOptions
-from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
 from ggvs_eval.synthetic.film.exact_depth import read_exact_depth
 
 MEASURES = (

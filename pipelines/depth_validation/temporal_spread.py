@@ -18,10 +18,10 @@ from ggvs_eval.pipelines.depth_validation.figures import Figures, Measure, figur
 from ggvs_eval.pipelines.depth_validation.room_regions import Mask
 from ggvs_eval.pipelines.depth_validation.rooms import DEMO, FRAMES, FilmedRoom
 from ggvs_eval.pipelines.depth_validation.tables import Column, mean_of_rows, wide_table
-from ggvs_eval.pipelines.offline.depth import DepthOptions
-from ggvs_eval.pipelines.offline.depth_stream import DepthStream
-from ggvs_eval.pipelines.offline.matcher import Map
-from ggvs_eval.pipelines.offline.pairing import choose_partners
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
+from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
+from ggvs_eval.pipelines.offline.depth.pairing import choose_partners
+from ggvs_eval.pipelines.offline.stereo.matcher import Map
 from ggvs_eval.pipelines.online.depth_filter import TemporalDepthFilter
 from ggvs_eval.progress import track
 from ggvs_eval.synthetic.film.film import Footage, lit_room

@@ -1,1 +1,1 @@
-"""Depth of every camera, computed before anything is rendered: pair, rectify, match, fuse, store."""
+"""The offline half: cameras, and depth of every camera, computed before anything is rendered."""

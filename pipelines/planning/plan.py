@@ -12,7 +12,7 @@ from ggvs_eval.errors import ProtocolError
 from ggvs_eval.jobs.free_memory import available_bytes
 from ggvs_eval.jobs.processes import worker_pool
 from ggvs_eval.pipelines.methods.registry import find_method
-from ggvs_eval.pipelines.offline.depth import DepthOptions
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.planning.estimate import Pace, Portion, disk_bytes
 from ggvs_eval.pipelines.planning.probe import probe
 from ggvs_eval.pipelines.planning.rates import Rates

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.pipelines.methods.network_choice import AS_SHIPPED, NetworkChoice
-from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
 from ggvs_eval.protocol import Protocol
 
 

@@ -8,8 +8,8 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.pipelines.methods.network_choice import AS_SHIPPED, NetworkChoice
-from ggvs_eval.pipelines.offline.depth import DepthOptions
-from ggvs_eval.pipelines.offline.prepare import depth_spec
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
+from ggvs_eval.pipelines.offline.depth.fill_store import depth_spec
 from ggvs_eval.pipelines.path_depth import pose_file
 from ggvs_eval.pipelines.prepare import Prepared, fit_capture, plan, wanted_frames
 from ggvs_eval.pipelines.render import render_jobs

@@ -11,7 +11,7 @@ from ggvs_eval.jobs.engine import Engine
 from ggvs_eval.jobs.job import Attempt, Job, attempt_jobs
 from ggvs_eval.jobs.ledger import Failure, Ledger
 from ggvs_eval.pipelines.methods.network_choice import NetworkChoice
-from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
 from ggvs_eval.pipelines.prepare import Prepared, prepare
 from ggvs_eval.pipelines.render import note_labels, render_jobs
 from ggvs_eval.pipelines.run.import_renders import import_renders

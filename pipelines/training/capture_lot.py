@@ -13,9 +13,9 @@ from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.files.digest import digest_values
-from ggvs_eval.pipelines.offline.depth import DepthOptions
-from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
-from ggvs_eval.pipelines.offline.sensor_depth import SensorDepthEstimator
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
+from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthEstimator
 from ggvs_eval.pipelines.training.blend_samples import SampleMaker
 from ggvs_eval.pipelines.training.capture_views import CapturePlan, draw_views, is_sequence, possible_targets
 from ggvs_eval.pipelines.training.samples import Job, Sample, SampleKind, Samples

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ggvs_eval.capture import Capture
-from ggvs_eval.pipelines.offline.depth_choice import DepthChoice
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
 from ggvs_eval.pipelines.training.capture_lot import MeasuredSampleMaker
 from ggvs_eval.pipelines.training.room_plan import RoomPlan, choose_views, draw_window, film_room, refuse_tests
 from ggvs_eval.pipelines.training.samples import Job, Sample, SampleKind, Samples

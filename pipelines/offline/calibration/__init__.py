@@ -1,0 +1,1 @@
+"""Cameras and lenses: poses by pycolmap, lenses from files, images without distortion."""

@@ -1,0 +1,123 @@
+"""Lenses of raw videos, from the files that multi-camera data sets distribute with them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ggvs_eval.camera import Array
+from ggvs_eval.datasets.easymocap_yaml import PIXEL_CENTRE
+from ggvs_eval.datasets.filestorage_yaml import FileStorageYaml
+from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.lens import Lens
+from ggvs_eval.pipelines.offline.calibration.known_cameras import fit_known, read_known
+from ggvs_eval.pipelines.offline.calibration.lens_pickle import read_plain_pickle
+
+KINDS = "intri.yml (EasyMocap), calib_*.pkl (D3DMV) or a .toml file with cameras"
+Size = tuple[int, int]
+
+
+@dataclass(frozen=True, eq=False)
+class LensAndTarget:
+    """A lens and the pinhole image it is undistorted to.
+
+    Attributes:
+        lens: at the size of the frames.
+        K: intrinsics of the pinhole image, at the same size.
+    """
+
+    lens: Lens
+    K: Array
+
+
+def read_lenses(path: Path, sizes: Mapping[str, Size]) -> dict[str, LensAndTarget]:
+    """The lens of each camera, by name.
+
+    Args:
+        path: ``intri.yml``, ``calib_*.pkl`` or a TOML file that `read_known` reads.
+        sizes: (width, height) of each camera's frames, in the order of names.
+
+    Raises:
+        CaptureError: another kind of file, a damaged one, or one that does not fit the cameras.
+
+    Reading:
+        EasyMocap: the pinhole image keeps the lens's K, as ENeRF undistorts. D3DMV: 90 degrees wide (f = W / 2) with the
+        principal point in the middle of the image, as its authors undistort; the list follows the order of names. TOML: the
+        lens's K, zoomed just so far that no pixel is blank. OpenCV's principal points are moved by half a pixel to our centres.
+    """
+    if path.suffix in (".yml", ".yaml"):
+        return _from_easymocap(path, sizes)
+    if path.suffix in (".pkl", ".pickle"):
+        return _from_d3dmv(path, sizes)
+    if path.suffix != ".toml":
+        raise CaptureError(f"{path}: wanted {KINDS}, got a file called {path.name}; rename it if it is one of these")
+    lenses = {name: known.lens for name, known in fit_known(path, read_known(path), sizes).items()}
+    try:
+        return {name: LensAndTarget(lens, lens.undistorted_K()) for name, lens in lenses.items()}
+    except CameraError as error:
+        raise CaptureError(f"{path}: {error}") from error
+
+
+def _from_easymocap(path: Path, sizes: Mapping[str, Size]) -> dict[str, LensAndTarget]:
+    file = FileStorageYaml(path)
+    missing = [name for name in sizes if not file.has(f"K_{name}")]
+    if missing:
+        found = f"it has {', '.join(file.texts('names')) or 'no names'}"
+        raise CaptureError(f"{path}: wanted lenses of {', '.join(missing)}, {found}; call the cameras alike in both places")
+    found_lenses = {}
+    for name, size in sizes.items():
+        K = file.matrix(f"K_{name}", (3, 3))
+        K[:2, 2] += PIXEL_CENTRE
+        key = next((key for key in (f"dist_{name}", f"D_{name}") if file.has(key)), None)
+        coefficients = tuple(map(float, file.matrix(key, None).ravel())) if key else (0.0,) * 5
+        width, height = (round(file.number(f"{letter}_{name}") or side) for letter, side in zip("WH", size, strict=True))
+        found_lenses[name] = _at_size(path, name, _lens(path, name, K, "opencv", coefficients, (width, height)), size)
+    return found_lenses
+
+
+def _from_d3dmv(path: Path, sizes: Mapping[str, Size]) -> dict[str, LensAndTarget]:
+    entries = read_plain_pickle(path)
+    if not isinstance(entries, list) or len(entries) != len(sizes):
+        found = f"{len(entries)} entries" if isinstance(entries, list) else "no list"
+        raise CaptureError(f"{path}: wanted one entry for each of the {len(sizes)} cameras, got {found}; restore all videos")
+    found_lenses = {}
+    for entry, (name, (width, height)) in zip(entries, sizes.items(), strict=True):
+        K, coefficients = _numbers(path, name, entry, "K", 9).reshape(3, 3), _numbers(path, name, entry, "D", 4)
+        K[:2, 2] += PIXEL_CENTRE
+        lens = _lens(path, name, K, "fisheye", tuple(map(float, coefficients)), (width, height))
+        target = np.array([[width / 2, 0.0, width / 2], [0.0, width / 2, height / 2], [0.0, 0.0, 1.0]])
+        found_lenses[name] = LensAndTarget(lens, target)
+    return found_lenses
+
+
+def _numbers(path: Path, name: str, entry: Any, key: str, count: int) -> Array:
+    values = entry.get(key) if isinstance(entry, dict) else None
+    if not isinstance(values, np.ndarray) or values.size != count or not np.isfinite(values).all():
+        found = f"shape {values.shape}" if isinstance(values, np.ndarray) else "none"
+        raise CaptureError(f"{path}: {name}: wanted {count} finite numbers {key}, got {found}; restore the file")
+    return values.astype(np.float64).ravel()
+
+
+def _lens(path: Path, name: str, K: Array, model: Any, coefficients: tuple[float, ...], size: Size) -> Lens:
+    """The lens, if its K can be that of frames of this size."""
+    width, height = size
+    is_central = 0.3 < K[0, 2] / width < 0.7 and 0.3 < K[1, 2] / height < 0.7
+    if not is_central or K[0, 0] <= 0 or K[1, 1] <= 0:
+        found = f"f {K[0, 0]:.0f}, centre ({K[0, 2]:.0f}, {K[1, 2]:.0f})"
+        raise CaptureError(
+            f"{path}: {name}: wanted the lens of {width} x {height} frames, got {found}; give the file of this size"
+        )
+    try:
+        return Lens(K, model, coefficients, width, height)
+    except CameraError as error:
+        raise CaptureError(f"{path}: {name}: {error}") from error
+
+
+def _at_size(path: Path, name: str, lens: Lens, size: Size) -> LensAndTarget:
+    if abs(lens.height * size[0] / lens.width - size[1]) > 1:
+        found = f"frames of {size[0]} x {size[1]}"
+        raise CaptureError(f"{path}: {name} is calibrated for {lens.width} x {lens.height}, got {found}; give uncropped frames")
+    resized = lens.resized(*size)
+    return LensAndTarget(resized, resized.K)

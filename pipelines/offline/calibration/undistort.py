@@ -1,0 +1,150 @@
+"""Raw videos of known lenses, written as pinhole videos or frames."""
+
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from ggvs_eval.capture import FrameSource
+from ggvs_eval.datasets import open_capture
+from ggvs_eval.datasets.assemble import FOLDER_FPS
+from ggvs_eval.datasets.undistort import UndistortedFrames
+from ggvs_eval.errors import CaptureError
+from ggvs_eval.files.images import Image8, write_image
+from ggvs_eval.files.video import VideoFrames, write_video
+from ggvs_eval.jobs.processes import default_workers
+from ggvs_eval.lens import Lens
+from ggvs_eval.pipelines.offline.calibration.camera_files import CameraFiles, check_lengths, find_camera_files
+from ggvs_eval.pipelines.offline.calibration.known_cameras import INTRINSICS, write_intrinsics
+from ggvs_eval.pipelines.offline.calibration.lens_files import LensAndTarget, read_lenses
+from ggvs_eval.progress import track
+
+
+@dataclass(frozen=True)
+class UndistortOptions:
+    """How undistorted frames are written.
+
+    Attributes:
+        lossless: PNG folders instead of videos.
+        crf: x264's rate factor of the videos; 8 loses less than resampling does.
+    """
+
+    lossless: bool = False
+    crf: float = 8.0
+
+    def __post_init__(self) -> None:
+        """Refuse a rate factor that x264 does not know."""
+        if not 0 <= self.crf <= 51:
+            raise CaptureError(f"undistort: the rate factor must lie in 0..51, got {self.crf:g}")
+
+
+@dataclass(frozen=True)
+class Undistorted:
+    """What was written.
+
+    Attributes:
+        path: the folder: ``CAM.mp4`` or ``images/CAM/``, and ``intrinsics.toml``.
+        cameras: names.
+        n_frames: of every camera.
+        fps: frames per second; 0 where the capture is a single instant.
+    """
+
+    path: Path
+    cameras: tuple[str, ...]
+    n_frames: int
+    fps: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Stream:
+    """The pinhole frames of one camera."""
+
+    name: str
+    frames: Callable[[], Iterator[Image8]]
+    n_frames: int
+    fps: float
+    pinhole: Lens
+
+
+def undistort_videos(source: Path, lens_file: Path | None, out: Path, options: UndistortOptions | None = None) -> Undistorted:
+    """Write the frames of all cameras as a pinhole camera would have taken them, at their size and rate.
+
+    Args:
+        source: a folder of raw videos (or frames) with a lens file; without one, any capture, whose frames are written as
+            `open_capture` gives them.
+        lens_file: ``intri.yml``, ``calib_*.pkl`` or a TOML file; see `read_lenses`. None for a capture that knows its lenses.
+        out: folder to write, absent or empty; it appears when it is whole.
+        options: how.
+
+    Raises:
+        CaptureError: no videos, a damaged one, or lenses that do not fit them.
+    """
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise CaptureError(f"{out}: wanted a new or empty folder for undistorted frames, got one with content; choose another")
+    streams = _of_capture(source) if lens_file is None else _of_files(source, lens_file)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
+    try:
+        _write_all(unfinished, streams, options or UndistortOptions())
+        write_intrinsics(unfinished / INTRINSICS, {stream.name: stream.pinhole for stream in streams})
+        unfinished.chmod(0o755)
+        unfinished.replace(out)
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
+    return Undistorted(out, tuple(stream.name for stream in streams), streams[0].n_frames, streams[0].fps)
+
+
+def _of_capture(path: Path) -> list[_Stream]:
+    capture = open_capture(path)
+    streams = []
+    for camera in capture.cameras:
+        pinhole = Lens(camera.K, "opencv", (0.0,) * 4, *camera.size)
+        streams.append(_Stream(camera.name, partial(capture.frames, camera.name), capture.n_frames, capture.fps, pinhole))
+    return streams
+
+
+def _of_files(folder: Path, lens_file: Path) -> list[_Stream]:
+    files = find_camera_files(folder)
+    check_lengths(folder, files)
+    lenses = read_lenses(lens_file, {name: file.size for name, file in files.items()})
+    streams = [_stream(name, file, lenses[name]) for name, file in files.items()]
+    _check_rates(folder, streams)
+    return streams
+
+
+def _stream(name: str, file: CameraFiles, known: LensAndTarget) -> _Stream:
+    lens, count = known.lens, file.n_frames
+    frames: FrameSource = file if lens.is_pinhole else UndistortedFrames(file, lens, known.K)
+    rate = file.fps if isinstance(file, VideoFrames) else FOLDER_FPS
+    pinhole = Lens(known.K, "opencv", (0.0,) * 4, lens.width, lens.height)
+    return _Stream(name, partial(frames.frames, 0, count), count, rate if count > 1 else 0.0, pinhole)
+
+
+def _check_rates(folder: Path, streams: list[_Stream]) -> None:
+    """One rate; equal frame numbers would be different instants otherwise."""
+    rates = {stream.name: round(stream.fps, 2) for stream in streams}
+    if len(set(rates.values())) > 1:
+        listed = ", ".join(f"{name} {rate:g}" for name, rate in rates.items())
+        raise CaptureError(f"{folder}: wanted one frame rate for all cameras, got {listed}; convert them to one rate")
+
+
+def _write_all(folder: Path, streams: list[_Stream], options: UndistortOptions) -> None:
+    """Cameras side by side: decoding, resampling and encoding all leave the interpreter free."""
+    pool = ThreadPoolExecutor(default_workers())
+    try:
+        jobs = [pool.submit(_write, folder, stream, options) for stream in streams]
+        for job in track(jobs, "undistorting", len(jobs)):
+            job.result()
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _write(folder: Path, stream: _Stream, options: UndistortOptions) -> None:
+    if not options.lossless and stream.fps > 0:
+        write_video(folder / f"{stream.name}.mp4", stream.frames(), stream.fps, options.crf)
+        return
+    for index, image in enumerate(stream.frames()):
+        write_image(folder / "images" / stream.name / f"{index:06d}.png", image)

@@ -1,0 +1,1 @@
+"""Depth of every camera: which partners, by which matcher, held against other cameras, and stored."""

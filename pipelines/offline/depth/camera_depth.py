@@ -1,0 +1,145 @@
+"""Depth of one camera from the images of its partners, by whatever matcher, frame by frame."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.depth_store import DepthMap
+from ggvs_eval.errors import DepthError
+from ggvs_eval.files.images import Image8
+from ggvs_eval.pipelines.offline.depth.consistency import ConsistencyOptions
+from ggvs_eval.pipelines.offline.plane_sweep.plane_sweep import PlaneSweepEstimator
+from ggvs_eval.pipelines.offline.plane_sweep.sweep_options import PlaneSweep
+from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthOptions
+from ggvs_eval.pipelines.offline.stereo.fusion import drop_flying_pixels, fill_background, smooth_surfaces
+from ggvs_eval.pipelines.offline.stereo.matcher import StereoMatcher
+from ggvs_eval.pipelines.offline.stereo.pairwise import PairwiseEstimator
+from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
+
+ALGORITHM = "match-fuse-finish 2"  # counts up whenever equal options give other bits
+
+
+@dataclass(frozen=True)
+class TimeOptions:
+    """How depth of consecutive instants depends on each other. By default it does not.
+
+    Attributes:
+        keyframe_every: instants from one that is computed from nothing to the next; what lies between may use the frame before.
+            1 computes every instant from nothing, so that any can be computed alone.
+        warm: matchers start from the disparity of the frame before.
+        reuse: depth is computed again only where the picture has changed since it was.
+        changed: a pixel has changed when its blurred difference exceeds this share of the value range.
+        grow_px: what lies this near to a changed pixel is computed again too.
+    """
+
+    keyframe_every: int = 1
+    warm: bool = False
+    reuse: bool = False
+    changed: float = 0.02
+    grow_px: int = 8
+
+    def first_needed(self, frame: int) -> int:
+        """The keyframe that `frame` goes back to: depth of an instant depends on the instants from there on."""
+        return frame - frame % self.keyframe_every
+
+
+@dataclass(frozen=True)
+class DepthOptions:
+    """How depth is computed.
+
+    Attributes:
+        matcher: the stereo algorithm: of pairs, or the plane sweep over all partners at once.
+        partners: how many cameras each one is matched with at most.
+        error_px: of pairs: estimates of two partners agree when disparity errors of this size explain their difference.
+        flying: a pixel flies when fewer than three neighbours lie within this share of its depth.
+        smooth: depth is averaged over neighbours that differ by about this share of it.
+        smooth_radius_px: over neighbours this far away.
+        filled_confidence: confidence of pixels filled from the background; 0 leaves them invalid.
+        time: how instants depend on each other.
+        consistency: how depth is held against that of the other sources of a view; None leaves it as it is.
+        sensor: how measured depth is filtered, which takes the place of stereo where the capture has it; None ignores it.
+    """
+
+    matcher: StereoMatcher | PlaneSweep = field(default_factory=SgbmMatcher)
+    partners: int = 4
+    error_px: float = 0.5
+    flying: float = 0.03
+    smooth: float = 0.03
+    smooth_radius_px: int = 4
+    filled_confidence: float = 0.02
+    time: TimeOptions = field(default_factory=TimeOptions)
+    consistency: ConsistencyOptions | None = field(default_factory=ConsistencyOptions)
+    sensor: SensorDepthOptions | None = field(default_factory=SensorDepthOptions)
+
+    def describe(self) -> dict[str, object]:
+        """All that stereo depends on, as values that JSON knows, with the versions of the algorithms; part of the key."""
+        matcher = {name: value for name, value in vars(self.matcher).items() if not isinstance(value, Path)}
+        described = {"algorithm": ALGORITHM, "matcher_name": self.matcher.name, **asdict(self), "matcher": matcher}
+        del described["sensor"], described["consistency"]  # they have specs of their own
+        return described
+
+
+class DepthEstimator:
+    """Computes the depth of one camera; everything that does not depend on the images is prepared once.
+
+    Args:
+        camera: the camera whose depth is wanted.
+        partners: the cameras it is matched with.
+        options: parameters.
+
+    Raises:
+        DepthError: no partners, or a pair that cannot be rectified.
+    """
+
+    def __init__(self, camera: Camera, partners: Sequence[Camera], options: DepthOptions) -> None:
+        if not partners:
+            raise DepthError(f"camera {camera.name}: depth needs at least one other camera to match with, got none")
+        self.camera = camera
+        self.partners = tuple(partners)
+        self.options = options
+        self._raw: PairwiseEstimator | PlaneSweepEstimator
+        if isinstance(options.matcher, PlaneSweep):
+            self._raw = PlaneSweepEstimator(camera, partners, options.matcher)
+        else:
+            self._raw = PairwiseEstimator(camera, partners, options.matcher, options.error_px, options.time.warm)
+
+    def estimate(self, image: Image8, partner_images: Sequence[Image8]) -> DepthMap:
+        """Depth at one instant.
+
+        Args:
+            image: what the camera saw, RGB, (H, W, 3).
+            partner_images: what the partners saw at the same instant, in their order.
+
+        Returns:
+            Depth, (H, W), without flying pixels, smoothed within surfaces and filled from the background, and its confidence.
+
+        Raises:
+            DepthError: an image does not have its camera's size.
+        """
+        self._check(image, partner_images)
+        return finish(self._raw.estimate(image, partner_images), self.options)
+
+    def forget(self) -> None:
+        """Begin a new sequence."""
+        self._raw.forget()
+
+    def _check(self, image: Image8, partner_images: Sequence[Image8]) -> None:
+        if len(partner_images) != len(self.partners):
+            raise DepthError(f"camera {self.camera.name}: wanted {len(self.partners)} partner images, got {len(partner_images)}")
+        for camera, each in zip((self.camera, *self.partners), (image, *partner_images), strict=True):
+            if each.shape != (camera.height, camera.width, 3) or each.dtype != np.uint8:
+                wanted = (camera.height, camera.width, 3)
+                raise DepthError(
+                    f"camera {camera.name}: wanted a uint8 image of {wanted}, got {each.dtype} {each.shape}; "
+                    "resize the capture, not single images"
+                )
+
+
+def finish(raw: DepthMap, options: DepthOptions) -> DepthMap:
+    """What every matcher's depth needs: no flying pixels, smooth surfaces, gaps filled from the background."""
+    depth = smooth_surfaces(drop_flying_pixels(raw.depth, options.flying), options.smooth, options.smooth_radius_px)
+    confidence = np.where(depth > 0, raw.confidence, np.float32(0))
+    return DepthMap(*fill_background(depth, confidence, options.filled_confidence))

@@ -1,0 +1,55 @@
+"""How depth is found, in the few words that the command line takes and a run folder keeps."""
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from ggvs_eval.errors import DepthError
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions, TimeOptions
+from ggvs_eval.pipelines.offline.depth.matchers import DEFAULT_MATCHER, find_matcher
+from ggvs_eval.pipelines.offline.sensor.sensor_depth import RegistrationName, SensorDepthOptions
+
+KEYFRAME_EVERY = 16  # instants, where instants depend on each other
+
+
+@dataclass(frozen=True)
+class DepthChoice:
+    """How depth is found.
+
+    Attributes:
+        matcher: sgbm, sweep, raft (compact, ships with the package) or raft:CHECKPOINT.
+        stereo_weights: a checkpoint of RAFT-Stereo's authors, e.g. raftstereo-middlebury.pth; the same as raft:CHECKPOINT.
+        sensor: take the depth that a sensor measured where the capture has it (RGB-D), filtered, instead of stereo.
+        registration: bring sensor depth to its colour as the images of a sequence tell, where significant; or leave it as given.
+        reuse_static: compute depth again only where the picture changes, everything again every 16 instants.
+    """
+
+    matcher: str = DEFAULT_MATCHER
+    stereo_weights: Path | None = None
+    sensor: bool = True
+    reuse_static: bool = False
+    registration: RegistrationName = "given"
+
+    def options(self) -> DepthOptions:
+        """All parameters of the depth estimation.
+
+        Raises:
+            DepthError: no such matcher, or weights for one that takes none.
+            WeightsError: weights that are not RAFT-Stereo's.
+        """
+        if self.stereo_weights is not None and self.matcher not in (DEFAULT_MATCHER, "raft"):
+            raise DepthError(f"--stereo-weights are for the matcher raft, got the matcher {self.matcher}")
+        name = self.matcher if self.stereo_weights is None else f"raft:{self.stereo_weights}"
+        time = TimeOptions(KEYFRAME_EVERY, warm=True, reuse=True) if self.reuse_static else TimeOptions()
+        sensor = SensorDepthOptions(registration=self.registration) if self.sensor else None
+        return DepthOptions(matcher=find_matcher(name), time=time, sensor=sensor)
+
+    def record(self) -> dict[str, Any]:
+        """As values that JSON knows."""
+        return asdict(self) | {"stereo_weights": None if self.stereo_weights is None else str(self.stereo_weights)}
+
+    @classmethod
+    def from_record(cls, record: dict[str, Any]) -> "DepthChoice":
+        """What `record` wrote."""
+        weights = record.get("stereo_weights")
+        return cls(**record | {"stereo_weights": None if weights is None else Path(weights)})

@@ -1,0 +1,116 @@
+"""Depth of one camera over consecutive instants: keyframes from nothing, between them only what has changed."""
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.depth_store import DepthMap
+from ggvs_eval.files.images import Image8
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
+
+Mask = NDArray[np.bool_]
+CONTEXT_PX = 48  # what a matcher sees around the window that it computes again
+GRID_PX = 64  # windows start and end on multiples of it, so that their estimators can be kept
+MOST_CHANGED = 0.6  # of the image; beyond, a window saves nothing
+BLUR_SIGMA_PX = 1.5  # averages sensor noise away before pictures are compared
+
+
+class DepthStream:
+    """Depth of one camera, instant by instant; each call is the next instant.
+
+    What it returns depends on the instants since the last keyframe alone, and keyframes lie where the frame number is a multiple
+    of `keyframe_every`: a killed run goes on from the keyframe before, with equal bits.
+
+    Args:
+        camera: the camera whose depth is wanted.
+        partners: the cameras it is matched with.
+        options: parameters.
+
+    Reading:
+        Whether something has changed is asked of the camera's own picture since its depth was computed, not since the frame
+        before: slow changes add up. A partner that is newly covered does not change what the camera sees.
+    """
+
+    def __init__(self, camera: Camera, partners: Sequence[Camera], options: DepthOptions) -> None:
+        self.camera = camera
+        self.partners = tuple(partners)
+        self.options = options
+        self._whole = DepthEstimator(camera, partners, options)
+        self._windows: dict[tuple[int, int, int, int], DepthEstimator] = {}
+        self._known: tuple[NDArray[np.float32], DepthMap] | None = None
+
+    def step(self, frame: int, image: Image8, partner_images: Sequence[Image8]) -> DepthMap:
+        """Depth at one instant.
+
+        Args:
+            frame: its number; consecutive from call to call.
+            image: what the camera saw, RGB, (H, W, 3).
+            partner_images: what the partners saw, in their order.
+
+        Raises:
+            DepthError: an image does not have its camera's size.
+        """
+        if frame == self.options.time.first_needed(frame):
+            self._whole.forget()
+            self._known = None
+        if not self.options.time.reuse:
+            return self._whole.estimate(image, partner_images)
+        blurred = cv2.GaussianBlur(image, (0, 0), BLUR_SIGMA_PX).astype(np.float32)
+        if self._known is None:
+            found = self._whole.estimate(image, partner_images)
+        else:
+            blurred, found = self._renew(*self._known, blurred, image, partner_images)
+        self._known = blurred, found
+        return found
+
+    def _renew(
+        self,
+        seen: NDArray[np.float32],
+        known: DepthMap,
+        blurred: NDArray[np.float32],
+        image: Image8,
+        partner_images: Sequence[Image8],
+    ) -> tuple[NDArray[np.float32], DepthMap]:
+        """Compute again what has changed: the pictures that depth is now of, and the depth."""
+        changed = self._changed(seen, blurred)
+        if not changed.any():
+            return seen, known
+        window = _window_around(changed, self.camera.size)
+        left, top, width, height = window
+        if width * height > MOST_CHANGED * self.camera.width * self.camera.height:
+            return blurred, self._whole.estimate(image, partner_images)
+        rows, columns = slice(top, top + height), slice(left, left + width)
+        fresh = self._window_estimator(window).estimate(np.ascontiguousarray(image[rows, columns]), partner_images)
+        here = changed[rows, columns]
+        depth, confidence, picture = known.depth.copy(), known.confidence.copy(), seen.copy()
+        depth[rows, columns][here] = fresh.depth[here]
+        confidence[rows, columns][here] = fresh.confidence[here]
+        picture[rows, columns][here] = blurred[rows, columns][here]
+        return picture, DepthMap(depth, confidence)
+
+    def _changed(self, seen: NDArray[np.float32], blurred: NDArray[np.float32]) -> Mask:
+        options = self.options.time
+        different = np.abs(seen - blurred).max(axis=-1) > 255 * options.changed
+        grown = cv2.dilate(different.astype(np.uint8), np.ones((2 * options.grow_px + 1,) * 2, np.uint8))
+        return np.asarray(grown, bool)
+
+    def _window_estimator(self, window: tuple[int, int, int, int]) -> DepthEstimator:
+        if window not in self._windows:
+            self._windows = dict(list(self._windows.items())[-3:])  # each holds the maps of its pairs
+            self._windows[window] = DepthEstimator(self.camera.cropped(*window), self.partners, self.options)
+        estimator = self._windows[window]
+        estimator.forget()
+        return estimator
+
+
+def _window_around(changed: Mask, size: tuple[int, int]) -> tuple[int, int, int, int]:
+    """(left, top, width, height) of the smallest window on the grid that holds all changed pixels and their context."""
+    starts, stops = [], []
+    for axis, side in zip((0, 1), size, strict=True):
+        where = np.flatnonzero(changed.any(axis=axis))
+        starts.append(max(0, int(where[0]) - CONTEXT_PX) // GRID_PX * GRID_PX)
+        stops.append(min(side, -(-(int(where[-1]) + 1 + CONTEXT_PX) // GRID_PX) * GRID_PX))
+    return starts[0], starts[1], stops[0] - starts[0], stops[1] - starts[1]

@@ -1,0 +1,184 @@
+"""Fill a depth store: every camera and instant that the online part will ask for."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.capture import Capture
+from ggvs_eval.depth_store import DepthStore, describe_depth
+from ggvs_eval.geometry.source_views import SourceChoice, choose_sources
+from ggvs_eval.jobs.engine import Workers
+from ggvs_eval.jobs.run_all import do_all
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
+from ggvs_eval.pipelines.offline.depth.checked_depth import check_depth
+from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
+from ggvs_eval.pipelines.offline.depth.pairing import choose_partners
+from ggvs_eval.pipelines.offline.sensor.registered_capture import registered
+from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthEstimator
+
+
+@dataclass(frozen=True, order=True)
+class DepthJob:
+    """One camera and the partners its depth is computed with; equal jobs give equal depth.
+
+    Attributes:
+        camera_name: the camera whose depth is wanted.
+        partner_names: the cameras it is matched with, in order; none where a sensor measured its depth.
+        checked_with: depth of other cameras that its own is held against; none for depth as it was found.
+    """
+
+    camera_name: str
+    partner_names: tuple[str, ...]
+    checked_with: tuple["DepthJob", ...] = ()
+
+    @property
+    def unchecked(self) -> "DepthJob":
+        """The same depth as it was found."""
+        return replace(self, checked_with=())
+
+
+def plan_depth(
+    capture: Capture, targets: Sequence[Camera], k: int, options: DepthOptions, sources: SourceChoice = "nearest"
+) -> dict[str, dict[str, DepthJob]]:
+    """Plan the depth that each target needs: of its k sources, matched with any camera but the target.
+
+    Args:
+        capture: the capture.
+        targets: cameras to be rendered, of the capture (left out of everything) or of a virtual path.
+        k: number of sources per target.
+        options: parameters.
+        sources: which cameras they are.
+
+    Returns:
+        For each target's name its sources' names, nearest first, each with its job; equal jobs are shared between targets.
+
+    Raises:
+        CameraError: fewer sources than `choose_sources` wants.
+        DepthError: a source that no camera can be matched with.
+    """
+    plan = {}
+    for target in targets:
+        chosen = [each.camera for each in choose_sources(target, capture.cameras, k, sources)]
+        found = {source.name: _plan_job(capture, source, target, options) for source in chosen}
+        plan[target.name] = {name: _checked(job, found, options) for name, job in found.items()}
+    return plan
+
+
+def _plan_job(capture: Capture, source: Camera, target: Camera, options: DepthOptions) -> DepthJob:
+    if _sensor(capture, source.name, options) is not None:
+        return DepthJob(source.name, ())
+    chosen = choose_partners(source, capture.cameras, options.partners, {target.name})
+    return DepthJob(source.name, tuple(each.name for each in chosen))
+
+
+def _checked(job: DepthJob, found: Mapping[str, DepthJob], options: DepthOptions) -> DepthJob:
+    """A source's depth held against that of the view's other sources; in the order of names, so that near targets share it."""
+    others = tuple(found[name] for name in sorted(found) if name != job.camera_name)
+    return job if options.consistency is None else replace(job, checked_with=others)
+
+
+def _sensor(capture: Capture, name: str, options: DepthOptions) -> SensorDepthEstimator | None:
+    """What filters the depth that a sensor measured; None where there is no such depth or it is not wanted."""
+    if options.sensor is None or capture.extras_of(name).depth is None:
+        return None
+    source = registered(capture, options.sensor).extras_of(name).depth
+    return (
+        None if source is None or options.sensor is None else SensorDepthEstimator(capture.camera(name), source, options.sensor)
+    )
+
+
+def depth_spec(capture: Capture, job: DepthJob, options: DepthOptions) -> dict[str, object]:
+    """What a job's depth depends on; `DepthStore.key` makes its key of it."""
+    if job.checked_with and options.consistency is not None:
+        others = [_key(capture, other, options) for other in job.checked_with]
+        return depth_spec(capture, job.unchecked, options) | {"checked_with": others, "check": options.consistency.describe()}
+    names = (job.camera_name, *job.partner_names)
+    camera, *partners = (capture.camera(name) for name in names)
+    sensor = None if partners else _sensor(capture, camera.name, options)
+    described = (sensor or options).describe() | {"resize_filter": capture.resize_filter}
+    return describe_depth(camera, partners, {name: capture.digest(name) for name in names}, described)
+
+
+def prepare_depth(
+    capture: Capture, jobs: Sequence[DepthJob], frames: range, store: DepthStore, options: DepthOptions, workers: Workers
+) -> None:
+    """Compute the depth of every job and frame that the store does not have.
+
+    Jobs run side by side, one process each, frames as a stream. A killed run goes on where it stopped; the result depends neither
+    on the number of workers nor on where they are.
+
+    Args:
+        capture: the capture.
+        jobs: what to compute; equal jobs are computed once.
+        frames: consecutive instants.
+        store: where depth maps go.
+        options: parameters.
+        workers: where jobs run.
+
+    Raises:
+        DepthError: a job that cannot be computed.
+        CaptureError: frames that cannot be read.
+    """
+    if options.sensor is not None:  # estimated once, here, for all workers
+        capture = registered(capture, options.sensor)
+        options = replace(options, sensor=replace(options.sensor, registration="given"))
+    missing = [job for job in dict.fromkeys(jobs) if _missing(store, _key(capture, job, options), frames)]
+    checked = [job for job in missing if job.checked_with]
+    found = [each for job in missing for each in (job.unchecked, *job.checked_with)]
+    _in_workers(_run, capture, found, frames, store, options, workers, "depth maps per camera")
+    _in_workers(_check, capture, checked, frames, store, options, workers, "depth held against other cameras")
+
+
+def _in_workers(
+    work: Callable[[Capture, range, DepthStore, DepthOptions, DepthJob], None],
+    capture: Capture,
+    jobs: Sequence[DepthJob],
+    frames: range,
+    store: DepthStore,
+    options: DepthOptions,
+    workers: Workers,
+    title: str,
+) -> None:
+    """Do what is missing of some jobs, one process each."""
+    missing = [job for job in dict.fromkeys(jobs) if _missing(store, _key(capture, job, options), frames)]
+    do_all(partial(work, capture, frames, store, options), missing, workers, title)
+
+
+def _check(capture: Capture, frames: range, store: DepthStore, options: DepthOptions, job: DepthJob) -> None:
+    """Hold what was found for one camera against the others; runs in a worker."""
+    key = store.write_spec(depth_spec(capture, job, options))
+    own, *others = ((each.camera_name, _key(capture, each, options)) for each in (job.unchecked, *job.checked_with))
+    for frame in sorted(_missing(store, key, frames)):
+        views = [(capture.camera(name), store.read(other, frame)) for name, other in others]
+        store.write(key, frame, check_depth(capture.camera(own[0]), store.read(own[1], frame), views, options))
+
+
+def _run(capture: Capture, frames: range, store: DepthStore, options: DepthOptions, job: DepthJob) -> None:
+    """Compute what is missing of one job; runs in a worker."""
+    key = store.write_spec(depth_spec(capture, job, options))
+    missing = _missing(store, key, frames)
+    if not missing:
+        return
+    names = (job.camera_name, *job.partner_names)
+    camera, *partners = (capture.camera(name) for name in names)
+    sensor = None if partners else _sensor(capture, camera.name, options)
+    if sensor is not None:
+        for frame in sorted(missing):
+            store.write(key, frame, sensor.at(frame, capture.frame(camera.name, frame)))
+        return
+    stream = DepthStream(camera, partners, options)
+    start, stop = options.time.first_needed(min(missing)), max(missing) + 1
+    decoded = [capture.frames(name, start, stop) for name in names]
+    for frame, (image, *partner_images) in zip(range(start, stop), zip(*decoded, strict=True), strict=True):
+        depth_map = stream.step(frame, image, partner_images) if options.time.keyframe_every > 1 or frame in missing else None
+        if depth_map is not None and frame in missing:
+            store.write(key, frame, depth_map)
+
+
+def _key(capture: Capture, job: DepthJob, options: DepthOptions) -> str:
+    return DepthStore.key(depth_spec(capture, job, options))
+
+
+def _missing(store: DepthStore, key: str, frames: range) -> set[int]:
+    return {frame for frame in frames if not store.has(key, frame)}

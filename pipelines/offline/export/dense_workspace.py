@@ -1,0 +1,165 @@
+"""A COLMAP dense workspace of one instant: its `stereo_fusion` and meshers, and whatever reads their files, go on from there.
+
+::
+
+    FOLDER/images/<camera>.png
+    FOLDER/sparse/cameras.txt  images.txt  points3D.txt
+    FOLDER/stereo/depth_maps/<camera>.png.geometric.bin    normal_maps/...    consistency_graphs/
+    FOLDER/stereo/patch-match.cfg  fusion.cfg
+"""
+
+import re
+import shutil
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.camera import Array, Camera
+from ggvs_eval.datasets.colmap_writer import write_model
+from ggvs_eval.depth_store import DepthMap, Map
+from ggvs_eval.errors import DepthError
+from ggvs_eval.files.images import Image8, write_image
+from ggvs_eval.pipelines.offline.export.colmap_arrays import write_array
+from ggvs_eval.pipelines.offline.export.surface_normals import surface_normals
+from ggvs_eval.synthetic.film.surface_points import Sightings
+
+AGREES = 0.01  # a camera sees a point where its own depth differs by no larger share
+# COLMAP reads names up to a blank in images.txt, up to a comma in patch-match.cfg, and a stroke as a folder.
+TELLING = re.compile(r"[\s,/\\]")
+
+
+@dataclass(frozen=True)
+class WorkspaceOptions:
+    """What is exported.
+
+    Attributes:
+        least_confidence: pixels below are exported as unknown: filled ones, and with four partners what one alone believes in.
+        points_per_camera: sparse points taken from each depth map; COLMAP learns from them which images overlap.
+    """
+
+    least_confidence: float = 0.3
+    points_per_camera: int = 1000
+
+
+def write_dense_workspace(
+    cameras: Sequence[Camera],
+    images: Sequence[Image8],
+    depth_maps: Sequence[DepthMap],
+    partners: Mapping[str, Sequence[str]],
+    folder: Path,
+    options: WorkspaceOptions | None = None,
+) -> Path:
+    """Write the workspace whole or not at all.
+
+    Args:
+        cameras: what took the images.
+        images: of one instant, RGB uint8 (H, W, 3), in the order of the cameras.
+        depth_maps: theirs; every number that is kept is written as it is.
+        partners: camera -> the cameras its depth was matched with, for ``patch-match.cfg``; those not exported are passed over.
+        folder: where to; absent or empty.
+        options: by default as they stand.
+
+    Returns:
+        The folder.
+
+    Raises:
+        DepthError: the folder holds something, sizes do not fit, or a name that COLMAP's text files cannot hold.
+
+    Reading:
+        COLMAP marks depth that passed its own check between views as geometric. Ours has passed one between partners, so it goes
+        by that name, the one that `stereo_fusion` asks for. The sparse points are points of the depth maps, each with every
+        camera whose own depth agrees; their normals and the normal maps come from planes fitted to the depth.
+    """
+    options = options or WorkspaceOptions()
+    _check(cameras, images, depth_maps, folder)
+    depths = [np.where(each.confidence >= options.least_confidence, each.depth, np.float32(0)) for each in depth_maps]
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+    try:
+        _write_maps(cameras, images, depths, unfinished)
+        points = _surface_points(cameras, depths, options.points_per_camera)
+        write_model(unfinished / "sparse", cameras, *_shared(cameras, images, depths, points))
+        _write_lists(cameras, partners, unfinished / "stereo")
+        unfinished.chmod(0o755)
+        unfinished.replace(folder)
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
+    return folder
+
+
+def _check(cameras: Sequence[Camera], images: Sequence[Image8], depth_maps: Sequence[DepthMap], folder: Path) -> None:
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise DepthError(f"{folder}: wanted a folder to make, or an empty one, found files; choose another or delete it")
+    for camera, image, depth_map in zip(cameras, images, depth_maps, strict=True):
+        wanted = camera.height, camera.width
+        if image.shape != (*wanted, 3) or image.dtype != np.uint8 or depth_map.depth.shape != wanted:
+            raise DepthError(
+                f"camera {camera.name}: wanted a uint8 image and a depth map of {wanted[0]} x {wanted[1]}, got {image.dtype} "
+                f"{image.shape} and {depth_map.depth.shape}; bring both to the size of the camera"
+            )
+        if TELLING.search(camera.name):
+            raise DepthError(
+                f"camera {camera.name!r}: wanted a name without blanks, commas and strokes, which COLMAP's files cannot hold; "
+                "rename its frames"
+            )
+
+
+def _write_maps(cameras: Sequence[Camera], images: Sequence[Image8], depths: Sequence[Map], folder: Path) -> None:
+    for camera, image, depth in zip(cameras, images, depths, strict=True):
+        write_image(folder / "images" / _image(camera.name), image)
+        for kind, array in (("depth_maps", depth), ("normal_maps", surface_normals(camera, depth))):
+            write_array(folder / "stereo" / kind / f"{_image(camera.name)}.geometric.bin", array)
+
+
+def _write_lists(cameras: Sequence[Camera], partners: Mapping[str, Sequence[str]], folder: Path) -> None:
+    """Which images to match and to fuse; COLMAP chooses partners itself where we know none."""
+    (folder / "consistency_graphs").mkdir(parents=True)
+    names = [camera.name for camera in cameras]
+    lines = []
+    for name in names:
+        known = [_image(other) for other in partners.get(name, ()) if other in names]
+        lines += [_image(name), ", ".join(known) or "__auto__, 20"]
+    (folder / "patch-match.cfg").write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
+    (folder / "fusion.cfg").write_text("".join(f"{_image(name)}\n" for name in names), encoding="utf-8")
+
+
+def _surface_points(cameras: Sequence[Camera], depths: Sequence[Map], count: int) -> Array:
+    """Points of the depth maps in the world, evenly strewn over their known pixels, (P, 3)."""
+    points = [np.zeros((0, 3))]
+    for camera, depth in zip(cameras, depths, strict=True):
+        known = np.flatnonzero(depth)
+        chosen = known[np.linspace(0, len(known) - 1, min(count, len(known))).astype(np.intp)]
+        row, column = np.unravel_index(chosen, depth.shape)
+        centres = np.stack([column, row], axis=1).astype(np.float64) + 0.5
+        points.append(camera.unproject(centres, depth[row, column].astype(np.float64)))
+    return np.concatenate(points)
+
+
+def _shared(
+    cameras: Sequence[Camera], images: Sequence[Image8], depths: Sequence[Map], points: Array
+) -> tuple[list[Sightings], Array]:
+    """What each camera sees of the points that two cameras or more see, and these points."""
+    seen = [_sightings(*each, points) for each in zip(cameras, images, depths, strict=True)]
+    times = np.bincount(np.concatenate([each.point for each in seen]), minlength=len(points))
+    kept = times >= 2
+    renumbered = np.cumsum(kept) - 1
+    shared = [each.rows(kept[each.point]) for each in seen]
+    return [each._replace(point=renumbered[each.point]) for each in shared], points[kept]
+
+
+def _sightings(camera: Camera, image: Image8, depth: Map, points: Array) -> Sightings:
+    """The points that lie on a camera's own depth map."""
+    uv, z = camera.project(points)
+    inside = np.flatnonzero((z > 0) & (uv >= 0).all(axis=1) & (uv < camera.size).all(axis=1))
+    column, row = np.floor(uv[inside]).astype(np.intp).T
+    agrees: NDArray[np.bool_] = np.abs(depth[row, column] - z[inside]) <= AGREES * z[inside]
+    return Sightings(inside[agrees], uv[inside[agrees]], image[row[agrees], column[agrees]])
+
+
+def _image(name: str) -> str:
+    """How the sparse model calls a camera's image."""
+    return f"{name}.png"

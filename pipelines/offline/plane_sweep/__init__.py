@@ -1,0 +1,1 @@
+"""Depth from all partners at once, by sweeping planes through the scene."""

@@ -1,0 +1,185 @@
+"""Partners as the plane sweep sees them: turned to the reference's axes, so that a plane of constant depth scales and shifts.
+
+The planes face the reference camera and lie evenly in inverse depth. A partner's image is resampled once, as a camera at the
+partner's centre with the reference's orientation and focal lengths would have seen it; from then on each plane moves it by a
+scale and a shift only.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.camera import Array, Camera
+from ggvs_eval.pipelines.offline.plane_sweep.sweep_planes import SMALLEST_DENOMINATOR, SweepPlanes
+from ggvs_eval.pipelines.offline.stereo.matcher import Map
+
+Mask = NDArray[np.bool_]
+MIN_RAY_Z = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class PartnerView:
+    """One partner, turned to the reference's axes; everything about it that does not depend on its images.
+
+    What the reference sees in array index (column, row) at inverse depth w lies in the turned image at
+    ``((column, row) + start + slope * w) / (1 - along * w) + origin``.
+
+    Attributes:
+        positions: where each pixel of the turned image lies in the partner's, (Hv, Wv, 2), array indices.
+        first: first column of each row whose window lies inside the partner's image, (Hv,) float32.
+        last: the last one, less than the first where there is none, (Hv,) float32.
+        start: see above, pixels.
+        slope: see above, pixels x world units.
+        along: how far the partner's centre is in front of the reference's, world units.
+        origin: see above, pixels.
+    """
+
+    positions: Map
+    first: Map
+    last: Map
+    start: tuple[float, float]
+    slope: tuple[float, float]
+    along: float
+    origin: tuple[float, float]
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) of the turned image in pixels."""
+        return self.positions.shape[1], self.positions.shape[0]
+
+    @property
+    def motion(self) -> Map:
+        """Start, slope, origin and along as the kernel takes them, (7,)."""
+        return np.array([*self.start, *self.slope, *self.origin, self.along], np.float32)
+
+    def turn(self, grey: Map) -> Map:
+        """The partner's grey image on the reference's axes, (Hv, Wv)."""
+        return cv2.remap(grey, self.positions, None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+
+    def project(self, inverse_depth: Map) -> "Projection":
+        """Where the reference's pixels lie in the turned image, for inverse depths (H, W)."""
+        height, width = inverse_depth.shape
+        columns, rows = np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32)[:, None]
+        start_x, start_y, slope_x, slope_y, x, y, along = self.motion
+        denominator = 1 - along * inverse_depth
+        scale = 1 / np.maximum(denominator, np.float32(SMALLEST_DENOMINATOR))
+        across, down = (columns + start_x + slope_x * inverse_depth) * scale, (rows + start_y + slope_y * inverse_depth) * scale
+        return Projection(
+            column=across + x,
+            row=down + y,
+            inverse_depth=inverse_depth * scale,
+            column_slope=(slope_x + along * across) * scale,
+            row_slope=(slope_y + along * down) * scale,
+            in_front=denominator > SMALLEST_DENOMINATOR,
+        )
+
+    def sees(self, places: "Projection") -> Mask:
+        """Whether whole windows around these places lie inside the partner's image, (H, W)."""
+        nearest = np.clip(np.rint(places.row), 0, self.size[1] - 1).astype(np.intp)
+        inside = (places.row >= 0) & (places.row <= self.size[1] - 1) & places.in_front
+        return inside & (places.column >= self.first[nearest]) & (places.column <= self.last[nearest])
+
+
+@dataclass(frozen=True, eq=False)
+class Projection:
+    """Where the reference's pixels lie in a turned image; (H, W) each.
+
+    Attributes:
+        column: array index.
+        row: array index.
+        inverse_depth: as seen from the partner.
+        column_slope: change of the column per unit of the reference's inverse depth.
+        row_slope: that of the row.
+        in_front: whether the point lies before the partner, and not too near to it.
+    """
+
+    column: Map
+    row: Map
+    inverse_depth: Map
+    column_slope: Map
+    row_slope: Map
+    in_front: Mask
+
+
+def turn_partner(camera: Camera, partner: Camera, planes: SweepPlanes, radius: int) -> PartnerView | None:
+    """Prepare one partner of a sweep; None where it sees nothing of any plane.
+
+    Args:
+        camera: the reference.
+        partner: the partner.
+        planes: the planes of the sweep.
+        radius: of the matched window, pixels.
+    """
+    towards = camera.rotation @ (partner.centre - camera.centre)
+    focal, centre = camera.K[[0, 1], [0, 1]], camera.K[:2, 2]
+    low, high = _reach(camera, partner, towards, planes)
+    if (high - low < 2).any():
+        return None
+    columns, rows = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]))
+    rays = np.stack(
+        [(columns + 0.5 - centre[0]) / focal[0], (rows + 0.5 - centre[1]) / focal[1], np.ones(columns.shape)], axis=-1
+    )
+    turned = rays @ (partner.rotation @ camera.rotation.T).T  # (Hv, Wv, 3), the partner's own axes
+    z = np.maximum(turned[..., 2:], MIN_RAY_Z)
+    positions = turned[..., :2] / z * partner.K[[0, 1], [0, 1]] + partner.K[:2, 2] - 0.5
+    inside = (turned[..., 2] > MIN_RAY_Z) & ((positions >= 0) & (positions <= np.array(partner.size) - 1)).all(axis=-1)
+    window = cv2.getStructuringElement(cv2.MORPH_RECT, (2 * radius + 3, 2 * radius + 3))
+    whole = cv2.erode(inside.astype(np.uint8), window, borderValue=0) > 0
+    if not whole.any():
+        return None
+    some = whole.any(axis=1)
+    return PartnerView(
+        positions=positions.astype(np.float32),
+        first=np.where(some, whole.argmax(axis=1), 1).astype(np.float32),
+        last=np.where(some, whole.shape[1] - 1 - whole[:, ::-1].argmax(axis=1), 0).astype(np.float32),
+        start=_pair(0.5 - centre),
+        slope=_pair(-focal * towards[:2]),
+        along=float(towards[2]),
+        origin=_pair(centre - 0.5 - low),
+    )
+
+
+def _reach(camera: Camera, partner: Camera, towards: Array, planes: SweepPlanes) -> tuple[Array, Array]:
+    """Window of the turned image that the planes project into and the partner sees, array indices; the upper end is excluded."""
+    denominators = 1 - towards[2] * planes.inverse_depths()
+    seen = denominators >= SMALLEST_DENOMINATOR
+    if not seen.any():
+        return np.zeros(2), np.zeros(2)
+    scale, w = 1 / denominators[seen, None, None], planes.inverse_depths()[seen, None, None]  # (P, 1, 1)
+    corners = np.array([[0.5, 0.5], [camera.width - 0.5, camera.height - 0.5]]) - camera.K[:2, 2]
+    found = (corners - camera.K[[0, 1], [0, 1]] * towards[:2] * w) * scale + camera.K[:2, 2] - 0.5  # (P, 2, 2)
+    low, high = np.floor(found.min(axis=(0, 1))) - 2, np.ceil(found.max(axis=(0, 1))) + 3
+    corners = np.array([[u, v] for u in (0, partner.width) for v in (0, partner.height)])
+    rays = np.concatenate([(corners - partner.K[:2, 2]) / partner.K[[0, 1], [0, 1]], np.ones((4, 1))], axis=1)
+    turned = rays @ (camera.rotation @ partner.rotation.T).T
+    if turned[:, 2].min() > MIN_RAY_Z:  # else the image reaches to infinity, and the planes alone bound the window
+        image = turned[:, :2] / turned[:, 2:] * camera.K[[0, 1], [0, 1]] + camera.K[:2, 2] - 0.5
+        low, high = np.maximum(low, np.floor(image.min(axis=0))), np.minimum(high, np.ceil(image.max(axis=0)) + 1)
+    return low, high
+
+
+def _pair(values: Array) -> tuple[float, float]:
+    return float(values[0]), float(values[1])
+
+
+def find_hidden(view: PartnerView, inverse_depth: Map, tolerance_px: float) -> Mask:
+    """Pixels that the surface itself hides from a partner, (H, W).
+
+    Args:
+        view: the partner.
+        inverse_depth: the surface, (H, W), 1 / world units.
+        tolerance_px: what hides a pixel is nearer by a parallax of more than this between reference and partner.
+    """
+    places = view.project(inverse_depth)
+    width, height = view.size
+    parallax_px = np.hypot(places.column_slope, places.row_slope)
+    parallax_px *= inverse_depth / places.inverse_depth  # per unit of the partner's inverse depth
+    column, row = np.rint(places.column), np.rint(places.row)
+    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height) & places.in_front
+    index = np.where(inside, row * width + column, 0).astype(np.intp)
+    nearest: Map = np.zeros(width * height, np.float32)
+    np.maximum.at(nearest, index[inside], places.inverse_depth[inside])
+    grown = cv2.dilate(nearest.reshape(height, width), np.ones((3, 3), np.uint8)).ravel()  # surfaces spread between pixels
+    return inside & ((grown[index] - places.inverse_depth) * parallax_px > tolerance_px)

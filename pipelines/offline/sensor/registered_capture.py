@@ -1,0 +1,64 @@
+"""A capture whose sensor depth is brought to its colour before anything is made of it."""
+
+import hashlib
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+from ggvs_eval.capture import Capture
+from ggvs_eval.pipelines.offline.sensor.registration import with_registration
+from ggvs_eval.pipelines.offline.sensor.registration_estimate import Displacement, measure_registration
+from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthOptions
+
+SEQUENCE_LAYOUT = "rgbd"  # frames of one camera and one sensor; of a rig every camera has a sensor of its own
+
+
+@dataclass(frozen=True)
+class _Sequence:
+    """A capture that is told from others by its content."""
+
+    digest: str
+    capture: Capture = field(compare=False)
+
+
+def is_sequence(capture: Capture) -> bool:
+    """Whether its cameras are frames of one moving camera with one depth sensor."""
+    return capture.layout == SEQUENCE_LAYOUT
+
+
+def registered(capture: Capture, options: SensorDepthOptions | None) -> Capture:
+    """The capture with its sensor depth registered, where that is asked for and found to be of use.
+
+    Args:
+        capture: at the size that is wanted.
+        options: how sensor depth is treated; None where it is not.
+    """
+    if options is None or options.registration == "given" or not is_sequence(capture):
+        return capture
+    measured = displacement(capture)
+    return capture if measured is None else with_registration(capture, measured.applied)
+
+
+def displacement(capture: Capture) -> Displacement | None:
+    """`measure_registration` of all frames, kept for the next question about the same sequence: every depth job asks."""
+    return _measured(_Sequence(_digest(capture), capture))
+
+
+@lru_cache(maxsize=4)
+def _measured(sequence: _Sequence) -> Displacement | None:
+    return measure_registration(sequence.capture)
+
+
+def _digest(capture: Capture) -> str:
+    total = hashlib.sha256()
+    for camera in capture.cameras:
+        source = capture.extras_of(camera.name).depth
+        described = [
+            capture.digest(camera.name),
+            source and source.digest,
+            camera.size,
+            camera.K.tolist(),
+            camera.near,
+            camera.far,
+        ]
+        total.update(repr([*described, camera.world_to_camera.tolist()]).encode())
+    return total.hexdigest()

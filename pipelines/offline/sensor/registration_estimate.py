@@ -1,0 +1,271 @@
+"""The registration of a depth sensor, estimated from the images of its sequence."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.capture import Capture
+from ggvs_eval.pipelines.offline.sensor.depth_edges import DepthEdges, edge_response, find_edges, responses_at
+from ggvs_eval.pipelines.offline.sensor.neighbour_warps import FramePair, choose_pairs, load_pair, warp_errors, warp_psnr_db
+from ggvs_eval.pipelines.offline.sensor.registration import Registration, pose_after, read_depth, with_registration
+
+Array = NDArray[np.float64]
+# Enough frames and edges for a hundredth of a pixel where colour is sharp, in a few seconds.
+FRAMES, EDGES_PER_FRAME, WIDTH_PX, FEWEST_EDGES = 16, 500, 480, 150
+SIGMAS_PX = (4.0, 2.0, 1.4)
+LARGEST_OFFSET_PX, OFFSET_STEP_PX = 12, 2
+# Simplex around the start: pixels, pixels, degrees, frames.
+FIRST_STEPS = np.array([1.0, 1.0, 0.4, 0.3])
+BLOCKS = 4
+# An offset is believed beyond this many pixels and standard errors, and when edges respond better by this much.
+LEAST_PX, LEAST_ERRORS, LEAST_GAIN = 0.5, 3.0, 0.01
+# The scale is looked for within this much of 1, then within this much of the best; and believed from this much on.
+LARGEST_SCALE, FINE_SCALE, LEAST_SCALE = 0.12, 0.02, 0.004
+STEPS = np.linspace(-1, 1, 9)
+
+
+@dataclass(frozen=True)
+class Displacement:
+    """How far sensor depth lies off its colour.
+
+    Attributes:
+        registration: what would mend it, whether it is believed or not.
+        applied: what is believed of that.
+        displacement_px: root mean square over the edges, of images `width_px` wide.
+        error_px: standard error of that, from blocks of frames.
+        response: of colour at the edges of depth, 0..1, as given and mended.
+        scale_error: standard error of the scale.
+        frame_px: rms of the offsets of single frames about the common one; what no common registration mends.
+        psnr_db: of neighbouring frames warped by the depth as given and by `applied`; NaN without pairs.
+        n_edges: edges looked at.
+        n_frames: frames looked at.
+        width_px: width of the images.
+    """
+
+    registration: Registration
+    applied: Registration
+    displacement_px: float
+    error_px: float
+    response: tuple[float, float]
+    scale_error: float
+    frame_px: float
+    psnr_db: tuple[float, float]
+    n_edges: int
+    n_frames: int
+    width_px: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Edges:
+    """Edges of all frames and what colour answers to them.
+
+    Attributes:
+        uv: of the edges in their frames, pixels, (N, 2).
+        upright: whether they run up and down, (N,).
+        frame: number of the frame of each, (N,).
+        motion: where each goes per unit of the parameters, (N, 2, 4).
+        responses: at each smoothing, of upright and lying edges, frames one below the other, (F H, W) each.
+        height: of a frame, pixels.
+    """
+
+    uv: Array
+    upright: NDArray[np.bool_]
+    frame: NDArray[np.intp]
+    motion: Array
+    responses: tuple[tuple[NDArray[np.float32], NDArray[np.float32]], ...]
+    height: int
+
+    def of(self, frames: Sequence[int]) -> "_Edges":
+        """Those of some frames."""
+        chosen = np.isin(self.frame, frames)
+        uv, upright, frame, motion = self.uv[chosen], self.upright[chosen], self.frame[chosen], self.motion[chosen]
+        return replace(self, uv=uv, upright=upright, frame=frame, motion=motion)
+
+    def response(self, values: Array, level: int) -> float:
+        """Mean response of colour to the edges, moved; 0 outside the images."""
+        maps = self.responses[level]
+        uv = self.uv + self.motion[..., : len(values)] @ values
+        inside = (uv >= 0).all(axis=1) & (uv <= (maps[0].shape[1], self.height)).all(axis=1)
+        found = responses_at(maps, self.upright, uv + self.frame[:, None] * np.array([0.0, self.height]))
+        return float(np.where(inside, found, 0).mean(dtype=np.float64)) if len(found) else 0.0
+
+    def displacement_px(self, values: Array) -> float:
+        """Root mean square of how far the edges move."""
+        return float(np.sqrt(((self.motion @ values) ** 2).sum(axis=1).mean()))
+
+
+def measure_registration(capture: Capture, chosen: Sequence[int] | None = None) -> Displacement | None:
+    """How far the depth of a sequence lies off its colour, and what mends it.
+
+    Args:
+        capture: frames of one moving camera before a still scene, each with depth.
+        chosen: which of them to look at; 16 evenly spaced ones when None.
+
+    Returns:
+        None where there is no depth, or too few edges to tell.
+
+    Reading:
+        Where a near surface ends before a far one, colour has an edge too. The offset, roll and delay are those under which the
+        edges of depth meet most colour gradient across them (saturated, so that strong edges do not outvote the others), from
+        coarse to fine. The scale is that under which neighbouring frames, warped by the depth, look most alike. Each is believed
+        only if it is more than three standard errors of four blocks of frames; none that makes warped frames less alike.
+        All frames are looked at, test views too, as calibration does: five numbers of the sensor, none of the picture.
+    """
+    small = _reduced(capture)
+    names = [camera.name for camera in small.cameras if small.extras_of(camera.name).depth is not None]
+    indices = [small.camera_names.index(name) for name in names]
+    if chosen is None:
+        chosen = (
+            [indices[at] for at in np.unique(np.linspace(0, len(indices) - 1, FRAMES).round().astype(int))] if indices else []
+        )
+    if len(chosen) < BLOCKS:
+        return None
+    edges = _gather(small, chosen)
+    if len(edges.uv) < FEWEST_EDGES:
+        return None
+    values, error_px, believed = _estimate_offset(edges, len(chosen))
+    before, after = (edges.response(each, -1) for each in (np.zeros(4), values))
+    moved = _registration(values, small.cameras[0].width)
+    applied = _registration(values if believed else np.zeros(4), small.cameras[0].width)
+    pairs = choose_pairs(small, chosen)
+    scale, scale_error = _estimate_scale(small, applied, pairs)
+    measured = replace(moved, scale=scale)
+    if abs(scale - 1) > max(LEAST_SCALE, LEAST_ERRORS * scale_error):
+        applied = replace(applied, scale=scale)
+    psnr_db = warp_psnr_db(small, pairs), warp_psnr_db(with_registration(small, applied), pairs)
+    if psnr_db[1] < psnr_db[0]:
+        applied, psnr_db = Registration(), (psnr_db[0], psnr_db[0])
+    return Displacement(
+        measured,
+        applied,
+        edges.displacement_px(values),
+        error_px,
+        (before, after),
+        scale_error,
+        _frame_scatter_px(edges, values, len(chosen)),
+        psnr_db,
+        len(edges.uv),
+        len(chosen),
+        small.cameras[0].width,
+    )
+
+
+def _reduced(capture: Capture) -> Capture:
+    width, height = capture.cameras[0].size
+    share = WIDTH_PX / width
+    return capture if share >= 1 else capture.resized(WIDTH_PX, round(height * share), "area")
+
+
+def _gather(capture: Capture, chosen: Sequence[int]) -> _Edges:
+    """Edges of the chosen frames and the responses of their images."""
+    found, responses = [], []
+    for index in chosen:
+        camera = capture.cameras[index]
+        edges = find_edges(read_depth(capture, index)).thinned(EDGES_PER_FRAME)
+        image = capture.frame(camera.name, 0)
+        responses.append([edge_response(image, sigma) for sigma in SIGMAS_PX])
+        u, v = (edges.uv - camera.K[:2, 2]).T
+        one, none = np.ones(len(u)), np.zeros(len(u))
+        columns = [np.stack(pair, axis=1) for pair in ((one, none), (none, one), (-np.radians(v), np.radians(u)))]
+        found.append((edges, np.stack([*columns, _motion_per_frame(capture.cameras, index, edges)], axis=2)))
+    stacked = tuple(
+        (np.concatenate([frame[level][0] for frame in responses]), np.concatenate([frame[level][1] for frame in responses]))
+        for level in range(len(SIGMAS_PX))
+    )
+    frame = np.concatenate([np.full(len(edges.uv), number) for number, (edges, _) in enumerate(found)])
+    uv, upright = (np.concatenate([getattr(edges, name) for edges, _ in found]) for name in ("uv", "upright"))
+    return _Edges(uv, upright, frame, np.concatenate([motion for _, motion in found]), stacked, capture.cameras[0].height)
+
+
+def _motion_per_frame(cameras: tuple[Camera, ...], index: int, edges: DepthEdges) -> Array:
+    """Where edges that were measured a frame later belong, less where they lie, pixels, (N, 2)."""
+    camera = cameras[index]
+    ways = []
+    for frames in (-0.5, 0.5):
+        later = replace(camera, world_to_camera=pose_after(cameras, index, frames))
+        ways.append(camera.project(later.unproject(edges.uv, edges.depth))[0])
+    return np.nan_to_num(ways[1] - ways[0])
+
+
+def _estimate_offset(edges: _Edges, n_frames: int) -> tuple[Array, float, bool]:
+    """Right and down in pixels, roll in degrees, delay in frames, (4,); standard error in pixels; whether they are believed."""
+    blocks = [edges.of(numbers.tolist()) for numbers in np.array_split(np.arange(n_frames), BLOCKS)]
+    start = _coarse(edges)
+    three, four = (_refined(edges, start, free) for free in (3, 4))
+    late_px = edges.displacement_px(np.array([0, 0, 0, four[3]]))
+    delays = [_refined(block, four, 4, last_only=True)[3] for block in blocks if len(block.uv)]
+    gain = edges.response(four, -1) - edges.response(three, -1)
+    is_late = gain > LEAST_GAIN and late_px > LEAST_PX and abs(four[3]) > LEAST_ERRORS * _standard_error(delays)
+    values, free = (four, 4) if is_late else (three, 3)
+    alone = [_refined(block, values, free, last_only=True) for block in blocks if len(block.uv)]
+    error_px = float(np.sqrt(np.mean([edges.displacement_px(each - values) ** 2 for each in alone]) / max(len(alone) - 1, 1)))
+    better = edges.response(values, -1) - edges.response(np.zeros(4), -1)
+    believed = better > LEAST_GAIN and edges.displacement_px(values) > max(LEAST_PX, LEAST_ERRORS * error_px)
+    return values, error_px, believed
+
+
+def _coarse(edges: _Edges) -> Array:
+    steps = np.arange(-LARGEST_OFFSET_PX, LARGEST_OFFSET_PX + 1, OFFSET_STEP_PX, dtype=np.float64)
+    offsets = [np.array([right, down, 0.0, 0.0]) for down in steps for right in steps]
+    return max(offsets, key=lambda offset: (edges.response(offset, 0), -float(np.abs(offset).sum())))
+
+
+def _refined(edges: _Edges, start: Array, free: int, *, last_only: bool = False) -> Array:
+    """The best of the first `free` parameters around a start, the others 0, from coarse to fine or at the finest alone."""
+    from scipy.optimize import minimize
+
+    values = start[:free]
+    for level in [len(SIGMAS_PX) - 1] if last_only else range(len(SIGMAS_PX)):
+        simplex = np.vstack([values, values + np.diag(FIRST_STEPS[:free] * SIGMAS_PX[level] / 2)])
+        options = {"initial_simplex": simplex, "xatol": 0.01, "fatol": 1e-5, "maxiter": 150}
+        values = minimize(partial(_lack, edges, level), values, method="Nelder-Mead", options=options).x
+    return np.append(values, np.zeros(4 - free))
+
+
+def _lack(edges: _Edges, level: int, values: Array) -> float:
+    return -edges.response(values, level)
+
+
+def _standard_error(values: Sequence[float]) -> float:
+    return float(np.std(values, ddof=1) / np.sqrt(len(values))) if len(values) > 1 else float("inf")
+
+
+def _frame_scatter_px(edges: _Edges, values: Array, n_frames: int) -> float:
+    """Median length of the offsets that single frames want beside the common registration."""
+    moved = replace(edges, uv=edges.uv + edges.motion @ values)
+    singles = [single for single in (moved.of([number]) for number in range(n_frames)) if len(single.uv) >= FEWEST_EDGES]
+    rest = [float(np.hypot(*_refined(single, np.zeros(4), 2)[:2])) for single in singles]
+    return float(np.median(rest)) if rest else float("nan")
+
+
+def _registration(values: Array, width_px: int) -> Registration:
+    right, down, roll_deg, delay = (float(value) for value in values)
+    return Registration(right / width_px, down / width_px, float(np.radians(roll_deg)), delay)
+
+
+def _estimate_scale(capture: Capture, applied: Registration, pairs: Sequence[FramePair]) -> tuple[float, float]:
+    """The scale of depth under which warped neighbours look most alike, and its standard error; 1 and infinity without pairs."""
+    if len(pairs) < BLOCKS:
+        return 1.0, float("inf")
+    registered = with_registration(capture, applied)
+    views = [load_pair(registered, pair) for pair in pairs]
+    best = 1.0
+    for width in (LARGEST_SCALE, FINE_SCALE):  # coarse, then around the best
+        scales = best + width * STEPS
+        errors = np.array([warp_errors(view, scales) for view in views])  # (P, S)
+        best = _least(scales, errors.mean(axis=0))
+    blocks = [_least(scales, block.mean(axis=0)) for block in np.array_split(errors, BLOCKS)]
+    return best, _standard_error(blocks)
+
+
+def _least(scales: Array, errors: Array) -> float:
+    """Where a curve over the scales is lowest, between them by a parabola."""
+    at = int(np.clip(errors.argmin(), 1, len(scales) - 2))
+    before, here, after = errors[at - 1 : at + 2]
+    bend = before - 2 * here + after
+    shift = 0.5 * (before - after) / bend if bend > 0 else 0.0
+    return float(scales[at] + np.clip(shift, -1, 1) * (scales[1] - scales[0]))

@@ -1,0 +1,218 @@
+"""Depth that a sensor measured beside the images, made fit for rendering: what no surface explains goes, small holes close."""
+
+from dataclasses import asdict, dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.capture import DepthSource
+from ggvs_eval.depth_store import DepthMap, Map
+from ggvs_eval.errors import DepthError
+from ggvs_eval.files.images import Image8
+from ggvs_eval.pipelines.offline.sensor.registration import RegisteredDepth
+from ggvs_eval.pipelines.offline.sensor.sensor_grid import SensorGrid
+from ggvs_eval.pipelines.offline.sensor.sensor_holes import close_edges, close_holes
+from ggvs_eval.pipelines.offline.stereo.fusion import drop_flying_pixels, smooth_surfaces
+
+ALGORITHM = "sensor-filter 1"  # counts up whenever equal options give other bits
+STEPS = 1000  # of the logarithm of depth in which OpenCV looks for speckles; one is a thousandth of the depth
+RegistrationName = Literal["given", "estimated"]
+OPPOSITE = ((0, 1), (1, 0), (1, 1), (1, -1))  # rows down and columns right to one of two opposite neighbours
+
+
+@dataclass(frozen=True)
+class SensorDepthOptions:
+    """How a sensor's depth is filtered; pixels are the sensor's.
+
+    Attributes:
+        step: neighbours whose depths differ by more than this share of them lie on two surfaces, ...
+        steepest_rad: ... unless a surface whose normal is this far off the ray explains the difference.
+        speckle_px: surfaces of fewer pixels than this are dropped.
+        hole_px: holes up to this wide are filled, along the row or the column; 0 fills nothing.
+        smooth: depth is averaged over neighbours that differ by about this share of it; 0 leaves it.
+        smooth_radius_px: over neighbours this far away.
+        edge_px: confidence falls nearer than this to edges and holes.
+        filled_confidence: confidence of filled pixels, over that of measured ones.
+        registration: "estimated" from the images of a sequence, where that is significant, or as "given".
+
+    Reading:
+        Chosen on a HoloLens sequence, by how far depth warped between near frames agrees, and on validation rooms (demo seeds
+        101-103) seen by a simulated sensor of a half and a third of the resolution with 0.5 % noise.
+    """
+
+    step: float = 0.03
+    steepest_rad: float = 1.4
+    speckle_px: int = 20
+    hole_px: int = 3
+    smooth: float = 0.015
+    smooth_radius_px: int = 4
+    edge_px: float = 3.0
+    filled_confidence: float = 0.2
+    registration: RegistrationName = "given"
+
+    def describe(self) -> dict[str, object]:
+        """The filter as values that JSON knows, with the version of the algorithm; a registration tells of itself where it is."""
+        described = {"algorithm": ALGORITHM, **asdict(self)}
+        del described["registration"]
+        return described
+
+
+class SensorDepthEstimator:
+    """Depth of one camera from the sensor beside it, frame by frame: what `DepthEstimator` is to stereo.
+
+    Args:
+        camera: the camera at the size that is wanted.
+        source: what its sensor measured.
+        options: parameters.
+    """
+
+    def __init__(self, camera: Camera, source: DepthSource, options: SensorDepthOptions) -> None:
+        self.camera = camera
+        self.source = source
+        self.options = options
+
+    def at(self, frame: int, image: Image8) -> DepthMap:
+        """Filtered depth of one instant, see `filter_sensor_depth`.
+
+        Args:
+            frame: number of the instant.
+            image: what the camera saw then, RGB, (H, W, 3).
+
+        Raises:
+            DepthError: the sensor has no such frame, or the image is not of the camera's size.
+        """
+        if not 0 <= frame < self.source.n_frames:
+            raise DepthError(
+                f"camera {self.camera.name}: wanted sensor depth of frame {frame}, the capture has depth of "
+                f"{self.source.n_frames} frames; choose other frames or compute depth by stereo"
+            )
+        return filter_sensor_depth(next(iter(self.source.depths(frame, frame + 1))), image, self.camera, self.options)
+
+    def describe(self) -> dict[str, object]:
+        """What the depth depends on beside camera and images: the options of `describe_depth`."""
+        described = self.options.describe() | {"sensor": self.source.digest}
+        if isinstance(self.source, RegisteredDepth):
+            described["registration"] = asdict(self.source.registration)
+        return described
+
+
+def filter_sensor_depth(depth: Map, image: Image8, camera: Camera, options: SensorDepthOptions) -> DepthMap:
+    """What a sensor measured, without mixed pixels and speckles, at the camera's size.
+
+    Args:
+        depth: z as measured, world units, 0 or not finite = unknown, (h, w): the camera's view at any size.
+        image: what the camera saw, RGB, (H, W, 3).
+        camera: the camera; depth outside its range is unknown.
+        options: parameters.
+
+    Returns:
+        Depth and confidence, (H, W).
+
+    Raises:
+        DepthError: the image is not of the camera's size, or the depth is not a map of numbers.
+
+    Reading:
+        The paper takes RGB-D input and names no filter. Sensors fail at edges, where a pixel sees two surfaces and reports a
+        depth between, and where little light comes back. Confidence is ours, a product: it falls towards edges and holes, with
+        the cosine between ray and surface normal, and by half from the camera to `far`.
+    """
+    _check(depth, image, camera)
+    with np.errstate(invalid="ignore"):
+        known = np.where((depth >= camera.near) & (depth <= camera.far), depth, 0).astype(np.float32)
+    grid = SensorGrid.find(known)
+    pitch = grid.columns.pitch * camera.width / depth.shape[1]  # of the sensor's pixels, in the camera's
+    step = max(options.step, float(np.tan(options.steepest_rad)) * pitch / camera.focal_px)
+    measured = drop_mixed_pixels(grid.reduce(known), step)
+    closed = drop_speckles(close_holes(measured, options.hole_px, step), options.speckle_px, step)
+    smooth = smooth_surfaces(closed, options.smooth, options.smooth_radius_px) if options.smooth > 0 else closed
+    result = close_edges(grid.enlarge(smooth, image, step), image, round(options.hole_px * pitch))
+    filled = grid.repeat(measured, *camera.size) == 0
+    trust = np.where(filled, np.float32(options.filled_confidence), np.float32(1))
+    return DepthMap(result, trust * surface_confidence(result, camera, options.edge_px * pitch, step))
+
+
+def drop_mixed_pixels(depth: Map, step: float) -> Map:
+    """Invalidate pixels that stand between a nearer and a farther neighbour, and those that stand alone.
+
+    Args:
+        depth: (H, W), 0 = unknown.
+        step: share of the depth by which neighbours on two opposite sides are nearer and farther.
+
+    Returns:
+        What remains, (H, W).
+    """
+    mixed = np.zeros(depth.shape, np.bool_)
+    low, high = depth * np.float32(1 - step), depth * np.float32(1 + step)
+    for down, right in OPPOSITE:
+        before, after = (_shift(depth, sign * down, sign * right) for sign in (-1, 1))
+        near, far = np.minimum(before, after), np.maximum(before, after)
+        mixed |= (near > 0) & (near < low) & (far > high)
+    return drop_flying_pixels(np.where(mixed, np.float32(0), depth), step)
+
+
+def drop_speckles(depth: Map, speckle_px: int, step: float) -> Map:
+    """Invalidate connected surfaces of fewer than `speckle_px` pixels; neighbours within the share `step` are connected."""
+    known = depth > 0
+    if speckle_px <= 1 or not known.any():
+        return depth
+    logarithm = np.log(np.where(known, depth, np.float32(1)))
+    steps = np.where(known, 1 + STEPS * (logarithm - logarithm[known].min()), 0)
+    labels = np.rint(np.minimum(steps, np.iinfo(np.int16).max)).astype(np.int16)
+    cv2.filterSpeckles(labels, 0, speckle_px - 1, round(STEPS * step))
+    return np.where(labels > 0, depth, np.float32(0))
+
+
+def surface_confidence(depth: Map, camera: Camera, edge_px: float, step: float) -> Map:
+    """Trust in measured depth from where it lies: away from edges, facing the camera, near, (H, W) in [0, 1], 0 = unknown.
+
+    Args:
+        depth: (H, W), 0 = unknown.
+        camera: its camera.
+        edge_px: distance from edges and holes at which they matter no more, pixels.
+        step: neighbours whose depths differ by more than this share of them are an edge.
+    """
+    known = depth > 0
+    low = cv2.erode(depth, np.ones((3, 3)), borderType=cv2.BORDER_REPLICATE)
+    high = cv2.dilate(depth, np.ones((3, 3)), borderType=cv2.BORDER_REPLICATE)
+    inner = (high - low <= step * low) & known
+    distance = cv2.distanceTransform(np.pad(inner, 1, constant_values=True).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1]
+    range_share = np.minimum(depth / np.float32(camera.far), np.float32(1))
+    confidence = np.minimum((1 + distance) / (1 + edge_px), 1) * _facing(depth, camera) / (1 + range_share**2)
+    return np.where(known, confidence, 0).astype(np.float32)
+
+
+def _facing(depth: Map, camera: Camera) -> Map:
+    """Cosine of the angle between each pixel's ray and the normal of the surface through its neighbours, (H, W)."""
+    slope_down, slope_across = np.gradient(depth.astype(np.float32))
+    fx, fy, cx, cy = camera.K[[0, 1, 0, 1], [0, 1, 2, 2]]
+    u, v = np.arange(camera.width) + 0.5 - cx, (np.arange(camera.height) + 0.5 - cy)[:, None]
+    ray_length = np.sqrt(np.square(u / fx) + np.square(v / fy) + 1)
+    normal = fx * slope_across, fy * slope_down, depth + u * slope_across + v * slope_down  # times the depth, with a sign
+    length = np.sqrt(sum(np.square(part) for part in normal)) * ray_length
+    return (depth / np.maximum(length, 1e-12)).astype(np.float32)
+
+
+def _shift(depth: Map, down: int, right: int) -> Map:
+    """The map moved by some pixels, 0 where nothing comes in."""
+    height, width = depth.shape
+    moved = np.zeros_like(depth)
+    moved[max(down, 0) : height + min(down, 0), max(right, 0) : width + min(right, 0)] = depth[
+        max(-down, 0) : height + min(-down, 0), max(-right, 0) : width + min(-right, 0)
+    ]
+    return moved
+
+
+def _check(depth: Map, image: Image8, camera: Camera) -> None:
+    if depth.ndim != 2 or not np.issubdtype(depth.dtype, np.floating) or depth.size == 0:
+        raise DepthError(
+            f"camera {camera.name}: wanted sensor depth (h, w) of floating-point numbers, got {depth.dtype} {depth.shape}; "
+            "scale the sensor's steps to world units first"
+        )
+    if image.shape != (camera.height, camera.width, 3) or image.dtype != np.uint8:
+        wanted = (camera.height, camera.width, 3)
+        raise DepthError(
+            f"camera {camera.name}: wanted a uint8 image of {wanted}, got {image.dtype} {image.shape}; resize the capture, "
+            "not single images"
+        )

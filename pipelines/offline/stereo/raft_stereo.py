@@ -1,0 +1,122 @@
+"""RAFT-Stereo as a whole: features, correlation, and a recurrent unit that walks along the row to the match.
+
+Reading:
+    `slow_fast_gru` with three levels first updates the coarsest alone, then the two coarse ones, then all; with two levels, the
+    coarse one, then both.
+"""
+
+import torch
+from torch import Tensor, nn
+
+from ggvs_eval.pipelines.offline.stereo.raft_config import RaftConfig
+from ggvs_eval.pipelines.offline.stereo.raft_correlation import VOLUME_BYTES, Correlation, at_least_single
+from ggvs_eval.pipelines.offline.stereo.raft_encoders import ContextEncoder, FeatureEncoder
+from ggvs_eval.pipelines.offline.stereo.raft_update import Context, UpdateBlock, upsample_convex
+from ggvs_eval.residual_block import ResidualBlock
+
+SIZE_MULTIPLE = 32  # images are padded to it
+
+
+class RaftStereo(nn.Module):
+    """The network; parameters bear the names of the published checkpoints.
+
+    Args:
+        config: its shape.
+        volume_bytes: memory for the correlation volume, see `Correlation`.
+    """
+
+    def __init__(self, config: RaftConfig, volume_bytes: int = VOLUME_BYTES) -> None:
+        super().__init__()
+        self.config = config
+        self.volume_bytes = volume_bytes
+        self.cnet = ContextEncoder(config)
+        self.update_block = UpdateBlock(config)
+        self.context_zqr_convs = nn.ModuleList(
+            nn.Conv2d(config.hidden_width, 3 * config.hidden_width, 3, padding=1) for _ in range(config.n_gru_layers)
+        )
+        if config.shared_backbone:
+            wide = config.trunk_widths[-1]
+            self.conv2 = nn.Sequential(
+                ResidualBlock(wide, wide, nn.InstanceNorm2d), nn.Conv2d(wide, config.feature_width, 3, padding=1)
+            )
+        else:
+            self.fnet = FeatureEncoder(config)
+
+    def forward(
+        self, left: Tensor, right: Tensor, iterations: int, initial: Tensor | None = None
+    ) -> tuple[list[Tensor], Tensor, tuple[Tensor, Tensor]]:
+        """Flow after every iteration, and the features of both images, for training.
+
+        Args:
+            left: (B, 3, H, W), 0..255, H and W multiples of 32.
+            right: the same of the other image.
+            iterations: number of updates.
+            initial: flow to start from, in cells, (B, 1, H / factor, W / factor); zero by default.
+
+        Returns:
+            Horizontal flow (negative disparity) in cells after each iteration, (B, 1, H / factor, W / factor) float32 each, the
+            last one in pixels, (B, 1, H, W), and the features that were correlated, (B, C, H / factor, W / factor) each.
+        """
+        seen = self.features(left, right)
+        flows, weights = self._walk(*seen, iterations, initial)
+        return flows, upsample_convex(flows[-1], weights, self.config.factor), seen[:2]
+
+    @torch.inference_mode()
+    def flow(self, left: Tensor, right: Tensor, iterations: int, initial: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """The last flow alone: in pixels, (B, 1, H, W), and in cells, (B, 1, H / factor, W / factor).
+
+        Arguments as of `forward`; gradients are not kept and only the last flow is brought to full size.
+        """
+        flows, weights = self._walk(*self.features(left, right), iterations, initial)
+        return upsample_convex(flows[-1], weights, self.config.factor), flows[-1]
+
+    def features(self, left: Tensor, right: Tensor) -> tuple[Tensor, Tensor, list[tuple[Tensor, Tensor]]]:
+        """Features of both images, (B, C, h, w) each, and (hidden, context) of every level, finest first."""
+        left, right = 2 * (left / 255) - 1, 2 * (right / 255) - 1
+        if self.config.shared_backbone:
+            trunk = self.cnet.trunk(torch.cat([left, right]))
+            pairs = self.cnet.heads(trunk[: left.shape[0]])
+            of_left, of_right = self.conv2(trunk).chunk(2)
+        else:
+            pairs = self.cnet.heads(self.cnet.trunk(left))
+            of_left, of_right = self.fnet(torch.cat([left, right])).chunk(2)
+        return of_left, of_right, [(torch.tanh(hidden), torch.relu(context)) for hidden, context in pairs]
+
+    def _walk(
+        self,
+        of_left: Tensor,
+        of_right: Tensor,
+        pairs: list[tuple[Tensor, Tensor]],
+        iterations: int,
+        initial: Tensor | None,
+    ) -> tuple[list[Tensor], Tensor]:
+        """Flow in cells after each iteration, and the weights that bring the last one to full size."""
+        config = self.config
+        correlation = Correlation(of_left, of_right, config.corr_levels, config.corr_radius, self.volume_bytes)
+        hidden = [state for state, _ in pairs]
+        context = [_split(conv(seen)) for conv, (_, seen) in zip(self.context_zqr_convs, pairs, strict=True)]
+        batch, _, height, width = of_left.shape
+        dtype = torch.promote_types(of_left.dtype, torch.float32)
+        columns = torch.arange(width, device=of_left.device, dtype=dtype).expand(batch, 1, height, width)
+        flow = torch.zeros_like(columns) if initial is None else initial.to(dtype)
+        flows = []
+        for _ in range(iterations):
+            flow = flow.detach()
+            hidden = self._update(hidden, context, correlation.lookup((columns + flow)[:, 0]), flow)
+            flow = flow + at_least_single(self.update_block.flow_head(hidden[0])[:, :1])
+            flows.append(flow)
+        return flows, self.update_block.upsampling_weights(hidden[0])
+
+    def _update(self, hidden: list[Tensor], context: list[Context], correlation: Tensor, flow: Tensor) -> list[Tensor]:
+        block, levels = self.update_block, self.config.n_gru_layers
+        if self.config.slow_fast_gru and levels > 2:
+            hidden = block.coarse(hidden, context, finest=2)
+        if self.config.slow_fast_gru and levels > 1:
+            hidden = block.coarse(hidden, context)
+        two_channels = torch.cat([flow, torch.zeros_like(flow)], dim=1)  # rectified: nothing moves across rows
+        return block.fine(block.coarse(hidden, context), context, correlation, two_channels)
+
+
+def _split(context: Tensor) -> Context:
+    width = context.shape[1] // 3
+    return context[:, : 2 * width], context[:, 2 * width :]

@@ -1,0 +1,134 @@
+"""The recurrent part of RAFT-Stereo: correlation and flow go in, a step of flow and weights for upsampling come out.
+
+Names of modules are those of the published checkpoints; 08, 16 and 32 count as if the finest level lay at an eighth of the image.
+"""
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from ggvs_eval.pipelines.offline.stereo.raft_config import RaftConfig
+from ggvs_eval.pipelines.offline.stereo.raft_correlation import at_least_single
+
+Context = tuple[Tensor, Tensor]  # the context's share of both gates, (B, 2 C, H, W), and of the candidate, (B, C, H, W)
+
+
+class ConvGru(nn.Module):
+    """Gated recurrent unit of 3x3 convolutions; the context's share of each gate is computed once, outside."""
+
+    def __init__(self, hidden: int, width_in: int) -> None:
+        super().__init__()
+        self.convz = nn.Conv2d(hidden + width_in, hidden, 3, padding=1)
+        self.convr = nn.Conv2d(hidden + width_in, hidden, 3, padding=1)
+        self.convq = nn.Conv2d(hidden + width_in, hidden, 3, padding=1)
+
+    def forward(self, hidden: Tensor, context: Context, *inputs: Tensor) -> Tensor:
+        """One step: h' = (1 - z) h + z q, all (B, C, H, W)."""
+        for_gates, for_candidate = context
+        seen = torch.cat(inputs, dim=1)
+        weight = torch.cat([self.convz.weight, self.convr.weight])  # one wide convolution is faster than two
+        bias = torch.cat([gate.bias for gate in (self.convz, self.convr) if gate.bias is not None])
+        gates = functional.conv2d(torch.cat([hidden, seen], dim=1), weight, bias, padding=1)
+        update, reset = torch.sigmoid(gates + for_gates).chunk(2, dim=1)
+        candidate = torch.tanh(self.convq(torch.cat([reset * hidden, seen], dim=1)) + for_candidate)
+        return torch.lerp(hidden, candidate, update)
+
+
+class MotionEncoder(nn.Module):
+    """Mixes correlations with the flow they were looked up at."""
+
+    def __init__(self, config: RaftConfig) -> None:
+        super().__init__()
+        looked_up = config.corr_levels * (2 * config.corr_radius + 1)
+        width = config.motion_width
+        self.convc1 = nn.Conv2d(looked_up, width, 1)
+        self.convc2 = nn.Conv2d(width, width, 3, padding=1)
+        self.convf1 = nn.Conv2d(2, width, 7, padding=3)
+        self.convf2 = nn.Conv2d(width, width, 3, padding=1)
+        self.conv = nn.Conv2d(2 * width, config.hidden_width - 2, 3, padding=1)
+
+    def forward(self, flow: Tensor, correlation: Tensor) -> Tensor:
+        """Flow (B, 2, H, W) and correlations to (B, hidden_width, H, W)."""
+        matched = functional.relu(self.convc2(functional.relu(self.convc1(correlation))))
+        moved = functional.relu(self.convf2(functional.relu(self.convf1(flow))))
+        mixed = functional.relu(self.conv(torch.cat([matched, moved], dim=1)))
+        return torch.cat([mixed, flow.to(mixed.dtype)], dim=1)
+
+
+class FlowHead(nn.Module):
+    """The step of the flow, from the finest hidden state."""
+
+    def __init__(self, width_in: int, width: int) -> None:
+        super().__init__()
+        self.conv1 = nn.Conv2d(width_in, width, 3, padding=1)
+        self.conv2 = nn.Conv2d(width, 2, 3, padding=1)
+
+    def forward(self, hidden: Tensor) -> Tensor:
+        """(B, C, H, W) to (B, 2, H, W)."""
+        step: Tensor = self.conv2(functional.relu(self.conv1(hidden)))
+        return step
+
+
+class UpdateBlock(nn.Module):
+    """One iteration over all levels, coarse to fine."""
+
+    def __init__(self, config: RaftConfig) -> None:
+        super().__init__()
+        hidden, levels = config.hidden_width, config.n_gru_layers
+        self.n_levels = levels
+        self.encoder = MotionEncoder(config)
+        self.gru08 = ConvGru(hidden, hidden + hidden * (levels > 1))
+        self.gru16 = ConvGru(hidden, hidden + hidden * (levels > 2))
+        self.gru32 = ConvGru(hidden, hidden)
+        self.flow_head = FlowHead(hidden, config.head_width)
+        self.mask = nn.Sequential(
+            nn.Conv2d(hidden, config.head_width, 3, padding=1),
+            nn.ReLU(),
+            nn.Conv2d(config.head_width, 9 * config.factor**2, 1),
+        )
+
+    def coarse(self, hidden: list[Tensor], context: list[Context], finest: int = 1) -> list[Tensor]:
+        """Update the levels from the coarsest down to `finest` (1 = all but the finest one)."""
+        hidden = list(hidden)
+        if self.n_levels > 2:
+            hidden[2] = self.gru32(hidden[2], context[2], _halve(hidden[1]))
+        if self.n_levels > 1 and finest <= 1:
+            above = [_resize(hidden[2], hidden[1])] if self.n_levels > 2 else []
+            hidden[1] = self.gru16(hidden[1], context[1], _halve(hidden[0]), *above)
+        return hidden
+
+    def fine(self, hidden: list[Tensor], context: list[Context], correlation: Tensor, flow: Tensor) -> list[Tensor]:
+        """Update the finest level from what is seen at the present flow."""
+        above = [_resize(hidden[1], hidden[0])] if self.n_levels > 1 else []
+        return [self.gru08(hidden[0], context[0], self.encoder(flow, correlation), *above), *hidden[1:]]
+
+    def upsampling_weights(self, hidden: Tensor) -> Tensor:
+        """Weights of convex upsampling before their softmax, (B, 9 * factor**2, H, W)."""
+        weights: Tensor = 0.25 * self.mask(hidden)
+        return weights
+
+
+def upsample_convex(flow: Tensor, weights: Tensor, factor: int) -> Tensor:
+    """Each fine pixel is a convex mixture of the 3x3 coarse cells around it.
+
+    Args:
+        flow: in cells, (B, 1, H, W).
+        weights: before their softmax over the nine cells, (B, 9 * factor**2, H, W).
+        factor: fine pixels per cell along each axis.
+
+    Returns:
+        Flow in fine pixels, (B, 1, factor * H, factor * W).
+    """
+    batch, _, height, width = flow.shape
+    shares = torch.softmax(at_least_single(weights).view(batch, 9, factor, factor, height, width), dim=1)
+    cells = functional.unfold(factor * flow, 3, padding=1).view(batch, 9, 1, 1, height, width)
+    mixed = (shares * cells).sum(dim=1)  # (B, factor, factor, H, W)
+    return mixed.permute(0, 3, 1, 4, 2).reshape(batch, 1, factor * height, factor * width)
+
+
+def _halve(features: Tensor) -> Tensor:
+    return functional.avg_pool2d(features, 3, stride=2, padding=1)
+
+
+def _resize(features: Tensor, like: Tensor) -> Tensor:
+    return functional.interpolate(features, like.shape[2:], mode="bilinear", align_corners=True)

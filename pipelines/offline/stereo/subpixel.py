@@ -1,0 +1,63 @@
+"""Sub-pixel disparity by least squares on the images (one-dimensional Lucas-Kanade).
+
+Semi-global matching interpolates its costs between whole pixels and so prefers whole pixels; on short baselines that bias is the
+largest error in depth.
+"""
+
+import cv2
+import numpy as np
+
+from ggvs_eval.files.images import Image8
+from ggvs_eval.pipelines.offline.stereo.matcher import Map
+
+LARGEST_STEP_PX = 0.5  # larger corrections mean that the match itself is wrong
+NOISE_SLOPE = 4.0  # mean squared slope that noise alone makes, squared grey values per pixel
+
+
+def refine_disparity(left: Image8, right: Image8, disparity: Map, window: int, iterations: int) -> Map:
+    """Move each disparity to where the right image's surroundings fit the left one's best.
+
+    The right image may be exposed differently: the offset is free in each window, the gain is one for all matched points.
+
+    Args:
+        left: grey values, (H, W).
+        right: grey values, (H, W).
+        disparity: (H, W), pixels, 0 = invalid and left so.
+        window: side of the surroundings, pixels.
+        iterations: of the least squares; 2 converge from half a pixel.
+
+    Returns:
+        Refined disparity, (H, W), at most half a pixel per iteration from what was given.
+    """
+    reference, other = left.astype(np.float32), right.astype(np.float32)
+    slope = cv2.Sobel(other, cv2.CV_32F, 1, 0, ksize=3, scale=1 / 8)
+    grid: Map = np.indices(disparity.shape, dtype=np.float32)
+    rows, columns = grid[0], grid[1]
+    valid = disparity > 0
+    if not valid.any():
+        return disparity
+    matched = _sample(other, columns - disparity, rows)[valid]
+    gain = reference[valid].std() / max(matched.std(), np.float32(1))
+    refined = disparity
+    for _ in range(iterations):
+        warped, warped_slope = (gain * _sample(image, columns - refined, rows) for image in (other, slope))
+        step = _solve(reference - warped, warped_slope, valid.astype(np.float32), window)
+        refined = np.where(valid, refined + np.clip(step, -LARGEST_STEP_PX, LARGEST_STEP_PX), np.float32(0))
+    return np.maximum(refined, 0)
+
+
+def _solve(difference: Map, slope: Map, weight: Map, window: int) -> Map:
+    """The step that explains the difference but for a constant per window, (H, W)."""
+    share = np.maximum(cv2.blur(weight, (window, window)), np.float32(1e-6))
+
+    def mean(values: Map) -> Map:
+        return cv2.blur(values * weight, (window, window)) / share
+
+    mean_slope, mean_difference = mean(slope), mean(difference)
+    covariance = mean(slope * difference) - mean_slope * mean_difference
+    variance: Map = np.maximum(mean(slope * slope) - mean_slope * mean_slope, np.float32(0))
+    return -covariance / (variance + np.float32(NOISE_SLOPE))
+
+
+def _sample(image: Map, columns: Map, rows: Map) -> Map:
+    return cv2.remap(image, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
