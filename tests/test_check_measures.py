@@ -13,21 +13,21 @@ from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.geometry.epipolar import MatchedPair, consistent, epipolar_errors, ray_depths
 from ggvs_eval.geometry.features import Features, find_features, match_features
-from ggvs_eval.pipelines.check.calibration_errors import accused, camera_error, pair_error, triangulated_depths
-from ggvs_eval.pipelines.check.camera_record import difference_sigma, largest_change, record_camera
-from ggvs_eval.pipelines.check.check import check_capture
-from ggvs_eval.pipelines.check.colour import camera_gains, check_gain, check_noise
-from ggvs_eval.pipelines.check.depth_range import neighbour_spacing
-from ggvs_eval.pipelines.check.finding import CaptureCheck, Finding, graded, worst
-from ggvs_eval.pipelines.check.frames import common_repeats, frozen_frames
-from ggvs_eval.pipelines.check.intrinsics import check_intrinsics, fields_of_view_deg, off_centre
-from ggvs_eval.pipelines.check.motion_signals import best_lag, motion_energy, plane_angles
-from ggvs_eval.pipelines.check.overlap import seen_share
-from ggvs_eval.pipelines.check.pair_graph import largest_group, solve_differences
-from ggvs_eval.pipelines.check.pairs import neighbour_pairs
-from ggvs_eval.pipelines.check.poses import away_angles, check_poses, look_at_point, roll_angles, same_places
-from ggvs_eval.pipelines.check.repairs import explain_camera, explain_rig, with_focal
-from ggvs_eval.pipelines.check.scale import check_scale
+from ggvs_eval.pipelines.inspection.capture.calibration_errors import accused, camera_error, pair_error, triangulated_depths
+from ggvs_eval.pipelines.inspection.capture.camera_record import difference_sigma, largest_change, record_camera
+from ggvs_eval.pipelines.inspection.capture.check import check_capture
+from ggvs_eval.pipelines.inspection.capture.colour import camera_gains, check_gain, check_noise
+from ggvs_eval.pipelines.inspection.capture.depth_range import neighbour_spacing
+from ggvs_eval.pipelines.inspection.capture.frames import common_repeats, frozen_frames
+from ggvs_eval.pipelines.inspection.capture.intrinsics import check_intrinsics, fields_of_view_deg, off_centre
+from ggvs_eval.pipelines.inspection.capture.motion_signals import best_lag, motion_energy, plane_angles
+from ggvs_eval.pipelines.inspection.capture.overlap import seen_share
+from ggvs_eval.pipelines.inspection.capture.pair_graph import largest_group, solve_differences
+from ggvs_eval.pipelines.inspection.capture.pairs import neighbour_pairs
+from ggvs_eval.pipelines.inspection.capture.poses import away_angles, check_poses, look_at_point, roll_angles, same_places
+from ggvs_eval.pipelines.inspection.capture.repairs import explain_camera, explain_rig, with_focal
+from ggvs_eval.pipelines.inspection.capture.scale import check_scale
+from ggvs_eval.pipelines.inspection.finding import CaptureCheck, Finding, graded, worst
 
 TARGET = np.array([0.5, -0.25, 6.0])
 

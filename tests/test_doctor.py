@@ -9,10 +9,10 @@ import pytest
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import read_image
-from ggvs_eval.pipelines.doctor.examine import examine
-from ggvs_eval.pipelines.doctor.finding import DoctorFinding, findings_table
-from ggvs_eval.pipelines.doctor.run_views import cameras_of_run, views_of_run
-from ggvs_eval.pipelines.doctor.view_frames import ViewFrames
+from ggvs_eval.pipelines.inspection.renders.examine import examine
+from ggvs_eval.pipelines.inspection.renders.finding import DoctorFinding, findings_table
+from ggvs_eval.pipelines.inspection.renders.run_views import cameras_of_run, views_of_run
+from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames
 from ggvs_eval.run_folder import RunFolder, frame_path
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.film.options import DemoOptions

@@ -10,9 +10,9 @@ from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.fetch_lpips import NETS, weights_path
 from ggvs_eval.metrics.strred import luma, pool, strred
 from ggvs_eval.metrics.temporal import tcc
-from ggvs_eval.pipelines.doctor.explain import Convention, explain, explanation_table, printed
-from ggvs_eval.pipelines.doctor.recompute import ALL_VIEWS
-from ggvs_eval.pipelines.doctor.view_frames import ViewFrames
+from ggvs_eval.pipelines.inspection.renders.explain import Convention, explain, explanation_table, printed
+from ggvs_eval.pipelines.inspection.renders.recompute import ALL_VIEWS
+from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames
 
 SHAPE, N_FRAMES = (72, 96), 5
 VIEWS = ("cam00", "cam01", "cam02")

@@ -110,7 +110,7 @@ def check(capture: Folder, reading: Taken = AS_TAKEN, out: Path | None = None, j
         out: JSON file; CAPTURE.check.json in the current folder by default.
         jobs: processes.
     """
-    from ggvs_eval.pipelines.check.check import run_check
+    from ggvs_eval.pipelines.inspection.capture.check import run_check
 
     out = out or Path(f"{capture.resolve().name}.check.json")
     found, table = run_check(capture, out, layout=reading.layout, units=reading.given_units(), workers=jobs)

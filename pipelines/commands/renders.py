@@ -36,9 +36,9 @@ def doctor(
         reading: how the capture is read.
         jobs: processes.
     """
-    from ggvs_eval.pipelines.doctor.examine import examine
-    from ggvs_eval.pipelines.doctor.finding import findings_table
-    from ggvs_eval.pipelines.doctor.run_views import cameras_of_run, views_of_run
+    from ggvs_eval.pipelines.inspection.renders.examine import examine
+    from ggvs_eval.pipelines.inspection.renders.finding import findings_table
+    from ggvs_eval.pipelines.inspection.renders.run_views import cameras_of_run, views_of_run
 
     folder, labels = _rendered(renders, capture, protocol, run, reading, jobs)
     certain = False
@@ -74,9 +74,9 @@ def explain(
         reading: how the capture is read.
         jobs: processes.
     """
-    from ggvs_eval.pipelines.doctor.explain import explain as recompute
-    from ggvs_eval.pipelines.doctor.explain import explanation_table
-    from ggvs_eval.pipelines.doctor.run_views import views_of_run
+    from ggvs_eval.pipelines.inspection.renders.explain import explain as recompute
+    from ggvs_eval.pipelines.inspection.renders.explain import explanation_table
+    from ggvs_eval.pipelines.inspection.renders.run_views import views_of_run
 
     folder, labels = _rendered(renders, capture, protocol, run, reading, jobs)
     if method is None and len(labels) != 1:

@@ -1,0 +1,132 @@
+"""The check of a capture: open it, walk once through every camera's frames, and answer the questions."""
+
+import time
+from collections.abc import Callable
+from concurrent.futures import as_completed
+from pathlib import Path
+
+from ggvs_eval.capture import Capture
+from ggvs_eval.datasets import open_capture
+from ggvs_eval.datasets.units import GivenUnits
+from ggvs_eval.errors import GgvsError
+from ggvs_eval.jobs.processes import worker_pool
+from ggvs_eval.pipelines.inspection.capture import (
+    colour,
+    depth_range,
+    depth_registration,
+    epipolar_findings,
+    frames,
+    intrinsics,
+    overlap,
+    poses,
+    scale,
+    timing,
+)
+from ggvs_eval.pipelines.inspection.capture.calibration_errors import triangulated_depths
+from ggvs_eval.pipelines.inspection.capture.camera_record import CameraRecord, record_camera
+from ggvs_eval.pipelines.inspection.capture.pairs import match_pairs, neighbour_pairs
+from ggvs_eval.pipelines.inspection.finding import RIG, CaptureCheck, Finding
+from ggvs_eval.progress import track
+from ggvs_eval.run_folder import write_json
+
+OPENS = "opens"
+QUESTIONS = (
+    frames.FRAMES,
+    frames.FROZEN,
+    poses.QUESTION,
+    intrinsics.QUESTION,
+    depth_range.QUESTION,
+    overlap.QUESTION,
+    epipolar_findings.QUESTION,
+    timing.QUESTION,
+    colour.GAIN,
+    colour.NOISE,
+    scale.QUESTION,
+)
+
+
+def check_capture(path: Path, *, layout: str | None = None, units: GivenUnits = None, workers: int = 1) -> CaptureCheck:
+    """Find what would spoil results on a capture.
+
+    Every frame is decoded once. A capture that does not open gives one bad finding and leaves the other questions unknown; a
+    frame that cannot be read is a finding too, and the other cameras go on.
+
+    Args:
+        path: the capture.
+        layout: which layout it has; found out when None.
+        units: world units per metre as for `open_capture`.
+        workers: processes that decode, one camera each.
+    """
+    start = time.perf_counter()
+    try:
+        capture = open_capture(path, layout, units=units)
+    except GgvsError as error:
+        return CaptureCheck(path, _unopened(str(error)), time.perf_counter() - start)
+    findings = examine(capture, record_cameras(capture, workers))
+    return CaptureCheck(path, findings, time.perf_counter() - start)
+
+
+def run_check(
+    path: Path,
+    out_json: Path | None = None,
+    *,
+    layout: str | None = None,
+    units: GivenUnits = None,
+    workers: int = 1,
+) -> tuple[CaptureCheck, str]:
+    """Check a capture and write the outcome beside; nothing is printed.
+
+    Args:
+        path: the capture.
+        out_json: file to write the findings to; none when None.
+        layout: which layout it has; found out when None.
+        units: world units per metre as for `open_capture`.
+        workers: processes.
+
+    Returns:
+        The check and its table as text.
+    """
+    check = check_capture(path, layout=layout, units=units, workers=workers)
+    if out_json is not None:
+        write_json(out_json, check.to_json())
+    return check, check.table()
+
+
+def record_cameras(capture: Capture, workers: int) -> list[CameraRecord]:
+    """Walk through the frames of all cameras, one process per camera at a time."""
+    names = capture.camera_names
+    if min(workers, len(names)) <= 1:
+        return [record_camera(capture, name) for name in track(names, "reading frames")]
+    with worker_pool(min(workers, len(names))) as pool:
+        jobs = [pool.submit(record_camera, capture, name) for name in names]
+        for job in track(as_completed(jobs), "reading frames", len(jobs)):
+            job.result()
+    return [job.result() for job in jobs]
+
+
+def examine(capture: Capture, records: list[CameraRecord]) -> tuple[Finding, ...]:
+    """Answer every question from the cameras and what was recorded of their frames."""
+    cameras = capture.cameras
+    verdict = epipolar_findings.check_epipolar(cameras, records, match_pairs(cameras, records, neighbour_pairs(cameras)))
+    depths = triangulated_depths(cameras, verdict.pairs, verdict.trusted)
+    answers: tuple[Callable[[], tuple[Finding, ...]], ...] = (
+        lambda: frames.check_frames(capture, records),
+        lambda: frames.check_frozen(records),
+        lambda: poses.check_poses(cameras, verdict.suspects),
+        lambda: intrinsics.check_intrinsics(cameras),
+        lambda: depth_range.check_depth_range(cameras, depths, verdict.suspects),
+        lambda: overlap.check_overlap(cameras, capture.sensed_cameras),
+        lambda: verdict.findings,
+        lambda: timing.check_timing(cameras, records, verdict.suspects, capture.fps),
+        lambda: colour.check_gain(capture.camera_names, verdict.pairs),
+        lambda: colour.check_noise(records),
+        lambda: scale.check_scale(capture, depths),
+        lambda: depth_registration.check_depth_registration(capture),
+    )
+    return tuple(finding for answer in answers for finding in answer())
+
+
+def _unopened(message: str) -> tuple[Finding, ...]:
+    """What can be said of a capture that does not open."""
+    first = Finding(RIG, OPENS, "bad", message, {}, "mend this first")
+    return (first, *(Finding(RIG, question, "unknown", "the capture does not open") for question in QUESTIONS))

@@ -1,0 +1,109 @@
+"""Frames: how many, what cannot be read, and which stand still while the others go on."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.capture import Capture
+from ggvs_eval.pipelines.inspection.capture.camera_record import CameraRecord
+from ggvs_eval.pipelines.inspection.finding import RIG, Finding
+
+FRAMES, FROZEN = "frames", "frozen frames"
+# A repeated frame differs from its twin by the codec's rounding only; a real one by noise and motion.
+STILL_SHARE = 0.1
+# Below, the picture stands still anyway and nothing can be told.
+LEAST_CHANGE = 1.0
+# The other cameras must show at least this share of their usual change at that instant.
+MOVING_SHARE = 0.3
+BAD_FROZEN, BAD_FROZEN_SHARE = 3, 0.05
+LISTED = 6
+
+
+def check_frames(capture: Capture, records: Sequence[CameraRecord]) -> tuple[Finding, ...]:
+    """Counts, sizes, rate, and frames that cannot be read."""
+    sizes = sorted({camera.size for camera in capture.cameras})
+    shown = ", ".join(f"{width} x {height}" for width, height in sizes)
+    rate = f"{capture.fps:g} fps" if capture.fps else "one instant"
+    measured = f"{len(capture.cameras)} cameras, {capture.n_frames} frame{'s' * (capture.n_frames > 1)} of {shown}, {rate}"
+    values = {"layout": capture.layout, "n_cameras": len(capture.cameras), "n_frames": capture.n_frames, "fps": capture.fps}
+    values |= {"sizes": [list(size) for size in sizes], "notes": list(capture.notes)}
+    measured += "".join(f"; {note}" for note in capture.notes)
+    return (Finding(RIG, FRAMES, "ok", measured, values), *(_judge_damage(record, capture.n_frames) for record in records))
+
+
+def check_frozen(records: Sequence[CameraRecord]) -> tuple[Finding, ...]:
+    """Frames that repeat the one before."""
+    if all(np.isnan(record.change).all() for record in records):
+        reason = "fewer than two frames in a row"
+        return tuple(Finding(subject, FROZEN, "unknown", reason) for subject in (RIG, *(record.name for record in records)))
+    change = np.stack([record.change for record in records])  # (N, T)
+    frozen, common = frozen_frames(change), common_repeats(change)
+    judged = [
+        _judge_frozen(record.name, list(map(int, np.flatnonzero(row)))) for record, row in zip(records, frozen, strict=True)
+    ]
+    if common.any():
+        measured = f"frames {_listed(list(map(int, np.flatnonzero(common))))} repeat the one before in all cameras"
+        advice = "a converted frame rate? use the original videos"
+        return (Finding(RIG, FROZEN, "warn", measured, {"frames": np.flatnonzero(common).tolist()}, advice), *judged)
+    measured = "none" if not frozen.any() else f"{int(frozen.sum())} in {int(frozen.any(axis=1).sum())} cameras"
+    return (Finding(RIG, FROZEN, "ok", measured, {"n_frozen": int(frozen.sum())}), *judged)
+
+
+def frozen_frames(change: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Frames that repeat the one before while other cameras see things move, (N, T).
+
+    Args:
+        change: largest change of each camera and frame, (N, T), NaN where unknown.
+    """
+    share = _relative(change)
+    moving = np.stack([_usual_of_others(share, index) for index in range(len(share))])
+    return np.asarray((share < STILL_SHARE) & (moving > MOVING_SHARE))
+
+
+def common_repeats(change: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Frames that repeat the one before in every camera, (T,)."""
+    share = _relative(change)
+    known = np.isfinite(share)
+    return np.asarray(known.any(axis=0) & ((share < STILL_SHARE) | ~known).all(axis=0) & (known.sum(axis=0) > 1))
+
+
+def _relative(change: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Change as a share of each camera's usual one; NaN for cameras in which nothing ever moves."""
+    usual = np.array([np.median(row[np.isfinite(row)]) if np.isfinite(row).any() else np.nan for row in change], np.float64)
+    usual[~(usual >= LEAST_CHANGE)] = np.nan
+    return change / usual[:, None]
+
+
+def _usual_of_others(share: NDArray[np.float64], index: int) -> NDArray[np.float64]:
+    """Median over the other cameras, (T,); NaN, which is above nothing, where none of them is known."""
+    others = np.delete(share, index, axis=0)
+    known = np.isfinite(others).any(axis=0)
+    middle = np.full(share.shape[1], np.nan)
+    middle[known] = np.nanmedian(others[:, known], axis=0)
+    return middle
+
+
+def _judge_damage(record: CameraRecord, n_frames: int) -> Finding:
+    values = {"n_read": record.n_read, "damaged": [damage.frame for damage in record.damage]}
+    if not record.damage:
+        return Finding(record.name, FRAMES, "ok", f"{record.n_read} frames read", values)
+    first = record.damage[0]
+    measured = f"frame {first.frame} cannot be read, {n_frames - record.n_read} of {n_frames} missing: {first.message}"
+    return Finding(record.name, FRAMES, "bad", measured, values, "restore the file, or leave this camera out")
+
+
+def _judge_frozen(name: str, frames: list[int]) -> Finding:
+    values = {"frames": frames}
+    if not frames:
+        return Finding(name, FROZEN, "ok", "none", values)
+    measured = (
+        f"frames {_listed(frames)} repeat the one before" if len(frames) > 1 else f"frame {frames[0]} repeats the one before"
+    )
+    return Finding(
+        name, FROZEN, "bad" if len(frames) >= BAD_FROZEN else "warn", measured, values, "copy or convert this video again"
+    )
+
+
+def _listed(frames: list[int]) -> str:
+    return ", ".join(map(str, frames[:LISTED])) + (", ..." if len(frames) > LISTED else "")

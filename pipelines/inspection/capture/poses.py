@@ -1,0 +1,153 @@
+"""Poses: rotations, doubles, and whether the cameras look at one scene the same way up."""
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.pipelines.inspection.finding import RIG, Finding
+
+Array = NDArray[np.float64]
+QUESTION = "poses"
+# Rotations stored as 32-bit numbers are off by 1e-6; more is rounding in a text file, or no rotation.
+SLANTED = 1e-3
+# Two cameras nearer than this share of the rig's extent are one camera twice.
+SAME_PLACE_SHARE = 1e-4
+# Hand-held and mounted cameras differ by some 30 degrees in roll; beyond 90 a picture is upside down.
+ROLLED_RAD, UPSIDE_DOWN_RAD = np.radians(45), np.radians(120)
+# Axes within this angle are as good as parallel: they meet nowhere, and agree by pointing the same way.
+PARALLEL_RAD = np.radians(3)
+TURNED_AWAY_RAD = np.radians(90)
+ITERATIONS = 20
+
+
+def check_poses(cameras: Sequence[Camera], doubtful: Collection[int] = ()) -> tuple[Finding, ...]:
+    """Judge the poses by themselves.
+
+    Args:
+        cameras: the rig.
+        doubtful: indices of cameras whose images contradict their pose; of two at one place they are the wrong ones.
+    """
+    target = look_at_point(cameras)
+    away = away_angles(cameras, target)
+    rolls = roll_angles(cameras)
+    doubles = [
+        [other for other in others if index in doubtful or other not in doubtful]
+        for index, others in enumerate(same_places(cameras))
+    ]
+    n_outside = int(sum(angle > half_view_rad(camera) for angle, camera in zip(away, cameras, strict=True)))
+    # Without a common region nobody looks away from it.
+    away_known = away if n_outside <= len(cameras) / 3 else np.zeros(len(cameras))
+    judged = [
+        _judge(camera, float(away_known[index]), float(rolls[index]), [cameras[other].name for other in doubles[index]])
+        for index, camera in enumerate(cameras)
+    ]
+    values = {"extent": round(rig_extent(cameras), 4), "target": None if target is None else [round(float(x), 4) for x in target]}
+    seen = (
+        "look the same way" if target is None else f"look at one region, {np.degrees(np.median(away)):.0f} deg off at the median"
+    )
+    if n_outside > len(cameras) / 3:
+        measured = (
+            f"no region that all look at: {n_outside} of {len(cameras)} cameras do not have the common point in the picture"
+        )
+        advice = "a moving or outward-looking camera? else the poses may be inverted or in other axes"
+        return (Finding(RIG, QUESTION, "warn", measured, values, advice), *judged)
+    return (Finding(RIG, QUESTION, "ok", f"{len(cameras)} cameras {seen}, right-handed", values), *judged)
+
+
+def look_at_point(cameras: Sequence[Camera]) -> Array | None:
+    """The point that most viewing axes pass near, (3,); None where they are parallel.
+
+    Reading:
+        The sum of distances to the axes is minimised (reweighted least squares), so that one camera that looks elsewhere does not
+        pull the point to itself.
+    """
+    axes, centres = np.stack([camera.axis for camera in cameras]), np.stack([camera.centre for camera in cameras])
+    if np.median(np.arccos(np.clip(axes @ _median_direction(axes), -1, 1))) < PARALLEL_RAD / 2:
+        return None
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]  # (N, 3, 3)
+    weights, point = np.ones(len(cameras)), centres.mean(axis=0)
+    for _ in range(ITERATIONS):
+        left = np.einsum("n,nij->ij", weights, across)
+        point = np.linalg.lstsq(left, np.einsum("n,nij,nj->i", weights, across, centres), rcond=None)[0]
+        distance = np.linalg.norm(np.einsum("nij,nj->ni", across, point - centres), axis=1)
+        weights = 1 / np.maximum(distance, 1e-3 * max(rig_extent(cameras), 1e-9))
+    return np.asarray(point)
+
+
+def away_angles(cameras: Sequence[Camera], target: Array | None) -> Array:
+    """Angle between each viewing axis and the direction to the common point (or the common direction), radians, (N,)."""
+    axes, centres = np.stack([camera.axis for camera in cameras]), np.stack([camera.centre for camera in cameras])
+    if target is None:
+        cosines = axes @ _median_direction(axes)
+    else:
+        towards = target - centres
+        cosines = (axes * towards).sum(axis=1) / np.maximum(np.linalg.norm(towards, axis=1), 1e-12)
+    return np.asarray(np.arccos(np.clip(cosines, -1, 1)))
+
+
+def roll_angles(cameras: Sequence[Camera]) -> Array:
+    """Angle in each picture between its downward axis and the rig's common down, radians, (N,).
+
+    Only the turn about the viewing axis counts: cameras on opposite sides that look down at the scene have different downward
+    axes and are not rolled. One that looks along the common down gets 0.
+    """
+    axes, downs = (np.stack([camera.rotation[row] for camera in cameras]) for row in (2, 1))
+    common = _median_direction(downs)
+    shown = common - axes * (axes @ common)[:, None]  # the common down in each picture
+    length = np.linalg.norm(shown, axis=1)
+    cosines = (shown * downs).sum(axis=1) / np.maximum(length, 1e-12)
+    return np.where(length > 0.2, np.arccos(np.clip(cosines, -1, 1)), 0.0)
+
+
+def same_places(cameras: Sequence[Camera]) -> list[list[int]]:
+    """For each camera the others at the same place."""
+    centres = np.stack([camera.centre for camera in cameras])
+    distances = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
+    same = distances <= SAME_PLACE_SHARE * rig_extent(cameras)
+    np.fill_diagonal(same, False)
+    return [list(np.flatnonzero(row)) for row in same]
+
+
+def rig_extent(cameras: Sequence[Camera]) -> float:
+    """Largest distance between two centres, world units."""
+    centres = np.stack([camera.centre for camera in cameras])
+    return float(np.linalg.norm(centres[:, None] - centres[None], axis=-1).max())
+
+
+def half_view_rad(camera: Camera) -> float:
+    """Angle between the viewing axis and the corners of the picture, radians."""
+    return float(np.arctan(np.hypot(*camera.size) / 2 / camera.focal_px))
+
+
+def _judge(camera: Camera, away_rad: float, roll_rad: float, doubles: list[str]) -> Finding:
+    slant = float(np.abs(camera.rotation @ camera.rotation.T - np.eye(3)).max())
+    values = {"away_deg": round(np.degrees(away_rad), 2), "roll_deg": round(np.degrees(roll_rad), 2), "not_orthonormal": slant}
+    if doubles:
+        advice = "one pose was written twice; restore this camera's own or leave it out"
+        return Finding(camera.name, QUESTION, "bad", f"same place as {', '.join(doubles)}", values, advice)
+    if away_rad > TURNED_AWAY_RAD:
+        measured = f"looks away from the others' scene, by {np.degrees(away_rad):.0f} deg"
+        return Finding(camera.name, QUESTION, "bad", measured, values, "mirrored or inverted pose? check axes and handedness")
+    if roll_rad > UPSIDE_DOWN_RAD:
+        measured = f"upside down against the others, by {np.degrees(roll_rad):.0f} deg"
+        return Finding(camera.name, QUESTION, "warn", measured, values, "mounted on its head? else its y axis is turned round")
+    if away_rad > half_view_rad(camera):
+        measured = f"the others' common point is out of its picture, {np.degrees(away_rad):.0f} deg off its axis"
+        return Finding(camera.name, QUESTION, "warn", measured, values, "look whether it films the same scene")
+    if roll_rad > ROLLED_RAD:
+        measured = f"rolled by {np.degrees(roll_rad):.0f} deg against the others"
+        return Finding(camera.name, QUESTION, "warn", measured, values, "check that its frames are turned like its pose")
+    if slant > SLANTED:
+        return Finding(camera.name, QUESTION, "warn", f"rotation off by {slant:.1e}", values, "store poses with more digits")
+    return Finding(camera.name, QUESTION, "ok", f"{np.degrees(away_rad):.0f} deg off the common point", values)
+
+
+def _median_direction(directions: Array) -> Array:
+    """The unit vector with the least sum of distances to some; a minority that points elsewhere does not pull it away."""
+    mean = directions.mean(axis=0)
+    for _ in range(ITERATIONS):
+        weights = 1 / np.maximum(np.linalg.norm(directions - mean, axis=1), 1e-6)
+        mean = (directions * weights[:, None]).sum(axis=0) / weights.sum()
+    return np.asarray(mean / max(float(np.linalg.norm(mean)), 1e-12))

@@ -1,0 +1,42 @@
+"""World units per metre, where they come from, and the sizes that they imply."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.capture import Capture
+from ggvs_eval.pipelines.inspection.capture.depth_range import neighbour_spacing
+from ggvs_eval.pipelines.inspection.finding import RIG, Finding
+
+Array = NDArray[np.float64]
+QUESTION = "units"
+GUESS = "guess"
+# Rooms, stages and streets; rigs from a phone's pair of lenses to a stadium's.
+SCENE_M, SPACING_M = (0.2, 100.0), (0.005, 10.0)
+
+
+def check_scale(capture: Capture, depths: Mapping[int, Array]) -> tuple[Finding, ...]:
+    """Judge the scale by the metres it gives for the scene's depth and the cameras' spacing.
+
+    Args:
+        capture: the capture.
+        depths: depths of triangulated matches per camera, world units, where there are any.
+    """
+    medians = [float(np.median(values)) for values in depths.values() if len(values)]
+    depth = float(np.median(medians or [np.sqrt(camera.near * camera.far) for camera in capture.cameras]))
+    depth_m = depth / capture.units_per_metre
+    spacing_m = (
+        float(np.median(neighbour_spacing(capture.cameras))) / capture.units_per_metre if len(capture.cameras) > 1 else np.nan
+    )
+    values = {"units_per_metre": capture.units_per_metre, "origin": capture.units_origin, "median_depth_m": round(depth_m, 4)}
+    measured = f"{capture.units_per_metre:.4g} units per metre ({capture.units_origin}): scene {depth_m:.2f} m away"
+    if np.isfinite(spacing_m):
+        values["spacing_m"] = round(spacing_m, 4)
+        measured += f", neighbours {100 * spacing_m:.0f} cm apart"
+    if not SCENE_M[0] < depth_m < SCENE_M[1] or not (np.isnan(spacing_m) or SPACING_M[0] < spacing_m < SPACING_M[1]):
+        return (Finding(RIG, QUESTION, "warn", measured, values, "measure a baseline and give the units (--units)"),)
+    if capture.units_origin.startswith(GUESS):
+        advice = "measure one baseline or two points and give it (units.toml); thresholds in metres depend on it"
+        return (Finding(RIG, QUESTION, "warn", measured, values, advice),)
+    return (Finding(RIG, QUESTION, "ok", measured, values),)

@@ -1,0 +1,98 @@
+"""The examination of renders: each question in turn, and what it finds is mended before the next is asked."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from ggvs_eval.pipelines.inspection.renders.colour import find_channel_order, find_tone
+from ggvs_eval.pipelines.inspection.renders.copied import find_copied
+from ggvs_eval.pipelines.inspection.renders.finding import DoctorFinding
+from ggvs_eval.pipelines.inspection.renders.identity import CameraPictures, find_identity, remember
+from ggvs_eval.pipelines.inspection.renders.jpeg import find_jpeg
+from ggvs_eval.pipelines.inspection.renders.offset import find_offset
+from ggvs_eval.pipelines.inspection.renders.placement import find_placement, shared_shift
+from ggvs_eval.pipelines.inspection.renders.repeats import resized, scan_frames
+from ggvs_eval.pipelines.inspection.renders.upscaling import find_upscaling
+from ggvs_eval.pipelines.inspection.renders.view_frames import FrameReader, ViewFrames, take_sample
+
+SAMPLED_FRAMES = 12
+
+
+def examine(
+    views: Mapping[str, ViewFrames], cameras: Mapping[str, FrameReader] | None = None, sampled_frames: int = SAMPLED_FRAMES
+) -> list[DoctorFinding]:
+    """Find what went wrong between a method and the folder of its renders.
+
+    An honest rendering, blurred, ghosted, off in colour as it may be, gets no finding: a fault is told only where it explains the
+    pictures better than no fault does, by a margin, at every instant looked at.
+
+    Args:
+        views: name -> rendered and captured frames.
+        cameras: captured frames of further cameras, which a view may be mistaken for; the views' own are known.
+        sampled_frames: neighbouring instants to look at per view; besides, every rendered frame is read once.
+
+    Returns:
+        Findings by view, in the order of the views.
+
+    Raises:
+        CaptureError: a frame that cannot be read.
+    """
+    readers = dict(cameras or {}) | {name: view.truth for name, view in views.items()}
+    pictures = {name: remember(read) for name, read in readers.items()}
+    examined = {name: _examine_view(name, view, pictures, sampled_frames) for name, view in views.items()}
+    shared = shared_shift({name: one.shift_px for name, one in examined.items() if one.shift_px is not None})
+    findings: list[DoctorFinding] = []
+    for name, one in examined.items():
+        is_told = any(finding.fault == "shift" for finding in one.findings)
+        findings += [*one.findings, *(extra for extra in shared if extra.view == name and not is_told)]
+    return findings
+
+
+@dataclass(frozen=True)
+class _Examined:
+    """Findings of one view, and its shift where it could be measured."""
+
+    findings: list[DoctorFinding]
+    shift_px: tuple[float, float] | None = None
+
+
+def _examine_view(name: str, view: ViewFrames, cameras: Mapping[str, CameraPictures], count: int) -> _Examined:
+    scan = scan_frames(name, view)
+    usable = _longest_run(scan.usable)
+    if not usable:
+        return _Examined(scan.findings)
+    view = replace(view, frames=usable, truth_frames=view.known_truth)
+    has_size = all(finding.fault != "wrong size" for finding in scan.findings)
+    if not has_size:
+        height, width = view.truth(usable[0]).shape[:2]
+        view = view.with_rendered(lambda image: resized(image, width, height))
+    # Traces in the pixels as they lie on disk. JPEG has a period of its own, and so has what was cropped and enlarged.
+    jpeg = find_jpeg(name, view) if has_size else []
+    enlarged = find_upscaling(name, view) if has_size and not jpeg else []
+    picture = _examine_picture(name, view, cameras, count)
+    enlarged = [] if any(finding.fault == "wrong resize" for finding in picture.findings) else enlarged
+    return _Examined([*scan.findings, *picture.findings, *enlarged, *jpeg], picture.shift_px)
+
+
+def _examine_picture(name: str, view: ViewFrames, cameras: Mapping[str, CameraPictures], count: int) -> _Examined:
+    """What the picture shows, and when, and in which colours, and where."""
+    findings, view = find_identity(name, view, cameras)
+    placed = find_placement(name, view)
+    view = placed.view
+    sample = take_sample(view, count)
+    found, view = find_offset(name, view, sample)
+    sample = take_sample(view, count) if found else sample
+    findings += found
+    found, view = find_channel_order(name, view, sample)
+    sample = take_sample(view, count) if found else sample
+    findings += found + find_tone(name, sample)
+    return _Examined(findings + find_copied(name, view) + placed.findings, placed.shift_px)
+
+
+def _longest_run(indices: list[int]) -> range:
+    """The longest run of consecutive numbers, which is what can be compared over time."""
+    longest, start = range(0), 0
+    for end in range(1, len(indices) + 1):
+        if end == len(indices) or indices[end] != indices[end - 1] + 1:
+            longest = max(longest, range(indices[start], indices[end - 1] + 1), key=len)
+            start = end
+    return longest

@@ -1,0 +1,121 @@
+"""What a quoted number means: it is recomputed under the conventions in use, and those that give it are named."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from decimal import Decimal, InvalidOperation
+
+from ggvs_eval.errors import MetricError
+from ggvs_eval.pipelines.inspection.renders.frame_conventions import l1_conventions, lpips_conventions, psnr_conventions
+from ggvs_eval.pipelines.inspection.renders.recompute import ALL_VIEWS, MaskReader, Recomputed
+from ggvs_eval.pipelines.inspection.renders.ssim_conventions import ssim_conventions
+from ggvs_eval.pipelines.inspection.renders.sted_conventions import sted_conventions
+from ggvs_eval.pipelines.inspection.renders.time_conventions import sdt_conventions, sdv_conventions, tcc_conventions
+from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames
+from ggvs_eval.pipelines.inspection.text_table import text_table
+
+# Single and double precision disagree by this share of a value; a quoted one may come from either.
+ROUNDING = 5e-6
+Masks = Mapping[str, MaskReader]
+FAMILIES: Mapping[str, Callable[[Mapping[str, ViewFrames], Masks], list[Recomputed]]] = {
+    "psnr": psnr_conventions,
+    "ssim": ssim_conventions,
+    "lpips": lpips_conventions,
+    "l1": l1_conventions,
+    "tcc": tcc_conventions,
+    "sted": sted_conventions,
+    "sdt": sdt_conventions,
+    "sdv": sdv_conventions,
+}
+
+
+@dataclass(frozen=True)
+class Convention:
+    """One way to compute a metric, and what comes of it here.
+
+    Attributes:
+        name: what is done, in words.
+        views: ``all views``, or the one view that alone gives the value.
+        value: the number.
+        matches: whether it is the quoted one to its printed digits.
+        is_ours: whether this tool's own tables print it.
+    """
+
+    name: str
+    views: str
+    value: float
+    matches: bool
+    is_ours: bool
+
+
+def explain(metric: str, quoted: str, views: Mapping[str, ViewFrames], masks: Masks | None = None) -> list[Convention]:
+    """Recompute a number under every known convention of its metric.
+
+    Args:
+        metric: psnr, ssim, lpips, l1, tcc, sted, sdt or sdv, in any case.
+        quoted: the number as it was printed, e.g. ``31.170``; its digits say how well it has to be met.
+        views: name -> rendered and captured frames.
+        masks: name -> frame number -> (H, W) bool, for conventions that leave pixels out.
+
+    Returns:
+        Every convention over all views, and over each view alone where there are several; those of this tool first.
+
+    Raises:
+        MetricError: an unknown metric, a quoted value that is no number, no views, or frames that the metric cannot have.
+        WeightsError: LPIPS without its weights.
+    """
+    family = metric.lower()
+    if family not in FAMILIES:
+        raise MetricError(f"no conventions known of {metric!r}; there are {', '.join(FAMILIES)}")
+    if not views:
+        raise MetricError("no views to recompute the number from; name at least one")
+    wanted, tolerance = printed(quoted)
+    rows = FAMILIES[family](views, masks or {})
+    conventions = [
+        Convention(row.name, over, value, abs(value - wanted) <= tolerance + ROUNDING * abs(value), row.is_ours)
+        for row in rows
+        for over, value in row.values.items()
+        if len(views) > 1 or over == ALL_VIEWS
+    ]
+    return sorted(conventions, key=lambda one: not one.is_ours)
+
+
+def printed(quoted: str) -> tuple[float, float]:
+    """A printed number, and half of its last digit.
+
+    Raises:
+        MetricError: not a finite number.
+    """
+    try:
+        number = Decimal(quoted.strip())
+    except InvalidOperation:
+        number = Decimal("NaN")
+    exponent = number.as_tuple().exponent
+    if not number.is_finite() or not isinstance(exponent, int):
+        raise MetricError(f"wanted a number as it was printed, e.g. 0.936, got {quoted!r}")
+    return float(number), 0.5 * 10.0**exponent
+
+
+def explanation_table(metric: str, quoted: str, conventions: Sequence[Convention], width: int = 130) -> str:
+    """What was found as text: a sentence, and the conventions over all views, with those over one view that match."""
+    wanted, _ = printed(quoted)
+    shown = [one for one in conventions if one.views == ALL_VIEWS or one.matches]
+    rows = [
+        ("=" if one.matches else "", "ours" if one.is_ours else "", f"{one.value:.6g}", one.views, one.name)
+        for one in sorted(shown, key=lambda one: (not one.matches, not one.is_ours, abs(one.value - wanted)))
+    ]
+    table = text_table(("", " ", metric.upper(), "over", "convention"), rows, width, stretched=("convention",))
+    return f"{_sentence(metric.upper(), quoted, wanted, conventions)}\n\n{table}"
+
+
+def _sentence(metric: str, quoted: str, wanted: float, conventions: Sequence[Convention]) -> str:
+    matching = [one for one in conventions if one.matches]
+    if not matching:
+        nearest = min(conventions, key=lambda one: abs(one.value - wanted))
+        return f"none of the known conventions gives {metric} {quoted}; the nearest is {nearest.value:.6g}: {_full_name(nearest)}"
+    if len(matching) == 1:
+        return f"{metric} {quoted} is {_full_name(matching[0])}{', as in our tables' if matching[0].is_ours else ''}"
+    return f"{metric} {quoted} is what {len(matching)} conventions give; more digits or other frames would tell them apart"
+
+
+def _full_name(convention: Convention) -> str:
+    return convention.name + ("" if convention.views == ALL_VIEWS else f", {convention.views} alone")

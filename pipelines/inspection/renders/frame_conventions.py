@@ -1,0 +1,151 @@
+"""Conventions of PSNR, L1 and LPIPS."""
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.files.images import Image8
+from ggvs_eval.pipelines.inspection.renders.recompute import (
+    ALL_VIEWS,
+    FrameMeasure,
+    MaskReader,
+    Recomputed,
+    frame_means,
+    mean_over_views,
+    view_pairs,
+)
+from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames
+
+BT601 = np.array([0.299, 0.587, 0.114])
+BT709 = np.array([0.2126, 0.7152, 0.0722])
+CROPPED_SHARE = 0.1
+Planes = NDArray[np.float64]
+Preparation = Callable[[Image8, Image8], tuple[Planes, Planes]]
+CEILING_DB = 100.0
+
+
+def _rgb(rendered: Image8, truth: Image8) -> tuple[Planes, Planes]:
+    return rendered.astype(np.float64), truth.astype(np.float64)
+
+
+def _luma(rendered: Image8, truth: Image8) -> tuple[Planes, Planes]:
+    return rendered @ BT601, truth @ BT601
+
+
+def _video_luma(rendered: Image8, truth: Image8) -> tuple[Planes, Planes]:
+    """Luma in 16..235, as super-resolution measures it."""
+    return 16 + rendered @ BT601 * 219 / 255, 16 + truth @ BT601 * 219 / 255
+
+
+def cropped(rendered: Image8, truth: Image8) -> tuple[Image8, Image8]:
+    """Both frames without a tenth of their size at every side."""
+    rows, columns = (round(size * CROPPED_SHARE) for size in truth.shape[:2])
+    inner = slice(rows, truth.shape[0] - rows), slice(columns, truth.shape[1] - columns)
+    return rendered[inner], truth[inner]
+
+
+def _colour_corrected(rendered: Image8, truth: Image8) -> tuple[Planes, Planes]:
+    """The rendering after the affine colour map of this frame that fits best, clipped."""
+    design = np.concatenate([rendered.reshape(-1, 3), np.full((truth.size // 3, 1), 255)], axis=1).astype(np.float64)
+    target = truth.reshape(-1, 3).astype(np.float64)
+    fitted, *_ = np.linalg.lstsq(design.T @ design, design.T @ target, rcond=1e-12)
+    return np.clip(design @ fitted, 0, 255), target
+
+
+PREPARATIONS: Mapping[str, Preparation] = {
+    "RGB": _rgb,
+    "luma (BT.601) in 0..255": _luma,
+    "luma (BT.601) in 16..235, peak 255": _video_luma,
+    "RGB without a border of 10 %": lambda rendered, truth: _rgb(*cropped(rendered, truth)),
+    "RGB after the best affine colour map": _colour_corrected,
+}
+OUR_PSNR = "RGB, mean of the frames' PSNR"
+
+
+def psnr_conventions(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskReader]) -> list[Recomputed]:
+    """PSNR over several kinds of pixels, averaged before or after the logarithm."""
+    from skimage.metrics import mean_squared_error
+
+    errors: dict[str, dict[str, list[float]]] = {name: {} for name in PREPARATIONS}
+    for view, frames in views.items():
+        table = [[mean_squared_error(*prepare(*pair)) for prepare in PREPARATIONS.values()] for pair in view_pairs(frames)]
+        for i, name in enumerate(PREPARATIONS):
+            errors[name][view] = [row[i] for row in table]
+    if masks:
+        errors |= _masked_errors(views, masks)
+    return [row for name, by_view in errors.items() for row in _averaged(name, by_view)]
+
+
+def _averaged(name: str, errors: Mapping[str, list[float]]) -> list[Recomputed]:
+    """Mean of PSNRs, PSNR of the mean squared error, and the latter per view."""
+    per_frame = mean_over_views({view: np.mean(decibels(np.array(values))) for view, values in errors.items()})
+    per_view = mean_over_views({view: float(decibels(np.mean(values))) for view, values in errors.items()})
+    pooled = {ALL_VIEWS: float(decibels(np.mean([value for values in errors.values() for value in values])))}
+    rows = [Recomputed(f"{name}, mean of the frames' PSNR", per_frame, f"{name}, mean of the frames' PSNR" == OUR_PSNR)]
+    if len(errors) > 1:
+        rows.append(Recomputed(f"{name}, PSNR of each view's mean squared error", per_view))
+    single = {view: value for view, value in per_view.items() if view != ALL_VIEWS} if len(errors) == 1 else {}
+    return [*rows, Recomputed(f"{name}, PSNR of the mean squared error", pooled | single)]
+
+
+def decibels(squared_error_255: NDArray[np.float64] | np.floating | float) -> NDArray[np.float64]:
+    """PSNR on the scale 0..255, at most 100 dB."""
+    return np.minimum(-10 * np.log10(np.maximum(squared_error_255, 1e-12) / 255**2), CEILING_DB)
+
+
+def _masked_errors(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskReader]) -> dict[str, dict[str, list[float]]]:
+    """Squared errors of the pixels inside the masks, and of whole frames that are black outside."""
+    inside: dict[str, list[float]] = {}
+    blackened: dict[str, list[float]] = {}
+    for view in (view for view in views if view in masks):
+        rows = []
+        for index in views[view].frames:
+            mask = masks[view](index)
+            squared = np.square(views[view].rendered(index).astype(np.float64) - views[view].truth(index))[mask]
+            rows.append((float(squared.mean()) if mask.any() else 0.0, float(squared.sum()) / (3 * mask.size)))
+        inside[view], blackened[view] = ([row[i] for row in rows] for i in (0, 1))
+    if not inside:
+        return {}
+    return {"pixels inside the mask": inside, "frames black outside the mask": blackened}
+
+
+OUR_L1 = "mean over pixels and channels, 0..255"
+
+
+def l1_conventions(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskReader]) -> list[Recomputed]:
+    """Mean absolute error in several units."""
+
+    def absolute(rendered: Image8, truth: Image8) -> float:
+        return float(np.abs(rendered.astype(np.float64) - truth).mean())
+
+    measures: dict[str, FrameMeasure] = {
+        OUR_L1: absolute,
+        "mean over pixels and channels, 0..1": lambda *pair: absolute(*pair) / 255,
+        "sum over channels, mean over pixels, 0..255": lambda *pair: 3 * absolute(*pair),
+        "sum over channels, mean over pixels, 0..1": lambda *pair: 3 * absolute(*pair) / 255,
+        "without a border of 10 %, 0..255": lambda *pair: absolute(*cropped(*pair)),
+        "without a border of 10 %, 0..1": lambda *pair: absolute(*cropped(*pair)) / 255,
+    }
+    return frame_means(views, measures, OUR_L1)
+
+
+OUR_LPIPS = "VGG, inputs in [-1, 1]"
+
+
+def lpips_conventions(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskReader]) -> list[Recomputed]:
+    """LPIPS v0.1 on either network, also with inputs left in [0, 1], which it was not trained on."""
+    from ggvs_eval.metrics.lpips import lpips
+
+    def unscaled(image: Image8) -> NDArray[np.float32]:
+        return np.asarray(
+            (image.astype(np.float32) / 255 + 1) / 2, np.float32
+        )  # `lpips` maps this to [0, 1] where it expects [-1, 1]
+
+    measures: dict[str, FrameMeasure] = {
+        OUR_LPIPS: lambda rendered, truth: lpips(rendered, truth, "vgg"),
+        "AlexNet, inputs in [-1, 1]": lambda rendered, truth: lpips(rendered, truth, "alex"),
+        "VGG, inputs in [0, 1]": lambda rendered, truth: lpips(unscaled(rendered), unscaled(truth), "vgg"),
+        "AlexNet, inputs in [0, 1]": lambda rendered, truth: lpips(unscaled(rendered), unscaled(truth), "alex"),
+    }
+    return frame_means(views, measures, OUR_LPIPS)
