@@ -16,8 +16,8 @@ import pandas as pd
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.pipelines.depth_validation.judge import validate_depth
-from ggvs_eval.pipelines.evaluate import evaluate
 from ggvs_eval.pipelines.methods.registry import usual_methods
+from ggvs_eval.pipelines.run.evaluate import evaluate
 from ggvs_eval.protocol import load_protocol
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import write_json

@@ -8,8 +8,8 @@ import pytest
 
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.pipelines.evaluate import recorded_capture
-from ggvs_eval.pipelines.prepare import prepare_truth
+from ggvs_eval.pipelines.run.evaluate import recorded_capture
+from ggvs_eval.pipelines.run.prepare import prepare_truth
 from ggvs_eval.protocol import CameraPath, Frames, Synthesis, Views, load_protocol
 from ggvs_eval.run_folder import RunFolder, read_json, write_json
 from ggvs_eval.synthetic.demo import write_demo

@@ -13,10 +13,10 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.pipelines import demo_runs
 from ggvs_eval.pipelines.commands.main import run_command
-from ggvs_eval.pipelines.demo_runs import capture_beside, demo_root, evaluate_demos
-from ggvs_eval.pipelines.suggest_protocol import suggest_protocol
+from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
+from ggvs_eval.pipelines.sweep import demo_runs
+from ggvs_eval.pipelines.sweep.demo_runs import capture_beside, demo_root, evaluate_demos
 from ggvs_eval.protocol import CameraPath, Frames, Protocol, Synthesis, Views, load_protocol
 from ggvs_eval.results import Results
 from ggvs_eval.synthetic.demo import write_demo

@@ -9,9 +9,9 @@ import trimesh
 
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import DepthError
-from ggvs_eval.pipelines.depth_outputs import export_prepared, fuse_prepared, write_prepared_page
 from ggvs_eval.pipelines.offline.export.colmap_arrays import read_array
-from ggvs_eval.pipelines.prepare import Prepared, prepare
+from ggvs_eval.pipelines.run.depth_outputs import export_prepared, fuse_prepared, write_prepared_page
+from ggvs_eval.pipelines.run.prepare import Prepared, prepare
 from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthesis, Views
 from stereo_scenes import PLANE, write_capture
 

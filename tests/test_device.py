@@ -16,14 +16,14 @@ from ggvs_eval.baselines.gps_gaussian.tile_batches import TILE, blend_batches
 from ggvs_eval.baselines.gps_gaussian.tile_renderer import _tiles, blend_gaussians
 from ggvs_eval.compute_device import clock_s, compute_device, computing_on, describe_device, rendering_on
 from ggvs_eval.errors import DeviceError
-from ggvs_eval.pipelines import render
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.methods.network_choice import NetworkChoice
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
 from ggvs_eval.pipelines.planning.work_left import plan_frames
-from ggvs_eval.pipelines.scoring.score import _devices
-from ggvs_eval.pipelines.synthesizer import OnlineSynthesizer
+from ggvs_eval.pipelines.play.synthesizer import OnlineSynthesizer
+from ggvs_eval.pipelines.run import render
+from ggvs_eval.pipelines.run.score import _devices
 from ggvs_eval.reports import page
 from ggvs_eval.results import COLUMNS, Results, merge_results
 from ggvs_eval.run_folder import RunFolder, write_json

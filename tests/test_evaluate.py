@@ -12,13 +12,13 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError, ProtocolError, RenderError
 from ggvs_eval.files.images import read_image, write_image
-from ggvs_eval.pipelines.evaluate import evaluate, reopen
 from ggvs_eval.pipelines.methods.registry import METHODS
-from ggvs_eval.pipelines.prepare import prepare
-from ggvs_eval.pipelines.render import render
+from ggvs_eval.pipelines.run.evaluate import evaluate, reopen
 from ggvs_eval.pipelines.run.import_renders import import_renders
-from ggvs_eval.pipelines.scoring.score import score, score_jobs
-from ggvs_eval.pipelines.suggest_protocol import suggest_protocol
+from ggvs_eval.pipelines.run.prepare import prepare
+from ggvs_eval.pipelines.run.render import render
+from ggvs_eval.pipelines.run.score import score, score_jobs
+from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
 from ggvs_eval.protocol import Frames, Protocol, Synthesis, Views, load_protocol
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder, frame_path, read_json

@@ -6,7 +6,7 @@ import pytest
 from captures import NAMES, make_image, write_dynerf
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.pipelines.frame_cache import cache_frames
+from ggvs_eval.pipelines.run.frame_cache import cache_frames
 from ggvs_eval.run_folder import frame_path
 
 

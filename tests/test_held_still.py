@@ -13,8 +13,8 @@ from ggvs_eval.errors import CaptureError, ProtocolError
 from ggvs_eval.files.images import read_image
 from ggvs_eval.pipelines.commands.captures import ReadingOptions
 from ggvs_eval.pipelines.commands.main import run_command
-from ggvs_eval.pipelines.evaluate import reopen
-from ggvs_eval.pipelines.prepare import prepare
+from ggvs_eval.pipelines.run.evaluate import reopen
+from ggvs_eval.pipelines.run.prepare import prepare
 from ggvs_eval.protocol import Frames, Synthesis, Views, load_protocol
 from ggvs_eval.run_folder import frame_path, read_json
 from ggvs_eval.synthetic.demo import write_demo

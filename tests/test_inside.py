@@ -7,12 +7,12 @@ import pytest
 
 from blender_inputs import inputs_of
 from ggvs_eval.files.images import read_image
-from ggvs_eval.pipelines.evaluate import evaluate
-from ggvs_eval.pipelines.inside_pictures import VIEW_COLOURS, view_colours
 from ggvs_eval.pipelines.online.blend_maps import blend_maps
 from ggvs_eval.pipelines.online.blend_network import SURE
 from ggvs_eval.pipelines.online.full_size import composed
 from ggvs_eval.pipelines.online.network_blender import filled_picture, view_shares
+from ggvs_eval.pipelines.run.diagnostics import VIEW_COLOURS, view_colours
+from ggvs_eval.pipelines.run.evaluate import evaluate
 from ggvs_eval.reports.comparison import compare_frames
 from ggvs_eval.reports.inside import MEANINGS
 from ggvs_eval.reports.measured import read_run

@@ -11,11 +11,11 @@ from command_line import refusal
 from ggvs_eval.errors import ProtocolError, ResultsError
 from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.pipelines.commands.main import run_command
-from ggvs_eval.pipelines.merging import merge as merging
-from ggvs_eval.pipelines.merging.merge import merge_runs
-from ggvs_eval.pipelines.prepare import prepare
-from ggvs_eval.pipelines.render import render
-from ggvs_eval.pipelines.scoring.score import score
+from ggvs_eval.pipelines.run.prepare import prepare
+from ggvs_eval.pipelines.run.render import render
+from ggvs_eval.pipelines.run.score import score
+from ggvs_eval.pipelines.sweep.merging import merge as merging
+from ggvs_eval.pipelines.sweep.merging.merge import merge_runs
 from ggvs_eval.protocol import Protocol, Synthesis
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, read_json

@@ -6,7 +6,7 @@ import pytest
 
 from captures import make_rig
 from ggvs_eval.capture import Capture
-from ggvs_eval.pipelines.suggest_protocol import suggest_protocol
+from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
 from ggvs_eval.protocol import load_protocol, packaged_protocols
 
 

@@ -14,9 +14,9 @@ from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.planning import plan as run_plan
 from ggvs_eval.pipelines.planning.estimate import Portion
 from ggvs_eval.pipelines.planning.plan import plan_runs
+from ggvs_eval.pipelines.planning.run_request import Wish
 from ggvs_eval.pipelines.planning.score_trial import try_scoring
 from ggvs_eval.pipelines.planning.unfilmed import demo_to_plan
-from ggvs_eval.pipelines.planning.wish import Wish
 from ggvs_eval.pipelines.planning.work_left import plan_frames
 from ggvs_eval.run_folder import RunFolder, frame_path
 from small_runs import LABELS, small_options, small_protocol, write_small_capture

@@ -10,12 +10,12 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.errors import CameraError, GgvsError, RenderError
 from ggvs_eval.files.images import quantise
 from ggvs_eval.files.video import VideoFrames
-from ggvs_eval.pipelines.camera_loop import camera_loop
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
-from ggvs_eval.pipelines.play import Timing, record
-from ggvs_eval.pipelines.prepare import prepare
-from ggvs_eval.pipelines.reel import PlayOptions, blocks_of, reel_of_capture, reel_of_run
-from ggvs_eval.pipelines.synthesizer import OnlineSynthesizer
+from ggvs_eval.pipelines.play.play import Timing, record
+from ggvs_eval.pipelines.play.playback import PlayOptions, blocks_of, reel_of_capture, reel_of_run
+from ggvs_eval.pipelines.play.synthesizer import OnlineSynthesizer
+from ggvs_eval.pipelines.play.trajectory import camera_loop
+from ggvs_eval.pipelines.run.prepare import prepare
 from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthesis, Views
 from stereo_scenes import HEIGHT, WIDTH, plane_depth, see_plane, write_capture
 

@@ -12,7 +12,7 @@ import pytest
 from ggvs_eval.errors import RenderError
 from ggvs_eval.jobs.engine import Engine
 from ggvs_eval.jobs.run_all import do_all
-from ggvs_eval.pipelines.evaluate import measure
+from ggvs_eval.pipelines.run.evaluate import measure
 from ggvs_eval.protocol import Protocol
 from small_runs import LABELS, small_protocol, write_small_capture
 

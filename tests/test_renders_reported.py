@@ -6,7 +6,7 @@ import pytest
 
 from ggvs_eval.files.images import write_image
 from ggvs_eval.pipelines.run.import_renders import import_renders
-from ggvs_eval.pipelines.scoring.score import score
+from ggvs_eval.pipelines.run.score import score
 from ggvs_eval.reports.report import write_report
 from ggvs_eval.results import merge_results
 from ggvs_eval.run_folder import RunFolder

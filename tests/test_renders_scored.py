@@ -12,9 +12,9 @@ from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import RenderError, ResultsError
 from ggvs_eval.files.images import write_image
 from ggvs_eval.pipelines.commands.main import run_command
-from ggvs_eval.pipelines.prepare import prepare_truth
 from ggvs_eval.pipelines.run.import_renders import import_renders
-from ggvs_eval.pipelines.scoring.score import score
+from ggvs_eval.pipelines.run.prepare import prepare_truth
+from ggvs_eval.pipelines.run.score import score
 from ggvs_eval.protocol import Frames, Measurement, Protocol, Synthesis, Views, load_protocol
 from ggvs_eval.results import Results, merge_results
 from ggvs_eval.run_folder import RunFolder, frame_path

@@ -12,7 +12,6 @@ from command_line import refusal
 from ggvs_eval.errors import ProtocolError
 from ggvs_eval.jobs.shard import WHOLE, Shard
 from ggvs_eval.pipelines.commands.main import run_command
-from ggvs_eval.pipelines.evaluate import measure
 from ggvs_eval.pipelines.methods.network_choice import AS_SHIPPED
 from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
@@ -21,8 +20,9 @@ from ggvs_eval.pipelines.planning import probe as trial
 from ggvs_eval.pipelines.planning.estimate import DEPTH_BYTES, Portion
 from ggvs_eval.pipelines.planning.plan import RunPlan, duration, plan_runs
 from ggvs_eval.pipelines.planning.rates import Rates
-from ggvs_eval.pipelines.planning.wish import Wish
+from ggvs_eval.pipelines.planning.run_request import Wish
 from ggvs_eval.pipelines.planning.work_left import WorkLeft, plan_frames
+from ggvs_eval.pipelines.run.evaluate import measure
 from ggvs_eval.pipelines.sweep.cells import wishes_of
 from ggvs_eval.protocol import CameraPath, Frames, Protocol, Synthesis
 from ggvs_eval.run_folder import RunFolder
@@ -125,7 +125,7 @@ def test_a_trial_is_not_wasted(tried, finished):
 
 def test_a_tried_run_equals_one_that_was_not(finished, capture, protocol, tmp_path):
     """Depth and captured frames of the first instants are the same bytes with and without a trial."""
-    from ggvs_eval.pipelines.prepare import prepare
+    from ggvs_eval.pipelines.run.prepare import prepare
 
     prepare(tmp_path / "run", capture, dataclasses.replace(protocol, frames=Frames(0, 1), path=CameraPath(0)))
     made = [file for folder in ("truth", "depth") for file in (tmp_path / "run" / folder).rglob("*.*") if file.is_file()]

@@ -6,13 +6,13 @@ import pytest
 
 from ggvs_eval.errors import CameraError
 from ggvs_eval.geometry.source_views import choose_sources
-from ggvs_eval.pipelines.evaluate import measure
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
-from ggvs_eval.pipelines.prepare import plan
-from ggvs_eval.pipelines.render import render_jobs
-from ggvs_eval.pipelines.suggest_protocol import suggest_protocol
-from ggvs_eval.pipelines.synthesizer import OnlineSynthesizer
+from ggvs_eval.pipelines.play.synthesizer import OnlineSynthesizer
+from ggvs_eval.pipelines.run.evaluate import measure
+from ggvs_eval.pipelines.run.prepare import plan
+from ggvs_eval.pipelines.run.render import render_jobs
+from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
 from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthesis, Views
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder, read_json

@@ -12,7 +12,7 @@ from ggvs_eval.errors import CameraError, DepthError, GgvsError, RenderError
 from ggvs_eval.files.images import quantise, read_image
 from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
-from ggvs_eval.pipelines.synthesizer import DEFAULT_METHOD, OnlineSynthesizer
+from ggvs_eval.pipelines.play.synthesizer import DEFAULT_METHOD, OnlineSynthesizer
 from scenes import camera_at, instant, look
 
 RIG = [camera_at(x) for x in (-0.45, -0.15, 0.15, 0.45)]

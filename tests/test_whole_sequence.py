@@ -11,8 +11,8 @@ from ggvs_eval.method import Instant, LookaheadMethod, SourceView
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
 from ggvs_eval.pipelines.online.whole_sequence import WholeSequence
-from ggvs_eval.pipelines.prepare import prepare
-from ggvs_eval.pipelines.render import render
+from ggvs_eval.pipelines.run.prepare import prepare
+from ggvs_eval.pipelines.run.render import render
 from ggvs_eval.protocol import CameraPath, Frames, Synthesis, Views, load_protocol
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
 from ggvs_eval.synthetic.demo import write_demo

@@ -4,7 +4,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from ggvs_eval.pipelines.planning.wish import Wish
+from ggvs_eval.pipelines.planning.run_request import Wish
 
 
 def announce(wishes: Sequence[Wish], jobs: int, folder: Path, dry_run: bool = False) -> None:

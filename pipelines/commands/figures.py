@@ -18,7 +18,7 @@ def report(runs: Annotated[tuple[Path, ...], tyro.conf.Positional], out: Path | 
         runs: run folders of one protocol.
         out: folder to write; RUN/report of the first run by default.
     """
-    from ggvs_eval.pipelines.evaluate import report as write
+    from ggvs_eval.pipelines.run.evaluate import report as write
 
     print(write(runs, out))
 

@@ -51,7 +51,7 @@ def score(
     """
     from ggvs_eval.pipelines.run.import_renders import import_renders
     from ggvs_eval.pipelines.run.run_for import named_renders, run_for
-    from ggvs_eval.pipelines.scoring.score import score as measure
+    from ggvs_eval.pipelines.run.score import score as measure
 
     if folder and run:
         raise ProtocolError(f"wanted one run folder, got {folder} and --run {run}; give one of them")

@@ -27,8 +27,8 @@ def merge(
         copy: copy files; otherwise they are linked where the file system can.
         jobs: processes that measure what no run has measured.
     """
-    from ggvs_eval.pipelines.merging.merge import merge_runs
-    from ggvs_eval.pipelines.scoring.score import score
+    from ggvs_eval.pipelines.run.score import score
+    from ggvs_eval.pipelines.sweep.merging.merge import merge_runs
 
     if len(runs) < 2:
         raise ResultsError(f"wanted at least two run folders to merge into {out}, got {len(runs)}; copy a single one")

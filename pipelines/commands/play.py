@@ -11,7 +11,7 @@ from ggvs_eval.pipelines.commands.captures import BY_DEFAULT, FOUND_BY_DEFAULT, 
 from ggvs_eval.pipelines.commands.runs import Device
 from ggvs_eval.pipelines.methods.network_choice import found_device
 from ggvs_eval.pipelines.methods.registry import METHODS
-from ggvs_eval.pipelines.synthesizer import DEFAULT_METHOD, online_method
+from ggvs_eval.pipelines.play.synthesizer import DEFAULT_METHOD, online_method
 
 
 def play(
@@ -43,9 +43,9 @@ def play(
         depth: how depth of a capture is found.
         jobs: processes that prepare a capture; synthesis takes one instant after the other.
     """
-    from ggvs_eval.pipelines.evaluate import reopen
-    from ggvs_eval.pipelines.play import record, require_writable
-    from ggvs_eval.pipelines.reel import PlayOptions, reel_of_capture, reel_of_run
+    from ggvs_eval.pipelines.play.play import record, require_writable
+    from ggvs_eval.pipelines.play.playback import PlayOptions, reel_of_capture, reel_of_run
+    from ggvs_eval.pipelines.run.evaluate import reopen
 
     device = found_device(device)
     online_method(method, device)

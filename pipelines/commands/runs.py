@@ -15,7 +15,7 @@ from ggvs_eval.pipelines.commands.announce import announce
 from ggvs_eval.pipelines.commands.captures import BY_DEFAULT, FOUND_BY_DEFAULT, Finding, Folder, Reading, ReadingOptions
 from ggvs_eval.pipelines.methods.network_choice import NetworkChoice, found_device
 from ggvs_eval.pipelines.methods.registry import METHODS, usual_methods
-from ggvs_eval.pipelines.planning.wish import Wish
+from ggvs_eval.pipelines.planning.run_request import Wish
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.synthetic.film.options import DemoOptions
 
@@ -51,8 +51,8 @@ def prepare(
         engine: where jobs run.
         dry_run: only tell how much there is to do, what it needs and how long it takes.
     """
-    from ggvs_eval.pipelines.depth_outputs import export_prepared, fuse_prepared, write_prepared_page
-    from ggvs_eval.pipelines.prepare import prepare as write
+    from ggvs_eval.pipelines.run.depth_outputs import export_prepared, fuse_prepared, write_prepared_page
+    from ggvs_eval.pipelines.run.prepare import prepare as write
 
     root, opened = engine.place(run), reading.open(engine.place(capture))
     chosen = _protocol(protocol, opened)
@@ -80,8 +80,8 @@ def render(
         device: where networks of methods compute; on a GPU pixels may differ by a level from those of the CPU.
         engine: where jobs run.
     """
-    from ggvs_eval.pipelines.evaluate import reopen
-    from ggvs_eval.pipelines.render import render as synthesise
+    from ggvs_eval.pipelines.run.evaluate import reopen
+    from ggvs_eval.pipelines.run.render import render as synthesise
 
     networks = _networks(weights, device)
     prepared = reopen(engine.place(run), engine)
@@ -116,9 +116,9 @@ def run(
         engine: where jobs run.
         dry_run: only tell how much there is to do, what it needs and how long it takes; nothing is filmed for it.
     """
-    from ggvs_eval.pipelines.demo_runs import evaluate_demos, room_labels
-    from ggvs_eval.pipelines.evaluate import evaluate
-    from ggvs_eval.pipelines.planning.demo_wishes import demo_wishes
+    from ggvs_eval.pipelines.run.evaluate import evaluate
+    from ggvs_eval.pipelines.sweep.demo_requests import demo_wishes
+    from ggvs_eval.pipelines.sweep.demo_runs import evaluate_demos, room_labels
 
     root, networks = engine.place(run), _networks(weights, device)
     if capture is None and protocol is None:
@@ -249,8 +249,8 @@ def _checkpoints(weights: tuple[str, ...]) -> dict[str, Path]:
 
 def _demo_beside(run: Path, jobs: int, reading: ReadingOptions, dry_run: bool) -> Capture:
     """The demo beside a run folder, which is filmed where it is not there; a dry run films nothing."""
-    from ggvs_eval.pipelines.demo_runs import capture_beside
     from ggvs_eval.pipelines.planning.unfilmed import demo_to_plan
+    from ggvs_eval.pipelines.sweep.demo_runs import capture_beside
     from ggvs_eval.synthetic.demo import write_demo
 
     folder = capture_beside(run)
@@ -265,7 +265,7 @@ def _home(wishes: Sequence[Wish]) -> Path:
 
 
 def _protocol(source: str | None, capture: Capture) -> Protocol:
-    from ggvs_eval.pipelines.suggest_protocol import suggest_protocol
+    from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
     from ggvs_eval.protocol import load_protocol
 
     return load_protocol(source) if source else suggest_protocol(capture)

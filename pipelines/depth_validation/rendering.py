@@ -11,9 +11,9 @@ import pandas as pd
 from ggvs_eval.capture import Capture
 from ggvs_eval.pipelines.depth_validation.figures import Figures, Measure, figures_of
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
-from ggvs_eval.pipelines.prepare import prepare
-from ggvs_eval.pipelines.render import render
-from ggvs_eval.pipelines.scoring.score import score
+from ggvs_eval.pipelines.run.prepare import prepare
+from ggvs_eval.pipelines.run.render import render
+from ggvs_eval.pipelines.run.score import score
 from ggvs_eval.protocol import CameraPath, Protocol
 from ggvs_eval.run_folder import RunFolder, read_json, write_json
 

@@ -16,10 +16,10 @@ from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.planning.estimate import Pace, Portion, disk_bytes
 from ggvs_eval.pipelines.planning.probe import probe
 from ggvs_eval.pipelines.planning.rates import Rates
+from ggvs_eval.pipelines.planning.run_request import Wish
 from ggvs_eval.pipelines.planning.unfilmed import films
-from ggvs_eval.pipelines.planning.wish import Wish
 from ggvs_eval.pipelines.planning.work_left import WorkLeft, plan_frames, work_left
-from ggvs_eval.pipelines.prepare import Prepared, claim_run, depth_choice_of
+from ggvs_eval.pipelines.run.prepare import Prepared, claim_run, depth_choice_of
 from ggvs_eval.run_folder import RunFolder
 
 PROBED_FROM_PIXELS = 5e7  # depth maps and frames to render; the demo has 2e8, its small rooms 2e7 each

@@ -19,17 +19,17 @@ from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.files.images import quantise, write_image
 from ggvs_eval.geometry.splat import PixelGaussians, splat
 from ggvs_eval.method import Instant, LookaheadMethod, SourceView
-from ggvs_eval.pipelines.frame_cache import CachedFrames
 from ggvs_eval.pipelines.methods.spec import MethodSpec
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.checked_depth import check_depth
 from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
 from ggvs_eval.pipelines.offline.depth.fill_store import DepthJob, depth_spec
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthEstimator
-from ggvs_eval.pipelines.path_depth import write_path_depth
 from ggvs_eval.pipelines.planning.rates import Rates
 from ggvs_eval.pipelines.planning.score_trial import timed, try_scoring
-from ggvs_eval.pipelines.prepare import Prepared, SourcePlan
+from ggvs_eval.pipelines.run.frame_cache import CachedFrames
+from ggvs_eval.pipelines.run.path_depth import write_path_depth
+from ggvs_eval.pipelines.run.prepare import Prepared, SourcePlan
 from ggvs_eval.run_folder import INSIDE, RunFolder, frame_path
 
 INSTANTS = 2  # the first of a method or a metric pays for what is loaded and compiled once

@@ -9,9 +9,9 @@ import numpy as np
 
 from ggvs_eval.files.images import read_image, resize
 from ggvs_eval.metrics.fetch_lpips import weights_path
-from ggvs_eval.pipelines.prepare import Prepared
 from ggvs_eval.pipelines.run.coverage import Coverage
-from ggvs_eval.pipelines.scoring.view import view_job
+from ggvs_eval.pipelines.run.prepare import Prepared
+from ggvs_eval.pipelines.run.score_view import view_job
 from ggvs_eval.protocol import Measurement
 from ggvs_eval.run_folder import RunFolder, frame_path
 

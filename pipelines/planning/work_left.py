@@ -10,9 +10,9 @@ from ggvs_eval.errors import ResultsError
 from ggvs_eval.pipelines.methods.network_choice import AS_SHIPPED, NetworkChoice
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import depth_spec
-from ggvs_eval.pipelines.path_depth import pose_file
-from ggvs_eval.pipelines.prepare import Prepared, fit_capture, plan, wanted_frames
-from ggvs_eval.pipelines.render import render_jobs
+from ggvs_eval.pipelines.run.path_depth import pose_file
+from ggvs_eval.pipelines.run.prepare import Prepared, fit_capture, plan, wanted_frames
+from ggvs_eval.pipelines.run.render import render_jobs
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, missing_frames, read_json
 

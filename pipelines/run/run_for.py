@@ -4,8 +4,8 @@ from pathlib import Path
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import ProtocolError
-from ggvs_eval.pipelines.prepare import prepare_truth
-from ggvs_eval.pipelines.suggest_protocol import suggest_protocol
+from ggvs_eval.pipelines.run.prepare import prepare_truth
+from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
 from ggvs_eval.protocol import load_protocol
 from ggvs_eval.run_folder import RunFolder
 

@@ -10,7 +10,7 @@ from ggvs_eval.jobs.shard import WHOLE, Shard
 from ggvs_eval.pipelines.methods.network_choice import NetworkChoice
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
-from ggvs_eval.pipelines.planning.wish import Wish
+from ggvs_eval.pipelines.planning.run_request import Wish
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import RunFolder
 from ggvs_eval.sweep import CAPTURE, Sweep, SweepRow

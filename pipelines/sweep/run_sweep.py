@@ -17,7 +17,7 @@ from ggvs_eval.pipelines.methods.network_choice import AS_SHIPPED, NetworkChoice
 from ggvs_eval.pipelines.methods.registry import split_label
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
 from ggvs_eval.pipelines.run.coverage import read_import
-from ggvs_eval.pipelines.scoring.score import score
+from ggvs_eval.pipelines.run.score import score
 from ggvs_eval.pipelines.sweep.cells import Captures, Cell, share_of, sweep_cells
 from ggvs_eval.pipelines.sweep.stages import attempt, import_cells, prepare_cells, render_cells, score_cells
 from ggvs_eval.protocol import Protocol

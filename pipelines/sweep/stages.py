@@ -12,10 +12,10 @@ from ggvs_eval.jobs.job import Attempt, Job, attempt_jobs
 from ggvs_eval.jobs.ledger import Failure, Ledger
 from ggvs_eval.pipelines.methods.network_choice import NetworkChoice
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
-from ggvs_eval.pipelines.prepare import Prepared, prepare
-from ggvs_eval.pipelines.render import note_labels, render_jobs
 from ggvs_eval.pipelines.run.import_renders import import_renders
-from ggvs_eval.pipelines.scoring.score import score_jobs
+from ggvs_eval.pipelines.run.prepare import Prepared, prepare
+from ggvs_eval.pipelines.run.render import note_labels, render_jobs
+from ggvs_eval.pipelines.run.score import score_jobs
 from ggvs_eval.pipelines.sweep.cells import PATH, Cell
 
 Value = TypeVar("Value")

@@ -15,11 +15,11 @@ from ggvs_eval.jobs.job import Job, code_digest, run_jobs
 from ggvs_eval.jobs.ledger import Ledger
 from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.method import Instant, LookaheadMethod, Method, SourceView
-from ggvs_eval.pipelines.inside_pictures import write_inside
 from ggvs_eval.pipelines.methods.network_choice import AS_SHIPPED, NetworkChoice
 from ggvs_eval.pipelines.methods.registry import find_method, split_label
 from ggvs_eval.pipelines.methods.spec import MethodSpec
-from ggvs_eval.pipelines.prepare import Prepared, SourcePlan
+from ggvs_eval.pipelines.run.diagnostics import write_inside
+from ggvs_eval.pipelines.run.prepare import Prepared, SourcePlan
 from ggvs_eval.results import installed_versions
 from ggvs_eval.run_folder import RunFolder, frame_path, read_json, write_json
 

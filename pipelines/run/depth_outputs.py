@@ -10,7 +10,7 @@ from ggvs_eval.pipelines.depth_page.depth_record import StoredDepth
 from ggvs_eval.pipelines.offline.depth.fill_store import DepthJob
 from ggvs_eval.pipelines.offline.export.dense_workspace import WorkspaceOptions, write_dense_workspace
 from ggvs_eval.pipelines.offline.export.fuse import FusedFiles, FuseOptions, fuse_instant
-from ggvs_eval.pipelines.prepare import Prepared, SourcePlan
+from ggvs_eval.pipelines.run.prepare import Prepared, SourcePlan
 
 
 def write_prepared_page(prepared: Prepared, filled_confidence: float, workers: int = 1) -> Path:

@@ -11,8 +11,8 @@ from ggvs_eval.errors import MetricError
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.jobs.job import Job, code_digest, run_jobs
 from ggvs_eval.metrics.ceilings import CEILING_METRICS, ceilings
-from ggvs_eval.pipelines.scoring.path import TRUTH
-from ggvs_eval.pipelines.scoring.view import digest_frames, metric_options, truth_frames
+from ggvs_eval.pipelines.run.score_path import TRUTH
+from ggvs_eval.pipelines.run.score_view import digest_frames, metric_options, truth_frames
 from ggvs_eval.protocol import Measurement, Protocol
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
 

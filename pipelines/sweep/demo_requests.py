@@ -5,12 +5,12 @@ from dataclasses import replace
 from pathlib import Path
 
 from ggvs_eval.capture import Capture
-from ggvs_eval.pipelines.demo_runs import K_PROTOCOL, capture_beside, demo_root, k_root, k_sweep
 from ggvs_eval.pipelines.methods.network_choice import AS_SHIPPED, NetworkChoice
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
+from ggvs_eval.pipelines.planning.run_request import Wish
 from ggvs_eval.pipelines.planning.unfilmed import demo_to_plan
-from ggvs_eval.pipelines.planning.wish import Wish
 from ggvs_eval.pipelines.sweep.cells import wishes_of
+from ggvs_eval.pipelines.sweep.demo_runs import K_PROTOCOL, capture_beside, demo_root, k_root, k_sweep
 from ggvs_eval.protocol import load_protocol
 from ggvs_eval.synthetic.demo_rooms import DEMO_ROOMS, MAIN
 

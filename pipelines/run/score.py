@@ -16,9 +16,9 @@ from ggvs_eval.jobs.ledger import Ledger
 from ggvs_eval.metrics.registry import METRICS
 from ggvs_eval.pipelines.methods.registry import METHODS, split_label
 from ggvs_eval.pipelines.run.coverage import Coverage, read_coverage
-from ggvs_eval.pipelines.scoring.path import PATH_VIEW, score_paths
-from ggvs_eval.pipelines.scoring.references import score_ceilings, write_references
-from ggvs_eval.pipelines.scoring.view import view_job
+from ggvs_eval.pipelines.run.references import score_ceilings, write_references
+from ggvs_eval.pipelines.run.score_path import PATH_VIEW, score_paths
+from ggvs_eval.pipelines.run.score_view import view_job
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.results import Results, installed_versions, make_table
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json

@@ -10,9 +10,9 @@ from ggvs_eval.datasets.held_still import retake
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.pipelines.methods.network_choice import AS_SHIPPED, NetworkChoice
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
-from ggvs_eval.pipelines.prepare import Prepared, prepare
-from ggvs_eval.pipelines.render import render
-from ggvs_eval.pipelines.scoring.score import score
+from ggvs_eval.pipelines.run.prepare import Prepared, prepare
+from ggvs_eval.pipelines.run.render import render
+from ggvs_eval.pipelines.run.score import score
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import RunFolder
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ggvs_eval.errors import ResultsError
-from ggvs_eval.pipelines.merging.units import same_values
+from ggvs_eval.pipelines.sweep.merging.units import same_values
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
 
 

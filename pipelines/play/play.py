@@ -11,8 +11,8 @@ import numpy as np
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import Image8, quantise
 from ggvs_eval.files.video import write_video
-from ggvs_eval.pipelines.reel import Reel
-from ggvs_eval.pipelines.synthesizer import DEFAULT_METHOD, OnlineSynthesizer
+from ggvs_eval.pipelines.play.playback import Reel
+from ggvs_eval.pipelines.play.synthesizer import DEFAULT_METHOD, OnlineSynthesizer
 from ggvs_eval.progress import track
 
 FPS_OF_STILLS = 30.0

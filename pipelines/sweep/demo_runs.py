@@ -8,10 +8,10 @@ from types import MappingProxyType
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import RenderError
 from ggvs_eval.jobs.engine import Workers, as_engine
-from ggvs_eval.pipelines.evaluate import measure, report
 from ggvs_eval.pipelines.methods.network_choice import AS_SHIPPED, NetworkChoice
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
-from ggvs_eval.pipelines.planning.wish import Wish
+from ggvs_eval.pipelines.planning.run_request import Wish
+from ggvs_eval.pipelines.run.evaluate import measure, report
 from ggvs_eval.pipelines.sweep.cells import SHARED_FOLDERS, wishes_of
 from ggvs_eval.pipelines.sweep.run_sweep import run_sweep
 from ggvs_eval.protocol import load_protocol

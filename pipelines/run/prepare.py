@@ -17,13 +17,13 @@ from ggvs_eval.files.images import resize, write_image
 from ggvs_eval.geometry.sight import require_sight
 from ggvs_eval.geometry.source_views import choose_sources
 from ggvs_eval.jobs.engine import Workers
-from ggvs_eval.pipelines.frame_cache import cache_frames
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
 from ggvs_eval.pipelines.offline.depth.fill_store import DepthJob, depth_spec, plan_depth, prepare_depth
-from ggvs_eval.pipelines.path_depth import write_path_depth
-from ggvs_eval.pipelines.scoring.disocclusion import write_disocclusions
-from ggvs_eval.pipelines.scoring.path import write_path_record
+from ggvs_eval.pipelines.run.disocclusion import write_disocclusions
+from ggvs_eval.pipelines.run.frame_cache import cache_frames
+from ggvs_eval.pipelines.run.path_depth import write_path_depth
+from ggvs_eval.pipelines.run.score_path import write_path_record
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import RunFolder, frame_path, missing_frames, read_json, write_json, write_text
 

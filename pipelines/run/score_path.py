@@ -14,7 +14,7 @@ from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.jobs.job import Job, code_digest, run_jobs
 from ggvs_eval.metrics.path_scores import PathPose, score_path
 from ggvs_eval.metrics.registry import METRICS
-from ggvs_eval.pipelines.path_depth import pose_file, read_path_depth
+from ggvs_eval.pipelines.run.path_depth import pose_file, read_path_depth
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, missing_frames, read_json, write_json
 

@@ -10,8 +10,8 @@ from typing import Any
 from ggvs_eval.errors import ProtocolError, ResultsError
 from ggvs_eval.jobs.ledger import JOBS_FOLDER
 from ggvs_eval.jobs.processes import is_running
-from ggvs_eval.pipelines.merging.scores import merge_scores
-from ggvs_eval.pipelines.merging.units import Unit, job_units, plain_units, same_unit
+from ggvs_eval.pipelines.sweep.merging.scores import merge_scores
+from ggvs_eval.pipelines.sweep.merging.units import Unit, job_units, plain_units, same_unit
 from ggvs_eval.run_folder import RunFolder, read_json, write_json
 
 PLAIN_FOLDERS = ("truth", "depth", "disoccluded", "path/truth", "path_depth")
