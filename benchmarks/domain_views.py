@@ -18,14 +18,14 @@ from ggvs_eval.files.images import Image8
 from ggvs_eval.jobs.processes import finish_all, worker_pool
 from ggvs_eval.method import Instant, SourceView
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
-from ggvs_eval.pipelines.training.capture_lot import MeasuredSampleMaker
-from ggvs_eval.pipelines.training.capture_views import draw_views
-from ggvs_eval.pipelines.training.domain_samples import domain_validation_plan
-from ggvs_eval.pipelines.training.held_back import held_back_halves
-from ggvs_eval.pipelines.training.instant_samples import InstantSample
-from ggvs_eval.pipelines.training.room_plan import choose_views, room_options
-from ggvs_eval.pipelines.training.sample_file import camera_arrays, stored_arrays, stored_cameras, write_arrays
-from ggvs_eval.pipelines.training.training_data import HELD_BACK
+from ggvs_eval.pipelines.training.samples.capture_lot import MeasuredSampleMaker
+from ggvs_eval.pipelines.training.samples.capture_views import draw_views
+from ggvs_eval.pipelines.training.samples.domain_samples import domain_validation_plan
+from ggvs_eval.pipelines.training.samples.held_back import held_back_halves
+from ggvs_eval.pipelines.training.samples.instant_samples import InstantSample
+from ggvs_eval.pipelines.training.samples.room_plan import choose_views, room_options
+from ggvs_eval.pipelines.training.samples.sample_file import camera_arrays, stored_arrays, stored_cameras, write_arrays
+from ggvs_eval.pipelines.training.samples.training_data import HELD_BACK
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.domains import VALIDATION_SEEDS, find_domain
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from blender_inputs import inputs_of
 from ggvs_eval.pipelines.online.blend_maps import RawViews, raw_views
-from ggvs_eval.pipelines.training.blend_augmentation import Augmentation, augment, displaced
+from ggvs_eval.pipelines.training.blend.blend_augmentation import Augmentation, augment, displaced
 from scenes import camera_at, instant, look
 
 NOTHING = Augmentation(gain=0, view_gain_share=0, blur_share=0, shift_share=0)

@@ -12,10 +12,10 @@ from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.metrics.image import psnr
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
-from ggvs_eval.pipelines.training.blend_lots import BlendSampleKind, CaptureSamples
-from ggvs_eval.pipelines.training.capture_lot import MeasuredSampleMaker, make_samples
-from ggvs_eval.pipelines.training.capture_views import CapturePlan, draw_views, overlap, possible_targets, within_rule
-from ggvs_eval.pipelines.training.instant_lots import CaptureInstants
+from ggvs_eval.pipelines.training.samples.blend_lots import BlendSampleKind, CaptureSamples
+from ggvs_eval.pipelines.training.samples.capture_lot import MeasuredSampleMaker, make_samples
+from ggvs_eval.pipelines.training.samples.capture_views import CapturePlan, draw_views, overlap, possible_targets, within_rule
+from ggvs_eval.pipelines.training.samples.instant_lots import CaptureInstants
 from stereo_scenes import HEIGHT, WIDTH, look_from, plane_depth, see_plane, write_capture
 
 HOLOLENS = Path(__file__).parents[2] / "shared" / "data" / "hololens_rgbd"

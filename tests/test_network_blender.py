@@ -21,7 +21,7 @@ from ggvs_eval.pipelines.online.geometric_blender import GeometricBlender
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
 from ggvs_eval.pipelines.online.network_blender import NetworkBlender, blend_by, blend_start
 from ggvs_eval.pipelines.online.network_inputs import input_channels
-from ggvs_eval.pipelines.training.weights import write_weights
+from ggvs_eval.pipelines.training.loop.weights import write_weights
 from scenes import camera_at, instant
 
 TARGET = camera_at(0.0, name="target")

@@ -14,7 +14,7 @@ from ggvs_eval.pipelines.offline.stereo.raft_matcher import RaftMatcher
 from ggvs_eval.pipelines.offline.stereo.raft_start import fill_from_background, start_from_disparity, start_from_matching
 from ggvs_eval.pipelines.offline.stereo.raft_stereo import RaftStereo
 from ggvs_eval.pipelines.offline.stereo.raft_weights import weights_digest
-from ggvs_eval.pipelines.training.stereo_task import VALIDATION_SEED
+from ggvs_eval.pipelines.training.stereo.stereo_task import VALIDATION_SEED
 from ggvs_eval.synthetic.stereo.stereo_scenes import stereo_sample
 from seeded_networks import seeded_state
 from stereo_scenes import random_texture

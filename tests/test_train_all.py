@@ -9,13 +9,13 @@ import pytest
 
 from command_line import refusal
 from ggvs_eval.errors import TrainingError
-from ggvs_eval.pipelines.training import training_data
-from ggvs_eval.pipelines.training.baseline_tasks import BASELINE_TASKS, baseline_task
+from ggvs_eval.pipelines.training.baselines.baseline_tasks import BASELINE_TASKS, baseline_task
 from ggvs_eval.pipelines.training.request import TrainingRequest
+from ggvs_eval.pipelines.training.samples import training_data
+from ggvs_eval.pipelines.training.samples.training_data import TrainingData, baseline_samples, blend_samples
 from ggvs_eval.pipelines.training.side_by_side import Training, default_jobs, run_trainings
 from ggvs_eval.pipelines.training.train_all import NETWORKS, planned_trainings, train_all
 from ggvs_eval.pipelines.training.train_one import CACHE, requested_data
-from ggvs_eval.pipelines.training.training_data import TrainingData, baseline_samples, blend_samples
 from ggvs_eval.synthetic.domains import DOMAINS
 from stereo_scenes import write_capture
 

@@ -12,12 +12,12 @@ from torch import nn
 from ggvs_eval.errors import TrainingError, WeightsError
 from ggvs_eval.files.images import read_image
 from ggvs_eval.pipelines.offline.stereo.raft_config import COMPACT
-from ggvs_eval.pipelines.training.card import write_card
-from ggvs_eval.pipelines.training.curves import draw_curves
-from ggvs_eval.pipelines.training.loop import TrainingOptions, train
-from ggvs_eval.pipelines.training.stereo_loss import matching_loss, sequence_loss
-from ggvs_eval.pipelines.training.stereo_task import StereoTask
-from ggvs_eval.pipelines.training.task import Schedule
+from ggvs_eval.pipelines.training.loop.card import write_card
+from ggvs_eval.pipelines.training.loop.curves import draw_curves
+from ggvs_eval.pipelines.training.loop.loop import TrainingOptions, train
+from ggvs_eval.pipelines.training.loop.task import Schedule
+from ggvs_eval.pipelines.training.stereo.stereo_loss import matching_loss, sequence_loss
+from ggvs_eval.pipelines.training.stereo.stereo_task import StereoTask
 
 
 @dataclass(frozen=True)

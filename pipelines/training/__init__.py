@@ -1,1 +1,1 @@
-"""Training of the stereo network: procedural data made on the fly and the loop that learns from it."""
+"""Training: the networks of the method, of the baselines and of stereo, on samples made once."""

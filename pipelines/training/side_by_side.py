@@ -14,7 +14,7 @@ from typing import IO
 
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.jobs.processes import default_workers
-from ggvs_eval.pipelines.training.progress_lines import ProgressLines
+from ggvs_eval.pipelines.training.loop.progress_lines import ProgressLines
 
 LOOK_S = 1.0  # between two looks at the trainings
 GRACE_S = 10.0  # that a stopped training has before it is killed

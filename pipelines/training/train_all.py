@@ -9,11 +9,11 @@ from ggvs_eval.compute_device import compute_device
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.pipelines.online.blend_weights import weights_name
-from ggvs_eval.pipelines.training.baseline_tasks import BASELINE_TASKS, TAKING_DEPTH
+from ggvs_eval.pipelines.training.baselines.baseline_tasks import BASELINE_TASKS, TAKING_DEPTH
 from ggvs_eval.pipelines.training.request import Guidance, TrainingRequest
+from ggvs_eval.pipelines.training.samples.training_data import baseline_samples, blend_samples, prepare_samples
 from ggvs_eval.pipelines.training.side_by_side import Training, default_jobs, run_trainings
 from ggvs_eval.pipelines.training.train_one import CACHE, requested_data
-from ggvs_eval.pipelines.training.training_data import baseline_samples, blend_samples, prepare_samples
 
 Network = tuple[str, Guidance]  # what `train` calls it, and what blend sees of the fused depth
 NETWORKS: tuple[Network, ...] = (

@@ -5,14 +5,14 @@ from pathlib import Path
 from ggvs_eval.compute_device import compute_device, describe_device
 from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.pipelines.online.blend_network import WIDTHS, BlendConfig
-from ggvs_eval.pipelines.training.baseline_tasks import baseline_task
-from ggvs_eval.pipelines.training.blend_task import BlendTask
-from ggvs_eval.pipelines.training.card import write_card
-from ggvs_eval.pipelines.training.loop import TrainingOptions, train
+from ggvs_eval.pipelines.training.baselines.baseline_tasks import baseline_task
+from ggvs_eval.pipelines.training.blend.blend_task import BlendTask
+from ggvs_eval.pipelines.training.loop.card import write_card
+from ggvs_eval.pipelines.training.loop.loop import TrainingOptions, train
+from ggvs_eval.pipelines.training.loop.task import Task
 from ggvs_eval.pipelines.training.request import TrainingRequest
-from ggvs_eval.pipelines.training.stereo_task import StereoTask
-from ggvs_eval.pipelines.training.task import Task
-from ggvs_eval.pipelines.training.training_data import TrainingData, blend_samples, prepare_samples
+from ggvs_eval.pipelines.training.samples.training_data import TrainingData, blend_samples, prepare_samples
+from ggvs_eval.pipelines.training.stereo.stereo_task import StereoTask
 
 CACHE = "blend-samples"  # beside the folders of the trainings
 

@@ -6,7 +6,7 @@ from typing import Any
 import torch
 from torch.utils.data import DataLoader, Dataset
 
-from ggvs_eval.pipelines.training.task import Task
+from ggvs_eval.pipelines.training.loop.task import Task
 
 
 class _Steps(Dataset[Any]):

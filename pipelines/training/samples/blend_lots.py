@@ -5,12 +5,12 @@ from pathlib import Path
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
-from ggvs_eval.pipelines.training.blend_samples import BlendSample, SampleMaker, read_sample, write_sample
-from ggvs_eval.pipelines.training.capture_lot import CaptureLot
-from ggvs_eval.pipelines.training.capture_views import CapturePlan
-from ggvs_eval.pipelines.training.room_lot import RoomLot
-from ggvs_eval.pipelines.training.room_plan import RoomPlan
-from ggvs_eval.pipelines.training.samples import SampleKind
+from ggvs_eval.pipelines.training.samples.blend_samples import BlendSample, SampleMaker, read_sample, write_sample
+from ggvs_eval.pipelines.training.samples.capture_lot import CaptureLot
+from ggvs_eval.pipelines.training.samples.capture_views import CapturePlan
+from ggvs_eval.pipelines.training.samples.room_lot import RoomLot
+from ggvs_eval.pipelines.training.samples.room_plan import RoomPlan
+from ggvs_eval.pipelines.training.samples.samples import SampleKind
 
 ROOM_VERSION, CAPTURE_VERSION = 4, 2  # each counts up whenever equal plans give other samples
 

@@ -18,11 +18,11 @@ from ggvs_eval.pipelines.online.blend_network import BlendConfig, BlendNetwork, 
 from ggvs_eval.pipelines.online.blend_weights import weights_name
 from ggvs_eval.pipelines.online.network_blender import blend_by, blend_start
 from ggvs_eval.pipelines.online.network_inputs import GUIDED, guide_depth, input_channels, reference_depth
-from ggvs_eval.pipelines.training.blend_augmentation import Augmentation, augment
-from ggvs_eval.pipelines.training.blend_loss import BlendLossWeights, blend_loss
-from ggvs_eval.pipelines.training.blend_samples import BlendSample
-from ggvs_eval.pipelines.training.samples import Samples, require_room
-from ggvs_eval.pipelines.training.task import Schedule
+from ggvs_eval.pipelines.training.blend.blend_augmentation import Augmentation, augment
+from ggvs_eval.pipelines.training.blend.blend_loss import BlendLossWeights, blend_loss
+from ggvs_eval.pipelines.training.loop.task import Schedule
+from ggvs_eval.pipelines.training.samples.blend_samples import BlendSample
+from ggvs_eval.pipelines.training.samples.samples import Samples, require_room
 
 Change = Callable[[RawViews, Map], tuple[RawViews, Map]]
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import replace
 
-from ggvs_eval.pipelines.training.room_plan import RoomPlan
+from ggvs_eval.pipelines.training.samples.room_plan import RoomPlan
 from ggvs_eval.synthetic.domains import DOMAINS, VALIDATION_SEEDS, find_domain
 
 WINDOW = (480, 360)  # of large images, pixels

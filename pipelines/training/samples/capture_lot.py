@@ -16,9 +16,9 @@ from ggvs_eval.files.digest import digest_values
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthEstimator
-from ggvs_eval.pipelines.training.blend_samples import SampleMaker
-from ggvs_eval.pipelines.training.capture_views import CapturePlan, draw_views, is_sequence, possible_targets
-from ggvs_eval.pipelines.training.samples import Job, Sample, SampleKind, Samples
+from ggvs_eval.pipelines.training.samples.blend_samples import SampleMaker
+from ggvs_eval.pipelines.training.samples.capture_views import CapturePlan, draw_views, is_sequence, possible_targets
+from ggvs_eval.pipelines.training.samples.samples import Job, Sample, SampleKind, Samples
 from ggvs_eval.synthetic.domains import FIRST_TRAINING_SEED, VALIDATION_SEEDS
 
 

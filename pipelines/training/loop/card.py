@@ -8,7 +8,7 @@ from pathlib import Path
 
 from safetensors import safe_open
 
-from ggvs_eval.pipelines.training.task import Task
+from ggvs_eval.pipelines.training.loop.task import Task
 
 SHOWN_VALIDATIONS = 12
 

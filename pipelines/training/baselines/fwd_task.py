@@ -7,9 +7,9 @@ from torch import Tensor, nn
 from ggvs_eval.baselines.fwd.method import decode_views, warp_views
 from ggvs_eval.baselines.fwd.network import FwdNetwork
 from ggvs_eval.method import Instant
-from ggvs_eval.pipelines.training.baseline_task import BaselineTask, truth_of
-from ggvs_eval.pipelines.training.blend_loss import structural_loss
-from ggvs_eval.pipelines.training.instant_samples import InstantSample
+from ggvs_eval.pipelines.training.baselines.baseline_task import BaselineTask, truth_of
+from ggvs_eval.pipelines.training.blend.blend_loss import structural_loss
+from ggvs_eval.pipelines.training.samples.instant_samples import InstantSample
 
 SQUARED_WEIGHT, STRUCTURE_WEIGHT = 5.0, 0.2
 

@@ -9,13 +9,13 @@ import numpy as np
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.method import Instant, SourceView
-from ggvs_eval.pipelines.training.blend_samples import SampleMaker
-from ggvs_eval.pipelines.training.capture_lot import CaptureLot
-from ggvs_eval.pipelines.training.capture_views import CapturePlan
-from ggvs_eval.pipelines.training.instant_samples import InstantSample, read_instant, write_instant
-from ggvs_eval.pipelines.training.room_lot import RoomLot
-from ggvs_eval.pipelines.training.room_plan import RoomPlan
-from ggvs_eval.pipelines.training.samples import SampleKind
+from ggvs_eval.pipelines.training.samples.blend_samples import SampleMaker
+from ggvs_eval.pipelines.training.samples.capture_lot import CaptureLot
+from ggvs_eval.pipelines.training.samples.capture_views import CapturePlan
+from ggvs_eval.pipelines.training.samples.instant_samples import InstantSample, read_instant, write_instant
+from ggvs_eval.pipelines.training.samples.room_lot import RoomLot
+from ggvs_eval.pipelines.training.samples.room_plan import RoomPlan
+from ggvs_eval.pipelines.training.samples.samples import SampleKind
 
 ROOM_VERSION, CAPTURE_VERSION = 1, 1  # each counts up whenever equal plans give other samples
 

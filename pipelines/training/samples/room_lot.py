@@ -8,9 +8,9 @@ from typing import Any
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
-from ggvs_eval.pipelines.training.capture_lot import MeasuredSampleMaker
-from ggvs_eval.pipelines.training.room_plan import RoomPlan, choose_views, draw_window, film_room, refuse_tests
-from ggvs_eval.pipelines.training.samples import Job, Sample, SampleKind, Samples
+from ggvs_eval.pipelines.training.samples.capture_lot import MeasuredSampleMaker
+from ggvs_eval.pipelines.training.samples.room_plan import RoomPlan, choose_views, draw_window, film_room, refuse_tests
+from ggvs_eval.pipelines.training.samples.samples import Job, Sample, SampleKind, Samples
 from ggvs_eval.synthetic.domains import PLAIN, find_domain
 
 

@@ -2,12 +2,12 @@
 
 from pathlib import Path
 
-from ggvs_eval.pipelines.training.baseline_task import BaselineTask
-from ggvs_eval.pipelines.training.enerf_task import EnerfTask
-from ggvs_eval.pipelines.training.fwd_task import FwdTask
-from ggvs_eval.pipelines.training.gps_gaussian_task import GpsGaussianTask
-from ggvs_eval.pipelines.training.ibrnet_task import IbrnetTask
-from ggvs_eval.pipelines.training.training_data import TrainingData, baseline_samples
+from ggvs_eval.pipelines.training.baselines.baseline_task import BaselineTask
+from ggvs_eval.pipelines.training.baselines.enerf_task import EnerfTask
+from ggvs_eval.pipelines.training.baselines.fwd_task import FwdTask
+from ggvs_eval.pipelines.training.baselines.gps_gaussian_task import GpsGaussianTask
+from ggvs_eval.pipelines.training.baselines.ibrnet_task import IbrnetTask
+from ggvs_eval.pipelines.training.samples.training_data import TrainingData, baseline_samples
 
 BASELINE_TASKS: dict[str, type[BaselineTask]] = {
     "fwd": FwdTask,

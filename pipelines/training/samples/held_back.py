@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import TrainingError
-from ggvs_eval.pipelines.training.capture_views import is_sequence, overlap
+from ggvs_eval.pipelines.training.samples.capture_views import is_sequence, overlap
 
 
 def held_back_halves(capture: Capture, span: int = 30, most_overlap: float = 0.5) -> tuple[Capture, Capture]:

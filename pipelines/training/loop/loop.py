@@ -12,12 +12,12 @@ from torch import nn
 from torch.optim.swa_utils import AveragedModel
 
 from ggvs_eval.compute_device import compute_device, computing_on
-from ggvs_eval.pipelines.training.batches import batches
-from ggvs_eval.pipelines.training.checkpoint import TrainingState, read_state, state_file, write_state
-from ggvs_eval.pipelines.training.curves import draw_curves
-from ggvs_eval.pipelines.training.log import TrainingLog
-from ggvs_eval.pipelines.training.task import Task
-from ggvs_eval.pipelines.training.weights import pour_weights, write_weights
+from ggvs_eval.pipelines.training.loop.batches import batches
+from ggvs_eval.pipelines.training.loop.checkpoint import TrainingState, read_state, state_file, write_state
+from ggvs_eval.pipelines.training.loop.curves import draw_curves
+from ggvs_eval.pipelines.training.loop.log import TrainingLog
+from ggvs_eval.pipelines.training.loop.task import Task
+from ggvs_eval.pipelines.training.loop.weights import pour_weights, write_weights
 from ggvs_eval.progress import track
 
 Precision = Literal["auto", "float32", "bfloat16"]

@@ -11,9 +11,9 @@ from ggvs_eval.baselines.gps_gaussian.network import CONFIGURATIONS, GpsGaussian
 from ggvs_eval.baselines.gps_gaussian.tile_renderer import blend_gaussians
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.method import Instant
-from ggvs_eval.pipelines.training.baseline_task import BaselineTask, truth_of
-from ggvs_eval.pipelines.training.blend_loss import structural_loss
-from ggvs_eval.pipelines.training.instant_samples import InstantSample
+from ggvs_eval.pipelines.training.baselines.baseline_task import BaselineTask, truth_of
+from ggvs_eval.pipelines.training.blend.blend_loss import structural_loss
+from ggvs_eval.pipelines.training.samples.instant_samples import InstantSample
 
 L1_WEIGHT, STRUCTURE_WEIGHT = 0.8, 0.2
 

@@ -9,7 +9,7 @@ from ggvs_eval.camera import Camera, nearest_cameras
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import TrainingError
-from ggvs_eval.pipelines.training.capture_views import CapturePlan, draw_views, is_sequence
+from ggvs_eval.pipelines.training.samples.capture_views import CapturePlan, draw_views, is_sequence
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.domains import FIRST_TRAINING_SEED, PLAIN, VALIDATION_SEEDS, domain_options, find_domain
 from ggvs_eval.synthetic.film.options import DemoOptions

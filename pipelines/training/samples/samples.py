@@ -8,7 +8,7 @@ from typing import Generic, Protocol, TypeVar
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.jobs.processes import finish_all, worker_pool
-from ggvs_eval.pipelines.training.blend_samples import SampleMaker
+from ggvs_eval.pipelines.training.samples.blend_samples import SampleMaker
 
 Sample = TypeVar("Sample")
 Job = Callable[[], None]  # can be sent to a worker process

@@ -11,8 +11,8 @@ from ggvs_eval.baselines.ibrnet.method import depth_range, see
 from ggvs_eval.baselines.ibrnet.networks import Networks
 from ggvs_eval.baselines.ibrnet.rendering import rays_at_once, render_passes, render_rays
 from ggvs_eval.method import Instant
-from ggvs_eval.pipelines.training.baseline_task import BaselineTask, truth_of
-from ggvs_eval.pipelines.training.instant_samples import InstantSample
+from ggvs_eval.pipelines.training.baselines.baseline_task import BaselineTask, truth_of
+from ggvs_eval.pipelines.training.samples.instant_samples import InstantSample
 
 JUDGED_STEP = 4  # pixels
 

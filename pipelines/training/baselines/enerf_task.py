@@ -17,9 +17,9 @@ from ggvs_eval.baselines.enerf.networks import Networks
 from ggvs_eval.baselines.enerf.views import see, see_together
 from ggvs_eval.baselines.enerf.volumes import find_surface, refine_surface, search_coarsely
 from ggvs_eval.method import Instant
-from ggvs_eval.pipelines.training.baseline_task import BaselineTask, truth_of
-from ggvs_eval.pipelines.training.blend_loss import structural_loss
-from ggvs_eval.pipelines.training.instant_samples import InstantSample
+from ggvs_eval.pipelines.training.baselines.baseline_task import BaselineTask, truth_of
+from ggvs_eval.pipelines.training.blend.blend_loss import structural_loss
+from ggvs_eval.pipelines.training.samples.instant_samples import InstantSample
 
 COARSE_WEIGHT, STRUCTURE_WEIGHT = 0.1, 0.01
 

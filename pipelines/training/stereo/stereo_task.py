@@ -12,8 +12,8 @@ from torch.nn import functional
 from ggvs_eval.pipelines.offline.stereo.raft_config import COMPACT, RaftConfig
 from ggvs_eval.pipelines.offline.stereo.raft_start import Map, start_from_matching
 from ggvs_eval.pipelines.offline.stereo.raft_stereo import RaftStereo
-from ggvs_eval.pipelines.training.stereo_loss import matching_loss, sequence_loss
-from ggvs_eval.pipelines.training.task import Schedule
+from ggvs_eval.pipelines.training.loop.task import Schedule
+from ggvs_eval.pipelines.training.stereo.stereo_loss import matching_loss, sequence_loss
 from ggvs_eval.synthetic.stereo.stereo_scenes import StereoSample, stereo_sample
 
 VALIDATION_SEED = 2**40  # and above; training seeds stay below

@@ -1,0 +1,1 @@
+"""What every training shares: its task, loop, checkpoints, log, curves and card."""
