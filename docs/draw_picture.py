@@ -7,7 +7,7 @@ from matplotlib import font_manager
 from PIL import Image, ImageDraw, ImageFont
 
 from ggvs_eval.files.images import read_image
-from ggvs_eval.reports.slices import epipolar_plane_image, most_textured_row
+from ggvs_eval.reports.figures.slices import epipolar_plane_image, most_textured_row
 from ggvs_eval.run_folder import RunFolder, frame_path
 
 ROOT = Path(__file__).parents[1]

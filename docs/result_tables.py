@@ -6,9 +6,9 @@ from pathlib import Path
 import pandas as pd
 
 from ggvs_eval.errors import ResultsError
-from ggvs_eval.reports.error_budget import budget_table
-from ggvs_eval.reports.k_figure import SECONDS, read_k_table
-from ggvs_eval.reports.measured import read_run
+from ggvs_eval.reports.figures.k_figure import SECONDS, read_k_table
+from ggvs_eval.reports.model.measured import read_run
+from ggvs_eval.reports.tables.error_budget import budget_table
 from ggvs_eval.results import Results, merge_results
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
 from ggvs_eval.statistics.bootstrap import Interval, intervals

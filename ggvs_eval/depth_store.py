@@ -10,7 +10,7 @@ import json
 import os
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +21,26 @@ from ggvs_eval.errors import DepthError
 
 Map = NDArray[np.float32]
 CONFIDENCE_STEPS = 255  # confidence is kept in 8 bit
+
+
+@dataclass(frozen=True, order=True)
+class DepthJob:
+    """One camera and the partners its depth is computed with; equal jobs give equal depth.
+
+    Attributes:
+        camera_name: the camera whose depth is wanted.
+        partner_names: the cameras it is matched with, in order; none where a sensor measured its depth.
+        checked_with: depth of other cameras that its own is held against; none for depth as it was found.
+    """
+
+    camera_name: str
+    partner_names: tuple[str, ...]
+    checked_with: tuple["DepthJob", ...] = ()
+
+    @property
+    def unchecked(self) -> "DepthJob":
+        """The same depth as it was found."""
+        return replace(self, checked_with=())
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from ggvs_eval.protocol import Frames
-from ggvs_eval.reports.page import render_page
-from ggvs_eval.reports.reproduction import reproduce
+from ggvs_eval.reports.page.page import render_page
 from ggvs_eval.reports.run_groups import read_groups
+from ggvs_eval.reports.tables.reproduction import reproduce
 from ggvs_eval.run_folder import write_text
 from run_folders import LABELS, RunShape, write_run
 

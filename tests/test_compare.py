@@ -10,7 +10,7 @@ import pytest
 from command_line import refusal
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.protocol import Frames
-from ggvs_eval.reports.compare_runs import differences, method_sides, run_sides
+from ggvs_eval.reports.tables.compare_runs import differences, method_sides, run_sides
 from ggvs_eval.results import Results
 from ggvs_eval.statistics.paired import compare
 from run_folders import RunShape, write_run

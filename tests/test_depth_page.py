@@ -22,19 +22,18 @@ from ggvs_eval.colour_maps import (
     depth_scale,
     difference_colours,
 )
-from ggvs_eval.depth_store import DepthMap, DepthStore
+from ggvs_eval.depth_store import DepthJob, DepthMap, DepthStore
 from ggvs_eval.errors import DepthError
 from ggvs_eval.files.images import read_image
 from ggvs_eval.geometry.features import find_features
 from ggvs_eval.geometry.rectification import rectify
-from ggvs_eval.pipelines.depth_page.depth_page import examine_depth, render_depth_page, write_depth_page
-from ggvs_eval.pipelines.depth_page.depth_record import DepthRecord, StoredDepth
-from ggvs_eval.pipelines.depth_page.depth_statistics import describe_map
-from ggvs_eval.pipelines.depth_page.depth_warnings import find_notes, find_warnings
-from ggvs_eval.pipelines.depth_page.pair_errors import measure_pair
-from ggvs_eval.pipelines.depth_page.pair_pictures import pair_picture
-from ggvs_eval.pipelines.depth_page.resynthesis import resynthesise
-from ggvs_eval.pipelines.offline.depth.fill_store import DepthJob
+from ggvs_eval.reports.depth_page.depth_page import examine_depth, render_depth_page, write_depth_page
+from ggvs_eval.reports.depth_page.depth_record import DepthRecord, StoredDepth
+from ggvs_eval.reports.depth_page.depth_statistics import describe_map
+from ggvs_eval.reports.depth_page.depth_warnings import find_notes, find_warnings
+from ggvs_eval.reports.depth_page.pair_errors import measure_pair
+from ggvs_eval.reports.depth_page.pair_pictures import pair_picture
+from ggvs_eval.reports.depth_page.resynthesis import resynthesise
 from page_reader import PageReader
 from stereo_scenes import FOCAL, PLANE, look_from, plane_depth, see_plane, write_capture
 

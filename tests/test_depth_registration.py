@@ -11,11 +11,12 @@ import pytest
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.datasets import open_capture
+from ggvs_eval.depth_store import DepthJob
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.inspection.capture.depth_registration import check_depth_registration
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
-from ggvs_eval.pipelines.offline.depth.fill_store import DepthJob, depth_spec
+from ggvs_eval.pipelines.offline.depth.fill_store import depth_spec
 from ggvs_eval.pipelines.offline.sensor.registered_capture import displacement
 from ggvs_eval.pipelines.offline.sensor.registration import Registration, pose_after, with_registration
 from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthesis, Views

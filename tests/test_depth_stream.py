@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ggvs_eval.depth_store import DepthStore
+from ggvs_eval.depth_store import DepthJob, DepthStore
 from ggvs_eval.errors import DepthError, WeightsError
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions, TimeOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import KEYFRAME_EVERY, DepthChoice
 from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
-from ggvs_eval.pipelines.offline.depth.fill_store import DepthJob, depth_spec, prepare_depth
+from ggvs_eval.pipelines.offline.depth.fill_store import depth_spec, prepare_depth
 from ggvs_eval.pipelines.offline.depth.matchers import MATCHERS, find_matcher
 from ggvs_eval.pipelines.offline.plane_sweep.sweep_options import PlaneSweep
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher

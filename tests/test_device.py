@@ -24,7 +24,7 @@ from ggvs_eval.pipelines.planning.work_left import plan_frames
 from ggvs_eval.pipelines.play.synthesizer import OnlineSynthesizer
 from ggvs_eval.pipelines.run import render
 from ggvs_eval.pipelines.run.score import _devices
-from ggvs_eval.reports import page
+from ggvs_eval.reports.page import page
 from ggvs_eval.results import COLUMNS, Results, merge_results
 from ggvs_eval.run_folder import RunFolder, write_json
 from scenes import camera_at

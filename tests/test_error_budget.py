@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.metrics.image import psnr
-from ggvs_eval.reports.error_budget import NOT_TOLD, budget_table, error_budget
-from ggvs_eval.reports.measured import read_run
+from ggvs_eval.reports.model.measured import read_run
+from ggvs_eval.reports.tables.error_budget import NOT_TOLD, budget_table, error_budget
 from ggvs_eval.run_folder import frame_path
 from run_folders import LABELS, RunShape, write_run
 

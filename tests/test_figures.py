@@ -10,10 +10,10 @@ from command_line import refusal
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.protocol import Frames
-from ggvs_eval.reports.figures import write_figure
-from ggvs_eval.reports.k_figure import draw_k, read_k_table
-from ggvs_eval.reports.measured import read_run
-from ggvs_eval.reports.regions import find_regions, read_errors, square_side
+from ggvs_eval.reports.figures.k_figure import draw_k, read_k_table
+from ggvs_eval.reports.figures.paper_figures import write_figure
+from ggvs_eval.reports.figures.regions import find_regions, read_errors, square_side
+from ggvs_eval.reports.model.measured import read_run
 from run_folders import RunShape, write_run
 
 SHAPE = RunShape(frames=Frames(2, 3), labels=("no-blending", "ours-geometric"))
@@ -135,7 +135,7 @@ def test_k_figure_has_a_panel_per_metric_and_one_for_time(sweep, tmp_path, monke
     from matplotlib.figure import Figure
 
     drawn: list[Figure] = []
-    monkeypatch.setattr("ggvs_eval.reports.k_figure.save_figure", lambda figure, out: drawn.append(figure) or out)
+    monkeypatch.setattr("ggvs_eval.reports.figures.k_figure.save_figure", lambda figure, out: drawn.append(figure) or out)
     draw_k(sweep, tmp_path / "k.png")
     quality, seconds = drawn[0].axes
     line = next(line for line in quality.lines if line.get_label() == "Ours")

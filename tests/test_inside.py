@@ -13,9 +13,9 @@ from ggvs_eval.pipelines.online.full_size import composed
 from ggvs_eval.pipelines.online.network_blender import filled_picture, view_shares
 from ggvs_eval.pipelines.run.diagnostics import VIEW_COLOURS, view_colours
 from ggvs_eval.pipelines.run.evaluate import evaluate
-from ggvs_eval.reports.comparison import compare_frames
-from ggvs_eval.reports.inside import MEANINGS
-from ggvs_eval.reports.measured import read_run
+from ggvs_eval.reports.model.measured import read_run
+from ggvs_eval.reports.page.comparison import compare_frames
+from ggvs_eval.reports.page.inside import MEANINGS
 from ggvs_eval.run_folder import INSIDE, RunFolder, inside_path
 from scenes import camera_at, instant
 from small_runs import small_protocol, write_small_capture

@@ -1,4 +1,4 @@
-"""Arrows go one way: ggvs_eval <- metrics, baselines <- pipelines; reports read through ggvs_eval alone."""
+"""The plan of the tree: rooms stand on floors, and imports go down. docs/architecture.md draws it."""
 
 import ast
 import importlib.util
@@ -8,50 +8,134 @@ import pytest
 
 import ggvs_eval
 
-# Package -> the packages it must not import. The command line and `pipelines.evaluate` alone may start a report.
+# Rooms from the ground up; rooms of one floor do not import each other. A module of the package itself, e.g.
+# `ggvs_eval.camera`, is a room of its own; what stands in a folder belongs to the longest name listed here.
+FLOORS = (
+    ("errors", "kernels", "one_thread", "residual_block"),
+    ("camera", "progress"),
+    ("files", "lens", "compute_device"),
+    ("geometry", "capture", "colour_maps"),
+    ("method", "depth_store", "protocol"),
+    ("run_folder", "results", "sweep"),
+    ("statistics", "datasets", "jobs", "synthetic.room"),
+    ("synthetic.film", "renders"),
+    ("synthetic.layouts", "synthetic.stereo"),
+    ("synthetic",),
+    ("baselines", "metrics"),
+    ("baselines.enerf", "baselines.fwd", "baselines.gps_gaussian", "baselines.ibrnet"),
+    ("reports.model",),
+    ("reports.figures", "reports.tables", "reports.depth_page"),
+    ("reports.run_groups",),
+    ("reports.table_files", "reports.page"),
+    ("reports.report",),
+    ("pipelines.online", "pipelines.offline.stereo", "pipelines.offline.plane_sweep", "pipelines.offline.calibration"),
+    ("pipelines.methods", "pipelines.offline.sensor"),
+    ("pipelines.offline.depth",),
+    ("pipelines.offline.export", "pipelines.inspection", "pipelines.training.loop"),
+    ("pipelines.inspection.capture", "pipelines.inspection.renders", "pipelines.training.samples"),
+    ("pipelines.run", "pipelines.training.blend", "pipelines.training.stereo"),
+    ("pipelines.play", "pipelines.planning", "pipelines.training.baselines"),
+    ("pipelines.sweep.merging", "pipelines.sweep", "pipelines.training"),
+    ("pipelines.commands",),
+    ("__main__", "install"),
+)
+FLOOR_OF = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}
+
+# What measures must not know who made the frames, and reports read run folders alone. `reports` stands below the pipelines
+# because they start it; it may not be reached from anywhere else.
 FORBIDDEN = {
-    "ggvs_eval": {"metrics", "baselines", "pipelines", "reports"},
-    "metrics": {"baselines", "pipelines", "reports"},
-    "baselines": {"metrics", "pipelines", "reports"},
-    "pipelines": {"reports"},
-    "reports": {"metrics", "baselines", "pipelines"},
+    "reports": ("metrics", "baselines"),
+    "metrics": ("baselines", "synthetic"),
+    "baselines": ("metrics", "synthetic"),
+    "pipelines": ("reports",),
 }
-DOORS = {"pipelines/commands/figures.py", "pipelines/run/evaluate.py", "ggvs_eval/__main__.py", "ggvs_eval/install.py"}
+MAY_START_REPORTS = {"pipelines.commands.figures", "pipelines.run.evaluate", "pipelines.run.depth_outputs"}
 
 
-def folder_of(package: str) -> Path:
-    name = "ggvs_eval" if package == "ggvs_eval" else f"ggvs_eval.{package}"
-    spec = importlib.util.find_spec(name)
+def modules() -> dict[str, Path]:
+    """Dotted name without `ggvs_eval.` -> file, of every module of the package."""
+    spec = importlib.util.find_spec("ggvs_eval")
     assert spec is not None
     assert spec.origin is not None
-    return Path(spec.origin).parent
+    folders = {"": Path(spec.origin).parent}
+    for name in ("pipelines", "baselines", "metrics", "reports"):
+        inner = importlib.util.find_spec(f"ggvs_eval.{name}")
+        assert inner is not None
+        assert inner.origin is not None
+        folders[name] = Path(inner.origin).parent
+    found = {}
+    for name, folder in folders.items():
+        for file in folder.rglob("*.py"):
+            if not name and any(other in file.parents for key, other in folders.items() if key):
+                continue
+            parts = [*name.split("."), *file.relative_to(folder).with_suffix("").parts]
+            found[".".join(part for part in parts if part and part != "__init__")] = file
+    return found
 
 
-def imported_names(file: Path) -> set[str]:
-    tree = ast.parse(file.read_text(encoding="utf-8"))
-    names = {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
-    return names | {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module}
+MODULES = modules()
 
 
-def source_files(package: str) -> list[Path]:
-    folder = folder_of(package)
-    inner = {folder_of(other) for other in FORBIDDEN if other != package}
-    return [file for file in folder.rglob("*.py") if not any(other in file.parents and other != folder for other in inner)]
+def imported_modules(file: Path) -> set[str]:
+    """Modules of the package that a file imports, at its head or inside functions, without `ggvs_eval.`."""
+    found = set()
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+        if isinstance(node, ast.ImportFrom) and node.module:
+            inner = [f"{node.module}.{alias.name}" for alias in node.names]
+            names = [name if name.removeprefix("ggvs_eval.") in MODULES else node.module for name in inner]
+        found |= {name.removeprefix("ggvs_eval.") for name in names if name.startswith("ggvs_eval.")}
+    return found
 
 
-@pytest.mark.parametrize("package", FORBIDDEN)
-def test_no_package_imports_one_above_it(package):
-    """A package imports only what stands below it; the doors are named."""
+def room_of(module: str) -> str:
+    """The longest room whose name the module's begins with."""
+    parts = module.split(".")
+    return next((room for end in range(len(parts), 0, -1) if (room := ".".join(parts[:end])) in FLOOR_OF), "")
+
+
+def test_every_module_has_a_room():
+    """A module that stands in no listed room has no place in the plan; packages without code need none."""
+    empty = {name for name, file in MODULES.items() if file.name == "__init__.py" and not imported_modules(file)}
+
+    assert sorted(name for name in MODULES if not room_of(name) and name not in empty) == []
+    assert sorted(room for room in FLOOR_OF if not any(room_of(name) == room for name in MODULES)) == []
+
+
+def test_arrows_go_down():
+    """A module imports its own room and rooms of lower floors alone: so there is no circle either."""
     wrong = [
-        f"{package}/{file.relative_to(folder_of(package))} imports {name}"
-        for file in source_files(package)
-        if f"{package}/{file.relative_to(folder_of(package)).as_posix()}" not in DOORS
-        for name in imported_names(file)
-        for above in FORBIDDEN[package]
-        if name == f"ggvs_eval.{above}" or name.startswith(f"ggvs_eval.{above}.")
+        f"{module} ({FLOOR_OF[room_of(module)]}) imports {other} ({FLOOR_OF[room_of(other)]})"
+        for module, file in sorted(MODULES.items())
+        if room_of(module)
+        for other in sorted(imported_modules(file))
+        if room_of(other) and room_of(other) != room_of(module) and FLOOR_OF[room_of(other)] >= FLOOR_OF[room_of(module)]
     ]
 
     assert wrong == []
+
+
+def test_rooms_that_must_not_know_each_other():
+    """Metrics know no method, methods no metric, reports neither; pipelines start a report from three doors alone."""
+    wrong = [
+        f"{module} imports {other}"
+        for module, file in sorted(MODULES.items())
+        if module not in MAY_START_REPORTS
+        for other in sorted(imported_modules(file))
+        if other.split(".")[0] in FORBIDDEN.get(module.split(".")[0], ())
+    ]
+
+    assert wrong == []
+
+
+def test_modules_of_a_room_make_no_circle():
+    """Inside a room, too, imports make no circle."""
+    arrows = {module: imported_modules(file) & MODULES.keys() - {module} for module, file in MODULES.items()}
+    cleared: set[str] = set()
+    while free := {module for module in arrows.keys() - cleared if arrows[module] <= cleared}:
+        cleared |= free
+
+    assert sorted(arrows.keys() - cleared) == []
 
 
 def test_importing_the_package_loads_nothing_heavy():
@@ -67,3 +151,9 @@ def test_importing_the_package_loads_nothing_heavy():
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
 
     assert loaded == "[]", ggvs_eval.__file__
+
+
+@pytest.mark.parametrize("module", ["metrics.image", "reports.report"])
+def test_plan_reads_the_tree(module):
+    """The plan is of the real tree: known modules are found, and import something."""
+    assert imported_modules(MODULES[module])

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ggvs_eval.depth_store import DepthStore
+from ggvs_eval.depth_store import DepthJob, DepthStore
 from ggvs_eval.errors import CaptureError, DepthError
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
-from ggvs_eval.pipelines.offline.depth.fill_store import DepthJob, depth_spec, plan_depth, prepare_depth
+from ggvs_eval.pipelines.offline.depth.fill_store import depth_spec, plan_depth, prepare_depth
 from ggvs_eval.pipelines.offline.depth.pairing import choose_partners
 from ggvs_eval.pipelines.offline.stereo.fusion import drop_flying_pixels, fill_background, fuse, smooth_surfaces
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher

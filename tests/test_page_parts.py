@@ -12,15 +12,15 @@ import pytest
 
 from ggvs_eval.files.images import read_image
 from ggvs_eval.protocol import Frames
-from ggvs_eval.reports.comparison import FRAME_BYTES, compare_frames
-from ggvs_eval.reports.data_uri import fitting_width
-from ggvs_eval.reports.heat_map import heat_colours, heat_maps
-from ggvs_eval.reports.measured import MeasuredRun, read_run
-from ggvs_eval.reports.method_videos import FRAMES_AT_MOST, MethodVideo, method_videos
-from ggvs_eval.reports.path_pictures import PATH_BYTES, POSES_AT_MOST, path_pictures
-from ggvs_eval.reports.picture_room import share_room
+from ggvs_eval.reports.model.measured import MeasuredRun, read_run
+from ggvs_eval.reports.page.comparison import FRAME_BYTES, compare_frames
+from ggvs_eval.reports.page.data_uri import fitting_width
+from ggvs_eval.reports.page.heat_map import heat_colours, heat_maps
+from ggvs_eval.reports.page.method_videos import FRAMES_AT_MOST, MethodVideo, method_videos
+from ggvs_eval.reports.page.path_pictures import PATH_BYTES, POSES_AT_MOST, path_pictures
+from ggvs_eval.reports.page.picture_room import share_room
+from ggvs_eval.reports.page.scripts import FIRST_SCRIPTS, SCRIPTS, TEMPLATES, page_script, script_digest
 from ggvs_eval.reports.report import write_report
-from ggvs_eval.reports.scripts import FIRST_SCRIPTS, SCRIPTS, TEMPLATES, page_script, script_digest
 from ggvs_eval.run_folder import frame_path
 from page_reader import PageReader
 from run_folders import LABELS, RunShape, write_run

@@ -3,9 +3,9 @@
 import pytest
 
 from browser import DESKTOP, PHONE
-from ggvs_eval.reports.page import render_page
+from ggvs_eval.reports.page.page import render_page
+from ggvs_eval.reports.page.sweep_section import sweep_runs, sweep_section
 from ggvs_eval.reports.run_groups import read_groups
-from ggvs_eval.reports.sweep_section import sweep_runs, sweep_section
 from ggvs_eval.run_folder import write_text
 from sweep_folders import KS, LINES, write_sweep
 

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from ggvs_eval import kernels
-from ggvs_eval.depth_store import DepthStore
+from ggvs_eval.depth_store import DepthJob, DepthStore
 from ggvs_eval.errors import DepthError
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions, TimeOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
 from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
-from ggvs_eval.pipelines.offline.depth.fill_store import DepthJob, depth_spec, prepare_depth
+from ggvs_eval.pipelines.offline.depth.fill_store import depth_spec, prepare_depth
 from ggvs_eval.pipelines.offline.plane_sweep.plane_sweep import PlaneSweepEstimator
 from ggvs_eval.pipelines.offline.plane_sweep.sweep_level import SweepLevel
 from ggvs_eval.pipelines.offline.plane_sweep.sweep_options import PlaneSweep

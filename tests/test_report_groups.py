@@ -12,11 +12,11 @@ import pandas as pd
 import pytest
 
 from ggvs_eval.protocol import Frames
-from ggvs_eval.reports.leaders import leaders
-from ggvs_eval.reports.page import render_page
+from ggvs_eval.reports.model.table import Cell, Column, Row, Table, rank
+from ggvs_eval.reports.page.page import render_page
 from ggvs_eval.reports.report import write_report
 from ggvs_eval.reports.run_groups import read_groups
-from ggvs_eval.reports.table import Cell, Column, Row, Table, rank
+from ggvs_eval.reports.tables.leaders import leaders
 from page_reader import PageReader
 from run_folders import LABELS, NAMES, RunShape, write_run
 

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from ggvs_eval.protocol import Frames
-from ggvs_eval.reports.decomposition_table import decomposition_table
-from ggvs_eval.reports.measured import read_run
-from ggvs_eval.reports.published import published_rows, read_published
+from ggvs_eval.reports.model.measured import read_run
+from ggvs_eval.reports.model.table import Cell, Column, Row, Table, format_half_width, format_value, rank, shade
 from ggvs_eval.reports.report import write_report
-from ggvs_eval.reports.table import Cell, Column, Row, Table, format_half_width, format_value, rank, shade
-from ggvs_eval.reports.table_formats import escape_latex, to_latex, to_markdown
-from ggvs_eval.reports.tables import main_tables
-from ggvs_eval.reports.timing import timing_table
+from ggvs_eval.reports.tables.decomposition_table import decomposition_table
+from ggvs_eval.reports.tables.published import published_rows, read_published
+from ggvs_eval.reports.tables.report_tables import main_tables
+from ggvs_eval.reports.tables.table_formats import escape_latex, to_latex, to_markdown
+from ggvs_eval.reports.tables.timing import timing_table
 from ggvs_eval.results import Results
 from ggvs_eval.statistics.bootstrap import intervals
 from page_reader import PageReader

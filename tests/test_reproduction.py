@@ -12,12 +12,12 @@ import pytest
 from ggvs_eval.files.images import write_image
 from ggvs_eval.pipelines.methods.registry import METHODS
 from ggvs_eval.protocol import Frames, Measurement, Synthesis, load_protocol
-from ggvs_eval.reports.measured import MeasuredRun, MetricNote
-from ggvs_eval.reports.published import read_published
+from ggvs_eval.reports.model.measured import MeasuredRun, MetricNote
+from ggvs_eval.reports.model.table import Cell
 from ggvs_eval.reports.report import write_report
-from ggvs_eval.reports.reproduction import STATUSES, Reproduction, judge_value, paper_methods, reproduce
-from ggvs_eval.reports.reproduction_formats import reproduction_csv, reproduction_markdown
-from ggvs_eval.reports.table import Cell
+from ggvs_eval.reports.tables.published import read_published
+from ggvs_eval.reports.tables.reproduction import STATUSES, Reproduction, judge_value, paper_methods, reproduce
+from ggvs_eval.reports.tables.reproduction_formats import reproduction_csv, reproduction_markdown
 from ggvs_eval.results import Results, make_table
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, write_json
 from run_folders import RunShape, write_run

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from ggvs_eval.capture import Extras
-from ggvs_eval.depth_store import DepthStore
+from ggvs_eval.depth_store import DepthJob, DepthStore
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
-from ggvs_eval.pipelines.offline.depth.fill_store import DepthJob, depth_spec, plan_depth, prepare_depth
+from ggvs_eval.pipelines.offline.depth.fill_store import depth_spec, plan_depth, prepare_depth
 from stereo_scenes import PLANE, plane_depth, write_capture
 
 

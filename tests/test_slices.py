@@ -8,8 +8,7 @@ import pytest
 from ggvs_eval.errors import RenderError, ResultsError
 from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.protocol import Frames
-from ggvs_eval.reports.measured import read_run
-from ggvs_eval.reports.slices import (
+from ggvs_eval.reports.figures.slices import (
     epipolar_plane_image,
     most_changing_row,
     most_textured_row,
@@ -18,6 +17,7 @@ from ggvs_eval.reports.slices import (
     time_slices,
     write_slices,
 )
+from ggvs_eval.reports.model.measured import read_run
 from ggvs_eval.run_folder import frame_path
 from run_folders import RunShape, write_run
 

@@ -14,7 +14,7 @@ from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.sweep.run_sweep import run_sweep, run_sweeps
 from ggvs_eval.protocol import Frames, Views, load_protocol
-from ggvs_eval.reports.published import read_published
+from ggvs_eval.reports.tables.published import read_published
 from ggvs_eval.sweep import Sweep, SweepRow, load_sweep, packaged_sweeps
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.film.options import DemoOptions

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from ggvs_eval.reports.measured import read_run
+from ggvs_eval.reports.model.measured import read_run
+from ggvs_eval.reports.page.sweep_section import sweep_runs, sweep_section
 from ggvs_eval.reports.report import write_report
-from ggvs_eval.reports.sweep_section import sweep_runs, sweep_section
 from sweep_folders import KS, LINES, write_sweep
 
 

@@ -8,13 +8,13 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from ggvs_eval.reports.excel import write_excel
-from ggvs_eval.reports.measured import read_run
-from ggvs_eval.reports.paper_layout import paper_tables
+from ggvs_eval.reports.model.measured import read_run
+from ggvs_eval.reports.model.table import Cell, Column, Row, Table
 from ggvs_eval.reports.report import write_report
-from ggvs_eval.reports.reproduction import reproduce
-from ggvs_eval.reports.table import Cell, Column, Row, Table
-from ggvs_eval.reports.table_formats import to_latex
+from ggvs_eval.reports.tables.excel import write_excel
+from ggvs_eval.reports.tables.paper_layout import paper_tables
+from ggvs_eval.reports.tables.reproduction import reproduce
+from ggvs_eval.reports.tables.table_formats import to_latex
 from run_folders import RunShape, write_run
 
 ENGINE = next(filter(None, map(shutil.which, ("pdflatex", "lualatex", "xelatex", "tectonic"))), None)

@@ -13,6 +13,7 @@ from ggvs_eval.geometry.pinhole import as_image, pinhole, rigid_between
 from ggvs_eval.kernels import LEVELS, get_level, get_threads
 
 MAX_FEATURES = 4
+COVERED_ALPHA = 0.5  # from this coverage on a splatted view shows something
 
 
 @dataclass(frozen=True, eq=False)

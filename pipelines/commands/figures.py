@@ -33,7 +33,7 @@ def draw_slice(run: Folder, kind: Literal["epi", "time"], out: Path, row: int | 
         row: image row; the most telling one by default.
         view: test view of a time slice; the first by default.
     """
-    from ggvs_eval.reports.slices import write_slices
+    from ggvs_eval.reports.figures.slices import write_slices
 
     print(write_slices(run, kind, row, view, out))
 
@@ -65,7 +65,7 @@ def figure(
         row: image row of epi and time; the most telling one by default.
         metrics: panels of k; PSNR and LPIPS by default.
     """
-    from ggvs_eval.reports.figures import write_figure
+    from ggvs_eval.reports.figures.paper_figures import write_figure
 
     options = {"rule": rule, "method": method, "boxes": boxes, "view": view, "frame": frame, "row": row, "metrics": metrics}
     print(*write_figure(run, kind, out, **options), sep="\n")  # type: ignore[arg-type]
@@ -87,6 +87,6 @@ def compare(
         views: also each view by itself.
         csv: file for all differences, each view's too, unrounded.
     """
-    from ggvs_eval.reports.compare_text import write_comparison
+    from ggvs_eval.reports.tables.compare_text import write_comparison
 
     print(write_comparison(first, second, run, views, csv))

@@ -7,8 +7,6 @@ from typing import Protocol
 from ggvs_eval.geometry.splat import Splat
 from ggvs_eval.method import Instant, Map
 
-COVERED_ALPHA = 0.5  # from this coverage on a splatted view shows something
-
 
 @dataclass(frozen=True)
 class BlendingInputs:

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.geometry.pinhole import rigid_between
+from ggvs_eval.geometry.splat import COVERED_ALPHA
 from ggvs_eval.method import Map
 from ggvs_eval.pipelines.online.blend_maps import BlendMaps, Guidance, RawViews
-from ggvs_eval.pipelines.online.blending import COVERED_ALPHA
 
 GUIDED = ("registered", "channels")  # by the fused depth
 

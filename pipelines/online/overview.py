@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.geometry.splat import COVERED_ALPHA
 from ggvs_eval.kernels import get_threads
 from ggvs_eval.method import Map
 from ggvs_eval.pipelines.online.blend_maps import BlendMaps
-from ggvs_eval.pipelines.online.blending import COVERED_ALPHA
 
 
 @dataclass(frozen=True, eq=False)

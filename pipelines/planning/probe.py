@@ -15,7 +15,7 @@ import numpy as np
 
 from ggvs_eval.baselines.gaussians import NEAR_M
 from ggvs_eval.capture import Capture
-from ggvs_eval.depth_store import DepthStore
+from ggvs_eval.depth_store import DepthJob, DepthStore
 from ggvs_eval.files.images import quantise, write_image
 from ggvs_eval.geometry.splat import PixelGaussians, splat
 from ggvs_eval.method import Instant, LookaheadMethod, SourceView
@@ -23,7 +23,7 @@ from ggvs_eval.pipelines.methods.spec import MethodSpec
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.checked_depth import check_depth
 from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
-from ggvs_eval.pipelines.offline.depth.fill_store import DepthJob, depth_spec
+from ggvs_eval.pipelines.offline.depth.fill_store import depth_spec
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthEstimator
 from ggvs_eval.pipelines.planning.rates import Rates
 from ggvs_eval.pipelines.planning.score_trial import timed, try_scoring

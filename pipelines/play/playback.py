@@ -6,12 +6,12 @@ from pathlib import Path
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
-from ggvs_eval.depth_store import DepthStore
+from ggvs_eval.depth_store import DepthJob, DepthStore
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.digest import digest_values
 from ggvs_eval.geometry.source_views import SourceChoice, choose_sources
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
-from ggvs_eval.pipelines.offline.depth.fill_store import DepthJob, depth_spec, plan_depth, prepare_depth
+from ggvs_eval.pipelines.offline.depth.fill_store import depth_spec, plan_depth, prepare_depth
 from ggvs_eval.pipelines.play.trajectory import camera_loop
 from ggvs_eval.pipelines.run.frame_cache import cache_frames
 from ggvs_eval.pipelines.run.prepare import Prepared

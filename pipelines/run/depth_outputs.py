@@ -3,14 +3,15 @@
 from collections.abc import Iterable
 from pathlib import Path
 
-from ggvs_eval.depth_store import DepthStore
+from ggvs_eval.depth_store import DepthJob, DepthStore
 from ggvs_eval.errors import DepthError
-from ggvs_eval.pipelines.depth_page.depth_page import write_depth_page
-from ggvs_eval.pipelines.depth_page.depth_record import StoredDepth
-from ggvs_eval.pipelines.offline.depth.fill_store import DepthJob
 from ggvs_eval.pipelines.offline.export.dense_workspace import WorkspaceOptions, write_dense_workspace
 from ggvs_eval.pipelines.offline.export.fuse import FusedFiles, FuseOptions, fuse_instant
+from ggvs_eval.pipelines.offline.sensor.registration import Registration
 from ggvs_eval.pipelines.run.prepare import Prepared, SourcePlan
+from ggvs_eval.reports.depth_page.depth_page import write_depth_page
+from ggvs_eval.reports.depth_page.depth_record import StoredDepth
+from ggvs_eval.run_folder import read_json
 
 
 def write_prepared_page(prepared: Prepared, filled_confidence: float, workers: int = 1) -> Path:
@@ -32,11 +33,21 @@ def write_prepared_page(prepared: Prepared, filled_confidence: float, workers: i
     frames = prepared.frames
     shown = tuple(sorted({frames[0], frames[len(frames) // 2], frames[-1]}))
     filmed = {job.camera_name for job in views}  # cameras that serve the path alone were prepared at its instant alone
-    stored = [StoredDepth(job, key, shown) for job, key in sorted(views.items())]
+    store = DepthStore(prepared.run.depth)
+    width_px = prepared.capture.cameras[0].width
+    stored = [StoredDepth(job, key, shown, _registration(store, key, width_px)) for job, key in sorted(views.items())]
     alone = {job: key for job, key in path.items() if job.camera_name not in filmed}
-    stored += [StoredDepth(job, key, (prepared.path_frame,)) for job, key in sorted(alone.items())]
-    folder, store = prepared.run.root / "depth_page", DepthStore(prepared.run.depth)
-    return write_depth_page(folder, prepared.capture, stored, store, filled_confidence, workers)
+    stored += [
+        StoredDepth(job, key, (prepared.path_frame,), _registration(store, key, width_px)) for job, key in sorted(alone.items())
+    ]
+    return write_depth_page(prepared.run.root / "depth_page", prepared.capture, stored, store, filled_confidence, workers)
+
+
+def _registration(store: DepthStore, key: str, width_px: int) -> str:
+    """What was done to the sensor depth of a key, in words; empty where nothing was."""
+    spec = store.folder(key) / "spec.json"
+    applied = read_json(spec)["options"].get("registration") if spec.is_file() else None
+    return Registration(**applied).describe(width_px) if applied else ""
 
 
 def fuse_prepared(prepared: Prepared, frame: int | None = None, options: FuseOptions | None = None) -> FusedFiles:

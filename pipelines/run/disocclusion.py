@@ -11,10 +11,9 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.files.images import write_image
-from ggvs_eval.geometry.splat import PixelGaussians, splat
+from ggvs_eval.geometry.splat import COVERED_ALPHA, PixelGaussians, splat
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.jobs.run_all import do_all
-from ggvs_eval.pipelines.online.blending import COVERED_ALPHA
 from ggvs_eval.run_folder import frame_path, missing_frames
 
 

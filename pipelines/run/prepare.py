@@ -11,7 +11,7 @@ from ggvs_eval.camera import Camera, nearest_cameras, translated_path
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.path import CameraPath, open_path
-from ggvs_eval.depth_store import DepthStore
+from ggvs_eval.depth_store import DepthJob, DepthStore
 from ggvs_eval.errors import CaptureError, ProtocolError
 from ggvs_eval.files.images import resize, write_image
 from ggvs_eval.geometry.sight import require_sight
@@ -19,7 +19,7 @@ from ggvs_eval.geometry.source_views import choose_sources
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
-from ggvs_eval.pipelines.offline.depth.fill_store import DepthJob, depth_spec, plan_depth, prepare_depth
+from ggvs_eval.pipelines.offline.depth.fill_store import depth_spec, plan_depth, prepare_depth
 from ggvs_eval.pipelines.run.disocclusion import write_disocclusions
 from ggvs_eval.pipelines.run.frame_cache import cache_frames
 from ggvs_eval.pipelines.run.path_depth import write_path_depth

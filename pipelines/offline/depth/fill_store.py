@@ -1,12 +1,12 @@
 """Fill a depth store: every camera and instant that the online part will ask for."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
-from ggvs_eval.depth_store import DepthStore, describe_depth
+from ggvs_eval.depth_store import DepthJob, DepthStore, describe_depth
 from ggvs_eval.geometry.source_views import SourceChoice, choose_sources
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.jobs.run_all import do_all
@@ -16,26 +16,6 @@ from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
 from ggvs_eval.pipelines.offline.depth.pairing import choose_partners
 from ggvs_eval.pipelines.offline.sensor.registered_capture import registered
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthEstimator
-
-
-@dataclass(frozen=True, order=True)
-class DepthJob:
-    """One camera and the partners its depth is computed with; equal jobs give equal depth.
-
-    Attributes:
-        camera_name: the camera whose depth is wanted.
-        partner_names: the cameras it is matched with, in order; none where a sensor measured its depth.
-        checked_with: depth of other cameras that its own is held against; none for depth as it was found.
-    """
-
-    camera_name: str
-    partner_names: tuple[str, ...]
-    checked_with: tuple["DepthJob", ...] = ()
-
-    @property
-    def unchecked(self) -> "DepthJob":
-        """The same depth as it was found."""
-        return replace(self, checked_with=())
 
 
 def plan_depth(

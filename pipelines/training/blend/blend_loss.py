@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from ggvs_eval.geometry.splat import COVERED_ALPHA
 from ggvs_eval.pipelines.online.blend_network import BlendOutputs, weighted_mean_tensor
-from ggvs_eval.pipelines.online.blending import COVERED_ALPHA
 
 
 @dataclass(frozen=True)

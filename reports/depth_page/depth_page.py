@@ -1,0 +1,228 @@
+"""The depth page: depth, confidence and rectified pairs as pictures, so that a person sees what went wrong.
+
+::
+
+    FOLDER/index.html          the page; it loads nothing but its pictures
+    FOLDER/index.json          the numbers on it
+    FOLDER/pictures/*.jpg
+"""
+
+import hashlib
+import json
+import shutil
+from collections.abc import Sequence
+from concurrent.futures import Executor, Future
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from ggvs_eval.camera import Array, nearest_cameras
+from ggvs_eval.capture import Capture
+from ggvs_eval.colour_maps import confidence_scale, depth_scale, difference_scale
+from ggvs_eval.depth_store import DepthStore
+from ggvs_eval.errors import DepthError, ResultsError
+from ggvs_eval.geometry.features import Features, find_features
+from ggvs_eval.jobs.processes import finish_all, worker_pool
+from ggvs_eval.reports.depth_page.depth_pictures import write_instant, write_pairs
+from ggvs_eval.reports.depth_page.depth_record import CameraPictures, CameraRecord, DepthRecord, StoredDepth
+from ggvs_eval.reports.depth_page.depth_statistics import DepthStatistics, describe_map
+from ggvs_eval.reports.depth_page.depth_warnings import find_notes, find_warnings
+from ggvs_eval.reports.depth_page.pair_errors import PairErrors, measure_pair
+from ggvs_eval.run_folder import read_json, write_json
+
+VERSION = 1  # counts up whenever equal depth gives another page
+TEMPLATES = Path(__file__).parent / "templates"
+FLATTEST = 1.05  # far over near of the colours, so that noise on a wall does not fill them
+
+Statistics = tuple[DepthStatistics, ...]
+Pairs = dict[tuple[str, str], tuple[PairErrors, Array]]
+
+
+def write_depth_page(
+    folder: Path, capture: Capture, stored: Sequence[StoredDepth], store: DepthStore, filled_confidence: float, workers: int = 1
+) -> Path:
+    """Write the page; a complete one of the same depth is left as it is.
+
+    Args:
+        folder: where to; what is in it is replaced.
+        capture: the capture that the depth was computed from, at that size.
+        stored: what to show; cameras may stand in it several times, matched with other partners.
+        store: the depth.
+        filled_confidence: `DepthOptions.filled_confidence` of its computation.
+        workers: processes; the page does not depend on it.
+
+    Returns:
+        The page.
+
+    Raises:
+        DepthError: nothing to show, or depth that is not stored.
+        CaptureError: frames that cannot be read.
+    """
+    if not stored:
+        raise DepthError(f"{folder}: wanted depth to show, got none; prepare a capture with at least one test view")
+    identity = _identity(capture, stored, filled_confidence)
+    if _is_written(folder, identity):
+        return folder / "index.html"
+    shutil.rmtree(folder, ignore_errors=True)
+    with worker_pool(min(workers, len(stored))) as pool:
+        record = examine_depth(pool, folder / "pictures", capture, stored, store, filled_confidence)
+    files = sorted(path.name for path in (folder / "pictures").iterdir())
+    (folder / "index.html").write_text(render_depth_page(record), encoding="utf-8")
+    spoken = {"warnings": find_warnings(record), "notes": find_notes(record)}
+    write_json(folder / "index.json", {"identity": identity, "files": files, **spoken, **asdict(record)})
+    return folder / "index.html"
+
+
+def render_depth_page(record: DepthRecord) -> str:
+    """The HTML of a record; equal records give equal text."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    environment = Environment(
+        loader=FileSystemLoader(TEMPLATES), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    return environment.get_template("depth_page.html.j2").render(
+        record=record,
+        css=(TEMPLATES / "depth_page.css").read_text(encoding="utf-8"),
+        warnings=find_warnings(record),
+        notes=find_notes(record),
+        depth_scales={camera.name: depth_scale(*camera.pictures.depth_range) for camera in record.cameras},
+        confidence_scale=confidence_scale(),
+        difference_scale=difference_scale(),
+    )
+
+
+def _identity(capture: Capture, stored: Sequence[StoredDepth], filled_confidence: float) -> str:
+    described = [VERSION, filled_confidence, capture.scene, capture.units_per_metre, capture.units_origin, capture.camera_names]
+    return hashlib.sha256(json.dumps([described, [asdict(each) for each in stored]]).encode()).hexdigest()
+
+
+def _is_written(folder: Path, identity: str) -> bool:
+    """Whether the folder holds this very page with all its pictures."""
+    try:
+        record = read_json(folder / "index.json")
+    except ResultsError:
+        return False
+    files = [folder / "index.html", *(folder / "pictures" / name for name in record.get("files", ()))]
+    return record.get("identity") == identity and all(file.is_file() for file in files)
+
+
+def examine_depth(
+    pool: Executor, folder: Path, capture: Capture, stored: Sequence[StoredDepth], store: DepthStore, filled_confidence: float
+) -> DepthRecord:
+    """Judge depth maps and pairs and write the pictures, in three rounds: statistics and features, pairs, pictures.
+
+    Args:
+        pool: does the work.
+        folder: where pictures go.
+        capture: as in `write_depth_page`, and so is the rest.
+        stored: what to show.
+        store: the depth.
+        filled_confidence: of filled pixels.
+    """
+    statistics = _all(pool, [pool.submit(_describe, store, each, filled_confidence) for each in stored], "judging depth maps")
+    pairs = _measure_pairs(pool, capture, stored)
+    shown = _least_measured(capture, stored, statistics)
+    matches = {index: _matches_of(stored[index], pairs) for index in shown}
+    drawing = [
+        pool.submit(
+            _draw, folder, f"c{number:02d}", capture, stored[index], statistics[index], store, filled_confidence, matches[index]
+        )
+        for number, index in enumerate(shown)
+    ]
+    pictures = _all(pool, drawing, "pictures of the depth")
+    known = list(zip(stored, statistics, strict=True))
+    cameras = [
+        CameraRecord(name, tuple(each for each in known if each[0].job.camera_name == name), of_camera)
+        for name, of_camera in zip([stored[index].job.camera_name for index in shown], pictures, strict=True)
+    ]
+    matched = {partner for each in stored for partner in each.job.partner_names}
+    unmatched = tuple(name for name in capture.camera_names if name not in matched)
+    errors = tuple(pair for pair, _ in pairs.values())
+    units = capture.units_per_metre, capture.units_origin
+    registrations = tuple(dict.fromkeys(each.registration for each in stored if each.registration))
+    return DepthRecord(capture.scene, *units, tuple(cameras), errors, unmatched, registrations)
+
+
+def _all(pool: Executor, running: list[Future[Any]], doing: str) -> list[Any]:
+    finish_all(pool, running, doing)
+    return [each.result() for each in running]
+
+
+def _measure_pairs(pool: Executor, capture: Capture, stored: Sequence[StoredDepth]) -> Pairs:
+    """Errors and matches of every pair, once, whichever of the two the depth was computed of."""
+    wanted: dict[tuple[str, str], int] = {}
+    for each in stored:
+        for partner in each.job.partner_names:
+            if (partner, each.job.camera_name) not in wanted:
+                wanted.setdefault((each.job.camera_name, partner), each.frames[0])
+    instants = sorted({(name, frame) for pair, frame in wanted.items() for name in pair})
+    features = dict(zip(instants, _all(pool, [pool.submit(_find, capture, *each) for each in instants], "features"), strict=True))
+    running = [
+        pool.submit(measure_pair, capture.camera(one), capture.camera(two), features[one, frame], features[two, frame])
+        for (one, two), frame in wanted.items()
+    ]
+    return dict(zip(wanted, _all(pool, running, "matching features"), strict=True))
+
+
+def _least_measured(capture: Capture, stored: Sequence[StoredDepth], statistics: Sequence[Statistics]) -> list[int]:
+    """Of each camera, in the order of the capture, the job that measured least."""
+    found: dict[str, int] = {}
+    for index, each in enumerate(stored):
+        name = each.job.camera_name
+        if name not in found or statistics[index][0].measured < statistics[found[name]][0].measured:
+            found[name] = index
+    return [found[name] for name in capture.camera_names if name in found]
+
+
+def _describe(store: DepthStore, stored: StoredDepth, filled_confidence: float) -> Statistics:
+    return tuple(describe_map(frame, store.read(stored.key, frame), filled_confidence) for frame in stored.frames)
+
+
+def _find(capture: Capture, name: str, frame: int) -> Features:
+    return find_features(capture.frame(name, frame))
+
+
+def _draw(
+    folder: Path,
+    stem: str,
+    capture: Capture,
+    stored: StoredDepth,
+    statistics: Statistics,
+    store: DepthStore,
+    filled_confidence: float,
+    matches: dict[str, Array],
+) -> CameraPictures:
+    """Write the pictures of one camera; runs in a worker."""
+    camera = capture.camera(stored.job.camera_name)
+    partners = [capture.camera(name) for name in stored.job.partner_names]
+    nearest = nearest_cameras(camera, partners, 1)[0] if partners else None
+    depth_range = _depth_range(statistics, camera.near, camera.far)
+    instants = []
+    for frame in stored.frames:
+        image, depth_map = capture.frame(camera.name, frame), store.read(stored.key, frame)
+        other = (nearest, capture.frame(nearest.name, frame)) if nearest else None
+        instants.append(write_instant(folder, stem, frame, camera, image, depth_map, depth_range, filled_confidence, other))
+    first = stored.frames[0]
+    images = [(partner, capture.frame(partner.name, first)) for partner in partners if partner.name in matches]
+    rectified = write_pairs(folder, stem, camera, capture.frame(camera.name, first), images, matches)
+    again_from = nearest.name if nearest else ""
+    return CameraPictures(stored.job.partner_names, depth_range, again_from, tuple(instants), rectified)
+
+
+def _matches_of(stored: StoredDepth, pairs: Pairs) -> dict[str, Array]:
+    """Partners that the camera can be rectified with -> matched pixels of the camera and of it, (M, 2, 2)."""
+    name, found = stored.job.camera_name, {}
+    for partner in stored.job.partner_names:
+        is_first = (name, partner) in pairs  # whichever of the two was measured first
+        errors, uv = pairs[name, partner] if is_first else pairs[partner, name]
+        if not errors.obstacle:
+            found[partner] = uv if is_first else uv[:, ::-1]
+    return found
+
+
+def _depth_range(statistics: Statistics, near: float, far: float) -> tuple[float, float]:
+    """What the colours span: all instants alike, so that they can be compared."""
+    known = [each for each in statistics if each.measured]
+    nearest, farthest = min((each.near for each in known), default=near), max((each.far for each in known), default=far)
+    spread = max(FLATTEST / (farthest / nearest), 1.0) ** 0.5
+    return nearest / spread, farthest * spread

@@ -1,0 +1,82 @@
+"""A camera's image made again from another camera's through the depth: where it differs, the depth is wrong."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.depth_store import Map
+from ggvs_eval.files.images import Image8, quantise
+from ggvs_eval.geometry.splat import COVERED_ALPHA, PixelGaussians, splat
+from ggvs_eval.geometry.warp import warp
+
+SAME_SURFACE = 0.03  # of the median depth: what lies deeper behind another pixel is hidden by it
+FEWEST_PIXELS = 100  # that both cameras see, to compare their colours
+
+
+@dataclass(frozen=True, eq=False)
+class Resynthesis:
+    """An image made again.
+
+    Attributes:
+        image: from the other camera's pixels, RGB uint8 (H, W, 3), its exposure fitted to this camera's.
+        is_seen: pixels that the other camera sees as well, if the depth is right, (H, W).
+        difference: from the true image, mean of the three channels, of 255 levels, (H, W); 0 where nothing is seen.
+        gain: factor on red, green and blue that the exposure was fitted by.
+    """
+
+    image: Image8
+    is_seen: NDArray[np.bool_]
+    difference: Map
+    gain: tuple[float, float, float]
+
+    @property
+    def seen(self) -> float:
+        """Share of the pixels that both cameras see."""
+        return float(self.is_seen.mean())
+
+    @property
+    def error(self) -> float:
+        """Mean difference over them, of 255 levels; 0 where there are none."""
+        return float(self.difference[self.is_seen].mean()) if self.is_seen.any() else 0.0
+
+
+def resynthesise(camera: Camera, depth: Map, image: Image8, other: Camera, other_image: Image8) -> Resynthesis:
+    """Look up each pixel of a camera in another camera's image, by its depth.
+
+    Args:
+        camera: the camera of the depth map.
+        depth: (H, W), world units, 0 = invalid.
+        image: what it saw, RGB uint8 (H, W, 3).
+        other: another camera.
+        other_image: what that one saw at the same instant.
+
+    Reading:
+        What the other camera cannot see is found by this very depth map, seen from there, not by the other's own: then only one
+        depth map is judged at a time. The gain is the median ratio of the images, so that exposure does not pass for wrong depth.
+    """
+    known = depth > 0
+    tolerance = SAME_SURFACE * float(np.median(depth[known])) if known.any() else SAME_SURFACE * camera.near
+    seen_from_there = _depth_from(camera, depth, other)
+    found = warp(camera, depth, other, other_image.astype(np.float32) / np.float32(255), seen_from_there, tolerance, bicubic=True)
+    is_seen = known & (found.visibility > 0.5)
+    gain = _gain(image[is_seen], found.colour[is_seen] * 255)
+    colour = found.colour * np.asarray(gain, np.float32)
+    difference = np.abs(np.clip(colour, 0, 1) * 255 - image).mean(axis=-1, dtype=np.float32)
+    return Resynthesis(quantise(colour), is_seen, np.where(is_seen, difference, np.float32(0)), gain)
+
+
+def _depth_from(camera: Camera, depth: Map, other: Camera) -> Map:
+    """The depth map as the other camera sees it, (H', W'); 0 where it does not reach."""
+    gaussians = PixelGaussians(camera, depth, np.ones((*depth.shape, 1), np.float32))
+    view = splat([gaussians], other, near=0.1 * min(camera.near, other.near))
+    return np.where(view.alpha > COVERED_ALPHA, view.depth, np.float32(0))
+
+
+def _gain(truth: NDArray[np.uint8], found: NDArray[np.float32]) -> tuple[float, float, float]:
+    """Median ratio of the pixels (N, 3) per channel; dark pixels tell only noise."""
+    bright = (truth > 16) & (found > 16)
+    ratios = [truth[:, c][bright[:, c]] / found[:, c][bright[:, c]] for c in range(3)]
+    red, green, blue = (float(np.median(each)) if each.size >= FEWEST_PIXELS else 1.0 for each in ratios)
+    return red, green, blue

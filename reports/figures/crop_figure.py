@@ -1,0 +1,123 @@
+"""Frames of every method beside the truth, with the squares that a rule has chosen enlarged below or beside them."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ggvs_eval.files.images import Image8, read_image
+from ggvs_eval.reports.figures.curves import COLOURS
+from ggvs_eval.reports.figures.figure_file import save_figure
+from ggvs_eval.reports.figures.regions import ERROR_FULL_SCALE, RULES, Region, Rule, find_regions, read_errors
+from ggvs_eval.reports.model.measured import MeasuredRun
+from ggvs_eval.run_folder import frame_path
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+WIDTH_IN = 7.0
+BOX_COLOURS = (COLOURS[4], COLOURS[5], COLOURS[3], COLOURS[2])  # light ones, which stand out from pictures
+TINY, SMALL = 6, 7
+
+
+def draw_crops(
+    run: MeasuredRun,
+    files: Sequence[Path],
+    rule: Rule,
+    label: str,
+    boxes: int = 2,
+    view: str | None = None,
+    frame: int | None = None,
+) -> tuple[Path, ...]:
+    """One frame of every method with its boxes, and below it what is in each box, with the mean absolute error there."""
+    regions = find_regions(run, rule, label, boxes, view=view, frame=frame)
+    pictures = _pictures(run, regions[0])
+    errors = read_errors(run, regions[0].view, regions[0].frame)
+    height, width = pictures["truth"].shape[:2]
+    column_in = WIDTH_IN / len(pictures)
+    size = (WIDTH_IN, 0.5 + column_in * height / width + len(regions) * (column_in + 0.12))
+    figure, axes = _grid(size, [height / width, *[1.0] * len(regions)], len(pictures))
+    for across, (key, picture) in enumerate(pictures.items()):
+        _show(axes[0, across], picture, run.name(key))
+        for number, region in enumerate(regions):
+            _box(axes[0, across], region, number)
+            _show(axes[1 + number, across], _cut(picture, region), "" if key == "truth" else f"L1 {_l1(errors[key], region):.1f}")
+            _frame(axes[1 + number, across], number)
+    where = f"{regions[0].view}, frame {regions[0].frame}"
+    figure.suptitle(f"{where}; boxes: {RULES[rule].format(name=run.name(label))}", fontsize=SMALL)
+    return tuple(save_figure(figure, file) for file in files)
+
+
+def draw_failures(run: MeasuredRun, files: Sequence[Path], label: str, cases: int = 3) -> tuple[Path, ...]:
+    """The worst squares of a method, one per view: where they lie, the truth, every method, and the method's error as a map."""
+    regions = find_regions(run, "worst", label, cases, one_per_view=True)
+    labels = ("truth", *run.pictured)
+    figure, axes = _grid((WIDTH_IN, 0.6 + 1.35 * len(regions)), [1.0] * len(regions), len(labels) + 2)
+    for down, region in enumerate(regions):
+        pictures = _pictures(run, region)
+        errors = read_errors(run, region.view, region.frame)
+        _show(axes[down, 0], pictures[label], f"{region.view}, frame {region.frame}")
+        _box(axes[down, 0], region, 0)
+        for across, key in enumerate(labels, start=1):
+            told = "" if key == "truth" else f"\nL1 {_l1(errors[key], region):.1f}"
+            _show(axes[down, across], _cut(pictures[key], region), f"{run.name(key)}{told}")
+        shown = axes[down, -1].imshow(_cut(errors[label], region), cmap="magma", vmin=0, vmax=ERROR_FULL_SCALE)
+        _bare(axes[down, -1], f"error of {run.name(label)}")
+    bar = figure.colorbar(shown, ax=axes[:, -1], fraction=0.08, pad=0.04)
+    bar.ax.tick_params(labelsize=TINY)
+    bar.set_label("grey levels of 255", fontsize=TINY)
+    figure.suptitle(f"Squares {RULES['worst'].format(name=run.name(label))}, the worst of each view", fontsize=SMALL)
+    return tuple(save_figure(figure, file) for file in files)
+
+
+def _grid(size: tuple[float, float], heights: list[float], columns: int) -> tuple[Any, Any]:
+    """A figure and its axes (rows, columns)."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=size, layout="constrained")
+    return figure, figure.subplots(len(heights), columns, squeeze=False, height_ratios=heights)
+
+
+def _pictures(run: MeasuredRun, region: Region) -> dict[str, Image8]:
+    """Label -> whole frame, the truth first."""
+    return {key: read_image(frame_path(folder, region.frame)) for key, folder in run.frame_folders(region.view).items()}
+
+
+def _cut(picture: Any, region: Region) -> Any:
+    return picture[region.top : region.top + region.side, region.left : region.left + region.side]
+
+
+def _l1(errors: Any, region: Region) -> float:
+    return float(np.mean(_cut(errors, region)))
+
+
+def _show(axes: "Axes", picture: Image8, title: str) -> None:
+    axes.imshow(picture, interpolation="antialiased")  # repeats pixels where it enlarges much, averages where it reduces
+    _bare(axes, title)
+
+
+def _bare(axes: "Axes", title: str) -> None:
+    axes.set(xticks=[], yticks=[])
+    axes.set_title(_wrap(title), fontsize=TINY, pad=2)
+
+
+def _wrap(title: str, longest: int = 22) -> str:
+    """A long name in lines, so that it does not run into its neighbour's."""
+    import textwrap
+
+    return "\n".join(line for part in title.splitlines() for line in textwrap.wrap(part, longest))
+
+
+def _box(axes: "Axes", region: Region, number: int) -> None:
+    from matplotlib.patches import Rectangle
+
+    corner = (region.left - 0.5, region.top - 0.5)
+    colour = BOX_COLOURS[number % len(BOX_COLOURS)]
+    axes.add_patch(Rectangle(corner, region.side, region.side, fill=False, edgecolor=colour, linewidth=1.2))
+
+
+def _frame(axes: "Axes", number: int) -> None:
+    """Edges in the colour of the box that is shown."""
+    for spine in axes.spines.values():
+        spine.set(edgecolor=BOX_COLOURS[number % len(BOX_COLOURS)], linewidth=1.6)

@@ -1,0 +1,138 @@
+"""Error curves along time: one small panel per metric and view, every method in it."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+from ggvs_eval.reports.figures.figure_file import save_figure
+from ggvs_eval.reports.model.measured import MeasuredRun, label_of
+
+# Okabe and Ito's colours, told apart by colour-blind readers; the page repeats them as CSS variables.
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#b8a800", "#777777")
+DASHES = ("", "7 3", "2 3", "9 3 2 3")
+SIZE = (340, 170)
+MARGIN = (46, 10, 10, 24)  # left, right, top, bottom
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One method: `number` counts the methods of the run, so that it looks the same in every panel."""
+
+    name: str
+    number: int
+    frames: tuple[int, ...]
+    values: tuple[float, ...]
+
+    @property
+    def pairs(self) -> tuple[tuple[int, float], ...]:
+        """Each place along the axis with its value."""
+        return tuple(zip(self.frames, self.values, strict=True))
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One metric in one view along time.
+
+    Attributes:
+        metric: name.
+        unit: unit of the values; empty where there is none.
+        better: ``higher is better`` or ``lower is better``.
+        view: test view.
+        curves: one per method.
+        bounds: first and last frame, lower and upper end of the values; the same in all views.
+    """
+
+    metric: str
+    unit: str
+    better: str
+    view: str
+    curves: tuple[Curve, ...]
+    bounds: tuple[float, float, float, float]
+
+    def x(self, frame: float) -> float:
+        """Horizontal place of a frame in the drawing, in its pixels."""
+        first, last = self.bounds[:2]
+        return round(MARGIN[0] + (frame - first) / (last - first) * (SIZE[0] - MARGIN[0] - MARGIN[1]), 1)
+
+    def y(self, value: float) -> float:
+        """Vertical place of a value in the drawing, in its pixels."""
+        low, high = self.bounds[2:]
+        return round(MARGIN[2] + (high - value) / (high - low) * (SIZE[1] - MARGIN[2] - MARGIN[3]), 1)
+
+    def points(self, curve: Curve) -> str:
+        """A curve as the points of an SVG polyline."""
+        return " ".join(f"{self.x(frame)},{self.y(value)}" for frame, value in zip(curve.frames, curve.values, strict=True))
+
+    def value_ticks(self) -> list[tuple[float, str]]:
+        """Places and texts of the vertical axis, two to seven round numbers."""
+        low, high = self.bounds[2:]
+        step = 10.0 ** math.floor(math.log10((high - low) / 6))
+        step *= next(factor for factor in (1, 2, 5, 10) if (high - low) / (step * factor) <= 6)
+        decimals = max(0, -math.floor(math.log10(step)))
+        first, last = math.ceil(low / step), math.floor(high / step)
+        return [(self.y(index * step), f"{index * step:.{decimals}f}") for index in range(first, last + 1)]
+
+    def frame_ticks(self) -> list[tuple[float, str]]:
+        """Places and texts of the horizontal axis: first, middle and last frame."""
+        first, last = (int(bound) for bound in self.bounds[:2])
+        return [(self.x(frame), str(frame)) for frame in dict.fromkeys((first, (first + last) // 2, last))]
+
+
+def curve_panels(run: MeasuredRun) -> tuple[Panel, ...]:
+    """Panels of every metric that has a value per frame, metric by metric, view by view; none for a run of one frame."""
+    return tuple(panel for metric in run.protocol.measurement.metrics for panel in _metric_panels(run, metric))
+
+
+def _metric_panels(run: MeasuredRun, metric: str) -> list[Panel]:
+    """One panel per view, all on the same axes, so that levels can be compared between views."""
+    curves = {view: _curves(run, metric, view) for view in run.protocol.views.test}
+    values = [value for view in curves.values() for curve in view for value in curve.values]
+    frames = [frame for view in curves.values() for curve in view for frame in curve.frames]
+    if not values or min(frames) == max(frames):
+        return []
+    low, high = with_margin(min(values), max(values))
+    note = run.metrics[metric]
+    better = "higher is better" if note.higher_is_better else "lower is better"
+    bounds = (min(frames), max(frames), low, high)
+    return [Panel(metric, note.unit, better, view, curves[view], bounds) for view in curves]
+
+
+def _curves(run: MeasuredRun, metric: str, view: str) -> tuple[Curve, ...]:
+    """Finite values of every method, in the order of the methods."""
+    values, curves = run.results.per_frame(metric, view), []
+    for method, variant in cast("list[tuple[str, str]]", list(values.columns)):
+        series = values[(method, variant)].replace([math.inf, -math.inf], math.nan).dropna().sort_index()
+        label = label_of(method, variant)
+        number = run.labels.index(label) if label in run.labels else len(run.labels)
+        curves.append(Curve(run.name(label), number, tuple(series.index.astype(int)), tuple(map(float, series))))
+    return tuple(sorted(curves, key=lambda curve: curve.number))
+
+
+def with_margin(low: float, high: float) -> tuple[float, float]:
+    """Ends of an axis on which values from `low` to `high` do not touch the rim."""
+    margin = 0.06 * (high - low) or max(abs(high), 1.0) * 0.01
+    return low - margin, high + margin
+
+
+def draw_curves(panels: Sequence[Panel], out: Path) -> Path:
+    """Draw the panels of one metric beside each other, for print."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(max(3.4, 2.6 * len(panels)), 2.6), layout="constrained")
+    axes = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
+    for axis, panel in zip(axes, panels, strict=True):
+        for curve in panel.curves:
+            dashes = [float(length) / 2 for length in DASHES[curve.number % len(DASHES)].split()]
+            colour = COLOURS[curve.number % len(COLOURS)]
+            axis.plot(curve.frames, curve.values, color=colour, linewidth=1.1, label=curve.name, dashes=dashes or (None, None))
+        axis.set_title(panel.view, fontsize=8)
+        axis.set_xlabel("frame", fontsize=7)
+        axis.tick_params(labelsize=6)
+        axis.grid(alpha=0.25, linewidth=0.5)
+    unit = f" ({panels[0].unit})" if panels[0].unit else ""
+    axes[0].set_ylabel(f"{panels[0].metric}{unit}, {panels[0].better}", fontsize=7)
+    handles, names = axes[0].get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower center", ncols=2, fontsize=6, frameon=False)
+    return save_figure(figure, out)

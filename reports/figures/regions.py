@@ -1,0 +1,142 @@
+"""Where to look: the squares in which a method fails most, or in which methods differ most, found by rule."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.errors import ResultsError
+from ggvs_eval.files.images import read_image
+from ggvs_eval.reports.model.measured import MeasuredRun
+from ggvs_eval.run_folder import frame_path
+
+Rule = Literal["worst", "different"]
+ErrorMaps = dict[str, NDArray[np.float32]]  # label -> (H, W), mean absolute difference of the channels, grey levels of 255
+
+SIDE_SHARE = 0.16  # of the width
+ERROR_FULL_SCALE = 64.0  # grey levels: the brightest colour of an error map
+FRAMES_AT_MOST = 10  # looked at in each view
+RULES = {
+    "worst": "where the mean absolute error of {name} is largest",
+    "different": "where the mean absolute errors of the methods lie farthest apart",
+}
+
+
+@dataclass(frozen=True)
+class Region:
+    """A square of one frame.
+
+    Attributes:
+        view: test view.
+        frame: number of the frame.
+        top: first row, pixels.
+        left: first column, pixels.
+        side: pixels.
+        score: what the rule makes largest, grey levels of 255.
+    """
+
+    view: str
+    frame: int
+    top: int
+    left: int
+    side: int
+    score: float
+
+
+def find_regions(
+    run: MeasuredRun,
+    rule: Rule,
+    label: str,
+    count: int,
+    *,
+    view: str | None = None,
+    frame: int | None = None,
+    one_per_view: bool = False,
+) -> tuple[Region, ...]:
+    """The squares with the largest score, largest first.
+
+    Args:
+        run: a scored run.
+        rule: see `RULES`.
+        label: method that ``worst`` is about.
+        count: how many.
+        view: look in this view only.
+        frame: look at this frame only; at most `FRAMES_AT_MOST` of each view, evenly spaced, where None.
+        one_per_view: the worst square of each view; otherwise squares of one and the same frame, which do not overlap.
+
+    Raises:
+        ResultsError: no such view, frame or method, or fewer than two methods to differ.
+    """
+    views = run.protocol.views.test if view is None else (view,)
+    frames: Sequence[int] = run.frames[:: math.ceil(len(run.frames) / FRAMES_AT_MOST)] if frame is None else (frame,)
+    _check(run, rule, label, views, frames)
+    by_view = [max((_search(run, rule, label, name, at, 1)[0] for at in frames), key=lambda one: one.score) for name in views]
+    by_view.sort(key=lambda one: -one.score)
+    if one_per_view:
+        return tuple(by_view[:count])
+    return _search(run, rule, label, by_view[0].view, by_view[0].frame, count)
+
+
+def read_errors(run: MeasuredRun, view: str, frame: int) -> ErrorMaps:
+    """Error of each method in each pixel of a frame."""
+    folders = run.frame_folders(view)
+    truth = read_image(frame_path(folders["truth"], frame))
+    return {
+        label: cv2.absdiff(read_image(frame_path(folder, frame)), truth).mean(axis=2, dtype=np.float32)
+        for label, folder in folders.items()
+        if label != "truth"
+    }
+
+
+def score_map(errors: ErrorMaps, rule: Rule, label: str) -> NDArray[np.float32]:
+    """Score of the square at each place, (H - side + 1, W - side + 1), its first row and column at [0, 0].
+
+    Reading:
+        ``different`` takes the mean errors in a square, not the errors of single pixels, so that noise in which methods differ
+        from pixel to pixel counts for nothing.
+    """
+    side = square_side(next(iter(errors.values())).shape)
+    if rule == "worst":
+        return _mean_of_squares(errors[label], side)
+    means = np.stack([_mean_of_squares(error, side) for error in errors.values()])
+    return np.asarray(means.max(axis=0) - means.min(axis=0))
+
+
+def square_side(shape: tuple[int, ...]) -> int:
+    """Side of the squares in an image of this shape (H, W), pixels."""
+    return max(4, min(shape[0], round(SIDE_SHARE * shape[1])))
+
+
+def _mean_of_squares(values: NDArray[np.float32], side: int) -> NDArray[np.float32]:
+    sums = cv2.integral(values)  # (H + 1, W + 1)
+    total = sums[side:, side:] - sums[:-side, side:] - sums[side:, :-side] + sums[:-side, :-side]
+    return np.asarray(total / side**2, dtype=np.float32)
+
+
+def _search(run: MeasuredRun, rule: Rule, label: str, view: str, frame: int, count: int) -> tuple[Region, ...]:
+    """The square of the largest score in a frame, and the next ones that overlap none of those before."""
+    errors = read_errors(run, view, frame)
+    scores, side = score_map(errors, rule, label), square_side(errors[label].shape)
+    left_over = scores.copy()
+    found: list[Region] = []
+    while len(found) < count and np.isfinite(left_over).any():
+        top, left = (int(at) for at in np.unravel_index(int(np.argmax(left_over)), left_over.shape))
+        found.append(Region(view, frame, top, left, side, float(scores[top, left])))
+        left_over[max(0, top - side + 1) : top + side, max(0, left - side + 1) : left + side] = -np.inf
+    return tuple(found)
+
+
+def _check(run: MeasuredRun, rule: Rule, label: str, views: Sequence[str], frames: Sequence[int]) -> None:
+    known = run.protocol.views.test
+    if views[0] not in known:
+        raise ResultsError(f"{run.folder.root}: no test view {views[0]!r}; use one of {', '.join(known)}")
+    if frames[0] not in run.frames:
+        raise ResultsError(f"{run.folder.root}: no frame {frames[0]}; use {run.frames[0]} to {run.frames[-1]}")
+    if label not in run.pictured:
+        raise ResultsError(f"{run.folder.root}: no whole renders of {label!r}; use one of {', '.join(run.pictured)}")
+    if rule == "different" and len(run.pictured) < 2:
+        raise ResultsError(f"{run.folder.root}: one method alone differs from none; use --rule worst")

@@ -1,0 +1,142 @@
+"""A scored run folder as the reports see it: who was measured, under what name, and what each number means."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from ggvs_eval.datasets.units import DEMO_NOTES
+from ggvs_eval.errors import ResultsError
+from ggvs_eval.protocol import Protocol
+from ggvs_eval.reports.model.references import Reference, read_references
+from ggvs_eval.results import Results
+from ggvs_eval.run_folder import RunFolder, read_json, require_frames
+
+METHODS_FILE = "methods.json"
+METRICS_FILE = "metrics.json"
+
+
+@dataclass(frozen=True)
+class MetricNote:
+    """What a column head says about a metric; written beside the results by the score step.
+
+    Attributes:
+        name: as in the results.
+        unit: e.g. ``dB``; empty where there is none.
+        higher_is_better: direction of the arrow.
+        describe: one sentence.
+        reference: publication that defines it.
+    """
+
+    name: str
+    unit: str
+    higher_is_better: bool
+    describe: str
+    reference: str
+
+    @property
+    def arrow(self) -> str:
+        """Direction in which it gets better."""
+        return "↑" if self.higher_is_better else "↓"
+
+
+@dataclass(frozen=True)
+class MeasuredRun:
+    """One run folder that was rendered and scored.
+
+    Attributes:
+        folder: where it lies.
+        protocol: what was asked for.
+        results: what came out.
+        labels: folder names of the methods, in the order in which they were asked for.
+        names: label -> name to show.
+        ours: labels of the paper's method and its variants.
+        metrics: metric -> its note.
+        references: grey rows that belong to no method.
+    """
+
+    folder: RunFolder
+    protocol: Protocol
+    results: Results
+    labels: tuple[str, ...]
+    names: Mapping[str, str]
+    ours: frozenset[str]
+    metrics: Mapping[str, MetricNote]
+    references: tuple[Reference, ...] = ()
+
+    @property
+    def scene(self) -> str:
+        """Name of the captured scene."""
+        return ", ".join(dict.fromkeys(self.results.table["scene"].astype(str)))
+
+    @property
+    def title(self) -> str:
+        """What a reader knows the scene by.
+
+        Reading:
+            A demo capture is called like its folder or file (``demo-capture``, ``scene000``), which says nothing to a reader; its
+            data set's name does.
+        """
+        is_demo = self.folder.capture_record().get("units_origin") == DEMO_NOTES
+        return self.protocol.dataset if is_demo else self.scene
+
+    @property
+    def frames(self) -> range:
+        """Numbers of the synthesised frames."""
+        return range(self.protocol.frames.start, self.protocol.frames.start + self.protocol.frames.count)
+
+    @property
+    def partial(self) -> Mapping[str, str]:
+        """Methods whose renders lack views or frames -> what their numbers stand on."""
+        marks: dict[str, str] = self.results.provenance.get("partial", {})
+        return marks
+
+    @property
+    def pictured(self) -> tuple[str, ...]:
+        """Labels of the methods that have every frame, which alone can stand beside each other in pictures."""
+        return tuple(label for label in self.labels if label not in self.partial)
+
+    @property
+    def ours_first(self) -> tuple[str, ...]:
+        """The same with the paper's method before its variants, and these before all others: whom to show where one is shown."""
+        ours = sorted((label for label in self.pictured if label in self.ours), key=lambda label: "+" in label)  # stable
+        return (*ours, *(label for label in self.pictured if label not in self.ours))
+
+    def name(self, label: str) -> str:
+        """Name of a method to show; ``truth`` has one too, and partial renders say that they are."""
+        name = "Truth" if label == "truth" else self.names.get(label, label)
+        return f"{name} (partial)" if label in self.partial else name
+
+    def frame_folders(self, view: str) -> dict[str, Path]:
+        """Folder of the captured frames of a view (key ``truth``, first) and of every method's that has all of them."""
+        return {"truth": self.folder.truth(view)} | {label: self.folder.renders(label, view) for label in self.pictured}
+
+
+def read_run(root: Path) -> MeasuredRun:
+    """Read everything that a report says about a run, except its frames, which are only checked to be there.
+
+    Raises:
+        ResultsError: not a run folder, not scored, or scored under another protocol than the one that lies in it.
+        RenderError: frames are missing.
+    """
+    folder = RunFolder(Path(root))
+    protocol, results = folder.protocol(), Results.read(folder.root)
+    if results.provenance["protocol_sha256"] != protocol.sha256:
+        raise ResultsError(
+            f"{folder.root}: results were measured under protocol {results.provenance['protocol_sha256'][:12]}, "
+            f"protocol.toml is {protocol.sha256[:12]}; run `ggvs-eval score` again"
+        )
+    if not folder.labels():
+        raise ResultsError(f"{folder.root}: no frames under renders/ to report on; run `ggvs-eval render` again")
+    methods = read_json(folder.root / METHODS_FILE)
+    notes = {name: MetricNote(name, **note) for name, note in read_json(folder.root / METRICS_FILE).items()}
+    run = MeasuredRun(folder, protocol, results, tuple(folder.labels()), methods["names"], frozenset(methods["ours"]), notes)
+    run = replace(run, references=read_references(folder))
+    for view in protocol.views.test:
+        named = {f"{run.name(label)} in {view}": path for label, path in run.frame_folders(view).items()}
+        require_frames(named, run.frames)
+    return run
+
+
+def label_of(method: str, variant: str) -> str:
+    """Folder name of a method and variant, as the rows of the results name them."""
+    return f"{method}+{variant}" if variant else method

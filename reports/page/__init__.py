@@ -1,0 +1,1 @@
+"""The page and what it carries in itself: pictures, videos, heat maps, scripts."""

@@ -1,0 +1,80 @@
+"""Heat maps of a metric over view x frame, one per method, all of a metric on one scale."""
+
+import math
+from dataclasses import dataclass
+from typing import Any, cast
+
+import cv2
+import numpy as np
+
+from ggvs_eval.files.images import Image8
+from ggvs_eval.reports.model.measured import MeasuredRun, label_of
+
+SIGNIFICANT = 5  # digits that a value keeps in the page
+
+
+@dataclass(frozen=True)
+class HeatMap:
+    """One metric of every method over views and frames.
+
+    Attributes:
+        metric: name.
+        unit: unit of the values; empty where there is none.
+        higher_is_better: direction.
+        low: smallest finite value of all methods.
+        high: largest finite value of all methods.
+        values: label -> view -> one value per frame of the run; None where there is none or none that is finite.
+    """
+
+    metric: str
+    unit: str
+    higher_is_better: bool
+    low: float
+    high: float
+    values: dict[str, dict[str, list[float | None]]]
+
+    def record(self) -> dict[str, Any]:
+        """What the page carries."""
+        return {
+            "unit": self.unit,
+            "higher_is_better": self.higher_is_better,
+            "low": self.low,
+            "high": self.high,
+            "values": self.values,
+        }
+
+
+def heat_maps(run: MeasuredRun) -> tuple[HeatMap, ...]:
+    """One per metric that has a finite value for any view and frame, in the order of the protocol."""
+    found = (_heat_map(run, metric) for metric in run.protocol.measurement.metrics)
+    return tuple(heat_map for heat_map in found if heat_map)
+
+
+def _heat_map(run: MeasuredRun, metric: str) -> HeatMap | None:
+    views = run.protocol.views.test
+    values: dict[str, dict[str, list[float | None]]] = {label: {} for label in run.labels}
+    for view in views:
+        table = run.results.per_frame(metric, view).reindex(list(run.frames))
+        for method, variant in cast("list[tuple[str, str]]", list(table.columns)):
+            label = label_of(method, variant)
+            if label in values:
+                values[label][view] = [_rounded(float(value)) for value in table[(method, variant)]]
+    finite = [value for of_label in values.values() for row in of_label.values() for value in row if value is not None]
+    if not finite:
+        return None
+    note = run.metrics[metric]
+    return HeatMap(metric, note.unit, note.higher_is_better, min(finite), max(finite), values)
+
+
+def _rounded(value: float) -> float | None:
+    return float(f"{value:.{SIGNIFICANT}g}") if math.isfinite(value) else None
+
+
+def heat_colours(count: int = 64) -> Image8:
+    """Colours from the best to the worst value, (1, count, 3): cividis, which looks the same to colour-blind readers.
+
+    Reading:
+        Bright is worse, as in the error maps, whichever direction the metric has.
+    """
+    ramp = np.linspace(0, 255, count).round().astype(np.uint8)[None]
+    return np.ascontiguousarray(cv2.applyColorMap(ramp, cv2.COLORMAP_CIVIDIS)[..., ::-1], dtype=np.uint8)

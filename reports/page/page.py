@@ -1,0 +1,170 @@
+"""The page: one HTML file that carries everything it shows and opens without a network."""
+
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ggvs_eval.files.images import Image8
+from ggvs_eval.reports.figures.curves import COLOURS, DASHES, MARGIN, SIZE
+from ggvs_eval.reports.figures.regions import ERROR_FULL_SCALE
+from ggvs_eval.reports.figures.slice_figure import NO_TRUTH
+from ggvs_eval.reports.figures.slices import Slices
+from ggvs_eval.reports.model.measured import MeasuredRun
+from ggvs_eval.reports.page.comparison import compare_frames, error_scale
+from ggvs_eval.reports.page.data_uri import png_uri, shrink, webp_uri
+from ggvs_eval.reports.page.heat_map import heat_colours, heat_maps
+from ggvs_eval.reports.page.inside import inside_legend
+from ggvs_eval.reports.page.method_videos import method_videos
+from ggvs_eval.reports.page.path_pictures import path_pictures
+from ggvs_eval.reports.page.picture_room import PictureRoom, share_room
+from ggvs_eval.reports.page.scripts import FIRST_SCRIPTS, TEMPLATES, page_script, script_digest
+from ggvs_eval.reports.page.sweep_section import SweepSection
+from ggvs_eval.reports.page.viewer_data import viewer_data
+from ggvs_eval.reports.run_groups import RunGroup, RunSection
+from ggvs_eval.reports.tables.leaders import leaders
+from ggvs_eval.reports.tables.published import CAVEATS, published_tables
+from ggvs_eval.reports.tables.reproduction import MEANING, Reproduction
+from ggvs_eval.reports.tables.reproduction_formats import blocks, count_words
+from ggvs_eval.run_folder import JOB_FILE
+
+CONTEXT_WIDTH = 480
+FACT_NAMES = {"n_frames": "frames captured", "fps": "frames per second", "units_origin": "scale known from"}
+PLOT = {"size": SIZE, "margin": MARGIN, "dashes": DASHES, "colours": len(COLOURS)}
+
+
+def render_page(groups: Sequence[RunGroup], reproduced: Sequence[Reproduction] = (), sweeps: Sequence[SweepSection] = ()) -> str:
+    """Fill the templates.
+
+    Args:
+        groups: runs by protocol; one alone has no heading of its own.
+        reproduced: every value that the paper publishes, beside ours.
+        sweeps: tables and curves over K; they stand first where their runs follow, else behind the groups.
+
+    Returns:
+        The whole page; equal inputs give equal text.
+    """
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    environment = Environment(
+        loader=FileSystemLoader(TEMPLATES), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    scripts = {"first": page_script(FIRST_SCRIPTS), "last": page_script()}
+    return environment.get_template("page.html.j2").render(
+        title=" · ".join(dict.fromkeys(group.titles for group in groups)),
+        css=(TEMPLATES / "page.css").read_text(encoding="utf-8"),
+        dark_css=(TEMPLATES / "dark.css").read_text(encoding="utf-8"),
+        scripts=scripts,
+        script_digests=[script_digest(script) for script in scripts.values()],
+        groups=_groups(groups),
+        sweeps=[{"id": f"sweep{at}", "title": sweep.title, **vars(sweep)} for at, sweep in enumerate(sweeps)],
+        plot=PLOT,
+        published=published_tables(),
+        caveats=CAVEATS,
+        reproduction={
+            "blocks": blocks(reproduced),
+            "counts": count_words(reproduced),
+            "meaning": MEANING,
+            "values": len(reproduced),
+        },
+        error_scale=png_uri(error_scale()),
+        error_full_scale=int(ERROR_FULL_SCALE),
+        heat_scale=png_uri(heat_colours()),
+    )
+
+
+def _groups(groups: Sequence[RunGroup]) -> list[dict[str, Any]]:
+    """What the templates need of each group; places in the page have the same names in all groups, behind the group's own."""
+    rooms = enumerate(share_room([section.run for group in groups for section in group.sections]))
+    return [
+        {
+            "id": f"group{at}",
+            "place": f"group{at}-" if len(groups) > 1 else "",
+            "level": 3 if len(groups) > 1 else 2,
+            "heading": group.heading,
+            "titles": group.titles,
+            "protocol": group.protocol,
+            "provenance": group.results.provenance,
+            "metrics": group.sections[0].run.metrics,
+            "n_methods": len({label for section in group.sections for label in section.run.labels}),
+            "tables": group.tables,
+            "leaders": leaders(group.tables),
+            "several_datasets": len({table.dataset for table in group.tables}) > 1,
+            "has_published_rows": any(row.kind == "published" for table in group.tables for row in table.rows),
+            "sections": [_section(*next(rooms), section) for section in group.sections],
+        }
+        for at, group in enumerate(groups)
+    ]
+
+
+def reproduce(run: MeasuredRun, capture: str) -> list[str]:
+    """The commands that make these numbers again; folders by their last name only, so that a page tells nothing of a machine."""
+    root = run.folder.root.name
+    ours = [label for label in run.labels if (run.folder.renders(label, run.protocol.views.test[0]) / JOB_FILE).is_file()]
+    foreign = [f"{label}=RENDERS/{label}" for label in run.labels if label not in ours]
+    commands = [["prepare", root, "--capture", Path(capture).name, "--protocol", f"{root}/protocol.toml"]]
+    on_gpu = {render.rsplit("/", 1)[0] for render in run.results.provenance.get("devices", {})}
+    for device, flags in ((False, []), (True, ["--device", "cuda"])):
+        if labels := [label for label in ours if (label in on_gpu) == device]:
+            commands.append(["render", root, "--methods", *labels, *flags])
+    commands += [["score", root, *(["--renders", *foreign] if foreign else [])], ["report", root]]
+    return [shlex.join(["ggvs-eval", *command]) for command in commands]
+
+
+def _section(index: int, room: PictureRoom, section: RunSection) -> dict[str, Any]:
+    """What the templates need of one run, pictures as data addresses."""
+    run, maps = section.run, heat_maps(section.run)
+    comparison = compare_frames(run, room.frames)
+    path = path_pictures(run, room.path)
+    capture = run.folder.capture_record()
+    fps = float(capture.get("fps") or 0)
+    row = next((slices.row for slices in section.slices if slices.kind == "time"), comparison.full_size[1] // 2)
+    return {
+        "id": f"run{index}",
+        "run": run,
+        "capture": _facts(capture),
+        "n_cameras": len(capture.get("cameras", ())),
+        "view_tables": section.view_tables,
+        "timing": section.timing,
+        "comparison": comparison,
+        "inside": inside_legend(comparison.keys),
+        "first_left": (*run.ours_first, "truth")[0],
+        "data": viewer_data(run, comparison, path, maps, row, fps),
+        "heat_maps": maps,
+        "videos": method_videos(run, fps, room.videos),
+        "slices": [_slice_pictures(slices) for slices in section.slices],
+        "commands": reproduce(run, str(capture.get("path", "CAPTURE"))),
+        "has_path": any(slices.kind == "epi" for slices in section.slices),
+        "panels": section.panels,
+        "plot": PLOT,
+    }
+
+
+def _facts(capture: dict[str, Any]) -> dict[str, str | int | float]:
+    """What is said of the capture, notes about what was left out included."""
+    plain = {key: value for key, value in capture.items() if key != "path" and isinstance(value, str | int | float)}
+    facts = {FACT_NAMES.get(key, key.replace("_", " ")): value for key, value in plain.items()}
+    notes = "; ".join(capture.get("notes", ()))
+    return facts | ({"notes": notes} if notes else {})
+
+
+def _slice_pictures(slices: Slices) -> dict[str, Any]:
+    height, width = slices.context.shape[:2]
+    return {
+        "kind": slices.kind,
+        "view": slices.view,
+        "row": slices.row,
+        "chosen_by": slices.chosen_by,
+        "title": slices.title,
+        "context": webp_uri(shrink(slices.context, CONTEXT_WIDTH)),
+        "size": (width, height),
+        "strips": [(strip.name, None if strip.image is None else png_uri(_tall(strip.image))) for strip in slices.strips],
+        "no_truth": NO_TRUTH,
+    }
+
+
+def _tall(image: Image8, height: int = 96) -> Image8:
+    """Repeat samples until a slice is tall enough to look at; no value is changed."""
+    return np.repeat(image, max(1, round(height / len(image))), axis=0)

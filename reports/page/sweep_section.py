@@ -1,0 +1,128 @@
+"""A sweep in a report: its table, and quality and time over the number of source views K."""
+
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import pandas as pd
+
+from ggvs_eval.errors import ResultsError
+from ggvs_eval.reports.figures.curves import Curve, Panel, with_margin
+from ggvs_eval.reports.figures.k_figure import SECONDS, SWEEP_FILE, USUAL, read_k_table
+from ggvs_eval.reports.model.measured import MetricNote
+from ggvs_eval.reports.model.table import Cell, Column, Row, Table, format_value
+from ggvs_eval.run_folder import RunFolder
+
+MEAN = "mean"  # what the table of a sweep calls the mean over its captures
+CAPTION = "As `ggvs-eval sweep` has written it. Each variant is a protocol of its own, so nothing is ranked here"
+RUNS_FOLLOW = "; intervals stand in the tables of the single runs below."
+RUNS_ELSEWHERE = "; intervals and pictures of the single runs: `ggvs-eval report {}`."
+
+
+@dataclass(frozen=True)
+class SweepSection:
+    """What the page shows of one sweep.
+
+    Attributes:
+        name: of its folder.
+        table: a row per method and variant.
+        panels: a curve per method over K; none where the sweep has a single K.
+        ks: numbers of source views, rising.
+        measured_on: protocol, frames and views of the curves.
+        runs_follow: whether the page shows its runs too.
+    """
+
+    name: str
+    table: Table
+    panels: tuple[Panel, ...]
+    ks: tuple[int, ...]
+    measured_on: str
+    runs_follow: bool
+
+    @property
+    def title(self) -> str:
+        """Heading of the section."""
+        return "Quality and time over K" if self.panels else "Sweep"
+
+
+def is_sweep(root: Path) -> bool:
+    """Whether a folder is a sweep's with its table, and no run's."""
+    return (root / SWEEP_FILE).is_file() and not RunFolder(root).protocol_file.is_file()
+
+
+def sweep_runs(sweep: Path) -> list[Path]:
+    """The run folders of a sweep that its table has lines of, in their order there."""
+    table = pd.read_csv(sweep / SWEEP_FILE, dtype={"capture": str, "variant": str})
+    if "capture" not in table:
+        return [sweep / variant for variant in dict.fromkeys(table["variant"])]
+    names = dict.fromkeys(zip(table["capture"], table["variant"], strict=True))
+    return [sweep / capture / variant for capture, variant in names if capture != MEAN]
+
+
+def sweep_section(sweep: Path, notes: Mapping[str, MetricNote], runs_follow: bool = True) -> SweepSection:
+    """Read the table of a sweep.
+
+    Args:
+        sweep: folder that ``ggvs-eval sweep`` has made.
+        notes: metric -> unit and direction, of the sweep's runs.
+        runs_follow: whether the page shows these runs too.
+    """
+    caption = CAPTION + (RUNS_FOLLOW if runs_follow else RUNS_ELSEWHERE.format(shlex.quote(str(sweep))))
+    table = _table(sweep, notes, caption)
+    try:
+        over_k = read_k_table(sweep)
+    except ResultsError:  # a sweep over other things than K
+        return SweepSection(sweep.name, table, (), (), "", runs_follow)
+    metrics = [metric for metric in (*USUAL, SECONDS) if metric in over_k]
+    ks = tuple(sorted({int(k) for k in over_k.index.get_level_values("K")}))
+    panels = tuple(_panel(over_k, metric, notes) for metric in metrics)
+    return SweepSection(sweep.name, table, panels, ks, _measured_on(sweep), runs_follow)
+
+
+def _measured_on(sweep: Path) -> str:
+    """Protocol, frames and views of its runs; those of one capture differ in K alone."""
+    protocols = [RunFolder(run).protocol() for run in sweep_runs(sweep)]
+    kinds = dict.fromkeys((each.name, each.frames.count, ", ".join(each.views.test)) for each in protocols)
+    return "; ".join(f"protocol {name}: {count} frames of {views}" for name, count, views in kinds)
+
+
+def _table(sweep: Path, notes: Mapping[str, MetricNote], caption: str) -> Table:
+    lines = pd.read_csv(sweep / SWEEP_FILE)
+    levels = [name for name in ("method", "variant", "capture") if name in lines]
+    metrics = [name for name in lines.columns if name not in levels]
+    columns = tuple(_column(metric, notes) for metric in metrics)
+    rows = [
+        Row(", ".join(str(line[level]) for level in levels), tuple(_cell(metric, float(line[metric])) for metric in metrics))
+        for _, line in lines.iterrows()
+    ]
+    return Table("sweep", f"Sweep {sweep.name}", caption, columns, tuple(rows), sweep.name)
+
+
+def _column(metric: str, notes: Mapping[str, MetricNote]) -> Column:
+    if metric == SECONDS:
+        return Column(metric, "s", False, "Median time of a frame over all views.")
+    note = notes.get(metric)
+    return Column(metric) if note is None else Column(metric, note.unit, note.higher_is_better, note.describe)
+
+
+def _cell(metric: str, value: float) -> Cell:
+    return Cell("not measured") if pd.isna(value) else Cell(format_value(metric, value), value)
+
+
+def _panel(over_k: pd.DataFrame, metric: str, notes: Mapping[str, MetricNote]) -> Panel:
+    """One metric over K, a curve per method; time begins at 0."""
+    column = _column(metric, notes)
+    curves = []
+    for number, method in enumerate(dict.fromkeys(over_k.index.get_level_values("method"))):
+        values = over_k.loc[method, metric].dropna()
+        curves.append(Curve(str(method), number, tuple(map(int, values.index)), tuple(map(float, values))))
+    low, high = with_margin(*_ends([value for curve in curves for value in curve.values]))
+    ks = over_k.index.get_level_values("K")
+    bounds = (int(min(ks)), int(max(ks)), 0.0 if metric == SECONDS else low, high)
+    better = "higher is better" if column.higher_is_better else "lower is better"
+    return Panel(metric, column.unit, better, "", tuple(curves), bounds)
+
+
+def _ends(values: Sequence[float]) -> tuple[float, float]:
+    return (min(values), max(values)) if values else (0.0, 1.0)

@@ -1,0 +1,1 @@
+"""Tables: the standard tables, the paper's cells, comparisons of runs, and their file formats."""

@@ -1,0 +1,226 @@
+"""What differs between two runs, or two methods of one run, and whether that is more than chance."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from ggvs_eval.errors import ResultsError
+from ggvs_eval.reports.model.measured import METHODS_FILE, METRICS_FILE, label_of
+from ggvs_eval.results import Results
+from ggvs_eval.run_folder import RunFolder, read_json
+from ggvs_eval.statistics.bootstrap import LEVEL
+from ggvs_eval.statistics.paired import Comparison, compare, holm
+
+SIDES = ("first", "second")
+
+
+@dataclass(frozen=True)
+class Side:
+    """One of the two.
+
+    Attributes:
+        name: what it is called.
+        label: of its method, in its run.
+        results: of its run.
+    """
+
+    name: str
+    label: str
+    results: Results
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One metric of two methods, over all views or in one.
+
+    Attributes:
+        metric: name.
+        unit: of the values; empty where there is none.
+        view: test view; empty for the mean over all.
+        first: number of the first method.
+        second: of the second.
+        comparison: first minus second.
+        p_value: after Holm's correction for the metrics, or for the views of one metric; None where nothing could be compared.
+        higher_is_better: direction.
+    """
+
+    metric: str
+    unit: str
+    view: str
+    first: float
+    second: float
+    comparison: Comparison
+    p_value: float | None
+    higher_is_better: bool
+
+    @property
+    def is_significant(self) -> bool:
+        """Whether the difference is told from chance at the level of the intervals."""
+        return self.p_value is not None and self.p_value < 1.0 - LEVEL
+
+    @property
+    def verdict(self) -> str:
+        """Who is better and whether that is more than chance, in words."""
+        difference = self.comparison.difference
+        if difference == 0.0:
+            return "equal"
+        better = SIDES[0] if (difference > 0) == self.higher_is_better else SIDES[1]
+        if self.p_value is None:
+            return f"{better} better, not tested: {self.comparison.note}"
+        return f"{better} better" if self.is_significant else "not to be told apart"
+
+
+def method_sides(run: Path, first: str, second: str) -> tuple[Side, Side]:
+    """Two methods of one run.
+
+    Raises:
+        ResultsError: not a scored run, or a method that it has not.
+    """
+    results = Results.read(run)
+    names = read_json(run / METHODS_FILE)["names"]
+    for label in (first, second):
+        _require_label(results, label, run)
+    if first == second:
+        raise ResultsError(f"{run}: wanted two methods, got {first} twice")
+    one, other = (Side(names.get(label, label), label, results) for label in (first, second))
+    return one, other
+
+
+def run_sides(first: Path, second: Path) -> tuple[tuple[Side, Side], ...]:
+    """Every method that two runs share.
+
+    Raises:
+        ResultsError: not scored runs, different protocols or captured frames, or no method in common.
+    """
+    results = Results.read(first), Results.read(second)
+    _require_alike(first, second, *results)
+    names = read_json(first / METHODS_FILE)["names"]
+    found = _labels(results[0]), _labels(results[1])
+    shared = [label for label in found[0] if label in found[1]]
+    if not shared:
+        raise ResultsError(f"{first} has {', '.join(found[0])}, {second} {', '.join(found[1])}: no method in common to compare")
+    return tuple((Side(names.get(label, label), label, results[0]), Side(str(second), label, results[1])) for label in shared)
+
+
+def differences(one: Side, other: Side, run: Path) -> tuple[Difference, ...]:
+    """Every metric that both have: over all views, and below it in each view.
+
+    Args:
+        one: the first.
+        other: the second.
+        run: run folder that says what the metrics are.
+    """
+    both = _both(one, other)
+    dataset = str(both.table["dataset"].iloc[0])
+    notes = read_json(run / METRICS_FILE)
+    shared = [metric for metric in notes if all((side.results.table["metric"] == metric).any() for side in (one, other))]
+    whole = {}
+    for metric in shared:
+        having = both.table[both.table["metric"] == metric]["method"].unique()
+        if len(having) == len(SIDES):
+            whole[metric] = compare(both, metric, *SIDES, dataset)
+    p_values = _corrected(whole)
+    found: list[Difference] = []
+    for metric, comparison in whole.items():
+        unit, higher = notes[metric]["unit"], bool(notes[metric]["higher_is_better"])
+        means = both.summary().loc[dataset][metric]
+        numbers = float(means[SIDES[0], ""]), float(means[SIDES[1], ""])
+        found.append(Difference(metric, unit, "", *numbers, comparison, p_values[metric], higher))
+        found += _per_view(both, dataset, metric, unit, higher)
+    return tuple(found)
+
+
+def _per_view(both: Results, dataset: str, metric: str, unit: str, higher: bool) -> list[Difference]:
+    """The same in each test view by itself; nothing for what belongs to the whole rig or to the camera path."""
+    means = both.per_view(metric)
+    wanted = both.provenance.get("protocol", {}).get("views", {}).get("test", means.columns)
+    compared = {str(view): compare(_view_alone(both, view), metric, *SIDES, dataset) for view in wanted if view in means.columns}
+    p_values = _corrected(compared)
+    numbers = {view: means[view].loc[[(side, "") for side in SIDES]].astype(float).tolist() for view in compared}
+    return [
+        Difference(metric, unit, view, numbers[view][0], numbers[view][1], comparison, p_values[view], higher)
+        for view, comparison in compared.items()
+    ]
+
+
+def _view_alone(both: Results, view: str) -> Results:
+    """The values of one view as if it were the whole rig, so that what is drawn anew is time alone."""
+    return replace(both, table=both.table[both.table["view"] == view].assign(view=None))
+
+
+def what_else_differs(first: Path, second: Path) -> list[str]:
+    """Versions, methods and frames that differ between two runs, one line each."""
+    one, other = Results.read(first).provenance, Results.read(second).provenance
+    versions = _unequal(one.get("versions", {}), other.get("versions", {}))
+    lines = [f"version of {name}: {a} in {first}, {b} in {second}" for name, a, b in versions]
+    renders = one.get("renders", {}), other.get("renders", {})
+    shared = [name for name in renders[0] if name in renders[1]]
+    same = [name for name in shared if renders[0][name] == renders[1][name]]
+    lines += [f"equal frames: {', '.join(same)}"] if same else []
+    labels = _labels(Results.read(first)), _labels(Results.read(second))
+    alone = [(first, set(labels[0]) - set(labels[1])), (second, set(labels[1]) - set(labels[0]))]
+    return lines + [f"only in {run}: {', '.join(sorted(own))}" for run, own in alone if own]
+
+
+def _corrected(comparisons: Mapping[str, Comparison]) -> dict[str, float | None]:
+    tested = {name: one.p_value for name, one in comparisons.items() if one.p_value is not None}
+    corrected: dict[str, float | None] = dict(zip(tested, holm(list(tested.values())), strict=True))
+    return {name: corrected.get(name) for name in comparisons}
+
+
+def _both(one: Side, other: Side) -> Results:
+    """The two as methods ``first`` and ``second`` of one table."""
+    parts = [_renamed(side, name) for side, name in zip((one, other), SIDES, strict=True)]
+    return replace(one.results, table=pd.concat(parts, ignore_index=True))
+
+
+def _renamed(side: Side, name: str) -> pd.DataFrame:
+    table = side.results.table
+    chosen = [label_of(*names) == side.label for names in zip(table["method"], table["variant"], strict=True)]
+    return table[chosen].assign(method=name, variant="")
+
+
+def _labels(results: Results) -> list[str]:
+    rows = results.table[["method", "variant"]].drop_duplicates()
+    return [label_of(*names) for names in zip(rows["method"], rows["variant"], strict=True)]
+
+
+def _require_label(results: Results, label: str, run: Path) -> None:
+    if label not in _labels(results):
+        raise ResultsError(f"{run}: no values of method {label!r}; it has {', '.join(_labels(results))}")
+
+
+def _require_alike(first: Path, second: Path, one: Results, other: Results) -> None:
+    """Refuse runs whose numbers do not answer the same question."""
+    hashes = one.provenance["protocol_sha256"], other.provenance["protocol_sha256"]
+    if hashes[0] != hashes[1]:
+        terms = _flat(one.provenance.get("protocol", {})), _flat(other.provenance.get("protocol", {}))
+        told = "; ".join(f"{name} {a} and {b}" for name, a, b in _unequal(*terms))
+        raise ResultsError(
+            f"{first} and {second} were measured under different protocols ({hashes[0][:12]}, {hashes[1][:12]}): "
+            f"{told or 'their values are not recorded'}; score both under one"
+        )
+    inputs = [name for name, _, _ in _unequal(one.provenance["inputs"], other.provenance["inputs"])]
+    if inputs:
+        raise ResultsError(f"{first} and {second} are not of the same captured frames: {', '.join(inputs)}")
+
+
+def _unequal(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[tuple[str, Any, Any]]:
+    names = dict.fromkeys([*one, *other])
+    return [(name, one.get(name, "none"), other.get(name, "none")) for name in names if one.get(name) != other.get(name)]
+
+
+def _flat(values: Mapping[str, Any], above: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for name, value in values.items():
+        flat |= _flat(value, f"{above}{name}.") if isinstance(value, dict) else {f"{above}{name}": value}
+    return flat
+
+
+def require_runs(first: str, second: str, run: Path | None) -> None:
+    """Refuse what are neither two run folders nor two methods of a given one."""
+    if run is None and not all(RunFolder(Path(each)).protocol_file.is_file() for each in (first, second)):
+        raise ResultsError(f"wanted two run folders, got {first} and {second}; for two methods of one run add --run RUN")

@@ -1,0 +1,89 @@
+"""Differences of two methods as text and CSV."""
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from ggvs_eval.reports.model.table import format_value
+from ggvs_eval.reports.tables.compare_runs import (
+    Difference,
+    differences,
+    method_sides,
+    require_runs,
+    run_sides,
+    what_else_differs,
+)
+
+HEADS = ("metric", "view", "first", "second", "difference", "95 % interval", "p (Holm)", "verdict")
+CSV_HEAD = (
+    *("method", "metric", "unit", "view", "first", "second", "difference"),
+    *("lo", "hi", "p_value", "significant", "verdict", "given"),
+)
+
+
+def differences_text(found: Sequence[Difference]) -> str:
+    """Columns under each other; a line per metric, and per view where asked for; all p values after Holm's correction."""
+    rows = [HEADS, *map(_line, found)]
+    widths = [max(len(row[at]) for row in rows) for at in range(len(HEADS))]
+    lines = ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+    given = dict.fromkeys(
+        one.comparison.note for one in found if one.p_value is not None and not one.view and one.comparison.note
+    )
+    return "\n".join([*lines, *(f"Intervals of the means: {note}; of single views: given the view." for note in given)])
+
+
+def differences_csv(found: Mapping[str, Sequence[Difference]]) -> str:
+    """One line per pair of methods, metric and view, numbers unrounded."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(CSV_HEAD)
+    for name, one in ((name, one) for name, several in found.items() for one in several):
+        bounds = ["" if value is None else repr(value) for value in (one.comparison.low, one.comparison.high, one.p_value)]
+        numbers = [repr(value) for value in (one.first, one.second, one.comparison.difference)]
+        head = [name, one.metric, one.unit, one.view]
+        writer.writerow([*head, *numbers, *bounds, one.is_significant, one.verdict, one.comparison.note])
+    return text.getvalue()
+
+
+def write_comparison(first: str, second: str, run: Path | None, views: bool = False, out: Path | None = None) -> str:
+    """Compare two runs, or two methods of one.
+
+    Args:
+        first: run folder, or label of a method in `run`.
+        second: likewise.
+        run: run folder of two methods; None where two runs are compared.
+        views: tell each view too.
+        out: CSV file to write; None writes none.
+
+    Returns:
+        The differences in words.
+
+    Raises:
+        ResultsError: different protocols or captured frames, no such run or method, or nothing in common.
+    """
+    require_runs(first, second, run)
+    pairs = run_sides(Path(first), Path(second)) if run is None else (method_sides(run, first, second),)
+    notes = what_else_differs(Path(first), Path(second)) if run is None else []
+    found = {
+        one.name if run is None else f"{one.name} against {other.name}": differences(one, other, run or Path(first))
+        for one, other in pairs
+    }
+    if out is not None:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_text(differences_csv(found), encoding="utf-8")
+    parts = [f"{name}\n{differences_text([one for one in each if views or not one.view])}" for name, each in found.items()]
+    return "\n\n".join([f"first: {first}, second: {second}", *notes, *parts])
+
+
+def _line(one: Difference) -> tuple[str, ...]:
+    low, high = one.comparison.low, one.comparison.high
+    shown = [format_value(one.metric, value) for value in (one.first, one.second)]
+    interval = "none" if low is None or high is None else f"{_signed(one, low)} to {_signed(one, high)}"
+    p_value = "none" if one.p_value is None else f"{one.p_value:.4f}"
+    name = f"{one.metric} ({one.unit})" if one.unit else one.metric
+    return name, one.view or "all", *shown, _signed(one, one.comparison.difference), interval, p_value, one.verdict
+
+
+def _signed(one: Difference, value: float) -> str:
+    return f"{'+' if value > 0 else ''}{format_value(one.metric, value)}"

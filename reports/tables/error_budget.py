@@ -1,0 +1,121 @@
+"""Where the squared error lies: where no camera sees the view, in light and colour over wide areas, or in detail."""
+
+import math
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.files.images import Image8, read_image
+from ggvs_eval.reports.model.measured import MeasuredRun
+from ggvs_eval.reports.model.table import Cell, Column, Row, Table
+from ggvs_eval.run_folder import frame_path, missing_frames
+
+WIDE_SHARE = 0.03  # of the width: standard deviation of the Gaussian that tells colour and light from detail
+FRAMES_AT_MOST = 4  # of each view, evenly spaced
+CAPTION = (
+    "Mean squared error of single frames, taken apart. Unseen: pixels that no source view covers, where methods must invent. "
+    f"Wide: what would be gone without the error's mean over {100 * WIDE_SHARE:.0f} % of the width, colour and light above all. "
+    "Detail: the rest, such as misplaced edges, blur and noise."
+)
+COLUMNS = (
+    Column("squared error", "grey levels² of 255", higher_is_better=False),
+    Column("unseen", "%"),
+    Column("wide", "%"),
+    Column("detail", "%"),
+)
+NOT_TOLD = Cell("not measured: wants PSNR_disoccluded among the protocol's metrics")
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class ErrorBudget:
+    """Parts of a mean squared error, grey levels² of 255; they add up to it.
+
+    Attributes:
+        unseen: of pixels that no source view covers; None where these are not known, and counted with the others.
+        wide: of the other pixels, what removing the wide error would take away.
+        detail: of the other pixels, what it would leave.
+    """
+
+    unseen: float | None
+    wide: float
+    detail: float
+
+    @property
+    def total(self) -> float:
+        """The mean squared error."""
+        return (self.unseen or 0.0) + self.wide + self.detail
+
+
+def error_budget(image: Image8, truth: Image8, unseen: Mask | None) -> ErrorBudget:
+    """Take the squared error of an image apart.
+
+    Args:
+        image: synthesised, (H, W, 3).
+        truth: (H, W, 3).
+        unseen: true where no source view covers the pixel, (H, W); None where that is not known.
+
+    Reading:
+        The wide error is the Gaussian mean of the difference over the seen pixels alone. Taking it off leaves less of the squared
+        error, unless there is next to nothing to take.
+    """
+    difference = image.astype(np.float32) - truth.astype(np.float32)
+    seen = np.ones(truth.shape[:2], np.float32) if unseen is None else (~unseen).astype(np.float32)
+    sigma = WIDE_SHARE * truth.shape[1]
+    shown = difference * seen[..., None]
+    blurred = (cv2.GaussianBlur(values, (0, 0), sigma, borderType=cv2.BORDER_REFLECT) for values in (shown, seen))
+    mean = next(blurred) / np.maximum(next(blurred), np.float32(1e-6))[..., None]
+    squared = np.square(difference).mean(axis=2, dtype=np.float64)
+    left = np.square(difference - mean).mean(axis=2, dtype=np.float64)
+    hidden = None if unseen is None else float((squared * unseen).mean())
+    detail = float((left * seen).mean())
+    return ErrorBudget(hidden, float((squared * seen).mean()) - detail, detail)
+
+
+def budget_table(run: MeasuredRun) -> Table | None:
+    """A row per method, and one per view of the one that the page shows first; None where there are no pictures."""
+    if not run.pictured:
+        return None
+    shown = run.ours_first[0]
+    frames = run.frames[:: math.ceil(len(run.frames) / FRAMES_AT_MOST)]
+    instants = [(view, frame) for view in run.protocol.views.test for frame in frames]
+    with ThreadPoolExecutor(os.cpu_count()) as pool:  # OpenCV releases the GIL
+        found = dict(zip(instants, pool.map(partial(_budgets, run), instants), strict=True))
+    rows = [
+        Row(run.name(label), _cells([each[label] for each in found.values()]), "ours" if label in run.ours else "measured")
+        for label in run.pictured
+    ]
+    for view in run.protocol.views.test:
+        rows.append(Row(f"{run.name(shown)} in {view}", _cells([found[view, frame][shown] for frame in frames])))
+    return Table("error_budget", "Where the error lies", CAPTION, COLUMNS, tuple(rows), run.title)
+
+
+def _budgets(run: MeasuredRun, instant: tuple[str, int]) -> dict[str, ErrorBudget]:
+    """Label -> budget of one frame of one view."""
+    view, frame = instant
+    folders, masks = run.frame_folders(view), run.folder.disoccluded(view)
+    truth = read_image(frame_path(folders.pop("truth"), frame))
+    is_told = not missing_frames(masks, range(frame, frame + 1))
+    unseen = read_image(frame_path(masks, frame))[..., 0] > 0 if is_told else None
+    return {label: error_budget(read_image(frame_path(folder, frame)), truth, unseen) for label, folder in folders.items()}
+
+
+def _cells(budgets: Sequence[ErrorBudget]) -> tuple[Cell, ...]:
+    """Mean of the squared errors, and shares of it."""
+    total = float(np.mean([each.total for each in budgets]))
+    told = [each.unseen for each in budgets if each.unseen is not None]
+    unseen = _share(float(np.mean(told)), total) if len(told) == len(budgets) else NOT_TOLD
+    wide, detail = (_share(float(np.mean([getattr(each, part) for each in budgets])), total) for part in ("wide", "detail"))
+    return Cell(f"{total:.1f}", total), unseen, wide, detail
+
+
+def _share(part: float, total: float) -> Cell:
+    percent = 100 * part / total if total else 0.0
+    return Cell(f"{percent:.1f}", percent)

@@ -1,0 +1,107 @@
+"""Tables as an Excel workbook: a sheet per table, numbers as numbers, shaded as elsewhere."""
+
+import importlib.util
+import io
+import os
+import re
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from ggvs_eval.reports.model.table import Cell, Table
+
+LONGEST_NAME = 31  # of a sheet, set by Excel
+EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest date that a ZIP archive can hold
+WRITTEN = re.compile(rb"<dcterms:(created|modified)[^>]*>[^<]*</dcterms:\1>")
+
+
+def has_excel() -> bool:
+    """Whether the library is installed by which pandas writes workbooks."""
+    return importlib.util.find_spec("openpyxl") is not None
+
+
+def write_excel(tables: Sequence[Table], values: dict[str, str], out: Path) -> Path:
+    """Write a workbook; equal tables give equal bytes.
+
+    Args:
+        tables: a sheet each, in which a cell without a value holds the reason.
+        values: name of a further sheet -> CSV text with one line per value.
+        out: file to write.
+    """
+    content = io.BytesIO()
+    names: list[str] = []
+    with pd.ExcelWriter(content, engine="openpyxl") as writer:
+        for table in tables:
+            names.append(_sheet_name(f"{table.key} {table.dataset}", names))
+            _frame(table).to_excel(writer, sheet_name=names[-1])
+            _dress(writer.sheets[names[-1]], table)
+        for name, text in values.items():
+            pd.read_csv(io.StringIO(text), keep_default_na=False).to_excel(
+                writer, sheet_name=_sheet_name(name, names), index=False
+            )
+        for sheet in writer.sheets.values():
+            _take_text_literally(sheet)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    temporary = out.with_name(f".{out.name}.{os.getpid()}.tmp")
+    temporary.write_bytes(_without_dates(content.getvalue()))
+    temporary.replace(out)
+    return out
+
+
+def _frame(table: Table) -> pd.DataFrame:
+    heads = [f"{column.name} ({column.unit})" if column.unit else column.name for column in table.columns]
+    cells = [[cell.text if cell.value is None else cell.value for cell in row.cells] for row in table.rows]
+    return pd.DataFrame(cells, index=pd.Index([row.name for row in table.rows], name="Method"), columns=heads, dtype=object)
+
+
+def _dress(sheet: Any, table: Table) -> None:
+    """Decimals, bold and blue of each cell, grey rows grey; the first row and column hold names."""
+    from openpyxl.styles import Font, PatternFill
+
+    for down, row in enumerate(table.rows, start=2):
+        for across, cell in enumerate(row.cells, start=2):
+            place = sheet.cell(down, across)
+            place.font = Font(bold=cell.best, color="FF777777" if row.is_grey else None)
+            if cell.value is not None:
+                place.number_format = _number_format(cell)
+            if cell.shade:
+                channel = round(255 * (1.0 - 0.25 * cell.shade))
+                place.fill = PatternFill("solid", fgColor=f"FF{channel:02X}{channel:02X}FF")
+    sheet.column_dimensions["A"].width = max([10, *(len(row.name) for row in table.rows)])
+    sheet.freeze_panes = "B2"
+
+
+def _number_format(cell: Cell) -> str:
+    """As many decimals as the cell prints; what stands behind the first number (a percentile) has none of its own."""
+    decimals = len(cell.text.split(" ")[0].partition(".")[2])
+    return f"0.{'0' * decimals}" if decimals else "0"
+
+
+def _sheet_name(wanted: str, taken: Sequence[str]) -> str:
+    """A name that Excel accepts and no other sheet has."""
+    clean = re.sub(r"[\[\]:*?/\\']", "-", wanted).strip()[:LONGEST_NAME]
+    count, name = 1, clean
+    while name.lower() in {other.lower() for other in taken}:
+        count += 1
+        name = f"{clean[: LONGEST_NAME - len(str(count)) - 1]} {count}"
+    return name
+
+
+def _take_text_literally(sheet: Any) -> None:
+    """A method called ``=A1`` is a name, no formula."""
+    for row in sheet.iter_rows():
+        for cell in row:
+            if isinstance(cell.value, str):
+                cell.data_type = "s"
+
+
+def _without_dates(workbook: bytes) -> bytes:
+    """The same archive without the time at which it was written."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(workbook)) as old, zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as new:
+        for name in sorted(old.namelist()):
+            new.writestr(zipfile.ZipInfo(name, EPOCH), WRITTEN.sub(b"", old.read(name)), zipfile.ZIP_DEFLATED)
+    return out.getvalue()

@@ -1,0 +1,60 @@
+"""Who is best: the first thing that a page says."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from ggvs_eval.reports.model.table import Cell, Column, Row, Table
+
+HEADLINES = ("PSNR", "SSIM", "LPIPS", "TCC", "STED", "SDT", "SDV")  # those of the paper's tables
+
+
+@dataclass(frozen=True)
+class Leader:
+    """Who is best in one column of a table.
+
+    Attributes:
+        column: its head.
+        dataset: that the table is of.
+        name: of the best method.
+        cell: its value and interval.
+        ties: other methods that cannot be told from it.
+    """
+
+    column: Column
+    dataset: str
+    name: str
+    cell: Cell
+    ties: tuple[str, ...]
+
+
+def leaders(tables: Sequence[Table], wanted: Sequence[str] = HEADLINES) -> tuple[Leader, ...]:
+    """The best method of each wanted metric that has one; of the first table's metrics where none is wanted that was measured.
+
+    Args:
+        tables: whose columns are metrics.
+        wanted: names of metrics.
+    """
+    found = [leader for table in tables for leader in _leaders_of(table)]
+    chosen = tuple(leader for leader in found if leader.column.name in wanted)
+    return chosen or tuple(found[: len(tables[0].columns)] if tables else ())
+
+
+def _leaders_of(table: Table) -> list[Leader]:
+    """One per column in which somebody is marked as best, or in which there is one method alone."""
+    found = []
+    for at, column in enumerate(table.columns):
+        having = [row for row in table.rows if not row.is_grey and row.kind != "partial" and row.cells[at].value is not None]
+        best = having if len(having) == 1 else [row for row in having if row.cells[at].best]
+        if best:
+            first = max(best, key=lambda row: _goodness(row, at, column))  # stable: of equals the upper one
+            ties = tuple(row.name for row in best if row is not first)
+            found.append(Leader(column, table.dataset, first.name, first.cells[at], ties))
+    return found
+
+
+def _goodness(row: Row, at: int, column: Column) -> float:
+    """A value whose larger is better."""
+    value = row.cells[at].value
+    if value is None:
+        raise ValueError(f"{row.name}: marked as best in {column.name} without a value")
+    return value if column.higher_is_better else -value

@@ -1,0 +1,78 @@
+"""What the paper reports: grey rows with their source and caveats, never mixed with measured ones."""
+
+import csv
+from collections.abc import Sequence
+from functools import cache
+from importlib import resources
+
+from ggvs_eval.reports.model.table import Cell, Column, Row, Table
+
+SOURCE = "Ha et al., Geometry-guided Online 3D Video Synthesis with Multi-View Temporal Consistency, CVPR 2025"
+CAVEATS = (
+    "The paper blends with a trained network and takes depth from RAFT-Stereo; the methods measured here need not.",
+    "It gives the number of test views (9 on DyNeRF), not which; the choice moves PSNR by more than a decibel.",
+    "It leaves the backbone of LPIPS and the variants of STED and SSIM open; ours are in the protocol.",
+)
+UNITS = {"PSNR": "dB"}
+HIGHER_IS_BETTER = ("PSNR", "SSIM", "TCC")
+TIMING_WORDS = {
+    "forward_splatting_ms": "forward splatting",
+    "tsdf_ms": "TSDF",
+    "blending_tensorrt_ms": "blending, TensorRT",
+    "blending_no_tensorrt_ms": "blending, no TensorRT",
+    "total_no_tensorrt_ms_text": "total, no TensorRT (as its text says)",
+    "total_ms_text": "total (as its text says)",
+}
+
+
+@cache
+def read_published(name: str) -> dict[str, dict[str, dict[str, str]]]:
+    """One of the paper's tables.
+
+    Args:
+        name: ``quality``, ``consistency``, ``ablation`` or ``timing``.
+
+    Returns:
+        dataset -> method -> metric -> value, with the digits that the paper prints.
+    """
+    text = (resources.files("ggvs_eval.reports.tables") / "data" / f"{name}.csv").read_text(encoding="utf-8")
+    values: dict[str, dict[str, dict[str, str]]] = {}
+    for line in csv.DictReader(line for line in text.splitlines() if not line.startswith("#")):
+        values.setdefault(line["dataset"], {}).setdefault(line["method"], {})[line["metric"]] = line["value"]
+    return values
+
+
+def is_higher_better(metric: str) -> bool:
+    """Direction of one of the paper's metrics."""
+    return metric in HIGHER_IS_BETTER
+
+
+def published_rows(name: str, dataset: str, metrics: Sequence[str]) -> tuple[Row, ...]:
+    """The paper's rows for one dataset, to stand in grey below measured ones; none for a dataset that it does not have."""
+    names = {known.lower(): known for known in read_published(name)}
+    methods = read_published(name).get(names.get(dataset.lower(), ""), {})
+    return tuple(
+        Row(f"{method} (paper)", tuple(_cell(values.get(metric)) for metric in metrics), "published")
+        for method, values in methods.items()
+    )
+
+
+def published_tables(dataset: str = "DyNeRF") -> tuple[Table, ...]:
+    """The paper's tables on one dataset by themselves, for a page whose own numbers come from another capture."""
+    titles = {"quality": "Quality", "consistency": "Consistency", "ablation": "Ablation"}
+    tables = [_table(name, title, dataset) for name, title in titles.items()]
+    seconds = read_published("timing")[dataset]["Ours"]
+    columns = tuple(Column(TIMING_WORDS[key], "ms") for key in seconds)
+    row = Row("Ours (paper)", tuple(map(_cell, seconds.values())), "published")
+    caption = f"Time per frame at 1352 × 1014, GPU not stated. {SOURCE}."
+    return (*tables, Table("paper-timing", "Time per stage", caption, columns, (row,), dataset))
+
+
+def _table(name: str, title: str, dataset: str) -> Table:
+    metrics = tuple(dict.fromkeys(metric for values in read_published(name)[dataset].values() for metric in values))
+    columns = tuple(Column(metric, UNITS.get(metric, ""), metric in HIGHER_IS_BETTER) for metric in metrics)
+    return Table(f"paper-{name}", title, f"{SOURCE}.", columns, published_rows(name, dataset, metrics), dataset)
+
+
+def _cell(text: str | None) -> Cell:
+    return Cell("not reported") if text is None else Cell(text, float(text))

@@ -1,0 +1,231 @@
+"""The tables of a report: quality, consistency, each view by itself, time per stage."""
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import cast
+
+import pandas as pd
+
+from ggvs_eval.reports.model.measured import MeasuredRun, MetricNote, label_of
+from ggvs_eval.reports.model.references import reference_rows
+from ggvs_eval.reports.model.table import Cell, Column, Row, RowKind, Table, measured_cell, rank
+from ggvs_eval.reports.tables.published import published_rows
+from ggvs_eval.results import Results
+from ggvs_eval.statistics.bootstrap import LEVEL, Interval, intervals
+from ggvs_eval.statistics.paired import Standing, rank_methods
+
+REGIONS = ("static", "moving", "disoccluded")
+GROUPS = {
+    "quality": ("Image quality", ("PSNR", "PSNR_cc", "SSIM", "LPIPS", "L1")),
+    "consistency": ("Temporal and view consistency", ("TCC", "STED", "STED_ssn", "Flicker", "Flicker_excess", "SDT", "SDV")),
+    "regions": ("Quality by region", tuple(f"{name}_{region}" for name in ("PSNR", "SSIM", "L1") for region in REGIONS)),
+    "path": (
+        "View consistency along the camera path, without truth",
+        (
+            *("EPI_coherence", "EPI_line_texture", "EPI_slope_error", "EPI_slope_agreeing"),
+            *("reprojection", "reprojection_visible", "switch_ratio", "switch_excess"),
+        ),
+    ),
+}
+CHOSEN_FOR = {"nearest": "", "coverage": ", chosen for what they see of the target"}  # words after the number of sources
+PUBLISHED_GROUPS = ("quality", "consistency")
+
+
+@dataclass(frozen=True)
+class Certainty:
+    """What is known of one metric's numbers beside the numbers.
+
+    Attributes:
+        intervals: label -> interval, or why there is none.
+        standing: who is best and who ties; None where there are fewer than two methods.
+    """
+
+    intervals: Mapping[str, Interval]
+    standing: Standing | None
+
+    @property
+    def told(self) -> frozenset[str] | None:
+        """Labels of the best and its ties; None where nobody could be compared with the best."""
+        if self.standing is None or (self.standing.comparisons and not self.standing.p_values):
+            return None
+        return self.standing.ties
+
+    @property
+    def refusal(self) -> str:
+        """Why some method has no interval; empty where all have one."""
+        return next((interval.note for interval in self.intervals.values() if interval.low is None), "")
+
+    def interval(self, label: str) -> Interval | None:
+        """Interval of a method; its note also says why it was not compared with the best."""
+        found = self.intervals.get(label)
+        why = "" if self.standing is None else self.standing.untested.get(label, "")
+        if found is None or not why or why == found.note:
+            return found
+        note = "; ".join(filter(None, (found.note, f"not compared with the best: {why}")))
+        return Interval(found.value, found.low, found.high, note)
+
+
+def main_tables(runs: Sequence[MeasuredRun], results: Results) -> tuple[Table, ...]:
+    """Quality and consistency per dataset: means over frames, then views, then scenes.
+
+    Args:
+        runs: at least one, all under one protocol.
+        results: their results in one, see `ggvs_eval.results.merge_results`.
+
+    Returns:
+        Per dataset one table for each group of metrics that the protocol asks for; what belongs to no group comes last.
+    """
+    asked = runs[0].protocol.measurement.metrics
+    grouped = {metric for _, metrics in GROUPS.values() for metric in metrics}
+    groups = GROUPS | {"further": ("Further measures", tuple(metric for metric in asked if metric not in grouped))}
+    summary = results.summary()
+    tables = []
+    for dataset in dict.fromkeys(str(name) for name in summary.index.get_level_values("dataset")):
+        for key, (title, metrics) in groups.items():
+            wanted = tuple(metric for metric in metrics if metric in asked)
+            if wanted:
+                tables.append(_main_table(key, title, dataset, wanted, runs, summary, results))
+    return tuple(tables)
+
+
+def _main_table(
+    key: str,
+    title: str,
+    dataset: str,
+    metrics: tuple[str, ...],
+    runs: Sequence[MeasuredRun],
+    summary: pd.DataFrame,
+    results: Results,
+) -> Table:
+    columns = tuple(metric_column(runs[0].metrics[metric]) for metric in metrics)
+    here = cast(pd.DataFrame, summary.xs(dataset, level="dataset"))
+    partial = results.provenance.get("partial", {})
+    certain = {metric: _certainty(runs[0].metrics[metric], results, dataset, partial) for metric in metrics}
+    rows = measured_rows(runs, here, metrics, metrics, results, certain)
+    told = [_told_rows(certain[metric], row_labels(runs, here)) for metric in metrics]
+    references = [reference for run in runs for reference in run.references]
+    grey = reference_rows(references, key, metrics)
+    grey += published_rows(key, dataset, metrics) if key in PUBLISHED_GROUPS else ()
+    protocol = runs[0].protocol
+    frames, views = _count(protocol.frames.count, "frame"), _count(len(protocol.views.test), "view")
+    sources = f"K = {protocol.synthesis.k} source views{CHOSEN_FOR[protocol.synthesis.sources]}"
+    means = f"Mean over {frames}, then {views}, then scenes; {sources}."
+    if key == "path":
+        means = f"Over the whole camera path, at one instant; {sources}."
+    notes = [f"{reference.name}: {reference.note}" for reference in references if reference.group == key]
+    marks = [f"{label} is {mark}; it is not ranked." for label, mark in partial.items()]
+    caption = " ".join([means, *marks, *_certainty_captions(certain), *dict.fromkeys(notes)])
+    return Table(key, title, caption, columns, rank(columns, rows, told) + grey, dataset)
+
+
+def _certainty(note: MetricNote, results: Results, dataset: str, partial: Collection[str]) -> Certainty:
+    whole = _whole(results, partial)
+    found = intervals(whole, note.name, dataset)
+    several = sum(not math.isnan(one.value) for one in found.values()) > 1
+    standing = rank_methods(whole, note.name, note.higher_is_better, dataset) if several else None
+    return Certainty(found, standing)
+
+
+def _whole(results: Results, partial: Collection[str]) -> Results:
+    """The results without the methods that lack views or frames."""
+    labels = [label_of(*names) for names in zip(results.table["method"], results.table["variant"], strict=True)]
+    return replace(results, table=results.table[[label not in partial for label in labels]])
+
+
+def _told_rows(certainty: Certainty, labels: Sequence[str]) -> frozenset[int] | None:
+    """Places of the best and its ties among the rows."""
+    told = certainty.told
+    return None if told is None else frozenset(at for at, label in enumerate(labels) if label in told)
+
+
+def _certainty_captions(certain: Mapping[str, Certainty]) -> list[str]:
+    """What ± and bold mean in this table, and what has no interval."""
+    level = f"{100 * LEVEL:.0f} %"
+    known = [one for certainty in certain.values() for one in certainty.intervals.values() if one.low is not None]
+    given = "".join(f", {note}" for note in dict.fromkeys(interval.note.partition(";")[0] for interval in known) if note)
+    captions = [f"±: {level} interval, block bootstrap{given}."] if known else []
+    ranked = [certainty for certainty in certain.values() if certainty.standing]
+    if any(certainty.told for certainty in ranked):
+        captions.append(f"Bold: best, and what cannot be told from it (paired block bootstrap, {level}).")
+    by_digits = [metric for metric, certainty in certain.items() if certainty.standing and certainty.told is None]
+    if by_digits:
+        captions.append(f"Bold in {', '.join(by_digits)}: best to the printed digits, nothing could be compared.")
+    reasons: dict[str, list[str]] = {}
+    for metric, certainty in certain.items():
+        reasons.setdefault(certainty.refusal, []).append(metric)
+    return captions + [f"No interval for {', '.join(names)}: {reason}." for reason, names in reasons.items() if reason]
+
+
+def view_tables(run: MeasuredRun) -> tuple[Table, ...]:
+    """One table per metric that has a value in each view: mean over frames, one column per view."""
+    tables = []
+    for metric in run.protocol.measurement.metrics:
+        values = run.results.per_view(metric)
+        if values.empty or not set(run.protocol.views.test) & set(values.columns):
+            continue
+        note, views = run.metrics[metric], run.protocol.views.test
+        columns = tuple(Column(view, note.unit, note.higher_is_better) for view in views)
+        rows = rank(columns, measured_rows([run], values, views, (metric,) * len(views), run.results))
+        unit = f", {note.unit}" if note.unit else ""
+        caption = f"Mean over frames in each test view; {'higher' if note.higher_is_better else 'lower'} is better."
+        tables.append(Table(f"view-{metric}", f"{metric}{unit}", caption, columns, rows, run.scene))
+    return tuple(tables)
+
+
+def metric_column(note: MetricNote) -> Column:
+    """Head of a column that holds one metric."""
+    return Column(note.name, note.unit, note.higher_is_better, note.describe)
+
+
+def row_labels(runs: Sequence[MeasuredRun], values: pd.DataFrame) -> list[str]:
+    """Labels of the rows of a table: the runs' methods in their order, then what else has values."""
+    measured = [label_of(method, variant) for method, variant in values.index]
+    return list(dict.fromkeys([label for run in runs for label in run.labels] + measured))
+
+
+def measured_rows(
+    runs: Sequence[MeasuredRun],
+    values: pd.DataFrame,
+    keys: Sequence[str],
+    metrics: Sequence[str],
+    results: Results,
+    certain: Mapping[str, Certainty] | None = None,
+) -> tuple[Row, ...]:
+    """A row per method, in the order of the runs' methods.
+
+    Args:
+        runs: who was measured, under which names.
+        values: rows (method, variant).
+        keys: columns of `values` to show.
+        metrics: metric of each of these columns.
+        results: knows why a value may be absent.
+        certain: metric -> what is known of its numbers; None shows numbers alone.
+    """
+    by_label = {label_of(method, variant): values.loc[(method, variant)] for method, variant in values.index}
+    rows = []
+    for label in row_labels(runs, values):
+        names = next((run for run in runs if label in run.labels), runs[0])
+        cells = [
+            _cell(
+                metric,
+                by_label[label].get(key) if label in by_label else None,
+                results,
+                certain[metric].interval(label) if certain else None,
+                label in names.partial,
+            )
+            for key, metric in zip(keys, metrics, strict=True)
+        ]
+        kind: RowKind = "partial" if label in names.partial else "ours" if label in names.ours else "measured"
+        rows.append(Row(names.name(label), tuple(cells), kind))
+    return tuple(rows)
+
+
+def _cell(metric: str, value: float | None, results: Results, interval: Interval | None, is_partial: bool) -> Cell:
+    absent = "partial renders" if is_partial else "no value in the results; run `ggvs-eval score` again"
+    reason = results.not_computed.get(metric, absent)
+    return measured_cell(metric, None if value is None else float(value), reason, interval)
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"

@@ -1,0 +1,185 @@
+"""Every published cell of the paper beside what was measured here, and whether that reproduces it."""
+
+import csv
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from typing import Literal
+
+from ggvs_eval.reports.model.measured import MeasuredRun, label_of
+from ggvs_eval.reports.model.table import Cell, format_value, measured_cell
+from ggvs_eval.reports.tables.grounds import Absence, Ground, find_ground
+from ggvs_eval.reports.tables.published import TIMING_WORDS, UNITS, is_higher_better, read_published
+from ggvs_eval.reports.tables.published_timing import TIMINGS, judge_time
+from ggvs_eval.statistics.bootstrap import LEVEL, intervals
+
+Status = Literal["reproduced", "differs", "data absent", "weights absent", "not run"]
+STATUSES: tuple[Status, ...] = ("reproduced", "differs", "data absent", "weights absent", "not run")
+TABLES = {"quality": "Quality", "consistency": "Consistency", "ablation": "Ablation", "timing": "Time per frame"}
+NOT_MEASURED = Cell("not measured")
+RETRAINED = "(retrained"  # in the name of a method whose weights we trained, which are not the paper's
+MEANING = (
+    f"reproduced: the paper's value lies in the {100 * LEVEL:.0f} % interval of ours, or both print the same digits; "
+    "differs: neither; data absent: no run on the paper's data and terms; weights absent: those of the method do not ship; "
+    "not run: this run could hold it and does not. Ours are on views chosen by us, for the paper does not name its own."
+)
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """One published value and its standing here.
+
+    Attributes:
+        table: key in `TABLES`.
+        dataset: as the paper calls it.
+        method: likewise.
+        metric: metric, or stage of the timing.
+        unit: of both values; empty where there is none.
+        paper: value with the digits that the paper prints.
+        ours: what was measured on the same data and terms, or that nothing was.
+        status: see `MEANING`.
+        reason: why, in words; never empty.
+    """
+
+    table: str
+    dataset: str
+    method: str
+    metric: str
+    unit: str
+    paper: str
+    ours: Cell
+    status: Status
+    reason: str
+
+
+@dataclass(frozen=True)
+class PaperMethod:
+    """A method of the paper's tables: its name there, its label here, and what the user has to give where weights do not ship."""
+
+    name: str
+    label: str
+    weights: str
+
+    def find_label(self, run: MeasuredRun) -> str | None:
+        """Label under which a run has it: ours, or frames that others rendered and called by either name."""
+        names = {self.name.lower(), self.label.lower()}
+        fitting = (label for label in run.labels if {label.lower(), run.name(label).lower()} & names)
+        return next(fitting, None)
+
+
+def reproduce(runs: Sequence[MeasuredRun]) -> tuple[Reproduction, ...]:
+    """Judge every value that the paper publishes.
+
+    Args:
+        runs: scored runs, of several protocols if need be; those of one protocol and data set count as its scenes.
+
+    Returns:
+        One entry per published value, in the order of the paper's tables; none is left out.
+    """
+    grounds = {dataset: find_ground(dataset, runs) for dataset in read_published("quality")}
+    return tuple(entry for table in TABLES for entry in _judge_table(table, grounds))
+
+
+def _judge_table(table: str, grounds: dict[str, Ground | Absence]) -> Iterator[Reproduction]:
+    for dataset, methods in read_published(table).items():
+        for name, values in methods.items():
+            for key, paper in values.items():
+                metric, unit = (TIMING_WORDS[key], "ms") if key in TIMINGS else (key, UNITS.get(key, ""))
+                ours, status, reason = _judge(grounds[dataset], dataset, paper_methods()[name], key, paper)
+                yield Reproduction(table, dataset, name, metric, unit, paper, ours, status, reason)
+
+
+def _judge(ground: Ground | Absence, dataset: str, method: PaperMethod, metric: str, paper: str) -> tuple[Cell, Status, str]:
+    """What was measured of a published value, its standing and why."""
+    if isinstance(ground, Absence):
+        return NOT_MEASURED, "data absent", _absence(ground, method, metric)
+    label = next(filter(None, map(method.find_label, ground.runs)), None)
+    if label is None and method.weights:
+        return (
+            NOT_MEASURED,
+            "weights absent",
+            f"wanted {method.weights}, which does not ship; give it by --weights {method.label}=FILE",
+        )
+    if label is None:
+        root = ground.runs[0].folder.root.name
+        return (
+            NOT_MEASURED,
+            "not run",
+            f"not rendered here; run `ggvs-eval render {root} --methods {method.label}` and score again",
+        )
+    if metric in TIMINGS:
+        cell, reason = judge_time(ground.runs, label, metric, float(paper))
+        return (NOT_MEASURED, "not run", reason) if cell is None else (cell, "differs", reason)
+    return _judge_metric(ground, label, metric, paper)
+
+
+def _judge_metric(ground: Ground, label: str, metric: str, paper: str) -> tuple[Cell, Status, str]:
+    name = str(ground.results.table["dataset"].iloc[0])
+    marked = next((run.partial[label] for run in ground.runs if label in run.partial), None)
+    interval = None if marked else intervals(ground.results, metric, name).get(label)
+    if interval is None or math.isnan(interval.value):
+        reason = f"{label} is {marked}" if marked else ground.results.not_computed.get(metric, f"{metric} was not asked for")
+        return NOT_MEASURED, "not run", f"no value: {reason}"
+    cell = measured_cell(metric, interval.value, "", interval)
+    status, reason = judge_value(paper, cell, metric)
+    names = {run.name(label) for run in ground.runs}
+    trained = "".join(f"; measured with {name}" for name in sorted(names) if RETRAINED in name)
+    return cell, status, f"{reason}; {ground.words}{trained}"
+
+
+def judge_value(paper: str, ours: Cell, metric: str) -> tuple[Status, str]:
+    """Whether a measured value is the published one.
+
+    Args:
+        paper: value with the digits that the paper prints.
+        ours: measured, with its interval where there is one.
+        metric: says which direction is better, and the digits.
+
+    Reading:
+        A published value stands for all that round to it. It is reproduced where one of those lies in our interval, which holds
+        what other frames (and views, from five on) could have given; without an interval, where ours rounds to the same digits.
+    """
+    if ours.value is None:
+        raise ValueError(f"{metric}: nothing measured to judge")
+    decimals = len(paper.partition(".")[2])
+    published, half_unit = float(paper), 0.5 * 10.0**-decimals
+    given = f" ({ours.note})" if ours.note else ""
+    bounds = f"{100 * LEVEL:.0f} % interval {_shown(metric, ours.low)} to {_shown(metric, ours.high)}{given}"
+    if f"{ours.value:.{decimals}f}" == paper:
+        return "reproduced", "the same to the printed digits"
+    known = ours.low is not None and ours.high is not None
+    if known and ours.low - half_unit <= published <= ours.high + half_unit:  # type: ignore[operator]
+        return "reproduced", f"the paper's value lies in our {bounds}"
+    better = "better" if (ours.value > published) == is_higher_better(metric) else "worse"
+    by = f"{format_value(metric, abs(ours.value - published))}{' ' if metric in UNITS else ''}{UNITS.get(metric, '')}"
+    return "differs", f"{better} by {by}; {bounds if known else f'no interval{given}'}"
+
+
+def _shown(metric: str, value: float | None) -> str:
+    return "" if value is None else format_value(metric, value)
+
+
+def _absence(absence: Absence, method: PaperMethod, metric: str) -> str:
+    """Why there is nothing to compare, with the value of a run that comes near, which proves nothing."""
+    words = absence.words
+    if absence.near is not None and metric not in TIMINGS:
+        label = method.find_label(absence.near)
+        table = absence.near.results.summary()
+        named = [
+            label_of(*names) == label for names in zip(*map(table.index.get_level_values, ("method", "variant")), strict=True)
+        ]
+        values = table[metric][named].dropna() if metric in table else table.iloc[:0, 0]
+        if len(values):
+            value = format_value(metric, float(values.iloc[0]))
+            words += f"; {method.name} has {value} there, which does not compare"
+    return words + (f"; weights of {method.name} do not ship either" if method.weights else "")
+
+
+@cache
+def paper_methods() -> dict[str, PaperMethod]:
+    """The methods of the paper's tables by their name there."""
+    text = (resources.files("ggvs_eval.reports.tables") / "data" / "paper_methods.csv").read_text(encoding="utf-8")
+    lines = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
+    return {line["method"]: PaperMethod(line["method"], line["label"], line["weights"]) for line in lines}

@@ -1,0 +1,79 @@
+"""The paper's values beside ours as Markdown, CSV and as blocks of a page."""
+
+import csv
+import io
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from ggvs_eval.reports.tables.published import CAVEATS, SOURCE
+from ggvs_eval.reports.tables.reproduction import MEANING, STATUSES, TABLES, Reproduction
+from ggvs_eval.reports.tables.table_formats import escape_markdown
+
+HEADS = ("Method", "Metric", "Paper", "Ours here", "Status", "Why")
+CSV_HEAD = ("table", "dataset", "method", "metric", "unit", "paper", "ours", "lo", "hi", "difference", "status", "reason")
+
+
+@dataclass(frozen=True)
+class Block:
+    """The values of one of the paper's tables on one data set.
+
+    Attributes:
+        title: table and data set.
+        entries: its values.
+        summary: how many have which status.
+    """
+
+    title: str
+    entries: tuple[Reproduction, ...]
+    summary: str
+
+
+def blocks(entries: Sequence[Reproduction]) -> tuple[Block, ...]:
+    """The values by table and data set, in the order of the paper."""
+    keys = dict.fromkeys((entry.table, entry.dataset) for entry in entries)
+    found = []
+    for table, dataset in keys:
+        own = tuple(entry for entry in entries if (entry.table, entry.dataset) == (table, dataset))
+        found.append(Block(f"{TABLES[table]} on {dataset}", own, count_words(own)))
+    return tuple(found)
+
+
+def count_words(entries: Sequence[Reproduction]) -> str:
+    """How many values have which status: ``3 reproduced, 17 data absent``."""
+    counts = Counter(entry.status for entry in entries)
+    return ", ".join(f"{counts[status]} {status}" for status in STATUSES if counts[status])
+
+
+def reproduction_markdown(entries: Sequence[Reproduction]) -> str:
+    """One table per table of the paper and data set, one line per value, what the words mean at the end."""
+    parts = [f"# The paper's values and ours\n\n{len(entries)} published values: {count_words(entries)}."]
+    for block in blocks(entries):
+        lines = [f"## {block.title}", "", f"{block.summary}.", "", _row(HEADS), "|---|---|---:|---:|---|---|"]
+        parts.append("\n".join([*lines, *(_row(_words(entry)) for entry in block.entries)]))
+    notes = "\n".join(f"- {escape_markdown(note)}" for note in (MEANING, f"Published values: {SOURCE}", *CAVEATS))
+    return "\n\n".join([*parts, notes]) + "\n"
+
+
+def reproduction_csv(entries: Sequence[Reproduction]) -> str:
+    """One line per value; ours, its bounds and its difference unrounded, and empty where nothing was measured."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(CSV_HEAD)
+    for entry in entries:
+        ours = entry.ours
+        difference = None if ours.value is None else ours.value - float(entry.paper)
+        numbers = ["" if number is None else repr(number) for number in (ours.value, ours.low, ours.high, difference)]
+        head = (entry.table, entry.dataset, entry.method, entry.metric, entry.unit, entry.paper)
+        writer.writerow([*head, *numbers, entry.status, entry.reason])
+    return text.getvalue()
+
+
+def _words(entry: Reproduction) -> tuple[str, ...]:
+    metric = f"{entry.metric} ({entry.unit})" if entry.unit else entry.metric
+    ours = f"{entry.ours.text} {entry.ours.spread}".strip()
+    return tuple(map(escape_markdown, (entry.method, metric, entry.paper, ours, entry.status, entry.reason)))
+
+
+def _row(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cells)} |"

@@ -1,0 +1,167 @@
+"""Tables as Markdown, CSV and LaTeX."""
+
+import csv
+import io
+import re
+from collections.abc import Sequence
+
+from ggvs_eval.protocol import Protocol
+from ggvs_eval.reports.model.table import Cell, Column, Row, Table
+
+LATEX_SPECIAL = {
+    "\\": r"\textbackslash{}",
+    "&": r"\&",
+    "%": r"\%",
+    "$": r"\$",
+    "#": r"\#",
+    "_": r"\_",
+    "{": r"\{",
+    "}": r"\}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+    "×": r"$\times$",
+    "±": r"$\pm$",
+    "−": "$-$",
+    "∞": r"$\infty$",
+    "≤": r"$\leq$",
+    "≥": r"$\geq$",
+}
+CSV_HEAD = (
+    *("table", "dataset", "method", "kind", "column", "unit", "higher_is_better"),
+    *("value", "lo", "hi", "shown", "best", "note"),
+    *("protocol", "k", "protocol_sha256"),
+)
+HELD_BACK = 40  # tables; LaTeX keeps those that no text follows, and stops at the 53rd
+LATEX_HEAD = r"""% \usepackage{booktabs}
+% \usepackage[table]{xcolor}
+% \usepackage{graphicx}
+% Blue: the better half of each column, proportional to its standing, on the scale of the paper's tables.
+% Bold: the best, and what cannot be told from it.
+% Grey: published values, measured by others on other terms.
+\providecommand{\fittowidth}[1]{\sbox0{#1}\ifdim\wd0>\linewidth\resizebox{\linewidth}{!}{\usebox0}\else\usebox0\fi}
+"""
+
+
+def to_markdown(tables: Sequence[Table], notes: Sequence[str] = ()) -> str:
+    """GitHub's tables, best values bold, intervals behind them, published rows in italics, notes as a closing list."""
+    parts = []
+    for table in tables:
+        heads = ["Method", *(_head(column) for column in table.columns)]
+        lines = [f"## {escape_markdown(_title(table))}", "", escape_markdown(table.caption), "", _markdown_row(heads)]
+        lines.append("|---|" + "---:|" * len(table.columns))
+        for row in table.rows:
+            lines.append(_markdown_row([_markdown_text(row, row.name), *(_markdown_cell(row, cell) for cell in row.cells)]))
+        parts.append("\n".join(lines))
+    closing = "\n".join(f"- {escape_markdown(note)}" for note in notes)
+    return "\n\n".join([*parts, *([closing] if closing else [])]) + "\n"
+
+
+def to_csv(groups: Sequence[tuple[Protocol, Sequence[Table]]]) -> str:
+    """One line per cell, values and bounds unrounded; where there are none the reason stands in ``note``.
+
+    Args:
+        groups: a protocol and the tables of what was measured under it; values of different protocols do not compare.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(CSV_HEAD)
+    for protocol, tables in groups:
+        terms = (protocol.name, protocol.synthesis.k, protocol.sha256)
+        for table in tables:
+            for row in table.rows:
+                for column, cell in zip(table.columns, row.cells, strict=True):
+                    head = [table.key, table.dataset, row.name, row.kind, column.name, column.unit, column.higher_is_better]
+                    writer.writerow([*head, *_csv_cell(cell), *terms])
+    return text.getvalue()
+
+
+def _csv_cell(cell: Cell) -> list[object]:
+    """Value, bounds, what is shown, whether it is best, and what the bounds take as given or why something is absent."""
+    if cell.value is None:
+        return ["", "", "", "", False, cell.text]
+    bounds = ["" if bound is None else repr(bound) for bound in (cell.low, cell.high)]
+    return [repr(cell.value), *bounds, cell.text, cell.best, cell.note if cell.low is not None else cell.hint]
+
+
+def to_latex(tables: Sequence[Table], notes: Sequence[str] = ()) -> str:
+    """``table`` environments for booktabs and xcolor, shaded as the paper's."""
+    comments = "".join(f"% {' '.join(note.split())}\n" for note in notes)
+    breaks = ["\\clearpage\n" if at and at % HELD_BACK == 0 else "" for at in range(len(tables))]
+    return LATEX_HEAD + comments + "\n" + "\n".join(map("".join, zip(breaks, map(_latex_table, tables), strict=True)))
+
+
+def escape_latex(text: str) -> str:
+    """Text in which every character prints as itself."""
+    return "".join(LATEX_SPECIAL.get(character, character) for character in " ".join(text.split()))
+
+
+def _latex_table(table: Table) -> str:
+    arrows = {"↑": r"$\uparrow$", "↓": r"$\downarrow$", "": ""}
+    units = [f" ({escape_latex(column.unit)})" if column.unit else "" for column in table.columns]
+    heads = [f"{escape_latex(c.name)}{unit}{arrows[c.arrow]}" for c, unit in zip(table.columns, units, strict=True)]
+    body: list[str] = []
+    for above, row in zip((None, *table.rows), table.rows, strict=False):
+        if above is not None and row.is_grey and not above.is_grey:
+            body.append(r"\midrule")
+        body.append(" & ".join([_latex_text(row, row.name), *(_latex_cell(row, cell) for cell in row.cells)]) + r" \\")
+    label = re.sub(r"[^a-z0-9-]+", "-", f"{table.key}-{table.dataset}".lower()).strip("-")
+    lines = [
+        r"\begin{table}",
+        rf"\caption{{\label{{table:{label}}}\textbf{{{escape_latex(_title(table))}.}} {escape_latex(table.caption)}}}",
+        r"\centering\small",
+        r"\fittowidth{%",
+        rf"\begin{{tabular}}{{l{'c' * len(table.columns)}}}",
+        r"\toprule",
+        " & ".join(["Method", *heads]) + r" \\",
+        r"\midrule",
+        *body,
+        r"\bottomrule",
+        r"\end{tabular}}",
+        r"\end{table}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _latex_cell(row: Row, cell: Cell) -> str:
+    text = _latex_text(row, cell.text)
+    text = rf"\textbf{{{text}}}" if cell.best else text
+    text += rf" {{\scriptsize {escape_latex(cell.spread)}}}" if cell.spread else ""
+    if not cell.shade:
+        return text
+    channel = 1.0 - 0.25 * cell.shade
+    return rf"\cellcolor[rgb]{{{channel:.3f}, {channel:.3f}, 1}}{text}"
+
+
+def _latex_text(row: Row, text: str) -> str:
+    return rf"\textcolor{{gray}}{{{escape_latex(text)}}}" if row.is_grey else escape_latex(text)
+
+
+def _title(table: Table) -> str:
+    return f"{table.title} ({table.dataset})" if table.dataset else table.title
+
+
+def _head(column: Column) -> str:
+    return " ".join(
+        filter(None, [escape_markdown(column.name), f"({escape_markdown(column.unit)})" if column.unit else "", column.arrow])
+    )
+
+
+def _markdown_cell(row: Row, cell: Cell) -> str:
+    text = f"**{escape_markdown(cell.text)}**" if cell.best else _markdown_text(row, cell.text)
+    return f"{text} {cell.spread}" if cell.spread else text
+
+
+def _markdown_text(row: Row, text: str) -> str:
+    return f"*{escape_markdown(text)}*" if row.is_grey else escape_markdown(text)
+
+
+def _markdown_row(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def escape_markdown(text: str) -> str:
+    """Text in which nothing is markup: no table bar, no emphasis, no tag."""
+    escaped = re.sub(r"([\\`*_|\[\]])", r"\\\1", " ".join(text.split()))
+    return escaped.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
