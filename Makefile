@@ -30,7 +30,7 @@ bench: $(READY)
 	$(BIN)/python -m benchmarks
 
 validate: $(READY)
-	$(BIN)/python -m ggvs_eval.pipelines.validate $(if $(DATA),--data $(DATA))
+	$(BIN)/python -m benchmarks.validate $(if $(DATA),--data $(DATA))
 	$(BIN)/python -m benchmarks.domain_validation $(if $(DATA),--data $(DATA))
 
 # What users get: the wheel, with no checkout in sight; its dependencies are those of .venv.

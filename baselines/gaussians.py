@@ -1,7 +1,8 @@
 """Source views as pixel-sized Gaussians, the common ground of every method that splats."""
 
+from ggvs_eval.arrays import Map
 from ggvs_eval.geometry.splat import PixelGaussians
-from ggvs_eval.method import Instant, Map, SourceView
+from ggvs_eval.method import Instant, SourceView
 
 NEAR_M = 0.2  # Gaussians closer than this to the target camera are culled, as the reference rasteriser does
 

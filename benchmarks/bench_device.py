@@ -16,11 +16,12 @@ from typing import Any
 import numpy as np
 import torch
 
+from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.compute_device import compute_device, describe_device
-from ggvs_eval.files.images import Image8, quantise
+from ggvs_eval.files.images import quantise
 from ggvs_eval.kernels import get_threads
-from ggvs_eval.method import Instant, Map, Method, SourceView
+from ggvs_eval.method import Instant, Method, SourceView
 from ggvs_eval.pipelines.methods.network_choice import NetworkChoice
 from ggvs_eval.pipelines.methods.registry import find_method
 

@@ -14,8 +14,9 @@ import torch
 from numpy.typing import NDArray
 
 from benchmarks.bench_geometry import HEIGHT, WIDTH, Scene, make_scene
+from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
-from ggvs_eval.files.images import Image8, quantise
+from ggvs_eval.files.images import quantise
 from ggvs_eval.kernels import get_threads
 from ggvs_eval.method import Instant, SourceView
 from ggvs_eval.one_thread import one_thread

@@ -12,8 +12,9 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.domain_views import REAL, REAL_CAPTURE, REAL_TITLE, View, ViewPlan, prepare_views, real_capture
+from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import WeightsError
-from ggvs_eval.files.images import Image8, quantise
+from ggvs_eval.files.images import quantise
 from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.method import Method
 from ggvs_eval.metrics.image import psnr, ssim

@@ -8,11 +8,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array
 from ggvs_eval.errors import CameraError
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

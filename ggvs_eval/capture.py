@@ -8,9 +8,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.files.images import Image8, ResizeFilter, resize
+from ggvs_eval.files.images import ResizeFilter, resize
 
 
 class FrameSource(Protocol):

@@ -9,10 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.files.images import Image8
+from ggvs_eval.arrays import Image8, Map, Mask
 
-Map = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 STOPS = 17  # of a scale's gradient
 TICKS = 5
 CHECK_PX = 6

@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import DepthError
 
-Map = NDArray[np.float32]
 CONFIDENCE_STEPS = 255  # confidence is kept in 8 bit
 
 

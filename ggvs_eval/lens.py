@@ -5,11 +5,10 @@ from typing import Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array
 from ggvs_eval.errors import CameraError
 
-Array = NDArray[np.float64]
 LensModel = Literal["opencv", "fisheye"]
 COEFFICIENTS = {"opencv": (4, 5, 8, 12, 14), "fisheye": (4,)}
 BORDER_POINTS = 64

@@ -4,13 +4,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
-import numpy as np
-from numpy.typing import NDArray
-
+from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera
-from ggvs_eval.files.images import Image8
-
-Map = NDArray[np.float32]
 
 
 @dataclass(frozen=True)

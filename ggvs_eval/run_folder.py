@@ -26,8 +26,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import RenderError, ResultsError
-from ggvs_eval.files.images import Image8, read_image
+from ggvs_eval.files.images import read_image
 from ggvs_eval.protocol import Protocol, load_protocol
 
 JOB_FILE = "job.json"

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.files.images import Image8
+from ggvs_eval.arrays import Image8
 from ggvs_eval.metrics.noise import NoiseEstimator, NoiseModel, NoiseStream
 from ggvs_eval.metrics.noise_blocks import BLOCK_PX, ROUNDING_VARIANCE, Field, block_means
 from ggvs_eval.metrics.scorers import MetricOptions

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array32
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.inputs import Image, white_level
 
@@ -20,8 +20,6 @@ WINDOW_PX = 1.5
 MARGIN_PX = 10  # radius of both filters
 OVER_POSES = {-2: 0.125, -1: 0.375, 0: 0.375, 1: 0.125}  # weights of the pairs (v + m, v + m + 1) around pose v
 MAX_SHEARS = 128
-
-Array = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,9 +33,9 @@ class Lines:
         first_column: column of the EPI where they start; they end as far from the other side. Rows start at pose 2.
     """
 
-    slope_px: Array
-    across: Array
-    along: Array
+    slope_px: Array32
+    across: Array32
+    along: Array32
     first_column: int
 
 
@@ -80,7 +78,7 @@ def find_lines(epi: Image, slope_range_px: tuple[float, float]) -> Lines:
     return best
 
 
-def _filtered(epi: Image) -> tuple[Array, Array]:
+def _filtered(epi: Image) -> tuple[Array32, Array32]:
     """The EPI smoothed along x by a Gaussian and its derivative, both (V, W, 3) on the scale 0..255."""
     scaled = epi.astype(np.float32) * np.float32(255.0 / white_level(epi))
     x = np.arange(-4.0, 5.0)
@@ -92,7 +90,7 @@ def _filtered(epi: Image) -> tuple[Array, Array]:
     return smooth, gradient
 
 
-def _upright_lines(smooth: Array, gradient: Array, shear: int, limits: tuple[float, float], first_column: int) -> Lines:
+def _upright_lines(smooth: Array32, gradient: Array32, shear: int, limits: tuple[float, float], first_column: int) -> Lines:
     """Lines whose slope lies within `limits`, half a pixel around `shear` at most."""
     xx, xv, vv = (_over_window(pairs, shear, first_column) for pairs in _pair_tensors(smooth, gradient, shear))
     moved = np.divide(xv, xx, out=np.zeros_like(xx), where=xx > 1e-6)  # how much less than `shear` a line moves per pose
@@ -101,7 +99,7 @@ def _upright_lines(smooth: Array, gradient: Array, shear: int, limits: tuple[flo
     return Lines(shear - moved, xx, along, first_column)
 
 
-def _pair_tensors(smooth: Array, gradient: Array, shear: int) -> tuple[Array, Array, Array]:
+def _pair_tensors(smooth: Array32, gradient: Array32, shear: int) -> tuple[Array32, Array32, Array32]:
     """xx, xv, vv of poses v and v + 1 of the sheared EPI, each (V - 1, W - |shear|), by the column at pose v."""
     here, there = _shifted(-shear), _shifted(shear)
     x = (gradient[:-1, here] + gradient[1:, there]) * np.float32(0.5)
@@ -116,7 +114,7 @@ def _shifted(shift: int) -> slice:
     return slice(shift, None) if shift >= 0 else slice(None, shift)
 
 
-def _over_window(pairs: Array, shear: int, first_column: int) -> Array:
+def _over_window(pairs: Array32, shear: int, first_column: int) -> Array32:
     """Weighted sum over the pairs around each pose, along the sheared lines, (V - 4, X)."""
     n_poses, width = pairs.shape[0] + 1, pairs.shape[1] + abs(shear)
     total = np.zeros((n_poses - 4, width - 2 * first_column), np.float32)

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import MetricError
-from ggvs_eval.files.images import Image8
 from ggvs_eval.metrics.inputs import check_pair
 from ggvs_eval.metrics.noise_blocks import (
     ENERGY_EDGES,

@@ -7,13 +7,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array, Image8
 from ggvs_eval.errors import MetricError
-from ggvs_eval.files.images import Image8
 from ggvs_eval.metrics.noise_blocks import (
     MIN_BLOCKS,
     ROUNDING_VARIANCE,
     SCALES_PX,
-    Array,
     ChangeTable,
     Field,
     check_frame,

@@ -6,10 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array, Image8
 from ggvs_eval.errors import MetricError
-from ggvs_eval.files.images import Image8
 
-Array = NDArray[np.float64]
 Field = NDArray[np.float32]
 
 BLOCK_PX = 8

@@ -6,13 +6,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Mask
 from ggvs_eval.errors import MetricError
 from ggvs_eval.geometry.difference_mask import difference_mask
 from ggvs_eval.metrics.image import decibels, require_finite, same_kind
 from ggvs_eval.metrics.inputs import Image, check_pair, white_level
 from ggvs_eval.metrics.ssim_variants import SSIM_VARIANTS, SsimName, ssim_map
 
-Mask = NDArray[np.bool_]
 Region = Literal["static", "moving", "disoccluded"]
 REGIONS: tuple[Region, ...] = get_args(Region)
 # A change of colour by 9 of 255 levels at a quarter of the size, well above sensor noise averaged over 16 pixels.

@@ -4,16 +4,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from ggvs_eval.arrays import Image8, Mask
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics import strred
 from ggvs_eval.metrics.colour_correction import ColourMap, ColourMoments, apply_colour_map, unit_range
 from ggvs_eval.metrics.fetch_lpips import LpipsNet
 from ggvs_eval.metrics.image import l1, psnr, ssim
 from ggvs_eval.metrics.lpips import lpips_between, lpips_features
-from ggvs_eval.metrics.regions import REGIONS, Mask, Region, masked_l1, masked_psnr, masked_ssim
+from ggvs_eval.metrics.regions import REGIONS, Region, masked_l1, masked_psnr, masked_ssim
 from ggvs_eval.metrics.ssim_variants import SsimName, ssim_variant
 from ggvs_eval.metrics.time_scorers import ChangeScorer, FlickerScorer, SpreadScorer, StredScorer
-from ggvs_eval.metrics.truth_frame import Image8, Scorer, TruthFrame, Value
+from ggvs_eval.metrics.truth_frame import Scorer, TruthFrame, Value
 
 REGION_MEASURES: dict[str, Callable[[Image8, Image8, Mask], float]] = {"PSNR": masked_psnr, "SSIM": masked_ssim, "L1": masked_l1}
 CORRECTED = ("PSNR_cc", "SSIM_cc", "LPIPS_cc")

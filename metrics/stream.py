@@ -4,13 +4,13 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
+from ggvs_eval.arrays import Image8, Mask
 from ggvs_eval.errors import MetricError, WeightsError
 from ggvs_eval.metrics.colour_correction import ColourMap, ColourMoments
 from ggvs_eval.metrics.inputs import check_pair
-from ggvs_eval.metrics.regions import Mask
 from ggvs_eval.metrics.registry import select_metrics
 from ggvs_eval.metrics.scorers import CORRECTED, MetricOptions, make_scorers
-from ggvs_eval.metrics.truth_frame import Image8, Scorer, TruthFrame, Value
+from ggvs_eval.metrics.truth_frame import Scorer, TruthFrame, Value
 
 
 @dataclass(frozen=True)

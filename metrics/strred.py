@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array
 from ggvs_eval.errors import MetricError
 
-Array = NDArray[np.float64]
 Pairing = Literal["disjoint", "consecutive"]
 Pooling = Literal["means", "products"]
 

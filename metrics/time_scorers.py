@@ -2,12 +2,13 @@
 
 from collections.abc import Sequence
 
+from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics import strred
 from ggvs_eval.metrics.flicker import FlickerMeter
 from ggvs_eval.metrics.image import l1
 from ggvs_eval.metrics.temporal import sdt, temporal_change_ssim
-from ggvs_eval.metrics.truth_frame import Image8, TruthFrame, Value
+from ggvs_eval.metrics.truth_frame import TruthFrame, Value
 
 
 class ChangeScorer:

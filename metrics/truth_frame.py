@@ -4,18 +4,15 @@ from collections.abc import Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from ggvs_eval.arrays import Image8, Mask
 from ggvs_eval.metrics import strred
 from ggvs_eval.metrics.fetch_lpips import LpipsNet
 from ggvs_eval.metrics.lpips import lpips_features
-from ggvs_eval.metrics.regions import Mask, Region, moving_mask
+from ggvs_eval.metrics.regions import Region, moving_mask
 
 if TYPE_CHECKING:
     import torch
 
-Image8 = NDArray[np.uint8]
 Value = tuple[str, int | None, float]  # metric, frame (None: the whole view), value
 
 

@@ -7,12 +7,12 @@ from ggvs_eval.reports.figures.crop_figure import draw_crops, draw_failures
 from ggvs_eval.reports.figures.curves import draw_curves
 from ggvs_eval.reports.figures.k_figure import draw_k
 from ggvs_eval.reports.figures.paper_figures import first_choice
-from ggvs_eval.reports.figures.slice_figure import draw_slices
+from ggvs_eval.reports.figures.slices import draw_slices
 from ggvs_eval.reports.page.page import render_page
 from ggvs_eval.reports.page.sweep_section import is_sweep, sweep_runs, sweep_section
 from ggvs_eval.reports.run_groups import RunSection, read_groups
+from ggvs_eval.reports.table_files import write_tables
 from ggvs_eval.reports.tables.reproduction import reproduce
-from ggvs_eval.reports.tables.table_files import write_tables
 from ggvs_eval.run_folder import RunFolder, write_text
 
 

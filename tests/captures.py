@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.llff import llff_pose, write_llff_poses
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.files.images import Image8, write_image
+from ggvs_eval.files.images import write_image
 from ggvs_eval.files.video import write_video
 
 WIDTH, HEIGHT, N_FRAMES, FPS = 64, 48, 5, 30.0

@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from ggvs_eval.files.images import Image8
+from ggvs_eval.arrays import Image8
 from ggvs_eval.lens import Lens
 
 

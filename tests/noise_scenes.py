@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from skimage import data
 
-from ggvs_eval.files.images import Image8
+from ggvs_eval.arrays import Image8
 from ggvs_eval.files.video import VideoFrames, write_video
 
 HEIGHT, WIDTH, FACE = 240, 304, 88

@@ -10,7 +10,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from ggvs_eval.files.images import Image8, write_image
+from ggvs_eval.arrays import Image8
+from ggvs_eval.files.images import write_image
 from ggvs_eval.files.video import write_video
 from ggvs_eval.protocol import Frames, Measurement, Protocol, Synthesis, Views
 from ggvs_eval.run_folder import RunFolder, frame_path, write_json

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ggvs_eval.files.images import Image8, write_image
+from ggvs_eval.arrays import Image8
+from ggvs_eval.files.images import write_image
 from ggvs_eval.protocol import Frames, Measurement, Protocol, Synthesis, Views
 from ggvs_eval.results import Results, make_table
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, write_json

@@ -5,10 +5,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.frames import ImageFrames
-from ggvs_eval.files.images import Image8, quantise, write_image
+from ggvs_eval.files.images import quantise, write_image
 
 WIDTH, HEIGHT, FOCAL = 200, 150, 170.0
 NEAR, FAR = 4.0, 9.0

@@ -8,10 +8,11 @@ import cv2
 import numpy as np
 import pytest
 
+from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.llff import LlffPose, llff_pose, read_llff_poses, write_llff_poses
-from ggvs_eval.files.images import Image8, quantise, write_image
+from ggvs_eval.files.images import quantise, write_image
 from ggvs_eval.files.video import VideoFrames, write_video
 from ggvs_eval.pipelines.inspection.capture.check import check_capture, examine, record_cameras, run_check
 from ggvs_eval.pipelines.inspection.finding import CaptureCheck

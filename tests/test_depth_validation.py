@@ -3,30 +3,30 @@
 import numpy as np
 import pytest
 
-from ggvs_eval.capture import Capture
-from ggvs_eval.depth_store import DepthMap
-from ggvs_eval.errors import CaptureError, DepthError
-from ggvs_eval.files.images import write_image
-from ggvs_eval.method import SourceView
-from ggvs_eval.pipelines.depth_validation import middlebury
-from ggvs_eval.pipelines.depth_validation.__main__ import main
-from ggvs_eval.pipelines.depth_validation.depth_errors import relative_errors, summarise
-from ggvs_eval.pipelines.depth_validation.figures import Measure, figures_of, quoted_figures
-from ggvs_eval.pipelines.depth_validation.judge import validate_depth
-from ggvs_eval.pipelines.depth_validation.middlebury import fill_disparity, judge_motorcycle, read_motorcycle, score_disparity
-from ggvs_eval.pipelines.depth_validation.named_matchers import depth_options, pairwise_matchers
-from ggvs_eval.pipelines.depth_validation.region_errors import FRAME, errors_by_region, judge_rooms
-from ggvs_eval.pipelines.depth_validation.room_regions import (
+from benchmarks.depth_validation import middlebury
+from benchmarks.depth_validation.__main__ import main
+from benchmarks.depth_validation.depth_errors import relative_errors, summarise
+from benchmarks.depth_validation.evaluate_matcher import validate_depth
+from benchmarks.depth_validation.figures import Measure, figures_of, quoted_figures
+from benchmarks.depth_validation.middlebury import fill_disparity, judge_motorcycle, read_motorcycle, score_disparity
+from benchmarks.depth_validation.named_matchers import depth_options, pairwise_matchers
+from benchmarks.depth_validation.region_errors import FRAME, errors_by_region, judge_rooms
+from benchmarks.depth_validation.room_regions import (
     RegionOptions,
     discontinuities,
     find_regions,
     slope_of_grey,
     thin_structures,
 )
-from ggvs_eval.pipelines.depth_validation.rooms import FRAMES, FilmedRoom
-from ggvs_eval.pipelines.depth_validation.sparse_points import choose_points, judge_sparse, read_sparse_points, score_points
-from ggvs_eval.pipelines.depth_validation.static_reuse import judge_reuse
-from ggvs_eval.pipelines.depth_validation.temporal_spread import find_static, measure_spread, temporal_spread
+from benchmarks.depth_validation.rooms import FRAMES, FilmedRoom
+from benchmarks.depth_validation.sparse_points import choose_points, judge_sparse, read_sparse_points, score_points
+from benchmarks.depth_validation.static_reuse import judge_reuse
+from benchmarks.depth_validation.temporal_spread import find_static, measure_spread, temporal_spread
+from ggvs_eval.capture import Capture
+from ggvs_eval.depth_store import DepthMap
+from ggvs_eval.errors import CaptureError, DepthError
+from ggvs_eval.files.images import write_image
+from ggvs_eval.method import SourceView
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
 from ggvs_eval.synthetic.film.exact_depth import DepthWriter, depth_path
@@ -496,7 +496,7 @@ def test_unknown_names_are_refused(tmp_path):
 
 
 def test_the_command_writes_table_and_figures(tmp_path, capsys):
-    """`python -m ggvs_eval.pipelines.depth_validation` judges the pair it is given; what it refuses is one line."""
+    """`python -m benchmarks.depth_validation` judges the pair it is given; what it refuses is one line."""
     folder = tmp_path / "data" / middlebury.FOLDER
     folder.mkdir(parents=True)
     write_pair(folder)

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from ggvs_eval.arrays import Image8
 from ggvs_eval.datasets.undistort import UndistortedFrames
 from ggvs_eval.errors import CameraError
-from ggvs_eval.files.images import Image8
 from ggvs_eval.lens import Lens
 from lens_pictures import pixel_grid, psnr, straight, through_lens, undistorted_points
 

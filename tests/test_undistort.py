@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from captures import N_FRAMES, NAMES, make_image, write_dynerf, write_folders, write_videos
+from ggvs_eval.arrays import Image8
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.files.images import Image8, read_image
+from ggvs_eval.files.images import read_image
 from ggvs_eval.files.video import VideoFrames, write_video
 from ggvs_eval.lens import Lens
 from ggvs_eval.pipelines.offline.calibration.calibrate import CalibrationOptions, calibrate

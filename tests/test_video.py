@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.files.images import Image8
 from ggvs_eval.files.video import VideoFrames, write_video
 
 N_FRAMES = 40

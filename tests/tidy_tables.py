@@ -3,11 +3,10 @@
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ggvs_eval.arrays import Array
 from ggvs_eval.results import Results, make_table
-
-Array = NDArray[np.float64]
 
 
 def make_rows(label: str, metric: str, values: ArrayLike, scene: str = "room", dataset: str = "Demo") -> list[tuple]:

@@ -6,8 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Map
 from ggvs_eval.camera import Camera
-from ggvs_eval.method import Map, SourceView
+from ggvs_eval.method import SourceView
 
 
 @dataclass(frozen=True, eq=False)

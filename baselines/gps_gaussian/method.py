@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ggvs_eval.arrays import Map
 from ggvs_eval.baselines.gaussians import near_plane
 from ggvs_eval.baselines.gps_gaussian.gaussians import Gaussians, join, rotation_matrices
 from ggvs_eval.baselines.gps_gaussian.network import GpsGaussianNetwork
@@ -18,7 +19,7 @@ from ggvs_eval.baselines.gps_gaussian.tile_renderer import render_gaussians
 from ggvs_eval.baselines.gps_gaussian.weights import load_network
 from ggvs_eval.compute_device import clock_s, compute_device, rendering_on
 from ggvs_eval.errors import RenderError
-from ggvs_eval.method import Instant, Map, Rendering, SourceView
+from ggvs_eval.method import Instant, Rendering, SourceView
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array, Map
 from ggvs_eval.baselines.gps_gaussian.network import SIZE_MULTIPLE
-from ggvs_eval.camera import Array, Camera
+from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
-from ggvs_eval.method import Map, SourceView
+from ggvs_eval.method import SourceView
 
 MIN_PARALLAX_SINE = 0.5  # between the line through both centres and the viewing direction
 MAX_TURN_RAD = np.pi / 3  # between the two viewing directions

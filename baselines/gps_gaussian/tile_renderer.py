@@ -7,10 +7,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ggvs_eval.arrays import Map
 from ggvs_eval.baselines.gps_gaussian.gaussians import TILE, Footprints, Gaussians, footprints
 from ggvs_eval.baselines.gps_gaussian.tile_batches import MAX_ALPHA, MIN_ALPHA, MIN_LIGHT, NEGLIGIBLE, blend_batches
 from ggvs_eval.camera import Camera
-from ggvs_eval.method import Map
 
 CHUNK = 256  # Gaussians of a tile that are evaluated at once
 

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture, Extras
 from ggvs_eval.datasets.assemble import SizedSource, assemble_capture
@@ -19,7 +19,6 @@ from ggvs_eval.files.toml_tables import build_table, read_toml
 from ggvs_eval.files.video import VideoFrames
 from ggvs_eval.lens import Lens, LensModel
 
-Array = NDArray[np.float64]
 FILE = "capture.toml"
 Numbers = tuple[float, ...]
 Matrix = tuple[tuple[float, ...], ...]

@@ -9,15 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.datasets.assemble import SizedSource
 from ggvs_eval.datasets.undistort import UndistortedFrames
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.lens import Lens
-
-Array = NDArray[np.float64]
 
 # A little nearer and farther than all but the outermost hundredth of the points.
 NEAR_FACTOR, FAR_FACTOR = 0.8, 1.2

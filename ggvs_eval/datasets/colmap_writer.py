@@ -2,15 +2,33 @@
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array, Image8
 from ggvs_eval.camera import Camera
-from ggvs_eval.files.images import Image8
-from ggvs_eval.synthetic.film.surface_points import Sightings
-from ggvs_eval.synthetic.room.surfaces import Array
 
 FILES = ("cameras.txt", "images.txt", "points3D.txt")
+
+
+class Sightings(NamedTuple):
+    """What one camera sees of many points.
+
+    Attributes:
+        point: index of each point that it sees, (M,).
+        uv: where, pixels, (M, 2).
+        rgb: colour of the pixel there, uint8 (M, 3).
+    """
+
+    point: NDArray[np.int64]
+    uv: Array
+    rgb: Image8
+
+    def rows(self, chosen: NDArray[np.bool_]) -> "Sightings":
+        """Some of the sightings."""
+        return Sightings(self.point[chosen], self.uv[chosen], self.rgb[chosen])
 
 
 def write_model(folder: Path, cameras: Sequence[Camera], seen: Sequence[Sightings], points: Array) -> None:

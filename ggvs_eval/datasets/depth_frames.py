@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.errors import CaptureError
@@ -16,7 +17,6 @@ from ggvs_eval.files.digest import digest_values
 from ggvs_eval.files.images import decode_image
 from ggvs_eval.geometry.reproject_depth import reproject_depth
 
-Array = NDArray[np.float64]
 ANY_DEPTH = (1e-6, 1e6)  # near and far of cameras that only say where pixels look
 
 

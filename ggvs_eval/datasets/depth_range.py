@@ -4,11 +4,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array
 from ggvs_eval.errors import CaptureError
-
-Array = NDArray[np.float64]
 
 # The scene is assumed to lie between these multiples of the distance to the point that the rig looks at.
 NEAR_FACTOR, FAR_FACTOR = 0.25, 4.0

@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture, Extras
 from ggvs_eval.datasets.arrangements import listed
@@ -19,7 +19,6 @@ from ggvs_eval.datasets.units import METRIC, GivenUnits, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.lens import Lens
 
-Array = NDArray[np.float64]
 INTRINSICS, EXTRINSICS = "intri.yml", "extri.yml"
 MASK_FOLDERS = ("mask", "masks", "bgmtv2", "schp")
 BACKGROUND_FOLDERS = ("bkgd", "background")

@@ -5,13 +5,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array
 from ggvs_eval.datasets.filestorage_yaml import FileStorageYaml, refused
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.lens import Lens
 
-Array = NDArray[np.float64]
 # OpenCV calibrates with pixel centres at whole numbers, ours lie at halves.
 PIXEL_CENTRE = 0.5
 

@@ -8,11 +8,10 @@ import re
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array
 from ggvs_eval.errors import CaptureError
 
-Array = NDArray[np.float64]
 LARGEST_FILE_BYTES = 1 << 22
 # OpenCV's letters of element types; two or more channels per element do not occur in camera files.
 ELEMENT_TYPES = "ucwsifdhlLIbB"

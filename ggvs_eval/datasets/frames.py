@@ -8,9 +8,10 @@ from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 
+from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.digest import digest_files
-from ggvs_eval.files.images import IMAGE_SUFFIXES, Image8, read_image
+from ggvs_eval.files.images import IMAGE_SUFFIXES, read_image
 
 LISTED = 5
 

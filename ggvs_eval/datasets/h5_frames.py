@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.digest import digest_files, digest_values
-from ggvs_eval.files.images import Image8
 
 LISTED = 8
 # What a file claims is believed up to here; one frame of 16k x 5k, or one chunk of several smaller ones.

@@ -10,10 +10,10 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Image8
 from ggvs_eval.capture import Capture, DepthSource, Extras, FrameSource, Retake
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.digest import digest_values
-from ggvs_eval.files.images import Image8
 
 
 @dataclass(frozen=True)

@@ -6,13 +6,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.datasets.array_file import map_array
 from ggvs_eval.errors import CameraError, CaptureError
 
-Array = NDArray[np.float64]
 LARGEST_RIG = 10_000
 # What is beyond is damage, and no square of it is finite.
 LARGEST_NUMBER = 1e100

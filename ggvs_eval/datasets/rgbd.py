@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture, Extras
 from ggvs_eval.datasets.assemble import assemble_capture
@@ -29,7 +29,6 @@ LEAST_EXTRINSIC = 1e-3
 # Farther off than this, metres, two sensors are no RGB-D camera: the numbers are millimetres or belong to another device.
 LARGEST_DISTANCE_M = 1.0
 LISTED = 8
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

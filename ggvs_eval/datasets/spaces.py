@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import assemble_capture
@@ -28,7 +28,6 @@ NUMBERS = {
     "width": 1,
     "height": 1,
 }
-Array = NDArray[np.float64]
 
 
 class _View(NamedTuple):

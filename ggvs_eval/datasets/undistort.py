@@ -8,10 +8,10 @@ from typing import Any
 import cv2
 import numpy as np
 
+from ggvs_eval.arrays import Array, Image8
 from ggvs_eval.capture import FrameSource
 from ggvs_eval.files.digest import digest_values
-from ggvs_eval.files.images import Image8
-from ggvs_eval.lens import Array, Lens
+from ggvs_eval.lens import Lens
 
 
 @dataclass(frozen=True, eq=False)

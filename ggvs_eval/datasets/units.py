@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import CameraError, CaptureError
 
-Array = NDArray[np.float64]
 DEMO_NOTES = "demo.json"
 UNITS_FILE = "units.toml"
 WAYS = "units_per_metre = NUMBER, or [baseline] with cameras and metres, or [points] with metres, a and b"

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.digest import digest_files
-from ggvs_eval.files.images import Image8
 
 if TYPE_CHECKING:
     from av import VideoFrame

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ggvs_eval.camera import Array, Camera
+from ggvs_eval.arrays import Array
+from ggvs_eval.camera import Camera
 from ggvs_eval.errors import CameraError
 
 

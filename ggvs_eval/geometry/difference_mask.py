@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.files.images import Image8
+from ggvs_eval.arrays import Image8
 from ggvs_eval.kernels import get_threads
 
 REDUCTION = 4  # masks are computed at a quarter of the image size

@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.geometry.features import LONGEST_SIDE_PX, Features, match_features
 
-Array = NDArray[np.float64]
 # Matches of one rigid scene agree with some epipolar geometry, whatever the calibration; fewer could agree by chance (it has
 # seven degrees of freedom and is chosen among thousands).
 FEWEST_MATCHES = 25

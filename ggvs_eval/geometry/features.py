@@ -6,9 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.files.images import Image8
+from ggvs_eval.arrays import Array, Image8
 
-Array = NDArray[np.float64]
 # Beyond this size SIFT finds the same corners at four times the cost.
 LONGEST_SIDE_PX = 1600
 MOST_FEATURES = 3000

@@ -3,12 +3,10 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Map
 from ggvs_eval.errors import RenderError
 from ggvs_eval.kernels import get_threads
-
-Map = NDArray[np.float32]
 
 
 def weighted_mean(colours: Sequence[Map], weights: Sequence[Map], factors: Sequence[float] | None = None) -> Map:

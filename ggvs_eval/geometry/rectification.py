@@ -10,14 +10,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from ggvs_eval.camera import Array, Camera
+from ggvs_eval.arrays import Array, Image8, Map, Mask
+from ggvs_eval.camera import Camera
 from ggvs_eval.errors import DepthError
-from ggvs_eval.files.images import Image8
 
-Map = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 MIN_RAY_Z = 0.1  # of a rectified ray; smaller ones would need a canvas more than ten focal lengths wide
 SAME_SURFACE_PX = 0.75  # neighbouring disparities that differ by less are one surface
 

@@ -3,12 +3,11 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array, Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.pinhole import as_image, rigid_between
 
-Array = NDArray[np.float64]
-Map = NDArray[np.float32]
 # Neighbours whose depths differ by more than this share lie on two surfaces, unless the surface is as steep as this.
 STEP, STEEPEST_SLOPE = 0.02, 6.0
 # A pixel is drawn over this many pixels of the other camera along a side at most: a denser sensor is sold everywhere.

@@ -14,7 +14,8 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.camera import Array, Camera, nearest_cameras
+from ggvs_eval.arrays import Array
+from ggvs_eval.camera import Camera, nearest_cameras
 from ggvs_eval.errors import CameraError
 
 SourceChoice = Literal["nearest", "coverage"]

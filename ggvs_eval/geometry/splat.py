@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
-from ggvs_eval.files.images import Image8
 from ggvs_eval.geometry.pinhole import as_image, pinhole, rigid_between
 from ggvs_eval.kernels import LEVELS, get_level, get_threads
 

@@ -10,9 +10,10 @@ from typing import IO, Any
 
 import numpy as np
 
+from ggvs_eval.arrays import Image8
 from ggvs_eval.datasets.array_file import HEADER_ERRORS, map_array
 from ggvs_eval.errors import RenderError
-from ggvs_eval.files.images import Image8, quantise
+from ggvs_eval.files.images import quantise
 
 # Renderers overshoot a little; what lies farther out was never meant to be [0, 1].
 OVERSHOOT = 0.1

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from ggvs_eval.files.images import Image8, write_image
+from ggvs_eval.arrays import Image8
+from ggvs_eval.files.images import write_image
 from ggvs_eval.run_folder import frame_path
 
 

@@ -10,8 +10,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import RenderError
-from ggvs_eval.files.images import Image8, read_image
+from ggvs_eval.files.images import read_image
 from ggvs_eval.renders.wanted import Wanted
 
 # On frames of Neural 3D Video another resize filter moves a picture by up to 0.9 levels of 255, one pixel by 0.9, another decoder

@@ -5,8 +5,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
+from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import RenderError
-from ggvs_eval.files.images import Image8, read_image
+from ggvs_eval.files.images import read_image
 from ggvs_eval.renders.picture import read_header
 from ggvs_eval.run_folder import RunFolder, frame_path
 

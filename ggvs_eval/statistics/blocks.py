@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+from ggvs_eval.arrays import Array
 
 FEWEST_BLOCKS = 4
 NEGLIGIBLE = 1.96  # standard errors below which an autocorrelation counts as none

@@ -4,15 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.results import Results
 from ggvs_eval.statistics.blocks import block_length, block_weights, unit_weights
 from ggvs_eval.statistics.pooled import PooledScene
 from ggvs_eval.statistics.pooled_table import pool_table
-
-Array = NDArray[np.float64]
 
 LEVEL = 0.95
 RESAMPLES = 2000

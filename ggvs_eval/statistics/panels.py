@@ -4,12 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.results import Results
 
-Array = NDArray[np.float64]
 NAMED = 4  # missing cells that a message names before it counts the rest
 
 

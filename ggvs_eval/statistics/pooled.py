@@ -5,12 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.statistics.panels import Panel, make_panel
 
-Array = NDArray[np.float64]
 Pool = Callable[[Array, Array], Array]
 
 # Numbers of a whole sequence that are no means; they are recomputed from what they are made of.

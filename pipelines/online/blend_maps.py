@@ -7,12 +7,12 @@ from typing import Literal
 import cv2
 import numpy as np
 
+from ggvs_eval.arrays import Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.register import register_views
 from ggvs_eval.geometry.view_weights import view_weights
 from ggvs_eval.geometry.warp import CapturedView, Warp, warp
-from ggvs_eval.method import Map
 from ggvs_eval.pipelines.online.blending import BlendingInputs
 
 Guidance = Literal["registered", "channels", "none", "naive"]

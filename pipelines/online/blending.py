@@ -4,8 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+from ggvs_eval.arrays import Map
 from ggvs_eval.geometry.splat import Splat
-from ggvs_eval.method import Instant, Map
+from ggvs_eval.method import Instant
 
 
 @dataclass(frozen=True)

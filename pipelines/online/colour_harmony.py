@@ -8,12 +8,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.files.images import Image8
+from ggvs_eval.arrays import Array, Image8, Map
 from ggvs_eval.geometry.pinhole import rigid_between
 from ggvs_eval.geometry.view_weights import view_weights
-from ggvs_eval.method import Instant, Map, SourceView
+from ggvs_eval.method import Instant, SourceView
 
-Array = NDArray[np.float64]
 REDUCTION = 4  # of the images that are compared, so that a registration that is off by a pixel does not matter
 LATTICE_ROWS = 32  # of look-ups in a source, at least, if it has as many
 DARK, BRIGHT = 20.0, 235.0  # levels of 255 between which a sensor is taken to be linear

@@ -5,10 +5,10 @@ from typing import Literal
 
 import numpy as np
 
-from ggvs_eval.files.images import Image8
+from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.geometry.difference_mask import difference_mask
 from ggvs_eval.kernels import get_threads
-from ggvs_eval.method import Map, SourceView
+from ggvs_eval.method import SourceView
 
 
 @dataclass(frozen=True)

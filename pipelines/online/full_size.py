@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from torch import nn
 
+from ggvs_eval.arrays import Map
 from ggvs_eval.kernels import LEVELS, get_level, get_threads
-from ggvs_eval.method import Map
 from ggvs_eval.pipelines.online.blend_maps import BlendMaps
 from ggvs_eval.pipelines.online.blend_network import BEYOND_VIEWS, SURE
 from ggvs_eval.pipelines.online.refiner import Refiner

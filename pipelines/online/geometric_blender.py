@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from ggvs_eval.arrays import Map
 from ggvs_eval.geometry.per_pixel import weighted_mean
 from ggvs_eval.geometry.splat import COVERED_ALPHA, Splat
 from ggvs_eval.geometry.view_weights import view_weights
 from ggvs_eval.geometry.warp import CapturedView, look_up
-from ggvs_eval.method import Map
 from ggvs_eval.pipelines.online.blending import Blended, BlendingInputs
 from ggvs_eval.pipelines.online.inpainting import push_pull
 

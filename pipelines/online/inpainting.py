@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Map
 from ggvs_eval.kernels import get_threads
-from ggvs_eval.method import Map
 
 
 def push_pull(colour: Map, known: NDArray[np.bool_]) -> Map:

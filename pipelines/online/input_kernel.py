@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from ggvs_eval.arrays import Map
 from ggvs_eval.geometry.pinhole import rigid_between
 from ggvs_eval.kernels import get_threads
-from ggvs_eval.method import Map
 from ggvs_eval.pipelines.online.blend_maps import BlendMaps, Guidance
 from ggvs_eval.pipelines.online.network_inputs import GUIDED, input_channels, ray_slopes, reference_depth
 

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ggvs_eval.arrays import Map
 from ggvs_eval.geometry.splat import Splat
-from ggvs_eval.method import Map
 from ggvs_eval.pipelines.online.recurrent_output import REDUCTION
 
 

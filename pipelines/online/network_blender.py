@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from ggvs_eval.arrays import Map
 from ggvs_eval.compute_device import compute_device
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.per_pixel import weighted_mean
 from ggvs_eval.geometry.splat import COVERED_ALPHA
 from ggvs_eval.kernels.side_by_side import side_by_side
-from ggvs_eval.method import Map
 from ggvs_eval.one_thread import one_thread
 from ggvs_eval.pipelines.online.blend_maps import BlendMaps, Guidance, blend_maps
 from ggvs_eval.pipelines.online.blend_network import BlendNetwork, small_outputs

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.geometry.pinhole import rigid_between
 from ggvs_eval.geometry.splat import COVERED_ALPHA
-from ggvs_eval.method import Map
 from ggvs_eval.pipelines.online.blend_maps import BlendMaps, Guidance, RawViews
 
 GUIDED = ("registered", "channels")  # by the fused depth

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Map
 from ggvs_eval.geometry.splat import COVERED_ALPHA
 from ggvs_eval.kernels import get_threads
-from ggvs_eval.method import Map
 from ggvs_eval.pipelines.online.blend_maps import BlendMaps
 
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from ggvs_eval.arrays import Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.splat import Splat
-from ggvs_eval.method import Map
 
 REDUCTION = 4  # stillness is decided at a quarter of the size, as the difference masks are
 REACH = 2  # cells: what no view covers moves as its surroundings do

@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.geometry.splat import Splat
-from ggvs_eval.method import Map
 
 BEHIND = 0.98  # of the remembered depth: what lies so far back at least is the same surface, or one behind it
 FORGETTING = 0.99  # of the remembered depth from one instant to the next, so that a wrong one does not last

@@ -6,8 +6,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ggvs_eval.arrays import Map
 from ggvs_eval.compute_device import rendering_on
-from ggvs_eval.method import Map
 from ggvs_eval.pipelines.online.blend_maps import BlendMaps
 from ggvs_eval.pipelines.online.blend_network import BlendNetwork, compose_tensors, read_outputs, small_outputs
 from ggvs_eval.pipelines.online.blending import Blended

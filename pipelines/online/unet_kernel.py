@@ -3,8 +3,8 @@
 import numpy as np
 from torch import nn
 
+from ggvs_eval.arrays import Map
 from ggvs_eval.kernels import LEVELS, get_level, get_threads
-from ggvs_eval.method import Map
 from ggvs_eval.pipelines.online.unet import UNet
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ggvs_eval.method import Map
+from ggvs_eval.arrays import Map
 from ggvs_eval.pipelines.online.blend_maps import BlendMaps
 from ggvs_eval.pipelines.online.blend_network import SURE
 from ggvs_eval.pipelines.online.refiner import NO_WEIGHT

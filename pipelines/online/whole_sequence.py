@@ -8,7 +8,8 @@ from time import perf_counter
 
 import numpy as np
 
-from ggvs_eval.method import Instant, Map, Rendering, SourceView
+from ggvs_eval.arrays import Map
+from ggvs_eval.method import Instant, Rendering, SourceView
 from ggvs_eval.pipelines.online.blending import Blender
 from ggvs_eval.pipelines.online.depth_filter import TemporalDepthFilter
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions

@@ -8,8 +8,9 @@ from time import perf_counter
 
 import numpy as np
 
+from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import RenderError
-from ggvs_eval.files.images import Image8, quantise
+from ggvs_eval.files.images import quantise
 from ggvs_eval.files.video import write_video
 from ggvs_eval.pipelines.play.playback import Reel
 from ggvs_eval.pipelines.play.synthesizer import DEFAULT_METHOD, OnlineSynthesizer

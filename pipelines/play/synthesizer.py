@@ -6,12 +6,12 @@ from typing import get_args
 
 import numpy as np
 
+from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import CameraError, DepthError, RenderError
-from ggvs_eval.files.images import Image8
 from ggvs_eval.geometry.source_views import ChosenSource, SourceChoice, choose_sources
-from ggvs_eval.method import Instant, LookaheadMethod, Map, Method, Rendering, SourceView
+from ggvs_eval.method import Instant, LookaheadMethod, Method, Rendering, SourceView
 from ggvs_eval.pipelines.methods.network_choice import NetworkChoice, found_device
 from ggvs_eval.pipelines.methods.registry import find_method
 

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ggvs_eval.camera import Array, Camera
+from ggvs_eval.arrays import Array
+from ggvs_eval.camera import Camera
 from ggvs_eval.errors import CameraError
 
 REACH = 0.6  # of the rig's extent along its two main directions

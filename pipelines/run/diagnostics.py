@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
+from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.colour_maps import coloured, depth_colours
-from ggvs_eval.files.images import Image8, write_image
-from ggvs_eval.method import Map
+from ggvs_eval.files.images import write_image
 from ggvs_eval.run_folder import inside_path
 
 # Okabe and Ito's colours, which the colour-blind tell apart: one for each source view, nearest first.

@@ -5,8 +5,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
+from ggvs_eval.arrays import Image8
 from ggvs_eval.capture import Capture, FrameSource
-from ggvs_eval.files.images import Image8, read_image, write_image
+from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.jobs.run_all import do_all
 from ggvs_eval.run_folder import frame_path, missing_frames

@@ -16,7 +16,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from ggvs_eval.camera import Array, nearest_cameras
+from ggvs_eval.arrays import Array
+from ggvs_eval.camera import nearest_cameras
 from ggvs_eval.capture import Capture
 from ggvs_eval.colour_maps import confidence_scale, depth_scale, difference_scale
 from ggvs_eval.depth_store import DepthStore

@@ -9,10 +9,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.camera import Array, Camera
+from ggvs_eval.arrays import Array, Image8, Map
+from ggvs_eval.camera import Camera
 from ggvs_eval.colour_maps import confidence_colours, depth_colours, difference_colours, with_checks
-from ggvs_eval.depth_store import DepthMap, Map
-from ggvs_eval.files.images import Image8, resize
+from ggvs_eval.depth_store import DepthMap
+from ggvs_eval.files.images import resize
 from ggvs_eval.geometry.rectification import rectify
 from ggvs_eval.reports.depth_page.depth_statistics import measured_pixels
 from ggvs_eval.reports.depth_page.pair_pictures import pair_picture

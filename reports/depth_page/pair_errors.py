@@ -4,7 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ggvs_eval.camera import Array, Camera
+from ggvs_eval.arrays import Array
+from ggvs_eval.camera import Camera
 from ggvs_eval.errors import DepthError
 from ggvs_eval.geometry.epipolar import match_pair
 from ggvs_eval.geometry.features import Features

@@ -6,8 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.camera import Array, Camera
-from ggvs_eval.files.images import Image8, resize
+from ggvs_eval.arrays import Array, Image8
+from ggvs_eval.camera import Camera
+from ggvs_eval.files.images import resize
 from ggvs_eval.geometry.rectification import RectifiedPair
 from ggvs_eval.reports.depth_page.pair_errors import on_canvas
 

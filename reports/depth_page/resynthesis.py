@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera
-from ggvs_eval.depth_store import Map
-from ggvs_eval.files.images import Image8, quantise
+from ggvs_eval.files.images import quantise
 from ggvs_eval.geometry.splat import COVERED_ALPHA, PixelGaussians, splat
 from ggvs_eval.geometry.warp import warp
 

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ggvs_eval.files.images import Image8, read_image
+from ggvs_eval.arrays import Image8
+from ggvs_eval.files.images import read_image
 from ggvs_eval.reports.figures.curves import COLOURS
 from ggvs_eval.reports.figures.figure_file import save_figure
 from ggvs_eval.reports.figures.regions import ERROR_FULL_SCALE, RULES, Region, Rule, find_regions, read_errors

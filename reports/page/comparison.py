@@ -11,8 +11,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import RenderError
-from ggvs_eval.files.images import Image8, read_image
+from ggvs_eval.files.images import read_image
 from ggvs_eval.progress import track
 from ggvs_eval.reports.figures.regions import ERROR_FULL_SCALE
 from ggvs_eval.reports.model.measured import MeasuredRun

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from ggvs_eval.files.images import Image8, resize
+from ggvs_eval.arrays import Image8
+from ggvs_eval.files.images import resize
 
 WEBP_QUALITY = 80
 WIDTHS = (960, 800, 720, 640, 560, 480, 400, 320, 256, 192)

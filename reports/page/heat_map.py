@@ -7,7 +7,7 @@ from typing import Any, cast
 import cv2
 import numpy as np
 
-from ggvs_eval.files.images import Image8
+from ggvs_eval.arrays import Image8
 from ggvs_eval.reports.model.measured import MeasuredRun, label_of
 
 SIGNIFICANT = 5  # digits that a value keeps in the page

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from ggvs_eval.files.images import Image8, read_image
+from ggvs_eval.arrays import Image8
+from ggvs_eval.files.images import read_image
 from ggvs_eval.files.video import write_video
 from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.reports.page.data_uri import shrink

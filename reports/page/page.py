@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from ggvs_eval.files.images import Image8
+from ggvs_eval.arrays import Image8
 from ggvs_eval.reports.figures.curves import COLOURS, DASHES, MARGIN, SIZE
 from ggvs_eval.reports.figures.regions import ERROR_FULL_SCALE
-from ggvs_eval.reports.figures.slice_figure import NO_TRUTH
-from ggvs_eval.reports.figures.slices import Slices
+from ggvs_eval.reports.figures.slices import NO_TRUTH, Slices
 from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.reports.page.comparison import compare_frames, error_scale
 from ggvs_eval.reports.page.data_uri import png_uri, shrink, webp_uri

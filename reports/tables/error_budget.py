@@ -9,9 +9,9 @@ from functools import partial
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from ggvs_eval.files.images import Image8, read_image
+from ggvs_eval.arrays import Image8, Mask
+from ggvs_eval.files.images import read_image
 from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.reports.model.table import Cell, Column, Row, Table
 from ggvs_eval.run_folder import frame_path, missing_frames
@@ -30,8 +30,6 @@ COLUMNS = (
     Column("detail", "%"),
 )
 NOT_TOLD = Cell("not measured: wants PSNR_disoccluded among the protocol's metrics")
-
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

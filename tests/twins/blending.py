@@ -6,11 +6,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.geometry import CapturedView
 from twins.warp import warp_twin
-
-Map = NDArray[np.float32]
 
 
 def weighted_mean_twin(colours: Sequence[Map], weights: Sequence[Map]) -> Map:

@@ -3,7 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from ggvs_eval.arrays import Array
+
 COST_LIMIT = 127
 UNSEEN_FIT = 0.5
 

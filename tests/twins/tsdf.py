@@ -5,9 +5,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array
 from ggvs_eval.pipelines.online.printed_march import FieldReading, printed_march
-
-Array = NDArray[np.float64]
 
 
 def fusion_weights_twin(depth: NDArray, tau: float, depth_noise: float) -> Array:

@@ -3,11 +3,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.geometry import Warp
 from ggvs_eval.pipelines.online.printed_march import sample_depth
-
-Array = NDArray[np.float64]
 
 
 def warp_twin(

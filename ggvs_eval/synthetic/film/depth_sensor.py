@@ -5,11 +5,10 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
+from ggvs_eval.arrays import Array, Array32
 from ggvs_eval.camera import Camera
 from ggvs_eval.synthetic.film.options import DemoOptions
 from ggvs_eval.synthetic.film.rig import UNITS_PER_METRE
-from ggvs_eval.synthetic.room.geometry import Array32
-from ggvs_eval.synthetic.room.surfaces import Array
 
 # A pixel is lost where depth within its 3 x 3 neighbours differs by more than this share.
 EDGE = 0.05

@@ -5,8 +5,8 @@ from types import TracebackType
 
 import numpy as np
 
+from ggvs_eval.arrays import Array32
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.synthetic.room.geometry import Array32
 
 
 class DepthWriter:

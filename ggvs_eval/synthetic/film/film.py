@@ -8,14 +8,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ggvs_eval.arrays import Array32, Image8
 from ggvs_eval.camera import Camera
-from ggvs_eval.files.images import Image8, quantise
+from ggvs_eval.files.images import quantise
 from ggvs_eval.synthetic.film.exact_depth import DepthWriter, depth_path
 from ggvs_eval.synthetic.film.options import DemoOptions, SceneName
 from ggvs_eval.synthetic.film.raycast import Picture, View
 from ggvs_eval.synthetic.film.shots import Shot
 from ggvs_eval.synthetic.room.garden import build_garden
-from ggvs_eval.synthetic.room.geometry import Array32
 from ggvs_eval.synthetic.room.lighting import Instant, LitRoom
 from ggvs_eval.synthetic.room.room import build_room
 from ggvs_eval.synthetic.room.shading import expose

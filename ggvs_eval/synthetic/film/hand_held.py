@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.synthetic.film.rig import AIM_M, ROW_GAP, intrinsics, room_to_world
-from ggvs_eval.synthetic.room.surfaces import Array
 
 # Half the extent of the motion along x, y and z, world units, and how often it swings per second.
 REACH = np.array([4.0, 1.0, 0.7])

@@ -3,8 +3,7 @@
 import cv2
 import numpy as np
 
-from ggvs_eval.files.images import Image8
-from ggvs_eval.synthetic.room.geometry import Array32
+from ggvs_eval.arrays import Array32, Image8
 
 # A telephone indoors, at processing 1: electrons of a white pixel, and the noise of reading one, electrons.
 FULL_WELL, READ_NOISE = 2500.0, 4.0

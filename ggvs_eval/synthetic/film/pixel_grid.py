@@ -4,10 +4,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array, Array32
 from ggvs_eval.camera import Camera
 from ggvs_eval.synthetic.film.rig import directions_in_room, rays_in_room, room_to_world
-from ggvs_eval.synthetic.room.geometry import Array32, Geometry
-from ggvs_eval.synthetic.room.surfaces import Array
+from ggvs_eval.synthetic.room.geometry import Geometry
 
 # k1 k2 p1 p2 k3 of OpenCV's model; () is a pinhole.
 Coefficients = tuple[float, ...]

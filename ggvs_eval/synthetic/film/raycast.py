@@ -9,10 +9,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array32
 from ggvs_eval.camera import Camera
 from ggvs_eval.synthetic.film.pixel_grid import Coefficients, PixelGrid
 from ggvs_eval.synthetic.film.rig import UNITS_PER_METRE, eye_in_room
-from ggvs_eval.synthetic.room.geometry import Array32, Geometry
+from ggvs_eval.synthetic.room.geometry import Geometry
 from ggvs_eval.synthetic.room.lighting import Instant
 from ggvs_eval.synthetic.room.shading import expose, radiance, read_finish
 

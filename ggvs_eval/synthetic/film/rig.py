@@ -9,9 +9,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array, Array32
 from ggvs_eval.camera import Camera
-from ggvs_eval.synthetic.room.geometry import Array32
-from ggvs_eval.synthetic.room.surfaces import Array
 
 UNITS_PER_METRE = 10.5
 FOCAL_PER_WIDTH = 0.543

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ggvs_eval.files.images import Image8, quantise
+from ggvs_eval.arrays import Array32, Image8
+from ggvs_eval.files.images import quantise
 from ggvs_eval.synthetic.film.options import DemoOptions
 from ggvs_eval.synthetic.film.picture_making import compress, defocus, denoise, mosaic_and_back, sharpen, to_linear, to_srgb
-from ggvs_eval.synthetic.room.geometry import Array32
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,42 +1,20 @@
 """Points on the surfaces of the room and which camera sees which of them: what structure from motion finds, without error."""
 
-from typing import NamedTuple
-
 import numpy as np
-from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array, Array32, Image8
 from ggvs_eval.camera import Camera
-from ggvs_eval.files.images import Image8
+from ggvs_eval.datasets.colmap_writer import Sightings
 from ggvs_eval.synthetic.film.film import lit_room
 from ggvs_eval.synthetic.film.options import DemoOptions
 from ggvs_eval.synthetic.film.raycast import depth_along
 from ggvs_eval.synthetic.film.rig import directions_in_room, eye_in_room, room_from_world, room_to_world
 from ggvs_eval.synthetic.film.shots import rig_of
-from ggvs_eval.synthetic.room.geometry import Array32
 from ggvs_eval.synthetic.room.lighting import Instant
-from ggvs_eval.synthetic.room.surfaces import Array
 
 POINTS = 600
 # What ends a ray before this share of its way to a point hides the point.
 REACHED = 0.9998
-
-
-class Sightings(NamedTuple):
-    """What one camera sees of many points.
-
-    Attributes:
-        point: index of each point that it sees, (M,).
-        uv: where, pixels, (M, 2).
-        rgb: colour of the pixel there, uint8 (M, 3).
-    """
-
-    point: NDArray[np.int64]
-    uv: Array
-    rgb: Image8
-
-    def rows(self, chosen: NDArray[np.bool_]) -> "Sightings":
-        """Some of the sightings."""
-        return Sightings(self.point[chosen], self.uv[chosen], self.rgb[chosen])
 
 
 def surface_points(options: DemoOptions) -> Array:

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.datasets.colmap_writer import FILES, write_model
+from ggvs_eval.datasets.colmap_writer import FILES, Sightings, write_model
 from ggvs_eval.synthetic.film.film import PARTS, Footage
 from ggvs_eval.synthetic.film.options import DemoOptions
-from ggvs_eval.synthetic.film.surface_points import Sightings, sightings, surface_points
+from ggvs_eval.synthetic.film.surface_points import sightings, surface_points
 from ggvs_eval.synthetic.layouts.layout_dynerf import split_path, write_film, write_path_poses
 
 MODEL = "sparse/0"

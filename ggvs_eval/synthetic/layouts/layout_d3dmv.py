@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 from numpy.lib.format import open_memmap
 
+from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
-from ggvs_eval.files.images import Image8, quantise
+from ggvs_eval.files.images import quantise
 from ggvs_eval.synthetic.film.film import PARTS, Footage, Frame
 from ggvs_eval.synthetic.film.options import DemoOptions
 from ggvs_eval.synthetic.film.rig import llff_poses

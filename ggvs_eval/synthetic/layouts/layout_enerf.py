@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array, Image8
 from ggvs_eval.camera import Camera
-from ggvs_eval.files.images import Image8
 from ggvs_eval.synthetic.film.film import PARTS, Footage, Frame, lit_room
 from ggvs_eval.synthetic.film.options import DemoOptions
 from ggvs_eval.synthetic.film.pixel_grid import Coefficients
@@ -17,7 +17,6 @@ from ggvs_eval.synthetic.film.shots import distorted_shots
 from ggvs_eval.synthetic.layouts.encoded_images import write_grey_png, write_jpeg
 from ggvs_eval.synthetic.layouts.opencv_yaml import matrix_entry, names_entry, number_entry, write_yaml
 from ggvs_eval.synthetic.room.geometry import Geometry
-from ggvs_eval.synthetic.room.surfaces import Array
 
 BACKGROUND_POINTS = 20_000
 MASKED_SHARE = 0.5

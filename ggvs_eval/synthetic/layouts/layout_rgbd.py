@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.synthetic.film.depth_sensor import measured, misplaced
 from ggvs_eval.synthetic.film.film import Footage
@@ -12,7 +13,6 @@ from ggvs_eval.synthetic.film.options import DemoOptions
 from ggvs_eval.synthetic.film.raycast import render_depth
 from ggvs_eval.synthetic.film.rig import UNITS_PER_METRE, in_metres
 from ggvs_eval.synthetic.layouts.encoded_images import write_grey_png, write_jpeg
-from ggvs_eval.synthetic.room.surfaces import Array
 
 MILLIMETRES_PER_UNIT = 1000 / UNITS_PER_METRE
 LARGEST_MM = np.iinfo(np.uint16).max

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.files.images import Image8
+from ggvs_eval.arrays import Image8
 
 BLOCK, LITERALS = 256, 32
 # A reference back by one byte, of length 9 + 247.

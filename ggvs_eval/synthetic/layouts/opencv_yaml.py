@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from ggvs_eval.synthetic.room.surfaces import Array
+from ggvs_eval.arrays import Array
 
 
 def names_entry(key: str, names: Sequence[str]) -> str:

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ggvs_eval.synthetic.room.surfaces import Array, Material, Surface, ellipsoid, moved, rod, rotation, sheet, translation
+from ggvs_eval.arrays import Array
+from ggvs_eval.synthetic.room.surfaces import Material, Surface, ellipsoid, moved, rod, rotation, sheet, translation
 from ggvs_eval.synthetic.room.textures import Colour, fabric, mottled, plain
 
 UPPER_ARM_M, FOREARM_M = 0.28, 0.25

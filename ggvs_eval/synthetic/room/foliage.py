@@ -4,8 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ggvs_eval.arrays import Array
 from ggvs_eval.synthetic.room import textures
-from ggvs_eval.synthetic.room.surfaces import Array, Material, Surface, blades, rod, sheet
+from ggvs_eval.synthetic.room.surfaces import Material, Surface, blades, rod, sheet
 
 GREENS: tuple[textures.Colour, ...] = (
     (0.2, 0.36, 0.13),

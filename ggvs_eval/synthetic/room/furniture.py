@@ -5,7 +5,7 @@ Each function builds the piece standing on z = 0 around x = y = 0 with its front
 
 import numpy as np
 
-from ggvs_eval.files.images import Image8
+from ggvs_eval.arrays import Image8
 from ggvs_eval.synthetic.room.surfaces import (
     Material,
     Surface,

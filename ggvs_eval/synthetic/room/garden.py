@@ -5,12 +5,12 @@ Room frame: metres, x right, y away from the cameras, z up; the rig stands aroun
 
 import numpy as np
 
-from ggvs_eval.files.images import Image8
+from ggvs_eval.arrays import Array, Image8
 from ggvs_eval.synthetic.room import foliage, textures
 from ggvs_eval.synthetic.room.figure import random_figure
 from ggvs_eval.synthetic.room.movers import Mover
 from ggvs_eval.synthetic.room.room import Light, Room
-from ggvs_eval.synthetic.room.surfaces import Array, Material, Surface, box, moved, panel, rotation, sheet, translation
+from ggvs_eval.synthetic.room.surfaces import Material, Surface, box, moved, panel, rotation, sheet, translation
 
 SKY_RADIUS_M, SKY_TOP_M, SKY_BOTTOM_M, SKY_HALF_RAD = 17.0, 17.0, -1.0, np.radians(125)
 SKY_CENTRE_Y_M = 1.5

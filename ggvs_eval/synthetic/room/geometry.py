@@ -7,9 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array32
 from ggvs_eval.synthetic.room.surfaces import Material, Surface
-
-Array32 = NDArray[np.float32]
 
 
 class Hits(NamedTuple):

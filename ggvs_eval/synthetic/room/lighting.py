@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.synthetic.room.geometry import Array32, Geometry
+from ggvs_eval.arrays import Array32
+from ggvs_eval.synthetic.room.geometry import Geometry
 from ggvs_eval.synthetic.room.room import Room
 from ggvs_eval.synthetic.room.surfaces import Material
 

@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from ggvs_eval.files.images import Image8
+from ggvs_eval.arrays import Image8
 
 PICTURES = ("astronaut", "chelsea", "coffee", "rocket", "hubble_deep_field", "moon", "camera", "retina")
 

@@ -9,10 +9,11 @@ from itertools import pairwise
 
 import numpy as np
 
+from ggvs_eval.arrays import Array
 from ggvs_eval.synthetic.room import clutter, furniture, movers, shell, textures
 from ggvs_eval.synthetic.room.figure import random_figure
 from ggvs_eval.synthetic.room.pictures import PICTURES, picture
-from ggvs_eval.synthetic.room.surfaces import Array, Material, Surface, box, moved, rotation, translation
+from ggvs_eval.synthetic.room.surfaces import Material, Surface, box, moved, rotation, translation
 from ggvs_eval.synthetic.room.textures import Colour
 
 TABLE_M = 0.74

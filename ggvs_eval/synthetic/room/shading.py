@@ -7,7 +7,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.synthetic.room.geometry import Array32, Geometry, Hits
+from ggvs_eval.arrays import Array32
+from ggvs_eval.synthetic.room.geometry import Geometry, Hits
 from ggvs_eval.synthetic.room.lighting import Highlight
 from ggvs_eval.synthetic.room.surfaces import Material
 

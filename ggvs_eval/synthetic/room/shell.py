@@ -6,7 +6,7 @@ and from 0 to `CEILING_M`.
 
 import numpy as np
 
-from ggvs_eval.files.images import Image8
+from ggvs_eval.arrays import Image8
 from ggvs_eval.synthetic.room import clutter, furniture, textures
 from ggvs_eval.synthetic.room.surfaces import Material, Surface, box, moved, panel, translation
 from ggvs_eval.synthetic.room.textures import Colour

@@ -8,11 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
-from ggvs_eval.files.images import Image8
+from ggvs_eval.arrays import Array, Image8
 
-Array = NDArray[np.float64]
 Vector = Sequence[float] | Array
 Profile = Sequence[tuple[float, float]] | Array
 

@@ -5,14 +5,12 @@ Every function returns an sRGB image, uint8 (H, W, 3), at `TEXELS_PER_METRE`; th
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from ggvs_eval.files.images import Image8
+from ggvs_eval.arrays import Image8, Map
 
 TEXELS_PER_METRE = 400
 
 Colour = tuple[float, float, float]
-Map = NDArray[np.float32]
 Size = tuple[float, float]
 
 

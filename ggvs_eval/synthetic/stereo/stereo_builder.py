@@ -4,17 +4,14 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from ggvs_eval.files.images import Image8
+from ggvs_eval.arrays import Image8, Vector
 from ggvs_eval.synthetic.stereo.stereo_paint import Light, Look
 from ggvs_eval.synthetic.stereo.stereo_render import Scene
 from ggvs_eval.synthetic.stereo.stereo_shapes import Ball, Shape, Sheet
 from ggvs_eval.synthetic.stereo.stereo_textures import TextureBank
 from ggvs_eval.synthetic.stereo.stereo_tubes import Tubes
-
-Vector = NDArray[np.float64]
 
 
 @dataclass(eq=False)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.files.images import Image8
+from ggvs_eval.arrays import Image8
 from ggvs_eval.synthetic.room.textures import fractal_noise
 from ggvs_eval.synthetic.stereo.stereo_shapes import MASK_SIDE
 

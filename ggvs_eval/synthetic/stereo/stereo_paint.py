@@ -4,12 +4,9 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Map, Vector
 from ggvs_eval.synthetic.stereo.stereo_textures import TextureBank, sample
-
-Map = NDArray[np.float32]
-Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.files.images import Image8
+from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.synthetic.room import textures
 from ggvs_eval.synthetic.room.pictures import picture
 
@@ -18,7 +18,6 @@ PICTURES = (
     *("brick", "gravel", "grass", "coins", "page", "immunohistochemistry"),
 )
 
-Map = NDArray[np.float32]
 Colour = tuple[float, float, float]
 
 

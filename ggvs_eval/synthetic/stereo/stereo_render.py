@@ -5,12 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Map
 from ggvs_eval.synthetic.stereo.stereo_paint import Light, Look, paint
 from ggvs_eval.synthetic.stereo.stereo_shapes import Shape
 from ggvs_eval.synthetic.stereo.stereo_textures import TextureBank
 from ggvs_eval.synthetic.stereo.stereo_tubes import Tubes
 
-Map = NDArray[np.float32]
 Index = NDArray[np.int64]
 
 CHUNK = 8192  # points painted at once: what stays in a core's cache

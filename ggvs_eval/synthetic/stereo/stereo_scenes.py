@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import DepthError
-from ggvs_eval.files.images import Image8
 from ggvs_eval.synthetic.stereo.stereo_builder import SceneBuilder
 from ggvs_eval.synthetic.stereo.stereo_layouts import fill
 from ggvs_eval.synthetic.stereo.stereo_render import Scene, draw_view, visible_on_the_right

@@ -7,9 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.files.images import Image8
-
-Map = NDArray[np.float32]
+from ggvs_eval.arrays import Image8, Map
 
 NOISE_SIDE = 1024
 

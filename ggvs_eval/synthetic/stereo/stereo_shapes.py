@@ -11,10 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.files.images import Image8
+from ggvs_eval.arrays import Image8, Map, Vector
 
-Map = NDArray[np.float32]
-Vector = NDArray[np.float64]
 Box = tuple[float, float, float, float]  # smallest and largest x, smallest and largest y of the rays that can meet a shape
 
 EVERYWHERE: Box = (-np.inf, np.inf, -np.inf, np.inf)

@@ -5,16 +5,13 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from ggvs_eval.files.images import Image8
+from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.synthetic.stereo.stereo_patterns import SIDE, coloured_pattern, grey_pattern
 
 LEVELS = 7  # down to 4 x 4 texels
 COLOURS, GREYS = 96, 24  # textures in the bank
 SIZES = np.array([SIDE >> level for level in range(LEVELS + 1)], np.float32)  # sides of the levels, texels
-
-Map = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,14 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
+from ggvs_eval.arrays import Vector
 from ggvs_eval.synthetic.stereo.stereo_builder import SceneBuilder, axes_across, rotation
 from ggvs_eval.synthetic.stereo.stereo_masks import mask_bank
 from ggvs_eval.synthetic.stereo.stereo_paint import Look
-
-Vector = NDArray[np.float64]
 
 THIN_MASKS = 16  # the first outlines of the mask bank have thin bars
 

@@ -5,11 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Map, Vector
 from ggvs_eval.synthetic.stereo.stereo_shapes import dot, unit
 
-Map = NDArray[np.float32]
 Index = NDArray[np.int64]
-Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,12 +4,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.geometry.epipolar import MatchedPair, epipolar_errors, ray_depths
 
-Array = NDArray[np.float64]
 # Median error of a pair. Sound calibrations lie at 0.2 - 0.5 pixels where features are found at full size (320 x 240), and at
 # 0.4 - 1.1 pixels of 2690, where they are found at a smaller one; a focal length 5 % off gives 1.3 - 4.4 pixels of 320.
 WARN_PX, BAD_PX = 0.8, 1.5

@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Image8
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.files.images import Image8
 from ggvs_eval.geometry.features import Features, find_features
 
 # Still fine enough to see an arm move, small enough to cost less than decoding.

@@ -3,14 +3,13 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array
 from ggvs_eval.geometry.epipolar import MatchedPair
 from ggvs_eval.pipelines.inspection.capture.camera_record import CameraRecord
 from ggvs_eval.pipelines.inspection.capture.pair_graph import solve_differences
 from ggvs_eval.pipelines.inspection.finding import RIG, Finding, graded
 
-Array = NDArray[np.float64]
 GAIN, NOISE = "colour gain", "noise"
 # 4 % is just visible at a seam. Published captures differ by up to 19 % (flame_steak), which costs every method alike; at 25 % no
 # method can reach 20 dB of PSNR in mid grey, and something is wrong with the export.

@@ -3,12 +3,11 @@
 from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.pipelines.inspection.finding import RIG, Finding, Verdict
 
-Array = NDArray[np.float64]
 QUESTION = "depth range"
 # Share of matched points that may lie outside near .. far; percentiles of the scene leave out a few by definition.
 WARN_OUTSIDE, BAD_OUTSIDE = 0.15, 0.5

@@ -11,10 +11,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array, Array32
 from ggvs_eval.camera import Camera
 
-Array = NDArray[np.float64]
-Array32 = NDArray[np.float32]
 PLANES = 24
 # Share of pixels at the rims that may lie outside the planes compared.
 RIM_SHARE = 0.02

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from ggvs_eval.arrays import Array
+
 ITERATIONS = 30
 SMALLEST_RESIDUAL = 1e-3
 

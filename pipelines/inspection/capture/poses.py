@@ -3,12 +3,11 @@
 from collections.abc import Collection, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.pipelines.inspection.finding import RIG, Finding
 
-Array = NDArray[np.float64]
 QUESTION = "poses"
 # Rotations stored as 32-bit numbers are off by 1e-6; more is rounding in a text file, or no rotation.
 SLANTED = 1e-3

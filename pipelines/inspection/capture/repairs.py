@@ -4,13 +4,11 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.geometry.epipolar import MatchedPair
 from ggvs_eval.pipelines.inspection.capture.calibration_errors import FRONT_SHARE, camera_error, pair_error, tolerances
 
-Array = NDArray[np.float64]
 FOCAL_FACTORS = np.linspace(0.85, 1.15, 31)
 FINE_STEPS = np.linspace(-0.01, 0.01, 9)
 # An explanation must leave at most this share of the error, else it merely bends with it.

@@ -3,13 +3,12 @@
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array
 from ggvs_eval.capture import Capture
 from ggvs_eval.pipelines.inspection.capture.depth_range import neighbour_spacing
 from ggvs_eval.pipelines.inspection.finding import RIG, Finding
 
-Array = NDArray[np.float64]
 QUESTION = "units"
 GUESS = "guess"
 # Rooms, stages and streets; rigs from a phone's pair of lenses to a stadium's.

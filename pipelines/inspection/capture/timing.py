@@ -3,8 +3,8 @@
 from collections.abc import Collection, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.pipelines.inspection.capture.camera_record import CameraRecord
 from ggvs_eval.pipelines.inspection.capture.motion_signals import Lag, best_lag, motion_energy, plane_signals
@@ -12,7 +12,6 @@ from ggvs_eval.pipelines.inspection.capture.pair_graph import solve_differences
 from ggvs_eval.pipelines.inspection.capture.pairs import neighbour_pairs
 from ggvs_eval.pipelines.inspection.finding import RIG, Finding, Verdict
 
-Array = NDArray[np.float64]
 QUESTION = "time offset"
 LARGEST_LAG = 8
 # Fewer frames leave nothing to correlate once they are shifted.

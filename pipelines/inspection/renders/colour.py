@@ -5,8 +5,9 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array32
 from ggvs_eval.pipelines.inspection.renders.finding import DoctorFinding, verdict_of
-from ggvs_eval.pipelines.inspection.renders.view_frames import Array, Sample, ViewFrames
+from ggvs_eval.pipelines.inspection.renders.view_frames import Sample, ViewFrames
 
 CHANNELS = "RGB"
 # Squared error of the hue (channels less their mean) relative to that of the order as it is.
@@ -54,7 +55,7 @@ def find_tone(name: str, sample: Sample) -> list[DoctorFinding]:
     return found or _power_law(name, ours, theirs)
 
 
-def levels(images: Array) -> NDArray[np.float64]:
+def levels(images: Array32) -> NDArray[np.float64]:
     """Quantiles of the levels of each channel over some frames, (Q, 3)."""
     return np.quantile(images.reshape(-1, 3), QUANTILES, axis=0)
 

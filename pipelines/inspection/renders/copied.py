@@ -3,10 +3,10 @@
 import cv2
 import numpy as np
 
-from ggvs_eval.files.images import Image8
+from ggvs_eval.arrays import Array32, Image8
 from ggvs_eval.pipelines.inspection.renders.finding import DoctorFinding, Verdict, verdict_of
 from ggvs_eval.pipelines.inspection.renders.identity import correlation
-from ggvs_eval.pipelines.inspection.renders.view_frames import Array, ViewFrames
+from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames
 
 PAIRS = 3
 CELL_PX = 16
@@ -58,7 +58,7 @@ def worst_patches(rendered: Image8, truth: Image8) -> float:
     return float(np.quantile((ours * theirs).sum(axis=1) / energy, WORST_SHARE))
 
 
-def _patches(image: Image8) -> Array:
+def _patches(image: Image8) -> Array32:
     """Fine detail of the mean of the channels in squares, each without its mean, (patches, pixels)."""
     grey = image.astype(np.float32).mean(axis=-1)
     detail = cv2.GaussianBlur(grey, (0, 0), 0.8) - cv2.GaussianBlur(grey, (0, 0), 3.0)
@@ -87,12 +87,12 @@ def _noise_correlation(rendered: list[Image8], truth: list[Image8]) -> tuple[flo
     return correlation(ours, theirs), float(theirs.std() / np.sqrt(2))
 
 
-def _fine(difference: Array) -> Array:
+def _fine(difference: Array32) -> Array32:
     """A change without its slow part, which lights and exposure put into every picture of an instant."""
     return np.asarray(difference - cv2.blur(difference, (5, 5)), dtype=np.float32)
 
 
-def _cells(values: Array, rows: int, columns: int) -> Array:
+def _cells(values: Array32, rows: int, columns: int) -> Array32:
     cropped = values[: rows * CELL_PX, : columns * CELL_PX].mean(axis=-1)
     return cropped.reshape(rows, CELL_PX, columns, CELL_PX).mean(axis=(1, 3))
 

@@ -7,8 +7,9 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
+from ggvs_eval.arrays import Array32
 from ggvs_eval.pipelines.inspection.renders.finding import DoctorFinding, verdict_of
-from ggvs_eval.pipelines.inspection.renders.view_frames import Array, FrameReader, ViewFrames, shrink, spread
+from ggvs_eval.pipelines.inspection.renders.view_frames import FrameReader, ViewFrames, shrink, spread
 
 INSTANTS = 4
 MIRRORS = {"as it is": (), "left and right swapped": (1,), "upside down": (0,), "turned by 180 degrees": (0, 1)}
@@ -28,7 +29,7 @@ class CameraPictures:
     """
 
     read: FrameReader
-    outlines: Callable[[int], Array]
+    outlines: Callable[[int], Array32]
 
 
 def remember(read: FrameReader) -> CameraPictures:
@@ -58,14 +59,14 @@ def find_identity(name: str, view: ViewFrames, cameras: Mapping[str, CameraPictu
     return _judge(name, view, cameras, scores)
 
 
-def structure(image: Array) -> Array:
+def structure(image: Array32) -> Array32:
     """What outlines a picture: mean of the channels without its slow changes, (h, w); no cast or tone curve undoes it."""
     grey = image.mean(axis=-1, dtype=np.float32)
     wide_px = max(grey.shape) / 20
     return np.asarray(cv2.GaussianBlur(grey, (0, 0), wide_px / 12) - cv2.GaussianBlur(grey, (0, 0), wide_px), dtype=np.float32)
 
 
-def correlation(first: Array, second: Array) -> float:
+def correlation(first: Array32, second: Array32) -> float:
     """Normalised correlation of two arrays of one shape; 0 where they differ in shape or nothing varies."""
     if first.shape != second.shape:
         return 0.0

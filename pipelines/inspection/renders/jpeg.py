@@ -3,9 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.files.images import Image8
+from ggvs_eval.arrays import Array32, Image8
 from ggvs_eval.pipelines.inspection.renders.finding import DoctorFinding, verdict_of
-from ggvs_eval.pipelines.inspection.renders.view_frames import Array, ViewFrames, spread
+from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames, spread
 
 INSTANTS = 3
 BLOCK_PX = 8
@@ -47,7 +47,7 @@ def comb_strength(image: Image8) -> tuple[float, float]:
     return max(strength, 0.0), float(np.median([step for value, step in told if value >= strength]))
 
 
-def _coefficients(luma: Array) -> NDArray[np.float64]:
+def _coefficients(luma: Array32) -> NDArray[np.float64]:
     """Orthonormal discrete cosine transform of all whole blocks, (blocks, 8, 8)."""
     rows, columns = (size // BLOCK_PX for size in luma.shape)
     blocks = luma[: rows * BLOCK_PX, : columns * BLOCK_PX].reshape(rows, BLOCK_PX, columns, BLOCK_PX).swapaxes(1, 2)

@@ -3,9 +3,10 @@
 import cv2
 import numpy as np
 
+from ggvs_eval.arrays import Array32
 from ggvs_eval.pipelines.inspection.renders.finding import DoctorFinding, verdict_of
 from ggvs_eval.pipelines.inspection.renders.identity import correlation
-from ggvs_eval.pipelines.inspection.renders.view_frames import LARGEST_OFFSET, Array, Sample, ViewFrames
+from ggvs_eval.pipelines.inspection.renders.view_frames import LARGEST_OFFSET, Sample, ViewFrames
 
 FEWEST_FRAMES = 4
 # Motion left unexplained, 1 - correlation^2, relative to no offset on the same frames. Honest renders of 18 to 30 dB had 1.09 and
@@ -43,12 +44,12 @@ def find_offset(name: str, view: ViewFrames, sample: Sample) -> tuple[list[Docto
     return [DoctorFinding(name, "frame offset", verdict, measured_text, values, advice)], view.moved(lag)
 
 
-def _grey(frames: Array) -> Array:
+def _grey(frames: Array32) -> Array32:
     """Mean of the channels of each frame, noise smoothed a little, (n, h, w)."""
     return np.stack([cv2.GaussianBlur(frame.mean(axis=-1, dtype=np.float32), (0, 0), 1.0) for frame in frames])
 
 
-def _explained(rendered: Array, truth: Array, first: int, lag: int) -> tuple[float, float, float, float] | None:
+def _explained(rendered: Array32, truth: Array32, first: int, lag: int) -> tuple[float, float, float, float] | None:
     """Unexplained motion at a lag relative to none, both correlations, and the share of instants that agree.
 
     Args:

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ggvs_eval.files.images import Image8
+from ggvs_eval.arrays import Array32, Image8
 from ggvs_eval.pipelines.inspection.renders.finding import DoctorFinding, verdict_of
 from ggvs_eval.pipelines.inspection.renders.registration import Placement, place
-from ggvs_eval.pipelines.inspection.renders.view_frames import Array, ViewFrames, shrink, spread
+from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames, shrink, spread
 
 INSTANTS = 3
 # Half a pixel of a larger picture is still a quarter here, and measured to a twentieth.
@@ -77,7 +77,7 @@ def _scaled(image: Image8, scale_x: float, scale_y: float) -> Image8:
     return np.asarray(cv2.warpAffine(image, matrix, (width, height), flags=flags, borderMode=cv2.BORDER_REPLICATE), np.uint8)
 
 
-def _grey(image: Image8) -> Array:
+def _grey(image: Image8) -> Array32:
     return np.asarray(shrink(image, LONGEST_SIDE_PX).mean(axis=-1), dtype=np.float32)
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.files.images import Image8
+from ggvs_eval.arrays import Image8
 from ggvs_eval.metrics.inputs import check_pair
 from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.pipelines.inspection.renders.view_frames import Array
+from ggvs_eval.arrays import Array32
 
 ITERATIONS = 12
 MARGIN_PX = 6
@@ -35,7 +35,7 @@ class Placement:
     unevenness_px: float
 
 
-def place(rendered: Array, truth: Array) -> Placement:
+def place(rendered: Array32, truth: Array32) -> Placement:
     """Fit shift and scale of two grey pictures (H, W), robust against ghosts, holes and wrong colours.
 
     Differences are weighed down where they are larger than usual; slow changes of brightness are taken out.
@@ -51,13 +51,13 @@ def place(rendered: Array, truth: Array) -> Placement:
     return Placement((float(motion[0]), float(motion[2])), (float(scale[0]), float(scale[1])), uneven)
 
 
-def _outlines(grey: Array) -> Array:
+def _outlines(grey: Array32) -> Array32:
     """The picture without noise and without slow changes."""
     smooth = cv2.GaussianBlur(grey, (0, 0), 1.0)
     return np.asarray(smooth - cv2.GaussianBlur(smooth, (0, 0), 8.0), dtype=np.float32)
 
 
-def _coarse_start(rendered: Array, truth: Array) -> Placement:
+def _coarse_start(rendered: Array32, truth: Array32) -> Placement:
     """Scale or shift by more than refinement reaches, from small copies; neither unless it explains much more than none."""
     factor = min(COARSE_SIDE_PX / max(truth.shape), 1.0)
     size = round(truth.shape[1] * factor), round(truth.shape[0] * factor)
@@ -72,7 +72,7 @@ def _coarse_start(rendered: Array, truth: Array) -> Placement:
     return Placement((0.0, 0.0), best if rests[best] < least else (1.0, 1.0), 0.0)
 
 
-def _rest(ours: Array, theirs: Array, scale: tuple[float, float], shift_px: tuple[float, float]) -> float:
+def _rest(ours: Array32, theirs: Array32, scale: tuple[float, float], shift_px: tuple[float, float]) -> float:
     """1 - correlation where both pictures are, the rendered one scaled about its centre and shifted back."""
     height, width = theirs.shape
     inset = [(1 - factor) * (size - 1) / 2 for factor, size in zip(scale, (width, height), strict=True)]
@@ -85,7 +85,7 @@ def _rest(ours: Array, theirs: Array, scale: tuple[float, float], shift_px: tupl
     return 1 - float((first * second).sum()) / energy if energy > 0 else 1.0
 
 
-def _refine(ours: Array, theirs: Array, motion: NDArray[np.float64], window: Array) -> NDArray[np.float64]:
+def _refine(ours: Array32, theirs: Array32, motion: NDArray[np.float64], window: Array32) -> NDArray[np.float64]:
     """Gauss-Newton steps on (shift x, growth x, shift y, growth y), growth in pixels at the border."""
     height, width = theirs.shape
     y, x = np.mgrid[:height, :width].astype(np.float32)
@@ -106,7 +106,7 @@ def _refine(ours: Array, theirs: Array, motion: NDArray[np.float64], window: Arr
     return motion
 
 
-def _step(rest: Array, derivatives: tuple[Array, ...], window: Array) -> NDArray[np.float64]:
+def _step(rest: Array32, derivatives: tuple[Array32, ...], window: Array32) -> NDArray[np.float64]:
     """Weighted least squares; a rest of twice the usual size counts half."""
     used = rest[window > 0]
     if used.size < 100:
@@ -121,12 +121,12 @@ def _step(rest: Array, derivatives: tuple[Array, ...], window: Array) -> NDArray
     return np.linalg.solve(normal + ridge * np.eye(4), (weighted @ rest.ravel()).astype(np.float64))
 
 
-def _gradient(image: Array) -> tuple[Array, Array]:
+def _gradient(image: Array32) -> tuple[Array32, Array32]:
     x, y = (cv2.Sobel(image, cv2.CV_32F, dx, dy, ksize=3, scale=1 / 8) for dx, dy in ((1, 0), (0, 1)))
     return np.asarray(x, dtype=np.float32), np.asarray(y, dtype=np.float32)
 
 
-def _unevenness(ours: Array, theirs: Array, motion: NDArray[np.float64]) -> float:
+def _unevenness(ours: Array32, theirs: Array32, motion: NDArray[np.float64]) -> float:
     """How far the shifts of single regions scatter about the fit, px."""
     height, width = theirs.shape
     left: list[float] = []
@@ -138,7 +138,7 @@ def _unevenness(ours: Array, theirs: Array, motion: NDArray[np.float64]) -> floa
     return 1.4826 * float(np.median(np.abs(left)))
 
 
-def _region_shift(ours: Array, theirs: Array, motion: NDArray[np.float64], ys: slice, xs: slice) -> list[float]:
+def _region_shift(ours: Array32, theirs: Array32, motion: NDArray[np.float64], ys: slice, xs: slice) -> list[float]:
     """Shift that one region would add to the fit, by two steps of its own."""
     height, width = theirs.shape
     y, x = np.mgrid[ys, xs].astype(np.float32)

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ggvs_eval.files.images import Image8
+from ggvs_eval.arrays import Array32, Image8
 from ggvs_eval.pipelines.inspection.renders.finding import DoctorFinding
-from ggvs_eval.pipelines.inspection.renders.view_frames import Array, ViewFrames, shrink
+from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames, shrink
 from ggvs_eval.run_folder import as_ranges
 
 CELLS = 16
@@ -45,7 +45,7 @@ def scan_frames(name: str, view: ViewFrames) -> Scan:
     still: list[int] = []
     changes: list[float] = []
     sizes: dict[tuple[int, int], list[int]] = {}
-    before: Array | None = None
+    before: Array32 | None = None
     for index in view.frames:
         image = view.rendered(index)
         sizes.setdefault((image.shape[1], image.shape[0]), []).append(index)
@@ -63,7 +63,7 @@ def scan_frames(name: str, view: ViewFrames) -> Scan:
     return Scan(findings, [index for index in view.frames if index not in set(blank)])
 
 
-def change(before: Array, after: Array) -> Change:
+def change(before: Array32, after: Array32) -> Change:
     """How much two pictures (h, w, 3) differ, by the mean of each of 16 x 16 cells."""
     difference = np.abs(after - before).mean(axis=-1)
     cells = cv2.resize(difference, (CELLS, CELLS), interpolation=cv2.INTER_AREA)

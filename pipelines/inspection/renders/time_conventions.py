@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import MetricError
-from ggvs_eval.files.images import Image8
 from ggvs_eval.pipelines.inspection.renders.recompute import (
     ALL_VIEWS,
     MaskReader,

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.files.images import Image8
+from ggvs_eval.arrays import Image8
 from ggvs_eval.pipelines.inspection.renders.finding import DoctorFinding, verdict_of
 from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames, spread
 

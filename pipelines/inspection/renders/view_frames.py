@@ -5,13 +5,11 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array32, Image8
 from ggvs_eval.errors import RenderError
-from ggvs_eval.files.images import Image8
 
 FrameReader = Callable[[int], Image8]
-Array = NDArray[np.float32]
 # Everything but registration and coding is decided on pictures of this size, so that a dozen of them are a few megabytes.
 SMALL_SIDE_PX = 192
 LARGEST_OFFSET = 8
@@ -76,12 +74,12 @@ class Sample:
     """
 
     indices: range
-    rendered: Array
+    rendered: Array32
     truth_indices: range
-    truth: Array
+    truth: Array32
 
     @property
-    def truth_now(self) -> Array:
+    def truth_now(self) -> Array32:
         """The captured frames of the same instants, (n, h, w, 3)."""
         first = self.indices.start - self.truth_indices.start
         return self.truth[first : first + len(self.indices)]
@@ -97,7 +95,7 @@ def take_sample(view: ViewFrames, count: int) -> Sample:
     return Sample(indices, rendered, around, np.stack([shrink(view.truth(index)) for index in around]))
 
 
-def shrink(image: Image8, longest_side_px: int = SMALL_SIDE_PX) -> Array:
+def shrink(image: Image8, longest_side_px: int = SMALL_SIDE_PX) -> Array32:
     """A picture reduced by box averages to a longest side, float32 on the scale 0..255; small ones stay as they are."""
     height, width = image.shape[:2]
     factor = longest_side_px / max(height, width)

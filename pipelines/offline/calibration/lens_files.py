@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ggvs_eval.camera import Array
+from ggvs_eval.arrays import Array
 from ggvs_eval.datasets.easymocap_yaml import PIXEL_CENTRE
 from ggvs_eval.datasets.filestorage_yaml import FileStorageYaml
 from ggvs_eval.errors import CameraError, CaptureError

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from ggvs_eval.arrays import Image8
 from ggvs_eval.capture import FrameSource
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.assemble import FOLDER_FPS
 from ggvs_eval.datasets.undistort import UndistortedFrames
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.files.images import Image8, write_image
+from ggvs_eval.files.images import write_image
 from ggvs_eval.files.video import VideoFrames, write_video
 from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.lens import Lens

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
-from ggvs_eval.files.images import Image8
 from ggvs_eval.pipelines.offline.depth.consistency import ConsistencyOptions
 from ggvs_eval.pipelines.offline.plane_sweep.plane_sweep import PlaneSweepEstimator
 from ggvs_eval.pipelines.offline.plane_sweep.sweep_options import PlaneSweep

@@ -6,8 +6,9 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Map, Mask
 from ggvs_eval.camera import Camera
-from ggvs_eval.depth_store import DepthMap, Map
+from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
 from ggvs_eval.geometry.pinhole import as_image, rigid_between
 
@@ -15,7 +16,6 @@ ALGORITHM = "consistency 1"  # counts up whenever equal options give other bits
 CHUNK = 1 << 14  # points handled at a time: what they need stays in the processor's cache
 UNCHECKED = np.float32(0.5)  # confidence of what nobody can judge, over what it was
 Indices = NDArray[np.int32]
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

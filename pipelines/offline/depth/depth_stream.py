@@ -6,12 +6,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Image8, Mask
 from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
-from ggvs_eval.files.images import Image8
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
 
-Mask = NDArray[np.bool_]
 CONTEXT_PX = 48  # what a matcher sees around the window that it computes again
 GRID_PX = 64  # windows start and end on multiples of it, so that their estimators can be kept
 MOST_CHANGED = 0.6  # of the image; beyond, a window saves nothing

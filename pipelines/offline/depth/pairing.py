@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ggvs_eval.camera import Array, Camera
+from ggvs_eval.arrays import Array
+from ggvs_eval.camera import Camera
 from ggvs_eval.errors import DepthError
 
 GRID = (16, 12)  # rays across and down

@@ -18,14 +18,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.camera import Array, Camera
-from ggvs_eval.datasets.colmap_writer import write_model
-from ggvs_eval.depth_store import DepthMap, Map
+from ggvs_eval.arrays import Array, Image8, Map
+from ggvs_eval.camera import Camera
+from ggvs_eval.datasets.colmap_writer import Sightings, write_model
+from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
-from ggvs_eval.files.images import Image8, write_image
+from ggvs_eval.files.images import write_image
 from ggvs_eval.pipelines.offline.export.colmap_arrays import write_array
 from ggvs_eval.pipelines.offline.export.surface_normals import surface_normals
-from ggvs_eval.synthetic.film.surface_points import Sightings
 
 AGREES = 0.01  # a camera sees a point where its own depth differs by no larger share
 # COLMAP reads names up to a blank in images.txt, up to a comma in patch-match.cfg, and a stroke as a folder.

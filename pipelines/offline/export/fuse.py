@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.camera import Array, Camera
-from ggvs_eval.depth_store import DepthMap, Map
+from ggvs_eval.arrays import Array, Image8, Map
+from ggvs_eval.camera import Camera
+from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
-from ggvs_eval.files.images import Image8
 from ggvs_eval.pipelines.offline.export.surface_normals import surface_normals
 from ggvs_eval.pipelines.offline.export.tsdf_mesh import mesh_of
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from ggvs_eval.camera import Array, Camera
-from ggvs_eval.depth_store import Map
+from ggvs_eval.arrays import Array, Map
+from ggvs_eval.camera import Camera
 
 RADIUS_PX = 3  # of the window that a plane is fitted to
 SAME_SURFACE = 0.03  # neighbours whose depth differs by a larger share belong to another surface

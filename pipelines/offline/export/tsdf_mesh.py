@@ -7,9 +7,8 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.camera import Array, Camera
-from ggvs_eval.depth_store import Map
-from ggvs_eval.files.images import Image8
+from ggvs_eval.arrays import Array, Image8, Map
+from ggvs_eval.camera import Camera
 
 BLOCK = 8  # voxels along the edge of a block, the unit in which Open3D allocates
 FEWEST_VIEWS = 0.5  # weight of a voxel is the number of cameras that measured it: one is enough

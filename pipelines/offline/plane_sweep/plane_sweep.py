@@ -4,12 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
-from ggvs_eval.files.images import Image8
 from ggvs_eval.pipelines.offline.plane_sweep.sweep_level import SweepLevel
 from ggvs_eval.pipelines.offline.plane_sweep.sweep_options import PlaneSweep
-from ggvs_eval.pipelines.offline.stereo.matcher import Map
 
 
 class PlaneSweepEstimator:

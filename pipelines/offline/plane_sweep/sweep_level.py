@@ -8,13 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval import kernels
+from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera
-from ggvs_eval.files.images import Image8
 from ggvs_eval.pipelines.offline.plane_sweep.sweep_fit import SurfaceFit
 from ggvs_eval.pipelines.offline.plane_sweep.sweep_options import PlaneSweep
 from ggvs_eval.pipelines.offline.plane_sweep.sweep_planes import plan_planes
 from ggvs_eval.pipelines.offline.plane_sweep.sweep_views import find_hidden, turn_partner
-from ggvs_eval.pipelines.offline.stereo.matcher import Map
 
 DISTANCE_SCALE_PX = 1.5  # a pixel of the window this far from its middle counts half
 HIDDEN_PX = 1.5  # of parallax; what lies this much nearer hides

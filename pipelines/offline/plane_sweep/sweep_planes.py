@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ggvs_eval.camera import Array, Camera
-from ggvs_eval.pipelines.offline.stereo.matcher import Map
+from ggvs_eval.arrays import Array, Map
+from ggvs_eval.camera import Camera
 
 BLOCK = 32  # planes come in multiples of it, as the kernels want them
 SMALLEST_DENOMINATOR = 0.1  # nearer to a partner's centre nothing is matched; the kernels' number

@@ -9,13 +9,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from ggvs_eval.camera import Array, Camera
+from ggvs_eval.arrays import Array, Map, Mask
+from ggvs_eval.camera import Camera
 from ggvs_eval.pipelines.offline.plane_sweep.sweep_planes import SMALLEST_DENOMINATOR, SweepPlanes
-from ggvs_eval.pipelines.offline.stereo.matcher import Map
 
-Mask = NDArray[np.bool_]
 MIN_RAY_Z = 1e-3
 
 

@@ -6,10 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.depth_store import Map
-from ggvs_eval.files.images import Image8
+from ggvs_eval.arrays import Array, Image8, Map
 
-Array = NDArray[np.float64]
 # The background is farther by this share, the foreground's own depth differs by less within so many pixels of its edge.
 STEP, SMOOTH, INSIDE_PX = 0.06, 0.03, 3
 # Sensors lose the pixels between two surfaces: holes up to this share of the image's width are looked across.

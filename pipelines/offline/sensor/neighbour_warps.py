@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
-from ggvs_eval.depth_store import Map
 from ggvs_eval.geometry.warp import warp
 from ggvs_eval.pipelines.offline.sensor.registration import read_depth
 

@@ -5,17 +5,14 @@ from dataclasses import asdict, dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array, Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture, DepthSource
-from ggvs_eval.depth_store import Map
 from ggvs_eval.files.digest import digest_values
 from ggvs_eval.geometry.pinhole import rigid_between
 from ggvs_eval.geometry.reproject_depth import reproject_depth
 from ggvs_eval.pipelines.offline.sensor.sensor_grid import SensorGrid, SensorLines
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -7,13 +7,13 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.pipelines.offline.sensor.depth_edges import DepthEdges, edge_response, find_edges, responses_at
 from ggvs_eval.pipelines.offline.sensor.neighbour_warps import FramePair, choose_pairs, load_pair, warp_errors, warp_psnr_db
 from ggvs_eval.pipelines.offline.sensor.registration import Registration, pose_after, read_depth, with_registration
 
-Array = NDArray[np.float64]
 # Enough frames and edges for a hundredth of a pixel where colour is sharp, in a few seconds.
 FRAMES, EDGES_PER_FRAME, WIDTH_PX, FEWEST_EDGES = 16, 500, 480, 150
 SIGMAS_PX = (4.0, 2.0, 1.4)

@@ -6,11 +6,11 @@ from typing import Literal
 import cv2
 import numpy as np
 
+from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import DepthSource
-from ggvs_eval.depth_store import DepthMap, Map
+from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
-from ggvs_eval.files.images import Image8
 from ggvs_eval.pipelines.offline.sensor.registration import RegisteredDepth
 from ggvs_eval.pipelines.offline.sensor.sensor_grid import SensorGrid
 from ggvs_eval.pipelines.offline.sensor.sensor_holes import close_edges, close_holes

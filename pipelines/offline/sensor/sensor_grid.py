@@ -5,11 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.depth_store import Map
-from ggvs_eval.files.images import Image8
+from ggvs_eval.arrays import Image8, Indices, Map
 
 MOST_REPEATED = 8  # a column repeated more often is not a coarse sensor's, but a surface that looks alike all over
-Indices = NDArray[np.intp]
 Places = NDArray[np.float64]
 
 

@@ -1,12 +1,8 @@
 """Filling of narrow holes in a depth map: within a surface as it goes on, between two surfaces as the image says."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ggvs_eval.depth_store import Map
-from ggvs_eval.files.images import Image8
-
-Indices = NDArray[np.intp]
+from ggvs_eval.arrays import Image8, Indices, Map
 
 
 def close_holes(depth: Map, hole_px: int, step: float) -> Map:

@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from ggvs_eval.pipelines.offline.stereo.matcher import Map
+from ggvs_eval.arrays import Map
 
 
 def fuse(depths: Map, confidences: Map, disparities: Map, error_px: float) -> tuple[Map, Map]:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ggvs_eval.pipelines.offline.stereo.matcher import Map
+from ggvs_eval.arrays import Map
 
 
 def left_right_gap(disparity: Map, disparity_right: Map) -> Map:

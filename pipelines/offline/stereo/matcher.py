@@ -2,12 +2,7 @@
 
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
-from ggvs_eval.files.images import Image8
-
-Map = NDArray[np.float32]
+from ggvs_eval.arrays import Image8, Map
 
 
 class StereoMatcher(Protocol):

@@ -4,12 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
-from ggvs_eval.files.images import Image8
 from ggvs_eval.geometry.rectification import RectifiedPair, depth_from_disparity, rectify
 from ggvs_eval.pipelines.offline.stereo.fusion import fuse
-from ggvs_eval.pipelines.offline.stereo.matcher import Map, StereoMatcher
+from ggvs_eval.pipelines.offline.stereo.matcher import StereoMatcher
 
 
 class PairwiseEstimator:

@@ -10,10 +10,9 @@ import numpy as np
 import torch
 
 from ggvs_eval import kernels
-from ggvs_eval.files.images import Image8
+from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.one_thread import one_thread
 from ggvs_eval.pipelines.offline.stereo.left_right import left_right_gap
-from ggvs_eval.pipelines.offline.stereo.matcher import Map
 from ggvs_eval.pipelines.offline.stereo.raft_start import start_from_disparity, start_from_matching
 from ggvs_eval.pipelines.offline.stereo.raft_stereo import SIZE_MULTIPLE
 from ggvs_eval.pipelines.offline.stereo.raft_weights import load_network

@@ -6,12 +6,10 @@ with few iterations is left with what matching cannot do.
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from ggvs_eval.files.images import Image8
+from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
 
-Map = NDArray[np.float32]
 HALF = SgbmMatcher(levels=2, refine_iterations=0, speckle_px=40)
 
 

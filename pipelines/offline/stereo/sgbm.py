@@ -5,9 +5,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ggvs_eval.files.images import Image8
+from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.pipelines.offline.stereo.left_right import left_right_gap
-from ggvs_eval.pipelines.offline.stereo.matcher import Map
 from ggvs_eval.pipelines.offline.stereo.subpixel import refine_disparity
 
 SUBPIXEL = 16  # OpenCV counts disparity in sixteenths of a pixel

@@ -7,8 +7,7 @@ largest error in depth.
 import cv2
 import numpy as np
 
-from ggvs_eval.files.images import Image8
-from ggvs_eval.pipelines.offline.stereo.matcher import Map
+from ggvs_eval.arrays import Image8, Map
 
 LARGEST_STEP_PX = 0.5  # larger corrections mean that the match itself is wrong
 NOISE_SLOPE = 4.0  # mean squared slope that noise alone makes, squared grey values per pixel

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.method import Map
+from ggvs_eval.arrays import Map
 from ggvs_eval.pipelines.online.blend_maps import RawViews
 
 

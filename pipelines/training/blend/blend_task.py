@@ -9,9 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from ggvs_eval.arrays import Map
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.files.images import quantise
-from ggvs_eval.method import Map
 from ggvs_eval.metrics.image import psnr, ssim
 from ggvs_eval.pipelines.online.blend_maps import RawViews
 from ggvs_eval.pipelines.online.blend_network import BlendConfig, BlendNetwork, compose_tensors, read_outputs

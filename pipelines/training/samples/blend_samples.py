@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthMap
-from ggvs_eval.files.images import Image8, quantise
-from ggvs_eval.method import Instant, Map, SourceView
+from ggvs_eval.files.images import quantise
+from ggvs_eval.method import Instant, SourceView
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
 from ggvs_eval.pipelines.offline.depth.checked_depth import check_depth
 from ggvs_eval.pipelines.offline.depth.pairing import choose_partners

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
-from ggvs_eval.files.images import Image8
 from ggvs_eval.method import Instant, SourceView
 from ggvs_eval.pipelines.training.samples.sample_file import camera_arrays, stored_arrays, stored_cameras, write_arrays
 

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from ggvs_eval.camera import Array, Camera
+from ggvs_eval.arrays import Array
+from ggvs_eval.camera import Camera
 from ggvs_eval.errors import TrainingError
 
 POSE_SIZE = 16

@@ -9,8 +9,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from ggvs_eval.arrays import Map
 from ggvs_eval.pipelines.offline.stereo.raft_config import COMPACT, RaftConfig
-from ggvs_eval.pipelines.offline.stereo.raft_start import Map, start_from_matching
+from ggvs_eval.pipelines.offline.stereo.raft_start import start_from_matching
 from ggvs_eval.pipelines.offline.stereo.raft_stereo import RaftStereo
 from ggvs_eval.pipelines.training.loop.task import Schedule
 from ggvs_eval.pipelines.training.stereo.stereo_loss import matching_loss, sequence_loss

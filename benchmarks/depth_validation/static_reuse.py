@@ -7,12 +7,12 @@ from time import process_time
 import numpy as np
 import pandas as pd
 
+from benchmarks.depth_validation.depth_errors import WITHIN, relative_errors
+from benchmarks.depth_validation.figures import Figures, Measure, figures_of
+from benchmarks.depth_validation.rooms import FRAMES, FilmedRoom
+from benchmarks.depth_validation.tables import Column, mean_of_rows, wide_table
+from benchmarks.depth_validation.temporal_spread import estimate_views
 from ggvs_eval.camera import Camera
-from ggvs_eval.pipelines.depth_validation.depth_errors import WITHIN, relative_errors
-from ggvs_eval.pipelines.depth_validation.figures import Figures, Measure, figures_of
-from ggvs_eval.pipelines.depth_validation.rooms import FRAMES, FilmedRoom
-from ggvs_eval.pipelines.depth_validation.tables import Column, mean_of_rows, wide_table
-from ggvs_eval.pipelines.depth_validation.temporal_spread import estimate_views
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
 from ggvs_eval.synthetic.film.exact_depth import read_exact_depth

@@ -1,6 +1,6 @@
 """Reads what each image of a COLMAP model saw of its points, in a process of its own: pycolmap breaks the writing of PNG files.
 
-Command: ``python -m ggvs_eval.pipelines.depth_validation.sparse_reader MODEL_DIR OUT.npz``
+Command: ``python -m benchmarks.depth_validation.sparse_reader MODEL_DIR OUT.npz``
 """
 
 import sys

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from benchmarks.depth_validation.figures import Measure
+from ggvs_eval.arrays import Map
 from ggvs_eval.errors import DepthError
-from ggvs_eval.pipelines.depth_validation.figures import Measure
-from ggvs_eval.pipelines.offline.stereo.matcher import Map
 
 WITHIN = 0.02
 MEASURES = (

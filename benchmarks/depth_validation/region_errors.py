@@ -4,18 +4,17 @@ from collections.abc import Mapping, Sequence
 
 import pandas as pd
 
+from benchmarks.depth_validation.depth_errors import MEASURES, relative_errors, summarise
+from benchmarks.depth_validation.figures import Figures, figures_of
+from benchmarks.depth_validation.room_regions import REGIONS, Mask, RegionOptions, find_regions
+from benchmarks.depth_validation.rooms import DEMO, FilmedRoom
+from benchmarks.depth_validation.tables import Column, mean_of_rows, wide_table
+from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthMap
-from ggvs_eval.files.images import Image8
-from ggvs_eval.pipelines.depth_validation.depth_errors import MEASURES, relative_errors, summarise
-from ggvs_eval.pipelines.depth_validation.figures import Figures, figures_of
-from ggvs_eval.pipelines.depth_validation.room_regions import REGIONS, Mask, RegionOptions, find_regions
-from ggvs_eval.pipelines.depth_validation.rooms import DEMO, FilmedRoom
-from ggvs_eval.pipelines.depth_validation.tables import Column, mean_of_rows, wide_table
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
 from ggvs_eval.pipelines.offline.depth.pairing import choose_partners
-from ggvs_eval.pipelines.offline.stereo.matcher import Map
 from ggvs_eval.progress import track
 from ggvs_eval.synthetic.film.exact_depth import read_exact_depth
 

@@ -13,9 +13,9 @@ from typing import Any
 
 import pandas as pd
 
+from benchmarks.depth_validation.evaluate_matcher import validate_depth
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.jobs.processes import default_workers
-from ggvs_eval.pipelines.depth_validation.judge import validate_depth
 from ggvs_eval.pipelines.methods.registry import usual_methods
 from ggvs_eval.pipelines.run.evaluate import evaluate
 from ggvs_eval.protocol import load_protocol

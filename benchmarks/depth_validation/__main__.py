@@ -1,12 +1,12 @@
-"""``python -m ggvs_eval.pipelines.depth_validation --data FOLDER --matchers sgbm``: depth judged in six ways, as tables."""
+"""``python -m benchmarks.depth_validation --data FOLDER --matchers sgbm``: depth judged in six ways, as tables."""
 
 import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from benchmarks.depth_validation.evaluate_matcher import PARTS, validate_depth
 from ggvs_eval.errors import GgvsError
-from ggvs_eval.pipelines.depth_validation.judge import PARTS, validate_depth
 
 
 def main(words: Sequence[str] | None = None) -> None:

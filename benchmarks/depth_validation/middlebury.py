@@ -12,11 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.depth_validation.figures import Figures, Measure, figures_of, quoted_figures
+from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.errors import DepthError
-from ggvs_eval.files.images import Image8, read_image
-from ggvs_eval.pipelines.depth_validation.figures import Figures, Measure, figures_of, quoted_figures
+from ggvs_eval.files.images import read_image
 from ggvs_eval.pipelines.offline.stereo.fusion import fill_background
-from ggvs_eval.pipelines.offline.stereo.matcher import Map, StereoMatcher
+from ggvs_eval.pipelines.offline.stereo.matcher import StereoMatcher
 from ggvs_eval.pipelines.offline.stereo.raft_matcher import RaftMatcher
 from ggvs_eval.progress import track
 

@@ -16,19 +16,19 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from benchmarks.depth_validation.depth_errors import WITHIN, relative_errors
+from benchmarks.depth_validation.figures import Figures, Measure, figures_of
+from benchmarks.depth_validation.tables import Column, mean_of_rows, wide_table
+from ggvs_eval.arrays import Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.colmap import find_model
 from ggvs_eval.errors import CaptureError, DepthError
-from ggvs_eval.pipelines.depth_validation.depth_errors import WITHIN, relative_errors
-from ggvs_eval.pipelines.depth_validation.figures import Figures, Measure, figures_of
-from ggvs_eval.pipelines.depth_validation.tables import Column, mean_of_rows, wide_table
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
 from ggvs_eval.pipelines.offline.depth.pairing import choose_partners
-from ggvs_eval.pipelines.offline.stereo.matcher import Map
 from ggvs_eval.progress import track
 
-READER = "ggvs_eval.pipelines.depth_validation.sparse_reader"
+READER = "benchmarks.depth_validation.sparse_reader"
 MIN_OBSERVATIONS = 3  # of a point; two views that agree may both be wrong along their rays
 MAX_REPROJECTION_PX = 1.0  # of a point, in the images that were calibrated
 MEASURES = (

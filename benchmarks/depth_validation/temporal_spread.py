@@ -10,18 +10,17 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
+from benchmarks.depth_validation.figures import Figures, Measure, figures_of
+from benchmarks.depth_validation.room_regions import Mask
+from benchmarks.depth_validation.rooms import DEMO, FRAMES, FilmedRoom
+from benchmarks.depth_validation.tables import Column, mean_of_rows, wide_table
+from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import DepthError
-from ggvs_eval.files.images import Image8
 from ggvs_eval.method import SourceView
-from ggvs_eval.pipelines.depth_validation.figures import Figures, Measure, figures_of
-from ggvs_eval.pipelines.depth_validation.room_regions import Mask
-from ggvs_eval.pipelines.depth_validation.rooms import DEMO, FRAMES, FilmedRoom
-from ggvs_eval.pipelines.depth_validation.tables import Column, mean_of_rows, wide_table
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
 from ggvs_eval.pipelines.offline.depth.pairing import choose_partners
-from ggvs_eval.pipelines.offline.stereo.matcher import Map
 from ggvs_eval.pipelines.online.depth_filter import TemporalDepthFilter
 from ggvs_eval.progress import track
 from ggvs_eval.synthetic.film.film import Footage, lit_room

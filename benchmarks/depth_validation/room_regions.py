@@ -4,13 +4,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Image8, Map, Mask
 from ggvs_eval.errors import DepthError
-from ggvs_eval.files.images import Image8
-from ggvs_eval.pipelines.offline.stereo.matcher import Map
 
-Mask = NDArray[np.bool_]
 REGIONS = ("texture", "untextured", "edge", "thin")
 
 

@@ -8,8 +8,8 @@ from time import perf_counter
 
 import pandas as pd
 
+from benchmarks.depth_validation.figures import Figures, Measure, figures_of
 from ggvs_eval.capture import Capture
-from ggvs_eval.pipelines.depth_validation.figures import Figures, Measure, figures_of
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
 from ggvs_eval.pipelines.run.prepare import prepare
 from ggvs_eval.pipelines.run.render import render

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 Figures = dict[str, dict[str, Any]]
-COMMAND = "python -m ggvs_eval.pipelines.depth_validation"
+COMMAND = "python -m benchmarks.depth_validation"
 BASELINE = "sgbm"  # the matcher that every other one is compared with
 
 

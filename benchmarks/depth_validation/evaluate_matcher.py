@@ -5,20 +5,13 @@ from pathlib import Path
 
 import pandas as pd
 
+from benchmarks.depth_validation import middlebury, region_errors, rendering, sparse_points, static_reuse, temporal_spread
+from benchmarks.depth_validation.figures import Figures
+from benchmarks.depth_validation.named_matchers import depth_options, pairwise_matchers
+from benchmarks.depth_validation.rooms import film_rooms
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import DepthError
 from ggvs_eval.jobs.processes import default_workers
-from ggvs_eval.pipelines.depth_validation import (
-    middlebury,
-    region_errors,
-    rendering,
-    sparse_points,
-    static_reuse,
-    temporal_spread,
-)
-from ggvs_eval.pipelines.depth_validation.figures import Figures
-from ggvs_eval.pipelines.depth_validation.named_matchers import depth_options, pairwise_matchers
-from ggvs_eval.pipelines.depth_validation.rooms import film_rooms
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.protocol import load_protocol
 from ggvs_eval.run_folder import read_json, write_json
