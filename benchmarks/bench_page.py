@@ -13,10 +13,10 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the browser and run folders made by hand are the tests' own
 
-from browser import INSTALL, Browser, lacking_parts, open_browser  # type: ignore[import-not-found]
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.report import write_report
-from run_folders import NAMES, RunShape, write_run  # type: ignore[import-not-found]
+from helpers.browser import INSTALL, Browser, lacking_parts, open_browser  # type: ignore[import-not-found]
+from helpers.run_folders import NAMES, RunShape, write_run  # type: ignore[import-not-found]
 
 COMMAND = "python -m benchmarks.bench_page"
 DEMO = Path("out/demo/report/index.html")

@@ -1,6 +1,7 @@
-"""Fixtures that several test files share.
+"""Fixtures that several test files share, and how tests find each other.
 
-Tests import their scene and capture builders as plain modules, in the checkout and beside an installed wheel alike.
+Folders mirror those of the package; what tests build on is the package `helpers`. Both work in the checkout and beside an
+installed wheel.
 """
 
 import shutil
@@ -16,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 @pytest.fixture(scope="session")
 def written_dynerf(tmp_path_factory) -> Path:
     """A tiny capture in DyNeRF's layout; nobody changes it."""
-    from captures import write_dynerf
+    from helpers.captures import write_dynerf
 
     return write_dynerf(tmp_path_factory.mktemp("captures") / "room")
 
@@ -41,7 +42,7 @@ def kernel_settings() -> Iterator[None]:
 @pytest.fixture(scope="session")
 def started(tmp_path_factory):
     """One real browser for all tests that share a process."""
-    from browser import open_browser
+    from helpers.browser import open_browser
 
     with open_browser(tmp_path_factory.mktemp("browser")) as browser:
         yield browser
@@ -50,7 +51,7 @@ def started(tmp_path_factory):
 @pytest.fixture(scope="session")
 def painted(tmp_path_factory) -> Path:
     """A page whose pictures say what they are of; nobody changes it."""
-    from painted_page import write_painted_page
+    from helpers.painted_page import write_painted_page
 
     return write_painted_page(tmp_path_factory.mktemp("painted"))
 

@@ -1,0 +1,315 @@
+"""IBRNet: names and shapes of the published checkpoint, outputs equal to the authors', and the method as a whole."""
+
+import copy
+import json
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+import torch
+
+from ggvs_eval import kernels
+from ggvs_eval.baselines.ibrnet.method import IBRNet, depth_range
+from ggvs_eval.baselines.ibrnet.networks import PARTS, Networks, load_ibrnet
+from ggvs_eval.baselines.ibrnet.pooling_kernel import packed_layers
+from ggvs_eval.baselines.ibrnet.rendering import _shade, opacity_shares, render_rays
+from ggvs_eval.baselines.ibrnet.samples import coarse_depths, finer_depths, quantiles
+from ggvs_eval.baselines.ibrnet.views import SeenView, projection_of
+from ggvs_eval.errors import RenderError, WeightsError
+from ggvs_eval.kernels import _core
+from ggvs_eval.one_thread import one_thread
+from helpers.hostile import Hostile
+from helpers.places import DATA_FOLDER
+from helpers.seeded_baselines import seed_weights, turned_rig
+
+DATA = DATA_FOLDER
+
+
+@pytest.fixture(scope="module")
+def networks():
+    """The networks with seeded weights, thin enough that a ray passes many samples."""
+    seeded = seed_weights(Networks()).requires_grad_(False)
+    for network in (seeded.net_coarse, seeded.net_fine):
+        for parameter in network.out_geometry_fc[2].parameters():
+            parameter.mul_(0.05)
+    return seeded
+
+
+@pytest.fixture(scope="module")
+def weights(networks, tmp_path_factory):
+    """A checkpoint as the authors write it."""
+    path = tmp_path_factory.mktemp("ibrnet") / "model_255000.pth"
+    torch.save({**{part: networks.get_submodule(part).state_dict() for part in PARTS}, "optimizer": {"state": {}}}, path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def golden():
+    """Outputs of the authors' code on the same weights (tests/data/IBRNET_ENERF_ORACLES.md)."""
+    return np.load(DATA / "ibrnet_golden.npz")
+
+
+@pytest.fixture(autouse=True)
+def single_thread():
+    """Small tensors; more threads would only wait for each other."""
+    with one_thread():
+        yield
+
+
+def as_tensor(image):
+    """(H, W, 3) uint8 to (1, 3, H, W) in [0, 1]."""
+    return torch.from_numpy(image).permute(2, 0, 1)[None].float() / 255
+
+
+def see(networks, source):
+    """A source view as the renderer takes it."""
+    image = as_tensor(source.image)
+    coarse, fine = networks.feature_net(image)
+    return SeenView(image[0], coarse[0], fine[0], projection_of(source.camera), torch.from_numpy(source.camera.centre).float())
+
+
+def small_target(views):
+    """A rig whose target has fewer pixels than its sources."""
+    instant = turned_rig(views, 44, 36)
+    return replace(instant, target=instant.target.resized(18, 12))
+
+
+def test_names_and_shapes_are_those_of_the_checkpoint():
+    """Every parameter of the authors' three networks exists under its name with its shape, and no other."""
+    oracle = json.loads((DATA / "ibrnet_state_dict.json").read_text())
+    networks = Networks()
+    for part in PARTS:
+        wanted = oracle["feature_net" if part == "feature_net" else "net_coarse/net_fine"]
+        network = networks.get_submodule(part)
+        assert {name: list(tensor.shape) for name, tensor in network.state_dict().items()} == wanted
+        count = oracle["n_params"]["feature_net" if part == "feature_net" else "net"]
+        assert sum(parameter.numel() for parameter in network.parameters()) == count
+
+
+def test_features_are_the_authors(networks, golden):
+    """Features of even and of odd image sizes agree with the authors' to 1e-4."""
+    sources = turned_rig(3).sources
+    coarse, _ = networks.feature_net(as_tensor(sources[0].image))
+    _, fine = networks.feature_net(as_tensor(sources[1].image))
+    odd, _ = networks.feature_net(as_tensor(sources[0].image[:57, :90]))
+    np.testing.assert_allclose(coarse[0, :, ::3, ::3], golden["features_coarse"], atol=1e-4)
+    np.testing.assert_allclose(fine[0, :, ::3, ::3], golden["features_fine"], atol=1e-4)
+    np.testing.assert_allclose(odd[0, ::4], golden["features_odd"], atol=1e-4)
+
+
+def test_the_ray_network_is_the_authors(networks, golden):
+    """Colours and densities of random samples agree, samples that one view or none sees included."""
+    rng = np.random.default_rng(3)
+    seen = torch.from_numpy(rng.uniform(0, 1, (4, 10, 5, 35))).float()
+    differences = rng.normal(size=(4, 10, 5, 3))
+    differences /= np.linalg.norm(differences, axis=-1, keepdims=True)
+    directions = torch.from_numpy(np.concatenate([differences, rng.uniform(0.5, 1, (4, 10, 5, 1))], axis=-1)).float()
+    visible = torch.from_numpy(rng.uniform(size=(4, 10, 5, 1)) > 0.6)
+    visible[1, :4] = False
+    colours, density = networks.net_coarse(seen, directions, visible)
+    np.testing.assert_allclose(colours, golden["network"][..., :3], atol=1e-5)
+    np.testing.assert_allclose(density, golden["network"][..., 3], atol=1e-5)
+
+
+def test_rendered_rays_are_the_authors(networks, golden):
+    """Two passes over every 37th ray of a turned rig agree with the authors' to 1e-4 in colour, in depth where it is opaque."""
+    instant = turned_rig(3)
+    views = [see(networks, source) for source in instant.sources]
+    rays = torch.from_numpy(instant.target.rays().reshape(-1, 3)[::37]).float()
+    centre = torch.from_numpy(instant.target.centre).float()
+    colours, depth = render_rays(networks, views, centre, rays, *depth_range(instant))
+    np.testing.assert_allclose(colours, golden["fine_rgb"], atol=1e-4)
+    opaque = golden["opacity"] >= 0.5
+    assert opaque.sum() > 50
+    np.testing.assert_allclose(depth[opaque], (golden["fine_depth"] / golden["opacity"].clip(1e-10))[opaque], atol=1e-3)
+    assert (depth[golden["opacity"] < 0.499] == 0).all()
+
+
+def test_a_published_checkpoint_loads_strictly(networks, weights, tmp_path):
+    """A file in the authors' format, with and without ``module.``, becomes the networks, bit for bit."""
+    parallel = {
+        part: {f"module.{name}": tensor for name, tensor in networks.get_submodule(part).state_dict().items()} for part in PARTS
+    }
+    torch.save(parallel, tmp_path / "parallel.pth")
+    for path in (weights, tmp_path / "parallel.pth"):
+        loaded = load_ibrnet(path).state_dict()
+        assert all(torch.equal(tensor, loaded[name]) for name, tensor in networks.state_dict().items())
+
+
+def test_what_is_no_checkpoint_is_refused(networks, tmp_path):
+    """Absent, damaged, hostile, without a part, or of another shape: refused in one line, and no code is run."""
+    good = {part: networks.get_submodule(part).state_dict() for part in PARTS}
+    (tmp_path / "damaged.pth").write_bytes(b"PK\x03\x04 no zip")
+    torch.save({**good, "net_fine": Hostile(tmp_path / "pwned")}, tmp_path / "hostile.pth")
+    torch.save({part: good[part] for part in PARTS[:2]}, tmp_path / "partial.pth")
+    torch.save({**good, "net_fine": {**good["net_fine"], "s": torch.zeros(3)}}, tmp_path / "shape.pth")
+    cases = {
+        "nowhere": r"nowhere\.pth: wanted weights of IBRNet",
+        "damaged": "not a file of tensors alone",
+        "hostile": "not a file of tensors alone",
+        "partial": "wanted a state dict under feature_net, got net_coarse, net_fine",
+        "shape": r"1 tensors differ from IBRNet's net_fine, first s: wanted \(\), got \(3,\)",
+    }
+    for name, message in cases.items():
+        with pytest.raises(WeightsError, match=message) as caught:
+            load_ibrnet(tmp_path / f"{name}.pth")
+        assert "\n" not in str(caught.value)
+    assert not (tmp_path / "pwned").exists()
+
+
+@pytest.mark.parametrize("views", [2, 5])
+def test_a_step_gives_a_picture(weights, views):
+    """Of any number of views from two: finite, of the target's size, not flat, in [0, 1]; depth within the range or 0."""
+    instant = small_target(views)
+    rendering = IBRNet(weights).step(instant)
+    assert rendering.image.shape == (12, 18, 3)
+    assert rendering.image.dtype == np.float32
+    assert rendering.image.min() >= 0
+    assert rendering.image.max() <= 1
+    assert rendering.image.std() > 0.02
+    near, far = depth_range(instant)
+    assert ((rendering.depth == 0) | ((rendering.depth >= near) & (rendering.depth <= far * 1.001))).all()
+    assert set(rendering.seconds) == {"features", "rays"}
+
+
+def test_a_step_is_the_same_again(weights):
+    """Equal bits from a second object and with another number of threads, close ones with other chunks."""
+    instant = small_target(2)
+    first = IBRNet(weights).step(instant).image
+    threads = kernels.get_threads()
+    torch.set_num_threads(2)
+    kernels.set_threads(3 - min(threads, 2))
+    try:
+        assert np.array_equal(IBRNet(weights).step(instant).image, first)
+    finally:
+        kernels.set_threads(threads)
+    assert torch.get_num_threads() == 2
+    np.testing.assert_allclose(IBRNet(weights, rays_per_chunk=101).step(instant).image, first, atol=1e-5)
+
+
+def test_too_little_to_see_is_refused(weights):
+    """One view, or an image too small for the features, is refused with what to do."""
+    method, instant = IBRNet(weights), turned_rig(2, 44, 30)
+    with pytest.raises(RenderError, match="camera cam0: IBRNet wants images of at least 33 pixels a side, got 44 x 30"):
+        method.step(instant)
+    with pytest.raises(RenderError, match="at least 2 source views, got 1"):
+        method.step(replace(instant, sources=instant.sources[:1]))
+
+
+def test_the_first_pass_is_even_in_inverse_depth():
+    """Inverse depths are evenly spaced from near to far."""
+    depths = coarse_depths(0.5, 8.0, 16)
+    torch.testing.assert_close(1 / depths, torch.linspace(2, 0.125, 16))
+
+
+def test_the_second_pass_looks_where_the_first_found_something():
+    """With all weight on one sample, nearly all added samples lie between the middles around it; all depths increase."""
+    depths = coarse_depths(1.0, 10.0, 20)[None]
+    weights = torch.zeros(1, 20)
+    weights[0, 7] = 1
+    merged = finer_depths(depths, weights, 40)[0]
+    low, high = (2 / (1 / depths[0, i] + 1 / depths[0, i + 1]) for i in (6, 7))
+    assert int(((merged > low) & (merged < high)).sum()) >= 38
+    assert (merged.diff() >= 0).all()
+    assert len(merged) == 60
+
+
+def test_quantiles_of_an_even_distribution_are_even():
+    """Equal weights on equal intervals give evenly spaced quantiles."""
+    edges, weights = torch.linspace(2, 5, 11)[None], torch.ones(1, 10)
+    torch.testing.assert_close(quantiles(edges, weights, 7)[0], torch.linspace(2, 5, 7), atol=1e-5, rtol=0)
+
+
+def test_shares_follow_their_formula():
+    """Share of a sample = its alpha times what passes those before it; an opaque sample hides all behind it."""
+    density = torch.tensor([[0.5, 0.0, 2.0, 100.0, 3.0]])
+    alpha = 1 - np.exp(-density.numpy()[0].astype(float))
+    expected = [alpha[i] * np.prod(1 - alpha[:i]) for i in range(5)]
+    np.testing.assert_allclose(opacity_shares(density)[0], expected, atol=1e-6)
+
+
+def test_points_are_looked_up_where_they_are_seen():
+    """The centre of pixel (i, j) gives that pixel's colour; what lies outside is not visible."""
+    source = turned_rig(2).sources[0]
+    image = as_tensor(source.image)[0]
+    view = SeenView(image, image, image, projection_of(source.camera), torch.zeros(3))
+    pixels = source.camera.unproject(np.array([[10.5, 20.5], [60.5, 40.5], [-3.0, 20.5]]), np.array([4.0, 4.0, 4.0]))
+    seen, inside = view.look_up(torch.from_numpy(pixels).float(), "coarse")
+    np.testing.assert_allclose(seen[0, :3], image[:, 20, 10], atol=1e-4)
+    np.testing.assert_allclose(seen[1, :3], image[:, 40, 60], atol=1e-4)
+    assert inside[:, 0].tolist() == [True, True, False]
+
+
+@pytest.fixture
+def shaded(networks):
+    """Two rays' worth of samples, near ones that no view sees included, through a network that nobody trains or somebody does."""
+    instant = turned_rig(3)
+    views = [see(networks, source) for source in instant.sources]
+    rays = torch.from_numpy(instant.target.rays().reshape(-1, 3)[::29]).float()
+    near, far = depth_range(instant)
+    depths = torch.linspace(0.02 * near, far, 21).expand(len(rays), -1)
+    centre = torch.from_numpy(instant.target.centre).float()
+
+    def shade(with_gradients: bool, dtype: torch.dtype = torch.float32) -> tuple[torch.Tensor, torch.Tensor]:
+        network = copy.deepcopy(networks.net_fine).to(dtype).requires_grad_(with_gradients)
+        seen = [SeenView(*(getattr(view, field.name).to(dtype) for field in fields(SeenView))) for view in views]
+        return _shade(network, seen, "fine", *(each.to(dtype) for each in (centre, rays, depths)))
+
+    return shade
+
+
+def test_the_kernel_is_the_network(shaded):
+    """What nobody wants gradients of comes from a compiled pass, as near to the network in double precision as torch comes."""
+    exact, of_torch, compiled = shaded(True, torch.float64), shaded(True), shaded(False)
+    assert of_torch[1].requires_grad
+    assert not compiled[1].requires_grad
+    assert 0 < (compiled[1] == 0).sum() < compiled[1].numel()  # samples that no view sees are among them
+    for wanted, theirs, ours in zip(exact, of_torch, compiled, strict=True):
+        rounding = (theirs - wanted).abs().detach()
+        assert (ours - wanted).abs().mean() < 1.5 * rounding.mean() < 1e-5
+        assert (ours - wanted).abs().max() < 2 * rounding.max()
+
+
+def test_vectors_of_any_size_agree(shaded):
+    """Every instruction set gives the same to rounding, those with fused multiply-adds the same bits."""
+    best, by_level = kernels.get_level(), {}
+    try:
+        for level in kernels.available_levels():
+            kernels.set_level(level)
+            by_level[level] = shaded(with_gradients=False)
+    finally:
+        kernels.set_level(best)
+    for colours, density in by_level.values():
+        np.testing.assert_allclose(colours, by_level["baseline"][0], atol=1e-5)
+        np.testing.assert_allclose(density, by_level["baseline"][1], atol=1e-5)
+    if "avx512" in by_level:
+        assert all(torch.equal(*pair) for pair in zip(by_level["avx512"], by_level["avx2"], strict=True))
+
+
+def test_the_kernel_takes_what_fits_alone(networks):
+    """Arrays of another shape or type are refused by name, before anything is read."""
+    image, features = np.zeros((8, 9, 3), np.float32), np.zeros((4, 5, 32), np.float32)
+    view = (image, features, np.zeros((3, 4), np.float32), np.zeros(3, np.float32))
+    good = {
+        "layers": packed_layers(networks.net_fine),
+        "norm": np.ones((2, 16), np.float32),
+        "closeness": 0.2,
+        "views": [view],
+        "centre": np.zeros(3, np.float32),
+        "rays": np.zeros((2, 3), np.float32),
+        "depths": np.ones((2, 5), np.float32),
+        "places": np.zeros((5, 16), np.float32),
+        "level": 0,
+    }
+    cases = {
+        "20 layers": {"layers": good["layers"][:3]},
+        "at least one view": {"views": []},
+        "features: wanted float32": {"views": [(image, features[..., :31].copy(), *view[2:])]},
+        "rays: wanted float32": {"rays": np.zeros((3, 3), np.float32)},
+        "depths: wanted float32": {"depths": np.ones((2, 5))},
+        "places: wanted float32": {"places": np.zeros((4, 16), np.float32)},
+    }
+    assert _core.pool_views(**good)[0].shape == (2, 5, 3)
+    for message, wrong in cases.items():
+        with pytest.raises((TypeError, ValueError), match=message):
+            _core.pool_views(**{**good, **wrong})

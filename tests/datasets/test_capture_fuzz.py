@@ -1,0 +1,448 @@
+"""Whatever is on disk: a capture opens and every frame is read, or one line says why not. No traceback, no hang, no code run."""
+
+import io
+import json
+import os
+import pickle
+import shutil
+import signal
+import struct
+import subprocess
+import sys
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import cv2
+import h5py
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import strategies as st
+
+from ggvs_eval.datasets import DATASETS, open_capture
+from ggvs_eval.datasets.llff import llff_pose, write_llff_poses
+from ggvs_eval.errors import CaptureError
+from ggvs_eval.files.images import write_image
+from helpers.captures import make_binary, make_image, make_rig, write_colmap, write_dynerf
+from helpers.small_layouts import NUMBERS, write_capture_toml, write_easymocap, write_frames, write_multipleview, write_nerfstudio
+
+LONGEST_S = 20
+PAIR = ("cam00", "cam01")
+
+
+def write_outdoor(folder: Path) -> Path:
+    """EasyMocap with all that may lie beside it."""
+    write_easymocap(folder, (-0.1, 0.02, 0.0, 0.0, 0.0))
+    (folder / "vhull").mkdir()
+    np.save(folder / "vhull" / "000000.npy", np.array([[-0.5, -0.5, 4.0], [0.5, 0.5, 5.0]]))
+    for name in NUMBERS:
+        write_frames(folder / "mask" / name, 0)
+        write_image(folder / "bkgd" / f"{name}.png", make_image(0, 0))
+    header = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+    (folder / "background.ply").write_text(header + "0 0 3\n0 0 7\n0.1 0 9\n")
+    return folder
+
+
+def write_d3dmv(folder: Path) -> Path:
+    """A compressed scene of two cameras."""
+    folder.mkdir()
+    frames = np.stack([[make_image(camera, frame) for frame in range(2)] for camera in range(2)])
+    with h5py.File(folder / "scene000.h5", "w") as file:
+        chunks = (1, 1, *frames.shape[2:])
+        file.create_dataset("rgb", data=frames, chunks=chunks, compression="lzf", shuffle=True)
+        file.create_dataset("bg_rgb", data=frames[:, 0])
+    write_llff_poses(folder / "scene000_pb.npy", [llff_pose(camera) for camera in make_rig(PAIR)])
+    return folder
+
+
+def write_spaces(folder: Path) -> Path:
+    """One position of a rig of two cameras."""
+    at = []
+    for index, camera in enumerate(make_rig(("cam_00", "cam_01"))):
+        write_image(folder / camera.name / "image_000.png", make_image(index, 0))
+        view = {"principal_point": [32.0, 24.0], "pixel_aspect_ratio": 1.0, "focal_length": 57.6, "width": 64.0, "height": 48.0}
+        pose = {"position": camera.centre.tolist(), "orientation": cv2.Rodrigues(camera.rotation)[0].ravel().tolist()}
+        at.append({**view, **pose, "relative_path": f"{camera.name}/image_000.png"})
+    (folder / "models.json").write_text(json.dumps([at]))
+    return folder
+
+
+def write_rgbd(folder: Path) -> Path:
+    """ScanNet's export of two frames."""
+    for index, camera in enumerate(make_rig(PAIR)):
+        write_image(folder / "color" / f"{index}.png", make_image(index, 0))
+        (folder / "depth").mkdir(exist_ok=True)
+        cv2.imwrite(str(folder / "depth" / f"{index}.png"), np.full((24, 32), 3000 + index, np.uint16))
+        (folder / "pose").mkdir(exist_ok=True)
+        np.savetxt(folder / "pose" / f"{index}.txt", np.linalg.inv(camera.world_to_camera), "%f")
+    (folder / "intrinsic").mkdir()
+    for kind, scale in (("color", 1.0), ("depth", 0.5)):
+        K = np.eye(4)
+        K[:3, :3] = np.diag([scale, scale, 1.0]) @ make_rig(PAIR)[0].K
+        np.savetxt(folder / "intrinsic" / f"intrinsic_{kind}.txt", K, "%f")
+        np.savetxt(folder / "intrinsic" / f"extrinsic_{kind}.txt", np.eye(4), "%f")
+    return folder
+
+
+def write_binary_colmap(folder: Path) -> Path:
+    write_colmap(folder, PAIR)
+    make_binary(folder / "sparse" / "0")
+    return folder
+
+
+WRITERS: dict[str, Callable[[Path], Path]] = {
+    "capture.toml": write_capture_toml,
+    "d3dmv": write_d3dmv,
+    "spaces": write_spaces,
+    "rgbd": write_rgbd,
+    "multipleview": write_multipleview,
+    "dynerf": lambda folder: write_dynerf(folder, PAIR),
+    "enerf-outdoor": write_outdoor,
+    "colmap": write_binary_colmap,
+    "nerfstudio": write_nerfstudio,
+}
+# A COLMAP model is read in a process of its own, which takes half a second.
+EXAMPLES = {"colmap": 10, "multipleview": 4}
+
+
+@pytest.fixture(scope="module")
+def intact(tmp_path_factory) -> dict[str, Path]:
+    """A valid capture of every layout; nobody changes them."""
+    folder = tmp_path_factory.mktemp("intact")
+    return {name: write(folder / name.replace(".", "_")) for name, write in WRITERS.items()}
+
+
+def read_everything(path: Path) -> str:
+    """Open a capture and read all that is in it; its layout, or the line with which it was refused."""
+    try:
+        capture = open_capture(path)
+        for name in capture.camera_names:
+            frames = list(capture.frames(name))
+            assert len(frames) == capture.n_frames
+            capture.background(name)
+            extras = capture.extras_of(name)
+            if extras.mask is not None:
+                list(extras.mask.frames(0, extras.mask.n_frames))
+            if extras.depth is not None:
+                list(extras.depth.depths(0, extras.depth.n_frames))
+            assert len(capture.digest(name)) == 64
+        return capture.layout
+    except CaptureError as error:
+        message = str(error)
+        assert message.isprintable()
+        assert 20 < len(message) < 4000
+        return message
+
+
+@contextmanager
+def wall_clock() -> Iterator[None]:
+    """Whatever takes longer than a damaged file may take ends with an error."""
+
+    def stop(*_: object) -> None:
+        raise TimeoutError(f"reading took over {LONGEST_S} s")
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.alarm(LONGEST_S)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def test_every_layout_is_fuzzed():
+    """A new layout needs a line here."""
+    assert set(WRITERS) == set(DATASETS)
+
+
+@pytest.mark.parametrize("layout", WRITERS)
+def test_intact_captures_are_read(intact, layout):
+    """What is damaged below is valid before."""
+    assert read_everything(intact[layout]) == layout
+
+
+TOKENS = [
+    b"\0", b"\n", b"\xff", b"-", b"nan", b"inf", b"1e999", b"-1", b"0", b"9" * 400, b"[" * 3000, b"{", b"]", b'"', b"'", b"null",
+    b"true", b"!!python/object/apply:os.system ['id']", b"&a *a", b"../..", b"/dev/zero", b"\xef\xbb\xbf", b"\xed\xa0\x80", b"\r",
+    b": ", b"#", b"\x80\x04\x95", b"PK\x03\x04", b"\x89PNG\r\n\x1a\n", b"\x89HDF\r\n\x1a\n", b"\\u0000", b"\\ud800",
+    b"%YAML:1.0\n",
+]  # fmt: skip
+PLACES = st.floats(0, 1, exclude_max=True)
+EDITS = st.one_of(
+    st.tuples(st.just("flip"), st.lists(st.tuples(PLACES, st.integers(1, 255)), min_size=1, max_size=6)),
+    st.tuples(st.just("cut"), PLACES),
+    st.tuples(st.just("replace"), st.binary(max_size=60)),
+    st.tuples(st.just("insert"), st.tuples(PLACES, st.sampled_from(TOKENS))),
+    st.tuples(st.just("overwrite"), st.tuples(PLACES, st.sampled_from(TOKENS))),
+    st.tuples(st.just("repeat"), st.tuples(PLACES, PLACES)),
+    st.tuples(st.just("drop"), st.tuples(PLACES, st.integers(1, 40))),
+)
+
+
+def damaged(content: bytes, edit: tuple[str, object]) -> bytes:
+    """The content after one edit."""
+    kind, how = edit
+    at = int(how[0] * len(content)) if isinstance(how, tuple) else 0
+    match kind:
+        case "flip":
+            changed = bytearray(content)
+            for place, value in how if content else ():  # type: ignore[attr-defined]
+                changed[int(place * len(content))] ^= value
+            return bytes(changed)
+        case "cut":
+            return content[: int(how * len(content))]  # type: ignore[operator]
+        case "replace":
+            return bytes(how)  # type: ignore[call-overload]
+        case "insert":
+            return content[:at] + how[1] + content[at:]  # type: ignore[index]
+        case "overwrite":
+            return content[:at] + how[1] + content[at + len(how[1]) :]  # type: ignore[index]
+        case "repeat":
+            return content[:at] + content[int(how[1] * len(content)) :]  # type: ignore[index]
+        case _:
+            return content[:at] + content[at + how[1] :]  # type: ignore[index]
+
+
+@pytest.mark.parametrize("layout", WRITERS)
+def test_one_damaged_file(intact, layout, tmp_path):
+    """Flipped, cut, replaced, inserted and repeated bytes in any file of any layout: success or one line."""
+    files = sorted(file.relative_to(intact[layout]) for file in intact[layout].rglob("*") if file.is_file())
+    # Headers are where the trouble is; images and videos outnumber them.
+    headers = [file for file in files if file.suffix not in (".png", ".mp4")]
+    pictures = [file for file in files if file.suffix in (".png", ".mp4")]
+    chosen = st.one_of(st.sampled_from(headers), st.sampled_from(headers), st.sampled_from(pictures or headers))
+    copy = Path(shutil.copytree(intact[layout], tmp_path / "copy"))
+
+    @settings(
+        max_examples=EXAMPLES.get(layout, 70),
+        deadline=None,
+        derandomize=True,
+        database=None,
+        phases=[Phase.explicit, Phase.generate],
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(file=chosen, edit=EDITS)
+    def damage_and_read(file: Path, edit: tuple[str, object]) -> None:
+        content = (intact[layout] / file).read_bytes()
+        (copy / file).write_bytes(damaged(content, edit))
+        try:
+            with wall_clock():
+                read_everything(copy)
+        finally:
+            (copy / file).write_bytes(content)
+
+    damage_and_read()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        (b"VideoHandler", b"\x9dideoHandler", "dynerf"),
+        (b"avc1", b"zzzz", "cam01.mp4: wanted a video in a known code such as H.264, got an unknown one"),
+    ],
+)
+def test_damaged_tags_of_a_video(intact, tmp_path, old, new, expected):
+    """Tags that are no text do not matter; a code that nobody knows does."""
+    copy = Path(shutil.copytree(intact["dynerf"], tmp_path / "copy"))
+    content = (copy / "cam01.mp4").read_bytes()
+    assert old in content
+    (copy / "cam01.mp4").write_bytes(content.replace(old, new))
+    assert expected in read_everything(copy)
+
+
+class Trap:
+    """Unpickling it leaves a mark."""
+
+    def __init__(self, mark: Path) -> None:
+        self.mark = mark
+
+    def __reduce__(self):
+        return os.mkdir, (str(self.mark),)
+
+
+def npy_header(shape: str, dtype: str = "<f8") -> bytes:
+    """An array file that claims this shape and holds 64 bytes."""
+    header = f"{{'descr': '{dtype}', 'fortran_order': False, 'shape': {shape}, }}\n".encode()
+    return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header + bytes(64)
+
+
+def png(width: int, height: int, *chunks: tuple[bytes, bytes]) -> bytes:
+    """An image file that claims this size and holds next to nothing."""
+    parts = [(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)), *chunks]
+    parts += [(b"IDAT", zlib.compress(bytes(1000))), (b"IEND", b"")]
+    body = b"".join(
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in parts
+    )
+    return b"\x89PNG\r\n\x1a\n" + body
+
+
+def endless_png() -> bytes:
+    """An image whose data claim to go on for 4 GB."""
+    content = png(64, 48)
+    at = content.index(b"IDAT") - 4
+    return content[:at] + b"\xff\xff\xff\0" + content[at + 4 :]
+
+
+def jpeg(width: int, height: int) -> bytes:
+    """A true image whose header claims another size."""
+    content = bytearray(cv2.imencode(".jpg", make_image(0, 0))[1].tobytes())
+    at = content.index(b"\xff\xc0") + 5
+    content[at : at + 4] = struct.pack(">HH", height, width)
+    return bytes(content)
+
+
+def h5(fill: Callable[[h5py.File], object]) -> bytes:
+    buffer = io.BytesIO()
+    with h5py.File(buffer, "w") as file:
+        fill(file)
+    return buffer.getvalue()
+
+
+def npz() -> bytes:
+    buffer = io.BytesIO()
+    np.savez(buffer, poses=np.zeros((2, 17)))
+    return buffer.getvalue()
+
+
+def object_array(mark: Path) -> bytes:
+    buffer = io.BytesIO()
+    np.save(buffer, np.array([[Trap(mark)] * 17] * 2), allow_pickle=True)
+    return buffer.getvalue()
+
+
+YAML_HEAD = b"%YAML:1.0\n---\n"
+ANCHORS = b"".join(b"a%d: &a%d [%s]\n" % (i, i, b",".join([b"*a%d" % (i - 1)] * 9) if i else b"x") for i in range(12))
+NAMES_YAML = b'names:\n   - "00"\n   - "01"\n   - "02"\n'
+
+
+def hostile_files(mark: Path) -> dict[str, tuple[str, str, bytes]]:
+    """What only malice writes: name -> layout, file, content."""
+    shell = f"!!python/object/apply:os.mkdir ['{mark}']".encode()
+    matrix = b"K_00: !!opencv-matrix\n   rows: %b\n   cols: 3\n   dt: %b\n   data: [ 1., 2. ]\n"
+    poses = ("dynerf", "poses_bounds.npy")
+    hull = ("enerf-outdoor", "vhull/000000.npy")
+    intri = ("enerf-outdoor", "intri.yml")
+    picture = ("nerfstudio", "images/cam00.png")
+    stored = ("d3dmv", "scene000.h5")
+    names = ("nerfstudio", "transforms.json")
+    model = "sparse/0/"
+    return {
+        "npy of 10^12 rows": (*poses, npy_header("(1000000000000, 17)")),
+        "npy beyond 64 bits": (*poses, npy_header(f"({2**70}, 17)")),
+        "npy of negative size": (*poses, npy_header("(-1, 17)")),
+        "npy of overflowing size": (*poses, npy_header(f"({2**62}, {2**62})")),
+        "npy nested deeply": (*poses, npy_header("(" * 5000)),
+        "npy broken header": (*poses, npy_header("(2, 17), 'x': [")),
+        "npy indented header": (*poses, npy_header("(2,\n    17)\n  )")),
+        "npy odd type": (*poses, npy_header("(2, 17)", "M8[7Y]")),
+        "npy void type": (*poses, npy_header("(2, 17)", "V99999999999")),
+        "npy of objects": (*poses, object_array(mark)),
+        "pickle as npy": (*poses, pickle.dumps(Trap(mark))),
+        "npz as npy": (*poses, npz()),
+        "broken zip as npy": (*poses, npz()[:-20]),
+        "hull of objects": (*hull, object_array(mark)),
+        "hull of 10^12 rows": (*hull, npy_header("(1000000000000, 3)")),
+        "pickle as hull": (*hull, pickle.dumps(Trap(mark))),
+        "png 60000 x 60000": (*picture, png(60000, 60000)),
+        "png 12000 x 12000": (*picture, png(12000, 12000)),
+        "png 2^31 wide": (*picture, png(2**31 - 1, 2)),
+        "png with a chunk of 4 GB": (*picture, endless_png()),
+        "png with a text bomb": (*picture, png(64, 48, (b"zTXt", b"k\0\0" + zlib.compress(bytes(1 << 26), 1)))),
+        "png with a profile bomb": (*picture, png(64, 48, (b"iCCP", b"k\0\0" + zlib.compress(bytes(1 << 26), 1)))),
+        "jpeg 60000 x 60000": (*picture, jpeg(60000, 60000)),
+        "background 60000 x 60000": ("enerf-outdoor", "bkgd/00.png", png(60000, 60000)),
+        "depth 60000 x 60000": ("rgbd", "depth/0.png", png(60000, 60000)),
+        "script as picture": (*picture, b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 64 48\n(x) run\n"),
+        "2^60 cameras": ("colmap", f"{model}cameras.bin", struct.pack("<Q", 1 << 60) + bytes(200)),
+        "endless name": ("colmap", f"{model}images.bin", struct.pack("<Q", 1) + b"x" * 5000),
+        "yaml of 2^31 rows": (*intri, YAML_HEAD + NAMES_YAML + matrix % (b"2000000000", b"d")),
+        "yaml of a wrong type": (*intri, YAML_HEAD + NAMES_YAML + matrix % (b"3", b"99999999999d")),
+        "yaml tag": (*intri, YAML_HEAD + b"names: " + shell + b"\n"),
+        "yaml tag in a matrix": (*intri, YAML_HEAD + NAMES_YAML + b"K_00: " + shell + b"\n"),
+        "yaml anchors": (*intri, YAML_HEAD + ANCHORS + b"names: *a11\n"),
+        "yaml nested deeply": (*intri, YAML_HEAD + b"names: " + b"[" * 1_000_000),
+        "yaml maps nested deeply": (*intri, YAML_HEAD + b"names: " + b"{a: " * 500_000),
+        "yaml of another version": (*intri, b"%YAML 1.2\n---\nK_\0: !!opencv-matrix\n" + NAMES_YAML),
+        "xml as yaml": (*intri, b'<?xml version="1.0"?>\n<opencv_storage>' + b"<a>" * 200_000),
+        "json as yaml": (*intri, b'{"a":' * 200_000),
+        "a million names": (*intri, YAML_HEAD + b"names:\n" + b"".join(b"  - c%d\n" % i for i in range(100_000))),
+        "json nested deeply": (*names, b'{"frames": ' + b"[" * 1_000_000),
+        "json of a huge number": (*names, b'{"frames": [{"file_path": "a.png", "w": 1e400}], "w": ' + b"9" * 100_000 + b"}"),
+        "json of NaN": (*names, b'{"w": NaN, "frames": [{"file_path": "a.png", "transform_matrix": [[NaN]]}]}'),
+        "json of half a sign": (*names, b'{"frames": [{"file_path": "\\ud800.png", "transform_matrix": 3}]}'),
+        "models nested deeply": ("spaces", "models.json", b"[" * 1_000_000),
+        "toml nested deeply": ("capture.toml", "capture.toml", b"a = " + b"[" * 100_000),
+        "toml tables nested deeply": ("capture.toml", "capture.toml", b"a = " + b"{a=" * 50_000),
+        "toml of a huge number": ("capture.toml", "capture.toml", b"fps = " + b"9" * 4000 + b"\ncamera = []"),
+        "units of a huge number": ("capture.toml", "units.toml", b"units_per_metre = " + b"9" * 4000),
+        "h5 link to another file": (*stored, h5(lambda file: file.update({"rgb": h5py.ExternalLink("/etc/passwd", "/rgb")}))),
+        "h5 link to itself": (*stored, h5(lambda file: file.update({"rgb": h5py.SoftLink("/rgb")}))),
+        "h5 of objects": (*stored, h5(lambda file: file.create_dataset("rgb", data=["x"] * 3, dtype=h5py.string_dtype()))),
+        "h5 of a wrong rank": (*stored, h5(lambda file: file.create_dataset("rgb", data=np.zeros(5, np.uint8)))),
+        "h5 of 10^15 bytes": (*stored, h5(lambda file: file.create_dataset("rgb", (2, 10**9, 480, 640, 3), "u1", chunks=True))),
+        "ply of 10^12 points": (
+            "enerf-outdoor",
+            "background.ply",
+            b"ply\nformat binary_little_endian 1.0\nelement vertex 1000000000000\nproperty float x\nend_header\n",
+        ),
+        "text of numbers": ("rgbd", "pose/0.txt", b"1 " * 2_000_000),
+    }
+
+
+HOSTILE = {name: file for name, (_, file, _) in hostile_files(Path("mark")).items()}
+LARGEST_KIB = 900 << 10
+READ_ALL = f"""
+import json, resource, sys, time
+sys.path[:0] = {[str(folder) for folder in Path(__file__).parents[:2]]!r}
+resource.setrlimit(resource.RLIMIT_AS, (6 << 30, 6 << 30))
+
+def peak_kib():  # of this program alone: ru_maxrss would start from what the test process had when it called exec
+    return next(int(line.split()[1]) for line in open("/proc/self/status") if line.startswith("VmHWM"))
+
+from pathlib import Path
+from test_capture_fuzz import read_everything
+told = {{}}
+for folder in sys.argv[1:]:
+    begun = time.monotonic()
+    try:
+        said = read_everything(Path(folder))
+    except BaseException as error:
+        said = f"raised {{type(error).__name__}}: {{error}}"
+    told[Path(folder).name] = said, time.monotonic() - begun, peak_kib()
+    print(json.dumps(told), flush=True)
+"""
+
+
+@pytest.fixture(scope="module")
+def said(intact, tmp_path_factory) -> dict[str, tuple[str, float, int]]:
+    """What reading each hostile capture said, how long it took and the most memory so far; all in a process of their own."""
+    folder = tmp_path_factory.mktemp("hostile")
+    mark = folder / "mark"
+    for name, (layout, file, content) in hostile_files(mark).items():
+        copy = Path(shutil.copytree(intact[layout], folder / name.replace(" ", "_")))
+        (copy / file).write_bytes(content)
+    folders = [str(folder / name.replace(" ", "_")) for name in HOSTILE]
+    done = subprocess.run([sys.executable, "-c", READ_ALL, *folders], capture_output=True, text=True, timeout=300, check=False)
+    lines = done.stdout.splitlines()
+    told = json.loads(lines[-1]) if lines else {}
+    return {**told, "mark": ("code was run" if mark.exists() else "", 0.0, 0), "end": (done.stderr[-500:], 0.0, done.returncode)}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_files_give_one_line(said, name):
+    """Bombs, claims beyond all measure, pickles and tags are refused in one line, soon and without memory."""
+    assert name.replace(" ", "_") in said, f"the process ended: {said['end']}"
+    message, took_s, most_kib = said[name.replace(" ", "_")]
+    assert message not in DATASETS
+    assert not message.startswith("raised")
+    assert Path(HOSTILE[name]).name in message or "sparse/0: damaged COLMAP model" in message
+    assert took_s < LONGEST_S
+    assert most_kib < LARGEST_KIB
+
+
+def test_no_code_is_run(said):
+    """Pickles and YAML tags that would make a folder made none, and the process that read them ended well."""
+    assert said["mark"][0] == ""
+    assert said["end"][2] == 0

@@ -1,0 +1,320 @@
+"""COLMAP captures: a sparse model with one image, image folder or video per camera."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ggvs_eval.datasets import open_capture
+from ggvs_eval.datasets.colmap_model import read_model
+from ggvs_eval.files.images import write_image
+from helpers.captures import (
+    FPS,
+    HEIGHT,
+    N_FRAMES,
+    NAMES,
+    WIDTH,
+    make_binary,
+    make_image,
+    make_rig,
+    mean_colours,
+    refusal,
+    write_colmap,
+    write_colmap_model,
+    write_folders,
+    write_videos,
+)
+from helpers.lens_pictures import psnr, straight, through_lens
+from helpers.places import SHARED
+
+FLAME_STEAK = SHARED / "data" / "n3v_flame_steak"
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    return write_colmap(tmp_path_factory.mktemp("captures") / "rig")
+
+
+@pytest.fixture
+def colmap(written, tmp_path) -> Path:
+    """An intact capture to read or to damage."""
+    return Path(shutil.copytree(written, tmp_path / "rig"))
+
+
+@pytest.mark.parametrize(
+    ("place", "binary"), [("sparse/0", False), ("sparse/0", True), ("sparse", False), ("colmap/sparse/0", True)]
+)
+def test_opens_as_calibrated(tmp_path, place, binary):
+    """Text and binary models at each usual place give the cameras that were written, in the order of names."""
+    write_colmap(tmp_path / "rig")
+    model = shutil.move(tmp_path / "rig" / "sparse" / "0", tmp_path / "model")
+    shutil.rmtree(tmp_path / "rig" / "sparse")
+    model = Path(shutil.copytree(model, tmp_path / "rig" / place))
+    if binary:
+        make_binary(model)
+    capture = open_capture(tmp_path / "rig")
+    assert (capture.layout, capture.camera_names, capture.n_frames, capture.fps) == ("colmap", NAMES, 1, 0.0)
+    for index, (camera, truth) in enumerate(zip(capture.cameras, make_rig(), strict=True)):
+        np.testing.assert_allclose(camera.world_to_camera, truth.world_to_camera, atol=1e-9)
+        np.testing.assert_allclose(camera.K, truth.K)
+        assert np.array_equal(capture.frame(camera.name, 0), make_image(index, 0))
+
+
+def test_depth_range_and_units_follow_the_points(colmap):
+    """Near and far are 0.8 and 1.2 times the 1st and 99th percentile of the points' depth, 2 metres their median."""
+    capture = open_capture(colmap)
+    points_world = np.random.default_rng(0).uniform((-0.5, -0.5, 3.0), (1.0, 0.5, 6.0), (60, 3))
+    depths = [camera.project(points_world)[1] for camera in make_rig()]
+    for camera, depth in zip(capture.cameras, depths, strict=True):
+        assert (camera.near, camera.far) == pytest.approx((0.8 * np.percentile(depth, 1), 1.2 * np.percentile(depth, 99)))
+    assert capture.units_per_metre == pytest.approx(np.median([np.median(depth) for depth in depths]) / 2)
+    assert capture.units_origin == "guess: median scene depth taken for 2 m"
+
+
+@pytest.mark.parametrize("pattern", ["{}/images", "images/{}", "{}"])
+def test_image_folders(tmp_path, pattern):
+    """One folder of frames per camera opens under the names of the model."""
+    write_colmap_model(tmp_path / "sparse", [f"{name}.png" for name in NAMES])
+    write_folders(tmp_path, NAMES, pattern)
+    capture = open_capture(tmp_path)
+    assert (capture.camera_names, capture.n_frames) == (NAMES, N_FRAMES)
+    assert np.array_equal(capture.frame("cam02", 3), make_image(2, 3))
+
+
+@pytest.mark.parametrize("place", ["", "videos"])
+def test_videos(tmp_path, place):
+    """One video per camera opens, also where the model's images are named after a folder per camera."""
+    write_colmap_model(tmp_path / "sparse", [f"{name}/0000.png" for name in NAMES])
+    write_videos(tmp_path / place)
+    capture = open_capture(tmp_path)
+    assert (capture.camera_names, capture.n_frames, capture.fps) == (NAMES, N_FRAMES, FPS)
+    assert mean_colours(capture, "cam03")[4] == (4, 3)
+
+
+def test_simple_pinhole(colmap):
+    """A camera with a single focal length is a pinhole camera too."""
+    write_colmap_model(colmap / "sparse" / "0", [f"{name}.png" for name in NAMES], "SIMPLE_PINHOLE")
+    np.testing.assert_allclose(open_capture(colmap).cameras[0].K, make_rig()[0].K)
+
+
+def test_scaled_images(colmap):
+    """Images of half the calibrated size scale the intrinsics."""
+    for index, name in enumerate(NAMES):
+        write_image(colmap / "images" / f"{name}.png", make_image(index, 0, WIDTH // 2, HEIGHT // 2))
+    assert open_capture(colmap).cameras[1].K[0, 0] == pytest.approx(make_rig()[1].K[0, 0] / 2)
+
+
+def test_cropped_images(colmap):
+    """Images of another shape than the calibrated one are refused."""
+    write_image(colmap / "images" / "cam01.png", make_image(1, 0, WIDTH, HEIGHT - 4))
+    assert "cam01.png: frames of 64 x 44 have another shape than the 64 x 48" in refusal(colmap)
+
+
+# Parameters after the size, in COLMAP's order, of a lens about as in the field.
+DISTORTED = {
+    "SIMPLE_RADIAL": "57 32 24 -0.1",
+    "RADIAL": "57 31 25 -0.15 0.03",
+    "OPENCV": "57 58 31 25 -0.15 0.03 0.001 -0.002",
+    "FULL_OPENCV": "57 58 31 25 -0.15 0.03 0.001 -0.002 0.01 0.02 0.01 -0.003",
+    "SIMPLE_RADIAL_FISHEYE": "57 32 24 -0.05",
+    "RADIAL_FISHEYE": "57 31 25 -0.05 0.01",
+    "OPENCV_FISHEYE": "57 58 31 25 -0.05 0.01 0.003 -0.001",
+}
+
+
+def rewrite_cameras(folder: Path, model: str, params: str) -> None:
+    """All images of one camera of this model."""
+    (folder / "sparse" / "0" / "cameras.txt").write_text(f"1 {model} {WIDTH} {HEIGHT} {params}\n")
+
+
+@pytest.fixture(scope="module")
+def pycolmap_points() -> dict[str, np.ndarray]:
+    """Where pycolmap itself sees some rays (x, y, 1) through each of the lenses; in a process of its own."""
+    code = (
+        "import json, sys, numpy, pycolmap;"
+        "models, rays = json.loads(sys.argv[1]);"
+        "found = lambda model, params: [[float(v) for v in numpy.ravel(pycolmap.Camera(model=model, width=64, height=48,"
+        " params=list(map(float, params.split()))).img_from_cam(numpy.array([*ray, 1.0])))] for ray in rays];"
+        "print(json.dumps({model: found(model, params) for model, params in models.items()}))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, json.dumps([DISTORTED, RAYS.tolist()])], capture_output=True, text=True, check=True
+    )
+    return {model: np.array(uv) for model, uv in json.loads(done.stdout).items()}
+
+
+RAYS = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 5), np.linspace(-0.4, 0.4, 5)), axis=-1).reshape(-1, 2)
+
+
+@pytest.mark.parametrize("model", DISTORTED)
+def test_distorted_models(colmap, pycolmap_points, model):
+    """Every model that OpenCV can express bends rays as pycolmap does, and frames come back as the pinhole images."""
+    rewrite_cameras(colmap, model, DISTORTED[model])
+    (view, *_) = read_model(colmap / "sparse" / "0")
+    pinhole = view.lens.undistorted_K()
+    uv = RAYS * pinhole[[0, 1], [0, 1]] + pinhole[:2, 2]
+    found = view.lens.distort(uv, pinhole)
+    np.testing.assert_allclose(found, pycolmap_points[model], atol=1e-6)
+    assert np.abs(found - uv).max() > 0.3
+    write_image(colmap / "images" / "cam02.png", through_lens(view.lens))
+    capture = open_capture(colmap)
+    np.testing.assert_allclose(capture.cameras[2].K, pinhole)
+    assert psnr(capture.frame("cam02", 0), straight(view.lens, pinhole)) > 42
+
+
+@pytest.mark.parametrize(
+    ("model", "params"), [("FOV", "57 58 32 24 0.2"), ("THIN_PRISM_FISHEYE", "57 58 32 24 0.1 0 0 0 0 0 0.01 0.01")]
+)
+def test_models_without_an_equivalent(colmap, model, params):
+    """Models that OpenCV cannot express are refused with the command that undistorts."""
+    rewrite_cameras(colmap, model, params)
+    message = refusal(colmap)
+    assert f"got {model}; undistort images and model by 'colmap image_undistorter' first" in message
+    assert "cam00.png: wanted one of SIMPLE_PINHOLE, PINHOLE," in message
+
+
+@pytest.mark.parametrize(
+    ("params", "message"),
+    [
+        ("57 58 32 24 nan 0 0 0", "damaged COLMAP model"),
+        ("-57 58 32 24 0 0 0 0", "K must be fx 0 cx / 0 fy cy / 0 0 1"),
+        ("57 58 32 24 500 0 0 0", "leave blank pixels even at 4 times"),
+        ("57 58 32 24 0 0 0", "damaged COLMAP model"),
+    ],
+)
+def test_damaged_parameters(colmap, params, message):
+    """Parameters that make no lens are refused in one line."""
+    rewrite_cameras(colmap, "OPENCV", params)
+    assert message in refusal(colmap)
+
+
+@pytest.mark.parametrize("arrangement", ["single", "images/{}", "{}/images", "{}", "videos"])
+def test_frames_that_the_model_does_not_register(tmp_path, arrangement):
+    """What lies beside the frames of the registered cameras is left out and noted."""
+    write_colmap_model(tmp_path / "sparse", [f"{name}.png" for name in NAMES[:3]])
+    if arrangement == "single":
+        for index, name in enumerate(NAMES):
+            write_image(tmp_path / "images" / f"{name}.png", make_image(index, 0))
+    elif arrangement == "videos":
+        write_videos(tmp_path / "videos")
+    else:
+        write_folders(tmp_path, NAMES, arrangement)
+    capture = open_capture(tmp_path)
+    assert capture.camera_names == NAMES[:3]
+    assert capture.notes == ("cam03 left out: on disk, but not registered in the COLMAP model",)
+
+
+def test_nothing_is_noted_where_all_is_registered(colmap):
+    """Other folders beside the frames are no cameras."""
+    shutil.copytree(colmap / "images", colmap / "masks")
+    assert open_capture(colmap).notes == ()
+
+
+@pytest.mark.parametrize(
+    "name", ["../secret.png", "../../secret.png", "..", "../secret/0.png", "cam/../../secret.png", "/ABSOLUTE"]
+)
+@pytest.mark.parametrize("binary", [False, True])
+def test_names_do_not_lead_out_of_the_capture(tmp_path, name, binary):
+    """A hostile model finds no image, folder or video outside the capture."""
+    write_image(tmp_path / "secret.png", make_image(0, 0))
+    write_image(tmp_path / "secret" / "0.png", make_image(0, 0))
+    name = name.replace("/ABSOLUTE", str(tmp_path / "secret.png"))
+    write_colmap_model(tmp_path / "rig" / "sparse", [name])
+    (tmp_path / "rig" / "images").mkdir()
+    if binary:
+        make_binary(tmp_path / "rig" / "sparse")
+    assert "got none; put them in CAM.mp4" in refusal(tmp_path / "rig")
+
+
+def test_names_of_any_length(tmp_path):
+    """A name that no file system takes is a camera without frames."""
+    write_colmap_model(tmp_path / "sparse", ["x" * 5000 + ".png", "y/" * 3000 + "z.png"])
+    assert "got none; put them in" in refusal(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["cameras.bin", "images.bin", "points3D.bin"])
+def test_counts_beyond_all_measure(colmap, name):
+    """A file that claims 2^60 entries is refused without counting them."""
+    model = colmap / "sparse" / "0"
+    make_binary(model)
+    content = (model / name).read_bytes()
+    (model / name).write_bytes((1 << 60).to_bytes(8, "little") + content[8:])
+    assert "damaged COLMAP model" in refusal(colmap)
+
+
+def test_image_missing_on_disk(colmap):
+    """Cameras of the model without frames are listed."""
+    (colmap / "images" / "cam01.png").unlink()
+    (colmap / "images" / "cam03.png").unlink()
+    assert "no frames for cam01, cam03 beside" in refusal(colmap)
+
+
+def test_no_frames_at_all(colmap):
+    """A model alone is refused with the places where frames are looked for."""
+    shutil.rmtree(colmap / "images")
+    message = refusal(colmap)
+    assert "wanted frames of cam00, cam01, cam02, cam03, got none" in message
+    assert "CAM.mp4" in message
+
+
+@pytest.mark.parametrize("name", ["cameras.bin", "images.bin", "points3D.bin"])
+@pytest.mark.parametrize("lost", [1, 60])
+def test_truncated_binary_model(colmap, name, lost):
+    """A binary model that lost any number of bytes is refused, also where pycolmap reads on and invents the rest."""
+    model = colmap / "sparse" / "0"
+    make_binary(model)
+    content = (model / name).read_bytes()
+    (model / name).write_bytes(content[:-lost])
+    assert "damaged COLMAP model" in refusal(colmap)
+
+
+def test_incomplete_model(colmap):
+    """A model that lacks one of its three files is refused, naming it."""
+    (colmap / "sparse" / "0" / "points3D.txt").unlink()
+    assert "no points3D.txt" in refusal(colmap)
+
+
+@pytest.mark.parametrize(("name", "text"), [("cameras.txt", "1 PINHOLE 64"), ("images.txt", "no model at all\n")])
+def test_garbled_text_model(colmap, name, text):
+    """A text model that cannot be parsed is refused in one line."""
+    (colmap / "sparse" / "0" / name).write_text(text)
+    assert "damaged COLMAP model" in refusal(colmap)
+
+
+def test_several_images_of_one_camera(colmap):
+    """A model made of several instants has several poses per camera and is refused."""
+    write_colmap_model(colmap / "sparse" / "0", ["cam00/0.png", "cam00/1.png", "cam01/0.png", "cam01/1.png"])
+    assert "got several images of cam00, cam01; calibrate with one instant" in refusal(colmap)
+
+
+def test_png_can_be_written_after_reading_a_model(colmap):
+    """Reading a model leaves the process able to write PNG files, which pycolmap in the same process would not."""
+    code = (
+        "import sys, pathlib, numpy; from ggvs_eval.datasets import open_capture; from ggvs_eval.files.images import write_image;"
+        "path = pathlib.Path(sys.argv[1]); open_capture(path);"
+        "write_image(path / 'out.png', numpy.zeros((8, 8, 3), 'uint8'));"
+        "print('pycolmap' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code, str(colmap)], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
+    assert (colmap / "out.png").is_file()
+
+
+@pytest.mark.skipif(not FLAME_STEAK.is_dir(), reason="the shared capture n3v_flame_steak is not on this machine")
+def test_real_capture():
+    """The real frame of flame_steak has 21 cameras, f about 730 px at half size, and a guess of 7.3 units per metre."""
+    capture = open_capture(FLAME_STEAK)
+    assert capture.camera_names == tuple(f"cam{index:02d}" for index in range(21))
+    assert (capture.layout, capture.n_frames) == ("colmap", 1)
+    assert capture.cameras[0].size == (2690, 2016)
+    assert capture.cameras[0].focal_px == pytest.approx(1458, abs=1)
+    assert capture.units_per_metre == pytest.approx(7.3, abs=0.05)
+    half = capture.resized(1345, 1008, "area")
+    assert half.frame("cam07", 0).shape == (1008, 1345, 3)
+    assert half.cameras[0].focal_px == pytest.approx(729, abs=1)
+    nearest = 0.8 * 7.7, 0.8 * 10.9
+    assert all(nearest[0] * 0.99 < camera.near < nearest[1] * 1.01 for camera in capture.cameras)

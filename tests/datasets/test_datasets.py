@@ -1,0 +1,140 @@
+"""Opening a capture: detection of the layout, units, the camera path of a synthetic capture, and what is refused."""
+
+import json
+import pickle
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ggvs_eval.datasets import DATASETS, open_capture
+from ggvs_eval.datasets.path import open_path
+from ggvs_eval.errors import CaptureError
+from ggvs_eval.files.images import write_image
+from helpers.captures import (
+    make_image,
+    make_rig,
+    mean_colours,
+    refusal,
+    write_colmap,
+    write_poses,
+)
+
+
+def test_registry_describes_each_layout():
+    """Every layout has one line of description and refuses an unrelated folder with a reason."""
+    for spec in DATASETS.values():
+        assert "\n" not in spec.describe
+        assert spec.refuse(Path(__file__).parent)
+
+
+def test_units_from_the_user_the_demo_or_a_guess(dynerf):
+    """The user's number wins over demo.json, and that over the guess."""
+    guess = open_capture(dynerf)
+    assert guess.units_per_metre == pytest.approx(np.sqrt(2.0 * 8.0) / 2)
+    (dynerf / "demo.json").write_text(json.dumps({"units_per_metre": 3.25}))
+    noted = open_capture(dynerf)
+    assert (noted.units_per_metre, noted.units_origin) == (3.25, "demo.json")
+    told = open_capture(dynerf, units=10.5)
+    assert (told.units_per_metre, told.units_origin) == (10.5, "given by the user")
+
+
+@pytest.mark.parametrize("text", ["{", '{"units_per_metre": "many"}', '{"units_per_metre": -1}', "[1]"])
+def test_damaged_demo_json(dynerf, text):
+    """A demo.json that is no JSON or holds no positive number is refused, not ignored."""
+    (dynerf / "demo.json").write_text(text)
+    message = refusal(dynerf)
+    assert "demo.json" in message
+    assert "wanted a" in message
+
+
+@pytest.mark.parametrize("units", [0.0, -2.0, float("nan"), float("inf")])
+def test_units_must_be_positive(dynerf, units):
+    """A unit that is not a positive number is refused."""
+    with pytest.raises(CaptureError, match="positive number of world units per metre"):
+        open_capture(dynerf, units=units)
+
+
+def test_no_folder_no_content_no_layout(tmp_path):
+    """An absent path, a file, an empty folder and a folder of other things get a message each."""
+    (tmp_path / "file").write_text("x")
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "cam00.mp4").write_bytes(b"x")
+    assert "there is none; check the path" in refusal(tmp_path / "absent")
+    assert "file: no capture that can be read (not capture.toml: no capture.toml; " in refusal(tmp_path / "file")
+    assert "the folder is empty" in refusal(tmp_path / "empty")
+    message = refusal(tmp_path / "other")
+    assert "not dynerf: no poses_bounds.npy" in message
+    assert "not colmap: no COLMAP model" in message
+
+
+def test_poses_without_frames(tmp_path):
+    """Poses alone are refused with the arrangements of frames that are looked for."""
+    write_poses(tmp_path, make_rig())
+    assert "poses_bounds.npy, but no frames (camXX.mp4" in refusal(tmp_path)
+
+
+def test_unknown_layout(dynerf):
+    """An unknown layout is refused with the nearest known one."""
+    assert f"no layout 'dynerfs', there are {', '.join(DATASETS)}; did you mean 'dynerf'?" in refusal(dynerf, "dynerfs")
+    assert refusal(dynerf, "???").endswith(f"there are {', '.join(DATASETS)}")
+
+
+def test_every_layout_says_why_it_refused(tmp_path):
+    """Where none fits, each layout gives its reason."""
+    (tmp_path / "notes.txt").write_text("x")
+    message = refusal(tmp_path)
+    assert all(f"not {name}: " in message for name in DATASETS)
+    assert message.endswith("see docs/captures.md for the layouts")
+
+
+def test_a_whole_data_set(dynerf, tmp_path):
+    """Where a data set's root is named instead of a scene, the captures in it are listed, but not hundreds."""
+    root = tmp_path / "data_set"
+    write_colmap(root / "office")
+    shutil.copytree(dynerf, root / "coffee")
+    (root / "licence").mkdir()
+    assert refusal(root).endswith("name one of the captures in it: coffee, office")
+    for index in range(20):
+        shutil.copytree(dynerf, root / f"scene{index:02d}")
+    assert refusal(root).endswith("scene04, scene05, ...")
+
+
+def test_wanted_layout_that_does_not_fit(dynerf):
+    """A layout that is asked for is not replaced by another that fits."""
+    assert "not colmap" in refusal(dynerf, "colmap")
+
+
+def test_captures_travel_between_processes(dynerf):
+    """An opened capture can be pickled, so that jobs run in other processes."""
+    capture = pickle.loads(pickle.dumps(open_capture(dynerf)))
+    assert mean_colours(capture, "cam01")[2] == (2, 1)
+
+
+def test_absent_path(dynerf):
+    """A capture without a path has none."""
+    assert open_path(dynerf) is None
+
+
+def test_path_with_and_without_images(dynerf):
+    """Poses open alone, and with one image each and the instant they show; another number of images is refused."""
+    rig = make_rig()
+    write_poses(dynerf / "path", rig)
+    alone = open_path(dynerf)
+    assert alone is not None
+    assert (alone.images, alone.time_s) == (None, 0.0)
+    assert [camera.name for camera in alone.cameras] == ["path0000", "path0001", "path0002", "path0003"]
+    for index in range(4):
+        write_image(dynerf / "path" / "images" / f"{index:04d}.png", make_image(index, 0))
+    (dynerf / "demo.json").write_text(json.dumps({"units_per_metre": 1.0, "path_time_s": 0.4}))
+    with_images = open_path(dynerf)
+    assert with_images is not None
+    assert with_images.images is not None
+    assert with_images.time_s == 0.4
+    assert np.array_equal(next(with_images.images.frames(2, 3)), make_image(2, 0))
+    np.testing.assert_allclose(with_images.cameras[3].centre, rig[3].centre, atol=1e-12)
+    (dynerf / "path" / "images" / "0003.png").unlink()
+    with pytest.raises(CaptureError, match=r"wanted 4 images, one per row of poses_bounds\.npy, got 3"):
+        open_path(dynerf)

@@ -1,0 +1,92 @@
+"""The multipleview layout of 4D Gaussian Splatting: camXX/frame_00001.jpg with a COLMAP model in sparse_/."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ggvs_eval.datasets import open_capture
+from ggvs_eval.files.images import write_image
+from ggvs_eval.lens import Lens
+from helpers.captures import HEIGHT, NAMES, WIDTH, make_binary, make_image, make_rig, refusal, write_colmap_model
+from helpers.lens_pictures import psnr, straight, through_lens
+from helpers.small_layouts import N_INSTANTS, write_multipleview
+
+FOLDERS = ("cam01", "cam02", "cam03", "cam04")
+
+
+@pytest.fixture
+def capture(tmp_path) -> Path:
+    return write_multipleview(tmp_path / "scene")
+
+
+@pytest.mark.parametrize("binary", [False, True])
+def test_opens_as_calibrated(capture, binary):
+    """image2.png of the model is the camera of cam02/, whose frames count from 1."""
+    if binary:
+        make_binary(capture / "sparse_")
+    read = open_capture(capture)
+    assert (read.layout, read.camera_names, read.n_frames, read.fps) == ("multipleview", FOLDERS, N_INSTANTS, 30.0)
+    for index, (camera, truth) in enumerate(zip(read.cameras, make_rig(), strict=True)):
+        np.testing.assert_allclose(camera.world_to_camera, truth.world_to_camera, atol=1e-9)
+        np.testing.assert_allclose(camera.K, truth.K)
+        assert np.array_equal(read.frame(camera.name, 1), make_image(index, 1))
+    assert read.units_origin == "guess: median scene depth taken for 2 m"
+
+
+def test_leading_zeros_and_more_than_nine_cameras(tmp_path):
+    """The number counts: image010.png belongs to cam10, whatever the order of names."""
+    numbers = (2, 10, 1)
+    for number in numbers:
+        write_image(tmp_path / f"cam{number:02d}" / "frame_00001.png", make_image(number, 0))
+    write_colmap_model(tmp_path / "sparse_", ["image2.png", "image010.png", "image1.png"])
+    read = open_capture(tmp_path)
+    assert read.camera_names == ("cam01", "cam02", "cam10")
+    by_number = dict(zip(numbers, make_rig(NAMES[:3]), strict=True))
+    for number, camera in zip((1, 2, 10), read.cameras, strict=True):
+        np.testing.assert_allclose(camera.centre, by_number[number].centre, atol=1e-9)
+        assert np.array_equal(read.frame(camera.name, 0), make_image(number, 0))
+
+
+def test_distorted_frames_are_undistorted(capture):
+    """Frames of a radial lens come back straight."""
+    write_colmap_model(capture / "sparse_", [f"image{index}.png" for index in range(1, 5)], "SIMPLE_RADIAL", "-0.1")
+    lens = Lens(make_rig()[0].K, "opencv", (-0.1, 0.0, 0.0, 0.0), WIDTH, HEIGHT)
+    write_image(capture / "cam03" / "frame_00001.png", through_lens(lens))
+    read = open_capture(capture)
+    image = read.frame("cam03", 0)
+    assert psnr(image, straight(lens, read.cameras[2].K)) > 43
+
+
+def test_a_model_without_frames_and_frames_without_a_model(capture):
+    """Folders and images of the model must match; both sides are listed."""
+    shutil.rmtree(capture / "cam02")
+    shutil.copytree(capture / "cam01", capture / "cam07")
+    assert "wanted a folder camXX/ per image of sparse_/, got cam02 (model only), cam07 (folder only)" in refusal(capture)
+
+
+def test_two_folders_of_one_number(capture):
+    """cam1/ beside cam01/ is refused: which of them is meant cannot be known."""
+    shutil.copytree(capture / "cam01", capture / "cam1")
+    assert "wanted one folder per camera, got cam01 and cam1; keep one of them" in refusal(capture)
+
+
+@pytest.mark.parametrize("names", [["image1.png", "image01.png"], ["left.png", "image1.png"], ["image1.png", "image2b.png"]])
+def test_other_names_in_the_model(capture, names):
+    """Images of the model must carry one camera number each."""
+    write_colmap_model(capture / "sparse_", names)
+    assert "sparse_: wanted images called image<number>.jpg, one per camera, got '" in refusal(capture)
+
+
+def test_damaged_model(capture):
+    """A damaged model is refused in one line."""
+    (capture / "sparse_" / "images.txt").write_text("nothing")
+    assert "sparse_: damaged COLMAP model" in refusal(capture)
+
+
+def test_no_folders(capture):
+    """A model alone is no capture of this layout, and the message says so."""
+    for folder in capture.glob("cam*"):
+        shutil.rmtree(folder)
+    assert "not multipleview: no folders camXX/ with images" in refusal(capture)

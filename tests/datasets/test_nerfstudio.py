@@ -1,0 +1,182 @@
+"""nerfstudio captures: transforms.json with one image per camera."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ggvs_eval.datasets import open_capture
+from ggvs_eval.files.images import write_image
+from ggvs_eval.lens import Lens
+from helpers.captures import HEIGHT, N_FRAMES, NAMES, WIDTH, make_image, make_rig, refusal, write_folders
+from helpers.lens_pictures import psnr, straight, through_lens
+from helpers.small_layouts import transforms, write_nerfstudio
+
+
+def rewritten(folder: Path, **changes: Any) -> Path:
+    """The capture with other values at the top of its file; None takes a value away."""
+    values = {key: value for key, value in {**transforms(), **changes}.items() if value is not None}
+    return write_nerfstudio(folder, values)
+
+
+def test_opens_as_calibrated(tmp_path):
+    """OpenGL's camera-to-world matrices become the rig that was written."""
+    read = open_capture(write_nerfstudio(tmp_path / "scene"))
+    assert (read.layout, read.camera_names, read.n_frames, read.fps) == ("nerfstudio", NAMES, 1, 0.0)
+    for index, (camera, truth) in enumerate(zip(read.cameras, make_rig(), strict=True)):
+        np.testing.assert_allclose(camera.world_to_camera, truth.world_to_camera, atol=1e-12)
+        np.testing.assert_allclose(camera.K, truth.K)
+        assert np.array_equal(read.frame(camera.name, 0), make_image(index, 0))
+
+
+def test_a_pose_by_hand(tmp_path):
+    """A camera at (1, 2, 3) that looks along -z with y up sees a point before it to the upper right in the upper right."""
+    pose = np.eye(4)
+    pose[:3, 3] = (1.0, 2.0, 3.0)
+    frames = transforms()["frames"]
+    frames[0]["transform_matrix"] = pose.tolist()
+    camera = open_capture(rewritten(tmp_path / "scene", frames=frames)).camera("cam00")
+    uv, depth = camera.project(np.array([1.2, 2.1, 1.0]))
+    assert depth == pytest.approx(2.0)
+    np.testing.assert_allclose(uv, [32 + 0.9 * 64 * 0.1, 24 - 0.9 * 64 * 0.05])
+
+
+def test_order_is_that_of_names(tmp_path):
+    """The order in the file does not matter."""
+    read = open_capture(rewritten(tmp_path / "scene", frames=transforms()["frames"][::-1]))
+    assert read.camera_names == NAMES
+    np.testing.assert_allclose(read.cameras[3].centre, make_rig()[3].centre, atol=1e-12)
+
+
+def test_intrinsics_of_a_frame_win(tmp_path):
+    """What a frame says itself goes before the top of the file."""
+    frames = transforms()["frames"]
+    frames[2] |= {"fl_x": 70.0, "fl_y": 71.0, "cx": 30.0, "cy": 25.0}
+    read = open_capture(rewritten(tmp_path / "scene", frames=frames))
+    assert read.cameras[2].K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist() == [70.0, 71.0, 30.0, 25.0]
+    np.testing.assert_allclose(read.cameras[1].K, make_rig()[1].K)
+
+
+def test_angle_of_view_instead_of_a_focal_length(tmp_path):
+    """camera_angle_x alone means square pixels and a centred principal point."""
+    angle_rad = 2 * np.arctan(32 / 80.0)
+    changes = {"fl_x": None, "fl_y": None, "cx": None, "cy": None, "camera_angle_x": angle_rad}
+    K = open_capture(rewritten(tmp_path / "scene", **changes)).cameras[0].K
+    np.testing.assert_allclose(K, [[80, 0, 32], [0, 80, 24], [0, 0, 1]])
+
+
+@pytest.mark.parametrize(
+    ("model", "numbers"),
+    [
+        ("OPENCV", {"k1": -0.1, "k2": 0.02, "p1": 0.001, "p2": -0.002}),
+        ("OPENCV", {"k1": 0.08, "k2": 0.02, "p1": 0.0, "p2": 0.0, "k3": 0.01}),
+        ("OPENCV_FISHEYE", {"k1": 0.03, "k2": -0.01, "k3": 0.004, "k4": -0.001}),
+    ],
+    ids=["barrel", "pincushion", "fisheye"],
+)
+def test_distorted_frames_are_undistorted(tmp_path, model, numbers):
+    """Frames of a lens come back as the pinhole image of the camera."""
+    K = make_rig()[0].K
+    fisheye = model == "OPENCV_FISHEYE"
+    lens = Lens(K, "fisheye" if fisheye else "opencv", tuple(numbers.values()), WIDTH, HEIGHT)
+    folder = rewritten(tmp_path / "scene", camera_model=model, **numbers)
+    write_image(folder / "images" / "cam01.png", through_lens(lens))
+    read = open_capture(folder)
+    np.testing.assert_allclose(read.cameras[1].K, lens.undistorted_K())
+    assert psnr(read.frame("cam01", 0), straight(lens, read.cameras[1].K)) > 42
+
+
+def test_image_folders_of_the_cameras_names(tmp_path):
+    """Folders of frames beside the file win over the single image."""
+    folder = write_nerfstudio(tmp_path / "scene")
+    write_folders(folder)
+    read = open_capture(folder)
+    assert read.n_frames == N_FRAMES
+    assert np.array_equal(read.frame("cam02", 3), make_image(2, 3))
+
+
+def changed_frame(**changes: Any) -> list[dict[str, Any]]:
+    frames = transforms()["frames"]
+    frames[1] = {key: value for key, value in {**frames[1], **changes}.items() if value is not None}
+    return frames
+
+
+SCALED = (np.array(transforms()["frames"][1]["transform_matrix"]) @ np.diag([1.5, 1.5, 1.5, 1.0])).tolist()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"frames": None}, "got: no 'frames'; export it again"),
+        ({"frames": []}, "got: 0 frames of 0 cameras"),
+        ({"frames": 3}, "wanted frames with poses and intrinsics"),
+        ({"frames": [3]}, "wanted frames with poses and intrinsics"),
+        ({"frames": transforms()["frames"][:1] * 2}, "got: 2 frames of 1 cameras"),
+        ({"frames": changed_frame(file_path=None)}, "got: no 'file_path'"),
+        ({"frames": changed_frame(file_path=7)}, "wanted frames with poses and intrinsics"),
+        ({"frames": changed_frame(transform_matrix=None)}, "got: no 'transform_matrix'"),
+        ({"frames": changed_frame(transform_matrix=[[1, 0], [0]])}, "wanted frames with poses and intrinsics"),
+        ({"frames": changed_frame(transform_matrix=np.eye(3).tolist())}, "images/cam01.png is not 4 x 4 finite numbers"),
+        ({"frames": changed_frame(transform_matrix=[[float("nan")] * 4] * 4)}, "is not 4 x 4 finite numbers"),
+        ({"frames": changed_frame(transform_matrix=SCALED)}, "is not rigid (axes of length 1.5, 1.5, 1.5"),
+        ({"frames": changed_frame(transform_matrix=np.zeros((4, 4)).tolist())}, "is not rigid (axes of length 0, 0, 0"),
+        (
+            {"frames": changed_frame(transform_matrix=np.diag([1, 1, -1, 1.0]).tolist())},
+            "determinant +1, got determinant -1.0000",
+        ),
+        ({"frames": changed_frame(transform_matrix=(2 * np.eye(4) - np.diag([1, 1, 1, 0.0])).tolist())}, "last row"),
+        ({"camera_model": "EQUIRECTANGULAR"}, "camera_model 'EQUIRECTANGULAR', known are PINHOLE, SIMPLE_PINHOLE, OPENCV"),
+        ({"k4": 0.1}, "k4 = 0.1 of OPENCV, which programs read differently"),
+        ({"k1": "many"}, "could not convert string to float: 'many'"),
+        ({"k1": float("inf")}, "finite coefficients"),
+        ({"k1": 900.0}, "leave blank pixels even at 4 times"),
+        ({"w": None}, "got: no 'w'"),
+        ({"w": 0}, "wanted frames with poses and intrinsics"),
+        ({"w": float("inf")}, "wanted frames with poses and intrinsics"),
+        ({"h": 10**400}, "wanted frames with poses and intrinsics"),
+        ({"fl_x": -1.0}, "K must be fx 0 cx"),
+        ({"fl_x": None, "fl_y": None}, "got: no 'camera_angle_x'"),
+        ({"fl_x": None, "fl_y": None, "camera_angle_x": 0.0}, "float division by zero"),
+        ({"cx": float("nan")}, "K must be fx 0 cx"),
+        ({"w": 80}, "frames of 64 x 48 have another shape than the 80 x 48"),
+    ],
+)
+def test_damaged_values(tmp_path, changes, message):
+    """Whatever is missing, mistyped or makes no camera is refused in one line."""
+    assert message in refusal(rewritten(tmp_path / "scene", **changes), "nerfstudio")
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "7", "null", "[" * 100000, '{"frames":' * 50000, "\ufeff{}", "\x00"])
+def test_json_that_is_none(tmp_path, text):
+    """Broken or endlessly nested JSON is refused in one line."""
+    folder = write_nerfstudio(tmp_path / "scene")
+    (folder / "transforms.json").write_text(text)
+    assert "transforms.json: wanted frames with poses and intrinsics" in refusal(folder)
+
+
+@pytest.mark.parametrize(
+    "name", ["../secret.png", "images/../../secret.png", "ABSOLUTE", "images/..", "..", "x" * 5000, "a\nb.png", "\ud800.png"]
+)
+def test_names_do_not_lead_out_of_the_capture(tmp_path, name):
+    """A hostile file_path finds nothing outside the folder of the capture."""
+    write_image(tmp_path / "secret.png", make_image(1, 0))
+    name = str(tmp_path / "secret.png") if name == "ABSOLUTE" else name
+    frames = [{**transforms()["frames"][0], "file_path": name}]
+    folder = rewritten(tmp_path / "scene", frames=frames)
+    assert "wanted frames of" in refusal(folder)
+
+
+def test_a_missing_image(tmp_path):
+    """A camera whose image is not on disk is named."""
+    folder = write_nerfstudio(tmp_path / "scene")
+    (folder / "images" / "cam02.png").unlink()
+    assert "no frames for cam02 beside" in refusal(folder)
+
+
+def test_bytes_that_are_no_text(tmp_path):
+    """The file must be UTF-8."""
+    folder = write_nerfstudio(tmp_path / "scene")
+    (folder / "transforms.json").write_bytes(json.dumps(transforms()).encode("utf-16"))
+    assert "transforms.json: wanted frames" in refusal(folder)

@@ -1,0 +1,102 @@
+"""Rectification: rows agree, disparity is depth, whatever side the partner is on."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from ggvs_eval.errors import DepthError
+from ggvs_eval.geometry.rectification import depth_from_disparity, rectify
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
+from helpers.stereo_scenes import FAR, NEAR, look_from, plane_depth, see_plane
+
+REFERENCE = look_from(0, 0, "reference")
+PARTNERS = {
+    "right": look_from(0.5, 0, "right"),
+    "left": look_from(-0.5, 0, "left"),
+    "below": look_from(0, 0.5, "below"),
+    "above": look_from(0, -0.5, "above"),
+    "oblique": look_from(0.4, 0.3, "oblique"),
+    "converging right": look_from(0.8, 0, "converging right", -0.12),
+    "converging above": look_from(0, -0.8, "converging above", -0.12),
+}
+BY_SIDE = pytest.mark.parametrize("side", PARTNERS)
+
+
+@BY_SIDE
+def test_equal_points_lie_on_equal_rows(side):
+    """A canvas pixel and its match at any disparity are projections of one point, whose depth is depth_scale / disparity."""
+    pair, partner = rectify(REFERENCE, PARTNERS[side]), PARTNERS[side]
+    random = np.random.default_rng(1)
+    rows, columns = np.nonzero(pair.left_inside)
+    some = random.integers(0, len(rows), 500)
+    rows, columns = rows[some], columns[some]
+    disparities = random.integers(pair.d_min, pair.d_max + 1, 500)
+    uv = pair.left_map[rows, columns]  # (500, 2)
+    scale = cv2.remap(pair.depth_scale, uv[None], None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[0]
+    matches = columns - disparities
+    on_canvas = matches >= 0
+    points = REFERENCE.unproject(uv + 0.5, scale / disparities)
+    projected, _ = partner.project(points)
+    error = np.linalg.norm(projected - 0.5 - pair.right_map[rows, matches], axis=-1)[on_canvas]
+    assert on_canvas.mean() > 0.5
+    assert error.max() < 0.1
+
+
+@BY_SIDE
+def test_slanted_plane(side):
+    """A slanted plane's depth comes out within 0.5 % in the median, over most of the overlap, on every side."""
+    partner = PARTNERS[side]
+    estimator = DepthEstimator(REFERENCE, [partner], DepthOptions(filled_confidence=0.0))
+    depth = estimator.estimate(see_plane(REFERENCE), [see_plane(partner)]).depth
+    truth = plane_depth(REFERENCE)
+    uv, _ = partner.project(REFERENCE.unproject(REFERENCE.pixel_centres(), truth))
+    seen = ((uv > 8) & (uv < np.array(partner.size) - 8)).all(axis=-1)
+    assert (depth[seen] > 0).mean() > 0.9
+    assert np.median(np.abs(depth / truth - 1)[seen & (depth > 0)]) < 0.005
+
+
+@BY_SIDE
+def test_canvas_keeps_the_image(side):
+    """Every reference pixel whose point the partner sees somewhere between near and far has a place on the canvas."""
+    pair, partner = rectify(REFERENCE, PARTNERS[side]), PARTNERS[side]
+    seen = np.zeros((REFERENCE.height, REFERENCE.width), bool)
+    for depth in np.linspace(NEAR, FAR, 8):
+        uv, _ = partner.project(REFERENCE.unproject(REFERENCE.pixel_centres(), np.full(seen.shape, depth)))
+        seen |= ((uv > 1) & (uv < np.array(partner.size) - 1)).all(axis=-1)
+    places = pair.canvas_map[seen]
+    assert (places >= 0).all()
+    assert (places <= np.array(pair.size) - 1).all()
+
+
+def test_disparity_range_holds_near_and_far():
+    """No point between near and far has a disparity outside d_min .. d_max."""
+    pair = rectify(REFERENCE, PARTNERS["converging right"])
+    assert pair.d_min <= (pair.depth_scale / FAR).min()
+    assert pair.d_max >= (pair.depth_scale / NEAR).max()
+
+
+def test_no_depth_between_two_surfaces():
+    """At a step of disparity each pixel gets the depth of one side, none in between."""
+    pair = rectify(REFERENCE, PARTNERS["right"])
+    disparity = np.full(pair.left_inside.shape, pair.d_min + 2, np.float32)
+    disparity[:, pair.size[0] // 2 :] = pair.d_max - 2
+    depth, _, sampled = depth_from_disparity(pair, disparity, np.ones_like(disparity))
+    assert set(np.unique(sampled[depth > 0])) == {np.float32(pair.d_min + 2), np.float32(pair.d_max - 2)}
+
+
+def test_pairs_without_parallax_are_refused():
+    """Two cameras in one place, or one behind the other, raise DepthError naming both."""
+    pose = REFERENCE.world_to_camera.copy()
+    pose[2, 3] = 1.0
+    behind = replace(REFERENCE, name="twin", world_to_camera=pose)
+    for partner in (look_from(0, 0, "twin"), behind):
+        with pytest.raises(DepthError, match=r"reference.*twin.*parallax"):
+            rectify(REFERENCE, partner)
+
+
+def test_opposite_cameras_are_refused():
+    """Cameras that look too far apart raise DepthError that says to choose another."""
+    with pytest.raises(DepthError, match="choose another"):
+        rectify(REFERENCE, look_from(0.5, 0, "turned", 1.4))

@@ -1,0 +1,88 @@
+"""The registration of views in one pass, against warps mixed with splats, which define it."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ggvs_eval import kernels
+from ggvs_eval.camera import Camera
+from ggvs_eval.errors import RenderError
+from ggvs_eval.geometry.register import register_views
+from ggvs_eval.geometry.splat import Splat
+from ggvs_eval.geometry.warp import CapturedView
+from ggvs_eval.method import Instant, SourceView
+from ggvs_eval.pipelines.online.blend_maps import FAINT, blend_maps, raw_views
+from ggvs_eval.pipelines.online.blending import BlendingInputs
+from helpers.geometry_scenes import TAU, random_camera, random_depth, seeds, sizes
+
+pytestmark = pytest.mark.usefixtures("kernel_settings")
+
+
+def source_view(random: np.random.Generator, width: int, height: int, name: str) -> SourceView:
+    camera = random_camera(random, width, height, name)
+    image = random.integers(0, 256, (height, width, 3)).astype(np.uint8)
+    depth = random_depth(random, camera)
+    return SourceView(camera, image, depth, np.ones_like(depth))
+
+
+def random_splat(random: np.random.Generator, camera: Camera, features: int) -> Splat:
+    size = camera.height, camera.width
+    alpha = random.random(size, dtype=np.float32) * (random.random(size) < 0.7)
+    return Splat(random.random((*size, features), dtype=np.float32), alpha.astype(np.float32), random_depth(random, camera))
+
+
+def random_inputs(seed: int, size: tuple[int, int], views: int, features: int) -> BlendingInputs:
+    """Views of different sizes around a rough surface, their splats of so many features, one source not seen at all."""
+    random = np.random.default_rng(seed)
+    target = random_camera(random, *size, "target")
+    sources = tuple(source_view(random, 5 + 9 * k, 7 + 5 * k, f"source {k}") for k in range(views))
+    splats = [random_splat(random, target, features) for _ in sources]
+    filtered = [source.depth for source in sources[:-1]] + [np.zeros_like(sources[-1].depth)]
+    return BlendingInputs(Instant(0, target, sources, 1.0), filtered, splats, random_depth(random, target), TAU)
+
+
+@settings(deadline=None, max_examples=25)
+@given(seeds, sizes, st.integers(1, 5), st.integers(3, 4), st.sampled_from(kernels.available_levels()))
+def test_one_pass_is_warps_mixed_with_splats(seed, size, views, features, level):
+    """Any sizes, poses and holes give what `RawViews.maps` makes of warps and splats, with every instruction set."""
+    inputs = random_inputs(seed, size, views, features)
+    kernels.set_level(level)
+    found, expected = blend_maps(inputs, "registered"), raw_views(inputs).maps("registered")
+    for name in ("colours", "coverage", "seen", "alphas", "depths", "fused_depth"):
+        ours, theirs = getattr(found, name), getattr(expected, name)
+        assert ours.dtype == theirs.dtype == np.float32
+        np.testing.assert_allclose(ours, theirs, atol=2e-6, err_msg=name)
+    assert found.sources == expected.sources
+
+
+def test_threads_and_instruction_sets_give_the_same_bits():
+    """Neither changes a bit."""
+    inputs, found = random_inputs(0, (67, 41), 3, 4), []
+    for level in kernels.available_levels():
+        for threads in (1, 3):
+            kernels.set_level(level)
+            kernels.set_threads(threads)
+            found.append(blend_maps(inputs, "registered"))
+    assert 0.1 < found[0].seen[:-1].mean() < 1
+    for other in found[1:]:
+        np.testing.assert_array_equal(other.colours, found[0].colours)
+        np.testing.assert_array_equal(other.coverage, found[0].coverage)
+
+
+def test_what_does_not_fit_is_refused():
+    """Splats of another number or size, images of another kind, no tolerance: named."""
+    inputs = random_inputs(1, (12, 9), 2, 3)
+    target, sources, splats = inputs.instant.target, inputs.instant.sources, list(inputs.splats)
+    views = [CapturedView(each.camera, each.image, each.depth, 1.0) for each in sources]
+    arguments = (target, inputs.depth)
+    with pytest.raises(RenderError, match="wanted a splat per view, got 2 views and 1 splats"):
+        register_views(*arguments, views, splats[:1], TAU, float(FAINT))
+    with pytest.raises(RenderError, match="tolerance must be positive"):
+        register_views(*arguments, views, splats, 0.0, float(FAINT))
+    small = Splat(splats[0].features[:4], splats[0].alpha[:4], splats[0].depth[:4])
+    with pytest.raises(RenderError, match="coverage of the splat must be 9 x 12"):
+        register_views(*arguments, views, [small, splats[1]], TAU, float(FAINT))
+    grey = CapturedView(sources[0].camera, sources[0].image[..., 0], sources[0].depth, 1.0)
+    with pytest.raises(RenderError, match="wanted a uint8 image"):
+        register_views(*arguments, [grey, views[1]], splats, TAU, float(FAINT))

@@ -1,0 +1,127 @@
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ggvs_eval import kernels
+from ggvs_eval.errors import RenderError
+from ggvs_eval.geometry import warp
+from helpers.geometry_scenes import TAU, moved, random_camera, random_depth, seeds, sizes
+from helpers.twins.warp import warp_twin
+
+
+@pytest.fixture(autouse=True)
+def _threads_restored() -> Iterator[None]:
+    before = kernels.get_threads()
+    yield
+    kernels.set_threads(before)
+
+
+@settings(deadline=None, max_examples=40)
+@given(seeds, sizes, sizes, st.booleans())
+def test_agrees_with_its_twin(seed, target_size, source_size, bicubic):
+    """Any sizes and poses give the twin's colour and visibility, single pixels at borders apart."""
+    random = np.random.default_rng(seed)
+    target, source = random_camera(random, *target_size), random_camera(random, *source_size)
+    image = random.random((source.height, source.width, 3), dtype=np.float32)
+    inputs = (target, random_depth(random, target), source, image, random_depth(random, source), TAU)
+    ours, theirs = warp(*inputs, bicubic=bicubic), warp_twin(*inputs, bicubic=bicubic)
+    flips = 2 * max(0.005, 1 / ours.visibility.size)
+    assert (np.abs(ours.colour - theirs.colour).max(axis=-1) > 1e-4).mean() <= flips
+    assert (np.abs(ours.visibility - theirs.visibility) > 2e-3).mean() <= flips
+
+
+@pytest.mark.parametrize("bicubic", [False, True])
+def test_identity(bicubic):
+    """A view warped into itself is itself, and fully visible where it has depth."""
+    random = np.random.default_rng(0)
+    camera = random_camera(random, 41, 27)
+    image, depth = random.random((27, 41, 3), dtype=np.float32), random_depth(random, camera)
+    result = warp(camera, depth, camera, image, depth, TAU, bicubic=bicubic)
+    np.testing.assert_allclose(result.colour, np.where(depth[..., None] > 0, image, 0), atol=1e-4)
+    np.testing.assert_allclose(result.visibility, depth > 0, atol=1e-3)
+
+
+def test_a_plane_shifts_by_its_disparity():
+    """A camera 10 pixels of disparity to the right sees the plane shifted by 10 pixels and nothing beyond the border."""
+    camera = random_camera(np.random.default_rng(1), 60, 20)
+    depth = np.full((20, 60), 2.0, dtype=np.float32)
+    image = np.random.default_rng(2).random((20, 60, 3), dtype=np.float32)
+    right = moved(camera, 0.0)
+    shift_world = camera.rotation[0] * 10 * 2.0 / camera.K[0, 0]
+    pose = camera.world_to_camera.copy()
+    pose[:3, 3] -= camera.rotation @ shift_world
+    right = type(camera)("right", camera.K, pose, 60, 20, camera.near, camera.far)
+    result = warp(camera, depth, right, image, depth, TAU)
+    np.testing.assert_allclose(result.colour[:, 11:59], image[:, 1:49], atol=1e-3)
+    assert not result.visibility[:, :9].any()
+    np.testing.assert_allclose(result.visibility[:, 11:], 1.0)
+
+
+@pytest.mark.parametrize(("offset", "visibility"), [(0.0, 1.0), (0.9, 1.0), (1.5, 0.5), (-1.5, 0.5), (2.1, 0.0), (-30.0, 0.0)])
+def test_visibility_falls_between_one_and_two_tolerances(offset, visibility):
+    """The source's surface may lie one tolerance off; at two it is another surface, before or behind."""
+    camera = random_camera(np.random.default_rng(3), 20, 20)
+    depth = np.full((20, 20), 3.0, dtype=np.float32)
+    image = np.ones((20, 20, 3), dtype=np.float32)
+    result = warp(camera, depth, camera, image, depth + np.float32(offset * TAU), TAU)
+    np.testing.assert_allclose(result.visibility, visibility, atol=1e-4)
+    np.testing.assert_allclose(result.colour, 1.0, atol=1e-6)
+
+
+def test_nothing_known_is_nothing_seen():
+    """Without target depth there is neither colour nor visibility; without source depth no visibility."""
+    camera = random_camera(np.random.default_rng(4), 12, 9)
+    ones, zeros = np.ones((9, 12), dtype=np.float32), np.zeros((9, 12), dtype=np.float32)
+    image = np.ones((9, 12, 3), dtype=np.float32)
+    for depth in (zeros, zeros - 1, zeros + np.nan):
+        result = warp(camera, depth, camera, image, ones, TAU)
+        assert not result.colour.any()
+        assert not result.visibility.any()
+    assert not warp(camera, ones, camera, image, zeros, TAU).visibility.any()
+
+
+def test_bicubic_keeps_more_detail_than_bilinear():
+    """Half a pixel off, a smooth wave comes back with a smaller error."""
+    camera = random_camera(np.random.default_rng(5), 64, 16)
+    depth = np.full((16, 64), 2.0, dtype=np.float32)
+    pose = camera.world_to_camera.copy()
+    pose[0, 3] += 0.5 * 2.0 / camera.K[0, 0]
+    source = type(camera)("half a pixel off", camera.K, pose, 64, 16, camera.near, camera.far)
+    columns = np.arange(64) + 0.5
+    image = np.broadcast_to((0.5 + 0.4 * np.sin(columns)[:, None]), (16, 64, 3)).astype(np.float32)
+    truth = 0.5 + 0.4 * np.sin(columns + 0.5)
+    errors = [
+        np.abs(warp(camera, depth, source, image, depth, TAU, bicubic=bicubic).colour[8, 4:60, 0] - truth[4:60]).max()
+        for bicubic in (False, True)
+    ]
+    assert errors[1] < 0.5 * errors[0]
+
+
+def test_threads_give_the_same_bits():
+    """The number of threads changes no bit."""
+    random = np.random.default_rng(6)
+    target, source = random_camera(random, 90, 70), random_camera(random, 80, 60)
+    image = random.random((60, 80, 3), dtype=np.float32)
+    inputs = (target, random_depth(random, target), source, image, random_depth(random, source), TAU)
+    results = []
+    for threads in (1, 2, 5):
+        kernels.set_threads(threads)
+        results.append(warp(*inputs))
+    for result in results[1:]:
+        np.testing.assert_array_equal(result.colour, results[0].colour)
+        np.testing.assert_array_equal(result.visibility, results[0].visibility)
+
+
+def test_inputs_that_do_not_fit_are_refused():
+    """Sizes, channels and tolerance are checked, and named."""
+    camera = random_camera(np.random.default_rng(7), 8, 6)
+    depth, image = np.ones((6, 8), dtype=np.float32), np.ones((6, 8, 3), dtype=np.float32)
+    with pytest.raises(RenderError, match="target depth must be 6 x 8"):
+        warp(camera, depth.T, camera, image, depth, TAU)
+    with pytest.raises(RenderError, match=r"wanted an image \(H, W, 3\), got \(6, 8\)"):
+        warp(camera, depth, camera, depth, depth, TAU)
+    with pytest.raises(RenderError, match="tolerance must be positive"):
+        warp(camera, depth, camera, image, depth, 0.0)

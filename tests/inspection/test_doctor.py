@@ -1,0 +1,326 @@
+"""Faults planted in imperfect renders of the demo are found, each as what it is; in honest renders nothing is found."""
+
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+import pytest
+
+from ggvs_eval.datasets import open_capture
+from ggvs_eval.errors import RenderError
+from ggvs_eval.files.images import read_image
+from ggvs_eval.pipelines.inspection.renders.examine import examine
+from ggvs_eval.pipelines.inspection.renders.finding import DoctorFinding, findings_table
+from ggvs_eval.pipelines.inspection.renders.run_views import cameras_of_run, views_of_run
+from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames
+from ggvs_eval.run_folder import RunFolder, frame_path
+from ggvs_eval.synthetic.demo import write_demo
+from ggvs_eval.synthetic.film.options import DemoOptions
+from helpers.run_folders import write_run
+
+N_FRAMES = 9
+SIZE = 192, 144
+VIEW, OTHER = "cam00", "cam03"
+
+
+@pytest.fixture(scope="module")
+def truth(tmp_path_factory) -> dict[str, np.ndarray]:
+    """Captured frames of four cameras, each (T, H, W, 3)."""
+    options = DemoOptions(
+        width=SIZE[0], height=SIZE[1], n_frames=N_FRAMES, cameras_per_row=2, path_poses=0, depth_stride=0, supersampling=1
+    )
+    capture = open_capture(write_demo(tmp_path_factory.mktemp("doctor") / "demo", options, workers=2))
+    return {name: np.stack(list(capture.frames(name, 0, N_FRAMES))) for name in capture.camera_names}
+
+
+def quantised(image: np.ndarray) -> np.ndarray:
+    return np.rint(np.clip(image, 0, 255)).astype(np.uint8)
+
+
+def blurred(frames: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Soft, in false colours: 22 to 26 dB."""
+    return np.stack([quantised(cv2.GaussianBlur(f, (0, 0), 1.8) * (0.92, 1.0, 1.08)) for f in frames])
+
+
+def noisy(frames: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Grainy, darker and hazy."""
+    soft = (cv2.GaussianBlur(f.astype(np.float32), (0, 0), 1.0) for f in frames)
+    return np.stack([quantised(0.85 * f + 9 + rng.normal(0, 4, f.shape)) for f in soft])
+
+
+def warped(frames: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Wrong depth: parts displaced by up to some pixels, doubled at edges, with holes, flickering, soft."""
+    height, width = frames.shape[1:3]
+    y, x = np.mgrid[:height, :width].astype(np.float32)
+    fields = [
+        cv2.resize(rng.normal(0, 1.0, (9, 12)).astype(np.float32), (width, height), interpolation=cv2.INTER_CUBIC) for _ in "1234"
+    ]
+    fields = [field - field.mean() for field in fields]
+    holes = cv2.resize(rng.random((36, 48)).astype(np.float32), (width, height)) > 0.93
+    rendered = []
+    for frame in frames:
+        one, other = (cv2.remap(frame, x + a, y + b, cv2.INTER_LINEAR).astype(np.float32) for a, b in (fields[:2], fields[2:]))
+        image = cv2.GaussianBlur((0.6 * one + 0.4 * other) * rng.normal(1, 0.01), (0, 0), 0.7)
+        image[holes] *= 0.1
+        rendered.append(quantised(image))
+    return np.stack(rendered)
+
+
+HONEST = {render.__name__: render for render in (blurred, noisy, warped)}
+
+
+@pytest.fixture(scope="module")
+def honest(truth) -> dict[str, dict[str, np.ndarray]]:
+    """Kind -> camera -> imperfect renders."""
+    return {kind: {name: render(truth[name], np.random.default_rng(3)) for name in truth} for kind, render in HONEST.items()}
+
+
+def view_of(rendered: np.ndarray, captured: np.ndarray, frames: range = range(N_FRAMES)) -> ViewFrames:
+    return ViewFrames(lambda index: rendered[index], lambda index: captured[index], frames, range(len(captured)))
+
+
+def diagnose(rendered: np.ndarray, truth: dict[str, np.ndarray], frames: range = range(N_FRAMES)) -> list[DoctorFinding]:
+    """Findings on renders that are said to be of VIEW."""
+    cameras = {name: captured.__getitem__ for name, captured in truth.items()}
+    return examine({VIEW: view_of(rendered, truth[VIEW], frames)}, cameras)
+
+
+def faults(findings: list[DoctorFinding]) -> list[str]:
+    return [finding.fault for finding in findings]
+
+
+def table(curve: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
+    """A tone curve on levels in 0..1."""
+    levels = quantised(255 * curve(np.arange(256) / 255))
+    return lambda image: levels[image]
+
+
+def jpeg(quality: int) -> Callable[[np.ndarray], np.ndarray]:
+    return lambda image: cv2.imdecode(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1], cv2.IMREAD_COLOR)
+
+
+def shifted(right_px: float, down_px: float) -> Callable[[np.ndarray], np.ndarray]:
+    matrix = np.array([[1, 0, right_px], [0, 1, down_px]], np.float32)
+    return lambda image: cv2.warpAffine(image, matrix, SIZE, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+
+
+def cropped(share_x: float, share_y: float) -> Callable[[np.ndarray], np.ndarray]:
+    """The middle of the picture, stretched to the whole."""
+    columns, rows = round(SIZE[0] * (1 - share_x) / 2), round(SIZE[1] * (1 - share_y) / 2)
+    return lambda image: cv2.resize(
+        np.ascontiguousarray(image[rows : SIZE[1] - rows, columns : SIZE[0] - columns]), SIZE, interpolation=cv2.INTER_AREA
+    )
+
+
+def enlarged(factor: float, interpolation: int) -> Callable[[np.ndarray], np.ndarray]:
+    small = round(SIZE[0] / factor), round(SIZE[1] / factor)
+    return lambda image: cv2.resize(cv2.resize(image, small, interpolation=cv2.INTER_AREA), SIZE, interpolation=interpolation)
+
+
+PLANTED = {
+    "BGR": ("channel order", lambda image: image[..., ::-1]),
+    "GRB": ("channel order", lambda image: image[..., [1, 0, 2]]),
+    "linear light": ("tone curve", table(lambda level: level**2.2)),
+    "encoded twice": ("tone curve", table(lambda level: level ** (1 / 2.2))),
+    "left and right": ("mirrored", lambda image: image[:, ::-1]),
+    "upside down": ("mirrored", lambda image: image[::-1]),
+    "one pixel right": ("shift", shifted(1, 0)),
+    "one pixel up": ("shift", shifted(0, -1)),
+    "half a pixel": ("shift", shifted(0.5, 0.5)),
+    "stretched": ("wrong resize", cropped(0.8, 1)),
+    "cropped": ("wrong resize", cropped(0.9, 0.9)),
+    "enlarged 2 x": ("up-scaled", enlarged(2, cv2.INTER_LINEAR)),
+    "enlarged 1.5 x": ("up-scaled", enlarged(1.5, cv2.INTER_LINEAR)),
+    "repeated pixels": ("up-scaled", enlarged(2, cv2.INTER_NEAREST)),
+    "JPEG 90": ("JPEG", jpeg(90)),
+    "JPEG 60": ("JPEG", jpeg(60)),
+}
+
+
+@pytest.mark.parametrize("kind", HONEST)
+def test_honest_renders_have_no_finding(kind, honest, truth):
+    """Blur, noise, casts, haze, wrong depth, ghosts, holes and flicker are no faults of handling."""
+    views = {name: view_of(honest[kind][name], truth[name]) for name in truth}
+
+    assert examine(views) == []
+
+
+@pytest.mark.parametrize(("planted", "kind"), [(planted, ("blurred", "warped")[i % 2]) for i, planted in enumerate(PLANTED)])
+def test_a_fault_of_every_picture_is_found_and_no_other(planted, kind, honest, truth):
+    """Each planted fault gives exactly one finding, of its kind."""
+    fault, spoil = PLANTED[planted]
+    rendered = np.stack([spoil(image) for image in honest[kind][VIEW]])
+
+    assert faults(diagnose(rendered, truth)) == [fault]
+
+
+@pytest.mark.parametrize(("offset", "kind"), [(-2, "blurred"), (-1, "noisy"), (-1, "warped"), (1, "warped"), (2, "blurred")])
+def test_a_frame_offset_is_found_with_its_sign(offset, kind, honest, truth):
+    """Frame t that shows instant t + k is found with k."""
+    rendered = np.roll(honest[kind][VIEW], -offset, axis=0)
+    (finding,) = diagnose(rendered, truth, range(3, 7))
+
+    assert finding.fault == "frame offset"
+    assert finding.values["offset_frames"] == offset
+
+
+@pytest.mark.parametrize("kind", HONEST)
+def test_the_wrong_camera_is_named(kind, honest, truth):
+    """Renders of another camera under this one's name are found, and the camera with them."""
+    (finding,) = diagnose(honest[kind][OTHER], truth)
+
+    assert (finding.fault, finding.verdict) == ("wrong camera", "certain")
+    assert f"shows {OTHER}" in finding.measured
+
+
+def test_a_shift_that_single_views_leave_in_doubt_is_told_by_all(honest, truth):
+    """Half a pixel in every view is found in each, also where wrong depth scatters the parts of the picture."""
+    views = {
+        name: view_of(np.stack([shifted(0.5, 0.5)(image) for image in frames]), truth[name])
+        for name, frames in honest["warped"].items()
+    }
+
+    assert [(one.view, one.fault) for one in examine(views)] == [(name, "shift") for name in truth]
+
+
+def test_a_large_shift_is_measured(honest, truth):
+    """A crop that is off by many pixels is a shift, not another picture."""
+    (shift,) = diagnose(np.stack([shifted(9, -6)(image) for image in honest["blurred"][VIEW]]), truth)
+
+    assert shift.fault == "shift"
+    assert (shift.values["shift_x_px"], shift.values["shift_y_px"]) == pytest.approx((9, -6), abs=0.15)
+
+
+def test_numbers_of_shift_and_scale_are_right(honest, truth):
+    """The shift is measured to a tenth of a pixel, the scale to one per cent."""
+    (shift,) = diagnose(np.stack([shifted(1, -2)(image) for image in honest["warped"][VIEW]]), truth)
+    (scale,) = diagnose(np.stack([cropped(0.8, 1)(image) for image in honest["warped"][VIEW]]), truth)
+
+    assert shift.values["shift_x_px"] == pytest.approx(1, abs=0.15)
+    assert shift.values["shift_y_px"] == pytest.approx(-2, abs=0.15)
+    assert scale.values["scale_x"] == pytest.approx(1.25, abs=0.0125)
+    assert scale.values["scale_y"] == pytest.approx(1, abs=0.0125)
+
+
+def test_video_range_is_found(honest, truth):
+    """Full-range levels squeezed into 16..235 are found."""
+    rendered = np.stack([table(lambda level: (16 + 219 * level) / 255)(image) for image in truth[VIEW]])
+    rendered = warped(rendered, np.random.default_rng(3))
+    rendered = np.maximum(rendered, 16)  # holes are written as video black
+
+    assert faults(diagnose(rendered, truth)) == ["value range"]
+
+
+def test_the_truth_itself_is_found_out(truth):
+    """Captured frames as renders are found bit by bit, and still after blur, noise or a codec."""
+    captured = truth[VIEW]
+    noise = np.random.default_rng(0).normal(0, 1, captured.shape)
+    soft = np.stack([cv2.GaussianBlur(image, (0, 0), 0.6) for image in captured])
+
+    (exact,) = diagnose(captured, truth)
+    assert (exact.fault, exact.verdict) == ("truth copied in", "certain")
+    assert faults(diagnose(quantised(captured + noise), truth)) == ["truth copied in"]
+    assert faults(diagnose(soft, truth)) == ["truth copied in"]
+    assert faults(diagnose(np.stack([jpeg(90)(image) for image in captured]), truth)) == ["truth copied in", "JPEG"]
+
+
+def test_sensor_noise_in_the_rendering_is_certain_proof():
+    """A rendering that carries the truth's own noise is found although it is blended with another picture."""
+    rng = np.random.default_rng(1)
+    scene, wrong = (cv2.resize(rng.uniform(60, 200, (9, 12, 3)), SIZE, interpolation=cv2.INTER_CUBIC) for _ in "12")
+    captured = np.stack([quantised(scene + rng.normal(0, 3, scene.shape)) for _ in range(4)])
+    mixed = quantised(0.8 * captured + 0.2 * wrong)
+    clean = quantised(np.stack([0.8 * scene + 0.2 * wrong + rng.normal(0, 3, scene.shape) for _ in range(4)]))
+
+    found, nothing = (examine({VIEW: view_of(rendered, captured, range(4))}) for rendered in (mixed, clean))
+    assert [(one.fault, one.verdict) for one in found] == [("truth copied in", "certain")]
+    assert nothing == []
+
+
+def test_repeated_and_frozen_frames_are_listed(honest, truth):
+    """Frames that repeat the one before are named; not where the truth repeats itself too."""
+    repeated, captured = honest["warped"][VIEW].copy(), truth[VIEW].copy()
+    repeated[[3, 6]] = repeated[[2, 5]]
+    (finding,) = diagnose(repeated, truth)
+    (frozen,) = diagnose(np.repeat(repeated[3:4], N_FRAMES, axis=0), truth)
+    captured[[3, 6]] = captured[[2, 5]]
+
+    assert finding.fault == frozen.fault == "repeated frames"
+    assert "frames 3, 6 " in finding.measured
+    assert "all 9 frames show one instant" in frozen.measured
+    assert examine({VIEW: view_of(repeated, captured)}) == []
+
+
+def test_blank_frames_are_listed(honest, truth):
+    """Black frames are named and the others still examined."""
+    rendered = honest["blurred"][VIEW][..., ::-1].copy()
+    rendered[[0, 7]] = 0
+    blank, order = diagnose(rendered, truth)
+
+    assert (blank.fault, order.fault) == ("blank frames", "channel order")
+    assert "frames 0, 7 " in blank.measured
+    assert faults(diagnose(np.zeros_like(rendered), truth)) == ["blank frames"]
+
+
+def test_renders_of_another_size_are_compared_all_the_same(honest, truth):
+    """A wrong size is told, and does not hide a mirrored picture."""
+    rendered = np.stack(
+        [cv2.resize(image, (144, 108), interpolation=cv2.INTER_AREA)[:, ::-1] for image in honest["blurred"][VIEW]]
+    )
+    size, mirrored = diagnose(rendered, truth)
+
+    assert (size.fault, mirrored.fault) == ("wrong size", "mirrored")
+    assert "144 x 108" in size.measured
+    assert "192 x 144" in size.measured
+
+
+def test_two_faults_are_found_together(honest, truth):
+    """Swapped channels do not hide an offset, nor the other way round; nor a wrong camera a missing gamma."""
+    moved = np.roll(honest["warped"][VIEW], -2, axis=0)[..., ::-1]
+    dark = table(lambda level: level**2.2)(honest["blurred"][OTHER])
+
+    assert faults(diagnose(moved, truth, range(2, 7))) == ["frame offset", "channel order"]
+    assert faults(diagnose(dark, truth)) == ["wrong camera", "tone curve"]
+
+
+def test_one_frame_is_enough_for_what_one_frame_shows(honest, truth):
+    """A single frame is examined without complaint."""
+    image = honest["blurred"][VIEW][:1]
+
+    assert diagnose(image, truth, range(1)) == []
+    assert faults(diagnose(image[..., ::-1], truth, range(1))) == ["channel order"]
+
+
+def test_a_view_without_frames_is_refused(truth):
+    """Nothing to examine is an error, not health."""
+    with pytest.raises(RenderError, match="without frames"):
+        view_of(truth[VIEW], truth[VIEW], range(0))
+
+
+def test_a_run_folder_is_read(tmp_path):
+    """Views and cameras come from the run folder; a method that is not there and missing frames are refused."""
+    run = RunFolder(write_run(tmp_path / "run"))
+    views = views_of_run(run, "no-blending")
+
+    assert list(views) == ["cam00", "cam03"]
+    assert list(views["cam00"].frames) == [2, 3, 4, 5]
+    np.testing.assert_array_equal(views["cam03"].truth(4), read_image(frame_path(run.truth("cam03"), 4)))
+    assert sorted(cameras_of_run(run)) == ["cam00", "cam03"]
+    with pytest.raises(RenderError, match="no renders of 'mine'; there are no-blending"):
+        views_of_run(run, "mine")
+    frame_path(run.renders("no-blending", "cam03"), 4).unlink()
+    with pytest.raises(RenderError, match="no-blending in cam03 lacks 4"):
+        views_of_run(run, "no-blending")
+
+
+def test_the_table_fits_a_screen_and_joins_views():
+    """Equal findings of several views share a line of at most 130 characters."""
+    values, long = {"offset_frames": 1.0}, "frame t shows instant t+1 and " + "so on " * 30
+    findings = [
+        DoctorFinding(name, "frame offset", "certain", long, values, "renumber") for name in [f"cam{i:02d}" for i in range(12)]
+    ]
+    text = findings_table(findings)
+
+    assert "cam00, cam01, cam02 and 9 more" in text
+    assert max(map(len, text.splitlines())) <= 130
+    assert "nothing found" in findings_table([])

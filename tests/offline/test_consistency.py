@@ -1,0 +1,287 @@
+"""Depth held against other cameras' depth: who supports, contradicts and abstains, averaging, filling."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.depth_store import DepthMap
+from ggvs_eval.errors import DepthError
+from ggvs_eval.pipelines.offline.depth import consistency
+from ggvs_eval.pipelines.offline.depth.consistency import ConsistencyOptions, check_consistency
+from helpers.stereo_scenes import look_from, plane_depth
+
+CAMERA = look_from(0, 0, "camera")
+LEFT, RIGHT, BELOW = look_from(-0.4, 0, "left"), look_from(0.4, 0, "right"), look_from(0, 0.4, "below")
+OTHERS = (LEFT, RIGHT, BELOW)
+MIDDLE = np.s_[30:120, 40:160]  # seen by all of them
+BLOCK = np.s_[60:80, 90:120]
+NEAR_Z, FAR_Z = 5.0, 8.0
+
+
+def sure(depth: np.ndarray, confidence: float = 0.8) -> DepthMap:
+    """A depth map of one confidence."""
+    depth = depth.astype(np.float32)
+    return DepthMap(depth, np.where(depth > 0, np.float32(confidence), np.float32(0)))
+
+
+def see_planes(cameras: tuple[Camera, ...] = OTHERS) -> list[tuple[Camera, DepthMap]]:
+    return [(camera, sure(plane_depth(camera))) for camera in cameras]
+
+
+def step_depth(camera: Camera) -> np.ndarray:
+    """Exact depth of a strip |x| < 1 at z = 5 before a wall at z = 8, for cameras that look along z."""
+    x = (camera.centre + NEAR_Z * camera.rays())[..., 0]
+    return np.where(np.abs(x) < 1, NEAR_Z, FAR_Z)
+
+
+def test_the_truth_stays():
+    """Exact depth of a slanted plane stays, to 1e-5 and at the others' borders 5e-4, and what they see is as sure as before."""
+    truth = plane_depth(CAMERA)
+    result = check_consistency(CAMERA, sure(truth), see_planes(), ConsistencyOptions())
+    assert np.abs(result.depth / truth - 1).max() < 5e-4
+    assert np.abs(result.depth / truth - 1)[MIDDLE].max() < 1e-5
+    assert result.confidence[MIDDLE] == pytest.approx(0.8, abs=1e-6)
+
+
+def test_what_others_see_through_goes_and_is_filled():
+    """A block in mid-air is dropped; where two others agree on what is behind, it is filled in, else it stays unknown."""
+    truth = plane_depth(CAMERA)
+    wrong = truth.copy()
+    wrong[BLOCK] *= 0.7
+    dropped = check_consistency(CAMERA, sure(wrong), see_planes(), ConsistencyOptions(fill_support=0))
+    assert (dropped.depth[BLOCK] == 0).all()
+    assert (dropped.confidence[BLOCK] == 0).all()
+    assert np.count_nonzero(dropped.depth == 0) == truth[BLOCK].size
+    filled = check_consistency(CAMERA, sure(wrong), see_planes(), ConsistencyOptions())
+    there = filled.depth[BLOCK] > 0
+    assert there.mean() > 0.95
+    assert np.abs(filled.depth[BLOCK] / truth[BLOCK] - 1)[there].max() < 0.003  # a pixel's slope
+    assert filled.confidence[BLOCK][there].max() < 0.8
+
+
+def test_one_of_two_opinions_fills_nothing():
+    """What one of two others sees is no reason to fill a hole; with a single other it is."""
+    holed = plane_depth(CAMERA)
+    holed[BLOCK] = 0
+    blind = RIGHT, sure(np.zeros_like(holed))
+    for others, filled in (([*see_planes((LEFT,)), blind], False), (see_planes((LEFT,)), True)):
+        result = check_consistency(CAMERA, sure(holed), others, ConsistencyOptions())
+        assert ((result.depth[BLOCK] > 0).mean() > 0.9) == filled
+        assert result.depth[BLOCK].any() == filled
+
+
+def test_hidden_depth_stays_less_sure():
+    """Others that see a nearer surface cannot judge: the depth stays, with half its confidence."""
+    deep = plane_depth(CAMERA)
+    deep[BLOCK] *= 1.3
+    result = check_consistency(CAMERA, sure(deep), see_planes(), ConsistencyOptions())
+    inner = np.s_[64:76, 96:114]
+    assert np.array_equal(result.depth[inner], deep[inner].astype(np.float32))
+    assert result.confidence[inner] == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize("others", [[], see_planes((look_from(60, 0, "elsewhere"),))], ids=["nobody", "elsewhere"])
+def test_nobody_can_judge(others):
+    """Without others, or outside all their images, depth stays as it is with half its confidence."""
+    depth_map = sure(plane_depth(CAMERA))
+    result = check_consistency(CAMERA, depth_map, others, ConsistencyOptions())
+    assert np.array_equal(result.depth, depth_map.depth)
+    assert result.confidence == pytest.approx(0.4)
+
+
+def test_average_weighs_by_confidence():
+    """An error of 0.4 % beside three exact maps of equal confidence shrinks to a quarter, of a third of it to a tenth."""
+    truth = plane_depth(CAMERA)
+    for confidence, left in ((0.9, 0.25), (0.3, 0.1)):
+        others = [(camera, sure(plane_depth(camera), 0.9)) for camera in OTHERS]
+        result = check_consistency(CAMERA, sure(1.004 * truth, confidence), others, ConsistencyOptions())
+        assert (result.depth / truth - 1)[MIDDLE] == pytest.approx(0.004 * left, rel=0.15)
+    alone = check_consistency(CAMERA, sure(1.004 * truth), see_planes(), ConsistencyOptions(average=False))
+    assert (alone.depth / truth - 1)[MIDDLE] == pytest.approx(0.004, rel=0.01)
+
+
+def test_agreement_is_measured_in_pixels():
+    """An error that shifts the point by 0.8 px in the others is agreement, one of 1.6 px towards the camera is not."""
+    truth = plane_depth(CAMERA)
+    disparity_px = CAMERA.focal_px * 0.4 / truth
+    options = ConsistencyOptions(error_px=1.0, error_share=0.5, fill_support=0)
+    for shift_px, kept in ((0.8, True), (1.6, False)):
+        depth = CAMERA.focal_px * 0.4 / (disparity_px + shift_px)
+        result = check_consistency(CAMERA, sure(depth), see_planes(), options)
+        assert ((result.depth > 0)[MIDDLE] == kept).all()
+
+
+def test_narrow_baselines_are_measured_in_depth():
+    """Where a pixel is a large share of the depth, depths that differ by more than the share do not agree."""
+    close = look_from(0.02, 0, "close")
+    for share, kept in ((0.03, True), (0.08, False)):
+        depth_map = sure(plane_depth(CAMERA) * (1 - share))
+        result = check_consistency(CAMERA, depth_map, see_planes((close,)), ConsistencyOptions(fill_support=0))
+        assert ((result.depth > 0)[MIDDLE] == kept).all()
+
+
+def test_majority():
+    """One who contradicts does not outweigh one who supports, but two do; more support can be asked for."""
+    truth = plane_depth(CAMERA)
+    right, behind = [[(camera, sure(share * plane_depth(camera))) for camera in OTHERS] for share in (1.0, 1.2)]
+
+    def kept(others, **options):
+        result = check_consistency(CAMERA, sure(truth), others, ConsistencyOptions(fill_support=0, **options))
+        return (result.depth > 0)[MIDDLE].mean()
+
+    assert kept([right[0], behind[1]]) == 1
+    assert kept([right[0], behind[1], behind[2]]) == 0
+    assert kept([right[0], right[1], behind[2]], min_support=2) == 1
+    assert kept([right[0], behind[1]], min_support=2) == 0
+    assert kept([right[0]], min_support=2) == 1  # all that can judge
+
+
+def test_guesses_neither_stay_nor_vote():
+    """Depth that was filled with hardly any confidence is unknown, in the camera and in the others."""
+    truth = plane_depth(CAMERA)
+    guessed = check_consistency(CAMERA, sure(truth, 0.02), [], ConsistencyOptions())
+    assert not guessed.depth.any()
+    assert not guessed.confidence.any()
+    others = [(camera, sure(2 * plane_depth(camera), 0.02)) for camera in OTHERS]
+    result = check_consistency(CAMERA, sure(truth), others, ConsistencyOptions())
+    assert np.array_equal(result.depth, truth.astype(np.float32))
+
+
+def test_edges_survive():
+    """A strip before a wall, exact in all views: 99.5 % stays, on its own surface, and nothing is invented between the two."""
+    truth = step_depth(CAMERA)
+    others = [(camera, sure(step_depth(camera))) for camera in OTHERS]
+    result = check_consistency(CAMERA, sure(truth), others, ConsistencyOptions())
+    assert (np.abs(result.depth / truth - 1) < 1e-3).mean() > 0.995
+    assert not ((result.depth > NEAR_Z + 0.1) & (result.depth < FAR_Z - 0.1)).any()
+
+
+def test_filling_takes_what_is_in_front():
+    """A hole over a strip gets the strip's depth up to its edge, though two others see the wall behind it."""
+    truth = step_depth(CAMERA)
+    holed = truth.copy()
+    holed[50:100, 40:160] = 0
+    others = [(camera, sure(step_depth(camera))) for camera in OTHERS]
+    farther = look_from(0.8, 0, "farther right")  # sees the wall alone
+    others.append((farther, sure(np.where(step_depth(farther) > NEAR_Z, FAR_Z, 0))))
+    filled = check_consistency(CAMERA, sure(holed), others, ConsistencyOptions()).depth[50:100, 40:160]
+    known = filled > 0
+    assert np.abs(filled / truth[50:100, 40:160] - 1)[known].max() < 1e-5
+    assert known.mean() > 0.99
+
+
+def test_filling_takes_the_nearest_unless_seen_through():
+    """Of two depths that two others each agree on the nearer is filled in, and neither where a third sees through it."""
+    holed = plane_depth(CAMERA)
+    holed[BLOCK] = 0
+    pairs = [look_from(x, y, f"{x} {y}") for x, y in ((0.4, 0), (-0.4, 0), (0, 0.4), (0, -0.4))]
+    near, far = [[(camera, sure(share * plane_depth(camera))) for camera in pairs] for share in (0.8, 1.0)]
+    options = ConsistencyOptions()
+    alone = check_consistency(CAMERA, sure(holed), near[:2], options).depth[BLOCK]
+    assert (np.abs(alone / holed.max() - 0.7) < 0.2)[alone > 0].all()
+    assert (alone > 0).mean() > 0.9
+    both = check_consistency(CAMERA, sure(holed), [*near[:2], *far[2:]], options).depth[BLOCK]
+    truth = plane_depth(CAMERA)[BLOCK]
+    assert np.abs(both / truth - 1)[both > 0].max() < 0.003  # the near one is seen through by the far two
+    assert (both > 0).mean() > 0.9
+
+
+def test_noise_and_outliers_shrink():
+    """With 0.5 % noise and 5 % outliers in mid-air in every map, outliers shrink to a fifth, the median error to two thirds."""
+    random = np.random.default_rng(5)
+
+    def disturb(camera):
+        depth = plane_depth(camera) * random.normal(1, 0.005, (camera.height, camera.width))
+        return sure(np.where(random.random(depth.shape) < 0.05, depth * random.uniform(0.6, 0.9, depth.shape), depth))
+
+    before = disturb(CAMERA)
+    after = check_consistency(CAMERA, before, [(camera, disturb(camera)) for camera in OTHERS], ConsistencyOptions())
+    errors = [np.abs(each.depth / plane_depth(CAMERA) - 1)[MIDDLE] for each in (before, after)]
+    known = after.depth[MIDDLE] > 0
+    assert known.mean() > 0.97
+    assert (errors[1] > 0.03)[known].mean() < 0.2 * (errors[0] > 0.03).mean()
+    assert np.median(errors[1][known]) < 0.67 * np.median(errors[0])
+
+
+def test_turned_cameras():
+    """Cameras that differ in direction and focal length support the truth as parallel ones do."""
+    turned = [look_from(-0.8, 0, "left", 0.1), look_from(0.8, 0.3, "right", 0.12).resized(300, 225)]
+    truth = plane_depth(CAMERA)
+    result = check_consistency(CAMERA, sure(1.002 * truth), see_planes(tuple(turned)), ConsistencyOptions())
+    assert (result.depth / truth - 1)[MIDDLE] == pytest.approx(0.002 / 3, abs=3e-4)
+
+
+def test_average_moves_along_the_ray():
+    """Half an error remains beside one exact map of a camera turned by half a radian, which sees the wall at one depth."""
+    turned = look_from(-2.0, 0, "turned", 0.5)
+    truth = (6 - (CAMERA.centre - turned.centre) @ turned.axis) / (CAMERA.rays() @ turned.axis)
+    other = turned, sure(np.full(truth.shape, 6.0))
+    result = check_consistency(CAMERA, sure(1.002 * truth), [other], ConsistencyOptions())
+    judged = result.confidence > 0.5
+    assert judged.mean() > 0.3
+    assert (result.depth / truth - 1)[judged] == pytest.approx(0.001, rel=0.01)
+
+
+@settings(max_examples=10, deadline=None)
+@given(exponent=st.integers(-8, 8))
+def test_units_do_not_matter(exponent):
+    """In a world of other units all depths are scaled and nothing else changes, bit for bit for powers of two."""
+    scale = 2.0**exponent
+    random = np.random.default_rng(1)
+
+    def scaled(camera):
+        pose = camera.world_to_camera.copy()
+        pose[:3, 3] *= scale
+        return replace(camera, world_to_camera=pose, near=camera.near * scale, far=camera.far * scale)
+
+    maps = [plane_depth(camera) * random.normal(1, 0.03, (camera.height, camera.width)) for camera in (CAMERA, *OTHERS)]
+    plain, other = (
+        check_consistency(
+            change(CAMERA),
+            sure(maps[0] * factor),
+            [(change(camera), sure(depth * factor)) for camera, depth in zip(OTHERS, maps[1:], strict=True)],
+            ConsistencyOptions(),
+        )
+        for factor, change in ((1.0, lambda camera: camera), (scale, scaled))
+    )
+    assert np.array_equal(other.depth, plain.depth * np.float32(scale))
+    assert np.array_equal(other.confidence, plain.confidence)
+
+
+def test_parts_do_not_matter(monkeypatch):
+    """How many points are handled at a time changes no bit."""
+    random = np.random.default_rng(2)
+    depth = plane_depth(CAMERA) * random.normal(1, 0.03, (CAMERA.height, CAMERA.width))
+    whole = check_consistency(CAMERA, sure(depth), see_planes(), ConsistencyOptions())
+    monkeypatch.setattr(consistency, "CHUNK", 777)
+    parts = check_consistency(CAMERA, sure(depth), see_planes(), ConsistencyOptions())
+    assert np.array_equal(whole.depth, parts.depth)
+    assert np.array_equal(whole.confidence, parts.confidence)
+
+
+def test_nothing_is_changed_in_place():
+    """The maps that come in are as they were afterwards."""
+    own, others = sure(1.1 * plane_depth(CAMERA)), see_planes()
+    copies = [own.depth.copy(), *(theirs.depth.copy() for _, theirs in others)]
+    check_consistency(CAMERA, own, others, ConsistencyOptions())
+    for before, after in zip(copies, [own.depth, *(theirs.depth for _, theirs in others)], strict=True):
+        assert np.array_equal(before, after)
+
+
+def test_maps_of_another_size_are_refused():
+    """A map that does not fit its camera raises DepthError naming the camera and both sizes."""
+    small = sure(np.ones((10, 20)))
+    with pytest.raises(DepthError, match=r"camera camera: depth must be 150 x 200 like the camera, got \(10, 20\)"):
+        check_consistency(CAMERA, small, [], ConsistencyOptions())
+    with pytest.raises(DepthError, match="camera left: depth must be"):
+        check_consistency(CAMERA, sure(plane_depth(CAMERA)), [(LEFT, small)], ConsistencyOptions())
+
+
+def test_every_option_is_described():
+    """What goes into a depth map's key names the algorithm and every option."""
+    options = ConsistencyOptions()
+    assert set(options.describe()) == {"algorithm", *vars(options)}

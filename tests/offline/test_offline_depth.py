@@ -1,0 +1,290 @@
+"""Depth from several partners: choice, check, consensus, filling, and a store filled by many workers."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ggvs_eval.depth_store import DepthJob, DepthStore
+from ggvs_eval.errors import CaptureError, DepthError
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
+from ggvs_eval.pipelines.offline.depth.fill_store import depth_spec, plan_depth, prepare_depth
+from ggvs_eval.pipelines.offline.depth.pairing import choose_partners
+from ggvs_eval.pipelines.offline.stereo.fusion import drop_flying_pixels, fill_background, fuse, smooth_surfaces
+from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
+from helpers.stereo_scenes import look_from, paint, plane_depth, random_texture, see_plane, write_capture
+
+CAMERA = look_from(0, 0, "camera")
+ROW = [look_from(0.5 * index, 0, f"row{index:+d}") for index in (-2, -1, 1, 2)]
+
+
+def test_excluded_camera_is_never_chosen():
+    """The target of a leave-one-out run and the camera itself are never partners, however good."""
+    names = {partner.name for partner in choose_partners(CAMERA, [CAMERA, *ROW], 10, {"row+1"})}
+    assert names == {"row-2", "row-1", "row+2"}
+
+
+def test_choice_does_not_depend_on_order():
+    """The same candidates in any order give the same partners in the same order."""
+    chosen = [camera.name for camera in choose_partners(CAMERA, ROW, 3)]
+    assert [camera.name for camera in choose_partners(CAMERA, ROW[::-1], 3)] == chosen
+
+
+def test_partners_come_from_both_sides():
+    """Two partners are taken from two sides of a row, not both from one."""
+    assert {np.sign(partner.centre[0]) for partner in choose_partners(CAMERA, ROW, 2)} == {-1.0, 1.0}
+
+
+def test_another_direction_helps():
+    """With two cameras on each side of the row, the third partner is the one below."""
+    below = look_from(0, 0.5, "below")
+    assert "below" in {partner.name for partner in choose_partners(CAMERA, [*ROW, below], 3)}
+
+
+def test_too_far_and_too_near_come_last():
+    """A camera whose disparities are huge, and one whose are a fraction of a pixel, come after a good one."""
+    candidates = [look_from(4.0, 0, "far away"), look_from(0.001, 0, "almost here"), look_from(-0.6, 0, "good")]
+    assert choose_partners(CAMERA, candidates, 3)[0].name == "good"
+
+
+def test_nobody_to_match_with():
+    """A camera that no other overlaps is an error that names it and says what to do."""
+    with pytest.raises(DepthError, match=r"camera camera: none of 1 other cameras.*add cameras"):
+        choose_partners(CAMERA, [look_from(60, 0, "elsewhere")], 2)
+
+
+def test_check_rejects_what_only_one_eye_sees():
+    """Background hidden from the right image is rejected, everything else is kept and right."""
+    texture = random_texture(3)
+    columns = np.arange(240)
+    near = (columns >= 100) & (columns < 150)
+    disparity = np.where(near, 24, 8)
+    rows = np.arange(120)[:, None]
+    left = np.rint(255 * np.where(near, texture[rows + 500, columns], texture[rows, columns])).astype(np.uint8)
+    right = np.rint(255 * texture[rows, columns + 8]).astype(np.uint8)
+    right[:, 100 - 24 : 150 - 24] = left[:, 100:150]
+    found, confidence = SgbmMatcher(levels=1).match(*(np.repeat(image[..., None], 3, -1) for image in (left, right)), 2, 40)
+    hidden, safe = slice(88, 97), np.r_[50:80, 106:144, 160:230]  # matches of 84..99 lie under the near strip
+    assert (found[:, hidden] == 0).mean() > 0.8
+    assert (found[:, safe] > 0).mean() > 0.95
+    kept = found[:, safe] > 0
+    assert np.median(np.abs(found[:, safe] - disparity[safe])[kept]) < 0.1
+    assert (confidence[found == 0] == 0).all()
+    assert (confidence[found > 0] > 0).all()
+
+
+def test_exposure_does_not_matter():
+    """A partner exposed 20 % darker gives the plane within 0.5 %."""
+    partner = look_from(0.8, 0, "partner")
+    estimator = DepthEstimator(CAMERA, [partner], DepthOptions(filled_confidence=0.0))
+    depth = estimator.estimate(see_plane(CAMERA), [see_plane(partner, gain=0.8)]).depth
+    seen = depth > 0
+    assert seen.mean() > 0.6
+    assert np.median(np.abs(depth / plane_depth(CAMERA) - 1)[seen]) < 0.005
+
+
+def test_fusion_prefers_consensus():
+    """Two partners that agree outvote a third that is surer, and the result lies between the two."""
+    depths = np.array([5.0, 5.02, 8.0], np.float32).reshape(3, 1, 1)
+    confidences = np.array([0.6, 0.6, 1.0], np.float32).reshape(3, 1, 1)
+    depth, confidence = fuse(depths, confidences, np.full((3, 1, 1), 50, np.float32), 0.5)
+    assert 5.0 < depth.item() < 5.02
+    assert confidence.item() == pytest.approx(1.2 / 3)
+
+
+def test_fusion_trusts_wide_pairs():
+    """Among agreeing estimates the one from twice the disparity counts four times."""
+    depths = np.array([5.0, 5.02], np.float32).reshape(2, 1, 1)
+    disparities = np.array([20.0, 40.0], np.float32).reshape(2, 1, 1)
+    depth, _ = fuse(depths, np.ones_like(depths), disparities, 0.5)
+    assert depth.item() == pytest.approx(5.0 + 0.02 * 4 / 5, abs=1e-5)
+
+
+def test_fusion_without_opinions():
+    """Where nobody has an opinion there is no depth and no confidence."""
+    nothing = np.zeros((2, 3, 4), np.float32)
+    depth, confidence = fuse(nothing, nothing, nothing, 0.5)
+    assert not depth.any()
+    assert not confidence.any()
+
+
+def test_flying_pixels_go():
+    """A pixel between two surfaces is dropped, both surfaces stay."""
+    depth = np.full((9, 9), 4, np.float32)
+    depth[:, 5:] = 8
+    expected = depth.copy()
+    depth[4, 4], expected[4, 4] = 6, 0
+    assert np.array_equal(drop_flying_pixels(depth, 0.03), expected)
+
+
+def test_smoothing_keeps_steps():
+    """Noise within a surface shrinks to less than half, a step of depth stays where it is, holes stay holes."""
+    random = np.random.default_rng(0)
+    truth = np.where(np.arange(40) < 20, 4.0, 6.0) * np.ones((40, 1))
+    noisy = (truth * random.normal(1, 0.005, truth.shape)).astype(np.float32)
+    noisy[3, 3] = 0
+    smooth = smooth_surfaces(noisy, 0.03, 4)
+    kept = noisy > 0
+    assert np.abs(smooth / truth - 1)[kept].mean() < 0.5 * np.abs(noisy / truth - 1)[kept].mean()
+    assert smooth[3, 3] == 0
+
+
+def test_filling_takes_the_background():
+    """A hole between near and far gets the far depth, an empty row that of its neighbours, both with low confidence."""
+    depth = np.array([[2, 0, 0, 5], [0, 0, 0, 0], [2, 2, 2, 2]], np.float32)
+    confidence = (depth > 0).astype(np.float32)
+    filled, trust = fill_background(depth, confidence, 0.02)
+    assert np.array_equal(filled, [[2, 5, 5, 5], [2, 5, 5, 5], [2, 2, 2, 2]])
+    assert np.array_equal(trust, np.where(depth > 0, np.float32(1), np.float32(0.02)))
+
+
+def test_filling_can_be_left_out():
+    """Without filled confidence, holes stay holes."""
+    depth = np.array([[2, 0, 3]], np.float32)
+    assert fill_background(depth, depth, 0.0)[0] is depth
+
+
+def test_estimate_is_complete_and_sure_of_it():
+    """Four partners give every pixel a depth, within 0.5 % in the median, and confidence in (0, 1]."""
+    estimator = DepthEstimator(CAMERA, ROW, DepthOptions())
+    result = estimator.estimate(see_plane(CAMERA), [see_plane(partner) for partner in ROW])
+    assert result.depth.dtype == result.confidence.dtype == np.float32
+    assert (result.depth > 0).all()
+    assert result.confidence.min() > 0
+    assert result.confidence.max() <= 1
+    assert np.median(np.abs(result.depth / plane_depth(CAMERA) - 1)) < 0.005
+
+
+def test_step_edge_has_no_bridge():
+    """Beside a near surface before a far one, hardly any depth lies between the two."""
+
+    def look(camera):
+        rays = camera.rays()
+        on_near = camera.centre + 5.0 * rays
+        depth = np.where(np.abs(on_near[..., 0]) < 1.0, 5.0, 8.0)
+        return paint(camera, depth, random_texture())
+
+    result = DepthEstimator(CAMERA, ROW, DepthOptions()).estimate(look(CAMERA), [look(partner) for partner in ROW])
+    between = (result.depth > 5.4) & (result.depth < 7.4)
+    assert between.mean() < 0.02
+
+
+def test_wrong_images_are_refused():
+    """An image of another size, or too few images, raise DepthError naming the camera."""
+    estimator = DepthEstimator(CAMERA, ROW[:1], DepthOptions())
+    image = see_plane(CAMERA)
+    with pytest.raises(DepthError, match=r"camera row-2: wanted a uint8 image of \(150, 200, 3\), got uint8 \(10, 200, 3\)"):
+        estimator.estimate(image, [image[:10]])
+    with pytest.raises(DepthError, match="camera camera: wanted 1 partner images, got 0"):
+        estimator.estimate(image, [])
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory):
+    return write_capture(tmp_path_factory.mktemp("capture"))
+
+
+def test_plan_leaves_the_target_out(capture):
+    """No job of a target names it, sources are the nearest, and every job has partners."""
+    plan = plan_depth(capture, capture.cameras, 2, DepthOptions(partners=2))
+    for target, jobs in plan.items():
+        assert len(jobs) == 2
+        for source, job in jobs.items():
+            assert job.camera_name == source
+            assert target not in (source, *job.partner_names)
+            assert source not in job.partner_names
+            assert len(job.partner_names) == 2
+
+
+def test_plan_for_a_virtual_camera(capture):
+    """A camera that the capture does not have excludes nobody, and equal jobs of two targets are equal."""
+    targets = [look_from(0.1, 0.05, "path0000"), look_from(0.12, 0.05, "path0001")]
+    plan = plan_depth(capture, targets, 2, DepthOptions(partners=2))
+    assert plan["path0000"] == plan["path0001"]
+    assert "cam00" in plan["path0000"]
+
+
+JOBS = [DepthJob("cam00", ("cam01", "cam02")), DepthJob("cam03", ("cam00", "cam01"))]
+OPTIONS = DepthOptions(matcher=SgbmMatcher(levels=2))
+
+
+def stored_files(store):
+    """Content of every file of a store, by its path in it."""
+    return {path.relative_to(store.root): path.read_bytes() for path in sorted(store.root.rglob("*.*")) if path.is_file()}
+
+
+def test_prepare_resumes_and_does_not_depend_on_workers(capture, tmp_path):
+    """A second call touches nothing, a lost frame alone is computed again, and one worker gives the bits of two."""
+    two, one = DepthStore(tmp_path / "two"), DepthStore(tmp_path / "one")
+    prepare_depth(capture, [*JOBS, JOBS[0]], range(3), two, OPTIONS, workers=2)
+    first = {path: path.stat().st_mtime_ns for path in two.root.rglob("*.npz")}
+    assert len(first) == 6
+    prepare_depth(capture, JOBS, range(3), two, OPTIONS, workers=2)
+    assert {path: path.stat().st_mtime_ns for path in two.root.rglob("*.npz")} == first
+    lost = min(first)
+    lost.unlink()
+    prepare_depth(capture, JOBS, range(3), two, OPTIONS, workers=2)
+    assert [path for path in first if path.stat().st_mtime_ns != first[path]] == [lost]
+    prepare_depth(capture, JOBS, range(3), one, OPTIONS, workers=1)
+    assert stored_files(one) == stored_files(two)
+
+
+def test_prepared_depth_is_right(capture, tmp_path):
+    """What the store holds under a job's key is the depth of that instant."""
+    store = DepthStore(tmp_path)
+    prepare_depth(capture, JOBS[:1], range(1, 2), store, OPTIONS, workers=1)
+    key = store.key(depth_spec(capture, JOBS[0], OPTIONS))
+    truth = plane_depth(capture.camera("cam00"), np.array([0.25, 0.15, 5.8]))
+    assert np.median(np.abs(store.read(key, 1).depth / truth - 1)) < 0.005
+    assert not store.has(key, 0)
+
+
+def test_options_change_the_key(capture):
+    """Every field of the options and of the matcher enters the key."""
+    keys = {DepthStore.key(depth_spec(capture, JOBS[0], OPTIONS))}
+    for field, value in vars(OPTIONS).items():
+        if field not in ("matcher", "time", "sensor", "consistency"):
+            keys.add(DepthStore.key(depth_spec(capture, JOBS[0], replace(OPTIONS, **{field: value + 1}))))
+    for field, value in vars(OPTIONS.time).items():
+        changed = replace(OPTIONS, time=replace(OPTIONS.time, **{field: value + 1}))
+        keys.add(DepthStore.key(depth_spec(capture, JOBS[0], changed)))
+    for field, value in vars(OPTIONS.matcher).items():
+        changed = replace(OPTIONS, matcher=replace(OPTIONS.matcher, **{field: value + 1}))
+        keys.add(DepthStore.key(depth_spec(capture, JOBS[0], changed)))
+    assert len(keys) == len(vars(OPTIONS)) - 3 + len(vars(OPTIONS.matcher)) + len(vars(OPTIONS.time))
+
+
+def test_failure_in_a_worker_is_reported(capture, tmp_path):
+    """An unknown camera ends the run with the capture's own message."""
+    with pytest.raises(CaptureError, match="no camera 'cam99'"):
+        prepare_depth(capture, [DepthJob("cam99", ("cam00",))], range(1), DepthStore(tmp_path), OPTIONS, workers=2)
+
+
+def test_missing_frames_in_a_worker_are_reported(capture, tmp_path):
+    """Frames that the capture does not have end the run with a message that says which there are."""
+    with pytest.raises(CaptureError, match=r"wanted frames 2\.\.4 .*has 3"):
+        prepare_depth(capture, JOBS, range(2, 5), DepthStore(tmp_path), OPTIONS, workers=2)
+
+
+def test_sources_of_a_view_are_held_against_each_other(capture):
+    """Each source's depth is checked with that of the view's other sources, all found without the view itself."""
+    jobs = plan_depth(capture, [capture.camera("cam01")], 3, OPTIONS)["cam01"]
+    for name, job in jobs.items():
+        assert [other.camera_name for other in job.checked_with] == sorted(set(jobs) - {name})
+        assert all("cam01" not in other.partner_names for other in (job, *job.checked_with))
+    unchecked = plan_depth(capture, [capture.camera("cam01")], 3, replace(OPTIONS, consistency=None))["cam01"]
+    assert unchecked == {name: job.unchecked for name, job in jobs.items()}
+
+
+def test_checked_depth_has_a_key_of_its_own_and_comes_back(capture, tmp_path):
+    """Checked depth of a plane is no worse than what was found, lies beside it, and a lost instant comes back with equal bits."""
+    store, job = DepthStore(tmp_path), plan_depth(capture, [capture.camera("cam01")], 3, OPTIONS)["cam01"]["cam00"]
+    prepare_depth(capture, [job], range(2), store, OPTIONS, workers=2)
+    keys = [DepthStore.key(depth_spec(capture, each, OPTIONS)) for each in (job.unchecked, job)]
+    truth = plane_depth(capture.camera("cam00"), np.array([0.25, 0.15, 5.8]))
+    found, checked = (np.median(np.abs(store.read(key, 1).depth / truth - 1)) for key in keys)
+    assert checked <= found * 1.01
+    before = store.read(keys[1], 1).depth
+    store.path(keys[1], 1).unlink()
+    prepare_depth(capture, [job], range(2), store, OPTIONS, workers=1)
+    assert np.array_equal(store.read(keys[1], 1).depth, before)

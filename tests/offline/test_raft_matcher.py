@@ -1,0 +1,137 @@
+"""RAFT-Stereo as a matcher: what it starts from, its check, its sizes, its warm start - with networks whose answer is known."""
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import save_file
+
+from ggvs_eval import kernels
+from ggvs_eval.files.images import quantise
+from ggvs_eval.pipelines.offline.depth.matchers import find_matcher
+from ggvs_eval.pipelines.offline.stereo.raft_config import COMPACT
+from ggvs_eval.pipelines.offline.stereo.raft_matcher import RaftMatcher
+from ggvs_eval.pipelines.offline.stereo.raft_start import fill_from_background, start_from_disparity, start_from_matching
+from ggvs_eval.pipelines.offline.stereo.raft_stereo import RaftStereo
+from ggvs_eval.pipelines.offline.stereo.raft_weights import weights_digest
+from ggvs_eval.pipelines.training.stereo.stereo_task import VALIDATION_SEED
+from ggvs_eval.synthetic.stereo.stereo_scenes import stereo_sample
+from helpers.seeded_networks import seeded_state
+from helpers.stereo_scenes import random_texture
+
+
+@pytest.fixture(scope="module")
+def standing(tmp_path_factory):
+    """Weights of a network that never takes a step: its flow is what it starts from."""
+    network = RaftStereo(COMPACT)
+    state = seeded_state({name: tuple(tensor.shape) for name, tensor in network.state_dict().items()})
+    for name in state:
+        if name.startswith(("update_block.flow_head.conv2", "update_block.mask.2")):
+            state[name] = torch.zeros_like(state[name])
+    path = tmp_path_factory.mktemp("weights") / "standing.safetensors"
+    save_file(state, path)
+    return path
+
+
+def matcher(path, **changes):
+    """The matcher with those weights."""
+    return RaftMatcher(path, weights_digest(path), **changes)
+
+
+def shifted_pair(disparity, height=120, width=200):
+    """A textured pair (H, W, 3) of constant integer disparity."""
+    rows, columns = np.mgrid[:height, : width + disparity] * (1024 / 300)
+    grey = random_texture()[rows.astype(int), columns.astype(int)]
+    texture = np.repeat(quantise(cv2.GaussianBlur(grey, (0, 0), 1))[..., None], 3, axis=-1)
+    return np.ascontiguousarray(texture[:, disparity:][:, :width]), np.ascontiguousarray(texture[:, :width])
+
+
+@pytest.mark.parametrize("largest_side_px", [1000, 100])
+def test_a_known_shift_is_found(standing, largest_side_px):
+    """Disparity of a shifted picture is the shift, sizes that are no multiples of 32 included, at full and at half size."""
+    right, left = shifted_pair(14)
+    found, confidence = matcher(standing, largest_side_px=largest_side_px).match(left, right, 2, 40)
+    kept = found[:, 40:-8] > 0
+    assert kept.mean() > 0.6
+    assert np.median(np.abs(found[:, 40:-8][kept] - 14)) < 0.1
+    assert found.shape == confidence.shape == left.shape[:2]
+    assert ((confidence > 0) == (found > 0)).all()
+    assert confidence.max() <= 1
+
+
+def test_what_the_right_image_denies_is_rejected(standing):
+    """Against a right image of something else hardly anything survives the left-right check."""
+    left, right = stereo_sample(5, 192, 128).left, stereo_sample(9, 192, 128).left
+    found, _ = matcher(standing).match(left, right, 2, 60)
+    assert (found > 0).mean() < 0.4
+
+
+def test_the_range_is_kept(standing):
+    """Disparities outside [d_min, d_max] are rejected."""
+    right, left = shifted_pair(14)
+    found, _ = matcher(standing, from_matching=False).match(left, right, 2, 40)
+    assert (found == 0).all()  # the network stands at zero
+
+
+def test_a_warm_start_is_where_it_begins(standing):
+    """With the disparity of the frame before, gaps filled, the standing network answers that."""
+    right, left = shifted_pair(14)
+    previous = np.full(left.shape[:2], 14, np.float32)
+    previous[40:50, 60:70] = 0
+    found = matcher(standing, from_matching=False).disparity(left, right, 2, 40, previous)
+    np.testing.assert_allclose(found[8:-8, 8:-8], 14, atol=1e-4)
+
+
+def test_equal_inputs_give_equal_bits(tmp_path):
+    """Whatever the number of threads, with a network that takes steps."""
+    network = RaftStereo(COMPACT)
+    save_file(
+        seeded_state({name: tuple(tensor.shape) for name, tensor in network.state_dict().items()}), tmp_path / "any.safetensors"
+    )
+    right, left = shifted_pair(14)
+    threads = torch.get_num_threads(), kernels.get_threads()
+    try:
+        results = []
+        for count in (1, 2):
+            torch.set_num_threads(count)
+            kernels.set_threads(count)
+            results.append(matcher(tmp_path / "any.safetensors").disparity(left, right, 2, 40))
+    finally:
+        torch.set_num_threads(threads[0])
+        kernels.set_threads(threads[1])
+    assert np.array_equal(results[0], results[1])
+    assert torch.get_num_threads() == threads[0]
+
+
+def test_the_shipped_network_improves_on_what_it_starts_from():
+    """On scenes that it was neither trained nor validated on, its error is at least a tenth below that of its start."""
+    shipped = find_matcher("raft")
+    errors = []
+    for seed in range(VALIDATION_SEED + 500, VALIDATION_SEED + 506):
+        scene = stereo_sample(seed, 320, 224)
+        d_max = int(scene.disparity.max()) + 8
+        start = -4 * start_from_matching(scene.left, scene.right, 0, d_max, 4)
+        enlarged = cv2.resize(start, (320, 224), interpolation=cv2.INTER_NEAREST)
+        found = shipped.disparity(scene.left, scene.right, 0, d_max)
+        errors.append([np.abs(each - scene.disparity).mean() for each in (found, enlarged)])
+    network, matching = np.mean(errors, axis=0)
+    assert network < 0.9 * matching
+
+
+def test_the_start_is_the_match_in_cells():
+    """Semi-global matching of a shifted pair, as negative disparity in cells of four pixels."""
+    right, left = shifted_pair(16, 128, 192)
+    start = start_from_matching(left, right, 0, 40, 4)
+    assert start.shape == (32, 48)
+    assert np.median(start[:, 12:-4]) == pytest.approx(-4.0, abs=0.1)
+
+
+def test_gaps_are_filled_from_the_farther_side():
+    """A rejected pixel takes the smaller of its row's nearest disparities, an empty row its column's; an empty map stays."""
+    disparity = np.zeros((3, 5), np.float32)
+    disparity[0] = [9, 0, 0, 4, 0]
+    filled = fill_from_background(disparity)
+    assert filled[0].tolist() == [9, 4, 4, 4, 4]
+    assert filled[2].tolist() == [9, 4, 4, 4, 4]
+    assert (fill_from_background(np.zeros((2, 2), np.float32)) == 0).all()
+    assert start_from_disparity(np.full((8, 8), 6, np.float32), 4).tolist() == [[-1.5, -1.5], [-1.5, -1.5]]

@@ -1,0 +1,395 @@
+"""Depth from a sensor: mixed pixels, speckles, holes, enlarging, confidence, and a real sequence."""
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.datasets import open_capture
+from ggvs_eval.datasets.depth_frames import DepthFrames
+from ggvs_eval.depth_store import DepthStore, describe_depth
+from ggvs_eval.errors import DepthError
+from ggvs_eval.pipelines.offline.sensor.sensor_depth import (
+    SensorDepthEstimator,
+    SensorDepthOptions,
+    drop_mixed_pixels,
+    drop_speckles,
+    filter_sensor_depth,
+    surface_confidence,
+)
+from ggvs_eval.pipelines.offline.sensor.sensor_grid import SensorGrid
+from ggvs_eval.pipelines.offline.sensor.sensor_holes import close_edges, close_holes
+from ggvs_eval.pipelines.offline.stereo.fusion import drop_flying_pixels
+from helpers.places import SHARED
+
+HOLOLENS = SHARED / "data" / "hololens_rgbd"
+WIDTH, HEIGHT, FOCAL = 80, 60, 150.0
+NEAR_Z, FAR_Z = 2.0, 4.0
+RAW = SensorDepthOptions(smooth=0)
+STEP = 0.03
+
+
+def make_camera(width: int = WIDTH, height: int = HEIGHT) -> Camera:
+    K = np.array([[FOCAL, 0, 41.3], [0, 1.02 * FOCAL, 28.6], [0, 0, 1]])
+    return Camera("camera", K, np.eye(4), WIDTH, HEIGHT, 0.5, 8.0).resized(width, height)
+
+
+def plane(camera: Camera, across: float = 0.3, down: float = -0.2, distance: float = 3.0) -> np.ndarray:
+    """Depth of z = across x + down y + distance, (H, W)."""
+    rays = camera.rays()
+    return (distance / (1 - across * rays[..., 0] - down * rays[..., 1])).astype(np.float32)
+
+
+def grey(camera: Camera) -> np.ndarray:
+    return np.full((camera.height, camera.width, 3), 128, np.uint8)
+
+
+def strip(camera: Camera, left: int, right: int) -> tuple[np.ndarray, np.ndarray]:
+    """Exact depth and image of a dark strip at z = 2, columns left..right-1, before a bright wall at z = 4."""
+    columns = np.broadcast_to(np.arange(camera.width), (camera.height, camera.width))
+    on_strip = (columns >= left) & (columns < right)
+    image = np.repeat(np.where(on_strip, 40, 210)[..., None], 3, axis=-1).astype(np.uint8)
+    return np.where(on_strip, np.float32(NEAR_Z), np.float32(FAR_Z)), image
+
+
+def repeat(depth: np.ndarray, times: int) -> np.ndarray:
+    return np.repeat(np.repeat(depth, times, axis=0), times, axis=1)
+
+
+def test_mixed_pixels_become_strip_or_wall():
+    """A column of depths between strip and wall on each edge is gone; each of its pixels has the depth that its colour says."""
+    camera = make_camera()
+    truth, image = strip(camera, 30, 50)
+    measured = truth.copy()
+    random = np.random.default_rng(0)
+    for column in (30, 50):  # one on the strip's side of its edge, one on the wall's
+        measured[:, column] = random.uniform(2.3, 3.6, camera.height)
+    result = filter_sensor_depth(measured, image, camera, RAW)
+    assert np.array_equal(result.depth, truth)
+
+
+def test_mixed_pixels_do_not_take_slopes():
+    """A plane that rays meet up to 78 degrees off its normal has no mixed pixels, at this and at a quarter of the resolution."""
+    for width, height in ((WIDTH, HEIGHT), (WIDTH // 4, HEIGHT // 4)):
+        camera = make_camera(width, height)
+        steep = plane(camera, 2.0, 0, 2.0)
+        steep = np.where((steep > camera.near) & (steep < camera.far), steep, np.float32(0))
+        result = filter_sensor_depth(steep, grey(camera), camera, SensorDepthOptions(smooth=0, speckle_px=0, hole_px=0))
+        assert np.count_nonzero(result.depth) > 0.97 * np.count_nonzero(steep)
+
+
+def test_two_between_strip_and_wall():
+    """Mixed pixels two deep go as well, though two neighbours on the edge agree with each."""
+    depth, _ = strip(make_camera(), 30, 50)
+    depth[:, 30], depth[:, 31] = 3.3, 2.7
+    kept = drop_mixed_pixels(depth, STEP)
+    assert (kept[:, 30:32] == 0).all()
+    assert (kept[:, :30] > 0).all()
+    assert (kept[:, 32:] > 0).all()
+
+
+def test_lone_pixels_go():
+    """A pixel before or behind everything around it is dropped."""
+    depth = np.full((9, 9), 4, np.float32)
+    for lone in (3.0, 5.0):
+        depth[4, 4] = lone
+        assert np.argwhere(drop_mixed_pixels(depth, STEP) == 0).tolist() == [[4, 4]]
+
+
+def test_speckles_go():
+    """A patch of 16 pixels in the air is dropped where 20 are wanted and kept where 16 are."""
+    depth = np.full((40, 50), 4, np.float32)
+    depth[10:14, 20:24] = 2
+    expected = depth.copy()
+    expected[10:14, 20:24] = 0
+    assert np.array_equal(drop_speckles(depth, 20, STEP), expected)
+    assert np.array_equal(drop_speckles(depth, 16, STEP), depth)
+    assert not drop_speckles(np.zeros((4, 5), np.float32), 20, STEP).any()
+
+
+def test_only_the_cameras_range_counts():
+    """Depth before near, behind far, infinite or not a number is unknown."""
+    camera = make_camera()
+    depth = plane(camera)
+    for column, value in zip((10, 25, 40, 55, 70), (0.4, 8.1, np.inf, np.nan, -1.0), strict=True):
+        depth[20:40, column : column + 8] = value
+    result = filter_sensor_depth(depth, grey(camera), camera, RAW)
+    unknown = ~((depth >= camera.near) & (depth <= camera.far))
+    assert not result.depth[unknown].any()
+    assert not result.confidence[unknown].any()
+    assert np.array_equal(result.depth[~unknown], depth[~unknown])
+
+
+def test_narrow_holes_in_a_plane_are_closed_exactly():
+    """Holes up to three pixels wide in a slanted plane are filled to 1e-6; wider ones stay, and so do those at the border."""
+    truth = plane(make_camera())
+    depth = truth.copy()
+    depth[10, 10:13] = depth[20:23, 30:70] = depth[:, 5] = depth[40:44, 40:44] = depth[:, :2] = 0
+    closed = close_holes(depth, 3, STEP)
+    open_ = np.zeros(depth.shape, bool)
+    open_[40:44, 40:44] = open_[:, :2] = True
+    assert np.array_equal(closed == 0, open_)
+    assert np.abs(closed / truth - 1)[~open_].max() < 1e-6
+    assert np.array_equal(close_holes(depth, 0, STEP), depth)
+
+
+def test_holes_between_surfaces_follow_colour():
+    """A hole over an edge of strip and wall is left by the plane filling, then filled as the colours say."""
+    truth, image = strip(make_camera(), 30, 50)
+    depth = truth.copy()
+    depth[:, 48:52] = depth[10:13, 60:63] = 0
+    assert (close_holes(depth, 4, STEP)[:, 48:52] == 0).all()
+    assert np.array_equal(close_edges(depth, image, 4), truth)
+
+
+def test_equal_colours_give_the_background():
+    """Where both ends look alike the farther is taken, and a hole that is too wide stays."""
+    depth = np.array([[2, 0, 0, 4, 0, 0, 0, 3]], np.float32)
+    image = np.zeros((1, 8, 3), np.uint8)
+    assert np.array_equal(close_edges(depth, image, 2), [[2, 4, 4, 4, 0, 0, 0, 3]])
+
+
+@pytest.mark.parametrize("times", [2, 3])
+def test_repeated_pixels_are_seen_through(times):
+    """The sensor's pixels come back out of a map in which each is repeated, and so does what flies among them."""
+    random = np.random.default_rng(times)
+    small = (plane(make_camera(40, 30)) * random.normal(1, 0.001, (30, 40))).astype(np.float32)
+    small[12, 17] *= 1.3
+    small[:, 0] = 0
+    large = repeat(small, times)
+    grid = SensorGrid.find(large)
+    assert grid.columns.pitch == grid.rows.pitch == times
+    assert grid.reduce(large)[12, -40 + 17 + 0] == small[12, 17]
+    assert np.array_equal(drop_flying_pixels(large, STEP), large)  # a block of equal pixels supports itself
+    camera = make_camera(40 * times, 30 * times)
+    result = filter_sensor_depth(large, grey(camera), camera, RAW)
+    around = result.depth[10 * times : 15 * times, 15 * times : 20 * times]
+    assert np.abs(around / plane(camera)[10 * times : 15 * times, 15 * times : 20 * times] - 1).max() < 0.02
+
+
+def test_wide_gaps_of_a_coarse_sensor_stay():
+    """A band of 20 columns that the sensor does not know stays, though all its columns are equal; one of 4 is closed."""
+    small = (plane(make_camera(40, 30)) * np.random.default_rng(7).normal(1, 1e-4, (30, 40))).astype(np.float32)
+    small[:, 10:20] = small[:, 30:32] = 0
+    result = filter_sensor_depth(repeat(small, 2), grey(make_camera()), make_camera(), RAW)
+    assert np.array_equal((result.depth == 0).all(axis=0), (np.arange(80) >= 20) & (np.arange(80) < 40))
+
+
+def test_confidence_of_a_coarse_sensor_reaches_as_far():
+    """Of a sensor with half the resolution, confidence grows over twice as many of the camera's pixels."""
+    small, _ = strip(make_camera(40, 30), 15, 25)
+    small *= np.random.default_rng(8).normal(1, 1e-4, small.shape).astype(np.float32)
+    profile = filter_sensor_depth(repeat(small, 2), grey(make_camera()), make_camera(), RAW).confidence[20]
+    assert profile[36] > 1.1 * profile[34] > 1.1 * profile[32]  # the edge is at column 30
+
+
+def test_unevenly_repeated_columns_are_not_coarse():
+    """Columns that are equal here and there are the scene's, not a sensor's."""
+    depth = np.repeat(np.arange(1, 9, dtype=np.float32), (1, 1, 1, 4, 1, 2, 1, 1))[None] + np.arange(6)[:, None]
+    assert len(SensorGrid.find(depth.astype(np.float32)).columns.first) == 12
+
+
+def test_flat_maps_are_not_coarse():
+    """A map of one depth, and one whose columns happen to be equal, keep their own pixels."""
+    truth, _ = strip(make_camera(), 30, 50)
+    for depth in (np.full((6, 9), 3, np.float32), np.zeros((6, 9), np.float32), truth):
+        grid = SensorGrid.find(depth)
+        assert np.array_equal(grid.columns.first, np.arange(depth.shape[1]))
+        assert np.array_equal(grid.reduce(depth), depth)
+
+
+def test_columns_of_a_scannet_sensor_are_found(tmp_path):
+    """Where two intrinsics map the sensor's columns unevenly, each is found once, at the place that it shows."""
+    random = np.random.default_rng(4)
+    cv2.imwrite(str(tmp_path / "0.png"), random.integers(1000, 1100, (24, 32)).astype(np.uint16))
+    K = np.array([[70.0, 0, 40.0], [0, 70.0, 30.0], [0, 0, 1]])
+    K_depth = np.array([[28.6, 0, 15.7], [0, 28.6, 12.1], [0, 0, 1]])
+    (depth,) = DepthFrames(tmp_path / "0.png", 0.001, 80, 60, K, K_depth).depths(0, 1)
+    columns = SensorGrid.find(depth).columns
+    known = columns.first[depth.any(axis=0)[columns.first]]
+    assert len(known) == 32
+    centres = (np.arange(32) + 0.5 - 15.7) / 28.6 * 70 + 40
+    inner = slice(1, -1)  # the outermost are cut off
+    found = columns.centre[depth.any(axis=0)[columns.first]]
+    assert np.abs(found[inner] - centres[inner]).max() <= 0.75
+
+
+def test_enlarging_keeps_planes_and_edges():
+    """From a third of the size, a plane comes back to 1e-5 and an edge to the pixel where the image has it."""
+    small_camera, camera = make_camera(40, 30), make_camera(120, 90)
+    small = plane(small_camera, 1.0)
+    grid = SensorGrid.find(small)
+    enlarged = grid.enlarge(small, grey(camera), STEP)
+    assert np.abs(enlarged / plane(camera, 1.0) - 1)[2:-2, 2:-2].max() < 1e-5
+    for left in (44, 45, 46):  # between the middles of the sensor's columns 14 and 15
+        truth, image = strip(camera, left, 90)
+        depth = strip(small_camera, 15, 30)[0]
+        assert np.abs(grid.enlarge(depth, image, STEP) - truth).max() < 1e-5
+
+
+def test_enlarging_does_not_fill():
+    """A pixel is unknown exactly where the nearest of the sensor's is."""
+    small = plane(make_camera(40, 30))
+    small[10:20, 10:20] = 0
+    enlarged = SensorGrid.find(small).enlarge(small, grey(make_camera(80, 60)), STEP)
+    assert np.array_equal(enlarged == 0, repeat(small, 2) == 0)
+
+
+def test_smaller_cameras():
+    """A camera of half the size of the map gets the plane within the smoothing's 0.2 %."""
+    camera = make_camera(WIDTH // 2, HEIGHT // 2)
+    result = filter_sensor_depth(plane(make_camera()), grey(camera), camera, SensorDepthOptions())
+    assert np.abs(result.depth / plane(camera) - 1)[3:-3, 3:-3].max() < 0.002
+
+
+def test_noise_shrinks():
+    """Noise of 0.5 % shrinks to less than half within a surface."""
+    camera = make_camera()
+    noisy = plane(camera) * np.random.default_rng(3).normal(1, 0.005, (HEIGHT, WIDTH)).astype(np.float32)
+    result = filter_sensor_depth(noisy, grey(camera), camera, SensorDepthOptions())
+    before, after = (np.abs(depth / plane(camera) - 1).mean() for depth in (noisy, result.depth))
+    assert after < 0.5 * before
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.5, 1.0])
+def test_confidence_is_the_cosine(angle):
+    """In the middle of a plane, confidence is the cosine between ray and normal, over one plus the squared share of far."""
+    camera = make_camera()
+    depth = plane(camera, np.tan(angle), 0, 2.0)
+    depth[(depth < camera.near) | (depth > camera.far)] = 0
+    normal = np.array([np.tan(angle), 0, -1]) * np.cos(angle)
+    rays = camera.rays()
+    cosine = np.abs(rays @ normal) / np.linalg.norm(rays, axis=-1)
+    expected = cosine / (1 + (depth / camera.far) ** 2)
+    confidence = surface_confidence(depth, camera, 0.0, 0.2)
+    middle = np.s_[10:50, 20:60]
+    assert confidence[middle] == pytest.approx(expected[middle], abs=0.01)
+
+
+def test_confidence_falls_towards_edges():
+    """Beside an edge confidence is least, it grows for three pixels and then no more; unknown depth has none."""
+    camera = make_camera()
+    depth, _ = strip(camera, 30, 50)
+    depth[:, :5] = 0
+    profile = surface_confidence(depth, camera, 3.0, STEP)[30]
+    assert (np.diff(profile[49:45:-1]) > 0).all()
+    assert profile[45] == pytest.approx(profile[41], rel=0.01)
+    assert (profile[:5] == 0).all()
+    assert 0 < profile[5] < profile[8]
+    assert profile.max() <= 1
+
+
+def test_filled_pixels_are_less_sure():
+    """A closed hole has a fifth of the confidence it had if it was measured."""
+    camera = make_camera()
+    whole, holed = plane(camera), plane(camera)
+    holed[30, 40:42] = 0
+    sure, filled = (filter_sensor_depth(depth, grey(camera), camera, RAW).confidence for depth in (whole, holed))
+    assert filled[30, 40:42] == pytest.approx(0.2 * sure[30, 40:42], rel=1e-3)
+
+
+@settings(max_examples=10, deadline=None)
+@given(exponent=st.integers(-8, 8), seed=st.integers(0, 100))
+def test_units_do_not_matter(exponent, seed):
+    """In a world of other units depth is scaled and confidence as it was."""
+    scale = np.float32(2.0**exponent)
+    random = np.random.default_rng(seed)
+    camera = make_camera()
+    large = Camera("camera", camera.K, np.eye(4), WIDTH, HEIGHT, camera.near * float(scale), camera.far * float(scale))
+    depth = np.where(random.random((HEIGHT, WIDTH)) < 0.9, plane(camera), 6).astype(np.float32)
+    image = random.integers(0, 255, (HEIGHT, WIDTH, 3)).astype(np.uint8)
+    plain = filter_sensor_depth(depth, image, camera, RAW)
+    scaled = filter_sensor_depth(depth * scale, image, large, RAW)
+    assert np.array_equal(plain.depth > 0, scaled.depth > 0)
+    assert np.allclose(scaled.depth, plain.depth * scale, rtol=1e-6)
+    assert np.allclose(scaled.confidence, plain.confidence, atol=1e-5)
+
+
+def test_nothing_known_is_nothing():
+    """A map without depth gives one without depth."""
+    camera = make_camera()
+    result = filter_sensor_depth(np.zeros((HEIGHT, WIDTH), np.float32), grey(camera), camera, SensorDepthOptions())
+    assert not result.depth.any()
+    assert not result.confidence.any()
+
+
+class Measured:
+    """A sensor's depth in memory."""
+
+    def __init__(self, *maps: np.ndarray, digest: str = "abc") -> None:
+        self.maps, self.n_frames, self.digest = maps, len(maps), digest
+
+    def depths(self, start, stop):
+        yield from self.maps[start:stop]
+
+
+def test_estimator_reads_its_frame():
+    """Depth of a frame is that frame's, filtered."""
+    camera = make_camera()
+    source = Measured(plane(camera), plane(camera, distance=4.0))
+    estimator = SensorDepthEstimator(camera, source, RAW)
+    for frame in (1, 0):
+        assert np.array_equal(estimator.at(frame, grey(camera)).depth, source.maps[frame])
+
+
+def test_estimator_names_what_is_missing():
+    """A frame that the sensor has not measured raises DepthError naming the camera and what there is."""
+    camera = make_camera()
+    estimator = SensorDepthEstimator(camera, Measured(plane(camera)), RAW)
+    with pytest.raises(DepthError, match="camera camera: wanted sensor depth of frame 1, the capture has depth of 1 frames"):
+        estimator.at(1, grey(camera))
+
+
+def test_key_depends_on_everything():
+    """Other options and another content of the sensor's files give other keys of the depth store."""
+    camera = make_camera()
+
+    def key(options, digest="abc"):
+        described = SensorDepthEstimator(camera, Measured(digest=digest), options).describe()
+        return DepthStore.key(describe_depth(camera, [], {"camera": "frames"}, described))
+
+    filtering = {name: value for name, value in vars(SensorDepthOptions()).items() if name != "registration"}  # tells of itself
+    changed = [SensorDepthOptions(**{name: value + 1}) for name, value in filtering.items()]
+    keys = {key(options) for options in (SensorDepthOptions(), *changed)} | {key(SensorDepthOptions(), "abd")}
+    assert len(keys) == len(changed) + 2
+
+
+def test_wrong_inputs_are_refused():
+    """Steps of the sensor instead of depth, and an image of another size, raise DepthError that says what was wanted."""
+    camera = make_camera()
+    with pytest.raises(DepthError, match=r"camera camera: wanted sensor depth .* got uint16 \(60, 80\); scale"):
+        filter_sensor_depth(np.ones((HEIGHT, WIDTH), np.uint16), grey(camera), camera, RAW)
+    with pytest.raises(DepthError, match=r"camera camera: wanted a uint8 image of \(60, 80, 3\), got uint8 \(30, 80, 3\)"):
+        filter_sensor_depth(plane(camera), grey(camera)[:30], camera, RAW)
+
+
+def agreement(first, first_depth, second, second_depth):
+    """Share of the first camera's points within 1 % of the second's depth where they fall, of those where it has one."""
+    points = first.unproject(first.pixel_centres(), first_depth.astype(np.float64))[first_depth > 0]
+    uv, expected = second.project(points)
+    inside = (expected > 0) & ((uv > 0) & (uv < second.size)).all(axis=-1)
+    columns, rows = uv[inside].astype(int).T
+    found = second_depth[rows, columns]
+    return (np.abs(found / expected[inside] - 1) < 0.01)[found > 0].mean()
+
+
+@pytest.mark.skipif(not HOLOLENS.is_dir(), reason=f"the HoloLens sequence is not at {HOLOLENS}")
+def test_real_frames_agree_better():
+    """Filtered depth of a HoloLens sequence agrees with that of near frames more often, and there is more of it."""
+    capture = open_capture(HOLOLENS)
+    raw_agreement, filtered_agreement = [], []
+    for first, second in ((40, 46), (100, 106), (190, 196)):
+        raw, filtered = {}, {}
+        for camera in (capture.cameras[first], capture.cameras[second]):
+            source = capture.extras_of(camera.name).depth
+            raw[camera] = next(source.depths(0, 1))
+            filtered[camera] = (
+                SensorDepthEstimator(camera, source, SensorDepthOptions()).at(0, capture.frame(camera.name, 0)).depth
+            )
+            assert (filtered[camera] > 0).mean() > 1.05 * (raw[camera] > 0).mean()
+        for maps, results in ((raw, raw_agreement), (filtered, filtered_agreement)):
+            (one, one_depth), (other, other_depth) = maps.items()
+            results.append(agreement(one, one_depth, other, other_depth))
+    assert np.mean(filtered_agreement) > np.mean(raw_agreement)

@@ -1,0 +1,58 @@
+"""Measured depth takes the place of stereo where a capture has it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ggvs_eval.capture import Extras
+from ggvs_eval.depth_store import DepthJob, DepthStore
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
+from ggvs_eval.pipelines.offline.depth.fill_store import depth_spec, plan_depth, prepare_depth
+from helpers.stereo_scenes import PLANE, plane_depth, write_capture
+
+
+class PlaneSensor:
+    """Measures the plane before a camera, which comes nearer from frame to frame, with a millimetre of noise."""
+
+    n_frames = 3
+    digest = "plane"
+
+    def __init__(self, camera):
+        self.camera = camera
+
+    def depths(self, start, stop):
+        """Depth of some frames."""
+        for frame in range(start, stop):
+            noise = np.random.default_rng(frame).normal(0, 1e-3, (self.camera.height, self.camera.width))
+            yield (plane_depth(self.camera, PLANE - [0, 0, 0.2 * frame]) + noise).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory):
+    """Five cameras before a plane, the first two with a depth sensor beside them."""
+    stereo = write_capture(tmp_path_factory.mktemp("capture"))
+    sensors = [Extras(depth=PlaneSensor(camera)) for camera in stereo.cameras[:2]]
+    return replace(stereo, extras=(*sensors, *(Extras() for _ in stereo.cameras[2:])))
+
+
+def test_cameras_with_a_sensor_need_no_partners(capture):
+    """Sources with measured depth get jobs without partners, the others stereo; --no-sensor is stereo for all."""
+    jobs = plan_depth(capture, [capture.camera("cam02")], 4, DepthOptions())["cam02"]
+    assert {name for name, job in jobs.items() if not job.partner_names} == {"cam00", "cam01"}
+    by_stereo = plan_depth(capture, [capture.camera("cam02")], 4, DepthChoice(sensor=False).options())["cam02"]
+    assert all(job.partner_names for job in by_stereo.values())
+
+
+def test_measured_depth_reaches_the_store(capture, tmp_path):
+    """What is stored is the sensor's depth of that very frame, filtered, under a key of its own."""
+    store, job, options = DepthStore(tmp_path), DepthJob("cam01", ()), DepthOptions()
+    prepare_depth(capture, [job], range(3), store, options, workers=1)
+    key = DepthStore.key(depth_spec(capture, job, options))
+    for frame in range(3):
+        truth = plane_depth(capture.camera("cam01"), PLANE - [0, 0, 0.2 * frame])
+        assert np.median(np.abs(store.read(key, frame).depth / truth - 1)) < 1e-3
+    stereo = depth_spec(capture, DepthJob("cam01", ("cam00",)), options)
+    assert DepthStore.key(stereo) != key
+    assert depth_spec(capture, job, options)["options"]["algorithm"].startswith("sensor-filter")

@@ -1,0 +1,420 @@
+"""Raw videos of known lenses become pinhole videos, and lens files are read without running what they hold."""
+
+import io
+import pickle
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from ggvs_eval.arrays import Image8
+from ggvs_eval.datasets import open_capture
+from ggvs_eval.errors import CaptureError
+from ggvs_eval.files.images import read_image
+from ggvs_eval.files.video import VideoFrames, write_video
+from ggvs_eval.lens import Lens
+from ggvs_eval.pipelines.offline.calibration.calibrate import CalibrationOptions, calibrate
+from ggvs_eval.pipelines.offline.calibration.known_cameras import read_known
+from ggvs_eval.pipelines.offline.calibration.lens_pickle import LARGEST_FILE_BYTES, read_plain_pickle
+from ggvs_eval.pipelines.offline.calibration.undistort import UndistortOptions, undistort_videos
+from helpers.captures import N_FRAMES, NAMES, make_image, write_dynerf, write_folders, write_videos
+
+WIDTH, HEIGHT, FPS = 320, 180, 24.0
+# A wide lens whose image holds all of the pinhole image below, in our convention (pixel centres at halves).
+LENS_K = np.array([[150.0, 0, 162.0], [0, 152.0, 88.0], [0, 0, 1]])
+FISHEYE = (0.05, -0.01, 0.002, -0.0005)
+BARREL = (-0.12, 0.01, 0.001, -0.0015, 0.0)
+
+
+def pattern(uv: np.ndarray, shift: float) -> np.ndarray:
+    """A smooth coloured picture in closed form: its value at image coordinates of the pinhole image, (..., 3) in 0..255."""
+    u, v = uv[..., 0] + shift, uv[..., 1]
+    return np.stack([128 + 100 * np.sin(u / 14), 128 + 100 * np.cos(v / 11), 128 + 80 * np.sin((u + v) / 19)], axis=-1)
+
+
+def pixel_centres() -> np.ndarray:
+    return np.stack(np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5), axis=-1)
+
+
+def rays_of_lens(model: str, coefficients: tuple[float, ...]) -> np.ndarray:
+    """Normalised pinhole coordinates that each pixel of the lens's image sees, by inverting its published formula, (H, W, 2)."""
+    distorted = (pixel_centres() - LENS_K[:2, 2]) / LENS_K[[0, 1], [0, 1]]
+    normalised = distorted.copy()
+    for _ in range(60):
+        x, y = normalised[..., 0], normalised[..., 1]
+        r2 = x * x + y * y
+        if model == "fisheye":
+            r = np.sqrt(r2)
+            theta = np.arctan(r)
+            k1, k2, k3, k4 = coefficients
+            scale = theta * (1 + k1 * theta**2 + k2 * theta**4 + k3 * theta**6 + k4 * theta**8) / np.maximum(r, 1e-12)
+            shift = np.zeros_like(normalised)
+        else:
+            k1, k2, p1, p2, _ = coefficients
+            scale = 1 + k1 * r2 + k2 * r2**2
+            shift = np.stack([2 * p1 * x * y + p2 * (r2 + 2 * x * x), p1 * (r2 + 2 * y * y) + 2 * p2 * x * y], axis=-1)
+        normalised = (distorted - shift) / scale[..., None]
+    return normalised
+
+
+def raw_frames(model: str, coefficients: tuple[float, ...], pinhole_K: np.ndarray, draw: Callable[..., np.ndarray], count: int):
+    """Frames as the lens sees a picture that is given on the pinhole image."""
+    uv = rays_of_lens(model, coefficients) * pinhole_K[[0, 1], [0, 1]] + pinhole_K[:2, 2]
+    for index in range(count):
+        yield np.rint(draw(uv, 3.0 * index)).clip(0, 255).astype(np.uint8)
+
+
+def write_raw(folder: Path, model: str, coefficients: tuple[float, ...], pinhole_K: np.ndarray, names=("00", "01")) -> Path:
+    for name in names:
+        write_video(folder / f"{name}.mp4", raw_frames(model, coefficients, pinhole_K, pattern, 4), FPS, crf=4)
+    return folder
+
+
+def write_intri(path: Path, names=("00", "01"), coefficients=BARREL, key: str = "dist") -> Path:
+    """EasyMocap's file, in OpenCV's convention (pixel centres at whole numbers)."""
+    K = LENS_K.copy()
+    K[:2, 2] -= 0.5
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    storage.startWriteStruct("names", cv2.FileNode_SEQ)
+    for name in names:
+        storage.write("", name)
+    storage.endWriteStruct()
+    for name in names:
+        storage.write(f"K_{name}", K)
+        storage.write(f"{key}_{name}", np.array([coefficients]))
+    storage.release()
+    return path
+
+
+def calibration_entries(count: int, dtype: str = "f8") -> list[dict[str, np.ndarray]]:
+    K = LENS_K.copy()
+    K[:2, 2] -= 0.5
+    return [{"K": K.astype(dtype), "D": np.array(FISHEYE, dtype).reshape(4, 1)} for _ in range(count)]
+
+
+def psnr(image: Image8, truth: np.ndarray) -> float:
+    inner = (slice(4, -4), slice(4, -4))
+    return float(10 * np.log10(255**2 / np.square(image[inner].astype(float) - truth[inner]).mean()))
+
+
+def refused(function: Callable[..., object], *arguments: object) -> str:
+    with pytest.raises(CaptureError) as caught:
+        function(*arguments)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("lossless", [False, True])
+def test_d3dmv_videos_become_pinhole(tmp_path, lossless):
+    """A pattern distorted by the published fisheye formula comes back as it was (PSNR above 40 dB, 35 through a second codec),
+    90 degrees wide around the middle of the image, with all frames and the rate kept.
+    """
+    pinhole_K = np.array([[WIDTH / 2, 0, WIDTH / 2], [0, WIDTH / 2, HEIGHT / 2], [0, 0, 1]])
+    write_raw(tmp_path / "raw", "fisheye", FISHEYE, pinhole_K)
+    (tmp_path / "calib_1080.pkl").write_bytes(pickle.dumps(calibration_entries(2)))
+    done = undistort_videos(tmp_path / "raw", tmp_path / "calib_1080.pkl", tmp_path / "out", UndistortOptions(lossless=lossless))
+    assert (done.cameras, done.n_frames, done.fps) == (("00", "01"), 4, FPS)
+    if lossless:
+        images = [read_image(tmp_path / "out" / "images" / "01" / f"{index:06d}.png") for index in range(4)]
+    else:
+        video = VideoFrames(tmp_path / "out" / "01.mp4")
+        assert (video.n_frames, video.fps, video.size) == (4, FPS, (WIDTH, HEIGHT))
+        images = list(video.frames(0, 4))
+    for index, image in enumerate(images):
+        assert psnr(image, pattern(pixel_centres(), 3.0 * index)) > (40 if lossless else 35)
+    known = read_known(tmp_path / "out")
+    assert np.array_equal(known["00"].lens.K, pinhole_K)
+    assert (known["00"].lens.is_pinhole, known["00"].lens.width, known["00"].lens.height) == (True, WIDTH, HEIGHT)
+
+
+@pytest.mark.parametrize("key", ["dist", "D"])
+def test_easymocap_videos_become_pinhole(tmp_path, key):
+    """The same with EasyMocap's file and OpenCV's lens: the pinhole image keeps the lens's K."""
+    write_raw(tmp_path / "raw", "opencv", BARREL, LENS_K)
+    lens_file = write_intri(tmp_path / "intri.yml", key=key)
+    undistort_videos(tmp_path / "raw", lens_file, tmp_path / "out", UndistortOptions(lossless=True))
+    image = read_image(tmp_path / "out" / "images" / "00" / "000002.png")
+    assert psnr(image, pattern(pixel_centres(), 6.0)) > 40
+    np.testing.assert_allclose(read_known(tmp_path / "out")["00"].lens.K, LENS_K, atol=1e-12)
+
+
+def test_straight_lines_become_straight(tmp_path):
+    """A straight edge, bent by more than 2 px in the raw image, deviates by less than 0.1 px afterwards."""
+
+    def edge(uv: np.ndarray, _: float) -> np.ndarray:
+        return np.repeat((255 / (1 + np.exp(-(uv[..., 1] - 20 - 0.05 * uv[..., 0]))))[..., None], 3, axis=-1)
+
+    for name in ("00", "01"):
+        write_video(tmp_path / "raw" / f"{name}.mp4", raw_frames("opencv", BARREL, LENS_K, edge, 2), FPS, crf=0)
+    lens_file = write_intri(tmp_path / "intri.yml")
+    undistort_videos(tmp_path / "raw", lens_file, tmp_path / "out", UndistortOptions(lossless=True))
+
+    def bend_px(image: Image8) -> float:
+        columns = np.arange(10, WIDTH - 10)
+        rows = HEIGHT - image[:, columns, 0].astype(float).sum(axis=0) / 255  # where each column turns bright
+        return float(np.abs(rows - np.polyval(np.polyfit(columns, rows, 1), columns)).max())
+
+    assert bend_px(next(VideoFrames(tmp_path / "raw" / "00.mp4").frames(0, 1))) > 2
+    assert bend_px(read_image(tmp_path / "out" / "images" / "00" / "000000.png")) < 0.1
+
+
+def test_capture_is_written_as_its_frames_are_read(tmp_path):
+    """Without a lens file, any capture becomes lossless frames and the K of its cameras, under their names."""
+    write_dynerf(tmp_path / "room")
+    capture = open_capture(tmp_path / "room")
+    done = undistort_videos(tmp_path / "room", None, tmp_path / "out", UndistortOptions(lossless=True))
+    assert (done.cameras, done.n_frames, done.fps) == (NAMES, N_FRAMES, 30.0)
+    for index, image in enumerate(capture.frames("cam02")):
+        assert np.array_equal(read_image(tmp_path / "out" / "images" / "cam02" / f"{index:06d}.png"), image)
+    assert np.array_equal(read_known(tmp_path / "out")["cam03"].lens.K, capture.camera("cam03").K)
+
+
+def test_result_can_be_calibrated(tmp_path):
+    """The folder is one that `calibrate` takes, with its intrinsics.toml; these smooth pictures only lack features."""
+    write_videos(tmp_path / "raw")
+    lens = "\n".join(f"[[camera]]\nname='{n}'\nwidth=64\nheight=48\nK=[[60,0,32],[0,60,24],[0,0,1]]" for n in NAMES)
+    (tmp_path / "lens.toml").write_text(lens)
+    out = undistort_videos(tmp_path / "raw", tmp_path / "lens.toml", tmp_path / "out").path
+    message = refused(calibrate, out, tmp_path / "model", CalibrationOptions(known_intrinsics=out / "intrinsics.toml"))
+    assert "wanted a pose of all 4 cameras, found none of cam00 (0 features" in message
+
+
+def test_truncated_video(tmp_path):
+    """A raw video that was cut is one line that names it, and nothing is left under the wanted name."""
+    pinhole_K = np.array([[WIDTH / 2, 0, WIDTH / 2], [0, WIDTH / 2, HEIGHT / 2], [0, 0, 1]])
+    write_raw(tmp_path / "raw", "fisheye", FISHEYE, pinhole_K)
+    (tmp_path / "calib.pkl").write_bytes(pickle.dumps(calibration_entries(2)))
+    content = (tmp_path / "raw" / "01.mp4").read_bytes()
+    (tmp_path / "raw" / "01.mp4").write_bytes(content[: len(content) // 2])
+    message = refused(undistort_videos, tmp_path / "raw", tmp_path / "calib.pkl", tmp_path / "out")
+    assert "01.mp4" in message
+    assert not (tmp_path / "out").exists()
+
+
+def test_videos_of_different_length(tmp_path):
+    """Cameras with different numbers of frames are refused rather than put out of step."""
+    write_videos(tmp_path / "raw", n_frames=4)
+    write_video(tmp_path / "raw" / "cam01.mp4", (make_image(1, frame) for frame in range(3)), 30.0)
+    lens = "\n".join(f"[[camera]]\nname='{n}'\nwidth=64\nheight=48\nK=[[60,0,32],[0,60,24],[0,0,1]]" for n in NAMES)
+    (tmp_path / "lens.toml").write_text(lens)
+    message = refused(undistort_videos, tmp_path / "raw", tmp_path / "lens.toml", tmp_path / "out")
+    assert "wanted one number of frames for all cameras, got cam00 4, cam01 3" in message
+
+
+def test_videos_of_different_rates(tmp_path):
+    """Cameras of different frame rates are refused: equal frame numbers would be different instants."""
+    write_videos(tmp_path / "raw")
+    write_video(tmp_path / "raw" / "cam01.mp4", (make_image(1, frame) for frame in range(N_FRAMES)), 25.0)
+    lens = "\n".join(f"[[camera]]\nname='{n}'\nwidth=64\nheight=48\nK=[[60,0,32],[0,60,24],[0,0,1]]" for n in NAMES)
+    (tmp_path / "lens.toml").write_text(lens)
+    message = refused(undistort_videos, tmp_path / "raw", tmp_path / "lens.toml", tmp_path / "out")
+    assert "wanted one frame rate for all cameras, got cam00 30, cam01 25" in message
+
+
+def test_lens_files_that_do_not_fit(tmp_path):
+    """Too few entries, a file for another size, cameras under other names and an unknown kind of file are each refused."""
+    write_videos(tmp_path / "raw")
+    out = tmp_path / "out"
+    (tmp_path / "few.pkl").write_bytes(pickle.dumps(calibration_entries(3)))
+    assert "one entry for each of the 4 cameras, got 3" in refused(undistort_videos, tmp_path / "raw", tmp_path / "few.pkl", out)
+    (tmp_path / "size.pkl").write_bytes(pickle.dumps(calibration_entries(4)))
+    message = refused(undistort_videos, tmp_path / "raw", tmp_path / "size.pkl", out)
+    assert "cam00: wanted the lens of 64 x 48 frames, got f 150, centre (162, 88)" in message
+    write_intri(tmp_path / "intri.yml")
+    message = refused(undistort_videos, tmp_path / "raw", tmp_path / "intri.yml", out)
+    assert "wanted lenses of cam00, cam01, cam02, cam03, it has 00, 01" in message
+    (tmp_path / "lens.txt").write_text("f = 1")
+    assert "wanted intri.yml (EasyMocap)" in refused(undistort_videos, tmp_path / "raw", tmp_path / "lens.txt", out)
+    message = refused(undistort_videos, tmp_path / "raw", tmp_path / "absent.pkl", out)
+    assert "no such file" in message
+
+
+def test_image_folders_can_be_undistorted(tmp_path):
+    """Frames in folders work like videos; their rate is the one that such folders are taken to have."""
+    write_folders(tmp_path / "raw", NAMES, "images/{}")
+    lens = "\n".join(
+        f"[[camera]]\nname='{n}'\nwidth=64\nheight=48\nK=[[60,0,32],[0,60,24],[0,0,1]]\n"
+        "distortion={model='opencv', coefficients=[-0.1, 0, 0, 0]}"
+        for n in NAMES
+    )
+    (tmp_path / "lens.toml").write_text(lens)
+    done = undistort_videos(tmp_path / "raw", tmp_path / "lens.toml", tmp_path / "out")
+    assert (done.n_frames, done.fps) == (N_FRAMES, 30.0)
+    assert VideoFrames(tmp_path / "out" / "cam01.mp4").n_frames == N_FRAMES
+
+
+@pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
+@pytest.mark.parametrize("dtype", ["<f8", ">f8", "<f4"])
+def test_pickled_arrays_of_every_protocol(tmp_path, protocol, dtype):
+    """What numpy pickles, in any protocol and byte order, is read as numpy itself would read it, rows and columns in place."""
+    entries = calibration_entries(10, dtype)
+    entries[3]["K"] = np.asfortranarray(entries[3]["K"] + np.arange(9).reshape(3, 3))
+    (tmp_path / "calib.pkl").write_bytes(pickle.dumps(entries, protocol))
+    read = read_plain_pickle(tmp_path / "calib.pkl")
+    assert len(read) == 10
+    for entry, truth in zip(read, entries, strict=True):
+        assert entry.keys() == truth.keys()
+        for key in truth:
+            assert np.array_equal(entry[key], truth[key])
+
+
+def test_pickle_of_python_2(tmp_path):
+    """A file as Python 2 wrote it, with arrays' bytes as text, is read too."""
+    content = np.arange(9, dtype="<f8").tobytes()
+    text = b"\x80\x02]q\x01}q\x02U\x01KcNUMPY\n".replace(b"NUMPY", b"numpy.core.multiarray\n_reconstruct")
+    text += b"cnumpy\nndarray\nK\x00\x85U\x01b\x87R(K\x01K\x03K\x03\x86cnumpy\ndtype\nU\x02f8K\x00K\x01\x87R"
+    text += b"(K\x03U\x01<NNNJ\xff\xff\xff\xffJ\xff\xff\xff\xffK\x00tb\x89U" + bytes([len(content)]) + content + b"tbsa."
+    (tmp_path / "calib.pkl").write_bytes(text)
+    assert np.array_equal(read_plain_pickle(tmp_path / "calib.pkl")[0]["K"], np.arange(9.0).reshape(3, 3))
+
+
+class _Calls:
+    """Pickles as a call of a function with arguments."""
+
+    def __init__(self, function: object, *arguments: object) -> None:
+        self._call = function, arguments
+
+    def __reduce__(self) -> tuple[object, tuple[object, ...]]:
+        return self._call  # type: ignore[return-value]
+
+
+def hostile_calls(trap: Path) -> dict[str, object]:
+    import os
+
+    return {
+        "system": _Calls(os.system, f"touch {trap}"),
+        "eval": _Calls(eval, f"open({str(trap)!r}, 'w')"),
+        "fromfile": _Calls(np.fromfile, str(trap)),
+        "save": _Calls(np.save, str(trap), 1),
+        "open": _Calls(open, str(trap), "w"),
+        "full": _Calls(np.ones, (1 << 20, 1 << 20)),
+    }
+
+
+@pytest.mark.parametrize("name", ["system", "eval", "fromfile", "save", "open", "full"])
+@pytest.mark.parametrize("protocol", [0, 2, 5])
+def test_hostile_pickle_runs_nothing(tmp_path, name, protocol):
+    """Every function but the few that numpy's arrays are made by is refused by its name before it could run."""
+    trap = tmp_path / "trap"
+    (tmp_path / "calib.pkl").write_bytes(pickle.dumps([hostile_calls(trap)[name]], protocol))
+    message = refused(read_plain_pickle, tmp_path / "calib.pkl")
+    assert "the name " in message
+    assert "nothing was run" in message
+    assert not trap.exists()
+
+
+DEEP = b"\x80\x04" + b"(" * 400_000 + b"l" * 400_000 + b"."
+HUGE_BYTES = b"\x80\x04\x8e" + struct.pack("<Q", 1 << 62) + b"x."
+HUGE_INDEX = b"\x80\x04Nr\xff\xff\xff\x7f."
+HUGE_FRAME = b"\x80\x04\x95" + struct.pack("<Q", 1 << 62) + b"N."
+HUGE_SHAPE = (
+    b"\x80\x03cnumpy.core.multiarray\n_reconstruct\ncnumpy\nndarray\nK\x00\x85C\x01b\x87R(K\x01"
+    b"J\xff\xff\xff\x7fJ\xff\xff\xff\x7f\x86cnumpy\ndtype\nC\x02f8K\x00K\x01\x87R"
+    b"(K\x03X\x01\x00\x00\x00<NNNJ\xff\xff\xff\xffJ\xff\xff\xff\xffK\x00tb\x89C\x08\x00\x00\x00\x00\x00\x00\x00\x00tb."
+)
+
+
+def doubled_tuple() -> tuple[object, ...]:
+    """A tuple of twice a tuple of ..., sixty times: some hundred bytes, but its hash and its text take 2^60 steps."""
+    value: tuple[object, ...] = ()
+    for _ in range(60):
+        value = (value, value)
+    return value
+
+
+def wide_list() -> list[object]:
+    """Lists of a thousand times the same list, four deep."""
+    value: list[object] = []
+    for _ in range(4):
+        value = [value] * 1000
+    return value
+
+
+class _Array:
+    """Pickles as an array with a state of one's choice."""
+
+    def __init__(self, *state: object) -> None:
+        self._state = state
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return np.empty(0).__reduce__()[0], (np.ndarray, (0,), b"b"), self._state  # type: ignore[return-value]
+
+
+DOUBLED = pickle.dumps(doubled_tuple(), 2)[2:-1]
+DOUBLED_KEY = b"\x80\x04}" + DOUBLED + b"K\x01s."
+DOUBLED_STATE = b"\x80\x04cnumpy\nndarray\n" + DOUBLED + b"b."
+DOUBLED_NAME = b"\x80\x04" + DOUBLED + b"\x8c\x01a\x93."
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        DEEP,
+        HUGE_BYTES,
+        HUGE_INDEX + b"x",
+        HUGE_FRAME,
+        HUGE_SHAPE,
+        DOUBLED_KEY,
+        DOUBLED_STATE,
+        DOUBLED_NAME,
+        pickle.dumps(_Array(1, (doubled_tuple(),), np.dtype("f8"), False, b"")),
+        pickle.dumps(_Array(1, (1 << 40, 1 << 40), np.dtype("f8"), False, b"")),
+        pickle.dumps(_Array(1, (-1,), np.dtype("f8"), False, b"")),
+        pickle.dumps(np.zeros(1000)),
+        pickle.dumps(wide_list()),
+        b"\x80\x04I" + b"9" * 100_000 + b"\n.",
+        b"\x80\x04h\x07.",
+        b"\x80\x04a.",
+        b"\x80\x04NNN.",
+        b"\x80\x04(N.",
+        b"\x80\x04\x82\x01.",
+        b"\x80\x04U\x01aQ.",
+        b"\x80\x09N.",
+        b"\x80\x04]",
+        b"no pickle",
+        pickle.dumps([{"K": np.array([object()])}]),
+        pickle.dumps([{"K": np.array(["text"])}]),
+        pickle.dumps(np.ndarray),
+    ],
+)
+def test_damaged_or_malicious_pickle(tmp_path, content):
+    """Deep nesting, claims of huge sizes, hashes without end and every kind of rubbish end at once in one line."""
+    (tmp_path / "calib.pkl").write_bytes(content)
+    (tmp_path / "raw").mkdir()
+    write_videos(tmp_path / "raw", ("a", "b"), n_frames=1)
+    assert str(tmp_path / "calib.pkl") in refused(undistort_videos, tmp_path / "raw", tmp_path / "calib.pkl", tmp_path / "out")
+
+
+@pytest.mark.parametrize("cut", [1, 7, 60, 200])
+def test_truncated_pickle(tmp_path, cut):
+    """A pickle that lost its end is refused."""
+    content = pickle.dumps(calibration_entries(2))
+    (tmp_path / "calib.pkl").write_bytes(content[:-cut])
+    assert "nothing was run" in refused(read_plain_pickle, tmp_path / "calib.pkl")
+
+
+def test_pickle_too_large(tmp_path):
+    """A file far larger than any calibration is refused unread."""
+    (tmp_path / "calib.pkl").write_bytes(io.BytesIO(b"\x80\x04" + b"N" * LARGEST_FILE_BYTES).getvalue())
+    assert "below 1 MiB" in refused(read_plain_pickle, tmp_path / "calib.pkl")
+
+
+@pytest.mark.parametrize(
+    "entry", [{"K": np.eye(3)}, {"K": np.eye(2), "D": np.zeros(4)}, {"K": np.eye(3) * np.nan, "D": np.zeros(4)}, 3]
+)
+def test_entries_that_are_no_calibration(tmp_path, entry):
+    """Entries without K or D, of another shape or not finite are refused, naming the camera."""
+    write_videos(tmp_path / "raw", ("a", "b"), n_frames=2)
+    (tmp_path / "calib.pkl").write_bytes(pickle.dumps([entry, entry]))
+    message = refused(undistort_videos, tmp_path / "raw", tmp_path / "calib.pkl", tmp_path / "out")
+    assert "calib.pkl: a: wanted" in message
+
+
+def test_lens_agrees_with_the_published_formula():
+    """`Lens.distort` and this file's inversion of the formula are each other's inverse."""
+    lens = Lens(LENS_K, "fisheye", FISHEYE, WIDTH, HEIGHT)
+    rays = rays_of_lens("fisheye", FISHEYE)
+    np.testing.assert_allclose(lens.distort(rays, np.eye(3)), pixel_centres(), atol=1e-6)

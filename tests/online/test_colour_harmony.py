@@ -1,0 +1,156 @@
+"""Colour between cameras: planted gains are found, the free one is fixed, and the picture is better for it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ggvs_eval.files.images import quantise
+from ggvs_eval.geometry.view_weights import view_weights
+from ggvs_eval.method import Instant
+from ggvs_eval.pipelines.online.colour_harmony import GAUGE_POWER, ColourHarmony, gained_image
+from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
+from helpers.scenes import camera_at, instant, look
+
+TARGET = camera_at(0.0, name="target")
+SOURCES = [camera_at(-0.15), camera_at(0.15), camera_at(-0.45), camera_at(0.45)]
+GAINS = np.array([[1.06, 1.03, 1.0], [0.95, 0.97, 0.99], [1.02, 0.98, 1.04], [0.94, 1.05, 1.0]], np.float32)
+TOLERANCE = 0.05
+
+
+def planted(index: int, sources=SOURCES, gains=GAINS) -> Instant:
+    """An instant whose sources have gains of their own."""
+    plain = instant(index, TARGET, sources)
+    views = [
+        replace(view, image=quantise(view.image / np.float32(255) * gain))
+        for view, gain in zip(plain.sources, gains, strict=True)
+    ]
+    return replace(plain, sources=tuple(views))
+
+
+def estimated(harmony: ColourHarmony, seen: Instant) -> np.ndarray:
+    return harmony.gains(seen, [view.depth for view in seen.sources], TOLERANCE)
+
+
+def anchored(gains: np.ndarray, sources=SOURCES) -> np.ndarray:
+    """The factors that undo gains, their free factor fixed by the distance-weighted mean of the logarithms."""
+    weights = view_weights(TARGET, sources).astype(float) ** GAUGE_POWER
+    logarithms = np.log(gains)
+    return np.exp(weights @ logarithms / weights.sum() - logarithms)
+
+
+def psnr_db(image: np.ndarray, truth: np.ndarray) -> float:
+    return float(-10 * np.log10(np.mean((image - truth / 255.0) ** 2)))
+
+
+def test_planted_gains_are_found():
+    """Gains of up to 6 % per channel come back within half a percent, but for their common factor."""
+    np.testing.assert_allclose(estimated(ColourHarmony(), planted(0)), anchored(GAINS), atol=0.005)
+
+
+def test_equal_cameras_keep_their_colours():
+    """Without gains every factor is 1 within a thousandth or two."""
+    np.testing.assert_allclose(estimated(ColourHarmony(), planted(0, gains=np.ones_like(GAINS))), 1, atol=0.002)
+
+
+def test_the_common_gain_stays():
+    """A gain that all sources share cannot be told from brightness and is left alone."""
+    np.testing.assert_allclose(estimated(ColourHarmony(), planted(0, gains=np.full_like(GAINS, 0.9))), 1, atol=0.002)
+
+
+def test_the_order_of_sources_does_not_matter():
+    """The same cameras in another order get the same factors, at first and from memory."""
+    order, harmony, other = [2, 0, 3, 1], ColourHarmony(), ColourHarmony()
+    for index in range(2):
+        first = estimated(harmony, planted(index))
+        second = estimated(other, planted(index, [SOURCES[k] for k in order], GAINS[order]))
+
+    np.testing.assert_allclose(second, first[order], atol=1e-6)
+
+
+def test_sources_may_come_and_go():
+    """With another number of sources the factors are those of the ones that are there."""
+    harmony = ColourHarmony()
+    estimated(harmony, planted(0))
+
+    fewer = estimated(harmony, planted(1, SOURCES[1:], GAINS[1:]))
+
+    assert fewer.shape == (3, 3)
+    np.testing.assert_allclose(fewer, anchored(GAINS[1:], SOURCES[1:]), atol=0.005)
+
+
+def test_ratios_are_remembered():
+    """When a gain jumps, a memory of ten instants follows by a third at the third instant; without one it follows at once."""
+    jumped, calm, quick = GAINS * np.array([[1.1], [1], [1], [1]], np.float32), ColourHarmony(), ColourHarmony(memory=1)
+    for harmony in (calm, quick):
+        for index in range(2):
+            before = estimated(harmony, planted(index))
+    after = [estimated(harmony, planted(2, gains=jumped)) for harmony in (calm, quick)]
+
+    shifts = [np.log(each[0] / each[3]) - np.log(before[0] / before[3]) for each in after]
+    np.testing.assert_allclose(shifts[0], -np.log(1.1) / 3, atol=0.005)
+    np.testing.assert_allclose(shifts[1], -np.log(1.1), atol=0.005)
+
+
+def test_nothing_in_common_changes_nothing():
+    """Where no depth is known, or sources disagree about it, every factor is 1."""
+    seen = planted(0)
+    unknown, apart = (
+        [np.zeros_like(view.depth) for view in seen.sources],
+        [view.depth * (1 + k) for k, view in enumerate(seen.sources)],
+    )
+
+    np.testing.assert_array_equal(ColourHarmony().gains(seen, unknown, TOLERANCE), 1)
+    np.testing.assert_array_equal(ColourHarmony().gains(seen, apart, TOLERANCE), 1)
+
+
+def test_what_is_clipped_does_not_count():
+    """White says nothing of a gain: a picture that is half white gives the gains of the other half."""
+    seen, gains = planted(0), GAINS
+    white = [view.image.copy() for view in seen.sources]
+    for image in white:
+        image[:36] = 255
+    half = replace(seen, sources=tuple(replace(view, image=image) for view, image in zip(seen.sources, white, strict=True)))
+
+    np.testing.assert_allclose(estimated(ColourHarmony(), half), anchored(gains), atol=0.01)
+
+
+def test_images_stay_in_8_bit():
+    """Channels are multiplied, rounded and clipped; gains of 1 change no pixel of any source."""
+    image = np.array([[[100, 200, 250]]], np.uint8)
+    plain = planted(0, SOURCES[:1], GAINS[:1])
+
+    np.testing.assert_array_equal(gained_image(image, np.array([1.1, 0.5, 1.2], np.float32)), [[[110, 100, 255]]])
+    np.testing.assert_array_equal(
+        ColourHarmony().step(plain, [plain.sources[0].depth], TOLERANCE).sources[0].image, plain.sources[0].image
+    )
+
+
+def test_the_picture_is_better_for_it():
+    """With gains whose weighted mean is 1, the harmonised picture is more than a decibel nearer to the truth."""
+    weights, truth = view_weights(TARGET, SOURCES).astype(float) ** GAUGE_POWER, look(TARGET)[0]
+    gains = GAINS / np.exp(weights @ np.log(GAINS) / weights.sum()).astype(np.float32)
+
+    scores = {
+        on: psnr_db(GeometryGuided(OnlineOptions(harmonised=on)).step(planted(0, gains=gains)).image, truth)
+        for on in (True, False)
+    }
+
+    assert scores[True] > scores[False] + 1.0
+
+
+def test_without_temporal_filtering_nothing_is_remembered():
+    """'No Temporal Filtering' renders an instant as if it were the first, gains included."""
+    method = GeometryGuided(OnlineOptions(temporal=False))
+    method.step(planted(0))
+    second = planted(1, gains=GAINS[::-1])
+
+    np.testing.assert_array_equal(method.step(second).image, GeometryGuided(OnlineOptions(temporal=False)).step(second).image)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_one_source_is_left_alone(count):
+    """A single source has nobody to agree with; two meet at their weighted mean."""
+    gains = estimated(ColourHarmony(), planted(0, SOURCES[:count], GAINS[:count]))
+
+    np.testing.assert_allclose(gains, anchored(GAINS[:count], SOURCES[:count]), atol=0.005)

@@ -1,0 +1,52 @@
+"""On a GPU: every method with networks renders what it renders on the CPU, within a small tolerance."""
+
+import numpy as np
+import pytest
+import torch
+
+from ggvs_eval.compute_device import compute_device, describe_device
+from ggvs_eval.pipelines.methods.network_choice import NetworkChoice
+from ggvs_eval.pipelines.methods.registry import find_method
+from helpers.scenes import camera_at, instant
+from helpers.seeded_baselines import turned_rig
+
+pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="torch finds no GPU here")
+
+LEARNED = ("fwd", "ibrnet", "gps-gaussian+given-depth", "enerf", "ours", "ours+no-tsdf", "ours+no-temporal", "naive")
+LEVEL = 1 / 255
+
+
+@pytest.mark.parametrize("views", [2, 4])
+@pytest.mark.parametrize("label", LEARNED)
+def test_a_render_is_that_of_the_cpu(label, views):
+    """All but a few pixels within a level, and the same stages; the few lie where rounding decides between two surfaces."""
+    moment = turned_rig(views)
+    here, there = (find_method(label, NetworkChoice(device=device)).make().step(moment) for device in ("cpu", "cuda"))
+    off = np.abs(here.image - there.image).max(axis=-1)
+    assert there.image.dtype == np.float32
+    assert there.image.shape == here.image.shape
+    assert (off > LEVEL).mean() < 0.005
+    assert np.median(off) < LEVEL / 20
+    assert there.seconds.keys() == here.seconds.keys()
+    if here.depth is not None:
+        assert there.depth is not None
+        assert (np.abs(here.depth - there.depth) > 0.01 * here.depth + 1e-6).mean() < 0.01
+    assert there.inside.keys() == here.inside.keys()
+    for name, found in there.inside.items():
+        np.testing.assert_allclose(found, here.inside[name], atol=1e-3)
+
+
+@pytest.mark.parametrize("label", ["ours", "fwd"])
+def test_both_devices_may_take_turns(label):
+    """Networks of two devices in one process do not get mixed up, and a sequence stays together."""
+    target, sources = camera_at(0.0, name="virtual"), [camera_at(x, y) for x, y in ((-0.3, 0.1), (0.3, -0.1), (0.1, 0.3))]
+    methods = [find_method(label, NetworkChoice(device=device)).make() for device in ("cpu", "cuda")]
+    for index in range(3):
+        images = [method.step(instant(index, target, sources, 0.1 * index)).image for method in methods]
+        assert (np.abs(images[0] - images[1]).max(axis=-1) > LEVEL).mean() < 0.005
+
+
+def test_a_gpu_is_named():
+    """Its model stands in what a result says."""
+    assert describe_device(compute_device("cuda")).startswith("cuda: ")
+    assert compute_device("auto").type == "cuda"

@@ -1,0 +1,178 @@
+"""The online half: causality, stillness, ablations, and what each stage does in a scene known in closed form."""
+
+import numpy as np
+import pytest
+
+from ggvs_eval.errors import RenderError
+from ggvs_eval.geometry.difference_mask import difference_mask
+from ggvs_eval.method import SourceView
+from ggvs_eval.pipelines.methods.registry import METHODS, find_method, split_label
+from ggvs_eval.pipelines.online.depth_filter import TemporalDepthFilter, filter_depth
+from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
+from helpers.scenes import SQUARE_Z, WALL_Z, camera_at, instant, look
+
+TARGET = camera_at(0.0, name="target")
+SOURCES = [camera_at(-0.15), camera_at(0.15), camera_at(-0.45), camera_at(0.45)]
+
+
+SHIPPED = [label for label, spec in METHODS.items() if not spec.make_from]  # the others have tests of their own
+ONLINE = [label for label in SHIPPED if METHODS[label].online]
+
+
+LADDER = ("no-blending", "distance-based", "ours-geometric", "ours")
+
+
+def psnr_db(image, truth) -> float:
+    return float(-10 * np.log10(np.mean((image - truth / 255.0) ** 2)))
+
+
+def play(label: str, positions: list[float], **options) -> list[np.ndarray]:
+    method = find_method(label).make()
+    return [method.step(instant(t, TARGET, SOURCES, x, **options)).image for t, x in enumerate(positions)]
+
+
+@pytest.mark.parametrize("label", ONLINE)
+def test_changing_the_future_does_not_change_the_present(label):
+    """Two sequences that agree up to instant 2 give the same bits up to instant 2, and differ after."""
+    first = play(label, [0.0, 0.1, 0.2, 0.3, 0.4])
+    second = play(label, [0.0, 0.1, 0.2, -0.5, -0.9])
+
+    for t in range(3):
+        np.testing.assert_array_equal(first[t], second[t])
+    assert not np.array_equal(first[3], second[3])
+
+
+@pytest.mark.parametrize("label", SHIPPED)
+def test_equal_inputs_give_equal_bits(label):
+    """Playing a sequence twice gives the same images to the last bit."""
+    for once, again in zip(play(label, [0.0, 0.1], depth_noise=0.02), play(label, [0.0, 0.1], depth_noise=0.02), strict=True):
+        np.testing.assert_array_equal(once, again)
+
+
+@pytest.mark.parametrize("label", SHIPPED)
+def test_exact_depth_gives_the_captured_view(label):
+    """With exact depth and smooth texture every method comes close to the truth away from the square's edge."""
+    truth, depth = look(TARGET)
+    inside = depth == WALL_Z
+    inside[15:60, 20:75] = False  # the square and what it hides from some view
+
+    image = play(label, [0.0])[0]
+
+    assert psnr_db(image[inside], truth[inside]) > 30
+
+
+def test_ours_finds_the_surface():
+    """The fused depth is the exact depth of wall and square within a tenth of the truncation distance, edges apart."""
+    _, depth = look(TARGET)
+
+    fused = GeometryGuided().step(instant(0, TARGET, SOURCES)).depth
+
+    error = np.abs(fused - depth)
+    assert np.quantile(error, 0.9) < 0.1 * 0.02 * 2.5
+
+
+def test_ours_beats_the_baselines_where_depth_is_noisy():
+    """With noisy depth the fused geometry gives a better image than either baseline."""
+    truth, _ = look(TARGET)
+
+    scores = {label: psnr_db(play(label, [0.0], depth_noise=0.02)[0], truth) for label in LADDER}
+
+    assert min(scores["ours"], scores["ours-geometric"]) > scores["distance-based"] > scores["no-blending"]
+
+
+def flicker(label: str) -> float:
+    images = np.stack(play(label, [0.0] * 8, depth_noise=0.03))
+    return float(images[3:].std(axis=0).mean())
+
+
+def test_temporal_filtering_calms_a_still_scene():
+    """In a still scene with depth that is noisy anew at each instant the temporal terms reduce the flicker of the image."""
+    assert flicker("ours-geometric") < 0.8 * flicker("ours-geometric+no-temporal")
+
+
+def test_a_moving_target_keeps_its_history_in_place():
+    """When the target camera moves, the previous depth takes part at its own pose: the fused depth stays exact."""
+    method = GeometryGuided()
+    for t, x in enumerate((0.0, 0.05, 0.1)):
+        target = camera_at(x, name="moving")
+        depth = method.step(instant(t, target, SOURCES)).depth
+
+    assert np.quantile(np.abs(depth - look(target)[1]), 0.9) < 0.1 * 0.02 * 2.5
+
+
+def test_sources_may_change_midway():
+    """Another set of source views, and another number of them, is taken without a restart."""
+    method = GeometryGuided()
+    method.step(instant(0, TARGET, SOURCES))
+
+    rendering = method.step(instant(1, TARGET, SOURCES[1:]))
+
+    assert psnr_db(rendering.image, look(TARGET)[0]) > 25
+
+
+def test_a_skipped_instant_starts_history_anew():
+    """After a gap in time the method renders as if it had just begun: stale history is worse than none."""
+    method = GeometryGuided()
+    method.step(instant(0, TARGET, SOURCES, 0.0))
+
+    late = method.step(instant(5, TARGET, SOURCES, 0.4)).image
+
+    np.testing.assert_array_equal(late, GeometryGuided().step(instant(5, TARGET, SOURCES, 0.4)).image)
+
+
+def test_still_pixels_get_beta_and_moving_ones_get_one():
+    """Eq. 1: an unchanged image has mask beta everywhere; a change of 0.4 lambda or more saturates."""
+    before = np.full((64, 64, 3), 100, np.uint8)
+    after = before.copy()
+    after[:32] = 100 + 75  # 75 / 255 = 0.294 > 0.28
+
+    mask = difference_mask(after, before)
+
+    assert mask[48:].min() == mask[48:].max() == np.float32(0.6)
+    assert mask[:24].min() == 1.0
+    np.testing.assert_allclose(difference_mask(before + 36, before), 36 / 255 / 0.7 + 0.6, atol=1e-6)
+
+
+def test_filtered_depth_mixes_by_the_mask():
+    """Eq. 2, and what is unknown on one side is taken from the other unless everything moves."""
+    depth = np.array([[2.0, 0.0, 0.0, 2.0]], np.float32)
+    history = np.array([[4.0, 4.0, 4.0, 0.0]], np.float32)
+    mask = np.array([[0.75, 0.6, 1.0, 0.6]], np.float32)
+
+    np.testing.assert_allclose(filter_depth(depth, history, mask, np.inf), [[2.5, 4.0, 0.0, 2.0]])
+
+
+def test_two_surfaces_are_not_mixed():
+    """Depth that differs from its history by more than the tolerance is another surface and passes as it is."""
+    depth, history = np.array([[2.0, 2.0]], np.float32), np.array([[2.08, 2.12]], np.float32)
+
+    filtered = filter_depth(depth, history, np.full((1, 2), 0.6, np.float32), 0.05)
+
+    np.testing.assert_allclose(filtered, [[0.6 * 2.0 + 0.4 * 2.08, 2.0]], rtol=1e-6)
+
+
+def test_the_filter_converges_on_the_mean_of_noisy_depth():
+    """In a still scene the filtered depth has less noise than what goes in: by sqrt(beta / (2 - beta)) in the steady state."""
+    random = np.random.default_rng(0)
+    filters, image = TemporalDepthFilter(), np.full((40, 40, 3), 90, np.uint8)
+    for t in range(20):
+        depth = random.normal(SQUARE_Z, 0.02, (40, 40)).astype(np.float32)
+        filtered = filters.step(t, SourceView(TARGET, image, depth, np.ones_like(depth))).depth
+
+    assert filtered.std() == pytest.approx(0.02 * np.sqrt(0.6 / 1.4), rel=0.1)
+
+
+def test_switched_off_the_filter_passes_depth_through():
+    """Without temporal filtering depth is untouched and the mask is one."""
+    method = GeometryGuided(OnlineOptions(temporal=False))
+    method.step(instant(0, TARGET, SOURCES, depth_noise=0.05))
+    second = instant(1, TARGET, SOURCES, depth_noise=0.05)
+
+    np.testing.assert_array_equal(method.step(second).image, GeometryGuided().step(second).image)
+
+
+def test_an_unknown_method_names_the_nearest():
+    """A mistyped method is refused with the one that was probably meant."""
+    with pytest.raises(RenderError, match=r"'ours-geometrc'; did you mean ours-geometric\?"):
+        find_method("ours-geometrc")
+    assert split_label("ours-geometric+no-temporal") == ("ours-geometric", "no-temporal")

@@ -1,0 +1,89 @@
+"""What blending knows before the network looks: one pass over the views against the maps' methods, and the network's input."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_refine_kernel import random_maps
+
+from ggvs_eval import kernels
+from ggvs_eval.geometry.per_pixel import weighted_mean
+from ggvs_eval.geometry.splat import COVERED_ALPHA
+from ggvs_eval.kernels import _core
+from ggvs_eval.pipelines.online.input_kernel import network_channels
+from ggvs_eval.pipelines.online.network_inputs import channel_count, input_channels
+from ggvs_eval.pipelines.online.overview import overview
+from helpers.geometry_scenes import seeds
+
+pytestmark = pytest.mark.usefixtures("kernel_settings")
+MAPS = ("colours", "coverage", "seen", "alphas", "depths", "fused_depth")
+
+
+@settings(deadline=None, max_examples=30)
+@given(seeds, st.integers(1, 50), st.integers(1, 40), st.integers(1, 5), st.sampled_from((1, 2, 3, 4, 8)), st.integers(1, 3))
+def test_one_pass_finds_what_the_maps_say(seed, width, height, views, scale, threads):
+    """Any size, number of views and scale: the reduced maps, what is unseen, the mean picture and what is covered."""
+    maps = random_maps(np.random.default_rng(seed), width, height, views)
+    kernels.set_threads(threads)
+
+    found = overview(maps, scale)
+
+    expected = maps.reduced(scale)
+    for name in MAPS:
+        np.testing.assert_allclose(getattr(found.small, name), getattr(expected, name), atol=1e-6, err_msg=name)
+        assert getattr(found.small, name).dtype == np.float32
+    np.testing.assert_array_equal(found.small.target.K, expected.target.K)
+    assert found.small.target.size == expected.target.size
+    assert found.small.sources == maps.sources
+    np.testing.assert_allclose(found.unseen, maps.unseen(), atol=1e-6)
+    mean = weighted_mean(list(maps.colours), list(maps.coverage), maps.weights.tolist())
+    np.testing.assert_allclose(found.picture, mean, atol=1e-6)
+    np.testing.assert_array_equal(found.covered, maps.alphas.max(axis=0) > COVERED_ALPHA)
+
+
+@settings(deadline=None, max_examples=30)
+@given(seeds, st.integers(1, 50), st.integers(1, 40), st.integers(1, 4), st.sampled_from(("registered", "channels")))
+def test_the_kernel_makes_the_channels(seed, width, height, views, guidance):
+    """Every channel of the definition, zeros of absent views included, with holes in the surface and at any size."""
+    maps = random_maps(np.random.default_rng(seed), width, height, views)
+    found, expected = network_channels(maps, guidance, 5), input_channels(maps, guidance, 5)
+    assert found.shape == expected.shape == (channel_count(5, guidance), height, width)
+    np.testing.assert_allclose(found, expected, atol=2e-6, rtol=2e-6)
+    assert (maps.fused_depth == 0).any() or width * height < 100  # holes were there
+
+
+def test_a_network_without_the_surface_gets_its_channels_too():
+    """Where no fused depth guides there is no kernel: the definition itself."""
+    maps = random_maps(np.random.default_rng(0), 30, 20, 3)
+    np.testing.assert_array_equal(network_channels(maps, "none", 4), input_channels(maps, "none", 4))
+
+
+def test_nothing_known_of_the_surface():
+    """A surface that is unknown everywhere is measured by the far plane, as in the definition."""
+    maps = random_maps(np.random.default_rng(0), 30, 20, 3)
+    maps = replace(maps, fused_depth=np.zeros_like(maps.fused_depth))
+    np.testing.assert_allclose(network_channels(maps, "registered", 3), input_channels(maps, "registered", 3), atol=2e-6)
+
+
+def test_threads_do_not_change_a_bit():
+    """Overview and channels are the same for one thread and for three."""
+    maps, found = random_maps(np.random.default_rng(1), 130, 90, 4), []
+    for threads in (1, 3):
+        kernels.set_threads(threads)
+        seen = overview(maps, 4)
+        found.append([seen.unseen, seen.picture, seen.small.colours, network_channels(seen.small, "registered", 6)])
+    for first, second in zip(*found, strict=True):
+        np.testing.assert_array_equal(first, second)
+
+
+def test_what_does_not_fit_is_refused():
+    """More views than the network takes, a scale of 0, maps of another size."""
+    maps = random_maps(np.random.default_rng(2), 20, 10, 3)
+    with pytest.raises(ValueError, match="not more than the network takes"):
+        network_channels(maps, "registered", 2)
+    with pytest.raises(ValueError, match="scale of at least 1"):
+        _core.overview(maps.colours, maps.coverage, maps.seen, maps.alphas, maps.weights, 0, 0.5, 1)
+    with pytest.raises(TypeError, match="seen: wanted float32"):
+        overview(replace(maps, seen=maps.seen[:, :5]), 2)

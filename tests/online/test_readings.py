@@ -1,0 +1,220 @@
+"""Every reading of the paper is an option: ours and the others do what their names say."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ggvs_eval.baselines.gaussians import pixel_gaussians
+from ggvs_eval.errors import RenderError
+from ggvs_eval.geometry.difference_mask import difference_mask
+from ggvs_eval.geometry.point_splat import splat_points
+from ggvs_eval.geometry.splat import PixelGaussians, Splat, splat
+from ggvs_eval.geometry.tsdf import DepthView, PreviousDepth, ray_march
+from ggvs_eval.pipelines.methods.registry import find_method
+from ggvs_eval.pipelines.online.geometric_blender import GeometricBlender
+from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions, target_mask
+from ggvs_eval.pipelines.online.printed_march import FieldReading, printed_march
+from helpers.scenes import SQUARE_Z, WALL_Z, camera_at, instant, look
+
+TARGET = camera_at(0.0, name="target")
+SOURCES = [camera_at(-0.15), camera_at(0.15), camera_at(-0.45), camera_at(0.45)]
+TAU = 0.05
+
+
+def depth_views(weight: float = 1.0) -> list[DepthView]:
+    depths = [look(camera)[1] for camera in SOURCES]
+    return [DepthView(camera, depth, np.full_like(depth, weight)) for camera, depth in zip(SOURCES, depths, strict=True)]
+
+
+def points_of(camera) -> PixelGaussians:
+    image, depth = look(camera)
+    return PixelGaussians(camera, depth, image.astype(np.float32) / 255)
+
+
+def test_points_in_their_own_camera_are_the_image():
+    """Points seen from where they come from are the source itself: colour and depth exact, nothing uncovered."""
+    source = points_of(TARGET)
+
+    seen = splat_points(source, TARGET, near=0.5)
+
+    np.testing.assert_array_equal(seen.features, source.features)
+    np.testing.assert_allclose(seen.depth, source.depth, rtol=1e-6)
+    assert (seen.alpha == np.float32(0.99)).all()
+
+
+def test_the_nearest_point_of_a_pixel_is_seen():
+    """Of two points that fall into one pixel the nearer is seen, whichever comes first; unknown depth gives none."""
+    small = camera_at(0.0, width=4, height=2).resized(2, 1)
+    depth = np.array([[4.0, 2.0, 0.0, 3.0], [0.0, 0.0, 0.0, 0.0]], np.float32)
+    features = np.arange(8, dtype=np.float32).reshape(2, 4, 1)
+    source = PixelGaussians(camera_at(0.0, width=4, height=2), depth, features)
+
+    seen = splat_points(source, small, near=0.5)
+
+    np.testing.assert_array_equal(seen.features[..., 0], [[1.0, 3.0]])
+    np.testing.assert_array_equal(seen.depth, [[2.0, 3.0]])
+
+
+def test_points_leave_holes_that_gaussians_close():
+    """Seen at twice the size, points cover a quarter of the wall, Gaussians all of it."""
+    large = camera_at(0.0, name="large").resized(2 * TARGET.width, 2 * TARGET.height)
+    source = points_of(TARGET)
+
+    assert (splat_points(source, large, near=0.5).alpha > 0).mean() == pytest.approx(0.25)
+    assert (splat([source], large, near=0.5).alpha > 0.9).mean() > 0.99
+
+
+def test_points_at_or_before_the_near_plane_are_left_out():
+    """The near plane culls points as it culls Gaussians; one that is no plane is refused."""
+    source = points_of(TARGET)
+    seen = splat_points(source, TARGET, near=SQUARE_Z)
+
+    np.testing.assert_array_equal(seen.alpha > 0, source.depth > SQUARE_Z)
+    with pytest.raises(RenderError, match="near must be positive"):
+        splat_points(source, TARGET, near=0.0)
+
+
+def test_the_slow_march_is_the_fast_one_in_our_reading():
+    """With our reading both marches find the same surface, with a previous depth in the field too."""
+    views = depth_views(0.7)
+    previous = ray_march(camera_at(0.03), depth_views(), tau=TAU)
+    gain = np.full((TARGET.height, TARGET.width), 0.4, np.float32)
+    held = PreviousDepth(camera_at(0.03), previous.depth, previous.weight, gain, 15.0)
+
+    for before in (None, held):
+        fast = ray_march(TARGET, views, tau=TAU, previous=before)
+        slow = printed_march(TARGET, views, tau=TAU, previous=before, reading=FieldReading())
+        close = (np.abs(fast.depth - slow.depth) < 0.02 * TAU) & (np.abs(fast.weight - slow.weight) < 1e-3)
+        assert close.mean() > 0.99
+
+
+def test_the_printed_sign_loses_the_surface():
+    """With z - D free space is unknown and what is positive lies behind the surface: few rays find it."""
+    truth = look(TARGET)[1]
+    found = {
+        sign: np.abs(printed_march(TARGET, depth_views(), tau=TAU, reading=FieldReading(sign=sign)).depth - truth) < 0.1 * TAU
+        for sign in ("front", "printed")
+    }
+
+    assert found["front"].mean() > 0.95
+    assert found["printed"].mean() < 0.1
+
+
+def test_the_printed_sum_jumps_over_surfaces():
+    """Without the division a step grows with the weights: at a sum of 16 most rays jump past the band, at 1 none does."""
+    found = {
+        weight: (printed_march(TARGET, depth_views(weight), tau=TAU, reading=FieldReading(normalised=False)).depth > 0).mean()
+        for weight in (0.25, 4.0)
+    }
+
+    assert found[0.25] > 0.95
+    assert found[4.0] < 0.5
+
+
+def test_masks_of_several_views_become_one():
+    """The largest of the masks that cover a pixel, or their mean; 1 where none covers it."""
+    alphas, masks = ([0.9, 0.9, 0.2], [0.9, 0.2, 0.2]), ([0.6, 0.6, 0.6], [1.0, 0.7, 0.9])
+    splats = [
+        Splat(np.float32([[[0, 0, 0, value] for value in mask]]), np.float32([alpha]), np.ones((1, 3), np.float32))
+        for alpha, mask in zip(alphas, masks, strict=True)
+    ]
+
+    np.testing.assert_allclose(target_mask(splats, 0.5), [[1.0, 0.6, 1.0]])
+    np.testing.assert_allclose(target_mask(splats, 0.5, "mean"), [[0.8, 0.6, 1.0]])
+
+
+def test_channels_of_a_difference_become_one():
+    """Red alone changes by 60 levels: the largest is 60 / 255, the mean a third of it (Eq. 1)."""
+    before = np.full((32, 32, 3), 100, np.uint8)
+    after = before + np.array([60, 0, 0], np.uint8)
+
+    np.testing.assert_allclose(difference_mask(after, before), 60 / 255 / 0.7 + 0.6, atol=1e-6)
+    np.testing.assert_allclose(difference_mask(after, before, channels="mean"), 20 / 255 / 0.7 + 0.6, atol=1e-6)
+
+
+def test_holes_stay_black_without_background():
+    """What a camera far to the side does not show is black without background blending and filled with it; the rest is equal."""
+    only = [camera_at(0.8)]
+    images = {
+        on: GeometryGuided(None, GeometricBlender(background=on)).step(instant(0, TARGET, only)).image for on in (True, False)
+    }
+    shown = splat([pixel_gaussians(instant(0, TARGET, only).sources[0])], TARGET, near=0.5).alpha
+    holes = shown < 0.4
+
+    assert 0.02 < holes.mean() < 0.5
+    assert images[False][holes].max() == 0
+    assert images[True][holes].min() > 0
+    np.testing.assert_allclose(images[False][shown > 0.6], images[True][shown > 0.6], atol=1e-6)
+
+
+def with_a_darker_source(given):
+    """The instant with a first source that takes pictures of four fifths of the brightness."""
+    first, *others = given.sources
+    return replace(given, sources=(replace(first, image=(0.8 * first.image).astype(np.uint8)), *others))
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"mask_views": "mean"},
+        {"mask_channels": "mean"},
+        {"splatted_depth": "filtered"},
+        {"splatted_as": "points"},
+        {"gaussian_scale_px": 1.0},
+        {"min_step": 0.001},
+        {"beta_temporal": 0.6},
+        {"history_tolerance": float("inf")},
+        {"recurrent_limit": 0.0},
+        {"harmonised": False},
+        {"normalised_field": False},
+        {"signed_distance": "printed"},
+    ],
+    ids=str,
+)
+def test_every_option_reaches_the_image(changed):
+    """An option set otherwise changes the second image: depth is noisy, a square moves, one camera is darker than the others."""
+    images = []
+    for options in (OnlineOptions(), replace(OnlineOptions(), **changed)):
+        method = GeometryGuided(options)
+        steps = [method.step(with_a_darker_source(instant(t, TARGET, SOURCES, 0.05 * t, depth_noise=0.02))) for t in range(2)]
+        images.append((steps[1].image, steps[1].depth))
+
+    assert any(not np.array_equal(ours, other) for ours, other in zip(*images, strict=True))
+
+
+def test_a_smaller_floor_comes_closer_to_the_wall():
+    """The march with a hundredth of the floor still ends, nearer to the exact depth."""
+    inside = look(TARGET)[1] == WALL_Z
+    inside[10:65, 15:80] = False
+    errors = [np.abs(ray_march(TARGET, depth_views(), tau=TAU, min_step=floor).depth - WALL_Z)[inside] for floor in (0.1, 0.001)]
+
+    assert np.median(errors[1]) < np.median(errors[0])
+
+
+def test_a_label_may_set_options():
+    """`ours-geometric+beta_temporal=0.6+mask_views=mean` is the method with these two options, and says so."""
+    spec = find_method("ours-geometric+beta_temporal=0.6+mask_views=mean+normalised_field=false")
+
+    method = spec.make()
+    assert isinstance(method, GeometryGuided)
+    assert method.options == OnlineOptions(beta_temporal=0.6, mask_views="mean", normalised_field=False)
+    assert spec.title == "Ours (geometric weights), beta_temporal=0.6, mask_views=mean, normalised_field=false"
+    assert spec.ours
+
+
+@pytest.mark.parametrize(
+    ("label", "message"),
+    [
+        ("ours-geometric+beta_temporl=0.6", "did you mean beta_temporal"),
+        ("ours-geometric+mask_views=least", "must be one of 'largest', 'mean', got 'least'"),
+        ("ours-geometric+temporal=0.5", "must be true or false, got 0.5"),
+        ("ours-geometric+harmonised=0.5", "must be true or false, got 0.5"),
+        ("no-blending+tau_m=1", "No Blending has no options to set; these have: ours, ours-geometric"),
+    ],
+)
+def test_options_that_are_none_are_refused(label, message):
+    """A mistyped option, a value of the wrong kind, or a method that has none is refused in one line."""
+    with pytest.raises(RenderError, match=message) as caught:
+        find_method(label)
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,188 @@
+"""The recurrent output: noise averages out where nothing moves; motion, light and a moved camera leave no trace of the past."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from ggvs_eval import kernels
+from ggvs_eval.errors import RenderError
+from ggvs_eval.geometry.splat import Splat
+from ggvs_eval.method import Instant
+from ggvs_eval.pipelines.methods.registry import find_method
+from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
+from ggvs_eval.pipelines.online.recurrent_output import RecurrentOutput, splatted_change, stillness
+from helpers.scenes import camera_at, instant, look
+
+TARGET = camera_at(0.0, name="target")
+SOURCES = [camera_at(-0.15), camera_at(0.15), camera_at(-0.45), camera_at(0.45)]
+SIZE = (TARGET.height, TARGET.width)
+CELLS = (-(-SIZE[0] // 4), -(-SIZE[1] // 4))
+QUIET = np.full(CELLS, 1 / 255, np.float32)
+NOTHING_MOVES = stillness(QUIET)
+NOISE = 2 / 255
+
+
+def noisy(index: int, target=TARGET, square_x: float = 0.0, sigma: float = NOISE) -> Instant:
+    """An instant whose sources have sensor noise and noisy depth, new at each index."""
+    plain, random = instant(index, target, SOURCES, square_x, depth_noise=0.02), np.random.default_rng([7, index])
+    grain = [random.normal(0, 255 * sigma, (*SIZE, 3)) for _ in SOURCES]
+    images = [
+        np.clip(np.rint(view.image + each), 0, 255).astype(np.uint8) for view, each in zip(plain.sources, grain, strict=True)
+    ]
+    return replace(plain, sources=tuple(replace(view, image=image) for view, image in zip(plain.sources, images, strict=True)))
+
+
+def play(limit: float, positions: list[float]) -> np.ndarray:
+    method = GeometryGuided(OnlineOptions(recurrent_limit=limit))
+    return np.stack([method.step(noisy(t, square_x=x)).image for t, x in enumerate(positions)])
+
+
+def psnr_db(image: np.ndarray, truth: np.ndarray) -> float:
+    return float(-10 * np.log10(np.mean((image - truth / 255.0) ** 2)))
+
+
+def test_four_still_instants_are_their_mean():
+    """Below its limit the weight of the past makes a plain mean: four outputs of independent noise leave half of it."""
+    random, recurrent = np.random.default_rng(0), RecurrentOutput(0.85)
+
+    for index in range(4):
+        noise = random.normal(0.5, NOISE, (*SIZE, 3)).astype(np.float32)
+        output = recurrent.step(index, TARGET, noise, NOTHING_MOVES)
+
+    assert output.std() == pytest.approx(NOISE / 2, rel=0.06)
+
+
+def test_the_limit_bounds_the_past():
+    """In the long run a first-order filter of weight 0.5 leaves 0.577 of the noise, not less."""
+    random, recurrent = np.random.default_rng(0), RecurrentOutput(0.5)
+
+    for index in range(12):
+        output = recurrent.step(index, TARGET, random.normal(0.5, NOISE, (*SIZE, 3)).astype(np.float32), NOTHING_MOVES)
+
+    assert output.std() == pytest.approx(NOISE * np.sqrt(0.5 / 1.5), rel=0.06)
+
+
+def test_what_moves_is_shown_as_it_is():
+    """Where the sources see a change the output is the new image to the last bit, and the past begins anew."""
+    recurrent, change = RecurrentOutput(0.85), QUIET.copy()
+    change[:9] = 0.2
+    grey = np.full((*SIZE, 3), 0.5, np.float32)
+    new = np.random.default_rng(0).random((*SIZE, 3), np.float32)
+    recurrent.step(0, TARGET, grey, NOTHING_MOVES)
+
+    output = recurrent.step(1, TARGET, new, stillness(change))
+
+    np.testing.assert_allclose(output[:32], new[:32], atol=1e-6)
+    assert np.abs(output[40:] - 0.5).mean() < 0.6 * np.abs(new[40:] - 0.5).mean()
+    again = recurrent.step(2, TARGET, grey, NOTHING_MOVES)
+    np.testing.assert_allclose(again[:28], (new[:28] + grey[:28]) / 2, atol=0.1)
+
+
+def test_slow_light_does_not_lag():
+    """Light that rises by a level per instant is no motion; it is followed to half a level while noise is averaged."""
+    recurrent, random = RecurrentOutput(0.85), np.random.default_rng(0)
+    for index in range(20):
+        light = np.float32(0.3 + index / 255)
+        output = recurrent.step(index, TARGET, light + random.normal(0, NOISE, (*SIZE, 3)).astype(np.float32), NOTHING_MOVES)
+
+    assert abs(float(output.mean() - light)) < 0.5 / 255
+    assert output.std() < 0.5 * NOISE
+
+
+@pytest.mark.parametrize(
+    ("index", "target"),
+    [(2, TARGET), (1, camera_at(0.05)), (1, replace(TARGET, K=TARGET.K * np.array([[1.1], [1.1], [1.0]])))],
+    ids=["gap", "moved", "zoomed"],
+)
+def test_the_past_counts_from_the_same_view_alone(index, target):
+    """After a gap in time, a move or a zoom the output is the new image itself."""
+    recurrent = RecurrentOutput(0.85)
+    recurrent.step(0, TARGET, np.zeros((*SIZE, 3), np.float32), NOTHING_MOVES)
+    new = np.full((*SIZE, 3), 0.5, np.float32)
+
+    np.testing.assert_array_equal(recurrent.step(index, target, new, NOTHING_MOVES), new)
+
+
+@pytest.mark.parametrize("sigma", [0.5, 1.5, 4.0])
+def test_noise_is_no_motion_whatever_the_sensor(sigma):
+    """Sensor noise of half a level to four leaves nearly all cells still; a change of 40 levels never does."""
+    rng = np.random.default_rng(1)
+    grain = np.abs(rng.normal(0, sigma * np.sqrt(2) / 4, (3 * 4, *CELLS))).max(axis=0)  # channels of 4 sources, 16 pixels each
+    change = cv2.dilate(grain, np.ones((5, 5), np.uint8)).astype(np.float32) / 255
+    change[:4] = 40 / 255
+
+    still = stillness(change)
+
+    assert still[:4].max() == 0
+    assert (still[4:] > 0.9).mean() > 0.95
+
+
+def test_the_change_is_the_largest_that_a_covering_view_saw():
+    """Eq. 1 undone: a mask of 0.8 is a change of (0.8 - 0.6) 0.7; a view that does not cover has no say; next cells count."""
+    masks = np.full((2, 32, 64), 0.6, np.float32)
+    masks[0, 16, 32], masks[1, 16, 4] = 0.8, 1.0
+    alphas = np.ones((2, 32, 64), np.float32)
+    alphas[1, :, :16] = 0.3
+    splats = [
+        Splat(np.dstack([np.zeros((32, 64, 3), np.float32), mask]), alpha, alpha)
+        for mask, alpha in zip(masks, alphas, strict=True)
+    ]
+
+    change = splatted_change(splats, 0.5, 0.6, 0.7)
+
+    assert change.shape == (8, 16)
+    np.testing.assert_allclose(change[4, 6:11], 0.14, atol=1e-6)
+    assert change[:, :6].max() < 1e-6
+
+
+def test_a_still_scene_is_calmer_and_no_worse():
+    """With noise of sensors and depth, the recurrent output halves the flicker of a still scene and comes nearer to the truth."""
+    truth, still = look(TARGET)[0], [0.0] * 10
+    with_past, without = play(0.85, still), play(0.0, still)
+
+    assert with_past[4:].std(axis=0).mean() < 0.5 * without[4:].std(axis=0).mean()
+    assert psnr_db(with_past[-1], truth) > psnr_db(without[-1], truth)
+
+
+def test_a_moving_square_leaves_no_ghost():
+    """Behind and on a square that moves, the recurrent output is as near to the truth as without: no trail of what was there."""
+    positions = [-0.5 + 0.1 * t for t in range(8)]
+    truths = [look(TARGET, x) for x in positions]
+    around = np.any([depth < 4 for _, depth in truths[-4:]], axis=0)  # where the square is or just was
+    last = truths[-1][0]
+
+    with_past, without = (psnr_db(play(limit, positions)[-1][around], last[around]) for limit in (0.85, 0.0))
+
+    assert with_past > without - 0.1
+
+
+def test_no_temporal_filtering_has_no_recurrent_output():
+    """The ablation renders every instant as if it were the first."""
+    method = find_method("ours-geometric+no-temporal").make()
+    method.step(noisy(0))
+
+    np.testing.assert_array_equal(
+        method.step(noisy(1)).image, find_method("ours-geometric+no-temporal").make().step(noisy(1)).image
+    )
+
+
+def test_threads_do_not_change_a_bit():
+    """One thread and three give the same image after four instants."""
+    threads, images = kernels.get_threads(), []
+    for count in (1, 3):
+        kernels.set_threads(count)
+        cv2.setNumThreads(count)
+        images.append(play(0.85, [0.0] * 4)[-1])
+    kernels.set_threads(threads)
+    cv2.setNumThreads(threads)
+
+    np.testing.assert_array_equal(*images)
+
+
+@pytest.mark.parametrize("limit", [-0.1, 1.0])
+def test_a_weight_that_is_none_is_refused(limit):
+    """A past of weight 1 would never let anything new in."""
+    with pytest.raises(RenderError, match="must be at least 0 and below 1"):
+        RecurrentOutput(limit)

@@ -1,0 +1,104 @@
+"""The reference that is not online: it uses the future, is marked for it, and is calmer for it."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ggvs_eval.datasets import open_capture
+from ggvs_eval.method import Instant, LookaheadMethod, SourceView
+from ggvs_eval.pipelines.methods.registry import METHODS, find_method
+from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
+from ggvs_eval.pipelines.online.whole_sequence import WholeSequence
+from ggvs_eval.pipelines.run.prepare import prepare
+from ggvs_eval.pipelines.run.render import render
+from ggvs_eval.protocol import CameraPath, Frames, Synthesis, Views, load_protocol
+from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
+from ggvs_eval.synthetic.demo import write_demo
+from ggvs_eval.synthetic.film.options import DemoOptions
+from helpers.scenes import SQUARE_Z, camera_at, instant
+
+TARGET = camera_at(0.0, name="target")
+SOURCES = [camera_at(-0.15), camera_at(0.15)]
+OFFLINE = "ours-geometric+offline"
+
+
+def play(positions: list[float], looks_ahead: bool = True) -> list[np.ndarray]:
+    method, instants = WholeSequence(), [instant(t, TARGET, SOURCES, x, depth_noise=0.02) for t, x in enumerate(positions)]
+    if looks_ahead:
+        method.look_ahead(reversed(instants))
+    return [method.step(each).image for each in instants]
+
+
+def test_every_method_that_looks_ahead_is_marked():
+    """Whatever is shown the future says so in its spec and its title; nothing else does."""
+    for spec in (each for each in METHODS.values() if not each.make_from):
+        assert isinstance(spec.make(), LookaheadMethod) == (not spec.online)
+        assert spec.online or "not online" in spec.title.lower()
+    assert not find_method(OFFLINE).online
+    assert not find_method(OFFLINE).usual
+
+
+def test_the_future_changes_the_present():
+    """Another end of the sequence changes its beginning, which no online method may show."""
+    assert not np.array_equal(play([0.0, 0.0, 0.0])[0], play([0.0, 0.4, 0.4])[0])
+
+
+def test_without_a_look_ahead_it_is_the_online_method():
+    """Where there is no sequence to look at, along a camera path, it renders what the online method renders."""
+    online = GeometryGuided()
+    for t, image in enumerate(play([0.0, 0.1], looks_ahead=False)):
+        np.testing.assert_array_equal(image, online.step(instant(t, TARGET, SOURCES, 0.1 * t, depth_noise=0.02)).image)
+
+
+def test_both_passes_together_halve_the_noise_of_depth():
+    """In a still scene, two first-order filters with a = 0.4, one back and one forth, leave
+    sqrt(((1 - a) / (1 + a))^2 (1 + a^2) / (1 - a^2)) = 0.504 of the standard deviation; one alone leaves 0.655.
+    """
+    random = np.random.default_rng(0)
+    image, camera = np.full((40, 40, 3), 90, np.uint8), camera_at(0.0, width=40, height=40)
+    depths = random.normal(SQUARE_Z, 0.02, (17, 40, 40)).astype(np.float32)
+    instants = [
+        Instant(t, TARGET, (SourceView(camera, image, depth, np.ones_like(depth)),), 2.5) for t, depth in enumerate(depths)
+    ]
+    seen: dict[bool, float] = {}
+
+    for looks_ahead in (True, False):
+        method = WholeSequence()
+        if looks_ahead:
+            method.look_ahead(reversed(instants))
+        for each in instants[:9]:
+            method.step(each)
+        seen[looks_ahead] = float(method._forward._filter._history[camera.name][2].std()) / 0.02
+
+    assert seen[True] == pytest.approx(0.504, rel=0.06)
+    assert seen[False] == pytest.approx(0.655, rel=0.06)
+
+
+def test_nothing_is_left_behind():
+    """The folder of the backward pass goes with the method."""
+    method = WholeSequence()
+    method.look_ahead([instant(0, TARGET, SOURCES)])
+    folder = Path(method._folder.name)
+
+    assert len(list(folder.iterdir())) == len(SOURCES)
+    del method
+    assert not folder.exists()
+
+
+def test_a_run_shows_it_the_whole_sequence(tmp_path):
+    """Rendered in a run it has looked at every frame of the protocol, and the time that took is told."""
+    options = DemoOptions(width=96, height=72, n_frames=3, cameras_per_row=3, path_poses=0, supersampling=1)
+    capture = open_capture(write_demo(tmp_path / "demo", options))
+    protocol = replace(
+        load_protocol("demo"), views=Views(("cam00",), "test"), frames=Frames(0, 3), synthesis=Synthesis(2), path=CameraPath(0)
+    )
+    prepared = prepare(tmp_path / "run", capture, protocol)
+
+    render(prepared, [OFFLINE, "ours-geometric"])
+
+    record = read_json(RunFolder(tmp_path / "run").renders(OFFLINE, "cam00") / JOB_FILE)
+    frames = [RunFolder(tmp_path / "run").renders(label, "cam00") / "0000.png" for label in (OFFLINE, "ours-geometric")]
+    assert [seconds > 0 for seconds in record["seconds"]["look ahead"]] == [True] * 3
+    assert frames[0].read_bytes() != frames[1].read_bytes()

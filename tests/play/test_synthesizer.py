@@ -1,0 +1,220 @@
+"""Live synthesis: sources follow the target, history is kept as the method keeps it, and what does not fit is one line."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ggvs_eval.depth_store import DepthMap
+from ggvs_eval.errors import CameraError, DepthError, GgvsError, RenderError
+from ggvs_eval.files.images import quantise, read_image
+from ggvs_eval.pipelines.methods.registry import find_method
+from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
+from ggvs_eval.pipelines.play.synthesizer import DEFAULT_METHOD, OnlineSynthesizer
+from helpers.places import ROOT
+from helpers.scenes import camera_at, instant, look
+
+RIG = [camera_at(x) for x in (-0.45, -0.15, 0.15, 0.45)]
+UNITS_PER_METRE = 2.5  # of `scenes.instant`
+DOCUMENT = ROOT / "docs" / "online.md"
+
+
+def seen(square_x: float = 0.0):
+    """Images and exact depth of the whole rig."""
+    looks = {camera.name: look(camera, square_x) for camera in RIG}
+    return {name: image for name, (image, _) in looks.items()}, {name: depth for name, (_, depth) in looks.items()}
+
+
+def synthesizer(k: int = 2, **options) -> OnlineSynthesizer:
+    return OnlineSynthesizer(RIG, k, UNITS_PER_METRE, **options)
+
+
+def psnr_db(image, truth) -> float:
+    return float(-10 * np.log10(np.mean((image - truth / 255.0) ** 2)))
+
+
+@pytest.mark.parametrize("label", [DEFAULT_METHOD, "distance-based"])
+def test_steps_are_the_steps_of_the_method(label):
+    """The same bits as the method gives when it is shown the same instants."""
+    method, live, target = find_method(label).make(), synthesizer(method=label), camera_at(0.05, name="virtual")
+    for t, square_x in enumerate((0.0, 0.1, 0.2)):
+        expected = method.step(instant(t, target, live.sources(target), square_x))
+        np.testing.assert_array_equal(live.step(*seen(square_x), target).image, expected.image)
+
+
+def test_sources_follow_the_target():
+    """The K nearest cameras of each pose, nearest first; the view is right before and after they change."""
+    live = synthesizer()
+    for x, names in ((-0.33, ["x-0.45", "x-0.15"]), (0.02, ["x+0.15", "x-0.15"]), (0.4, ["x+0.45", "x+0.15"])):
+        target = camera_at(x, name="virtual")
+        assert [camera.name for camera in live.sources(target)] == names
+        assert psnr_db(live.step(*seen(), target).image, look(target)[0]) > 24
+
+
+def test_k_may_change_between_steps():
+    """One, then three sources: taken without a restart."""
+    live, target = synthesizer(k=1), camera_at(0.0, name="virtual")
+    live.step(*seen(), target)
+    live.k = 3
+    assert len(live.sources(target)) == 3
+    assert psnr_db(live.step(*seen(), target).image, look(target)[0]) > 25
+
+
+def test_the_target_may_change_its_size():
+    """A view of another size and field of view follows; it has that size and is right."""
+    live = synthesizer()
+    live.step(*seen(), camera_at(0.0, name="virtual"))
+    wide = camera_at(0.05, name="virtual", width=64, height=48)
+    rendered = live.step(*seen(), wide).image
+    assert rendered.shape == (48, 64, 3)
+    assert psnr_db(rendered, look(wide)[0]) > 24
+
+
+def test_a_camera_of_the_rig_is_not_its_own_source():
+    """A target of a source's name is synthesised from the others: leave-one-out."""
+    assert RIG[1].name not in [camera.name for camera in synthesizer(k=3).sources(RIG[1])]
+
+
+def test_arrays_may_be_overwritten():
+    """A camera that writes each frame into the same memory gives the same bits as one that does not."""
+    target, fresh, reused = camera_at(0.0, name="virtual"), synthesizer(), synthesizer()
+    images, depths = seen()
+    for square_x in (0.0, 0.3):
+        now_images, now_depths = seen(square_x)
+        for name in images:
+            images[name][:], depths[name][:] = now_images[name], now_depths[name]
+        expected = fresh.step(now_images, now_depths, target).image
+        np.testing.assert_array_equal(reused.step(images, depths, target).image, expected)
+
+
+def test_a_restart_forgets():
+    """After a restart a step gives the bits of a first step; without, it does not."""
+    target, live = camera_at(0.0, name="virtual"), synthesizer()
+    first = live.step(*seen(), target).image
+    images, depths = seen()
+    noisy = {name: depth + np.float32(0.03) for name, depth in depths.items()}
+    second = live.step(images, noisy, target).image
+    live.restart()
+    np.testing.assert_array_equal(live.step(*seen(), target).image, first)
+    live.restart()
+    assert not np.array_equal(live.step(images, noisy, target).image, second)
+
+
+def test_confidence_comes_with_a_depth_map():
+    """The method is shown the confidence of a DepthMap, and 1 where a bare array has depth."""
+    shown = []
+
+    class Watching(GeometryGuided):
+        def step(self, instant):
+            shown.append(instant.sources[0].confidence)
+            return super().step(instant)
+
+    live, target = synthesizer(k=1, method=Watching), camera_at(-0.5, name="virtual")
+    images, depths = seen()
+    depths[RIG[0].name][:5] = 0
+    live.step(images, depths, target)
+    live.step(images, {name: DepthMap(depth, np.full_like(depth, 0.25)) for name, depth in depths.items()}, target)
+    np.testing.assert_array_equal(shown[0], depths[RIG[0].name] > 0)
+    assert (shown[1] == 0.25).all()
+
+
+def spoilt(kind: str):
+    """Images and depth of the rig with one fault in the nearest camera."""
+    images, depths = seen()
+    name = RIG[2].name
+    if kind == "no image":
+        del images[name]
+    elif kind == "no depth":
+        del depths[name]
+    elif kind == "small image":
+        images[name] = images[name][::2, ::2]
+    elif kind == "float image":
+        images[name] = images[name] / 255
+    elif kind == "small depth":
+        depths[name] = depths[name][:-1]
+    elif kind == "integer depth":
+        depths[name] = depths[name].astype(np.uint16)
+    elif kind == "no confidence":
+        depths[name] = DepthMap(depths[name], np.ones((2, 2), np.float32))
+    else:
+        depths[name][3, 4] = {"NaN depth": np.nan, "negative depth": -1, "infinite depth": np.inf}[kind]
+    return images, depths
+
+
+@pytest.mark.parametrize(
+    ("kind", "error", "words"),
+    [
+        ("no image", RenderError, r"camera virtual: wanted an image of each of its sources x\+0.15, x-0.15, got none of x\+0.15"),
+        ("no depth", RenderError, r"wanted depth of each of its sources .* got none of x\+0.15"),
+        ("small image", RenderError, r"camera x\+0.15: wanted a uint8 image of \(72, 96, 3\), got uint8 \(36, 48, 3\)"),
+        ("float image", RenderError, r"got float64 \(72, 96, 3\)"),
+        ("small depth", DepthError, r"camera x\+0.15: wanted floating-point depth of \(72, 96\), got float32 \(71, 96\)"),
+        ("integer depth", DepthError, r"got uint16 \(72, 96\)"),
+        ("no confidence", DepthError, r"wanted confidence of \(72, 96\) like its depth, got \(2, 2\)"),
+        ("NaN depth", DepthError, r"camera x\+0.15: depth must be finite and not negative, got nan"),
+        ("negative depth", DepthError, r"got -1 \.\. 5"),
+        ("infinite depth", DepthError, r"\.\. inf; write 0"),
+    ],
+)
+def test_what_does_not_fit_is_one_line(kind, error, words):
+    """The camera, what was wanted and what came; the next step works as if nothing had been."""
+    live, untouched, target = synthesizer(), synthesizer(), camera_at(0.02, name="virtual")
+    with pytest.raises(error, match=words) as caught:
+        live.step(*spoilt(kind), target)
+    assert "\n" not in str(caught.value)
+    np.testing.assert_array_equal(live.step(*seen(), target).image, untouched.step(*seen(), target).image)
+
+
+def test_a_nan_pose_is_refused():
+    """A virtual camera whose pose is not a number is none."""
+    pose = np.eye(4)
+    pose[0, 3] = np.nan
+    with pytest.raises(CameraError, match=r"camera virtual: world_to_camera must be \(4, 4\) finite numbers"):
+        replace(RIG[0], name="virtual", world_to_camera=pose)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"k": 5}, "wanted 1 to 4 source views, as many as there are cameras, got 5"),
+        ({"k": 0}, "got 0"),
+        ({"method": "ours-geometrc"}, "did you mean ours-geometric"),
+        ({"method": "ours-geometric+offline"}, "looks at the whole sequence before its first step; choose one that is online"),
+        ({"cameras": [*RIG, RIG[0]]}, "wanted each camera once, got x-0.45 several times"),
+        ({"units_per_metre": float("nan")}, "wanted a positive number of world units per metre, got nan"),
+    ],
+)
+def test_a_rig_that_cannot_work_is_refused(arguments, words):
+    """Before any frame is seen."""
+    with pytest.raises(GgvsError, match=words):
+        OnlineSynthesizer(**{"cameras": RIG, "k": 2, **arguments})
+
+
+def test_too_few_cameras_beside_the_target():
+    """As many sources as cameras, and the target is one of them."""
+    with pytest.raises(CameraError, match="wanted 4 source cameras, the capture has 3 others"):
+        synthesizer(k=4).step(*seen(), RIG[0])
+
+
+@pytest.mark.skipif(not DOCUMENT.is_file(), reason="reads the checkout")
+def test_the_example_of_the_page_works(tmp_path, monkeypatch):
+    """The code of docs/online.md, run as it stands on a small demo capture, writes views that resemble what is filmed there."""
+    from ggvs_eval.synthetic.demo import write_demo
+    from ggvs_eval.synthetic.film.options import DemoOptions
+
+    small = {"width": 128, "height": 96, "n_frames": 2, "cameras_per_row": 2, "supersampling": 1, "path_poses": 0}
+    write_demo(tmp_path / "room", DemoOptions(**small, depth_stride=0, noise_sigma_255=0.0, exposure_spread=0.0), workers=1)
+    (example,) = re.findall(r"```python\n(.*?)```", DOCUMENT.read_text(encoding="utf-8"), flags=re.DOTALL)
+    code = [line for line in example.splitlines() if line and not line.startswith("from ")]
+    monkeypatch.chdir(tmp_path)
+
+    names: dict = {}
+    exec(compile(example, str(DOCUMENT), "exec"), names)
+
+    assert len(code) <= 10
+    assert [file.name for file in sorted((tmp_path / "view").iterdir())] == ["0000.png", "0001.png"]
+    for t in range(2):
+        view, filmed = read_image(tmp_path / "view" / f"{t:04d}.png"), names["room"].frame("cam01", t)
+        assert view.shape == filmed.shape
+        assert psnr_db(view / 255.0, quantise(np.full(filmed.shape, filmed.mean() / 255))) < psnr_db(view / 255.0, filmed)

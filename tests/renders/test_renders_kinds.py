@@ -1,0 +1,304 @@
+"""Renders of every layout become <view>/<frame>.png of a run, each picture at its place."""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ggvs_eval.errors import RenderError
+from ggvs_eval.files.images import read_image, write_image
+from ggvs_eval.pipelines.run.import_renders import import_renders
+from ggvs_eval.run_folder import RunFolder, frame_path, read_json
+from helpers.render_folders import (
+    FRAMES,
+    N_FRAMES,
+    VIEWS,
+    make_run,
+    pack,
+    rendered,
+    stack,
+    truth,
+    view_major,
+    write_4dgaussians,
+    write_easyvolcap,
+    write_flat,
+    write_folders,
+    write_nerfbaselines,
+    write_picture,
+    write_videos,
+)
+
+
+@pytest.fixture
+def run(tmp_path) -> RunFolder:
+    return make_run(tmp_path / "run")
+
+
+def largest_difference(run: RunFolder) -> int:
+    """Between what was rendered and what lies in the run, over all views and frames."""
+    pairs = [(read_image(frame_path(run.renders("mine", v), t)).astype(int), rendered(v, t)) for v, t in view_major()]
+    assert sum(1 for _ in (run.root / "renders" / "mine").rglob("*.png")) == len(pairs)
+    return max(int(np.abs(image - wanted).max()) for image, wanted in pairs)
+
+
+def write_arrays(folder: Path, dtype: str, suffix: str) -> Path:
+    folder.mkdir()
+    for view in VIEWS:
+        if suffix == ".npy":
+            np.save(folder / f"{view}.npy", stack(view, dtype))
+        else:
+            np.savez_compressed(folder / f"{view}.npz", frames=stack(view, dtype))
+    return folder
+
+
+def write_one_npz(folder: Path) -> Path:
+    folder.mkdir()
+    np.savez(folder / "all.npz", **{view: stack(view) for view in VIEWS})
+    return folder / "all.npz"
+
+
+def write_other_run(folder: Path) -> Path:
+    write_folders(make_run(folder).root / "renders" / "theirs")
+    return folder
+
+
+by_frame = [(view, frame) for frame in FRAMES for view in VIEWS]
+by_alphabet = [(view, frame) for view in sorted(VIEWS) for frame in FRAMES]
+whole_capture = [(view, frame) for view in sorted(VIEWS) for frame in range(N_FRAMES)]
+EXACT: dict[str, tuple[Callable[[Path], Path], str, str]] = {
+    "folders": (write_folders, "<view>/<frame>.png", ""),
+    "folders of five digits": (
+        lambda f: write_folders(f, pattern="{view}/rgb_v2_{number:05d}.png"),
+        "<view>/<frame>.png",
+        "",
+    ),
+    "folders from 0": (
+        lambda f: write_folders(f, numbers=range(3)),
+        "<view>/<frame>.png",
+        "numbered 0-2 are taken as 2-4",
+    ),
+    "folders from 1": (lambda f: write_folders(f, numbers=range(1, 4)), "<view>/<frame>.png", "1-3 are taken as 2-4, in order"),
+    "folders of the whole capture": (
+        lambda f: write_folders(f, range(N_FRAMES)),
+        "<view>/<frame>.png",
+        "frames 2-4 of the 7 of the whole capture",
+    ),
+    "a run folder": (write_other_run, "a run folder", ""),
+    "uint8 arrays": (lambda f: write_arrays(f, "uint8", ".npy"), "one array per view", "3 frames are taken as 2-4"),
+    "float arrays": (lambda f: write_arrays(f, "float32", ".npy"), "one array per view", "rounded to 8 bit"),
+    "double arrays in npz": (lambda f: write_arrays(f, "float64", ".npz"), "one array per view", "rounded to 8 bit"),
+    "one npz": (write_one_npz, "one array per view", "in order"),
+    "flat, view by view": (lambda f: write_flat(f, view_major()), "renders/ and gt/", "view after view"),
+    "flat, instant by instant": (lambda f: write_flat(f, by_frame), "renders/ and gt/", "instant after instant"),
+    "flat, by alphabet": (lambda f: write_flat(f, by_alphabet), "renders/ and gt/", "cam00, cam02 in frames 2-4"),
+    "flat, the whole capture": (lambda f: write_flat(f, whole_capture), "renders/ and gt/", "8 pictures of other frames"),
+    "a 3DGS model folder": (
+        lambda f: write_flat(f / "test" / "ours_30000", view_major()).parents[1],
+        "renders/ and gt/",
+        "order found",
+    ),
+    "a 4DGaussians model folder": (write_4dgaussians, "renders/ and gt/", "view after view"),
+    "easyvolcap": (write_easyvolcap, "EasyVolcap output", "_gt pictures agree"),
+    "easyvolcap, a tag": (lambda f: write_easyvolcap(f / "ours_b").parent, "EasyVolcap output", "2 = cam02, 0 = cam00"),
+    "easyvolcap, renders alone": (lambda f: write_easyvolcap(f, False) / "RENDER", "EasyVolcap output", "no _gt pictures"),
+    "easyvolcap, the whole capture": (
+        lambda f: write_easyvolcap(f, False, range(N_FRAMES)),
+        "EasyVolcap output",
+        "frames 2-4 of the 7",
+    ),
+    "nerfbaselines": (write_nerfbaselines, "NerfBaselines output", "gt-color/ agrees"),
+    "nerfbaselines, images/": (
+        lambda f: write_nerfbaselines(f, "images/{view}/{frame:04d}.png"),
+        "NerfBaselines output",
+        "agrees",
+    ),
+    "nerfbaselines, flat names": (lambda f: write_nerfbaselines(f, "{view}_{frame:04d}.png"), "NerfBaselines output", "agrees"),
+    "nerfbaselines without views": (
+        lambda f: pack_names(write_flat(f, view_major(), ("color", "gt-color"))),
+        "NerfBaselines output",
+        "order found by comparing gt-color/",
+    ),
+    "nerfbaselines without truth": (
+        lambda f: write_nerfbaselines(f, copies=False),
+        "NerfBaselines output",
+        "no complete gt-color/",
+    ),
+    "zip": (lambda f: pack(write_nerfbaselines(f), f.with_name("a.zip")), "NerfBaselines output in an archive", "agrees"),
+    "tar.gz": (lambda f: pack(write_nerfbaselines(f), f.with_name("a.tar.gz")), "NerfBaselines output in an archive", "agrees"),
+    "zip of a folder in it": (
+        lambda f: pack(write_folders(f / "results").parent, f.with_name("a.zip")),
+        "<view>/<frame>.png in an archive",
+        "",
+    ),
+}
+
+
+def pack_names(folder: Path) -> Path:
+    (folder / "info.json").write_text("{}")
+    return folder
+
+
+@pytest.mark.parametrize("case", EXACT)
+def test_lossless_renders_arrive_bit_for_bit(case, run, tmp_path):
+    """Whatever the layout, every picture lands at its view and frame with its very values, and the record says how."""
+    write, kind, note = EXACT[case]
+
+    record = import_renders(run, "mine", write(tmp_path / "theirs"))
+
+    assert largest_difference(run) == 0
+    assert record["kind"] == kind
+    assert note in " | ".join(record["notes"])
+    assert (note == "") == (record["notes"] == [])
+    assert record["partial"] == ""
+
+
+def test_easyvolcap_of_another_capture_is_refused(run, tmp_path):
+    """A copy of the truth that shows another camera, and a camera number that the capture lacks, are told."""
+    folder = write_easyvolcap(tmp_path / "theirs") / "RENDER"
+    shutil.copy(folder / "frame0003_camera0002_gt.png", folder / "frame0003_camera0000_gt.png")
+    with pytest.raises(RenderError, match=r"frame0003_camera0000_gt\.png is .* levels from frame 3 of cam00"):
+        import_renders(run, "mine", tmp_path / "theirs")
+
+    shutil.copy(folder / "frame0003_camera0002.png", folder / "frame0003_camera0007.png")
+    with pytest.raises(RenderError, match="wanted a camera of 0 to 2, got 7"):
+        import_renders(run, "mine", tmp_path / "theirs")
+
+
+def test_easyvolcap_with_several_tags_is_asked_for_one(run, tmp_path):
+    """Where an experiment holds several sets of renders the message names them."""
+    for tag in ("a", "b"):
+        write_easyvolcap(tmp_path / "theirs" / tag)
+
+    with pytest.raises(RenderError, match="several sets: give one of a/RENDER, b/RENDER"):
+        import_renders(run, "mine", tmp_path / "theirs")
+
+
+@pytest.mark.parametrize("frames", [FRAMES, range(N_FRAMES)], ids=["the protocol's frames", "the whole capture"])
+def test_a_video_per_view_is_decoded_to_its_frames(frames, run, tmp_path):
+    """A video of the protocol's frames or of the whole capture gives each frame at its instant, but for its coding."""
+    record = import_renders(run, "mine", write_videos(tmp_path / "theirs", frames), workers=2)
+
+    for view, frame in view_major():
+        image = read_image(frame_path(run.renders("mine", view), frame)).astype(float)
+        near = {other: np.abs(image - rendered(view, other)).mean() for other in range(N_FRAMES)}
+        assert min(near, key=lambda other: near[other]) == frame
+        assert near[frame] < 4
+    assert any("decoded from video" in note for note in record["notes"])
+
+
+def test_jpeg_is_decoded_once_and_said(run, tmp_path):
+    """JPEG frames become PNG frames of the decoded values, and the record says how many."""
+    write_folders(tmp_path / "theirs", pattern="{view}/{number:04d}.jpg")
+
+    record = import_renders(run, "mine", tmp_path / "theirs")
+
+    file = frame_path(run.renders("mine", "cam00"), 3)
+    np.testing.assert_array_equal(read_image(file), read_image(tmp_path / "theirs" / "cam00" / "0003.jpg"))
+    assert file.read_bytes().startswith(b"\x89PNG")
+    assert "cam00: 3 frames are JPEG, decoded once to PNG: what JPEG lost counts against the method" in record["notes"]
+
+
+def test_png_files_are_linked_and_stay_theirs(run, tmp_path):
+    """PNG frames are links to the very files, which are not touched; a JPEG called .png is still decoded."""
+    write_folders(tmp_path / "theirs")
+    write_picture(tmp_path / "jpeg.jpg", rendered("cam00", 3))
+    shutil.copy(tmp_path / "jpeg.jpg", tmp_path / "theirs" / "cam00" / "0003.png")
+
+    import_renders(run, "mine", tmp_path / "theirs")
+
+    file = frame_path(run.renders("mine", "cam02"), 3)
+    assert file.is_symlink()
+    assert file.resolve() == (tmp_path / "theirs" / "cam02" / "0003.png").resolve()
+    assert not frame_path(run.renders("mine", "cam00"), 3).is_symlink()
+
+
+def test_what_was_unpacked_stays_without_the_archive(run, tmp_path):
+    """Frames of an archive are files of the run; nothing temporary is left beside them."""
+    archive = pack(write_folders(tmp_path / "theirs"), tmp_path / "theirs.zip")
+
+    import_renders(run, "mine", archive)
+    archive.unlink()
+
+    assert largest_difference(run) == 0
+    assert sorted(item.name for item in (run.root / "renders").iterdir()) == ["mine"]
+
+
+@pytest.mark.parametrize("case", ["folders", "zip", "flat, view by view", "uint8 arrays"])
+def test_a_second_call_does_nothing(case, run, tmp_path):
+    """The same files are not imported again."""
+    source = EXACT[case][0](tmp_path / "theirs")
+    first = import_renders(run, "mine", source)
+    folder = run.root / "renders" / "mine"
+    before = folder.stat().st_ino, folder.stat().st_mtime_ns
+
+    again = import_renders(run, "mine", source)
+
+    assert (folder.stat().st_ino, folder.stat().st_mtime_ns) == before
+    assert again == first == read_json(folder / "import.json")
+
+
+@pytest.mark.parametrize("suffix", ["", ".zip"], ids=["folder", "archive"])
+def test_a_changed_file_is_noticed(suffix, run, tmp_path):
+    """Where a frame was rendered again, the import is made again in place of the old."""
+    folder = write_folders(tmp_path / "theirs")
+    source = pack(folder, tmp_path / "theirs.zip") if suffix else folder
+    first = import_renders(run, "mine", source)
+    write_image(folder / "cam00" / "0003.png", truth("cam00", 3))
+    source = pack(folder, tmp_path / "theirs.zip") if suffix else folder
+
+    second = import_renders(run, "mine", source)
+
+    assert second["sha256"] != first["sha256"]
+    np.testing.assert_array_equal(read_image(frame_path(run.renders("mine", "cam00"), 3)), truth("cam00", 3))
+
+
+def test_a_killed_import_is_made_again(run, tmp_path):
+    """Leftovers of a killed import are removed, lost frames are brought back."""
+    source = write_folders(tmp_path / "theirs")
+    (run.root / "renders" / ".mine.99.tmp" / "cam00").mkdir(parents=True)
+    import_renders(run, "mine", source)
+    frame_path(run.renders("mine", "cam00"), 3).unlink()
+
+    import_renders(run, "mine", source)
+
+    assert largest_difference(run) == 0
+    assert [item.name for item in (run.root / "renders").iterdir()] == ["mine"]
+
+
+def test_the_record_names_every_source_file(run, tmp_path):
+    """import.json holds the kind, the last part of the path and a digest of each file, and no absolute path."""
+    import_renders(run, "mine", write_folders(tmp_path / "theirs"))
+
+    text = (run.root / "renders" / "mine" / "import.json").read_text()
+    record = read_json(run.root / "renders" / "mine" / "import.json")
+
+    assert (record["kind"], record["source"]) == ("<view>/<frame>.png", "theirs")
+    assert sorted(record["identity"]["files"]) == [f"cam0{view}/000{frame}.png" for view in (0, 2) for frame in FRAMES]
+    assert len(set(record["identity"]["files"].values())) == 6
+    assert str(tmp_path) not in text
+
+
+def test_a_run_with_several_methods_is_asked_by_name(run, tmp_path):
+    """Of a run folder with several methods the one of the given name is taken; without one the error lists them."""
+    other = make_run(tmp_path / "other")
+    write_folders(other.root / "renders" / "mine")
+    write_folders(other.root / "renders" / "worse", numbers=range(2, 5))
+
+    import_renders(run, "mine", other.root)
+
+    assert largest_difference(run) == 0
+    with pytest.raises(RenderError, match="several methods; call it by one of their names: mine, worse"):
+        import_renders(run, "third", other.root)
+
+
+@pytest.mark.parametrize("write", [write_folders, write_nerfbaselines])
+def test_a_relative_path_is_as_good_as_a_whole_one(run, tmp_path, monkeypatch, write):
+    """Renders are named as people type them, from where they stand."""
+    write(tmp_path / "theirs")
+    monkeypatch.chdir(tmp_path)
+
+    import_renders(run, "mine", Path("theirs"))
+
+    assert largest_difference(run) == 0

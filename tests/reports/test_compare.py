@@ -1,0 +1,137 @@
+"""`ggvs-eval compare`: planted differences are found, chance is not taken for one, and what does not compare is refused."""
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ggvs_eval.pipelines.commands.main import run_command
+from ggvs_eval.protocol import Frames
+from ggvs_eval.reports.tables.compare_runs import differences, method_sides, run_sides
+from ggvs_eval.results import Results
+from ggvs_eval.statistics.paired import compare
+from helpers.command_line import refusal
+from helpers.run_folders import RunShape, write_run
+
+SHAPE = RunShape(tuple(f"cam{view:02}" for view in range(6)), Frames(0, 16), 16, 16, 0, metrics=("PSNR", "SSIM", "L1"))
+BETTER_DB = 0.5
+
+
+def write_values(root: Path, better_db: float = 0.0, seed: int = 0, shape: RunShape = SHAPE) -> Path:
+    """A run in which views differ by decibels, frames by noise; `seed` moves the noise, `better_db` the PSNR of all methods."""
+    write_run(root, shape, lambda label, view, index: np.full((16, 16, 3), 90, np.uint8))
+    found, own = Results.read(root), np.random.default_rng(seed)
+    view = found.table["view"].str.slice(3).astype(int).to_numpy()
+    noise = own.standard_normal(len(found.table))
+    psnr = found.table["metric"].to_numpy() == "PSNR"
+    values = np.where(psnr, 28.0 + 1.5 * view + better_db + 0.1 * noise, 0.5 + 0.01 * view + 0.001 * noise)
+    Results(found.table.assign(value=values), found.provenance, found.not_computed).write(root)
+    return root
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory) -> dict[str, Path]:
+    """A run, the same again under other noise, one that is better, and one of another protocol; nobody changes them."""
+    root = tmp_path_factory.mktemp("compare")
+    other = replace(SHAPE, frames=Frames(0, 15))
+    return {
+        "plain": write_values(root / "plain"),
+        "again": write_values(root / "again", seed=1),
+        "better": write_values(root / "better", BETTER_DB, seed=2),
+        "other": write_values(root / "other", shape=other),
+    }
+
+
+def test_a_planted_difference_is_significant_in_the_mean_and_in_each_view(runs):
+    """Half a decibel under a tenth of noise is told from chance, in all views together and in each of the six."""
+    (one, other), *rest = run_sides(runs["plain"], runs["better"])
+    assert len(rest) == 2
+    psnr = [found for found in differences(one, other, runs["plain"]) if found.metric == "PSNR"]
+    assert [found.view for found in psnr] == ["", *SHAPE.views]
+    for found in psnr:
+        assert found.comparison.difference == pytest.approx(-BETTER_DB, abs=0.15)
+        assert found.comparison.low <= -BETTER_DB + 0.1
+        assert found.comparison.high < 0.0
+        assert (found.is_significant, found.verdict) == (True, "second better")
+
+
+def test_chance_is_not_taken_for_a_difference(runs):
+    """Two runs that differ by noise alone cannot be told apart, in whatever metric."""
+    one, other = run_sides(runs["plain"], runs["again"])[0]
+    whole = [found for found in differences(one, other, runs["plain"]) if not found.view]
+    assert [found.metric for found in whole] == ["PSNR", "SSIM", "L1"]
+    assert {found.verdict for found in whole} == {"not to be told apart"}
+
+
+def test_a_run_equals_itself(runs):
+    """Equal numbers are called equal, not indistinguishable."""
+    one, other = run_sides(runs["plain"], runs["plain"])[0]
+    assert {found.verdict for found in differences(one, other, runs["plain"])} == {"equal"}
+
+
+def test_methods_of_one_run_are_compared_by_the_statistics_package(runs):
+    """The mean's difference, bounds and p value are those of `statistics.paired.compare`; p is corrected for three metrics."""
+    labels = ("no-blending", "ours-geometric+no-temporal")
+    found = [one for one in differences(*method_sides(runs["plain"], *labels), runs["plain"]) if not one.view]
+    expected = {one.metric: compare(Results.read(runs["plain"]), one.metric, *labels, "Demo room") for one in found}
+    assert all(one.comparison == expected[one.metric] for one in found)
+    smallest = min(found, key=lambda one: one.comparison.p_value)
+    assert smallest.p_value == min(1.0, 3 * smallest.comparison.p_value)
+
+
+def test_direction_is_the_metrics(runs):
+    """Of two methods the one with less L1 is better, and the one with more PSNR."""
+    for metric, better in (("PSNR", "first better"), ("L1", "second better")):
+        (one, other), *_ = run_sides(runs["better"], runs["plain"])
+        whole = next(found for found in differences(one, other, runs["plain"]) if found.metric == metric and not found.view)
+        comparison = replace(whole.comparison, difference=1.0)
+        assert replace(whole, comparison=comparison, p_value=0.001).verdict == better
+
+
+def test_one_frame_gives_a_difference_without_significance(tmp_path):
+    """A single frame has a difference, no interval, and the verdict says why it was not tested."""
+    run = write_values(tmp_path / "run", shape=replace(SHAPE, frames=Frames(0, 1), metrics=("PSNR",)))
+    found = differences(*method_sides(run, "no-blending", "ours-geometric"), run)
+    assert all(one.p_value is None and not one.is_significant for one in found if one.view)
+    assert "not tested: 1 frame; an interval needs 2" in found[1].verdict
+
+
+def test_other_protocols_are_refused(runs):
+    """Runs of different protocols do not compare; the line names both hashes and what is different."""
+    line = refusal("compare", runs["plain"], runs["other"])
+    assert "different protocols" in line
+    assert "frames.count 16 and 15" in line
+    for run in ("plain", "other"):
+        assert Results.read(runs[run]).provenance["protocol_sha256"][:12] in line
+
+
+def test_other_captured_frames_are_refused(runs, tmp_path):
+    """Under one protocol two captures do not compare either: their frames have different digests."""
+    other = write_values(tmp_path / "other")
+    found = Results.read(other)
+    Results(found.table, found.provenance | {"inputs": {"room/cam00": "cd34"}}).write(other)
+    assert "not of the same captured frames: room/cam00" in refusal("compare", runs["plain"], other)
+
+
+def test_what_is_not_there_is_refused(runs):
+    """A label without a run, an unknown label, and a method against itself say what was wanted."""
+    assert "add --run RUN" in refusal("compare", "ours", "no-blending")
+    line = refusal("compare", "nobody", "no-blending", "--run", runs["plain"])
+    assert "no values of method 'nobody'; it has no-blending, ours-geometric" in line
+    assert "wanted two methods" in refusal("compare", "no-blending", "no-blending", "--run", runs["plain"])
+
+
+def test_command_line_tells_what_differs(runs, tmp_path, capsys):
+    """The table has a line per metric, the CSV one per view besides, unrounded; equal versions are not worth a line."""
+    run_command(["compare", str(runs["plain"]), str(runs["better"]), "--csv", str(tmp_path / "out" / "d.csv")])
+    printed = capsys.readouterr().out
+    assert printed.count("PSNR (dB)") == 3
+    assert printed.count("second better") == 3
+    assert "version of" not in printed
+    lines = list(csv.DictReader((tmp_path / "out" / "d.csv").open(encoding="utf-8")))
+    assert len(lines) == 3 * 3 * (1 + 6)
+    for line in lines:
+        assert float(line["difference"]) == pytest.approx(float(line["first"]) - float(line["second"]), abs=1e-9)
+        assert (line["significant"] == "True") == (float(line["p_value"]) < 0.05)

@@ -1,0 +1,161 @@
+"""Figures for papers: squares found where errors were planted, curves over K, files that are what their suffix says."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from ggvs_eval.errors import ResultsError
+from ggvs_eval.pipelines.commands.main import run_command
+from ggvs_eval.protocol import Frames
+from ggvs_eval.reports.figures.k_figure import draw_k, read_k_table
+from ggvs_eval.reports.figures.paper_figures import write_figure
+from ggvs_eval.reports.figures.regions import find_regions, read_errors, square_side
+from ggvs_eval.reports.model.measured import read_run
+from helpers.command_line import refusal
+from helpers.run_folders import RunShape, write_run
+
+SHAPE = RunShape(frames=Frames(2, 3), labels=("no-blending", "ours-geometric"))
+SIDE = 10  # of the squares in frames of 64 x 48
+
+
+def paint_planted(label: str, view: str, index: int) -> np.ndarray:
+    """Grey frames. Both methods fail alike in the upper left; one alone in cam03, frame 3, less so in cam00, frame 2."""
+    image = np.full((48, 64, 3), 100, np.uint8)
+    if label != "truth":
+        image[2 : 2 + SIDE, 3 : 3 + SIDE] = 200
+    if label == "ours-geometric" and (view, index) == ("cam03", 3):
+        image[30 : 30 + SIDE, 41 : 41 + SIDE] = 160
+    if label == "ours-geometric" and (view, index) == ("cam00", 2):
+        image[20 : 20 + SIDE, 50 : 50 + SIDE] = 140
+    return image
+
+
+@pytest.fixture(scope="module")
+def planted(tmp_path_factory) -> Path:
+    """A run of such frames; nobody changes it."""
+    return write_run(tmp_path_factory.mktemp("figures") / "run", SHAPE, paint_planted)
+
+
+@pytest.fixture
+def sweep(tmp_path) -> Path:
+    """Table of a sweep of two captures over K = 2, 4, 10 beside a row at the protocol's own K alone."""
+    lines = [
+        (capture, f"k{k}", method, 20.0 + k + (5.0 if capture == "b" else 0.0), 0.1 * k)
+        for capture in ("a", "b")
+        for k in (10, 2, 4)
+        for method in ("Distance-based Blending", "Ours")
+    ]
+    lines += [("mean", variant, method, psnr_db + 2.5, seconds) for _, variant, method, psnr_db, seconds in lines[:6]]
+    lines.append(("mean", "k4", "No Blending", 19.0, 0.1))
+    columns = ["capture", "variant", "method", "PSNR", "s/frame"]
+    pd.DataFrame(lines, columns=columns).to_csv(tmp_path / "sweep.csv", index=False)
+    return tmp_path
+
+
+def test_the_worst_square_is_where_the_error_was_planted(planted):
+    """The rule finds the square to the pixel, scores it by its mean absolute error, and the next one overlaps none before."""
+    run = read_run(planted)
+    assert square_side((48, 64)) == SIDE
+    first, second = find_regions(run, "worst", "ours-geometric", 2, view="cam03", frame=3)
+    assert (first.top, first.left, first.score) == (2, 3, 100.0)
+    assert (second.view, second.frame, second.top, second.left, second.score) == ("cam03", 3, 30, 41, 60.0)
+
+
+def test_methods_differ_most_where_one_alone_fails(planted):
+    """What all methods get wrong alike is no difference; over all views and frames the largest one is found."""
+    (found,) = find_regions(read_run(planted), "different", "ours-geometric", 1)
+    assert (found.view, found.frame, found.top, found.left, found.side) == ("cam03", 3, 30, 41, SIDE)
+    assert found.score == pytest.approx(60.0)
+
+
+def test_failures_are_one_per_view_the_worst_first(planted):
+    """Each view has its own worst square; fewer are given where fewer were asked for."""
+    run = read_run(planted)
+    views = [region.view for region in find_regions(run, "different", "ours-geometric", 5, one_per_view=True)]
+    assert views == ["cam03", "cam00"]
+    assert len(find_regions(run, "worst", "no-blending", 1, one_per_view=True)) == 1
+
+
+def test_errors_are_mean_absolute_differences(planted):
+    """The maps that rules look at are |rendered - truth|, mean of the channels, in grey levels."""
+    errors = read_errors(read_run(planted), "cam03", 3)
+    assert set(errors) == {"no-blending", "ours-geometric"}
+    assert (errors["ours-geometric"][35, 45], errors["no-blending"][35, 45]) == (60.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        ({"view": "cam99"}, "no test view 'cam99'; use one of cam00, cam03"),
+        ({"frame": 9}, "no frame 9; use 2 to 4"),
+        ({"method": "nobody"}, "no whole renders of 'nobody'"),
+        ({"boxes": 0}, "at least one box, got 0"),
+    ],
+)
+def test_figures_refuse_what_is_not_there(planted, tmp_path, asked, message):
+    """An unknown view, frame or method is an error that lists the known ones."""
+    with pytest.raises(ResultsError, match=message):
+        write_figure(planted, "crops", tmp_path / "a.png", **asked)
+
+
+def test_one_method_differs_from_none(tmp_path):
+    """With a single method the rule has nothing to compare, and says which rule has."""
+    run = write_run(tmp_path / "run", RunShape(labels=("ours-geometric",)))
+    with pytest.raises(ResultsError, match="use --rule worst"):
+        write_figure(run, "crops", tmp_path / "a.png")
+    assert write_figure(run, "crops", tmp_path / "a.png", rule="worst")[0].stat().st_size > 1000
+
+
+@pytest.mark.parametrize("kind", ["crops", "failures", "epi", "time"])
+def test_a_name_without_suffix_writes_png_and_pdf(planted, tmp_path, kind):
+    """Each figure of a run is written as both, under one name."""
+    files = write_figure(planted, kind, tmp_path / kind)
+    assert [file.name for file in files] == [f"{kind}.png", f"{kind}.pdf"]
+    assert [file.read_bytes()[:4] for file in files] == [b"\x89PNG", b"%PDF"]
+
+
+def test_equal_figures_are_equal_bytes(planted, tmp_path):
+    """A figure that is drawn again is the same file."""
+    first, again = (write_figure(planted, "crops", tmp_path / name)[0] for name in ("a.pdf", "b.pdf"))
+    assert first.read_bytes() == again.read_bytes()
+
+
+def test_k_table_is_the_mean_of_the_captures_in_order_of_k(sweep):
+    """Of several captures the means are taken, K counts as a number, and a method has the K that it was evaluated at."""
+    table = read_k_table(sweep)
+    assert table.loc["Ours", "PSNR"].to_dict() == {2: 24.5, 4: 26.5, 10: 32.5}
+    assert list(table.loc["Ours"].index) == [2, 4, 10]
+    assert list(table.loc["No Blending"].index) == [4]
+
+
+def test_k_figure_has_a_panel_per_metric_and_one_for_time(sweep, tmp_path, monkeypatch):
+    """PSNR and seconds are drawn from the table's numbers over K; a metric that the sweep lacks is refused by name."""
+    from matplotlib.figure import Figure
+
+    drawn: list[Figure] = []
+    monkeypatch.setattr("ggvs_eval.reports.figures.k_figure.save_figure", lambda figure, out: drawn.append(figure) or out)
+    draw_k(sweep, tmp_path / "k.png")
+    quality, seconds = drawn[0].axes
+    line = next(line for line in quality.lines if line.get_label() == "Ours")
+    assert (list(line.get_xdata()), list(line.get_ydata())) == ([2, 4, 10], [24.5, 26.5, 32.5])
+    assert (quality.get_ylabel(), seconds.get_ylabel()) == ("PSNR (dB)", "seconds per frame")
+    with pytest.raises(ResultsError, match="no TCC; it has PSNR, s/frame"):
+        draw_k(sweep, tmp_path / "k.png", ("TCC",))
+
+
+def test_k_figure_needs_a_sweep_over_k(planted, tmp_path):
+    """A run folder is no sweep, and a sweep at one K has no curve; both say what to run."""
+    assert "ggvs-eval sweep k" in refusal("figure", "k", planted, tmp_path / "k.png")
+    pd.DataFrame([("k4", "Ours", 30.0)], columns=["variant", "method", "PSNR"]).to_csv(tmp_path / "sweep.csv", index=False)
+    assert "at least two numbers of source views, got 1" in refusal("figure", "k", tmp_path, tmp_path / "k.png")
+
+
+def test_command_line_writes_the_figures(planted, sweep, tmp_path, capsys):
+    """`ggvs-eval figure KIND RUN OUT` prints the files that it has written."""
+    run_command(["figure", "crops", str(planted), str(tmp_path / "c"), "--rule", "worst", "--boxes", "1"])
+    run_command(["figure", "k", str(sweep), str(tmp_path / "k.pdf"), "--metrics", "PSNR"])
+    files = [Path(line) for line in capsys.readouterr().out.split()]
+    assert [file.name for file in files] == ["c.png", "c.pdf", "k.pdf"]
+    assert all(file.stat().st_size > 1000 for file in files)

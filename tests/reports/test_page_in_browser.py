@@ -1,0 +1,163 @@
+"""The page as a whole in a real browser: it fits, loads nothing, and is led through by links and keys, whatever a run lacks."""
+
+import re
+from dataclasses import replace
+
+import pytest
+
+from ggvs_eval.protocol import Frames
+from helpers import browser as browsers
+from helpers.browser import DESKTOP, PHONE
+from helpers.painted_page import SHAPE, clock, paint, wait_for_slices, write_page
+from helpers.run_folders import LABELS, RunShape, write_run
+
+
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+@pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
+def test_fits_and_loads_nothing(started, painted, size, dark):
+    """On a desktop and on a phone, light and dark: no sideways scrolling, nothing loaded, no broken picture, no complaint."""
+    started.visit(painted, size, dark)
+    assert started.run("document.documentElement.scrollWidth") <= size[0]
+    assert started.run("performance.getEntriesByType('resource').filter(e => !e.name.startsWith('data:')).length") == 0
+    assert started.wait("[...document.querySelectorAll('img[src]')].every(image => image.complete && image.naturalWidth > 0)")
+    paper = [int(n) for n in re.findall(r"\d+", started.run("getComputedStyle(document.body).backgroundColor"))]
+    assert max(paper) < 40 if dark else min(paper) > 240
+    assert started.complaints() == []
+
+
+def is_dark(browser) -> bool:
+    """Whether the page is dark, read from what lies behind its text."""
+    return max(int(n) for n in re.findall(r"\d+", browser.run("getComputedStyle(document.body).backgroundColor"))) < 40
+
+
+def test_theme_is_switched_by_keyboard_and_kept(started, painted):
+    """Radio buttons show the page dark, light or as the system is, by arrow keys too; a choice outlives the page."""
+    started.visit(painted)
+    try:
+        started.run("document.querySelector('.theme input:checked').focus()")
+        assert started.run("document.activeElement.value") == "system"
+        started.press("\ue013")
+        assert (started.run("document.activeElement.value"), is_dark(started)) == ("dark", True)
+        started.visit(painted)
+        assert (started.run("document.querySelector('.theme input:checked').value"), is_dark(started)) == ("dark", True)
+        started.click(".theme input[value=light]")
+        started.visit(painted, dark=True)
+        assert not is_dark(started)
+        started.click(".theme input[value=system]")
+        assert is_dark(started)
+    finally:
+        started.run("localStorage.clear()")
+    assert started.complaints() == []
+
+
+def test_theme_needs_no_storage(started, painted):
+    """Where the browser lets a page from disk keep nothing, the switch works until the page is closed, without complaint."""
+    refuse = "Object.defineProperty(window, 'localStorage', {get() { throw new DOMException('refused', 'SecurityError'); }})"
+    added = started.driven.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": refuse})
+    try:
+        started.visit(painted)
+        started.click(".theme input[value=dark]")
+        assert is_dark(started)
+        started.visit(painted)
+        assert not is_dark(started)
+    finally:
+        started.driven.execute_cdp_cmd("Page.removeScriptToEvaluateOnNewDocument", added)
+    assert started.complaints() == []
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        RunShape(frames=Frames(0, 1), metrics=("PSNR", "TCC"), poses=0),
+        RunShape(metrics=("STED",), path_truth=False),
+        RunShape(labels=LABELS[:1], views=("cam00",), metrics=("PSNR",)),
+    ],
+    ids=["one frame, no path", "no value per frame, virtual path", "one method, one view"],
+)
+def test_poor_runs_have_a_working_page(started, tmp_path, shape):
+    """Whatever a run lacks, its page works without a complaint, and says what there is not."""
+    started.visit(write_page([write_run(tmp_path / "run", shape)], tmp_path / "index.html"))
+    wait_for_slices(started)
+    assert ("one frame only" in started.text(".cuts")) == (shape.frames.count == 1)
+    assert ("no truth on a virtual path" in started.text(".cuts")) == (not shape.path_truth)
+    assert ("No metric of this run has a value per frame" in started.text("#heat")) == (shape.metrics == ("STED",))
+    started.focus(".stage")
+    started.press("v", "b", "m", "d", "+", "0", "\ue014")
+    assert clock(started).startswith(f"frame {shape.frames.start + (shape.frames.count > 1)} of")
+    assert started.complaints() == []
+
+
+def test_each_group_of_a_page_has_a_viewer_of_its_own(started, tmp_path):
+    """Two protocols on one page: the contents lead to a group, its controls and the keys move its viewer and not the other's."""
+    shapes = (replace(SHAPE, metrics=("PSNR",), poses=2), replace(SHAPE, frames=Frames(0, 3), metrics=("PSNR",), poses=2))
+    runs = [write_run(tmp_path / str(number), shape, paint) for number, shape in enumerate(shapes)]
+    started.visit(write_page(runs, tmp_path / "index.html"))
+    clocks = "[...document.querySelectorAll('[data-role=clock]')].map(clock => clock.textContent.slice(0, 14))"
+    assert started.run(clocks) == ["frame 2 of 2–5", "frame 0 of 0–2"]
+    started.run("document.querySelector('.contents tbody tr:nth-child(2) a').click()")
+    assert started.run("location.hash") == "#group1"
+    started.wait("Math.abs(document.getElementById('group1').getBoundingClientRect().top) < 60")
+    started.run("document.querySelectorAll('.stage')[1].focus()")
+    started.press("\ue014", "v")
+    assert started.run(clocks) == ["frame 2 of 2–5", "frame 1 of 0–2"]
+    assert started.run("[...document.querySelectorAll('[data-role=view]')].map(view => view.value)") == ["cam00", "cam03"]
+    started.click("#group1-heat .cells", 0.9, 0.25)
+    assert started.run(clocks) == ["frame 2 of 2–5", "frame 2 of 0–2"]
+    assert started.run("document.documentElement.scrollWidth") <= DESKTOP[0]
+    assert started.run("document.querySelectorAll('.contents .sort').length") == 0
+    assert started.complaints() == []
+
+
+def test_everything_is_reached_by_the_tab_key(shown):
+    """Tab alone reaches heads of tables, heat maps, the stage, the scrubber and the zoom; what has the focus can be seen to."""
+    reached = set()
+    for _ in range(110):
+        shown.press("\ue004")
+        reached.add(shown.run("document.activeElement.className + '|' + (document.activeElement.dataset.role ?? '')"))
+        assert shown.run("getComputedStyle(document.activeElement).outlineStyle") != "none"
+        if "|fit" in reached and "|frame" in reached:
+            break
+    assert {"sort|", "cells|", "stage picture|", "|frame", "|view", "|closer"} <= reached
+
+
+def test_each_link_leads_to_its_section(shown):
+    """Every link of the page leads to a heading of the same page, and brings it to the top."""
+    addresses = shown.run("[...document.querySelectorAll('a')].map(link => link.getAttribute('href'))")
+    assert {"#results", "#compare", "#through", "#curves", "#videos", "#paper", "#reproduction"} <= set(addresses)
+    for address in addresses:
+        shown.click(f"a[href='{address}']")
+        assert shown.run("location.hash") == address
+        assert shown.run("document.querySelector(arguments[0]).querySelector('.title') !== null", address)
+        shown.wait("(top => top < 80 || scrollY + innerHeight >= document.documentElement.scrollHeight - 2)("
+                   "document.querySelector(arguments[0]).getBoundingClientRect().top)", address)  # fmt: skip
+
+
+OPENED = """(parts => parts.map(part => [0, 1].map(() => {
+    part.firstElementChild.click();
+    return [part.open, part.lastElementChild.checkVisibility()];
+})))([...document.querySelectorAll('details')])"""
+
+
+def test_each_part_opens_and_closes(shown):
+    """Every part that is folded away shows what is in it when its head is clicked, and hides it the next time; by keys too."""
+    opened = shown.run(OPENED)
+    assert len(opened) > 15
+    assert all(first[0] != second[0] and is_open == is_seen for first, second in opened for is_open, is_seen in (first, second))
+    part = "#reproduction details"
+    is_open = "document.querySelector(arguments[0]).open"
+    shown.click(f"{part} summary", 0.02)
+    assert shown.run(is_open, part)
+    shown.press("\ue007")
+    assert not shown.run(is_open, part)
+
+
+@pytest.mark.parametrize("promise", ["GGVS_BROWSER", ""])
+def test_absent_browser_is_never_silent(monkeypatch, promise):
+    """Where a browser is promised its absence fails with the line to run; elsewhere it skips with the same line."""
+    monkeypatch.delenv("GGVS_BROWSER", raising=False)
+    if promise:
+        monkeypatch.setenv(promise, "1")
+    monkeypatch.setattr(browsers.shutil, "which", lambda name: None)
+    expected = pytest.fail.Exception if promise else pytest.skip.Exception
+    with pytest.raises(expected, match="apt-get install --no-install-recommends chromium chromium-driver"):
+        browsers.find_browser()

@@ -1,0 +1,164 @@
+"""A report of runs under different protocols: one page, one group of sections each, and no table that mixes them."""
+
+import csv
+import html
+import json
+import re
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from ggvs_eval.protocol import Frames
+from ggvs_eval.reports.model.table import Cell, Column, Row, Table, rank
+from ggvs_eval.reports.page.page import render_page
+from ggvs_eval.reports.report import write_report
+from ggvs_eval.reports.run_groups import read_groups
+from ggvs_eval.reports.tables.leaders import leaders
+from helpers.page_reader import PageReader
+from helpers.run_folders import LABELS, NAMES, RunShape, write_run
+
+SMALL = RunShape(metrics=("PSNR", "TCC"), poses=2)
+SHAPES = {
+    "room": replace(SMALL, scene="room"),
+    "street": replace(SMALL, scene="street", frames=Frames(0, 3), views=("cam00",)),
+    "kitchen": replace(SMALL, scene="kitchen"),
+}
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory) -> dict[str, Path]:
+    """Three runs: the first and the last under one protocol, the second under another; nobody changes them."""
+    folder = tmp_path_factory.mktemp("groups")
+    return {scene: write_run(folder / scene, shape) for scene, shape in SHAPES.items()}
+
+
+@pytest.fixture(scope="module")
+def report(runs, tmp_path_factory) -> Path:
+    """Folder of their common report."""
+    return write_report(list(runs.values()), tmp_path_factory.mktemp("groups") / "report").parent
+
+
+def rows_of(report: Path) -> list[dict[str, str]]:
+    """Lines of the table of all values."""
+    return list(csv.DictReader((report / "tables.csv").open(encoding="utf-8")))
+
+
+def test_runs_are_grouped_by_protocol_in_the_order_given(runs):
+    """Runs of one protocol stand together, where the first of them was given; each group has a name of its own."""
+    first, second = read_groups(list(runs.values()))
+    assert [section.run.scene for section in first.sections] == ["room", "kitchen"]
+    assert [section.run.scene for section in second.sections] == ["street"]
+    assert (first.name, second.name) == ("room, tiny, K = 2", "street, tiny, K = 2")
+    assert [group.scenes for group in read_groups([runs["street"], runs["kitchen"]])] == ["street", "kitchen"]
+
+
+def test_groups_alike_in_name_are_told_apart_by_hash(tmp_path):
+    """Two protocols of one name and K, on one scene, are named with the beginning of their hashes."""
+    shapes = (SMALL, replace(SMALL, frames=Frames(2, 3)))
+    groups = read_groups([write_run(tmp_path / str(shape.frames.count), shape) for shape in shapes])
+    assert [group.name for group in groups] == [f"room, tiny, K = 2, {group.protocol.sha256[:8]}" for group in groups]
+    assert len({group.name for group in groups}) == 2
+
+
+def test_a_demo_is_called_by_its_data_set(tmp_path):
+    """A demo whose scene is named like a file is headed by its data set; the file's name stands small beside it, once."""
+    demo = write_run(tmp_path / "demo", replace(SMALL, scene="scene000", dataset="Demo room, D3DMV's layout"))
+    record = json.loads((demo / "capture.json").read_text())
+    (demo / "capture.json").write_text(json.dumps(record | {"units_origin": "demo.json"}))
+    other = write_run(tmp_path / "other", replace(SMALL, scene="street", dataset="DyNeRF"))
+    text = render_page(read_groups([demo, other]))
+    head = html.unescape(text[text.index("<h1>") : text.index("</table>")])
+    assert "<h1>Demo room, D3DMV's layout · street</h1>" in head
+    assert re.search(r"Demo room, D3DMV's layout</a> <span class=\"on\">scene000</span></th>", head)
+    assert re.search(r'href="#group1">street</a></th>', head)
+    assert "Demo room, D3DMV's layout</h1>" in html.unescape(render_page(read_groups([demo])))
+
+
+def test_no_value_of_one_protocol_stands_among_anothers(report, runs):
+    """Each group's main table is what a report of its runs alone holds; the CSV names protocol, K and hash in every line."""
+    together = rows_of(report)
+    assert {row["k"] for row in together} == {"2"}
+    assert len({row["protocol_sha256"] for row in together}) == 2
+    for names in (("room", "kitchen"), ("street",)):
+        alone = rows_of(write_report([runs[name] for name in names], report.parent / "-".join(names)).parent)
+        mine = [row for row in together if row["protocol_sha256"] == alone[0]["protocol_sha256"]]
+        assert mine == alone
+
+
+def test_page_has_a_part_for_each_protocol_and_the_papers_values_once(report):
+    """Every link leads somewhere, no place is there twice, each group has all sections; contents name what was measured."""
+    text = (report / "index.html").read_text(encoding="utf-8")
+    places = re.findall(r'\bid="([^"]+)"', text)
+    assert len(places) == len(set(places))
+    assert set(re.findall(r'href="#([^"]+)"', text)) <= set(places)
+    sections = ("results", "heat", "compare", "through", "errors", "slices", "curves", "videos", "views", "timing", "measured")
+    assert {f"group{at}-{name}" for at in range(2) for name in sections} <= set(places)
+    assert (places.count("reproduction"), places.count("paper")) == (1, 1)
+    contents = text[text.index('class="contents"') : text.index("</table>")]
+    assert [PageReader(part).texts[1] for part in contents.split("<tr>")[2:]] == ["room", "kitchen", "street"]
+    cells = re.findall(r"<td data-name=[^>]*>([^<]*)</td>", contents)
+    assert cells == ["dynerf", "tiny", "–", "2", "4", "2"] * 2 + ["dynerf", "tiny", "–", "1", "3", "2"]
+
+
+def test_headings_go_down_one_level_at_a_time(report, runs):
+    """Of one protocol or several: one first heading, and none that is more than one level below the one before it."""
+    alone = write_report([runs["street"]], report.parent / "alone")
+    for page in (alone, report / "index.html"):
+        levels = [int(tag[1]) for tag in PageReader(page.read_text(encoding="utf-8")).tags if re.fullmatch(r"h[1-6]", tag)]
+        assert levels.count(1) == 1
+        assert all(below <= above + 1 for above, below in pairwise(levels))
+
+
+def test_files_tell_the_groups_apart(report):
+    """Titles in Markdown, labels in LaTeX and sheets of the workbook are each there once; figures have a folder per run."""
+    titles = re.findall(r"^## (.*)$", (report / "tables.md").read_text(encoding="utf-8"), re.MULTILINE)
+    labels = re.findall(r"\\label\{([^}]*)\}", (report / "tables.tex").read_text(encoding="utf-8"))
+    assert len(titles) == len(set(titles)) == len(labels) == len(set(labels))
+    assert sum("street, tiny, K = 2" in title for title in titles) == 2 + 4
+    assert {folder.name for folder in (report / "figures").iterdir()} == {"run0", "run1", "run2"}
+    pytest.importorskip("openpyxl", reason="no openpyxl, by which pandas writes workbooks")
+    assert len(pd.ExcelFile(report / "tables.xlsx").sheet_names) == len(titles) + 2
+
+
+def made_table(*values: tuple[float, float], kinds: tuple[str, ...] = ()) -> Table:
+    """A ranked table of PSNR and of something that nobody asked for, methods a, b, ...; `kinds` of rows, measured by default."""
+    columns = (Column("PSNR", "dB", True), Column("Other", "", False))
+    kinds += ("measured",) * (len(values) - len(kinds))
+    rows = [
+        Row(name, tuple(Cell(f"{value:.1f}", value, spread="± 0.1") for value in pair), kind)
+        for name, pair, kind in zip("abcd", values, kinds, strict=False)
+    ]
+    return Table("quality", "Quality", "", columns, rank(columns, rows), "room")
+
+
+def test_leaders_are_the_best_and_its_ties():
+    """The best of each headline metric in its direction, with its cell; who prints the same digits is named as a tie."""
+    table = made_table((30.01, 5.0), (31.04, 3.0), (31.02, 4.0))
+    (psnr,) = leaders([table])
+    assert (psnr.column.name, psnr.name, psnr.ties, psnr.cell.text, psnr.cell.spread) == ("PSNR", "b", ("c",), "31.0", "± 0.1")
+    assert [leader.name for leader in leaders([table], ["Other"])] == ["b"]
+    assert [leader.column.name for leader in leaders([table], ["absent"])] == ["PSNR", "Other"]
+
+
+def test_one_method_leads_alone_and_grey_rows_never():
+    """With a single method its values are told; published and partial rows are never called the best."""
+    (psnr,) = leaders([made_table((30.0, 1.0), (99.0, 0.1), (98.0, 0.1), kinds=("measured", "published", "partial"))])
+    assert (psnr.name, psnr.ties) == ("a", ())
+    assert leaders([made_table((99.0, 1.0), kinds=("published",))]) == ()
+    assert leaders([]) == ()
+
+
+def test_the_first_screen_has_the_best_with_its_interval(report):
+    """Above the sections of each group stands, per headline metric, the value that its table has in bold, and whose it is."""
+    text = (report / "index.html").read_text(encoding="utf-8")
+    best = [row for row in rows_of(report) if row["table"] in ("quality", "consistency") and row["best"] == "True"]
+    assert len(best) == 4
+    summaries = re.findall(r'<table class="leaders">.*?</table>', text, re.DOTALL)
+    assert len(summaries) == 2
+    told = "".join(summaries)
+    assert all(row["shown"] in told and f"<b>{NAMES[LABELS[2]]}</b>" in told for row in best)
+    assert all(row["method"] == NAMES[LABELS[2]] for row in best)
+    assert told.count("±") == sum(1 for row in best if row["lo"])

@@ -1,0 +1,300 @@
+"""Tables of the report: every number is the summary's, rounded; shading, published rows and times."""
+
+import csv
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ggvs_eval.protocol import Frames
+from ggvs_eval.reports.model.measured import read_run
+from ggvs_eval.reports.model.table import Cell, Column, Row, Table, format_half_width, format_value, rank, shade
+from ggvs_eval.reports.report import write_report
+from ggvs_eval.reports.tables.decomposition_table import decomposition_table
+from ggvs_eval.reports.tables.published import published_rows, read_published
+from ggvs_eval.reports.tables.report_tables import main_tables
+from ggvs_eval.reports.tables.table_formats import escape_latex, to_latex, to_markdown
+from ggvs_eval.reports.tables.timing import timing_table
+from ggvs_eval.results import Results
+from ggvs_eval.statistics.bootstrap import intervals
+from helpers.page_reader import PageReader
+from helpers.run_folders import LABELS, NAMES, RunShape, write_run
+
+SMALL = RunShape(views=("cam00",), metrics=("PSNR", "LPIPS"), poses=0)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory) -> Path:
+    """A whole run; nobody changes it."""
+    return write_run(tmp_path_factory.mktemp("reports") / "run")
+
+
+@pytest.fixture(scope="module")
+def report(run, tmp_path_factory) -> Path:
+    """Folder of its report."""
+    return write_report([run], tmp_path_factory.mktemp("reports") / "report").parent
+
+
+def test_every_number_is_the_summary_rounded(run, report):
+    """Each cell of the main tables is the value of Results.summary, rounded as the table of decimals says."""
+    summary = Results.read(run).summary()
+    rows = list(csv.DictReader((report / "tables.csv").open(encoding="utf-8")))
+    page = PageReader((report / "index.html").read_text(encoding="utf-8"))
+    labels = {name: label for label, name in NAMES.items()}
+    main = [row for row in rows if row["table"] in {"quality", "consistency"}]
+    assert len(main) == len(LABELS) * 9
+    for row in main:
+        method, _, variant = labels[row["method"]].partition("+")
+        value = summary.loc[("Demo room", method, variant), row["column"]]
+        assert float(row["value"]) == value
+        assert row["shown"] == format_value(row["column"], value)
+        assert row["shown"] in page.texts
+        assert row["shown"] in (report / "tables.md").read_text(encoding="utf-8")
+        assert row["shown"] in (report / "tables.tex").read_text(encoding="utf-8")
+
+
+def test_views_have_their_own_numbers(run, report):
+    """Each cell of the table per view is the mean over the frames of that view."""
+    rows = list(csv.DictReader((report / "tables.csv").open(encoding="utf-8")))
+    values = Results.read(run).per_view("TCC")
+    shown = {(row["method"], row["column"]): float(row["value"]) for row in rows if row["table"] == "view-TCC"}
+    assert shown == {
+        (NAMES["+".join(filter(None, key))], view): values.loc[key, view] for key in values.index for view in ("cam00", "cam03")
+    }
+
+
+@pytest.mark.parametrize(
+    ("metric", "value", "text"),
+    [
+        ("PSNR", 31.1749, "31.17"),
+        ("SSIM", 0.9355, "0.935"),
+        ("L1", 5.0, "5.00"),
+        ("STED", 2796.4, "2796"),
+        ("STED", 68.7612, "68.76"),
+        ("STED", 0.56312, "0.5631"),
+        ("STED", 0.0, "0.000"),
+        ("PSNR", float("inf"), "∞"),
+    ],
+)
+def test_values_are_rounded_as_the_paper_does(metric, value, text):
+    """Decimals are fixed per metric; STED has four significant digits; a perfect picture has infinite PSNR."""
+    assert format_value(metric, value) == text
+
+
+def test_missing_metric_says_why(tmp_path):
+    """Where a metric could not be computed its reason stands in the cell, and no cell is blank or NaN."""
+    run = write_run(tmp_path / "run", SMALL, not_computed={"LPIPS": "weights absent, run `make install`"})
+    report = write_report([run]).parent
+    for name in ("index.html", "tables.md", "tables.csv", "tables.tex"):
+        text = re.sub(r"base64,[\w+/=]+", "", (report / name).read_text(encoding="utf-8"))
+        assert "not computed: weights absent" in text
+        assert not re.search(r"<td[^>]*>\s*</td>|\| +\||& +&|\bnan\b", text, re.IGNORECASE)
+
+
+def test_best_is_bold_and_the_better_half_blue():
+    """The best printed value is marked, ties together; published rows take no part, however good they are."""
+    cells = [Cell("1.0", 1.0), Cell("2.0", 2.0), Cell("3.0", 2.98), Cell("3.0", 3.0)]
+    rows = [Row(str(index), (cell,)) for index, cell in enumerate(cells)] + [Row("paper", (Cell("9.0", 9.0),), "published")]
+    ranked = [row.cells[0] for row in rank([Column("PSNR", "dB", True)], rows)]
+    assert [cell.best for cell in ranked] == [False, False, True, True, False]
+    assert [cell.shade > 0 for cell in ranked] == [False, False, True, True, False]
+    falling = [row.cells[0] for row in rank([Column("L1", "", False)], rows)]
+    assert [cell.best for cell in falling] == [True, False, False, False, False]
+
+
+def test_told_ties_are_bold_beside_equal_digits():
+    """Rows that cannot be told from the best are marked like it, and so is what prints the same; shades stay by value."""
+    rows = [Row(str(index), (Cell(f"{value:.1f}", value),)) for index, value in enumerate((1.0, 2.8, 2.98, 3.0))]
+    column = [Column("PSNR", "dB", True)]
+    assert [row.cells[0].best for row in rank(column, rows, [frozenset({1, 3})])] == [False, True, True, True]
+    assert [row.cells[0].best for row in rank(column, rows, [frozenset({3})])] == [False, False, True, True]
+    assert [row.cells[0].best for row in rank(column, rows, [None])] == [False, False, True, True]
+    shades = [[row.cells[0].shade for row in rank(column, rows, told)] for told in ((), [frozenset({0, 3})])]
+    assert shades[0] == shades[1]
+
+
+def test_blue_is_the_papers():
+    """The shade follows the gain curve of the paper's TeX, here evaluated by hand at three quarters of the range."""
+    assert shade(0.5, True) == shade(0.2, False) == 0.0
+    assert shade(1.0, True) == shade(1.0, False) == 1.0
+    assert shade(0.75, True) == pytest.approx(0.5 / (2.0 * 0.5 + 1.0))
+    assert shade(0.75, False) == pytest.approx(0.5 / ((1 / 0.15 - 2) * 0.5 + 1.0))
+
+
+def test_alone_nobody_is_best(tmp_path):
+    """A single method is neither marked nor shaded, for want of a comparison."""
+    run = read_run(write_run(tmp_path / "run", RunShape(labels=("ours-geometric",))))
+    cells = [cell for table in main_tables([run], run.results) for row in table.rows for cell in row.cells]
+    assert not any(cell.best or cell.shade for cell in cells)
+
+
+def test_latex_escapes_every_special_character():
+    """Each character that TeX obeys prints as itself."""
+    assert escape_latex("a_b 50% & {x} #1 $y$ ~ ^ \\") == (
+        r"a\_b 50\% \& \{x\} \#1 \$y\$ \textasciitilde{} \textasciicircum{} \textbackslash{}"
+    )
+
+
+def test_latex_is_balanced(report):
+    """Every environment is closed, every row of a tabular has as many cells as columns."""
+    text = (report / "tables.tex").read_text(encoding="utf-8")
+    assert re.findall(r"\\begin\{(\w+)\}", text).count("table") == text.count(r"\end{table}")
+    for columns, body in re.findall(r"\\begin\{tabular\}\{(l+c*)\}(.*?)\\end\{tabular\}", text, re.DOTALL):
+        rows = [line for line in body.splitlines() if line.endswith(r"\\")]
+        assert {len(re.findall(r"(?<!\\)&", row)) for row in rows} == {len(columns) - 1}
+    assert re.search(r"\\cellcolor\[rgb\]\{0\.750, 0\.750, 1\}\\textbf\{", text)
+
+
+def test_published_rows_stand_beside_their_own_dataset_only():
+    """DyNeRF has the paper's rows with the paper's digits; a demo room has none; what the paper lacks is said."""
+    rows = published_rows("quality", "dynerf", ("PSNR", "PSNR_cc"))
+    assert [row.name for row in rows][-1] == "Ours (paper)"
+    assert [cell.text for cell in rows[-1].cells] == ["31.17", "not reported"]
+    assert {row.kind for row in rows} == {"published"}
+    assert published_rows("quality", "Demo room", ("PSNR",)) == ()
+
+
+def test_published_values_are_whole():
+    """The packaged tables hold 5 methods x 3 datasets x 4 metrics twice, 5 ablations x 4 metrics, and the stages' times."""
+    counts = {
+        name: sum(len(metrics) for methods in read_published(name).values() for metrics in methods.values())
+        for name in ("quality", "consistency", "ablation", "timing")
+    }
+    assert counts == {"quality": 60, "consistency": 60, "ablation": 20, "timing": 6}
+
+
+def test_published_rows_are_grey_everywhere(tmp_path):
+    """Beside measured DyNeRF values the paper's rows are set apart in the page, in Markdown and in LaTeX."""
+    report = write_report([write_run(tmp_path / "run", replace(SMALL, dataset="DyNeRF"))]).parent
+    assert '<tr class="published grey">' in (report / "index.html").read_text(encoding="utf-8")
+    assert "| *Ours (paper)* | *31.17* | *0.191* |" in (report / "tables.md").read_text(encoding="utf-8")
+    assert r"\textcolor{gray}{Ours (paper)} & \textcolor{gray}{31.17} & \textcolor{gray}{0.191}" in (
+        report / "tables.tex"
+    ).read_text(encoding="utf-8")
+
+
+def test_times_leave_out_the_first_frame(run):
+    """Median and 95th percentile are over all frames but each view's first, and the total is the sum of the stages."""
+    table = timing_table(read_run(run))
+    assert [column.name for column in table.columns] == ["splat", "blend", "total"]
+    assert [cell.text for cell in table.rows[0].cells] == ["11.0 (12.0)", "22.0 (24.0)", "33.0 (36.0)"]
+    assert "K = 2, 64 × 48, 2 threads" in table.caption
+
+
+def test_frames_of_others_have_no_times(tmp_path):
+    """Frames that came without a record of their making say so instead of a time."""
+    run = write_run(tmp_path / "run")
+    for record in (run / "renders" / "no-blending").rglob("job.json"):
+        record.unlink()
+    assert {cell.text for cell in timing_table(read_run(run)).rows[0].cells} == {"not computed: no times recorded"}
+
+
+def test_empty_table_formats():
+    """A table without rows is still a valid table in Markdown and LaTeX."""
+    table = Table("quality", "Quality", "Nothing yet.", (Column("PSNR", "dB", True),), ())
+    assert "| Method | PSNR (dB) ↑ |" in to_markdown([table])
+    assert "Method & PSNR (dB)$\\uparrow$" in to_latex([table])
+
+
+@pytest.mark.parametrize(
+    ("metric", "value", "half_width", "text"),
+    [
+        ("PSNR", 31.17, 0.2149, "0.21"),
+        ("SSIM", 0.935, 0.00021, "0.0002"),
+        ("STED", 2796.4, 31.4, "31"),
+        ("STED", 68.76, 3.0, "3.00"),
+        ("PSNR", 31.17, 0.0, "0"),
+    ],
+)
+def test_intervals_have_the_digits_of_their_values(metric, value, half_width, text):
+    """A half width has the decimals of its value, or its first digit where those would print zero."""
+    assert format_half_width(metric, value, half_width) == text
+
+
+def test_intervals_stand_in_every_format(run, report):
+    """Each cell of the main tables has the bootstrap's interval: behind ± where people read, as bounds in the CSV."""
+    results, labels = Results.read(run), {name: label for label, name in NAMES.items()}
+    main = [row for row in csv.DictReader((report / "tables.csv").open(encoding="utf-8")) if row["table"] == "quality"]
+    page = PageReader((report / "index.html").read_text(encoding="utf-8"))
+    markdown, latex = ((report / f"tables.{kind}").read_text(encoding="utf-8") for kind in ("md", "tex"))
+    assert len(main) == len(LABELS) * 5
+    for row in main:
+        interval = intervals(results, row["column"], "Demo room")[labels[row["method"]]]
+        assert (float(row["lo"]), float(row["hi"])) == (interval.low, interval.high)
+        assert row["note"] == interval.note == "given this scene, these 2 views"
+        half = format_half_width(row["column"], interval.value, interval.half_width)
+        bold = row["best"] == "True"
+        assert f"± {half}" in page.texts
+        assert f"| {'**' if bold else ''}{row['shown']}{'**' if bold else ''} ± {half} |" in markdown
+        assert rf"{row['shown']}{'}' if bold else ''} {{\scriptsize $\pm$ {half}}}" in latex
+    said = "given this scene, these 2 views. Bold: best, and what cannot be told from it (paired block bootstrap, 95 %)."
+    assert said in markdown
+    assert said.replace("%", r"\%") in latex
+    assert any(said in text for text in page.texts)
+
+
+def write_tied_run(root: Path, dataset: str = "Demo room") -> Path:
+    """A run in which the first two methods differ by noise on views that differ a lot, and the third is a little worse."""
+    views, frames = tuple(f"cam{view:02}" for view in range(6)), 12
+    write_run(root, RunShape(views, Frames(2, frames), 32, 32, 0, metrics=("PSNR",), dataset=dataset))
+    found, random = Results.read(root), np.random.default_rng(4)
+    shared = np.repeat(30.0 + 3.0 * random.standard_normal(len(views)), frames)
+    offsets = np.repeat([0.0, 0.0, -0.5], len(shared))
+    values = np.tile(shared, 3) + offsets + 0.2 * random.standard_normal(len(offsets))
+    Results(found.table.assign(value=values), found.provenance).write(root)
+    return root
+
+
+def test_ties_are_bold_together(tmp_path):
+    """What cannot be told from the best is bold like it, though it prints fewer decibels; published rows stay out."""
+    run = read_run(write_tied_run(tmp_path / "run", "DyNeRF"))
+    (table,) = main_tables([run], run.results)
+    cells = {row.name: row.cells[0] for row in table.rows}
+    assert {name for name, cell in cells.items() if cell.best} == {NAMES["no-blending"], NAMES["ours-geometric"]}
+    assert len({cells[NAMES[label]].text for label in LABELS}) == 3
+    published = [cell for name, cell in cells.items() if name.endswith("(paper)")]
+    assert published
+    assert all((cell.spread, cell.low, cell.hint) == ("", None, "") for cell in published)
+
+
+def test_what_has_no_interval_says_why(tmp_path):
+    """With one frame the best is bold to the printed digits, no cell has bounds, and caption, page and CSV say why."""
+    shape = RunShape(frames=Frames(0, 1), metrics=("PSNR", "SSIM"), poses=0)
+    report = write_report([write_run(tmp_path / "run", shape)]).parent
+    markdown = (report / "tables.md").read_text(encoding="utf-8")
+    assert "No interval for PSNR, SSIM: 1 frame; an interval needs 2." in markdown
+    assert "Bold in PSNR, SSIM: best to the printed digits, nothing could be compared." in markdown
+    assert "±" not in markdown
+    assert 'title="no interval: 1 frame; an interval needs 2"' in (report / "index.html").read_text(encoding="utf-8")
+    main = [row for row in csv.DictReader((report / "tables.csv").open(encoding="utf-8")) if row["table"] == "quality"]
+    assert {(row["lo"], row["hi"], row["note"]) for row in main} == {("", "", "no interval: 1 frame; an interval needs 2")}
+    assert sum(row["best"] == "True" for row in main) == 2
+
+
+def test_a_method_measured_on_other_frames_is_not_called_worse_or_equal(tmp_path):
+    """A rival that lacks a frame is neither bold nor silently dropped: its cell says why it was not compared."""
+    root = write_tied_run(tmp_path / "run")
+    found = Results.read(root)
+    gone = (found.table["method"] == "no-blending") & (found.table["frame"] == 5)
+    Results(found.table[~gone], found.provenance).write(root)
+    run = read_run(root)
+    cells = {row.name: row.cells[0] for row in main_tables([run], run.results)[0].rows}
+    other = cells[NAMES["no-blending"]]
+    assert other.spread
+    assert "not compared with the best: room: not the same views and frames (6 x 11 and 6 x 12)" in other.hint
+    assert (cells[NAMES["ours-geometric"]].best, other.best) == (True, False)
+
+
+def test_where_the_error_varies_adds_up(tmp_path):
+    """The shares of views, time and rest are those of the L1 matrix and add up to the whole; one frame has no such table."""
+    shape = RunShape(views=("cam00", "cam01"), metrics=("PSNR", "L1"), poses=0)
+    run = read_run(write_run(tmp_path / "run", shape))
+    table = decomposition_table(run)
+    assert table is not None
+    for row in table.rows:
+        assert sum(cell.value for cell in row.cells[1:]) == pytest.approx(100)
+    l1 = run.results.table.query("metric == 'L1'").groupby(["method", "variant"], sort=False)["value"].mean()
+    assert [row.cells[0].value for row in table.rows] == pytest.approx(list(l1))
+    assert decomposition_table(read_run(write_run(tmp_path / "one", replace(shape, frames=Frames(0, 1))))) is None

@@ -1,0 +1,198 @@
+"""Reports of small run folders: every number where it belongs, nothing loaded, nothing left blank."""
+
+import hashlib
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ggvs_eval.errors import RenderError, ResultsError
+from ggvs_eval.files.images import write_image
+from ggvs_eval.protocol import Frames
+from ggvs_eval.reports.figures.curves import curve_panels
+from ggvs_eval.reports.model.measured import read_run
+from ggvs_eval.reports.page.comparison import compare_frames, error_map
+from ggvs_eval.reports.report import write_report
+from ggvs_eval.reports.tables.table_formats import escape_latex
+from ggvs_eval.run_folder import frame_path
+from helpers.page_reader import PageReader
+from helpers.run_folders import LABELS, NAMES, RunShape, write_run
+
+SMALL = RunShape(views=("cam00",), metrics=("PSNR", "LPIPS"), poses=0)
+NASTY = '<script>alert("x")</script> & | _100%_ $x^2$ {y} \\z #1 ~'
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory) -> Path:
+    """A whole run; nobody changes it."""
+    return write_run(tmp_path_factory.mktemp("reports") / "run")
+
+
+@pytest.fixture(scope="module")
+def report(run, tmp_path_factory) -> Path:
+    """Folder of its report."""
+    return write_report([run], tmp_path_factory.mktemp("reports") / "report").parent
+
+
+def test_report_is_whole(report):
+    """A report is a page, tables of each kind and the figures, and no temporary file stays behind."""
+    names = {str(file.relative_to(report)) for file in report.rglob("*") if file.is_file()}
+    figures = {"crops.png", "failures.png", "epi.png", "x-t_cam00.png", "x-t_cam03.png"} | {
+        f"curves_{m}.png" for m in ("PSNR", "PSNR_cc", "SSIM", "LPIPS", "L1", "TCC")
+    }
+    tables = {f"{name}.{kind}" for name in ("tables", "reproduction") for kind in ("md", "csv", "tex")}
+    assert names == {"index.html", "tables.xlsx"} | tables | {f"figures/{name}" for name in figures}
+
+
+def test_page_loads_nothing(report):
+    """Every address in the page is a picture or a video inside it or a place in it, and its policy forbids the rest."""
+    text = (report / "index.html").read_text(encoding="utf-8")
+    page = PageReader(text)
+    assert page.addresses
+    assert all(re.match(r"data:image/(png|webp);base64,|data:video/mp4;base64,|#", address) for address in page.addresses)
+    assert not {"link", "iframe", "object", "embed", "base"} & set(page.tags)
+    assert not re.search(r"url\(|@import|\bfetch\(|XMLHttpRequest|import\(", text)
+    assert "default-src 'none'" in text
+
+
+def test_places_linked_in_the_page_exist(report):
+    """Each link of the navigation leads to a section."""
+    text = (report / "index.html").read_text(encoding="utf-8")
+    links = re.findall(r'href="#([^"]+)"', text)
+    assert links
+    assert all(f'id="{link}"' in text for link in links)
+
+
+def test_names_are_harmless(tmp_path):
+    """Markup in the names of methods and scenes is shown, not obeyed, in every format."""
+    names = tuple((NAMES | {"ours-geometric": NASTY}).items())
+    run = write_run(tmp_path / "run", replace(SMALL, names=names, scene=NASTY))
+    report = write_report([run]).parent
+    text = (report / "index.html").read_text(encoding="utf-8")
+    assert "<script>alert" not in text
+    assert NASTY in PageReader(text).texts
+    assert PageReader(text).tags.count("script") == 3
+    assert "<script" not in (report / "tables.md").read_text(encoding="utf-8")
+    assert escape_latex(NASTY) in (report / "tables.tex").read_text(encoding="utf-8")
+
+
+def test_no_run_and_a_run_twice_are_refused(run, tmp_path):
+    """A report needs a run, and each run once; the message says which was given twice."""
+    with pytest.raises(ResultsError, match="at least one run"):
+        write_report([])
+    with pytest.raises(ResultsError, match="run: wanted each run once, it is given 2 times"):
+        write_report([run, run.parent / "." / "run"], tmp_path / "report")
+
+
+def test_stale_results_are_refused(tmp_path):
+    """Results of another protocol than the one that lies beside them are not reported."""
+    run, other = write_run(tmp_path / "run"), write_run(tmp_path / "other", RunShape(frames=Frames(0, 3)))
+    shutil.copy(other / "protocol.toml", run / "protocol.toml")
+    with pytest.raises(ResultsError, match="score` again"):
+        write_report([run])
+
+
+def test_two_scenes_share_one_page(tmp_path):
+    """Two scenes under one protocol have one main table, the mean over both, and a viewer, heat maps and linked slices each."""
+    shapes = (replace(SMALL, scene=scene, poses=2) for scene in ("room", "kitchen"))
+    runs = [write_run(tmp_path / shape.scene, shape) for shape in shapes]
+    page = PageReader(write_report(runs, tmp_path / "report").read_text(encoding="utf-8"))
+    assert page.tags.count("select") == 2 * (3 + 1 + 1)
+    assert "room, kitchen" in page.texts
+    assert (tmp_path / "report" / "figures" / "run1" / "epi.png").is_file()
+
+
+def test_run_without_renders_is_refused(tmp_path):
+    """Results whose frames were all deleted are not reported; the message says what to run."""
+    run = write_run(tmp_path / "run")
+    shutil.rmtree(run / "renders")
+    with pytest.raises(ResultsError, match="no frames under renders"):
+        write_report([run])
+
+
+def test_missing_frame_is_named(tmp_path):
+    """A frame that was deleted after scoring is an error that names method, view and frame."""
+    run = write_run(tmp_path / "run")
+    frame_path(run / "renders" / "no-blending" / "cam03", 4).unlink()
+    with pytest.raises(RenderError, match="No Blending in cam03 lacks 4"):
+        write_report([run])
+
+
+def test_single_frame_is_enough(tmp_path):
+    """A run of one frame has a report that says why there are no curves and no slices over time."""
+    run = write_run(
+        tmp_path / "run", RunShape(frames=Frames(0, 1), metrics=("PSNR", "TCC")), not_computed={"TCC": "1 frame; needs 2"}
+    )
+    text = write_report([run]).read_text(encoding="utf-8")
+    assert "there is no curve" in text
+    assert "there is no slice over time" in text
+    assert "not computed: 1 frame; needs 2" in text
+    assert "of the only frame of each view" in text
+
+
+def test_run_without_path_says_so(tmp_path):
+    """Without frames along a camera path the page says that there is no epipolar plane image, and the rest is there."""
+    report = write_report([write_run(tmp_path / "run", SMALL)]).parent
+    assert "there is no epipolar plane image" in (report / "index.html").read_text(encoding="utf-8")
+    assert not (report / "figures" / "epi.png").exists()
+
+
+def test_equal_inputs_give_equal_bytes(run, report, tmp_path):
+    """A second report of the same run is the same to the bit, wherever it is written."""
+    again = write_report([run], tmp_path / "again").parent
+    files = sorted(file.relative_to(report) for file in report.rglob("*") if file.is_file())
+    digests = [[hashlib.sha256((folder / file).read_bytes()).hexdigest() for file in files] for folder in (report, again)]
+    assert digests[0] == digests[1]
+
+
+def test_page_tells_nothing_of_the_machine(run, report):
+    """Neither the folder of the run nor the path of the capture stands in the page, only their names."""
+    text = (report / "index.html").read_text(encoding="utf-8")
+    assert "/home/somebody" not in text
+    assert str(run.parent) not in text
+    assert "ggvs-eval prepare run --capture room" in text
+
+
+def test_error_map_is_black_where_right_and_bright_where_wrong(tmp_path):
+    """Equal pixels are the first colour of magma, differences at or above the full scale the last, whatever their size."""
+    truth = np.full((4, 6, 3), 100, np.uint8)
+    rendered = truth.copy()
+    rendered[0, 0], rendered[1, 1] = 164, 255
+    errors = error_map(rendered, truth, tmp_path)
+    assert errors[2, 2].sum() < 10
+    assert errors[0, 0].sum() > 600
+    np.testing.assert_array_equal(errors[0, 0], errors[1, 1])
+
+
+def test_frame_of_another_size_is_refused(tmp_path):
+    """A render whose size is not the truth's is an error that names the file and both sizes."""
+    run = write_run(tmp_path / "run")
+    file = frame_path(run / "renders" / "no-blending" / "cam00", 3)
+    write_image(file, np.zeros((24, 32, 3), np.uint8))
+    with pytest.raises(RenderError, match=r"0003\.png: wanted 64 x 48 pixels as the truth has, got 32 x 24"):
+        compare_frames(read_run(run))
+
+
+def test_pictures_shrink_to_their_budget(tmp_path):
+    """With less room the frames get narrower, and their bytes stay within the budget."""
+    run = read_run(write_run(tmp_path / "run", RunShape(width=480, height=96)))
+    wide, narrow = compare_frames(run), compare_frames(run, 150_000)
+    assert wide.width == 480 > narrow.width
+    texts = [text for view in narrow.images.values() for pictures in view.values() for text in pictures]
+    assert len(texts) == 2 * 4 * 4
+    assert sum(map(len, texts)) * 3 / 4 <= 150_000 * 1.05
+
+
+def test_curves_of_one_metric_share_their_axes(run):
+    """Panels of a metric have the same bounds in every view, and every point lies inside the drawing."""
+    panels = [panel for panel in curve_panels(read_run(run)) if panel.metric == "TCC"]
+    assert [panel.view for panel in panels] == ["cam00", "cam03"]
+    assert len({panel.bounds for panel in panels}) == 1
+    points = [float(n) for panel in panels for curve in panel.curves for n in re.findall(r"[\d.]+", panel.points(curve))]
+    assert len(points) == 2 * len(LABELS) * 3 * 2
+    assert all(10 <= x <= 330 for x in points[::2])
+    assert all(10 <= y <= 146 for y in points[1::2])
+    assert [text for _, text in panels[0].value_ticks()] == ["0.3", "0.4", "0.5", "0.6", "0.7"]

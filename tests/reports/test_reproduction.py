@@ -1,0 +1,248 @@
+"""The paper's values beside ours: each has a standing and a reason, and none is claimed that was not measured on its terms."""
+
+import csv
+import io
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ggvs_eval.files.images import write_image
+from ggvs_eval.pipelines.methods.registry import METHODS
+from ggvs_eval.protocol import Frames, Measurement, Synthesis, load_protocol
+from ggvs_eval.reports.model.measured import MeasuredRun, MetricNote
+from ggvs_eval.reports.model.table import Cell
+from ggvs_eval.reports.report import write_report
+from ggvs_eval.reports.tables.published import read_published
+from ggvs_eval.reports.tables.reproduction import STATUSES, Reproduction, judge_value, paper_methods, reproduce
+from ggvs_eval.reports.tables.reproduction_formats import reproduction_csv, reproduction_markdown
+from ggvs_eval.results import Results, make_table
+from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, write_json
+from helpers.run_folders import RunShape, write_run
+
+ANY_FRAME = np.zeros((1014, 1352, 3), np.uint8)
+PSNR_DB = {"ours": 31.2, "distance-based": 29.0, "fwd": 17.3}
+
+
+def write_scored_run(root: Path, scene: str, protocol: str = "dynerf", **capture: object) -> MeasuredRun:
+    """A run under a packaged protocol, scored in PSNR alone, without the frames that nobody looks at here."""
+    folder, terms = RunFolder(root), load_protocol(protocol)
+    terms = replace(terms, measurement=replace(terms.measurement, metrics=("PSNR", "LPIPS")))
+    views, frames = terms.views.test, range(terms.frames.count)
+    record = {"scene": scene, "layout": "dynerf", "units_origin": "chosen by us", **capture}
+    write_json(folder.root / "capture.json", record)
+    folder.protocol_file.write_text(terms.to_toml(), encoding="utf-8")
+    write_image(frame_path(folder.truth(views[0]), 0), ANY_FRAME)
+    for label in PSNR_DB:
+        stages = {"splat": [0.1] * len(frames), "tsdf": [0.06] * len(frames), "blend": [0.4] * len(frames)}
+        write_json(folder.renders(label, views[0]) / JOB_FILE, {"seconds": stages, "threads": 2})
+    random = np.random.default_rng(0)
+    noise = random.standard_normal((len(views), 1)) + random.standard_normal((len(views), len(frames)))
+    rows = [
+        (terms.dataset, scene, label, "", view, frame, "PSNR", value + 0.3 * noise[at, frame])
+        for label, value in PSNR_DB.items()
+        for at, view in enumerate(views)
+        for frame in frames
+    ]
+    provenance = {"protocol_sha256": terms.sha256, "inputs": {}}
+    results = Results(make_table(rows), provenance, {"LPIPS": "weights of VGG absent"})
+    notes = {"PSNR": MetricNote("PSNR", "dB", True, "", ""), "LPIPS": MetricNote("LPIPS", "", False, "", "")}
+    names = {label: METHODS[label].title for label in PSNR_DB}
+    return MeasuredRun(folder, terms, results, tuple(PSNR_DB), names, frozenset({"ours"}), notes)
+
+
+@pytest.fixture(scope="module")
+def on_dynerf(tmp_path_factory) -> list[MeasuredRun]:
+    """Both scenes of DyNeRF on the paper's terms."""
+    root = tmp_path_factory.mktemp("dynerf")
+    return [write_scored_run(root / scene, scene) for scene in ("sear_steak", "flame_steak")]
+
+
+def find(entries: tuple[Reproduction, ...], table: str, dataset: str, method: str, metric: str) -> Reproduction:
+    """The one value of that name."""
+    key = (table, dataset, method, metric)
+    (found,) = [entry for entry in entries if (entry.table, entry.dataset, entry.method, entry.metric) == key]
+    return found
+
+
+def test_every_published_value_has_a_standing_and_a_reason(on_dynerf):
+    """Nothing that the paper prints is left out, no field is blank, and a number is shown where one was measured, else none."""
+    entries = reproduce(on_dynerf)
+    printed = [
+        (table, dataset, method, value)
+        for table in ("quality", "consistency", "ablation", "timing")
+        for dataset, methods in read_published(table).items()
+        for method, values in methods.items()
+        for value in values.values()
+    ]
+    assert [(entry.table, entry.dataset, entry.method, entry.paper) for entry in entries] == printed
+    for entry in entries:
+        assert entry.status in STATUSES
+        assert entry.reason.strip()
+        assert entry.ours.text.strip()
+        assert (entry.ours.value is not None) == (entry.status in ("reproduced", "differs"))
+
+
+def test_values_on_the_papers_terms_are_judged(on_dynerf):
+    """On both scenes of DyNeRF the network's PSNR of 31.2 +- little is the paper's 31.17, and 29.0 +- little is not its 26.08."""
+    entries = reproduce(on_dynerf)
+    ours = find(entries, "quality", "DyNeRF", "Ours", "PSNR")
+    assert ours.status == "reproduced"
+    assert ours.ours.value == pytest.approx(np.mean([run.results.summary()["PSNR"].max() for run in on_dynerf]))
+    assert ours.reason.startswith("the paper's value lies in our 95 % interval")
+    assert ours.reason.endswith("on sear_steak, flame_steak")
+    distance = find(entries, "ablation", "DyNeRF", "Distance-based Blending", "PSNR")
+    assert distance.status == "differs"
+    assert re.match(r"better by 2\.9\d dB; 95 % interval 2\d\.\d\d to 2\d\.\d\d", distance.reason)
+    foreign = find(entries, "quality", "DyNeRF", "FWD", "PSNR")
+    assert foreign.ours.value == pytest.approx(17.3, abs=1)
+    assert foreign.reason.endswith("on sear_steak, flame_steak; measured with FWD (retrained, compact)")
+    assert "retrained" not in ours.reason + distance.reason
+
+
+def test_what_keeps_a_value_from_being_measured_is_named(on_dynerf):
+    """Foreign weights, a method that was not rendered, a metric without a value, a data set without a run: each says its own."""
+    entries = reproduce(on_dynerf)
+    told = {
+        ("quality", "DyNeRF", "IBRNet", "PSNR"): ("weights absent", "--weights ibrnet=FILE"),
+        ("ablation", "DyNeRF", "No Blending", "PSNR"): ("not run", "--methods no-blending"),
+        ("quality", "DyNeRF", "Ours", "LPIPS"): ("not run", "weights of VGG absent"),
+        ("quality", "DyNeRF", "Ours", "SSIM"): ("not run", "SSIM was not asked for"),
+        ("quality", "D3DMV", "Ours", "PSNR"): ("data absent", "no run on D3DMV here"),
+        ("quality", "D3DMV", "ENeRF", "PSNR"): ("data absent", "weights of ENeRF do not ship either"),
+    }
+    for key, (status, reason) in told.items():
+        entry = find(entries, *key)
+        assert entry.status == status
+        assert reason in entry.reason
+
+
+def test_times_stand_beside_the_papers_and_are_never_called_reproduced(on_dynerf):
+    """100 ms of splatting are ten times the paper's 10; a stage that does not exist here says so."""
+    entries = reproduce(on_dynerf)
+    splat = find(entries, "timing", "DyNeRF", "Ours", "forward splatting")
+    assert (splat.ours.text, splat.status, splat.unit) == ("100.0", "differs", "ms")
+    assert splat.reason.startswith("10 times the paper's")
+    assert find(entries, "timing", "DyNeRF", "Ours", "blending, TensorRT").status == "not run"
+    assert find(entries, "timing", "DyNeRF", "GPSG", "total (as its text says)").status == "weights absent"
+
+
+def test_one_scene_of_two_is_not_the_data_set(on_dynerf):
+    """With flame_steak alone nothing on DyNeRF is reproduced; its value is told as one that does not compare."""
+    entry = find(reproduce(on_dynerf[1:]), "quality", "DyNeRF", "Ours", "PSNR")
+    assert (entry.status, entry.ours.text) == ("data absent", "not measured")
+    assert "the paper's means hold sear_steak too; Ours has 31." in entry.reason
+
+
+def test_a_single_frame_is_not_the_papers_protocol(tmp_path):
+    """The real instant has DyNeRF in its name and nothing of it is counted: frames and size are named as the reason."""
+    run = write_scored_run(tmp_path / "run", "flame_steak", "real_frame", layout="colmap")
+    entries = reproduce([run])
+    assert {entry.status for entry in entries} == {"data absent"}
+    reason = find(entries, "quality", "DyNeRF", "Ours", "PSNR").reason
+    assert "1 frame, not 100" in reason
+    assert "1345 × 1008 pixels, not 1352 × 1014" in reason
+    assert "which does not compare" in reason
+
+
+@pytest.mark.parametrize("dataset", ["Demo room", "DyNeRF"])
+def test_the_demo_is_none_of_the_papers_data_sets(tmp_path, dataset):
+    """A demo capture reproduces nothing, in whatever layout it was written and whatever its protocol calls it."""
+    run = write_scored_run(tmp_path / "run", "sear_steak", units_origin="demo.json")
+    run = replace(run, protocol=replace(run.protocol, dataset=dataset))
+    entries = reproduce([run])
+    assert {entry.status for entry in entries} == {"data absent"}
+    assert all("none of the paper's data sets" in entry.reason for entry in entries)
+    assert all("a demo capture" in entry.reason for entry in entries)
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"frames": Frames(0, 50)}, "50 frames, not 100"),
+        ({"synthesis": Synthesis(6, 1352, 1014)}, "K = 6, not 4"),
+        ({"measurement": Measurement(("PSNR",), width=676, height=507)}, "measured at 676 × 507, not 1352 × 1014"),
+    ],
+)
+def test_departures_from_the_terms_are_named(on_dynerf, changed, words):
+    """A run of the paper's data on other terms counts as none, and says where it departs."""
+    runs = [replace(run, protocol=replace(run.protocol, **changed)) for run in on_dynerf]
+    entry = find(reproduce(runs), "quality", "DyNeRF", "Ours", "PSNR")
+    assert entry.status == "data absent"
+    assert words in entry.reason
+
+
+@pytest.mark.parametrize(
+    ("paper", "cell", "metric", "status", "reason"),
+    [
+        ("31.17", Cell("31.17", 31.1749), "PSNR", "reproduced", "the same to the printed digits"),
+        ("31.17", Cell("31.40", 31.4, low=31.1, high=31.7, note="given this scene"), "PSNR", "reproduced", "given this scene"),
+        ("31.17", Cell("31.40", 31.4, low=31.3, high=31.5), "PSNR", "differs", "better by 0.23 dB; 95 % interval 31.30 to 31.50"),
+        ("31.17", Cell("30.00", 30.0, note="1 frame; an interval needs 2"), "PSNR", "differs", "no interval (1 frame"),
+        ("0.191", Cell("0.250", 0.25, low=0.24, high=0.26), "LPIPS", "differs", "worse by 0.059;"),
+        ("2796", Cell("2796", 2796.4), "STED", "reproduced", "the same to the printed digits"),
+        ("0.191", Cell("0.192", 0.192, low=0.1913, high=0.1927), "LPIPS", "reproduced", "lies in our"),
+    ],
+)
+def test_a_value_is_reproduced_by_interval_or_digits(paper, cell, metric, status, reason):
+    """A published value stands for all that round to it; outside our interval it differs, and the reason says by how much."""
+    found, words = judge_value(paper, cell, metric)
+    assert found == status
+    assert reason in words
+
+
+def test_the_papers_methods_are_ours_by_label_and_weights():
+    """A method of the paper asks for the weights that its label asks for, or for none where ours ship; some are to come."""
+    named = {
+        method
+        for table in ("quality", "consistency", "ablation", "timing")
+        for rows in read_published(table).values()
+        for method in rows
+    }
+    assert set(paper_methods()) == named
+    for method in paper_methods().values():
+        if method.label in METHODS:
+            spec = METHODS[method.label]
+            assert method.weights == spec.checkpoint or (not method.weights and all(file.is_file() for file in spec.weights))
+        else:
+            assert method.label.startswith("ours+")
+
+
+def test_frames_of_others_count_by_the_methods_name(on_dynerf):
+    """Frames that somebody else rendered with ENeRF and imported as `ENeRF` are held against the paper's ENeRF."""
+    runs = [replace(run, labels=("ENeRF",), results=_renamed(run.results)) for run in on_dynerf]
+    entry = find(reproduce(runs), "quality", "DyNeRF", "ENeRF", "PSNR")
+    assert entry.status == "differs"
+    assert entry.ours.value == pytest.approx(29.0, abs=0.1)
+
+
+def _renamed(results: Results) -> Results:
+    kept = results.table[results.table["method"] == "distance-based"]
+    return replace(results, table=kept.assign(method="ENeRF"))
+
+
+def test_formats_hold_every_value(on_dynerf):
+    """Markdown and CSV have a line per value, in which nothing is blank but the numbers that do not exist."""
+    entries = reproduce(on_dynerf)
+    lines = list(csv.DictReader(io.StringIO(reproduction_csv(entries))))
+    assert [(line["paper"], line["status"]) for line in lines] == [(entry.paper, entry.status) for entry in entries]
+    for line, entry in zip(lines, entries, strict=True):
+        assert line["reason"]
+        assert (line["ours"] == "") == (entry.ours.value is None)
+    differs = next(line for line in lines if line["status"] == "differs")
+    assert float(differs["difference"]) == float(differs["ours"]) - float(differs["paper"])
+    rows = [line for line in reproduction_markdown(entries).splitlines() if line.startswith("| ") and "| Paper |" not in line]
+    assert len(rows) == len(entries)
+    assert not any(re.search(r"\|\s*\|", row) for row in rows)
+
+
+def test_report_carries_them(tmp_path):
+    """A report has the page's section and both files, and counts what the section shows."""
+    page = write_report([write_run(tmp_path / "run", RunShape(views=("cam00",), metrics=("PSNR",), poses=0))])
+    text = page.read_text(encoding="utf-8")
+    assert "146 published values: 146 data absent." in text
+    assert text.count("<td>data absent</td>") == 146
+    assert (page.parent / "reproduction.md").is_file()
+    assert len(list(csv.reader((page.parent / "reproduction.csv").open(encoding="utf-8")))) == 147

@@ -1,0 +1,129 @@
+"""Slices against arrays made by hand."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ggvs_eval.errors import RenderError, ResultsError
+from ggvs_eval.files.images import read_image, write_image
+from ggvs_eval.protocol import Frames
+from ggvs_eval.reports.figures.slices import (
+    epipolar_plane_image,
+    most_changing_row,
+    most_textured_row,
+    path_slices,
+    temporal_slice,
+    time_slices,
+    write_slices,
+)
+from ggvs_eval.reports.model.measured import read_run
+from ggvs_eval.run_folder import frame_path
+from helpers.run_folders import RunShape, write_run
+
+
+@pytest.fixture
+def frames(tmp_path: Path):
+    """Five random frames on disk, numbers 3 to 7, and the same as an array (5, 20, 30, 3)."""
+    images = np.random.default_rng(0).integers(0, 256, (5, 20, 30, 3), dtype=np.uint8)
+    for index, image in enumerate(images, start=3):
+        write_image(frame_path(tmp_path, index), image)
+    return tmp_path, images
+
+
+def test_temporal_slice_is_one_row_of_each_frame(frames):
+    """An x-t slice holds the same row of consecutive frames, top to bottom, to the bit."""
+    folder, images = frames
+    np.testing.assert_array_equal(temporal_slice(folder, range(3, 8), 11), images[:, 11])
+
+
+def test_epipolar_plane_image_is_one_row_of_each_pose(tmp_path):
+    """An EPI holds the same row of every pose from the first on, to the bit."""
+    images = np.random.default_rng(1).integers(0, 256, (4, 9, 8, 3), dtype=np.uint8)
+    for index, image in enumerate(images):
+        write_image(frame_path(tmp_path, index), image)
+    np.testing.assert_array_equal(epipolar_plane_image(tmp_path, 4, 8), images[:, 8])
+
+
+def test_scene_point_draws_a_straight_line(tmp_path):
+    """A wall that moves by three pixels per pose is shifted by three pixels from each line of the EPI to the next."""
+    run = read_run(write_run(tmp_path / "run"))
+    epi = epipolar_plane_image(run.folder.path("truth"), 6, 40)
+    np.testing.assert_array_equal(epi[1:, :-3, 0], epi[:-1, 3:, 0])
+
+
+@pytest.mark.parametrize("row", [-1, 20])
+def test_row_outside_is_refused(frames, row):
+    """A row that the image does not have is an error that says which rows there are."""
+    with pytest.raises(ResultsError, match=r"no row .* use 0\.\.19"):
+        temporal_slice(frames[0], range(3, 8), row)
+
+
+def test_row_of_largest_change_is_found(tmp_path):
+    """Of still frames in which one row flickers, that row is chosen."""
+    for index in range(4):
+        image = np.full((16, 12, 3), 90, np.uint8)
+        image[13] += 20 * (index % 2)
+        write_image(frame_path(tmp_path, index), image)
+    assert most_changing_row(tmp_path, range(4)) == 13
+
+
+def test_row_of_strongest_gradients_is_found():
+    """Of flat images in which one row is striped, that row is chosen; vertical steps do not count."""
+    image = np.zeros((16, 12, 3), np.uint8)
+    image[8:] = 255
+    image[5, ::2] = 80
+    assert most_textured_row([image, image]) == 5
+
+
+def test_every_method_stands_beside_the_truth(tmp_path):
+    """Slices of a run hold the truth first, then each method under its shown name, each equal to its own frames."""
+    run = read_run(write_run(tmp_path / "run"))
+    slices = time_slices(run, "cam03", row=12)
+    assert [strip.name for strip in slices.strips] == ["Truth", *(run.name(label) for label in run.labels)]
+    for strip, folder in zip(slices.strips, run.frame_folders("cam03").values(), strict=True):
+        np.testing.assert_array_equal(strip.image, [read_image(frame_path(folder, index))[12] for index in run.frames])
+
+
+def test_virtual_path_has_no_truth(tmp_path):
+    """Without a captured path the place of the truth is kept and empty, and the row is chosen from the methods."""
+    slices = path_slices(read_run(write_run(tmp_path / "run", RunShape(path_truth=False))))
+    assert slices is not None
+    assert [strip.image is None for strip in slices.strips] == [True, False, False, False]
+    assert "all methods together" in slices.chosen_by
+
+
+def test_missing_pose_is_named(tmp_path):
+    """A gap in the path of one method is an error that names the method and the pose."""
+    run = read_run(write_run(tmp_path / "run"))
+    frame_path(run.folder.path("ours-geometric"), 4).unlink()
+    with pytest.raises(RenderError, match=r"Ours \(geometric weights\) on the path lacks 4"):
+        path_slices(run)
+
+
+@pytest.mark.parametrize("kind", ["epi", "time"])
+def test_figure_is_written_twice_alike(tmp_path, kind):
+    """A figure of slices is a picture, and equal inputs give equal bytes."""
+    run = write_run(tmp_path / "run", RunShape(path_truth=False))
+    first, second = (write_slices(run, kind, None, None, tmp_path / f"{name}.png") for name in ("a", "b"))
+    assert first.read_bytes() == second.read_bytes()
+    assert read_image(first).shape[1] == 1400
+
+
+def test_what_a_figure_cannot_be_drawn_of_is_refused(tmp_path):
+    """An unknown view, a run without a path and a strange suffix are errors that say what to do."""
+    run = write_run(tmp_path / "run", RunShape(poses=0))
+    with pytest.raises(ResultsError, match="no test view 'cam99'; use one of cam00, cam03"):
+        write_slices(run, "time", None, "cam99", tmp_path / "slice.png")
+    with pytest.raises(ResultsError, match="no frames along a camera path"):
+        write_slices(run, "epi", None, None, tmp_path / "slice.png")
+    with pytest.raises(ResultsError, match=r"must end in \.png, \.pdf, \.svg, got \.bmp"):
+        write_slices(run, "time", None, None, tmp_path / "slice.bmp")
+
+
+def test_single_frame_has_a_slice_of_one_sample(tmp_path):
+    """One frame is a slice of height one; its row is the middle one, because nothing changes."""
+    run = read_run(write_run(tmp_path / "run", RunShape(frames=Frames(0, 1), metrics=("PSNR",))))
+    slices = time_slices(run, "cam00")
+    assert slices.row == 24
+    assert {strip.image.shape for strip in slices.strips} == {(1, 64, 3)}

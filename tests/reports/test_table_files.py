@@ -1,0 +1,117 @@
+"""Tables as other programs read them: LaTeX that compiles, a workbook that pandas and Excel open."""
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from ggvs_eval.reports.model.measured import read_run
+from ggvs_eval.reports.model.table import Cell, Column, Row, Table
+from ggvs_eval.reports.report import write_report
+from ggvs_eval.reports.tables.excel import write_excel
+from ggvs_eval.reports.tables.paper_layout import paper_tables
+from ggvs_eval.reports.tables.reproduction import reproduce
+from ggvs_eval.reports.tables.table_formats import to_latex
+from helpers.run_folders import RunShape, write_run
+
+ENGINE = next(filter(None, map(shutil.which, ("pdflatex", "lualatex", "xelatex", "tectonic"))), None)
+NASTY = "_100%_ & $x^2$ {y} \\z #1 ~ < > ± − ∞"
+MANY = 60  # more tables than LaTeX holds back before it has to place one
+PACKAGES = ("booktabs", "xcolor", "graphicx")
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory) -> Path:
+    """A whole run on DyNeRF by its name, with a method whose name is full of TeX's characters; nobody changes it."""
+    names = (("no-blending", NASTY), ("ours-geometric", "Ours"), ("ours-geometric+no-temporal", "Without"))
+    return write_run(tmp_path_factory.mktemp("files") / "run", RunShape(dataset="DyNeRF", names=names))
+
+
+@pytest.fixture(scope="module")
+def report(run) -> Path:
+    """Folder of its report."""
+    return write_report([run]).parent
+
+
+def compile_latex(body: str, folder: Path) -> str:
+    """Log of a document that holds this; fails the test where the engine stops."""
+    assert ENGINE is not None
+    packages = "\\usepackage{booktabs}\\usepackage[table]{xcolor}\\usepackage{graphicx}"
+    text = f"\\documentclass{{article}}{packages}\\begin{{document}}{body}\\end{{document}}"
+    (folder / "paper.tex").write_text(text, encoding="utf-8")
+    options = [] if ENGINE.endswith("tectonic") else ["-interaction=nonstopmode", "-halt-on-error"]
+    done = subprocess.run(
+        [ENGINE, *options, "paper.tex"], cwd=folder, capture_output=True, text=True, timeout=120, errors="replace"
+    )
+    assert done.returncode == 0, done.stdout[-2000:]
+    assert (folder / "paper.pdf").stat().st_size > 1000
+    return done.stdout
+
+
+@pytest.mark.skipif(ENGINE is None, reason="no LaTeX engine; apt-get install texlive-latex-base texlive-latex-recommended")
+def test_latex_compiles_and_fits_the_page(report, tmp_path):
+    """All tables of a report compile in a plain article with the packages that their head names, and stay in the margins."""
+    for name in ("tables.tex", "reproduction.tex"):
+        shutil.copy(report / name, tmp_path)
+        assert all(re.search(rf"% \\usepackage(\[\w+\])?\{{{package}\}}", (report / name).read_text()) for package in PACKAGES)
+    log = compile_latex(r"\input{tables.tex}\clearpage\input{reproduction.tex}", tmp_path)
+    assert "Overfull" not in log
+    assert "Missing character" not in log
+
+
+@pytest.mark.skipif(ENGINE is None, reason="no LaTeX engine; apt-get install texlive-latex-base texlive-latex-recommended")
+def test_many_tables_compile(tmp_path):
+    """More tables in a row than LaTeX holds back at once are placed all the same."""
+    table = Table("t", NASTY, NASTY, (Column("PSNR", "dB", True),), (Row(NASTY, (Cell("1.0", 1.0, True, 0.5),)),))
+    log = compile_latex(to_latex([table] * MANY), tmp_path)
+    assert "Output written" in log
+
+
+def test_the_papers_values_are_shaded_as_the_paper_shades_them(run):
+    """Of the PSNR on DyNeRF the best is bold and full blue, 29.51 in proportion, the worst two white; ours stand below each."""
+    table = next(table for table in paper_tables(reproduce([read_run(run)])) if (table.key, table.dataset) == QUALITY)
+    assert [row.name for row in table.rows[-2:]] == ["Ours (paper)", "Ours, here"]
+    assert [cell.text for cell in table.rows[-1].cells] == ["data absent"] * 4
+    psnr = {row.name.removesuffix(" (paper)"): row.cells[0] for row in table.rows[::2]}
+    above = 2 * (29.51 - 16.97) / (31.17 - 16.97) - 1
+    assert psnr["ENeRF"].shade == pytest.approx(above / (2 * (1 - above) + 1))
+    assert (psnr["Ours"].shade, psnr["Ours"].best, psnr["FWD"].shade, psnr["IBRNet"].shade) == (1.0, True, 0.0, 0.0)
+    assert r"\cellcolor[rgb]{0.750, 0.750, 1}\textbf{\textcolor{gray}{31.17}}" in to_latex([table])
+
+
+QUALITY = ("reproduction-quality", "DyNeRF")
+
+
+def test_workbook_holds_the_tables_numbers(report):
+    """Every number is read back to Excel's 16 digits, shaded and bold as in the page; what lies in the CSV lies in it too."""
+    pytest.importorskip("openpyxl", reason="no openpyxl, by which pandas writes workbooks")
+    sheets = pd.read_excel(report / "tables.xlsx", sheet_name=None)
+    lines = pd.read_csv(report / "tables.csv")
+    quality = lines[(lines["table"] == "quality") & (lines["column"] == "PSNR") & (lines["kind"] != "published")]
+    found = sheets["quality DyNeRF"]
+    assert found["PSNR (dB)"].iloc[: len(quality)].tolist() == pytest.approx(quality["value"].tolist(), rel=1e-14)
+    assert found["Method"].iloc[0] == NASTY
+    assert len(sheets["values"]) == len(lines)
+    assert len(sheets["reproduction"]) == 146
+    import openpyxl
+
+    place = openpyxl.load_workbook(report / "tables.xlsx")["quality DyNeRF"]
+    best = next(row for row in place.iter_rows(min_row=2) if row[0].value == "Without")
+    assert (best[1].font.bold, best[1].fill.fgColor.rgb, best[1].number_format) == (True, "FFBFBFFF", "0.00")
+
+
+def test_workbook_takes_names_literally(tmp_path):
+    """A method called like a formula stays a name, sheets of one name get two, and equal tables give equal bytes."""
+    pytest.importorskip("openpyxl", reason="no openpyxl, by which pandas writes workbooks")
+    table = Table(
+        "a/b*c", "T", "", (Column("PSNR"),), (Row("=1+1", (Cell("not computed: why"),)),), "a very long name of a data set"
+    )
+    first = write_excel([table, table], {"values": "a,b\n=2+2,1\n"}, tmp_path / "a.xlsx")
+    second = write_excel([table, table], {"values": "a,b\n=2+2,1\n"}, tmp_path / "b.xlsx")
+    sheets = pd.read_excel(first, sheet_name=None)
+    assert len(sheets) == 3
+    assert [sheet.iloc[0].tolist() for sheet in sheets.values()] == [["=1+1", "not computed: why"]] * 2 + [["=2+2", 1]]
+    assert first.read_bytes() == second.read_bytes()

@@ -1,0 +1,70 @@
+"""Captured frames are decoded once per run: later steps read them from the run folder."""
+
+import numpy as np
+import pytest
+
+from ggvs_eval.datasets import open_capture
+from ggvs_eval.errors import CaptureError
+from ggvs_eval.pipelines.run.frame_cache import cache_frames
+from ggvs_eval.run_folder import frame_path
+from helpers.captures import NAMES, make_image, write_dynerf
+
+
+@pytest.fixture
+def capture(dynerf):
+    return open_capture(dynerf)
+
+
+def test_frames_are_those_of_the_capture_at_its_size(capture, tmp_path):
+    """The cached frames equal the capture's, resized by its filter, under the same numbers and digests."""
+    small = capture.resized(32, 24, "area")
+
+    cached = cache_frames(small, {"cam01": [1, 2, 3]}, tmp_path, workers=1)
+
+    for wanted, found in zip(small.frames("cam01", 1, 4), cached.frames("cam01", 1, 4), strict=True):
+        np.testing.assert_array_equal(found, wanted)
+    assert cached.digest("cam01") == capture.digest("cam01")
+
+
+def test_nothing_is_decoded_twice(capture, dynerf, tmp_path):
+    """Once the frames are there the videos are not opened any more, not even for a second call."""
+    wanted = {name: range(5) for name in NAMES}
+    cache_frames(capture, wanted, tmp_path, workers=2)
+    for video in dynerf.glob("*.mp4"):
+        video.unlink()
+
+    again = cache_frames(capture, wanted, tmp_path, workers=2)
+
+    assert sum(1 for name in NAMES for _ in again.frames(name)) == 4 * 5
+
+
+def test_only_what_is_missing_is_written(capture, tmp_path):
+    """A lost frame comes back with the same pixels, the others are left as they are."""
+    cached = cache_frames(capture, {"cam02": range(5)}, tmp_path, workers=1)
+    before = cached.frame("cam02", 3)
+    kept, lost = frame_path(tmp_path / "cam02", 2), frame_path(tmp_path / "cam02", 3)
+    stamp = kept.stat().st_mtime_ns
+    lost.unlink()
+
+    cache_frames(capture, {"cam02": range(5)}, tmp_path, workers=1)
+
+    np.testing.assert_array_equal(cached.frame("cam02", 3), before)
+    assert kept.stat().st_mtime_ns == stamp
+
+
+def test_frames_that_were_not_asked_for_are_refused(capture, tmp_path):
+    """A frame outside what was cached is an error that names the file, not another frame."""
+    cached = cache_frames(capture, {"cam00": [2]}, tmp_path, workers=1)
+
+    with pytest.raises(CaptureError, match=r"0004\.png"):
+        cached.frame("cam00", 4)
+
+
+def test_cameras_that_take_no_part_stay_as_they_are(tmp_path):
+    """Only the wanted cameras are written; the others are still read from the capture."""
+    capture = open_capture(write_dynerf(tmp_path / "rig"))
+
+    cached = cache_frames(capture, {"cam00": [0]}, tmp_path / "cache", workers=1)
+
+    assert [folder.name for folder in (tmp_path / "cache").iterdir()] == ["cam00"]
+    assert abs(float(cached.frame("cam03", 1).mean()) - float(make_image(3, 1).mean())) < 2

@@ -1,0 +1,72 @@
+"""The protocols of the three data sets say what the paper says, and what it leaves open is marked as ours."""
+
+from pathlib import Path
+
+import pytest
+
+from ggvs_eval.capture import Capture
+from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
+from ggvs_eval.protocol import load_protocol, packaged_protocols
+from helpers.captures import make_rig
+
+
+def rig_of(layout: str, names: list[str], n_frames: int, size: tuple[int, int] = (64, 48)) -> Capture:
+    cameras = tuple(make_rig(names, *size))
+    return Capture("scene", layout, Path("scene"), cameras, (), n_frames, 30.0, 1.0, "guess")
+
+
+@pytest.mark.parametrize(
+    ("name", "views", "k", "size", "measured"),
+    [
+        ("dynerf", 9, 4, (1352, 1014), (0, 0)),
+        ("enerf-outdoor", 3, 4, (960, 540), (480, 270)),
+        ("d3dmv", 4, 2, (640, 360), (0, 0)),
+    ],
+)
+def test_protocols_are_the_papers(name, views, k, size, measured):
+    """Views, K, frames and sizes as in the paper's section on evaluation; metrics of ENeRF-Outdoor at half size."""
+    protocol = load_protocol(name)
+
+    assert len(protocol.views.test) == views
+    assert protocol.synthesis.k == k
+    assert (protocol.frames.start, protocol.frames.count) == (0, 100)
+    assert (protocol.synthesis.width, protocol.synthesis.height) == size
+    assert (protocol.measurement.width, protocol.measurement.height) == measured
+
+
+@pytest.mark.parametrize("name", packaged_protocols())
+def test_chosen_views_are_marked_as_ours(name):
+    """The paper does not say which cameras it tests; every packaged list says that it is ours, and by which rule."""
+    assert load_protocol(name).views.chosen_by.startswith("chosen by us: ")
+
+
+@pytest.mark.parametrize(
+    ("layout", "names", "wanted"),
+    [
+        ("dynerf", [f"cam{number:02d}" for number in range(21)], "dynerf"),
+        ("enerf-outdoor", [f"{number:02d}" for number in range(18)], "enerf-outdoor"),
+        ("d3dmv", [f"cam{number:02d}" for number in range(10)], "d3dmv"),
+    ],
+)
+def test_a_capture_gets_the_protocol_of_its_layout(layout, names, wanted):
+    """A whole scene of a data set is evaluated under its packaged protocol."""
+    assert suggest_protocol(rig_of(layout, names, 300)).name == wanted
+
+
+def test_a_small_rig_gets_its_layouts_rules_at_its_own_size():
+    """Too short for the packaged protocol: views by rule, K of the layout, metrics at the same fraction of the size."""
+    suggested = suggest_protocol(rig_of("enerf-outdoor", ["00", "01", "02", "03", "04"], 7, (320, 180)))
+
+    assert suggested.views.test == ("01", "03")
+    assert suggested.frames.count == 7
+    assert suggested.synthesis.k == load_protocol("enerf-outdoor").synthesis.k
+    assert (suggested.measurement.width, suggested.measurement.height) == (160, 90)
+    assert suggested.dataset == "scene"
+
+
+def test_k_is_bounded_by_the_cameras_there_are():
+    """A rig of three cameras has two sources per view."""
+    suggested = suggest_protocol(rig_of("colmap", ["a", "b", "c"], 1))
+
+    assert suggested.synthesis.k == 2
+    assert suggested.synthesis.width == 0

@@ -1,0 +1,58 @@
+"""Partial renders in a report: marked, not ranked, and left out of the pictures."""
+
+import shutil
+
+import pytest
+
+from ggvs_eval.files.images import write_image
+from ggvs_eval.pipelines.run.import_renders import import_renders
+from ggvs_eval.pipelines.run.score import score
+from ggvs_eval.reports.report import write_report
+from ggvs_eval.results import merge_results
+from ggvs_eval.run_folder import RunFolder
+from helpers.render_folders import FRAMES, make_run, truth, write_folders
+
+
+@pytest.fixture
+def run(tmp_path) -> RunFolder:
+    """Two whole methods, and a perfect one of one view and two frames."""
+    run = make_run(tmp_path / "run", ("PSNR", "L1", "SDT"))
+    import_renders(run, "a", write_folders(tmp_path / "a"))
+    import_renders(run, "b", write_folders(tmp_path / "b"))
+    for frame in FRAMES[:2]:
+        write_image(tmp_path / "c" / "cam00" / f"{frame:04d}.png", truth("cam00", frame))
+    import_renders(run, "c", tmp_path / "c", allow_partial=True)
+    score(run)
+    return run
+
+
+def test_a_partial_row_is_marked_and_not_ranked(run):
+    """The row's name and the caption say that it is partial; though its numbers are best, it is not bold."""
+    write_report([run.root])
+
+    lines = (run.report / "tables.md").read_text().splitlines()
+    rows = [line for line in lines if line.startswith("| c ")]
+    assert rows
+    assert all(line.startswith("| c (partial) |") and "**" not in line for line in rows)
+    assert any("c is partial in room: 0 of 2 views complete, 2 of 6 frames (cam00); it is not ranked." in line for line in lines)
+    assert any(line.startswith("| a | **") for line in lines)
+
+
+def test_a_run_of_partial_renders_alone_has_a_page(run, tmp_path):
+    """With nothing to compare with there is still a table and a page."""
+    for label in ("a", "b"):
+        shutil.rmtree(run.root / "renders" / label)
+    score(run)
+
+    page = write_report([run.root])
+
+    assert "c (partial)" in page.read_text()
+
+
+def test_marks_survive_merging(run, tmp_path):
+    """Results of several scenes in one keep the marks of each."""
+    results = score(run)
+
+    merged = merge_results([results, results])
+
+    assert merged.provenance["partial"] == results.provenance["partial"]

@@ -1,0 +1,223 @@
+"""From renders of others to a table: whole ones, partial ones that are marked, and the command line around it."""
+
+import hashlib
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ggvs_eval.datasets import open_capture
+from ggvs_eval.errors import RenderError, ResultsError
+from ggvs_eval.files.images import write_image
+from ggvs_eval.pipelines.commands.main import run_command
+from ggvs_eval.pipelines.run.import_renders import import_renders
+from ggvs_eval.pipelines.run.prepare import prepare_truth
+from ggvs_eval.pipelines.run.score import score
+from ggvs_eval.protocol import Frames, Measurement, Protocol, Synthesis, Views, load_protocol
+from ggvs_eval.results import Results, merge_results
+from ggvs_eval.run_folder import RunFolder, frame_path
+from helpers.captures import write_dynerf
+from helpers.render_folders import FRAMES, VIEWS, make_run, rendered, truth, write_folders
+
+METRICS = ("PSNR", "L1", "TCC", "SDT", "SDV")
+
+
+@pytest.fixture
+def run(tmp_path) -> RunFolder:
+    return make_run(tmp_path / "run", METRICS)
+
+
+def partial_folder(folder: Path) -> Path:
+    """cam02 without frame 3, cam00 with a frame 4 of another size."""
+    write_folders(folder)
+    (folder / "cam02" / "0003.png").unlink()
+    write_image(folder / "cam00" / "0004.png", np.zeros((24, 32, 3), np.uint8))
+    return folder
+
+
+def cells(results: Results, method: str) -> dict[tuple[str | None, int, str], float]:
+    rows = results.table[results.table["method"] == method]
+    views = [None if view != view else view for view in rows["view"]]  # pandas writes NaN for None
+    return dict(zip(zip(views, rows["frame"], rows["metric"], strict=True), rows["value"], strict=True))
+
+
+def test_partial_renders_are_scored_where_they_are_and_marked(run, tmp_path):
+    """What is there has the values it would have in whole renders; what is not has no value; the results say which row."""
+    import_renders(run, "whole", write_folders(tmp_path / "whole"))
+    import_renders(run, "some", partial_folder(tmp_path / "some"), allow_partial=True)
+
+    results = score(run)
+    whole, some = cells(results, "whole"), cells(results, "some")
+
+    mark = "partial in room: 0 of 2 views complete, 4 of 6 frames (cam02, cam00)"
+    assert Results.read(run.root).provenance["partial"] == {"some": mark}
+    frames = {("cam02", 2), ("cam02", 4), ("cam00", 2), ("cam00", 3)}
+    assert {(view, frame) for view, frame, metric in some if metric == "L1"} == frames
+    assert {(view, frame) for view, frame, metric in some if metric == "TCC"} == {("cam00", 2)}  # no pair across the gap
+    assert {(view, frame) for view, frame, metric in some if metric == "SDV"} == {(None, 2)}  # where both views are there
+    for place in ((*cell, metric) for cell in frames for metric in ("PSNR", "L1")):
+        assert some[place] == whole[place]
+    assert some[("cam00", 2, "TCC")] == whole[("cam00", 2, "TCC")]
+    assert some[("cam00", -1, "SDT")] == pytest.approx(np.std([some[("cam00", t, "L1")] for t in (2, 3)], ddof=1))
+    assert results.not_computed == {}
+
+
+def test_a_view_that_is_missing_has_no_row(run, tmp_path):
+    """One of two views: its values alone, the mean over it alone, and a reason for what needs two."""
+    folder = write_folders(tmp_path / "theirs")
+    shutil.rmtree(folder / "cam02")
+    record = import_renders(run, "some", folder, allow_partial=True)
+
+    results = score(run)
+
+    assert record["partial"] == "1 of 2 views complete, 3 of 6 frames (cam00)"
+    assert "missing: some in cam02 lacks all 3 frames" in record["notes"]
+    assert set(results.table["view"]) == {"cam00"}
+    levels = [np.abs(rendered("cam00", frame).astype(float) - truth("cam00", frame)).mean() for frame in FRAMES]
+    assert results.summary()["L1"].item() == pytest.approx(np.mean(levels))
+    assert results.not_computed["SDV"] == "1 view; needs 2 (partial renders some)"
+
+
+def test_whole_renders_are_not_marked_whatever_was_allowed(run, tmp_path):
+    """--allow-partial marks nothing where nothing is missing; an extra folder is left out and recorded."""
+    folder = write_folders(tmp_path / "theirs")
+    write_image(folder / "depth" / "0000.png", rendered("cam00", 2))
+
+    record = import_renders(run, "mine", folder, allow_partial=True)
+
+    assert score(run).provenance["partial"] == {}
+    assert record["notes"] == ["not used: depth/ (1 pictures)"]
+
+
+def test_a_partial_import_does_not_excuse_frames_that_get_lost(run, tmp_path):
+    """What a partial import brought must be there when it is scored."""
+    import_renders(run, "some", partial_folder(tmp_path / "some"), allow_partial=True)
+    frame_path(run.renders("some", "cam00"), 3).unlink()
+
+    with pytest.raises(RenderError, match="some in cam00 lacks 3"):
+        score(run)
+
+
+def test_partial_renders_that_were_completed_lose_their_mark(run, tmp_path):
+    """Importing the completed folder under the same name replaces frames, values and mark."""
+    folder = partial_folder(tmp_path / "some")
+    import_renders(run, "some", folder, allow_partial=True)
+    before = score(run).provenance
+
+    write_folders(folder)
+    import_renders(run, "some", folder)
+    after = score(run)
+
+    assert before["partial"]
+    assert not after.provenance["partial"]
+    assert cells(after, "some")[("cam02", 3, "L1")] == pytest.approx(3, abs=0.2)
+
+
+def test_results_carry_the_digests_of_both_sides(run, tmp_path):
+    """Captured frames by camera, rendered frames by view, source files of the import: all are in results.json."""
+    record = import_renders(run, "mine", write_folders(tmp_path / "theirs"))
+
+    provenance = score(run).provenance
+
+    for view in VIEWS:
+        pictures = b"".join((tmp_path / "theirs" / view / f"000{frame}.png").read_bytes() for frame in FRAMES)
+        assert provenance["renders"][f"mine/{view}"] == hashlib.sha256(pictures).hexdigest()
+    assert provenance["inputs"]["room/cam00"] == "ab12"
+    assert provenance["imported"]["mine"]["sha256"] == record["sha256"]
+    assert provenance["imported"]["mine"]["source"] == "theirs"
+
+
+def test_results_under_two_protocols_do_not_mix(tmp_path):
+    """Renders of one method scored under different protocols are refused in one table."""
+    parts = []
+    for name, metrics in (("one", METRICS), ("two", METRICS[:2])):
+        run = make_run(tmp_path / name, metrics)
+        import_renders(run, "mine", write_folders(tmp_path / f"theirs of {name}"))
+        parts.append(score(run))
+
+    with pytest.raises(ResultsError, match="results of different protocols do not belong in one table"):
+        merge_results(parts)
+
+
+@pytest.fixture
+def capture(tmp_path) -> Path:
+    return write_dynerf(tmp_path / "coffee")
+
+
+@pytest.fixture
+def protocol(tmp_path) -> Path:
+    protocol = Protocol("p", "Tiny", Views(("cam01", "cam02"), "by hand"), Frames(1, 3), Synthesis(2), Measurement(METRICS))
+    (tmp_path / "p.toml").write_text(protocol.to_toml())
+    return tmp_path / "p.toml"
+
+
+@pytest.fixture
+def theirs(capture, tmp_path) -> Path:
+    """The captured frames, 4 levels brighter."""
+    opened = open_capture(capture)
+    for view in ("cam01", "cam02"):
+        for frame, image in enumerate(opened.frames(view, 1, 4), 1):
+            write_image(tmp_path / "theirs" / view / f"{frame:04d}.png", np.minimum(image, 251) + np.uint8(4))
+    return tmp_path / "theirs"
+
+
+def command(*arguments: str | Path) -> None:
+    run_command([str(argument) for argument in arguments])
+
+
+def test_one_command_scores_renders_of_a_capture(capture, protocol, theirs, tmp_path, capsys, monkeypatch):
+    """`score --renders --capture --protocol` makes a run of the truth alone under scores/ and prints the table."""
+    monkeypatch.chdir(tmp_path)
+
+    command("score", "--renders", f"mine={theirs}", "--capture", capture, "--protocol", protocol, "--jobs", "1")
+
+    run = RunFolder(tmp_path / "scores" / "coffee")
+    assert "mine" in capsys.readouterr().out
+    assert sorted(folder.name for folder in (run.root / "truth").iterdir()) == ["cam01", "cam02"]
+    assert not run.depth.exists()
+    assert Results.read(run.root).summary()["L1"].item() == pytest.approx(4.0, abs=0.05)
+
+
+def test_a_run_goes_on_with_its_own_protocol(capture, protocol, theirs, tmp_path, capsys):
+    """Further renders need neither capture nor protocol, and can be given without a name; what is there stays."""
+    command("score", "--run", tmp_path / "run", "--renders", f"a={theirs}", "--capture", capture, "--protocol", protocol)
+
+    command("score", tmp_path / "run", "--renders", theirs)
+
+    assert set(Results.read(tmp_path / "run").table["method"]) == {"a", "theirs"}
+
+
+def test_incomplete_renders_end_with_one_line_unless_allowed(capture, protocol, theirs, tmp_path, capsys):
+    """Exit 1 with the gaps and the way out; with --allow-partial the table is followed by what the row stands on."""
+    shutil.rmtree(theirs / "cam02")
+    arguments = ("score", "--run", tmp_path / "run", "--renders", f"a={theirs}", "--capture", capture, "--protocol", protocol)
+    with pytest.raises(SystemExit) as caught:
+        command(*arguments)
+    message = str(caught.value.code)
+
+    command(*arguments, "--allow-partial")
+
+    assert message.startswith("ggvs-eval: ")
+    assert "a in cam02 lacks all 3 frames" in message
+    assert "\n" not in message
+    assert "a is partial in coffee: 1 of 2 views complete, 3 of 6 frames (cam01)" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--renders", "a=THEIRS"), "wanted a run folder, or --capture CAPTURE"),
+        (("RUN", "--run", "RUN"), "wanted one run folder"),
+        (("RUN", "--protocol", "dynerf"), "--protocol asks for another"),
+    ],
+)
+def test_what_contradicts_itself_is_refused(arguments, message, capture, protocol, theirs, tmp_path):
+    """No run and no capture, two runs, or another protocol than the run's: one line each."""
+    prepare_truth(tmp_path / "run", open_capture(capture), load_protocol(protocol))
+    given = [text.replace("RUN", str(tmp_path / "run")).replace("THEIRS", str(theirs)) for text in arguments]
+
+    with pytest.raises(SystemExit) as caught:
+        command("score", *given)
+
+    assert message in str(caught.value.code)

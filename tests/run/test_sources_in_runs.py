@@ -1,0 +1,95 @@
+"""The choice of sources goes through a whole run: the same for all methods, and along the path with shares that follow it."""
+
+from dataclasses import replace
+
+import pytest
+
+from ggvs_eval.errors import CameraError
+from ggvs_eval.geometry.source_views import choose_sources
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
+from ggvs_eval.pipelines.play.synthesizer import OnlineSynthesizer
+from ggvs_eval.pipelines.run.evaluate import measure
+from ggvs_eval.pipelines.run.prepare import plan
+from ggvs_eval.pipelines.run.render import render_jobs
+from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
+from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthesis, Views
+from ggvs_eval.results import Results
+from ggvs_eval.run_folder import RunFolder, read_json
+from helpers.scenes import camera_at, look
+from helpers.stereo_scenes import write_capture
+
+LABELS = ("no-blending", "distance-based")
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory):
+    """Five cameras before a plane."""
+    return write_capture(tmp_path_factory.mktemp("plane"))
+
+
+def chosen_protocol(sources: str) -> Protocol:
+    """One view over two frames, and a path of six poses."""
+    views, synthesis = Views(("cam00",), "by hand"), Synthesis(k=2, sources=sources)
+    measurement = Measurement(metrics=("PSNR", "reprojection"), ceilings=False)
+    return Protocol("tiny", "plane", views, Frames(0, 2), synthesis, measurement, CameraPath(poses=6))
+
+
+def test_a_run_takes_the_chosen_sources(capture, tmp_path):
+    """Views and path are synthesised from what `choose_sources` gives; the record of the path says so; scores come out."""
+    protocol = chosen_protocol("coverage")
+    measure(tmp_path, capture, protocol, LABELS, 1, DepthChoice("sgbm"))
+    planned = plan(RunFolder(tmp_path), protocol, capture, DepthChoice("sgbm").options())
+    for view in planned.plans.values():
+        chosen = choose_sources(view.target, capture.cameras, 2, "coverage")
+        assert [*view.depth_keys] == [*view.shares] == [each.camera.name for each in chosen]
+        assert set(view.shares.values()) == {1.0}  # it stands still
+    for pose, recorded in zip(planned.path, read_json(RunFolder(tmp_path).path_record)["sources"], strict=True):
+        chosen = choose_sources(pose.target, capture.cameras, 2, "coverage")
+        assert pose.shares == {each.camera.name: each.share for each in chosen}
+        assert recorded == [*pose.shares]
+    assert not Results.read(tmp_path).per_view("PSNR").isna().any(axis=None)
+
+
+def test_shares_are_part_of_what_a_rendering_depends_on(capture, tmp_path):
+    """Other shares along the path, another job; equal ones, the same."""
+    planned = plan(RunFolder(tmp_path), chosen_protocol("nearest"), capture, DepthOptions())
+    halved = tuple(replace(pose, shares=dict.fromkeys(pose.shares, 0.5)) for pose in planned.path)
+    view, path = render_jobs(planned, LABELS[:1])
+    same_view, other_path = render_jobs(replace(planned, path=halved), LABELS[:1])
+    assert same_view.sha256 == view.sha256
+    assert other_path.sha256 != path.sha256
+
+
+@pytest.mark.parametrize("sources", ["nearest", "coverage"])
+def test_a_live_method_is_told_the_shares(sources):
+    """Each step's views carry the share of their choice; near an exchange one of them has hardly any."""
+    rig, told = [camera_at(x) for x in (-0.45, -0.15, 0.15, 0.45)], []
+
+    class Watching:
+        def step(self, instant):
+            told.append({view.camera.name: view.share for view in instant.sources})
+            return None
+
+    live = OnlineSynthesizer(rig, 2, 2.5, Watching, sources=sources)
+    looks = {camera.name: look(camera) for camera in rig}
+    images, depths = ({name: each[index] for name, each in looks.items()} for index in (0, 1))
+    targets = [camera_at(x, name="virtual") for x in (-0.33, 0.0, -0.14)]
+    for target in targets:
+        live.step(images, depths, target)
+        chosen = choose_sources(target, rig, 2, sources)
+        assert told[-1] == {each.camera.name: each.share for each in chosen}
+        assert [camera.name for camera in live.sources(target)] == [*told[-1]]
+    assert min(min(shares.values()) for shares in told) < 1
+
+
+def test_an_unknown_choice_is_one_line():
+    """Said when the synthesizer is made."""
+    with pytest.raises(CameraError, match="wanted sources to be one of nearest, coverage, got 'covrage'"):
+        OnlineSynthesizer([camera_at(0.0), camera_at(0.3)], 1, sources="covrage")  # type: ignore[arg-type]
+
+
+def test_a_hand_held_sequence_is_suggested_coverage(capture):
+    """Nearest places of a camera that was carried may look elsewhere; a rig keeps the paper's choice."""
+    assert suggest_protocol(replace(capture, layout="rgbd")).synthesis.sources == "coverage"
+    assert suggest_protocol(capture).synthesis.sources == "nearest"

@@ -1,0 +1,271 @@
+"""Decomposition and bootstrap: sums of squares that add up, intervals that cover, numbers that are the summary's."""
+
+import numpy as np
+import pytest
+
+from ggvs_eval.errors import ResultsError
+from ggvs_eval.metrics.scorers import MetricOptions
+from ggvs_eval.metrics.stream import score_view
+from ggvs_eval.metrics.temporal import sdt
+from ggvs_eval.metrics.views import sdv
+from ggvs_eval.statistics.blocks import block_length, block_weights
+from ggvs_eval.statistics.bootstrap import Interval, intervals, resample
+from ggvs_eval.statistics.decomposition import decompose, decompose_metric
+from ggvs_eval.statistics.pooled import Pool, PooledScene, pool_mean, pool_product, pool_sdt, pool_sdv
+from helpers.tidy_tables import autoregressive, make_results, make_rows, make_spread_rows, make_sted_rows
+
+CORRELATION = 0.6
+
+
+def make_scene(values, pool: Pool | None = None) -> PooledScene:
+    """The mean, or another number, of a matrix of views and frames."""
+    views, frames = np.shape(values)
+    names = tuple(f"cam{view:02}" for view in range(views))
+    return PooledScene("room", names, tuple(range(frames)), pool or pool_mean(np.asarray(values)))
+
+
+def coverage(make, truth: float, number=pool_mean, times: int = 250) -> float:
+    """How often the 95 % interval of simulated matrices holds the truth."""
+    generator = np.random.default_rng(7)
+    spreads = (resample([make_scene(values, number(values))], 400) for values in (make(generator) for _ in range(times)))
+    return float(np.mean([abs(spread.value - truth) <= spread.half_width(0.95) for spread in spreads]))
+
+
+def table_interval(rows, metric: str, label: str = "ours", provenance=None) -> Interval:
+    return intervals(make_results(rows, provenance), metric, "Demo")[label]
+
+
+@pytest.fixture
+def matrix():
+    """L1 of 4 views and 12 frames with effects of both."""
+    generator = np.random.default_rng(3)
+    return 5.0 + generator.standard_normal((4, 1)) + 0.5 * generator.standard_normal(12) + 0.3 * generator.random((4, 12))
+
+
+def test_squares_add_up(matrix):
+    """Bias, view, time and rest hold the whole sum of squares, and their sum is the matrix."""
+    parts = decompose(matrix)
+    total = matrix.size * parts.mean**2 + parts.ss_view + parts.ss_time + parts.ss_rest
+    assert total == pytest.approx(np.square(matrix).sum(), rel=1e-12)
+    np.testing.assert_allclose(parts.mean + parts.view[:, None] + parts.time + parts.rest, matrix, rtol=1e-12)
+    assert sum(parts.shares().values()) == pytest.approx(1.0)
+
+
+def test_planted_effects_come_back():
+    """A matrix made of a view effect alone has no time effect and no rest, and the other way round."""
+    view, time = np.array([-1.0, 0.0, 1.0]), np.array([0.5, -0.5, 0.25, -0.25])
+    parts = decompose(20.0 + view[:, None] + np.zeros(4))
+    assert (parts.mean, parts.ss_view, parts.ss_time) == pytest.approx((20.0, 8.0, 0.0))
+    assert decompose(20.0 + np.zeros((3, 1)) + time).shares() == pytest.approx({"view": 0.0, "time": 1.0, "rest": 0.0})
+    assert decompose(np.full((2, 2), 7.0)).shares() == {"view": 0.0, "time": 0.0, "rest": 0.0}
+
+
+@pytest.mark.parametrize("ddof", [0, 1])
+def test_sdt_and_sdv_are_margins(matrix, ddof):
+    """SDT and SDV follow from the parts: exactly, and squared they are the margin less the spread of the deviations."""
+    parts = decompose(matrix)
+    assert parts.sdt(ddof) == pytest.approx(sdt(matrix, ddof), rel=1e-12)
+    assert parts.sdv(ddof) == pytest.approx(sdv(matrix, ddof), rel=1e-12)
+    over_time, over_views = matrix.std(axis=1, ddof=ddof), matrix.std(axis=0, ddof=ddof)
+    assert parts.variance_over_time(ddof) == pytest.approx(np.square(over_time).mean(), rel=1e-12)
+    assert parts.variance_over_views(ddof) == pytest.approx(np.square(over_views).mean(), rel=1e-12)
+    assert sdt(matrix, ddof) ** 2 == pytest.approx(parts.variance_over_time(ddof) - over_time.var(), rel=1e-12)
+    assert sdv(matrix, ddof) ** 2 == pytest.approx(parts.variance_over_views(ddof) - over_views.var(), rel=1e-12)
+
+
+def test_bias_moves_no_deviation(matrix):
+    """A constant error changes the mean alone; SDT is blind to the view effect and SDV to the time effect."""
+    parts = decompose(matrix)
+    shifted = decompose(matrix + 3.0)
+    assert shifted.mean == pytest.approx(parts.mean + 3.0)
+    assert shifted.shares() == pytest.approx(parts.shares())
+    assert decompose(matrix + np.arange(4.0)[:, None]).sdt() == pytest.approx(parts.sdt())
+    assert decompose(matrix + np.arange(12.0)).sdv() == pytest.approx(parts.sdv())
+
+
+def test_decomposition_reads_the_table_and_refuses_holes(matrix):
+    """The table's rows in any order give the matrix; a missing cell, an infinite one and a value per sequence are refused."""
+    rows = make_spread_rows("ours+fast", matrix)
+    read = {"scene": "room", "method": "ours", "variant": "fast"}
+    assert decompose_metric(make_results(rows[::-1]), "L1", **read).ss_rest == pytest.approx(decompose(matrix).ss_rest)
+    with pytest.raises(ResultsError, match=r"L1 of ours\+fast in room: .* cam00 frame 7 missing; score"):
+        decompose_metric(make_results(rows[:5] + rows[6:]), "L1", **read)
+    with pytest.raises(ResultsError, match="cam01 frame 2 not finite"):
+        decompose_metric(make_results([(*row[:7], np.inf if row[4:6] == ("cam01", 2) else row[7]) for row in rows]), "L1", **read)
+    with pytest.raises(ResultsError, match="two values for one view and frame"):
+        decompose_metric(make_results(rows + rows[:1]), "L1", **read)
+    for metric in ("SDT", "SDV"):
+        with pytest.raises(ResultsError, match="no value for each view and frame"):
+            decompose_metric(make_results(rows), metric, **read)
+    with pytest.raises(ResultsError, match="no values in the results"):
+        decompose_metric(make_results(rows), "PSNR", **read)
+    with pytest.raises(ResultsError, match="row 0 column 1 is nan"):
+        decompose([[1.0, np.nan]])
+    with pytest.raises(ResultsError, match="ddof=1 needs at least 2, got 1"):
+        decompose([[1.0, 2.0]]).sdv()
+
+
+def test_blocks_grow_with_autocorrelation():
+    """White noise gets the least length; the more a series depends on its past the longer its blocks, up to a quarter of it."""
+    generator = np.random.default_rng(5)
+    mean_length = {
+        correlation: np.mean([block_length(series) for series in autoregressive(generator, 60, 400, correlation)])
+        for correlation in (0.0, 0.5, 0.8)
+    }
+    assert 20.0 <= mean_length[0.0] < 24.0
+    assert mean_length[0.0] < mean_length[0.5] < mean_length[0.8] <= 100.0
+    # The automatic length for AR(1) is (6 (c / (1 - c * c)) ** 2 T) ** (1/3), 16.4 here, times T ** (1/6).
+    assert mean_length[0.8] == pytest.approx((6 * (0.8 / 0.36) ** 2 * 400) ** (1 / 3) * 400 ** (1 / 6), rel=0.25)
+    assert [block_length(np.zeros(frames)) for frames in (1, 2, 3, 8, 100)] == [1, 1, 1, 2, 10]
+
+
+def test_frames_are_drawn_in_blocks():
+    """Every resample has T frames; with blocks as long as the series it is the series."""
+    weights = block_weights(np.random.default_rng(0), 50, 10, 4)
+    np.testing.assert_allclose(weights.sum(axis=1), 1.0)
+    assert np.allclose(weights * 10, np.round(weights * 10))
+    np.testing.assert_allclose(block_weights(np.random.default_rng(0), 3, 10, 10), 0.1)
+    runs = (np.diff(np.pad(weights > 0, ((0, 0), (1, 1))).astype(int), axis=1) == 1).sum(axis=1)
+    assert runs.max() <= 3
+
+
+@pytest.mark.parametrize(("views", "view_effect", "time_effect"), [(3, 0.0, 0.0), (9, 0.0, 0.0), (9, 1.0, 0.0), (9, 0.3, 0.5)])
+def test_intervals_cover(views, view_effect, time_effect):
+    """The 95 % interval holds the true mean 88 to 98 % of the time, whether views differ, flicker together, or neither."""
+
+    def simulate(generator):
+        common = time_effect * autoregressive(generator, 1, 100, CORRELATION)
+        own = autoregressive(generator, views, 100, CORRELATION)
+        return 30.0 + view_effect * generator.standard_normal((views, 1)) + common + own
+
+    assert 0.88 <= coverage(simulate, 30.0) <= 0.98
+
+
+def test_the_naive_interval_does_not_cover():
+    """Standard deviation over the root of the number of frames misses the mean of the same series every third time."""
+    generator = np.random.default_rng(7)
+    simulated = [autoregressive(generator, 3, 100, CORRELATION) for _ in range(250)]
+    assert np.mean([abs(x.mean()) <= 1.96 * x.std(ddof=1) / np.sqrt(x.size) for x in simulated]) < 0.75
+
+
+def test_intervals_of_deviations_cover():
+    """SDV over nine views and SDT over 200 frames hold their true values about as often as they say."""
+
+    def simulate(generator):
+        return 5.0 + 2.0 * generator.standard_normal((9, 1)) + 0.1 * autoregressive(generator, 9, 60, CORRELATION)
+
+    expected = np.sqrt(4.01) * 0.9693  # the mean deviation of nine normal values, c4(9)
+    assert 0.82 <= coverage(simulate, expected, pool_sdv) <= 0.98
+    white = lambda generator: generator.standard_normal((3, 200))  # noqa: E731
+    assert 0.88 <= coverage(white, 0.9987, pool_sdt) <= 0.98
+
+
+@pytest.mark.parametrize("ddof", [0, 1])
+def test_numbers_under_weights_are_those_of_the_repeated_matrix(matrix, ddof):
+    """Weighting views and frames is the same as repeating rows and columns, for means, products and deviations."""
+    views, frames = np.array([0, 0, 2, 3]), np.array([4, 4, 5, 6, 7, 0, 1, 2, 3, 9, 10, 11])
+    weights = np.bincount(views, minlength=4)[None] / 4, np.bincount(frames, minlength=12)[None] / 12
+    drawn, other = matrix[views][:, frames], np.square(matrix)
+    expected = {
+        pool_mean(matrix): drawn.mean(),
+        pool_product(matrix, other): (drawn.mean(axis=1) * other[views][:, frames].mean(axis=1)).mean(),
+        pool_sdt(matrix, ddof): sdt(drawn, ddof),
+        pool_sdv(matrix, ddof): sdv(drawn, ddof),
+    }
+    for pool, value in expected.items():
+        assert pool(*weights)[0] == pytest.approx(value, rel=1e-9)
+
+
+def test_intervals_stand_about_the_summary(matrix):
+    """Every metric's interval is centred on the number of the summary: means, pairs, products and deviations."""
+    rows = make_spread_rows("ours", matrix) + make_rows("ours", "TCC", matrix[:, 1:] / 10)
+    rows += make_sted_rows("ours", matrix[:, ::2], matrix[:, 1::2])
+    results = make_results(rows)
+    for metric in ("L1", "TCC", "STED", "SDT", "SDV"):
+        found = intervals(results, metric, "Demo")["ours"]
+        assert found.value == pytest.approx(results.summary().at[("Demo", "ours", ""), metric], rel=1e-12)
+        assert found.low < found.value < found.high
+        assert found.value - found.low == pytest.approx(found.high - found.value)
+        assert found.note == "given this scene, these 4 views"
+
+
+@pytest.mark.parametrize("pairing", ["disjoint", "consecutive"])
+def test_what_the_score_step_writes_can_be_resampled(pairing):
+    """Real scores of noisy frames, with the parts of STED per pair as they are written, get an interval in every metric."""
+    generator = np.random.default_rng(1)
+    rows = []
+    for view in range(2):
+        truth = generator.integers(0, 200, (7, 64, 64, 3)).astype(np.uint8)
+        rendered = truth + generator.integers(0, 30, truth.shape).astype(np.uint8)
+        names = ("PSNR", "TCC", "STED", "SDT", "L1")
+        values = score_view(zip(rendered, truth, strict=True), names, MetricOptions(sted_pairing=pairing)).values
+        head = ("Demo", "room", "ours", "", f"cam{view}")
+        rows += [(*head, -1 if frame is None else frame, name, value) for name, frame, value in values]
+    for metric in names:
+        assert table_interval(rows, metric).half_width > 0.0
+
+
+def test_equal_inputs_give_equal_bits(matrix):
+    """The order of the rows changes no bit of an interval, and neither does a second call."""
+    rows = make_rows("ours", "PSNR", matrix)
+    shuffled = [rows[at] for at in np.random.default_rng(0).permutation(len(rows))]
+    assert table_interval(rows, "PSNR").half_width == table_interval(rows, "PSNR").half_width
+    assert resample([make_scene(matrix)]).half_width(0.95) == resample([make_scene(matrix.copy())]).half_width(0.95)
+    assert table_interval(rows, "PSNR").half_width == pytest.approx(table_interval(shuffled, "PSNR").half_width, rel=1e-12)
+
+
+def test_views_and_scenes_widen_the_interval_once_there_are_enough():
+    """Five views are drawn, four are taken as given; five scenes are drawn, and then nothing is given."""
+    generator = np.random.default_rng(2)
+    values = 30.0 + np.arange(5.0)[:, None] + 0.1 * generator.standard_normal((5, 40))
+    few, enough = (table_interval(make_rows("ours", "PSNR", values[:count]), "PSNR") for count in (4, 5))
+    assert few.half_width < 0.1 < 1.0 < enough.half_width
+    assert (few.note, enough.note) == ("given this scene, these 4 views", "given this scene")
+    rows = [row for at in range(5) for row in make_rows("ours", "PSNR", values[:3] + 2.0 * at, scene=f"room{at}")]
+    assert table_interval(rows, "PSNR").note == ""
+    assert table_interval(rows, "PSNR").half_width > 3.0
+    two = [row for row in rows if row[1] in ("room0", "room1")]
+    assert table_interval(two, "PSNR").note == "given these 2 scenes, these 3 views"
+
+
+@pytest.mark.parametrize(
+    ("rows", "metric", "reason"),
+    [
+        (make_rows("ours", "PSNR", np.ones((9, 1))), "PSNR", "1 frame; an interval needs 2"),
+        (make_rows("ours", "PSNR", np.ones((1, 9))), "PSNR", "1 view; an interval needs 2"),
+        (make_rows("ours", "PSNR", [[1.0, np.inf], [1.0, 2.0]]), "PSNR", "cam00 frame 3 not finite"),
+        (make_rows("ours", "PSNR", np.ones((2, 3)))[:-1], "PSNR", "cam01 frame 4 missing"),
+        (make_spread_rows("ours", np.eye(3))[9:], "SDT", "no L1 per view and frame"),
+        (make_rows("ours", "L1", np.eye(3)) + make_spread_rows("ours", 2 * np.eye(3))[9:], "SDV", "from its parts"),
+        ([("Demo", "room", "ours", "", None, -1, "EPI", 1.0)], "EPI", "one value for the whole rig"),
+        ([("Demo", "room", "ours", "", f"cam{v}", -1, "STED_ssn", 1.0) for v in range(4)], "STED_ssn", "each of 4 views"),
+    ],
+)
+def test_what_cannot_be_resampled_says_why(rows, metric, reason):
+    """Where there is nothing to resample, or cells are missing, there is a reason instead of bounds, and never NaN."""
+    found = table_interval(rows, metric)
+    assert (found.low, found.high, found.half_width) == (None, None, None)
+    assert reason in found.note
+
+
+def test_numbers_without_frames_have_intervals_over_views_or_time():
+    """A value per view is resampled over five views or more, a value per instant of the rig over time."""
+    per_view = [("Demo", "room", "ours", "", f"cam{view}", -1, "STED_ssn", float(view)) for view in range(6)]
+    assert table_interval(per_view, "STED_ssn").half_width > 1.0
+    per_instant = [("Demo", "room", "ours", "", None, frame, "EPI", float(np.sin(frame**2))) for frame in range(30)]
+    assert table_interval(per_instant, "EPI").note == "given this scene"
+    assert 0.05 < table_interval(per_instant, "EPI").half_width < 1.0
+
+
+def test_ddof_is_the_protocols(matrix):
+    """Deviations are recomputed under the ddof that the protocol of the results names."""
+    rows = make_spread_rows("ours", matrix, ddof=0)
+    plain = {"protocol": {"measurement": {"ddof": 0}}}
+    assert table_interval(rows, "SDT", provenance=plain).half_width > 0.0
+    assert "from its parts" in table_interval(rows, "SDT").note
+
+
+def test_what_never_varies_is_certain():
+    """A constant number has an interval of no width."""
+    found = table_interval(make_rows("ours", "PSNR", np.full((5, 8), 31.7)), "PSNR")
+    assert found.low == found.high == found.value

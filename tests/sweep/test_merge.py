@@ -1,0 +1,205 @@
+"""Runs of several machines become one: the same table as of one machine, differences told, nothing half-made."""
+
+import dataclasses
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from ggvs_eval.errors import ProtocolError, ResultsError
+from ggvs_eval.files.images import read_image, write_image
+from ggvs_eval.pipelines.commands.main import run_command
+from ggvs_eval.pipelines.run.prepare import prepare
+from ggvs_eval.pipelines.run.render import render
+from ggvs_eval.pipelines.run.score import score
+from ggvs_eval.pipelines.sweep.merging import merge as merging
+from ggvs_eval.pipelines.sweep.merging.merge import merge_runs
+from ggvs_eval.protocol import Protocol, Synthesis
+from ggvs_eval.results import Results
+from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, read_json
+from helpers.command_line import refusal
+from helpers.small_runs import LABELS, small_protocol, write_small_capture
+
+METRICS = ("PSNR", "L1", "SDT", "SDV")
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory):
+    return write_small_capture(tmp_path_factory.mktemp("capture") / "demo", 2)
+
+
+@pytest.fixture(scope="module")
+def protocol() -> Protocol:
+    return small_protocol(2, 0, METRICS)
+
+
+@pytest.fixture(scope="module")
+def machines(capture, protocol, tmp_path_factory):
+    """One run with both methods, and the same work done on two machines, one method each."""
+    root = tmp_path_factory.mktemp("machines")
+    whole = prepare(root / "whole", capture, protocol)
+    for name in ("a", "b"):
+        shutil.copytree(root / "whole", root / name)
+    render(whole, LABELS)
+    score(whole.run)
+    for name, label in zip(("a", "b"), LABELS, strict=True):
+        render(prepare(root / name, capture, protocol), [label])
+        score(RunFolder(root / name))
+    return root
+
+
+@pytest.fixture
+def runs(machines, tmp_path):
+    for name in ("a", "b"):
+        shutil.copytree(machines / name, tmp_path / name)
+    return tmp_path
+
+
+def test_merged_runs_give_the_table_of_one_machine(machines, runs, capsys):
+    """Two methods rendered apart and merged have the values of both rendered together, views' deviation included."""
+    run_command(["merge", str(runs / "out"), str(runs / "a"), str(runs / "b"), "--jobs", "1"])
+
+    merged, whole = (Results.read(root).summary() for root in (runs / "out", machines / "whole"))
+    np.testing.assert_array_equal(merged.to_numpy(), whole.to_numpy())
+    assert list(merged.columns) == list(whole.columns)
+    assert RunFolder(runs / "out").labels() == list(LABELS)
+    assert "SDV" in capsys.readouterr().out
+
+
+def test_a_merged_run_goes_on(capture, protocol, runs):
+    """`render` finds everything done in a merged run, and the values that were measured are not measured again."""
+    merged = merge_runs(runs / "out", [runs / "a", runs / "b"])
+    before = read_json(merged.scores("cam00") / JOB_FILE)
+
+    prepared = prepare(runs / "out", capture, protocol)
+
+    assert render(prepared, LABELS) == 0
+    assert set(before["methods"]) == set(LABELS)
+    score(merged)
+    assert read_json(merged.scores("cam00") / JOB_FILE)["methods"] == before["methods"]
+
+
+def test_views_of_two_machines(capture, protocol, machines, tmp_path):
+    """Shards that rendered other views of the same methods have, merged and scored, the table of one machine."""
+    for name, view in (("a", "cam00"), ("b", "cam01")):
+        shutil.copytree(machines / "whole", tmp_path / name)
+        run = RunFolder(tmp_path / name)
+        for label in LABELS:
+            shutil.rmtree(run.renders(label, "cam01" if view == "cam00" else "cam00"))
+        shutil.rmtree(run.scores("cam01" if view == "cam00" else "cam00"))
+
+    merged = merge_runs(tmp_path / "out", [tmp_path / "a", tmp_path / "b"])
+
+    expected = Results.read(machines / "whole").summary()
+    np.testing.assert_array_equal(score(merged).summary().to_numpy(), expected.to_numpy())
+
+
+def test_what_is_missing_is_told(runs, capsys):
+    """Without all views there is a merged run but no table, and the missing views are named."""
+    shutil.rmtree(RunFolder(runs / "b").renders("distance-based", "cam01"))
+
+    run_command(["merge", str(runs / "out"), str(runs / "a"), str(runs / "b"), "--jobs", "1"])
+
+    assert "distance-based lacks cam01" in capsys.readouterr().err
+    assert not (runs / "out" / "results.parquet").is_file()
+
+
+def test_other_pictures_of_one_job_are_refused(runs):
+    """Two runs with different pixels of one job cannot be merged; both folders are named, and nothing is left behind."""
+    shutil.copytree(RunFolder(runs / "a").renders("no-blending", ""), RunFolder(runs / "b").renders("no-blending", ""))
+    file = frame_path(RunFolder(runs / "b").renders("no-blending", "cam01"), 1)
+    write_image(file, 255 - read_image(file))
+
+    message = refusal("merge", runs / "out", runs / "a", runs / "b")
+
+    assert f"{runs / 'a'}/renders/no-blending/cam01" in message
+    assert f"{runs / 'b'}/renders/no-blending/cam01" in message
+    assert "1 of 2 pictures" in message
+    assert sorted(item.name for item in runs.iterdir()) == ["a", "b"]
+
+
+def test_other_captured_frames_are_refused(runs):
+    """A truth frame that differs makes two runs two captures, whatever their records say."""
+    file = frame_path(RunFolder(runs / "b").truth("cam00"), 0)
+    write_image(file, 255 - read_image(file))
+
+    with pytest.raises(ResultsError, match=r"truth/cam00/0000\.png.*different bytes"):
+        merge_runs(runs / "out", [runs / "a", runs / "b"])
+
+
+def test_other_values_of_one_method_are_refused(runs):
+    """Values of one method that differ by more than rounding are refused; by rounding alone they are taken."""
+    shutil.copytree(RunFolder(runs / "a").renders("no-blending", ""), RunFolder(runs / "b").renders("no-blending", ""))
+    file, other = (RunFolder(runs / name).scores("cam00") / JOB_FILE for name in ("a", "b"))
+    record, ours = json.loads(file.read_text()), json.loads(other.read_text())
+    method = record["methods"]["no-blending"]
+    method["values"][0][2] *= 1 + 1e-9
+    other.write_text(json.dumps(ours | {"methods": ours["methods"] | {"no-blending": method}}))
+    merge_runs(runs / "rounded", [runs / "a", runs / "b"])
+
+    method["values"][0][2] += 0.5
+    other.write_text(json.dumps(ours | {"methods": ours["methods"] | {"no-blending": method}}))
+    with pytest.raises(ResultsError, match=f"{file} and {other} differ in the values of no-blending"):
+        merge_runs(runs / "out", [runs / "a", runs / "b"])
+
+
+def test_other_protocols_are_refused(runs, protocol):
+    """Runs of different protocols are refused, and the message says where these differ."""
+    other = dataclasses.replace(protocol, synthesis=Synthesis(3))
+    (runs / "b" / "protocol.toml").write_text(other.to_toml())
+
+    with pytest.raises(ProtocolError, match=r"protocol\.synthesis\.k: 2 and 3"):
+        merge_runs(runs / "out", [runs / "a", runs / "b"])
+
+
+def test_other_captures_are_refused_and_moved_ones_taken(runs):
+    """A capture under another path is the same; one with other frames is not."""
+    file = runs / "b" / "capture.json"
+    record = json.loads(file.read_text())
+    file.write_text(json.dumps(record | {"path": "/elsewhere/demo", "place": {}, "scene": "other"}))
+    merge_runs(runs / "moved", [runs / "a", runs / "b"])
+
+    file.write_text(json.dumps(record | {"digests": record["digests"] | {"cam02": "0"}}))
+    with pytest.raises(ProtocolError, match=r"capture\.digests\.cam02"):
+        merge_runs(runs / "out", [runs / "a", runs / "b"])
+
+
+def test_a_killed_merge_leaves_nothing_half_made(runs, monkeypatch):
+    """What stops in the middle leaves no run; leftovers of a killed process go when the same merge is called again."""
+
+    def stopped(source, destination):
+        if destination.name == "0001.png":
+            raise KeyboardInterrupt
+        shutil.copy2(source, destination)
+
+    (runs / ".out.4194304000.tmp").mkdir()
+    monkeypatch.setattr(merging, "_link", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        merge_runs(runs / "out", [runs / "a", runs / "b"])
+    assert sorted(item.name for item in runs.iterdir()) == ["a", "b"]
+
+    monkeypatch.undo()
+    assert merge_runs(runs / "out", [runs / "a", runs / "b"]).labels() == list(LABELS)
+
+
+def test_links_save_room_and_copies_do_not_depend(runs):
+    """By default pictures are stored once; with `copy` the merged run has its own."""
+    linked, copied = (
+        merge_runs(runs / "linked", [runs / "a", runs / "b"]),
+        merge_runs(runs / "copied", [runs / "a", runs / "b"], True),
+    )
+
+    file = frame_path(RunFolder(runs / "a").renders("no-blending", "cam00"), 0)
+    assert frame_path(linked.renders("no-blending", "cam00"), 0).samefile(file)
+    assert not frame_path(copied.renders("no-blending", "cam00"), 0).samefile(file)
+
+
+def test_a_folder_that_exists_is_kept(runs):
+    """Nothing is merged into a folder that is there."""
+    assert "exists already" in refusal("merge", runs / "a", runs / "a", runs / "b")
+
+
+def test_one_run_is_not_merged(runs):
+    """A single run needs no merging."""
+    assert "at least two" in refusal("merge", runs / "out", runs / "a")

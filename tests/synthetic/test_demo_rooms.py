@@ -1,0 +1,179 @@
+"""The demo in three layouts: rigs like those of the data sets, each with its protocol, evaluated together on one page."""
+
+import dataclasses
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ggvs_eval.capture import Capture
+from ggvs_eval.datasets import open_capture
+from ggvs_eval.datasets.units import DEMO_NOTES
+from ggvs_eval.errors import CaptureError
+from ggvs_eval.pipelines.commands.main import run_command
+from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
+from ggvs_eval.pipelines.sweep import demo_runs
+from ggvs_eval.pipelines.sweep.demo_runs import capture_beside, demo_root, evaluate_demos
+from ggvs_eval.protocol import CameraPath, Frames, Protocol, Synthesis, Views, load_protocol
+from ggvs_eval.results import Results
+from ggvs_eval.synthetic.demo import write_demo
+from ggvs_eval.synthetic.demo_rooms import DEMO_ROOMS, MAIN
+from ggvs_eval.synthetic.film.options import DemoOptions
+from ggvs_eval.synthetic.film.rig import AIM_M, ARC_YAW_RAD, UNITS_PER_METRE, arc_rig, eye_in_room
+from ggvs_eval.synthetic.film.shots import rig_shots
+from ggvs_eval.synthetic.room.room import build_room
+from helpers.captures import make_rig
+
+SMALL_ROOMS = [name for name in DEMO_ROOMS if name != MAIN]
+TINY = DemoOptions(width=64, height=48, n_frames=2, cameras_per_row=3, path_poses=0, supersampling=1, depth_stride=0)
+
+
+def camera_names(options: DemoOptions) -> list[str]:
+    """As the layout calls them."""
+    return [name.removeprefix("cam") if options.layout == "enerf-outdoor" else name for name in options.camera_names]
+
+
+def test_the_main_demo_is_as_it_always_was(tmp_path):
+    """24 cameras of DyNeRF's layout, 24 frames, seed 0; demo.json of such a rig does not speak of other rigs."""
+    assert DEMO_ROOMS[MAIN] == DemoOptions()
+    write_demo(tmp_path / "rows", replace(TINY, n_frames=1, cameras_per_row=2), workers=1)
+
+    assert "rig" not in json.loads((tmp_path / "rows" / DEMO_NOTES).read_text())["options"]
+
+
+def test_the_other_rooms_are_rigs_like_the_data_sets():
+    """18 cameras on an arc as ENeRF-Outdoor's, 10 in two rows as D3DMV's, in rooms of their own, long enough for every metric."""
+    outdoor, mask_volume = (DEMO_ROOMS[name] for name in ("demo-enerf-outdoor", "demo-d3dmv"))
+
+    assert (len(outdoor.camera_names), outdoor.rig, outdoor.layout) == (18, "arc", "enerf-outdoor")
+    assert (len(mask_volume.camera_names), mask_volume.rig, mask_volume.layout) == (10, "grid", "d3dmv")
+    assert len({options.seed for options in DEMO_ROOMS.values()}) == len(DEMO_ROOMS)
+    assert min(outdoor.n_frames, mask_volume.n_frames) >= 6
+
+
+@pytest.mark.parametrize("name", DEMO_ROOMS)
+def test_every_room_has_its_protocol(name):
+    """The protocol that is suggested for a demo room is the packaged one of its name, with K and frame sizes of its data set."""
+    options, protocol = DEMO_ROOMS[name], load_protocol(name)
+    cameras = tuple(make_rig(camera_names(options), options.width, options.height))
+    capture = Capture("room", options.layout, Path("room"), cameras, (), options.n_frames, 30.0, 1.0, DEMO_NOTES)
+
+    assert suggest_protocol(capture) == protocol
+    assert protocol.frames.count == options.n_frames
+    paper = load_protocol(options.layout)
+    assert protocol.synthesis.k == paper.synthesis.k
+    assert protocol.measurement.metrics == paper.measurement.metrics
+    if paper.measurement.width:
+        assert protocol.measurement.width / options.width == paper.measurement.width / paper.synthesis.width
+
+
+def test_a_real_capture_never_gets_a_demos_protocol():
+    """A capture of D3DMV with as many cameras and frames as the demo's is evaluated by rule, not as a demo."""
+    cameras = tuple(make_rig(camera_names(DEMO_ROOMS["demo-d3dmv"]), 64, 48))
+    capture = Capture("scene", "d3dmv", Path("scene"), cameras, (), 8, 30.0, 1.0, "guess")
+
+    assert suggest_protocol(capture).name == "scene by rule"
+
+
+def test_the_arc_stands_around_what_it_films():
+    """Cameras are named from left to right along an arc of the stated width, and look at what is in its middle."""
+    cameras = arc_rig(1, 384, 216, 18)
+    eyes = np.array([eye_in_room(camera) for camera in cameras])
+    centre = np.array([0.0, AIM_M[1]])
+    yaw = np.arctan2(eyes[:, 0], centre[1] - eyes[:, 1])
+
+    assert [camera.name for camera in cameras] == [f"cam{number:02d}" for number in range(18)]
+    assert (np.diff(yaw) > 0).all()
+    np.testing.assert_allclose(yaw[[0, -1]], [-ARC_YAW_RAD, ARC_YAW_RAD], atol=0.02)
+    np.testing.assert_allclose(np.linalg.norm(eyes[:, :2] - centre, axis=1), AIM_M[1], atol=0.03)
+    aim = np.array([0.0, (eyes[:, 2].mean() - AIM_M[2]) * UNITS_PER_METRE, AIM_M[1] * UNITS_PER_METRE])
+    for camera in cameras:
+        uv, depth = camera.project(aim)
+        assert depth > 0
+        assert np.abs(uv - np.array(camera.size) / 2).max() < 0.06 * camera.width
+
+
+def test_the_grid_looks_almost_straight_ahead():
+    """Cameras of the grid stand where the rows' do along their rows, but turn by a few degrees only."""
+    options = replace(TINY, seed=2, cameras_per_row=5)
+    rows, grid = ([shot.camera for shot in rig_shots(replace(options, rig=rig))] for rig in ("rows", "grid"))
+    turns = [[np.degrees(np.arctan2(camera.rotation[2, 0], camera.rotation[2, 2])) for camera in rig] for rig in (rows, grid)]
+
+    assert 30 < np.abs(turns[0]).max() < 38
+    assert 6 < np.abs(turns[1]).max() < 11
+    assert [camera.name for camera in grid] == [camera.name for camera in rows]
+    assert (np.argsort([c.centre[0] for c in grid[:5]]) == np.argsort([c.centre[0] for c in rows[:5]])).all()
+
+
+@pytest.mark.parametrize("name", SMALL_ROOMS)
+def test_cameras_stand_in_the_free(name):
+    """No camera of a demo room stands within 15 cm of furniture or of what moves."""
+    options, room = DEMO_ROOMS[name], build_room(DEMO_ROOMS[name].seed)
+    points = np.concatenate([surface.mesh.vertices for surface in [*room.static, *room.at(0.0)]])
+
+    for shot in rig_shots(options):
+        assert np.linalg.norm(points - eye_in_room(shot.camera), axis=1).min() > 0.15
+
+
+def test_an_unknown_rig_is_refused():
+    """The message lists the rigs there are."""
+    with pytest.raises(CaptureError, match="wanted a rig of rows, arc, grid, got 'ring'"):
+        DemoOptions(rig="ring")
+
+
+@pytest.fixture(scope="module")
+def small_protocols():
+    """The packaged protocols of the rooms, cut to what makes a test quick."""
+
+    def shrunken(name: str) -> Protocol:
+        base = load_protocol(name)
+        measurement = dataclasses.replace(base.measurement, metrics=("PSNR", "L1"), width=0, height=0, ceilings=False)
+        views, path = Views(("cam00", "cam01"), "test"), CameraPath(0)
+        return replace(base, views=views, frames=Frames(0, 2), synthesis=Synthesis(2), measurement=measurement, path=path)
+
+    return shrunken
+
+
+def test_all_rooms_stand_on_one_page(tmp_path, small_protocols, monkeypatch):
+    """Each room is filmed and evaluated beside the main one, one page shows all, and a second call computes nothing."""
+    monkeypatch.setattr(demo_runs, "load_protocol", small_protocols)
+    rooms = {MAIN: TINY, "demo-d3dmv": replace(TINY, layout="d3dmv", cameras_per_row=2)}
+    root, told = tmp_path / "out", []
+
+    def run() -> Path:
+        labels = {MAIN: ["no-blending", "distance-based"], "demo-d3dmv": ["no-blending"]}
+        return evaluate_demos(root, labels, 1, open_capture, rooms=rooms, tell=told.append)
+
+    page = run()
+
+    over_k = [tmp_path / "out-k" / f"k{k}" for k in (2, 3, 4, 5)]  # of the main room's six cameras one is synthesised
+    assert page == root / "report" / "index.html"
+    assert [wish.root for wishes in told for wish in wishes] == [root, tmp_path / "out-d3dmv", *over_k]
+    assert len(Results.read(root).summary()) == 2
+    assert len(Results.read(demo_root(root, "demo-d3dmv")).summary()) == 1
+    assert (capture_beside(demo_root(root, "demo-d3dmv")) / "scene000.h5").is_file()
+    text = page.read_text()
+    assert all(load_protocol(name).dataset.replace("'", "&#39;") in text for name in rooms)
+    assert all(folder.joinpath("depth").resolve() == root / "depth" for folder in over_k)
+    assert text.index('id="group1"') < text.index("Quality and time over K <") < text.index('id="paper"')
+    assert 'class="group-name">Demo room <span class="on">demo-k' not in text  # the runs over K lie beside, in out-k
+    before = {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.png") if "report" not in file.parts}
+    run()
+    assert {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.png") if "report" not in file.parts} == before
+
+
+def test_a_dry_run_films_nothing(tmp_path, capsys):
+    """Without a capture the plan says for each room what will be filmed and how much is to be done; nothing is written."""
+    run_command(["run", str(tmp_path / "out"), "--dry-run"])
+
+    told = capsys.readouterr().out.splitlines()
+    assert [line.split(":")[0] for line in told] == ["film", "plan", "disk"] * 4
+    assert "24 cameras x 24 frames at 480 x 360, into " in told[0]
+    assert "3 views x 24 frames x 6 methods at 480 x 360, K = 4" in told[1]
+    assert "2 views x 8 frames x 3 methods at 384 x 216, K = 4" in told[4]
+    assert "2 views x 8 frames x 7 methods at 384 x 216, K = 2" in told[7]
+    assert "5 runs of 2 views x 6 frames x 2 methods at 480 x 360, K = 2, 3, 4, 5, 6" in told[10]
+    assert str(tmp_path / "out-k") + "," in told[11]
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,186 @@
+"""Training of the baselines: samples that read back, sources cut to what is seen, real steps, weights that render."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from ggvs_eval.baselines.configuration import configuration_of
+from ggvs_eval.errors import TrainingError, WeightsError
+from ggvs_eval.one_thread import one_thread
+from ggvs_eval.pipelines.methods import baselines
+from ggvs_eval.pipelines.methods.network_choice import NetworkChoice
+from ggvs_eval.pipelines.methods.registry import METHODS, find_method
+from ggvs_eval.pipelines.training.baselines.baseline_tasks import BASELINE_TASKS, TAKING_DEPTH, baseline_task
+from ggvs_eval.pipelines.training.loop.card import write_card
+from ggvs_eval.pipelines.training.loop.loop import TrainingOptions, train
+from ggvs_eval.pipelines.training.samples.blend_samples import SampleMaker
+from ggvs_eval.pipelines.training.samples.instant_lots import RoomInstants
+from ggvs_eval.pipelines.training.samples.instant_samples import read_instant
+from ggvs_eval.pipelines.training.samples.room_plan import RoomPlan, choose_views, validation_plan
+from ggvs_eval.pipelines.training.samples.training_data import TrainingData
+from helpers.stereo_scenes import write_capture
+
+WIDTH, HEIGHT = 100, 75
+PLAN = RoomPlan(rooms=1, targets=2, views=3, other_views=(), other_share=0.0, width=WIDTH, height=HEIGHT)
+VALIDATION = replace(validation_plan(3, "sgbm", targets=1), rooms=1, width=WIDTH, height=HEIGHT)
+LABELS = {"gps-gaussian": "gps-gaussian+given-depth"}
+
+
+@pytest.fixture(autouse=True)
+def alone():
+    """Small networks are faster with one thread."""
+    with one_thread():
+        yield
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory):
+    """Five cameras before a slanted plane."""
+    return write_capture(tmp_path_factory.mktemp("plane"), n_frames=1).resized(WIDTH, HEIGHT, "area")
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory, capture):
+    """Its samples, with and without depth, as those of a training room and of a validation room."""
+    folder = tmp_path_factory.mktemp("samples")
+    for plan in (PLAN, VALIDATION):
+        for depth in (True, False):
+            RoomInstants(folder, plan, depth).prepare_capture(plan.first_room, capture)
+    return folder
+
+
+def small_task(what, cache):
+    """The task of a baseline with small crops on the small samples."""
+    training, validation = (RoomInstants(cache, plan, what in TAKING_DEPTH) for plan in (PLAN, VALIDATION))
+    return BASELINE_TASKS[what](training, validation, crop_width=64, crop_height=48)
+
+
+def test_samples_are_those_of_the_blending_network_and_read_back(cache, capture):
+    """Target, sources and depth are what the blending network's samples are made of; without depth, only pictures are there."""
+    maker = SampleMaker(capture, sample_options())
+    target, sources = choose_views(capture, PLAN, 1000, 1)
+    made = maker.instant(target, sources)
+    read = RoomInstants(cache, PLAN).read(1)
+    assert [view.camera.name for view in read.instant.sources] == [source.name for source in sources]
+    np.testing.assert_array_equal(read.instant.target.world_to_camera, target.world_to_camera)
+    np.testing.assert_array_equal(read.truth, capture.frame(target.name, 0))
+    for view, expected in zip(read.instant.sources, made.sources, strict=True):
+        np.testing.assert_array_equal(view.image, expected.image)
+        np.testing.assert_array_equal(view.depth > 0, expected.depth > 0)
+        np.testing.assert_allclose(view.depth, expected.depth, rtol=6e-4)
+    bare = RoomInstants(cache, PLAN, depth=False).read(1)
+    assert not any(view.depth.any() for view in bare.instant.sources)
+    np.testing.assert_array_equal(bare.instant.sources[0].image, made.sources[0].image)
+
+
+def sample_options():
+    """How the samples' depth is computed."""
+    from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
+
+    return DepthChoice(PLAN.matcher).options()
+
+
+def test_a_damaged_sample_is_refused(tmp_path):
+    """Absent or cut off: one line that names the file and says what to do."""
+    (tmp_path / "cut.npz").write_bytes(b"PK\x03\x04 no archive")
+    for name in ("cut", "nowhere"):
+        with pytest.raises(TrainingError, match=rf"{name}\.npz: wanted a training sample, got none .*prepare again"):
+            read_instant(tmp_path / f"{name}.npz")
+
+
+def test_rooms_of_tests_are_never_learned_from(tmp_path):
+    """Seeds that are neither training nor validation rooms are refused."""
+    with pytest.raises(TrainingError, match="wanted seeds from 1000 on for training"):
+        RoomInstants(tmp_path, RoomPlan(first_room=0, rooms=3))
+
+
+def test_focused_sources_show_all_that_the_window_can(cache):
+    """Every point that the window sees lies in the cut where it lay in the whole image, and shows the same colour."""
+    whole = RoomInstants(cache, PLAN).read(0).cropped(30, 20, 48, 32)
+    cut = whole.focused(margin_px=4, multiple=8)
+    target = whole.instant.target
+    uv = np.random.default_rng(3).uniform((0, 0), target.size, (200, 2))
+    points = target.unproject(uv, np.random.default_rng(4).uniform(target.near, target.far, 200))
+    assert len({view.image.shape for view in cut.instant.sources}) == 1
+    seen = 0
+    for view, before in zip(cut.instant.sources, whole.instant.sources, strict=True):
+        assert view.image.shape[:2] == (view.camera.height, view.camera.width) == view.depth.shape
+        where, _ = before.camera.project(points)
+        inside = ((where >= 0) & (where < before.camera.size)).all(axis=1)
+        column, row = np.floor(where[inside]).astype(int).T
+        there, _ = view.camera.project(points[inside])
+        assert ((there >= 0) & (there < view.camera.size)).all()
+        new_column, new_row = np.floor(there + 1e-9).astype(int).T
+        np.testing.assert_array_equal(view.image[new_row, new_column], before.image[row, column])
+        seen += int(inside.sum())
+    assert seen > 200
+    assert cut.instant.sources[0].image.size < whole.instant.sources[0].image.size
+
+
+@pytest.mark.parametrize("what", BASELINE_TASKS)
+def test_a_batch_is_learned(what, cache):
+    """Some steps on one batch lower its loss; the same step draws the same crops, another one others."""
+    task = small_task(what, cache)
+    batch, again, other = task.batch(3), task.batch(3), task.batch(4)
+    assert all(torch.equal(batch[name], again[name]) for name in batch)
+    assert not torch.equal(batch["places"], other["places"])
+    network = task.network()
+    optimiser = torch.optim.Adam(network.parameters(), 1e-3)
+    losses = []
+    for _ in range(4):
+        loss, figures = task.loss(network, batch)
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        losses.append(float(loss.detach()))
+    assert min(losses[1:]) < losses[0]
+    assert all(np.isfinite(value) for value in figures.values())
+
+
+@pytest.mark.parametrize("what", BASELINE_TASKS)
+def test_what_a_training_writes_renders(what, cache, tmp_path):
+    """The file says its configuration and renders by the method's label; its picture is the one that was validated."""
+    task = small_task(what, cache)
+    options = TrainingOptions(steps=1, device="cpu", precision="float32", validate_every=1, workers=0)
+    weights = train(task, tmp_path, options)
+    assert configuration_of(weights, ("compact",), what) == "compact"
+    figures = dict(zip(*(line.split(",") for line in (tmp_path / "validation.csv").read_text().splitlines()), strict=True))
+    sample = task.validation.read(0)
+    rendered = find_method(LABELS.get(what, what), NetworkChoice({what: weights})).make().step(sample.instant).image
+    assert rendered.shape == sample.truth.shape
+    step = 4 if what == "ibrnet" else 1
+    error = np.square(rendered - sample.truth / np.float32(255))[::step, ::step].mean()
+    assert -10 * np.log10(error) == pytest.approx(float(figures["psnr_db"]), abs=0.1)
+    card = write_card(task, tmp_path, f"ggvs-eval train {what}").read_text()
+    assert "procedural rooms" in card
+    assert str(tmp_path.parent) not in card
+
+
+def test_weights_of_an_unknown_configuration_are_refused(cache, tmp_path):
+    """A name that this version does not have is refused in one line; a file that says nothing is the full configuration."""
+    from safetensors.torch import save_file
+
+    save_file({"a": torch.zeros(1)}, tmp_path / "new.safetensors", {"configuration": "tiny"})
+    save_file({"a": torch.zeros(1)}, tmp_path / "old.safetensors")
+    with pytest.raises(WeightsError, match=r"new\.safetensors: wanted a configuration of FWD \(full, compact\), got tiny"):
+        configuration_of(tmp_path / "new.safetensors", ("full", "compact"), "FWD")
+    assert configuration_of(tmp_path / "old.safetensors", ("full",), "FWD") is None
+    assert configuration_of(tmp_path / "authors.pth", ("full",), "FWD") is None
+    with pytest.raises(TrainingError, match="stereo network, which is not taught here"):
+        baseline_task("gps-gaussian", cache, TrainingData(rooms=1), "full")
+
+
+def test_retrained_methods_are_labelled(tmp_path, monkeypatch):
+    """Tables tell what we trained from what its authors did; without weights the reason stands there."""
+    for label in ("fwd", "ibrnet", "enerf", "gps-gaussian+given-depth"):
+        method = label.partition("+")[0]
+        assert METHODS[label].title.endswith("(retrained, compact)")
+        assert not METHODS[label].usual
+        with_own = find_method(label, NetworkChoice({method: tmp_path / "authors.pth"}))
+        assert "retrained" not in with_own.title
+        assert with_own.weights == (tmp_path / "authors.pth",)
+    monkeypatch.setattr(baselines, "shipped", lambda name: tmp_path / name)
+    with pytest.raises(WeightsError, match=r"FWD: its weights do not ship; wanted .* --weights fwd=FILE"):
+        METHODS["fwd"].make()

@@ -1,0 +1,159 @@
+"""All networks from one command: the same views for all, commands of their own, one that fails, going on."""
+
+import fcntl
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ggvs_eval.errors import TrainingError
+from ggvs_eval.pipelines.training.baselines.baseline_tasks import BASELINE_TASKS, baseline_task
+from ggvs_eval.pipelines.training.request import TrainingRequest
+from ggvs_eval.pipelines.training.samples import training_data
+from ggvs_eval.pipelines.training.samples.training_data import TrainingData, baseline_samples, blend_samples
+from ggvs_eval.pipelines.training.side_by_side import Training, default_jobs, run_trainings
+from ggvs_eval.pipelines.training.train_all import NETWORKS, planned_trainings, train_all
+from ggvs_eval.pipelines.training.train_one import CACHE, requested_data
+from ggvs_eval.synthetic.domains import DOMAINS
+from helpers.command_line import refusal
+from helpers.stereo_scenes import write_capture
+
+REQUEST = TrainingRequest(
+    steps=2, views=2, size="small", rooms=1, targets=1, domains=("plain", "narrow"), device="cpu", workers=0
+)
+SIZES = {"plain": (400, 300), "narrow": (344, 258)}
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory):
+    """Five cameras before a slanted plane."""
+    return write_capture(tmp_path_factory.mktemp("plane"), n_frames=1)
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory, capture):
+    """Its samples in place of rooms of two domains, of two sizes, as blend, fwd and enerf take them."""
+    folder = tmp_path_factory.mktemp("all") / CACHE
+    data = requested_data(REQUEST)
+    joined = [*blend_samples(folder, data), *baseline_samples(folder, data, True), *baseline_samples(folder, data, False)]
+    for lot in (lot for samples in joined for lot in samples.lots):
+        lot.prepare_capture(lot.plan.first_room, capture.resized(*SIZES[lot.plan.domain], "area"))
+    return folder
+
+
+def test_every_network_learns_from_the_same_views(capture, tmp_path, monkeypatch):
+    """Rooms of all domains and captures, for the blending network and for baselines, with depth or without: equal plans."""
+    monkeypatch.setattr(training_data, "open_capture", lambda path: replace(capture.resized(480, 360, "area"), path=path))
+    data = TrainingData(captures=(tmp_path / "rig",))
+    kinds = [blend_samples(tmp_path, data), baseline_samples(tmp_path, data, True), baseline_samples(tmp_path, data, False)]
+    for training, validation in kinds:
+        assert training.plans == kinds[0][0].plans
+        assert validation.plans == kinds[0][1].plans
+        assert len(training.plans) == len(DOMAINS) + 1
+        assert [plan.domain for plan in validation.plans] == list(DOMAINS)
+        assert f"{training_data.CAPTURE_TARGETS} views of the captures {capture.scene}" in training.data
+    with pytest.raises(TrainingError, match="wanted rooms or captures to learn from, got neither; give --rooms"):
+        baseline_samples(tmp_path, TrainingData(rooms=0), True)
+
+
+@pytest.mark.parametrize("what", BASELINE_TASKS)
+def test_crops_lie_within_samples_of_any_size(what, cache):
+    """Each sample's own size decides where windows may be: first and last place fit, whatever was drawn."""
+    task = baseline_task(what, cache, requested_data(REQUEST))
+    sizes = set()
+    for index in range(len(task.training)):
+        sample = task.training.read(index)
+        sizes.add(sample.instant.target.size)
+        last = np.subtract(sample.instant.target.size, (task.crop_width, task.crop_height))
+        for place, corner in (((0.0, 0.0), (0, 0)), ((1 - 2**-53,) * 2, last)):
+            crop = task._crop(sample, place)
+            assert crop.truth.shape == (task.crop_height, task.crop_width, 3)
+            np.testing.assert_array_equal(sample.instant.target.K[:2, 2] - crop.instant.target.K[:2, 2], corner)
+    assert sizes == set(SIZES.values())
+
+
+def test_each_network_has_its_command(tmp_path):
+    """Seven networks in folders of their own, blend with each guidance; all get the same steps, rooms and captures."""
+    request = replace(REQUEST, captures=(Path("walk"), Path("rig")), hold_back=True, compile_network=True)
+    trainings = planned_trainings(tmp_path, request)
+    assert [each.name for each in trainings] == [
+        "blend",
+        "blend-no-tsdf",
+        "blend-naive",
+        "fwd",
+        "gps-gaussian",
+        "ibrnet",
+        "enerf",
+    ]
+    assert len(NETWORKS) == 7
+    for training in trainings:
+        words = " ".join(training.arguments)
+        assert training.arguments[2] == str(tmp_path / training.name)
+        for part in ("--steps 2", "--domains plain narrow", "--captures walk rig", "--hold-back", "--device cpu", "--rooms 1"):
+            assert part in words
+        assert ("--guidance" in words) == training.name.startswith("blend")
+        assert ("--configuration compact" in words) != training.name.startswith("blend")
+    assert "--guidance naive" in " ".join(trainings[2].arguments)
+    assert "walk" in request.card_words("fwd")
+    assert replace(request, captures=(tmp_path / "walk",)).card_words("fwd").count("walk") == 1
+
+
+def test_how_many_run_at_once(monkeypatch):
+    """All on a GPU; on a CPU one per two cores, but one at least."""
+    for cores, jobs in ((1, 1), (2, 1), (5, 2), (64, 7)):
+        monkeypatch.setattr("ggvs_eval.pipelines.training.side_by_side.default_workers", lambda cores=cores: cores)
+        assert default_jobs("cpu", 7) == jobs
+        assert default_jobs("cuda", 7) == 7
+
+
+def test_steps_are_read_from_the_log(tmp_path):
+    """None before the first, then one more than the last line's number, a half line included."""
+    training = Training("a", tmp_path, (), 9)
+    assert training.steps_done() == 0
+    (tmp_path / "log.csv").write_text("step,loss\n")
+    assert training.steps_done() == 0
+    (tmp_path / "log.csv").write_text("step,loss\n" + "".join(f"{step},0.5\n" for step in range(2000)) + "2000,0.")
+    assert training.steps_done() == 2001
+
+
+def test_what_is_for_one_network_is_refused(tmp_path):
+    """Weights to begin with, a guidance, no job at all, and jobs of a single training: one line each."""
+    assert "got --start-from or --guidance" in refusal("train", "all", tmp_path, "--start-from", "x", "--device", "cpu")
+    assert "got --start-from or --guidance" in refusal("train", "all", tmp_path, "--guidance", "none", "--device", "cpu")
+    assert "train fwd: wanted one training, got --jobs 2" in refusal("train", "fwd", tmp_path, "--jobs", "2")
+    with pytest.raises(TrainingError, match="at least one job at a time, got --jobs 0"):
+        run_trainings([], 0)
+
+
+def test_a_folder_is_trained_into_by_one_process_only(tmp_path):
+    """While another process holds the log of a training, it is not started again, and the line says where it runs."""
+    training = Training("fwd", tmp_path / "fwd", ("train", "fwd"), 9)
+    training.folder.mkdir()
+    with training.log.open("ab") as log:
+        fcntl.flock(log, fcntl.LOCK_EX)
+        failures = run_trainings([training], 1)
+    assert "another call is still training it into" in failures["fwd"]
+
+
+def test_networks_are_trained_side_by_side(cache, capsys):
+    """One that cannot go on stops no other and leaves a line; a second call finishes it; weights, cards and curves stand."""
+    out = cache.parent
+    networks = [("blend", "none"), ("enerf", "registered")]
+    (out / "enerf").mkdir()
+    (out / "enerf" / "state.pt").write_bytes(b"no zip")
+    with pytest.raises(TrainingError, match="wanted 2 trained networks, enerf failed, the others are trained"):
+        train_all(out, REQUEST, jobs=2, networks=networks)
+    told = capsys.readouterr().err
+    assert "enerf: exit 1 after 0 of 2 steps: " in told
+    assert "blend-no-tsdf: 2 of 2 steps" in told
+    assert str(out / "enerf" / "train.log") in told
+    assert (out / "blend-no-tsdf" / "blend-no-tsdf.safetensors").is_file()
+    (out / "enerf" / "state.pt").unlink()
+    files = train_all(out, replace(REQUEST, steps=1), networks=networks[1:])
+    assert files == [out / "enerf" / "enerf.safetensors", out / "enerf" / "enerf.md"]
+    for name in ("blend-no-tsdf", "enerf"):
+        card = (out / name / f"{name}.md").read_text()
+        assert "of domain narrow" in card
+        assert str(out) not in card
+        assert (out / name / f"{name}.png").is_file()
