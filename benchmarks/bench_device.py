@@ -22,7 +22,7 @@ from ggvs_eval.compute_device import compute_device, describe_device
 from ggvs_eval.files.images import quantise
 from ggvs_eval.kernels import get_threads
 from ggvs_eval.method import Instant, Method, SourceView
-from ggvs_eval.pipelines.methods.network_choice import NetworkChoice
+from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.methods.registry import find_method
 
 K, BASELINE_M, RADIUS_M, NEAR, FAR = 4, 0.15, 4.0, 2.0, 6.0
@@ -81,7 +81,7 @@ def _figure(trial: Trial, device: str) -> Figure:
     images: dict[str, Map] = {}
     for place, name, warm_up, frames in (("cpu", "cpu", 1, trial.cpu_frames), ("device", device, 3, trial.frames)):
         if frames:
-            method = find_method(trial.label, NetworkChoice(device=name)).make()
+            method = find_method(trial.label, NetworkOptions(device=name)).make()
             timed = partial(_timed, method, instants)
             images[place], _ = timed(0)
             rows = [timed(index)[1] for index in range(1, warm_up + frames)][warm_up - 1 :]

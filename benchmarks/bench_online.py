@@ -21,7 +21,7 @@ from ggvs_eval.kernels import get_threads
 from ggvs_eval.method import Instant, SourceView
 from ggvs_eval.one_thread import one_thread
 from ggvs_eval.pipelines.online.blend_maps import blend_maps, raw_views
-from ggvs_eval.pipelines.online.blend_network import WIDTHS, BlendConfig, BlendNetwork, compose_tensors, read_outputs
+from ggvs_eval.pipelines.online.blend_network import WIDTHS, BlendNetwork, BlendNetworkOptions, compose_tensors, read_outputs
 from ggvs_eval.pipelines.online.blending import Blended, BlendingInputs
 from ggvs_eval.pipelines.online.geometric_blender import GeometricBlender
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
@@ -120,7 +120,7 @@ def measure_network_blender(setting: Setting, repeats: int = 5) -> dict[str, dic
 
 def _random_network(width: int) -> BlendNetwork:
     torch.manual_seed(0)
-    network: BlendNetwork = BlendNetwork(BlendConfig(width=width)).eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    network: BlendNetwork = BlendNetwork(BlendNetworkOptions(width=width)).eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     return network
 
 

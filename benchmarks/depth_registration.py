@@ -1,7 +1,7 @@
 """Planted registration errors of sensor depth against what the estimate finds.
 
 ``python -m benchmarks.depth_registration OUT [SEED ...]``
-Every line is one room filmed as an RGB-D sequence (24 frames of 480x360) with one error planted in its depth maps.
+Every line is one room rendered as an RGB-D sequence (24 frames of 480x360) with one error planted in its depth maps.
 """
 
 import argparse

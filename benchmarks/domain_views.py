@@ -1,6 +1,6 @@
 """The views by which choices are made, of every domain: what a method is shown of them, kept on disk, and what it should show.
 
-Captures are filmed once, depth is computed once: another call with other weights only renders.
+Captures are rendered once, depth is computed once: another call with other weights only renders.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -17,8 +17,8 @@ from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.digest import digest_values
 from ggvs_eval.jobs.processes import finish_all, worker_pool
 from ggvs_eval.method import Instant, SourceView
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
-from ggvs_eval.pipelines.training.samples.capture_lot import MeasuredSampleMaker
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
+from ggvs_eval.pipelines.training.samples.capture_pool import MeasuredSampleMaker
 from ggvs_eval.pipelines.training.samples.capture_views import draw_views
 from ggvs_eval.pipelines.training.samples.domain_samples import domain_validation_plan
 from ggvs_eval.pipelines.training.samples.held_back import held_back_halves
@@ -77,7 +77,7 @@ class View:
 
 
 def prepare_views(cache: Path, domains: Iterable[str], plan: ViewPlan, data: Path | None = None, workers: int = 1) -> list[View]:
-    """The views of domains; what is not on disk yet is filmed and gets its depth.
+    """The views of domains; what is not on disk yet is rendered and gets its depth.
 
     Args:
         cache: where all of it is kept; several plans may share it.
@@ -113,9 +113,9 @@ def views_of(cache: Path, domain: str, seed: int, plan: ViewPlan) -> list[View]:
 
 def make_views(cache: Path, domain: str, seed: int, plan: ViewPlan, data: Path | None) -> None:
     """Film one capture, or open the real one, and write its views that are not there yet."""
-    capture, choices = _real(data, plan) if domain == REAL else _filmed(cache, domain, seed, plan)
+    capture, choices = _real(data, plan) if domain == REAL else _rendered(cache, domain, seed, plan)
     for frame in range(len(views_of(cache, domain, seed, plan)[0].files)):
-        maker = MeasuredSampleMaker(capture, DepthChoice(plan.matcher).options(), frame)
+        maker = MeasuredSampleMaker(capture, DepthRunOptions(plan.matcher).options(), frame)
         for view, (target, sources) in zip(views_of(cache, domain, seed, plan), choices, strict=True):
             if not view.files[frame].is_file():
                 write_view(view.files[frame], InstantSample(maker.instant(target, sources), maker.truth(target)))
@@ -129,7 +129,7 @@ def real_capture(data: Path | None) -> Path | None:
 Choices = list[tuple[Camera, list[Camera]]]
 
 
-def _filmed(cache: Path, domain: str, seed: int, plan: ViewPlan) -> tuple[Capture, Choices]:
+def _rendered(cache: Path, domain: str, seed: int, plan: ViewPlan) -> tuple[Capture, Choices]:
     """A procedural capture with the views that are drawn of it."""
     rooms = domain_validation_plan(domain, plan.views, plan.targets, plan.seeds, plan.matcher, plan.size)
     options = room_options(seed, rooms)
@@ -152,7 +152,7 @@ def _real(data: Path | None, plan: ViewPlan) -> tuple[Capture, Choices]:
 
 def _digest(domain: str, seed: int, plan: ViewPlan) -> str:
     """Names all that views depend on but their number."""
-    depth = DepthChoice(plan.matcher).options()
+    depth = DepthRunOptions(plan.matcher).options()
     parts = [depth, depth.consistency, depth.sensor]
     described = [str(part.describe()) for part in parts if part is not None]
     shared = {name: value for name, value in asdict(plan).items() if name not in ("targets", "seeds")}

@@ -16,7 +16,7 @@ from ggvs_eval.errors import ResultsError
 
 ROOT = Path(__file__).parents[1]
 OUT = ROOT / "out"
-# Of the validation rooms the whole picture stands for all regions; the judge of depth prints the others.
+# Of the validation rooms the whole picture stands for all regions; the validation of depth prints the others.
 DEPTH_FIGURES = r"depth\.(motorcycle\.(epe_px|bad_[23]_percent)\.[^.]*$|sparse|rendering\.PSNR|reuse|rooms\.whole_picture|demo\.)"
 MATCHERS = ("sgbm", "sweep", "raft")
 DEPTH_ROWS = {  # shown: name of the figure without its matcher
@@ -101,7 +101,7 @@ def _fill(file: Path, tables: Tables) -> None:
 
 
 def depth_table() -> str:
-    """The judges of depth, a row each, a column per matcher; what was not measured says so."""
+    """The figures of depth, a row each, a column per matcher; what was not measured says so."""
     figures = _read(OUT / "depth_validation" / "figures.json")
     bench = OUT / "bench.json"
     figures |= _read(bench) if bench.is_file() else {}

@@ -60,8 +60,8 @@ class Extras:
 
 
 @dataclass(frozen=True)
-class Retake:
-    """How a capture is shown otherwise than it was taken; `ggvs_eval.datasets.held_still.retake` does it.
+class CaptureEdit:
+    """How a capture is shown otherwise than it was taken; `ggvs_eval.datasets.capture_edit.perturb_capture` does it.
 
     Attributes:
         hold_frames: number of instants for which one is held still; 0 lets time go on as it did.
@@ -93,7 +93,7 @@ class Capture:
         resize_filter: how frames are resampled when the cameras are resized.
         extras: background, masks and sensor depth of each camera, same order; empty where the capture has none of them.
         notes: what was left out and why, for people.
-        retake: what was done to the frames; None where they are as they were taken.
+        edit: what was done to the frames; None where they are as they were taken.
     """
 
     scene: str
@@ -108,7 +108,7 @@ class Capture:
     resize_filter: ResizeFilter = "lanczos"
     extras: tuple[Extras, ...] = ()
     notes: tuple[str, ...] = ()
-    retake: Retake | None = None
+    edit: CaptureEdit | None = None
 
     @property
     def camera_names(self) -> tuple[str, ...]:

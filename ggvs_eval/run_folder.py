@@ -32,7 +32,7 @@ from ggvs_eval.files.images import read_image
 from ggvs_eval.protocol import Protocol, load_protocol
 
 JOB_FILE = "job.json"
-INSIDE = "inside"  # beside the frames of a method that tells what it decided
+DIAGNOSTICS = "inside"  # beside the frames of a method that tells what it decided
 
 
 @dataclass(frozen=True)
@@ -134,9 +134,9 @@ def frame_path(folder: Path, index: int) -> Path:
     return folder / f"{index:04d}.png"
 
 
-def inside_path(folder: Path, name: str, index: int) -> Path:
+def diagnostics_path(folder: Path, name: str, index: int) -> Path:
     """Path of the picture of something that a method decided on the way to a frame, in its folder of frames."""
-    return frame_path(folder / INSIDE / name, index)
+    return frame_path(folder / DIAGNOSTICS / name, index)
 
 
 def read_frames(folder: Path, indices: range) -> list[Image8]:

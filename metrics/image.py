@@ -83,7 +83,7 @@ def ssim_per_channel(rendered: Image, truth: Image) -> NDArray[np.float64]:
         raise MetricError(f"SSIM needs {SSIM_WINDOW_PX} x {SSIM_WINDOW_PX} pixels for its window, got {height} x {width}")
     dtype = np.uint8 if truth.dtype == np.uint8 else np.float32
     first, second = (np.ascontiguousarray(image, dtype=dtype) for image in (rendered, truth))
-    return _ssim.channel_means(first, second, kernels.get_threads(), kernels.LEVELS.index(kernels.get_level()))
+    return _ssim.channel_means(first, second, kernels.get_threads(), kernels.SIMD_LEVELS.index(kernels.get_simd_level()))
 
 
 def psnr_colour_corrected(rendered: Image, truth: Image) -> float:

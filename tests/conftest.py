@@ -33,10 +33,10 @@ def kernel_settings() -> Iterator[None]:
     """Puts back the number of threads and the instruction set that a test changes."""
     from ggvs_eval import kernels
 
-    threads, level = kernels.get_threads(), kernels.get_level()
+    threads, level = kernels.get_threads(), kernels.get_simd_level()
     yield
     kernels.set_threads(threads)
-    kernels.set_level(level)
+    kernels.set_simd_level(level)
 
 
 @pytest.fixture(scope="session")

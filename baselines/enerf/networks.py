@@ -8,7 +8,7 @@ from ggvs_eval.baselines.configuration import FULL, configuration_of
 from ggvs_eval.baselines.enerf.cost_network import CostNetwork
 from ggvs_eval.baselines.enerf.feature_network import FeatureNetwork
 from ggvs_eval.baselines.enerf.radiance_network import RadianceNetwork
-from ggvs_eval.files.weights_file import pour_strictly, read_tensors
+from ggvs_eval.files.weights_file import load_strict, read_tensors
 
 # Planes of the coarse volume: 64 of the published training, 32 of the authors' runs on real scenes.
 COARSE_PLANES = {"full": 64, "compact": 32}
@@ -44,5 +44,5 @@ def load_enerf(path: Path) -> Networks:
     configuration = configuration_of(path, COARSE_PLANES, "ENeRF")
     networks = Networks(configuration or FULL)
     tensors = read_tensors(path, *(() if configuration else ("net",)), of="ENeRF")
-    pour_strictly(tensors, networks, path, "ENeRF")
+    load_strict(tensors, networks, path, "ENeRF")
     return networks.eval().requires_grad_(False)

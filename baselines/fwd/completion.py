@@ -7,8 +7,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torch.nn.utils.parametrizations import spectral_norm
 
-LEVELS, WIDTH, WIDEST = 8, 32, 256  # stride-2 levels, channels of the first, most channels of any
-SIZE_MULTIPLE = 2**LEVELS
+SIMD_LEVELS, WIDTH, WIDEST = 8, 32, 256  # stride-2 levels, channels of the first, most channels of any
+SIZE_MULTIPLE = 2**SIMD_LEVELS
 SMALLEST_SHARE = 1e-4  # of the largest inverse depth; farther points would be at infinity
 
 
@@ -23,7 +23,7 @@ class DepthCompletion(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        widths = [4, *(min(WIDTH * 2**level, WIDEST) for level in range(LEVELS))]
+        widths = [4, *(min(WIDTH * 2**level, WIDEST) for level in range(SIMD_LEVELS))]
         self.down = nn.ModuleList(
             spectral_norm(nn.Conv2d(before, after, 4, stride=2, padding=1)) for before, after in pairwise(widths)
         )

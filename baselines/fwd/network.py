@@ -16,7 +16,7 @@ DIRECTION_WIDTH = 4  # unit difference of two viewing directions, and their cosi
 
 
 @dataclass(frozen=True)
-class FwdConfig:
+class FwdOptions:
     """Widths of the network.
 
     Attributes:
@@ -36,8 +36,8 @@ class FwdConfig:
     points_per_pixel: int = POINTS_PER_PIXEL
 
 
-FULL = FwdConfig()
-COMPACT = FwdConfig(32, (16, 24, 24), (8, 16), (32, 48, 64, 64, 48, 32, 16), 16, 8)
+FULL = FwdOptions()
+COMPACT = FwdOptions(32, (16, 24, 24), (8, 16), (32, 48, 64, 64, 48, 32, 16), 16, 8)
 CONFIGURATIONS = {"full": FULL, "compact": COMPACT}
 
 

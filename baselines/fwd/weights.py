@@ -7,7 +7,7 @@ import torch
 
 from ggvs_eval.baselines.configuration import FULL, configuration_of
 from ggvs_eval.baselines.fwd.network import CONFIGURATIONS, FwdNetwork
-from ggvs_eval.files.weights_file import pour_strictly, read_tensors
+from ggvs_eval.files.weights_file import load_strict, read_tensors
 
 OF = "FWD (this project's names)"
 
@@ -24,5 +24,5 @@ def load_network(path: Path, device: torch.device | str = "cpu") -> FwdNetwork:
     tensors = read_tensors(path, of=OF)
     configuration = configuration_of(path, CONFIGURATIONS, OF) or FULL
     network = FwdNetwork(any(name.startswith("completion.") for name in tensors), configuration)
-    pour_strictly(tensors, network, path, OF)
+    load_strict(tensors, network, path, OF)
     return network.eval().to(device)

@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-LEVELS, RADIUS = 4, 4  # averages over 1, 2, 4, 8 cells; 4 cells looked up on either side
+SIMD_LEVELS, RADIUS = 4, 4  # averages over 1, 2, 4, 8 cells; 4 cells looked up on either side
 MARGIN = 2 * RADIUS + 2  # zeros on either side of a row, so that a lookup outside the image finds them
 
 
@@ -21,7 +21,7 @@ def correlation_rows(reference: Tensor, other: Tensor) -> list[Tensor]:
     per_row = reference.permute(0, 2, 3, 1)  # (B, H, W, C)
     products = torch.matmul(per_row, other.permute(0, 2, 1, 3)) * reference.shape[1] ** -0.5  # (B, H, W, W)
     rows = []
-    for level in range(LEVELS):
+    for level in range(SIMD_LEVELS):
         if level:
             products = functional.avg_pool2d(products, (1, 2), (1, 2))
         rows.append(functional.pad(products, (MARGIN, MARGIN)))
@@ -36,7 +36,7 @@ def look_up(rows: list[Tensor], columns: Tensor) -> Tensor:
         columns: where each cell is thought to lie in the other image, in cells, (B, H, W).
 
     Returns:
-        (B, LEVELS * (2 * RADIUS + 1), H, W), linear between cells, 0 outside the image.
+        (B, SIMD_LEVELS * (2 * RADIUS + 1), H, W), linear between cells, 0 outside the image.
     """
     offsets = torch.arange(-RADIUS, RADIUS + 2)  # one more than is returned, for the interpolation
     found = []

@@ -30,7 +30,7 @@ class GpsGaussian:
         weights: file of its weights, see `load_network`.
         depth: ``own`` stereo between the two images, or the depth ``given`` with the sources; Gaussians are its own either way.
         pairs: how many pairs are rendered together; by default what the weights' configuration says, one for the authors'.
-        rotations_in: what the network's rotations refer to, see `GpsGaussianConfig`, which says it where nothing is said here.
+        rotations_in: what the network's rotations refer to, see `GpsGaussianOptions`, which says it where nothing is said here.
         device: where the network computes and Gaussians are rendered, see `compute_device`.
 
     Reading:

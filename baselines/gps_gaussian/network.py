@@ -16,7 +16,7 @@ ITERATIONS = 3  # of the published network, in training and after
 
 
 @dataclass(frozen=True)
-class GpsGaussianConfig:
+class GpsGaussianOptions:
     """Shape of the network, and how it is used.
 
     Attributes:
@@ -38,8 +38,8 @@ class GpsGaussianConfig:
 
 
 CONFIGURATIONS = {
-    "full": GpsGaussianConfig(),
-    "compact": GpsGaussianConfig((16, 24, 48), (24, 32, 48), stereo=False, pairs=2, rotations_in="camera", whole=True),
+    "full": GpsGaussianOptions(),
+    "compact": GpsGaussianOptions((16, 24, 48), (24, 32, 48), stereo=False, pairs=2, rotations_in="camera", whole=True),
 }
 
 

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from ggvs_eval.baselines.gps_gaussian.correlation import LEVELS, RADIUS, correlation_rows, look_up
+from ggvs_eval.baselines.gps_gaussian.correlation import RADIUS, SIMD_LEVELS, correlation_rows, look_up
 from ggvs_eval.baselines.gps_gaussian.encoders import residual_block
 
 HIDDEN, MOTION, FACTOR = 96, 128, 8  # channels of the state and of the motion features; pixels per cell
@@ -84,7 +84,7 @@ class MotionEncoder(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.convc1 = nn.Conv2d(LEVELS * (2 * RADIUS + 1), 64, 1)
+        self.convc1 = nn.Conv2d(SIMD_LEVELS * (2 * RADIUS + 1), 64, 1)
         self.convc2 = nn.Conv2d(64, 64, 3, padding=1)
         self.convf1 = nn.Conv2d(2, 64, 7, padding=3)
         self.convf2 = nn.Conv2d(64, 64, 3, padding=1)

@@ -8,7 +8,7 @@ from torch.serialization import safe_globals
 
 from ggvs_eval.baselines.configuration import FULL, configuration_of
 from ggvs_eval.baselines.gps_gaussian.network import CONFIGURATIONS, GpsGaussianNetwork
-from ggvs_eval.files.weights_file import pour_strictly, read_tensors
+from ggvs_eval.files.weights_file import load_strict, read_tensors
 
 OF = "GPS-Gaussian (GPS-GS_stage2_final.pth)"
 
@@ -33,7 +33,7 @@ def load_network(path: Path, device: torch.device | str = "cpu") -> GpsGaussianN
     with safe_globals([(_nothing, name) for name in FORGOTTEN]):
         tensors = read_tensors(path, *(() if configuration else ("network",)), of=OF)
     network = GpsGaussianNetwork(configuration or FULL)
-    pour_strictly(tensors, network, path, OF)
+    load_strict(tensors, network, path, OF)
     return network.eval().to(device)
 
 

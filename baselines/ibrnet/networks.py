@@ -8,13 +8,13 @@ from torch import nn
 from ggvs_eval.baselines.configuration import FULL, configuration_of
 from ggvs_eval.baselines.ibrnet.feature_network import FeatureNetwork
 from ggvs_eval.baselines.ibrnet.ray_network import RayNetwork
-from ggvs_eval.files.weights_file import pour_strictly, read_tensors
+from ggvs_eval.files.weights_file import load_strict, read_tensors
 
 PARTS = ("net_coarse", "net_fine", "feature_net")  # as the checkpoint calls them
 
 
 @dataclass(frozen=True)
-class IbrnetConfig:
+class IbrnetOptions:
     """Shape of the networks, and how finely a ray is sampled.
 
     Attributes:
@@ -28,7 +28,7 @@ class IbrnetConfig:
     samples: int = 64
 
 
-CONFIGURATIONS = {"full": IbrnetConfig(), "compact": IbrnetConfig(16, (2, 2, 2), 32)}
+CONFIGURATIONS = {"full": IbrnetOptions(), "compact": IbrnetOptions(16, (2, 2, 2), 32)}
 
 
 class Networks(nn.Module):
@@ -60,5 +60,5 @@ def load_ibrnet(path: Path) -> Networks:
     networks = Networks(configuration_of(path, CONFIGURATIONS, "IBRNet") or FULL)
     for part in PARTS:
         of = f"IBRNet's {part}"
-        pour_strictly(read_tensors(path, part, of=of), networks.get_submodule(part), path, of)
+        load_strict(read_tensors(path, part, of=of), networks.get_submodule(part), path, of)
     return networks.eval().requires_grad_(False)

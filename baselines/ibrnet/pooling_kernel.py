@@ -44,7 +44,7 @@ def shade_by_kernel(
         rays.contiguous().numpy(),
         depths.contiguous().numpy(),
         positions(depths.shape[1])[0].numpy().astype(np.float32),
-        kernels.LEVELS.index(kernels.get_level()),
+        kernels.SIMD_LEVELS.index(kernels.get_simd_level()),
     )
     return torch.as_tensor(colours), torch.as_tensor(density)
 

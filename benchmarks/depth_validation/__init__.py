@@ -1,1 +1,1 @@
-"""The judge of depth: matchers against measured disparity, sparse points, exact depth, and themselves over time."""
+"""Validation of depth: matchers against measured disparity, sparse points, exact depth, and themselves over time."""

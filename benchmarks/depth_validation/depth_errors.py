@@ -32,7 +32,7 @@ def relative_errors(depth: Map, truth: Map) -> Map:
     if depth.shape != truth.shape:
         raise DepthError(f"depth errors: wanted depth and truth of one shape, got {depth.shape} and {truth.shape}")
     if not (truth > 0).all():
-        raise DepthError(f"depth errors: wanted a positive true depth, got {truth.min():g}; judge known pixels only")
+        raise DepthError(f"depth errors: wanted a positive true depth, got {truth.min():g}; evaluate known pixels only")
     return np.where(depth > 0, np.abs(depth / truth - 1), np.float32(1)).astype(np.float32)
 
 
@@ -48,7 +48,7 @@ def summarise(errors: Sequence[Map], rejected: Sequence[Map]) -> dict[str, float
     """
     pooled = np.concatenate([each.ravel() for each in errors]) if errors else np.empty(0, np.float32)
     if not pooled.size:
-        raise DepthError("depth errors: wanted at least one pixel to judge, got none; choose other cameras or a larger picture")
+        raise DepthError("depth errors: wanted at least one pixel, got none; choose other cameras or a larger picture")
     share_rejected = np.concatenate([each.ravel() for each in rejected]).mean()
     values = (100 * (pooled <= WITHIN).mean(), 100 * np.median(pooled), 100 * share_rejected)
     return {measure.name: float(value) for measure, value in zip(MEASURES, values, strict=True)}

@@ -1,4 +1,4 @@
-"""All judges of depth, each on the input that is there; what is absent is named."""
+"""All evaluates of depth, each on the input that is there; what is absent is named."""
 
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
@@ -21,7 +21,7 @@ REAL_CAPTURE = "n3v_flame_steak"
 
 
 def validate_depth(data: Path, out: Path, matchers: Sequence[str], only: Collection[str] = PARTS) -> Figures:
-    """Judge matchers in every way whose input is there; prints the tables and keeps them below `out`.
+    """Evaluate matchers in every way whose input is there; prints the tables and keeps them below `out`.
 
     Args:
         data: folder with stereo_motorcycle and n3v_flame_steak.
@@ -49,15 +49,15 @@ def validate_depth(data: Path, out: Path, matchers: Sequence[str], only: Collect
     if "rendering" in only:
         figures |= _rendering(data / REAL_CAPTURE, out, list(options))
     of_rooms = {
-        "rooms": region_errors.judge_rooms,
-        "temporal": temporal_spread.judge_temporal,
-        "reuse": static_reuse.judge_reuse,
+        "rooms": region_errors.evaluate_rooms,
+        "temporal": temporal_spread.evaluate_temporal,
+        "reuse": static_reuse.evaluate_reuse,
     }
     if of_rooms.keys() & set(only):
         rooms = film_rooms(out)
-        for part, judge in of_rooms.items():
+        for part, evaluate in of_rooms.items():
             if part in only:
-                table, found_figures = judge(rooms, options)
+                table, found_figures = evaluate(rooms, options)
                 _show(table, out, part)
                 figures |= found_figures
     path = out / "depth_validation" / "figures.json"
@@ -73,7 +73,7 @@ def _motorcycle(folder: Path, out: Path, options: Mapping[str, DepthOptions]) ->
     for name in options:
         if name not in matchers:
             print(f"motorcycle: {name} is not computed: it wants several calibrated partners, this is one pair")
-    rows, figures = middlebury.judge_motorcycle(folder, matchers)
+    rows, figures = middlebury.evaluate_motorcycle(folder, matchers)
     _show(pd.DataFrame.from_dict(rows, orient="index"), out, "motorcycle")
     return figures
 
@@ -84,7 +84,7 @@ def _sparse(folder: Path, out: Path, options: Mapping[str, DepthOptions]) -> Fig
         return {}
     capture = open_capture(folder)
     width, height = capture.cameras[0].size
-    table, figures = sparse_points.judge_sparse(capture.resized(width // 2, height // 2, "lanczos"), options)
+    table, figures = sparse_points.evaluate_sparse(capture.resized(width // 2, height // 2, "lanczos"), options)
     _show(pd.concat([table, table.mean().to_frame("mean").T]), out, "sparse")
     return figures
 
@@ -93,7 +93,7 @@ def _rendering(folder: Path, out: Path, matchers: Sequence[str]) -> Figures:
     if not folder.is_dir():
         print(f"rendering: not computed: no capture at {folder}; give --data")
         return {}
-    table, figures = rendering.judge_rendering(
+    table, figures = rendering.evaluate_rendering(
         open_capture(folder), load_protocol("real_frame"), out / "depth_rendering", matchers, default_workers()
     )
     _show(table, out, "rendering")

@@ -39,7 +39,7 @@ def figures_of(group: str, measures: Sequence[Measure], values: Mapping[str, Map
     """Figures named depth.<group>.<measure>.<matcher>; what could not be measured (NaN) is left out.
 
     Args:
-        group: what was judged, e.g. ``motorcycle``.
+        group: what was evaluated, e.g. ``motorcycle``.
         measures: the columns.
         values: of each matcher, by the measures' names.
     """

@@ -1,6 +1,6 @@
 """Pairwise matchers on a real rectified pair with measured disparity: Motorcycle of Middlebury 2014, 741 x 500.
 
-Every pixel of known disparity counts, those hidden from the right image too. A network's answer is judged where it is rejected,
+Every pixel of known disparity counts, those hidden from the right image too. A network's answer counts where it is rejected,
 too; other matchers' gaps are filled as the pipeline fills them: with the smaller disparity, the background's, of the nearest kept
 pixels left and right, else above and below.
 """
@@ -108,7 +108,7 @@ def fill_disparity(disparity: Map) -> Map:
     return np.where(disparity > 0, disparity, background)
 
 
-def _judged(matcher: StereoMatcher, pair: RectifiedTruth) -> dict[str, float]:
+def _evaluated(matcher: StereoMatcher, pair: RectifiedTruth) -> dict[str, float]:
     """The measures of one matcher; a network has an answer where it rejects it."""
     kept, _ = matcher.match(pair.left, pair.right, *DISPARITY_RANGE_PX)
     if not isinstance(matcher, RaftMatcher):
@@ -117,7 +117,7 @@ def _judged(matcher: StereoMatcher, pair: RectifiedTruth) -> dict[str, float]:
     return score_disparity(kept, pair.disparity, np.where(kept > 0, kept, np.maximum(answer, np.float32(0))))
 
 
-def judge_motorcycle(folder: Path, matchers: Mapping[str, StereoMatcher]) -> tuple[dict[str, dict[str, float]], Figures]:
+def evaluate_motorcycle(folder: Path, matchers: Mapping[str, StereoMatcher]) -> tuple[dict[str, dict[str, float]], Figures]:
     """Every matcher on the pair.
 
     Args:
@@ -128,5 +128,5 @@ def judge_motorcycle(folder: Path, matchers: Mapping[str, StereoMatcher]) -> tup
         The measures of each matcher, and their figures.
     """
     pair = read_motorcycle(folder)
-    rows = {name: _judged(matcher, pair) for name, matcher in track(matchers.items(), "motorcycle", len(matchers))}
+    rows = {name: _evaluated(matcher, pair) for name, matcher in track(matchers.items(), "motorcycle", len(matchers))}
     return rows, figures_of("motorcycle", MEASURES, rows) | quoted_figures("motorcycle", MEASURES, rows, QUOTED)

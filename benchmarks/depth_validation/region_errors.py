@@ -7,7 +7,7 @@ import pandas as pd
 from benchmarks.depth_validation.depth_errors import MEASURES, relative_errors, summarise
 from benchmarks.depth_validation.figures import Figures, figures_of
 from benchmarks.depth_validation.room_regions import REGIONS, Mask, RegionOptions, find_regions
-from benchmarks.depth_validation.rooms import DEMO, FilmedRoom
+from benchmarks.depth_validation.rooms import DEMO, RenderedRoom
 from benchmarks.depth_validation.tables import Column, mean_of_rows, wide_table
 from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera
@@ -23,7 +23,7 @@ WHOLE = "whole picture"
 Errors = tuple[Map, Mask]  # of the pixels of one region of one picture: relative errors, and which were rejected
 
 
-def judge_rooms(rooms: Sequence[FilmedRoom], options: Mapping[str, DepthOptions]) -> tuple[pd.DataFrame, Figures]:
+def evaluate_rooms(rooms: Sequence[RenderedRoom], options: Mapping[str, DepthOptions]) -> tuple[pd.DataFrame, Figures]:
     """Every matcher on some cameras of every room, at one instant.
 
     Args:
@@ -34,15 +34,15 @@ def judge_rooms(rooms: Sequence[FilmedRoom], options: Mapping[str, DepthOptions]
         A table, rows (room, region) with the region's share of the pixels, columns (matcher, measure), and figures: of the demo
         capture, and of the mean over the validation rooms.
     """
-    work = [(room, camera) for room in rooms for camera in room.judged_cameras]
+    work = [(room, camera) for room in rooms for camera in room.evaluated_cameras]
     errors: dict[tuple[str, str, str], list[Errors]] = {}
     for room, camera in track(work, f"rooms, {', '.join(options)}"):
         truth, image = read_exact_depth(room.capture.path, camera.name, FRAME), room.capture.frame(camera.name, FRAME)
         masks = find_regions(truth, image, RegionOptions()) | {WHOLE: truth > 0}
         for matcher, each in options.items():
             found = estimate_depth(room.capture, camera, image, each)
-            for region, (judged, rejected) in errors_by_region(found, truth, masks, each.filled_confidence).items():
-                errors.setdefault((room.name, region, matcher), []).append((judged, rejected))
+            for region, (evaluated, rejected) in errors_by_region(found, truth, masks, each.filled_confidence).items():
+                errors.setdefault((room.name, region, matcher), []).append((evaluated, rejected))
     table = _table(rooms, list(options), errors)
     return table, _figures(table)
 
@@ -72,13 +72,13 @@ def errors_by_region(found: DepthMap, truth: Map, masks: Mapping[str, Mask], fil
 
 
 def _table(
-    rooms: Sequence[FilmedRoom], matchers: Sequence[str], errors: Mapping[tuple[str, str, str], list[Errors]]
+    rooms: Sequence[RenderedRoom], matchers: Sequence[str], errors: Mapping[tuple[str, str, str], list[Errors]]
 ) -> pd.DataFrame:
     rows: dict[tuple[str, str], dict[Column, float]] = {}
     for room in rooms:
-        whole = sum(judged.size for judged, _ in errors[room.name, WHOLE, matchers[0]])
+        whole = sum(evaluated.size for evaluated, _ in errors[room.name, WHOLE, matchers[0]])
         for region in (*REGIONS, WHOLE):
-            pixels = sum(judged.size for judged, _ in errors[room.name, region, matchers[0]])
+            pixels = sum(evaluated.size for evaluated, _ in errors[room.name, region, matchers[0]])
             row = rows[room.name, region] = {("", "pixels_percent"): 100 * pixels / whole}
             for matcher in matchers if pixels else ():
                 measured = summarise(*zip(*errors[room.name, region, matcher], strict=True))

@@ -1,4 +1,4 @@
-"""The judge that matters: how well views are rendered from a matcher's depth, leave-one-out on a real instant."""
+"""The validation that matters: how well views are rendered from a matcher's depth, leave-one-out on a real instant."""
 
 import math
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ import pandas as pd
 
 from benchmarks.depth_validation.figures import Figures, Measure, figures_of
 from ggvs_eval.capture import Capture
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.run.prepare import prepare
 from ggvs_eval.pipelines.run.render import render
 from ggvs_eval.pipelines.run.score import score
@@ -21,7 +21,7 @@ METHOD = "ours-geometric"
 MEASURES = (Measure("PSNR", "dB", higher_is_better=True, target=29.0), Measure("preparation_s", "s", higher_is_better=False))
 
 
-def judge_rendering(
+def evaluate_rendering(
     capture: Capture, protocol: Protocol, out: Path, matchers: Sequence[str], workers: int
 ) -> tuple[pd.DataFrame, Figures]:
     """PSNR of every test view per matcher, the target left out of everything, depth included.
@@ -45,7 +45,7 @@ def judge_rendering(
     for name in matchers:
         root = out / name.replace(":", "-").replace("/", "-")
         fresh, started = not root.exists(), perf_counter()
-        prepared = prepare(root, capture, short, workers, DepthChoice(name))
+        prepared = prepare(root, capture, short, workers, DepthRunOptions(name))
         seconds = _preparation_seconds(root, perf_counter() - started if fresh else math.nan)
         render(prepared, [METHOD], workers)
         views = score(RunFolder(root), workers).per_view("PSNR").iloc[0]

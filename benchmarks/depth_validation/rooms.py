@@ -11,12 +11,12 @@ from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.domains import VALIDATION_SEEDS
 from ggvs_eval.synthetic.film.options import DemoOptions
 
-FRAMES = 8  # of every room; no judge looks at more
+FRAMES = 8  # of every room; no evaluate looks at more
 DEMO = "demo"
 
 
 @dataclass(frozen=True, eq=False)
-class FilmedRoom:
+class RenderedRoom:
     """A room on disk and what it was made by.
 
     Attributes:
@@ -30,12 +30,12 @@ class FilmedRoom:
     capture: Capture
 
     @property
-    def judged_cameras(self) -> Sequence[Camera]:
+    def evaluated_cameras(self) -> Sequence[Camera]:
         """Every sixth camera: both rows, their middle and their ends."""
         return self.capture.cameras[::6]
 
 
-def film_rooms(out: Path, seeds: Sequence[int] = VALIDATION_SEEDS) -> list[FilmedRoom]:
+def film_rooms(out: Path, seeds: Sequence[int] = VALIDATION_SEEDS) -> list[RenderedRoom]:
     """Write the rooms that are not there yet, and open all of them.
 
     Args:
@@ -44,7 +44,7 @@ def film_rooms(out: Path, seeds: Sequence[int] = VALIDATION_SEEDS) -> list[Filme
     """
     wanted = {f"room {seed}": (out / "rooms" / f"seed{seed}", room_options(seed)) for seed in seeds}
     wanted[DEMO] = (out / "demo-capture", DemoOptions())
-    return [FilmedRoom(name, options, open_capture(write_demo(folder, options))) for name, (folder, options) in wanted.items()]
+    return [RenderedRoom(name, options, open_capture(write_demo(folder, options))) for name, (folder, options) in wanted.items()]
 
 
 def room_options(seed: int) -> DemoOptions:

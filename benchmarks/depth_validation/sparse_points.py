@@ -104,11 +104,11 @@ def score_points(depth: Map, points: SparsePoints) -> dict[str, float]:
     return {"within_2_percent": float(100 * (errors <= WITHIN).mean()), "median_error_percent": float(100 * np.median(errors))}
 
 
-def judge_sparse(capture: Capture, options: Mapping[str, DepthOptions]) -> tuple[pd.DataFrame, Figures]:
+def evaluate_sparse(capture: Capture, options: Mapping[str, DepthOptions]) -> tuple[pd.DataFrame, Figures]:
     """The first instant of every camera, each matched with partners chosen among all others.
 
     Args:
-        capture: a COLMAP capture at the size that is judged.
+        capture: a COLMAP capture at the size that is evaluated.
         options: of each matcher, by name.
 
     Returns:

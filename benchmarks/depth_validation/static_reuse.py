@@ -9,12 +9,12 @@ import pandas as pd
 
 from benchmarks.depth_validation.depth_errors import WITHIN, relative_errors
 from benchmarks.depth_validation.figures import Figures, Measure, figures_of
-from benchmarks.depth_validation.rooms import FRAMES, FilmedRoom
+from benchmarks.depth_validation.rooms import FRAMES, RenderedRoom
 from benchmarks.depth_validation.tables import Column, mean_of_rows, wide_table
 from benchmarks.depth_validation.temporal_spread import estimate_views
 from ggvs_eval.camera import Camera
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.synthetic.film.exact_depth import read_exact_depth
 
 MEASURES = (
@@ -24,7 +24,7 @@ MEASURES = (
 )
 
 
-def judge_reuse(rooms: Sequence[FilmedRoom], options: Mapping[str, DepthOptions]) -> tuple[pd.DataFrame, Figures]:
+def evaluate_reuse(rooms: Sequence[RenderedRoom], options: Mapping[str, DepthOptions]) -> tuple[pd.DataFrame, Figures]:
     """The first camera of every room over its first frames, the first of which is always computed whole.
 
     Args:
@@ -42,8 +42,8 @@ def judge_reuse(rooms: Sequence[FilmedRoom], options: Mapping[str, DepthOptions]
         truths = np.stack([read_exact_depth(room.capture.path, camera.name, frame) for frame in range(FRAMES)])
         rows[room.name] = {}
         for matcher, each in options.items():
-            whole = replace(each, time=DepthChoice(reuse_static=False).options().time)
-            reused = replace(each, time=DepthChoice(reuse_static=True).options().time)
+            whole = replace(each, time=DepthRunOptions(reuse_static=False).options().time)
+            reused = replace(each, time=DepthRunOptions(reuse_static=True).options().time)
             (seconds, good), (fewer, still_good) = (_measured(room, camera, images, truths, way) for way in (whole, reused))
             values = (100 * (1 - fewer / seconds), good, still_good)
             rows[room.name] |= {(matcher, measure.name): value for measure, value in zip(MEASURES, values, strict=True)}
@@ -52,7 +52,7 @@ def judge_reuse(rooms: Sequence[FilmedRoom], options: Mapping[str, DepthOptions]
 
 
 def _measured(
-    room: FilmedRoom, camera: Camera, images: Mapping[str, np.ndarray], truths: np.ndarray, options: DepthOptions
+    room: RenderedRoom, camera: Camera, images: Mapping[str, np.ndarray], truths: np.ndarray, options: DepthOptions
 ) -> tuple[float, float]:
     """CPU seconds for all frames, and the share of their pixels within 2 % of the exact depth, in percent."""
     start = process_time()

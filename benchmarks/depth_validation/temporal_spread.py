@@ -12,7 +12,7 @@ import pandas as pd
 
 from benchmarks.depth_validation.figures import Figures, Measure, figures_of
 from benchmarks.depth_validation.room_regions import Mask
-from benchmarks.depth_validation.rooms import DEMO, FRAMES, FilmedRoom
+from benchmarks.depth_validation.rooms import DEMO, FRAMES, RenderedRoom
 from benchmarks.depth_validation.tables import Column, mean_of_rows, wide_table
 from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera
@@ -35,7 +35,7 @@ MEASURES = (
 STATIC = "static_percent"
 
 
-def judge_temporal(rooms: Sequence[FilmedRoom], options: Mapping[str, DepthOptions]) -> tuple[pd.DataFrame, Figures]:
+def evaluate_temporal(rooms: Sequence[RenderedRoom], options: Mapping[str, DepthOptions]) -> tuple[pd.DataFrame, Figures]:
     """The first camera of every room over some frames.
 
     Args:
@@ -65,7 +65,7 @@ def judge_temporal(rooms: Sequence[FilmedRoom], options: Mapping[str, DepthOptio
     return table, figures
 
 
-def estimate_views(room: FilmedRoom, camera: Camera, images: Mapping[str, Image8], options: DepthOptions) -> list[SourceView]:
+def estimate_views(room: RenderedRoom, camera: Camera, images: Mapping[str, Image8], options: DepthOptions) -> list[SourceView]:
     """What the online half is shown of one camera, frame by frame.
 
     Args:
@@ -112,15 +112,15 @@ def temporal_spread(depths: Map, static: Mask) -> float:
     """
     if len(depths) < 2 or depths.shape[1:] != static.shape:
         raise DepthError(f"temporal spread: wanted two or more maps of {static.shape}, got {depths.shape}; give more frames")
-    judged = static & (depths > 0).all(axis=0)
-    if not judged.any():
+    evaluated = static & (depths > 0).all(axis=0)
+    if not evaluated.any():
         raise DepthError("temporal spread: wanted static pixels with depth at all instants, got none; choose another camera")
-    values = depths[:, judged].astype(np.float64)  # (T, N)
+    values = depths[:, evaluated].astype(np.float64)  # (T, N)
     return float(np.median(values.std(axis=0, ddof=1) / values.mean(axis=0)))
 
 
-def film_static(room: FilmedRoom, camera: Camera) -> Mask:
-    """Where nothing changes while the first frames are filmed, (H, W): seen without gain and noise."""
+def film_static(room: RenderedRoom, camera: Camera) -> Mask:
+    """Where nothing changes while the first frames are rendered, (H, W): seen without gain and noise."""
     shot = next(shot for shot in rig_shots(room.options) if shot.camera.name == camera.name)
     noise_free = replace(shot, sensor=None, instants=shot.instants[:FRAMES])
     frames = list(track(Footage(room.options, noise_free, _lit(room)).frames(), f"{room.name} without noise", FRAMES))
@@ -138,6 +138,6 @@ def find_static(images: Image8, depths: Map) -> Mask:
     return same
 
 
-def _lit(room: FilmedRoom) -> Callable[[int], Instant]:
+def _lit(room: RenderedRoom) -> Callable[[int], Instant]:
     seed, fps = room.options.seed, room.options.fps
     return lambda index: lit_room(seed).at(index / fps)

@@ -11,7 +11,7 @@ from ggvs_eval.datasets.units import Units
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.video import VideoFrames
 
-# Image folders do not say their rate; every capture published in this layout was filmed at this one.
+# Image folders do not say their rate; every capture published in this layout was recorded at this one.
 FOLDER_FPS = 30.0
 
 

@@ -40,7 +40,7 @@ def read_tensors(path: Path, *keys: str, of: str = "a network") -> dict[str, Ten
     return {name.removeprefix(PARALLEL_PREFIX): tensor for name, tensor in found.items()}
 
 
-def pour_strictly(tensors: Mapping[str, Tensor], network: nn.Module, path: Path, of: str) -> None:
+def load_strict(tensors: Mapping[str, Tensor], network: nn.Module, path: Path, of: str) -> None:
     """Give a network tensors that are its own by name and shape, every one of them.
 
     Args:

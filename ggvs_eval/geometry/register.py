@@ -12,7 +12,7 @@ from ggvs_eval.geometry.per_pixel import evenly_spaced
 from ggvs_eval.geometry.pinhole import as_image, pinhole
 from ggvs_eval.geometry.splat import Splat
 from ggvs_eval.geometry.warp import CapturedView, captured_fields
-from ggvs_eval.kernels import LEVELS, get_level, get_threads
+from ggvs_eval.kernels import SIMD_LEVELS, get_simd_level, get_threads
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,5 +72,5 @@ def register_views(
         for view, splat in zip(views, splats, strict=True)
     ]
     depth = as_image(target_depth, target, "target depth", RenderError)
-    level = LEVELS.index(get_level())
+    level = SIMD_LEVELS.index(get_simd_level())
     return Registered(*_core.register_views(pinhole(target), depth, fields, tolerance, faint, get_threads(), level))

@@ -10,7 +10,7 @@ from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.pinhole import as_image, pinhole, rigid_between
-from ggvs_eval.kernels import LEVELS, get_level, get_threads
+from ggvs_eval.kernels import SIMD_LEVELS, get_simd_level, get_threads
 
 MAX_FEATURES = 4
 COVERED_ALPHA = 0.5  # from this coverage on a splatted view shows something
@@ -99,7 +99,7 @@ def splat(
         )
         for source in sources
     ]
-    level = LEVELS.index(get_level())
+    level = SIMD_LEVELS.index(get_simd_level())
     return Splat(*_core.splat(views, pinhole(target), near, scale, channels, normalised, get_threads(), level))
 
 

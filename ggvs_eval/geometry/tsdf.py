@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import DepthError
 from ggvs_eval.geometry.pinhole import Pinhole, as_image, pinhole, rigid_between
-from ggvs_eval.kernels import LEVELS, get_level, get_threads
+from ggvs_eval.kernels import SIMD_LEVELS, get_simd_level, get_threads
 
 MAX_VIEWS = 32
 
@@ -90,7 +90,7 @@ def fusion_weights(depth: NDArray[np.float32], tau: float, depth_noise: float) -
     if depth.ndim != 2:
         raise DepthError(f"fusion weights: wanted a depth image (H, W), got {depth.shape}")
     image = np.ascontiguousarray(depth, dtype=np.float32)
-    return _core.fusion_weights(image, tau, depth_noise, get_threads(), LEVELS.index(get_level()))
+    return _core.fusion_weights(image, tau, depth_noise, get_threads(), SIMD_LEVELS.index(get_simd_level()))
 
 
 def ray_march(
@@ -132,7 +132,7 @@ def ray_march(
     if previous is not None:
         gain = as_image(previous.gain, target, "gain", DepthError)
         fields.append(_field(target, previous.camera, previous.depth, previous.accumulated_weight, gain, previous.limit))
-    settings = (tau, step_fraction, min_step, bisections, skip_empty, get_threads(), LEVELS.index(get_level()))
+    settings = (tau, step_fraction, min_step, bisections, skip_empty, get_threads(), SIMD_LEVELS.index(get_simd_level()))
     return RayMarch(*_core.ray_march(pinhole(target), (target.near, target.far), fields, *settings))
 
 

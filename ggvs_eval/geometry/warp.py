@@ -11,7 +11,7 @@ from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.pinhole import as_image, pinhole, rigid_between
-from ggvs_eval.kernels import LEVELS, get_level, get_threads
+from ggvs_eval.kernels import SIMD_LEVELS, get_simd_level, get_threads
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +127,7 @@ def look_up(
     ]
     depth = as_image(target_depth, target, "target depth", RenderError)
     under = as_image(background, target, "background", RenderError)
-    level = LEVELS.index(get_level())
+    level = SIMD_LEVELS.index(get_simd_level())
     return _core.look_up(pinhole(target), depth, fields, under, tolerance, get_threads(), level)
 
 

@@ -140,7 +140,7 @@ def attempt_jobs(jobs: Sequence[Job], workers: Workers, description: str, ledger
     work = partial(_run_one, code=code_digest(*ALL_CODE) if engine.scheduler else None)
     failures = []
     for index, outcome in track(engine.run(work, open_jobs), description, len(open_jobs)):
-        failure = _judge(open_jobs[index], outcome)
+        failure = _evaluate(open_jobs[index], outcome)
         if ledger:
             ledger.note(open_jobs[index].entry, failure)
         failures += [failure] if failure else []
@@ -179,7 +179,7 @@ def _run_one(job: Job, code: str | None) -> Failure | None:
     return None
 
 
-def _judge(job: Job, outcome: Failure | LostJob | None) -> Failure | None:
+def _evaluate(job: Job, outcome: Failure | LostJob | None) -> Failure | None:
     """Why a job failed, whoever noticed it; None where its result is here."""
     if isinstance(outcome, LostJob):
         return Failure(job.name, outcome.reason)

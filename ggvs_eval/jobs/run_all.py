@@ -14,7 +14,7 @@ from ggvs_eval.progress import track
 Item = TypeVar("Item")
 
 
-def do_all(work: Callable[[Item], None], items: Sequence[Item], workers: Workers, description: str) -> None:
+def run_all(work: Callable[[Item], None], items: Sequence[Item], workers: Workers, description: str) -> None:
     """Do the work for every item; the first that fails ends it, and a second call does what is missing.
 
     Args:

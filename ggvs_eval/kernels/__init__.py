@@ -8,7 +8,7 @@ processor has them: there the baseline rounds differently. The environment varia
 
 import os
 
-LEVELS = ("baseline", "avx2", "avx512")
+SIMD_LEVELS = ("baseline", "avx2", "avx512")
 
 _settings: dict[str, int] = {}
 
@@ -34,29 +34,29 @@ def get_threads() -> int:
     return _settings["threads"]
 
 
-def set_level(name: str) -> None:
-    """Use one instruction set of `LEVELS` from now on; meant for tests and for comparing machines.
+def set_simd_level(name: str) -> None:
+    """Use one instruction set of `SIMD_LEVELS` from now on; meant for tests and for comparing machines.
 
     Raises:
         ValueError: unknown name, or this processor lacks it.
     """
     if name not in available_levels():
         raise ValueError(f"instruction set: wanted one of {', '.join(available_levels())} on this processor, got {name!r}")
-    _settings["level"] = LEVELS.index(name)
+    _settings["level"] = SIMD_LEVELS.index(name)
 
 
-def get_level() -> str:
+def get_simd_level() -> str:
     """The instruction set in use: as set, else ``GGVS_EVAL_SIMD``, else the best one of this processor."""
     if "level" not in _settings:
-        set_level(os.environ.get("GGVS_EVAL_SIMD") or available_levels()[-1])
-    return LEVELS[_settings["level"]]
+        set_simd_level(os.environ.get("GGVS_EVAL_SIMD") or available_levels()[-1])
+    return SIMD_LEVELS[_settings["level"]]
 
 
 def available_levels() -> tuple[str, ...]:
     """The instruction sets this processor runs, slowest first."""
     from ggvs_eval.kernels import _core
 
-    return LEVELS[: _core.best_level() + 1]
+    return SIMD_LEVELS[: _core.best_level() + 1]
 
 
 def _usable_cpus() -> int:

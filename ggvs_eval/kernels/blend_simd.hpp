@@ -83,7 +83,7 @@ GGVS_INLINE Colour colour_near_border(const LookUpView& view, const Taps& x, con
 }
 
 // The same where no pixel is repeated: four side by side are twelve bytes, three reads.
-GGVS_INLINE Colour colour_inside(const LookUpView& view, const Taps& x, const Taps& y) {
+GGVS_INLINE Colour colour_diagnostics(const LookUpView& view, const Taps& x, const Taps& y) {
     const I low_byte = all(int32_t(255)), low_half = all(int32_t(0xffff)), low_three = all(int32_t(0xffffff));
     Colour sum{all(0.0f), all(0.0f), all(0.0f)};
     for (int n = 0; n < 4; ++n) {
@@ -103,7 +103,7 @@ GGVS_INLINE Colour colour_at(const LookUpView& view, F u, F v) {
     const Taps x = cubic_taps(u, view.camera.width), y = cubic_taps(v, view.camera.height);
     const F three = all(3.0f), zero = all(0.0f), most = all(255.0f);
     M repeated = either(less(to_float(x.at[3] - x.at[0]), three), less(to_float(y.at[3] - y.at[0]), three));
-    const Colour sum = any(repeated) ? colour_near_border(view, x, y) : colour_inside(view, x, y);
+    const Colour sum = any(repeated) ? colour_near_border(view, x, y) : colour_diagnostics(view, x, y);
     return {min(max(sum.red, zero), most), min(max(sum.green, zero), most), min(max(sum.blue, zero), most)};
 }
 

@@ -20,7 +20,7 @@ from ggvs_eval.errors import RenderError
 
 SUFFIXES = (".zip", ".tar.gz", ".tgz", ".tar")
 CHUNK_BYTES = 1 << 20
-# A tar header may announce a name of any length, which is read at once.
+# A tar header may print_plan a name of any length, which is read at once.
 LARGEST_READ = 16 << 20
 ERRORS = (zipfile.BadZipFile, tarfile.TarError, zlib.error, OSError, EOFError, NotImplementedError, RuntimeError, ValueError)
 SAFE_CODINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)

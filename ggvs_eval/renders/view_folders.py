@@ -27,7 +27,7 @@ def files(path: Path, wanted: Wanted) -> list[Path]:
 def find(path: Path, wanted: Wanted, is_temporary: bool) -> Found:
     """The views' pictures by frame number."""
     views: dict[str, RenderedView] = {}
-    extras, notes = list(_strangers(path, wanted)), []
+    extras, notes = list(_unexpected_files(path, wanted)), []
     for view in wanted.views:
         pictures = list_images(path / view)
         if not pictures:
@@ -39,7 +39,7 @@ def find(path: Path, wanted: Wanted, is_temporary: bool) -> Found:
     return Found(views, tuple(extras), tuple(notes))
 
 
-def _strangers(path: Path, wanted: Wanted) -> Iterable[str]:
+def _unexpected_files(path: Path, wanted: Wanted) -> Iterable[str]:
     """Pictures and folders of pictures that belong to no view."""
     yield from (file.name for file in list_images(path))
     for folder in sorted(path.iterdir()):

@@ -34,7 +34,7 @@ def find_videos(path: Path, wanted: Wanted, is_temporary: bool) -> Found:
     by_view = _one_each(path, VIDEO_SUFFIXES, wanted)
     streams = {view: (file.name, VideoFrames(file)) for view, file in by_view.items()}
     counted = {view: (name, video, video.n_frames) for view, (name, video) in streams.items()}
-    return _found(counted, _strangers(path, VIDEO_SUFFIXES, wanted), VIDEO_NOTE, wanted)
+    return _found(counted, _unexpected_files(path, VIDEO_SUFFIXES, wanted), VIDEO_NOTE, wanted)
 
 
 def refuse_arrays(path: Path, wanted: Wanted) -> str | None:
@@ -56,18 +56,18 @@ def find_arrays(path: Path, wanted: Wanted, is_temporary: bool) -> Found:
         members = npz_members(path)
         _refuse_twice(path, members)
         stacks = {view: ArrayStack(path, view) for view in wanted.views if view in members}
-        strangers = [f"{path.name}[{member}]" for member in members if member not in wanted.views]
+        unexpected = [f"{path.name}[{member}]" for member in members if member not in wanted.views]
     else:
         stacks = {view: _stack(file) for view, file in _one_each(path, ARRAY_SUFFIXES, wanted).items()}
-        strangers = list(_strangers(path, ARRAY_SUFFIXES, wanted))
+        unexpected = list(_unexpected_files(path, ARRAY_SUFFIXES, wanted))
     counted = {view: (stack.name, stack, stack.n_frames) for view, stack in stacks.items()}
-    return _found(counted, strangers, ARRAY_NOTE, wanted)
+    return _found(counted, unexpected, ARRAY_NOTE, wanted)
 
 
-def _found(counted: Mapping[str, tuple[str, FrameStream, int]], strangers: Iterable[str], note: str, wanted: Wanted) -> Found:
+def _found(counted: Mapping[str, tuple[str, FrameStream, int]], unexpected: Iterable[str], note: str, wanted: Wanted) -> Found:
     """Streams with their frames numbered."""
     views: dict[str, RenderedView] = {}
-    extras, notes = list(strangers), []
+    extras, notes = list(unexpected), []
     for view, (name, stream, count) in counted.items():
         numbered = number_stream(count, wanted.frames, wanted.n_frames, name)
         views[view] = StreamView(stream, numbered.frames, note)
@@ -113,7 +113,7 @@ def _of_views(path: Path, suffixes: tuple[str, ...], wanted: Wanted) -> list[Pat
     return [file for file in _all(path, suffixes) if file.stem in wanted.views]
 
 
-def _strangers(path: Path, suffixes: tuple[str, ...], wanted: Wanted) -> list[str]:
+def _unexpected_files(path: Path, suffixes: tuple[str, ...], wanted: Wanted) -> list[str]:
     return [file.name for file in _all(path, suffixes) if file.stem not in wanted.views]
 
 

@@ -1,4 +1,4 @@
-"""The demo capture: the procedural room filmed by the rig, in the layout of any data set, with exact depth."""
+"""The demo capture: the procedural room rendered by the rig, in the layout of any data set, with exact depth."""
 
 import json
 import os

@@ -115,7 +115,7 @@ def find_domain(name: str) -> Domain:
 
 
 def domain_options(name: str, seed: int, width: int | None = None, height: int | None = None) -> DemoOptions:
-    """How a capture of a domain is filmed.
+    """How a capture of a domain is rendered.
 
     Args:
         name: of the domain.

@@ -7,15 +7,15 @@ from typing import Annotated
 
 import tyro
 
-from ggvs_eval.capture import Capture, Retake
+from ggvs_eval.capture import Capture, CaptureEdit
 from ggvs_eval.datasets import DATASETS, open_capture
-from ggvs_eval.datasets.held_still import retake
+from ggvs_eval.datasets.capture_edit import perturb_capture
 from ggvs_eval.datasets.units import GivenUnits
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.pipelines.offline.calibration.calibrate import CalibrationOptions
 from ggvs_eval.pipelines.offline.calibration.undistort import UndistortOptions
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.synthetic.film.options import DemoOptions
 
 Folder = Annotated[Path, tyro.conf.Positional]
@@ -65,7 +65,7 @@ class ReadingOptions(CaptureOptions):
     def open(self, path: Path) -> Capture:
         """Open a capture and tell what was left out of it and what was done to it."""
         capture = open_capture(path, self.layout, units=self.given_units(), drop_unsynced=not self.keep_unsynced)
-        capture = retake(capture, Retake(self.hold_frames, self.hold_frame, self.sensor_noise, self.noise_seed))
+        capture = perturb_capture(capture, CaptureEdit(self.hold_frames, self.hold_frame, self.sensor_noise, self.noise_seed))
         for note in capture.notes:
             print(f"{path}: {note}", file=sys.stderr)
         return capture
@@ -76,8 +76,8 @@ AS_TAKEN = CaptureOptions()
 Reading = tyro.conf.OmitArgPrefixes[ReadingOptions]
 BY_DEFAULT = ReadingOptions()
 Calibrating = tyro.conf.OmitArgPrefixes[CalibrationOptions]
-Finding = tyro.conf.OmitArgPrefixes[DepthChoice]
-FOUND_BY_DEFAULT = DepthChoice()
+Finding = tyro.conf.OmitArgPrefixes[DepthRunOptions]
+FOUND_BY_DEFAULT = DepthRunOptions()
 
 
 def demo(

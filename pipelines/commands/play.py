@@ -9,7 +9,7 @@ from ggvs_eval.geometry.source_views import SourceChoice
 from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.pipelines.commands.captures import BY_DEFAULT, FOUND_BY_DEFAULT, Finding, Reading
 from ggvs_eval.pipelines.commands.runs import Device
-from ggvs_eval.pipelines.methods.network_choice import found_device
+from ggvs_eval.pipelines.methods.network_options import found_device
 from ggvs_eval.pipelines.methods.registry import METHODS
 from ggvs_eval.pipelines.play.synthesizer import DEFAULT_METHOD, online_method
 
@@ -44,7 +44,7 @@ def play(
         jobs: processes that prepare a capture; synthesis takes one instant after the other.
     """
     from ggvs_eval.pipelines.play.play import record, require_writable
-    from ggvs_eval.pipelines.play.playback import PlayOptions, reel_of_capture, reel_of_run
+    from ggvs_eval.pipelines.play.playback import PlayOptions, playback_of_capture, playback_of_run
     from ggvs_eval.pipelines.run.evaluate import reopen
 
     device = found_device(device)
@@ -52,10 +52,10 @@ def play(
     require_writable(out)
     wanted = PlayOptions(k, frames, width, sources)
     if (source / "protocol.toml").is_file():
-        reel = reel_of_run(reopen(source, jobs), wanted)
+        playback = playback_of_run(reopen(source, jobs), wanted)
     else:
         cache = out.with_name(f"{out.stem}-cache")
-        reel = reel_of_capture(reading.open(source), wanted, depth.options(), cache, jobs)
-    timing = record(reel, out, method, device)
-    size = "{} x {}".format(*reel.poses[0].size)
-    print(f"{out}: {len(reel.poses)} frames of {size} by {method}, K = {reel.k}", timing.table(), sep="\n")
+        playback = playback_of_capture(reading.open(source), wanted, depth.options(), cache, jobs)
+    timing = record(playback, out, method, device)
+    size = "{} x {}".format(*playback.poses[0].size)
+    print(f"{out}: {len(playback.poses)} frames of {size} by {method}, K = {playback.k}", timing.table(), sep="\n")

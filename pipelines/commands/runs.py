@@ -11,11 +11,11 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.errors import ProtocolError, WeightsError
 from ggvs_eval.jobs.engine import Engine
 from ggvs_eval.jobs.ledger import Failure
-from ggvs_eval.pipelines.commands.announce import announce
 from ggvs_eval.pipelines.commands.captures import BY_DEFAULT, FOUND_BY_DEFAULT, Finding, Folder, Reading, ReadingOptions
-from ggvs_eval.pipelines.methods.network_choice import NetworkChoice, found_device
+from ggvs_eval.pipelines.commands.print_plan import print_plan
+from ggvs_eval.pipelines.methods.network_options import NetworkOptions, found_device
 from ggvs_eval.pipelines.methods.registry import METHODS, usual_methods
-from ggvs_eval.pipelines.planning.run_request import Wish
+from ggvs_eval.pipelines.planning.run_request import RunRequest
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.synthetic.film.options import DemoOptions
 
@@ -56,7 +56,7 @@ def prepare(
 
     root, opened = engine.place(run), reading.open(engine.place(capture))
     chosen = _protocol(protocol, opened)
-    announce([Wish(root, opened, chosen, (), depth)], engine.jobs, root, dry_run)
+    print_plan([RunRequest(root, opened, chosen, (), depth)], engine.jobs, root, dry_run)
     if dry_run:
         return
     prepared = write(root, opened, chosen, engine, depth)
@@ -104,7 +104,7 @@ def run(
 
     Args:
         run: run folder to make or to go on with.
-        capture: folder of the capture; without one the demo rooms are filmed and evaluated, each beside the run folder: the
+        capture: folder of the capture; without one the demo rooms are rendered and evaluated, each beside the run folder: the
             main one, also over K, and small ones in the layouts of ENeRF-Outdoor and D3DMV. One page shows them all. With
             --protocol the main one alone.
         protocol: a .toml file or a packaged name; by default the packaged one that fits the capture.
@@ -114,28 +114,28 @@ def run(
         reading: how the capture is read.
         depth: how depth is found.
         engine: where jobs run.
-        dry_run: only tell how much there is to do, what it needs and how long it takes; nothing is filmed for it.
+        dry_run: only tell how much there is to do, what it needs and how long it takes; nothing is rendered for it.
     """
     from ggvs_eval.pipelines.run.evaluate import evaluate
-    from ggvs_eval.pipelines.sweep.demo_requests import demo_wishes
+    from ggvs_eval.pipelines.sweep.demo_requests import demo_requests
     from ggvs_eval.pipelines.sweep.demo_runs import evaluate_demos, room_labels
 
     root, networks = engine.place(run), _networks(weights, device)
     if capture is None and protocol is None:
         labels = room_labels(methods, USUAL_METHODS)
         if dry_run:
-            for wishes in demo_wishes(root, labels, reading.open, depth, networks):
-                announce(wishes, engine.jobs, _home(wishes), dry_run)
+            for requests in demo_requests(root, labels, reading.open, depth, networks):
+                print_plan(requests, engine.jobs, _home(requests), dry_run)
             return
 
-        def tell(wishes: Sequence[Wish]) -> None:
-            announce(wishes, engine.jobs, _home(wishes))
+        def tell(requests: Sequence[RunRequest]) -> None:
+            print_plan(requests, engine.jobs, _home(requests))
 
         print(evaluate_demos(root, labels, engine, reading.open, depth, networks, tell=tell))
         return
     opened = reading.open(engine.place(capture)) if capture else _demo_beside(root, engine.jobs, reading, dry_run)
     chosen = _protocol(protocol, opened)
-    announce([Wish(root, opened, chosen, methods, depth, networks)], engine.jobs, root, dry_run)
+    print_plan([RunRequest(root, opened, chosen, methods, depth, networks)], engine.jobs, root, dry_run)
     if dry_run:
         return
     print(evaluate(root, opened, chosen, methods, engine, depth, networks))
@@ -174,7 +174,7 @@ def sweep(
         dry_run: only tell how much there is to do, what it needs and how long it takes.
     """
     from ggvs_eval.jobs.shard import Shard
-    from ggvs_eval.pipelines.sweep.cells import wishes_of
+    from ggvs_eval.pipelines.sweep.cells import run_requests
     from ggvs_eval.pipelines.sweep.plan import flags, plan_sweep
     from ggvs_eval.pipelines.sweep.run_sweep import run_sweep, run_sweeps
     from ggvs_eval.sweep import load_sweep
@@ -195,9 +195,9 @@ def sweep(
         command = ["ggvs-eval", "sweep", name, str(out), "--capture", *map(str, paths), *chosen, *options]
         print(plan_sweep(plan, engine.place(out), starts, wanted, networks, command))
         return
-    wishes = wishes_of(engine.place(out), starts, wanted, depth, networks, part)
-    if wishes:
-        announce(wishes, engine.jobs, engine.place(out), dry_run)
+    requests = run_requests(engine.place(out), starts, wanted, depth, networks, part)
+    if requests:
+        print_plan(requests, engine.jobs, engine.place(out), dry_run)
     if dry_run:
         return
     if len(starts) > 1:
@@ -231,9 +231,9 @@ def _end_with(failures: tuple[Failure, ...]) -> None:
         sys.exit(f"ggvs-eval: {len(failures)} failed, listed above; the rest is done, the same call tries only these again")
 
 
-def _networks(weights: tuple[str, ...], device: str) -> NetworkChoice:
+def _networks(weights: tuple[str, ...], device: str) -> NetworkOptions:
     """METHOD=FILE, as often as wanted, and a device that is there."""
-    return NetworkChoice(_checkpoints(weights), found_device(device))
+    return NetworkOptions(_checkpoints(weights), found_device(device))
 
 
 def _checkpoints(weights: tuple[str, ...]) -> dict[str, Path]:
@@ -248,8 +248,8 @@ def _checkpoints(weights: tuple[str, ...]) -> dict[str, Path]:
 
 
 def _demo_beside(run: Path, jobs: int, reading: ReadingOptions, dry_run: bool) -> Capture:
-    """The demo beside a run folder, which is filmed where it is not there; a dry run films nothing."""
-    from ggvs_eval.pipelines.planning.unfilmed import demo_to_plan
+    """The demo beside a run folder, which is rendered where it is not there; a dry run films nothing."""
+    from ggvs_eval.pipelines.planning.demo_plan import demo_to_plan
     from ggvs_eval.pipelines.sweep.demo_runs import capture_beside
     from ggvs_eval.synthetic.demo import write_demo
 
@@ -259,9 +259,9 @@ def _demo_beside(run: Path, jobs: int, reading: ReadingOptions, dry_run: bool) -
     return reading.open(write_demo(folder, DemoOptions(), jobs))
 
 
-def _home(wishes: Sequence[Wish]) -> Path:
+def _home(requests: Sequence[RunRequest]) -> Path:
     """The folder of one run, or of the sweep that several belong to."""
-    return wishes[0].root if len(wishes) == 1 else wishes[0].root.parent
+    return requests[0].root if len(requests) == 1 else requests[0].root.parent
 
 
 def _protocol(source: str | None, capture: Capture) -> Protocol:

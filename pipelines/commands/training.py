@@ -20,7 +20,7 @@ def train(
     """Train a network of this package; a second call goes on where the first one stopped.
 
     Args:
-        what: stereo: the compact RAFT-Stereo, on scenes made on the fly. blend: the blending network, on rooms that are filmed,
+        what: stereo: the compact RAFT-Stereo, on scenes made on the fly. blend: the blending network, on rooms that are rendered,
             and whose depth is estimated, before the first step (blend-samples beside the folder). fwd, gps-gaussian, ibrnet,
             enerf: a baseline, on the same rooms, captures, targets and sources. all: blend with all, no and naive guidance and
             the baselines, side by side, each into a folder of its own in the folder.

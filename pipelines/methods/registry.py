@@ -11,7 +11,7 @@ from typing import Any
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.toml_tables import build_table
 from ggvs_eval.pipelines.methods.baselines import BASELINES
-from ggvs_eval.pipelines.methods.network_choice import AS_SHIPPED, NetworkChoice
+from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
 from ggvs_eval.pipelines.methods.ours import OURS
 from ggvs_eval.pipelines.methods.spec import MethodSpec
 
@@ -27,7 +27,7 @@ def usual_methods() -> tuple[str, ...]:
     return tuple(label for label, spec in METHODS.items() if spec.usual)
 
 
-def find_method(label: str, networks: NetworkChoice = AS_SHIPPED) -> MethodSpec:
+def find_method(label: str, networks: NetworkOptions = AS_SHIPPED) -> MethodSpec:
     """The method of that label; ``METHOD+OPTION=VALUE+...`` is one with other `OnlineOptions`.
 
     Args:

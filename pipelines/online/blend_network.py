@@ -18,7 +18,7 @@ SURE = 0.02  # the background's weight starts between this and 1 - this
 
 
 @dataclass(frozen=True)
-class BlendConfig:
+class BlendNetworkOptions:
     """Shape of a blending network.
 
     Attributes:
@@ -55,7 +55,7 @@ class BlendConfig:
 class BlendNetwork(nn.Module):
     """The U-Net between the input channels and the outputs that `read_outputs` understands, and the refiner behind them."""
 
-    def __init__(self, config: BlendConfig) -> None:
+    def __init__(self, config: BlendNetworkOptions) -> None:
         super().__init__()
         self.config = config
         self.register_buffer("scale", torch.tensor(config.scale))  # lies in the weights file: no shape tells it

@@ -8,9 +8,9 @@ from pathlib import Path
 import torch
 
 from ggvs_eval.errors import WeightsError
-from ggvs_eval.files.weights_file import pour_strictly, read_tensors, require_shapes
+from ggvs_eval.files.weights_file import load_strict, read_tensors, require_shapes
 from ggvs_eval.pipelines.online.blend_maps import Guidance
-from ggvs_eval.pipelines.online.blend_network import BEYOND_VIEWS, BlendConfig, BlendNetwork
+from ggvs_eval.pipelines.online.blend_network import BEYOND_VIEWS, BlendNetwork, BlendNetworkOptions
 from ggvs_eval.pipelines.online.network_inputs import channel_count
 from ggvs_eval.pipelines.online.refiner import EVIDENCE
 
@@ -55,14 +55,14 @@ def load_blend_network(path: Path, device: torch.device = CPU) -> BlendNetwork:
     """
     tensors = read_tensors(path, of=NETWORK)
     network = BlendNetwork(_configuration(tensors, path))
-    pour_strictly(tensors, network, path, NETWORK)
+    load_strict(tensors, network, path, NETWORK)
     if device.type != "cpu":
         return network.eval().to(device)
     # Channels that lie side by side are convolved twice as fast.
     return network.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
 
-def _configuration(tensors: Mapping[str, torch.Tensor], path: Path) -> BlendConfig:
+def _configuration(tensors: Mapping[str, torch.Tensor], path: Path) -> BlendNetworkOptions:
     """The configuration whose parameters these are: by names, shapes and the scale that is kept among them."""
     shapes = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
     first, last = shapes.get("unet.down.0.0.weight", ()), shapes.get("unet.last.weight", ())
@@ -73,7 +73,7 @@ def _configuration(tensors: Mapping[str, torch.Tensor], path: Path) -> BlendConf
     features = looks[1] - EVIDENCE if len(looks) == 4 else 0
     views = last[0] - BEYOND_VIEWS - features
     for guidance in SUFFIXES:
-        config = BlendConfig(views, guidance, first[0], scale, features)
+        config = BlendNetworkOptions(views, guidance, first[0], scale, features)
         if views > 0 and config.inputs == first[1]:
             with torch.device("meta"):  # a wrong file may ask for any width
                 network = BlendNetwork(config)

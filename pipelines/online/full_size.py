@@ -9,7 +9,7 @@ import numpy as np
 from torch import nn
 
 from ggvs_eval.arrays import Map
-from ggvs_eval.kernels import LEVELS, get_level, get_threads
+from ggvs_eval.kernels import SIMD_LEVELS, get_simd_level, get_threads
 from ggvs_eval.pipelines.online.blend_maps import BlendMaps
 from ggvs_eval.pipelines.online.blend_network import BEYOND_VIEWS, SURE
 from ggvs_eval.pipelines.online.refiner import Refiner
@@ -49,7 +49,7 @@ def composed(maps: BlendMaps, unseen: Map, background: Map, small: Map, scale: i
     from ggvs_eval.kernels import _core
 
     views = np.ascontiguousarray(maps.colours, np.float32), np.ascontiguousarray(maps.coverage, np.float32)
-    level = LEVELS.index(get_level())
+    level = SIMD_LEVELS.index(get_simd_level())
     return Composed(*_core.compose(*views, unseen, background, small, scale, SURE, get_threads(), level))
 
 
@@ -71,7 +71,7 @@ def refined(refiner: Refiner, picture: Composed, depth: Map | None, small: Map, 
     np.log(depth, out=logarithm, where=depth > 0)
     layers = [_packed(layer) for layer in (*refiner.looks, refiner.taps)]
     evidence = picture.picture, picture.spread, picture.shown, depth, logarithm
-    return _core.refine(*evidence, small, scale, views + BEYOND_VIEWS, layers, get_threads(), LEVELS.index(get_level()))
+    return _core.refine(*evidence, small, scale, views + BEYOND_VIEWS, layers, get_threads(), SIMD_LEVELS.index(get_simd_level()))
 
 
 def _packed(layer: nn.Module) -> tuple[Map, Map, int]:

@@ -17,10 +17,10 @@ from ggvs_eval.geometry.tsdf import DepthView, PreviousDepth, RayMarch, fusion_w
 from ggvs_eval.kernels.side_by_side import side_by_side
 from ggvs_eval.method import Instant, Rendering
 from ggvs_eval.pipelines.online.blending import Blender, BlendingInputs
-from ggvs_eval.pipelines.online.colour_harmony import ColourHarmony
 from ggvs_eval.pipelines.online.depth_filter import FilteredDepth, TemporalDepthFilter
+from ggvs_eval.pipelines.online.diagnostics import diagnostics_maps
+from ggvs_eval.pipelines.online.exposure_compensation import ExposureCompensation
 from ggvs_eval.pipelines.online.geometric_blender import GeometricBlender
-from ggvs_eval.pipelines.online.inside import inside_maps
 from ggvs_eval.pipelines.online.printed_march import FieldReading, printed_march
 from ggvs_eval.pipelines.online.recurrent_output import RecurrentOutput, splatted_change, stillness
 from ggvs_eval.pipelines.online.remembered_background import RememberedBackground
@@ -53,7 +53,7 @@ class OnlineOptions:
         normalised_field: see `FieldReading`; the march is slow without.
         recurrent_limit: largest weight of the previous output where nothing moves, below 1, see `RecurrentOutput`; 0 for none,
             as in the paper.
-        harmonised: sources are brought to one colour before they are blended, see `ColourHarmony`; not in the paper.
+        compensated: sources are brought to one colour before they are blended, see `ExposureCompensation`; not in the paper.
         remembered: what no source sees is shown as it was seen before, see `RememberedBackground`; not in the paper.
 
     Reading:
@@ -83,7 +83,7 @@ class OnlineOptions:
     signed_distance: Literal["front", "printed"] = "front"
     normalised_field: bool = True
     recurrent_limit: float = 0.85
-    harmonised: bool = True
+    compensated: bool = True
     remembered: bool = True
 
 
@@ -116,14 +116,14 @@ class GeometryGuided:
         self._previous: _Fused | None = None
         self._output = RecurrentOutput(chosen.recurrent_limit if chosen.temporal else 0.0)
         self._background = RememberedBackground(chosen.covered_alpha) if chosen.temporal and chosen.remembered else None
-        self._harmony = ColourHarmony() if chosen.temporal else ColourHarmony(memory=1)
+        self._compensation = ExposureCompensation() if chosen.temporal else ExposureCompensation(memory=1)
 
     def step(self, instant: Instant) -> Rendering:
         """Synthesise one instant and remember its fused depth for the next."""
         marks = [perf_counter()]
         filtered = [self._filter.step(instant.index, source) for source in instant.sources]
         # Gains are looked up by a single thread; the weights need no colours.
-        instant, weights = side_by_side(partial(self._harmonised, instant, filtered), partial(self._weights, instant, filtered))
+        instant, weights = side_by_side(partial(self._compensated, instant, filtered), partial(self._weights, instant, filtered))
         marks.append(perf_counter())
         splats = self._splat(instant, filtered)
         marks.append(perf_counter())
@@ -136,11 +136,11 @@ class GeometryGuided:
             del seconds["tsdf"]
         return Rendering(image, depth, seconds, inside)
 
-    def _harmonised(self, instant: Instant, filtered: list[FilteredDepth]) -> Instant:
+    def _compensated(self, instant: Instant, filtered: list[FilteredDepth]) -> Instant:
         """The instant with its sources brought to one colour, if that is wanted."""
-        if not self.options.harmonised:
+        if not self.options.compensated:
             return instant
-        return self._harmony.step(instant, [view.depth for view in filtered], self._tau(instant))
+        return self._compensation.step(instant, [view.depth for view in filtered], self._tau(instant))
 
     def _weights(self, instant: Instant, filtered: list[FilteredDepth]) -> list[Map]:
         """How far the filtered depths are trusted (Eqs. 11-12); none where they are not fused."""
@@ -158,7 +158,7 @@ class GeometryGuided:
         known = np.zeros((instant.target.height, instant.target.width), np.float32) if depth is None else depth
         depths = [view.depth for view in filtered]
         blended = self.blender.blend(BlendingInputs(instant, depths, splats, known, self._tau(instant)))
-        inside = inside_maps(depth, splats, still, blended.weights)
+        inside = diagnostics_maps(depth, splats, still, blended.weights)
         image = blended.image
         if self._background is not None:
             image = self._background.step(instant.index, instant.target, image, known, splats, still)

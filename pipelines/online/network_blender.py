@@ -33,7 +33,7 @@ class NetworkBlender:
 
     Attributes:
         weights: file of the weights; those that ship unless given.
-        guidance: which of those that ship, see `BlendConfig`. A given file knows by itself.
+        guidance: which of those that ship, see `BlendNetworkOptions`. A given file knows by itself.
         device: where the network computes, see `compute_device`.
     """
 

@@ -33,7 +33,7 @@ def overview(maps: BlendMaps, scale: int) -> Overview:
 
     Args:
         maps: the K views.
-        scale: of the network, see `BlendConfig`.
+        scale: of the network, see `BlendNetworkOptions`.
     """
     from ggvs_eval.kernels import _core
 

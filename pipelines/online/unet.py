@@ -4,8 +4,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-LEVELS = 4
-SIZE_MULTIPLE = 2**LEVELS
+SIMD_LEVELS = 4
+SIZE_MULTIPLE = 2**SIMD_LEVELS
 LEAST_SIZE_PX = 2 * SIZE_MULTIPLE  # the coarsest level must be two cells wide, or there is nothing to reflect
 
 
@@ -24,7 +24,7 @@ class UNet(nn.Module):
 
     def __init__(self, inputs: int, outputs: int, width: int) -> None:
         super().__init__()
-        widths = [width << level for level in range(LEVELS + 1)]
+        widths = [width << level for level in range(SIMD_LEVELS + 1)]
         befores = [inputs, *widths[:-1]]
         self.down = nn.ModuleList(_block(before, after) for before, after in zip(befores, widths, strict=True))
         self.up = nn.ModuleList(_block(3 * each, each) for each in reversed(widths[:-1]))

@@ -4,7 +4,7 @@ import numpy as np
 from torch import nn
 
 from ggvs_eval.arrays import Map
-from ggvs_eval.kernels import LEVELS, get_level, get_threads
+from ggvs_eval.kernels import SIMD_LEVELS, get_simd_level, get_threads
 from ggvs_eval.pipelines.online.unet import UNet
 
 
@@ -23,7 +23,7 @@ def unet_outputs(unet: UNet, channels: Map) -> Map:
     last = np.ascontiguousarray(_array(unet.last, "weight")[:, :, 0, 0]), _array(unet.last, "bias")
     epsilon = next(module.eps for module in unet.modules() if isinstance(module, nn.GroupNorm))
     inputs = np.ascontiguousarray(channels, np.float32)
-    return _core.unet(inputs, layers, last, epsilon, get_threads(), LEVELS.index(get_level()))
+    return _core.unet(inputs, layers, last, epsilon, get_threads(), SIMD_LEVELS.index(get_simd_level()))
 
 
 def _layers(block: nn.Module) -> list[tuple[Map, Map, Map, Map]]:

@@ -13,13 +13,13 @@ from ggvs_eval.jobs.free_memory import available_bytes
 from ggvs_eval.jobs.processes import worker_pool
 from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
+from ggvs_eval.pipelines.planning.demo_plan import films
 from ggvs_eval.pipelines.planning.estimate import Pace, Portion, disk_bytes
 from ggvs_eval.pipelines.planning.probe import probe
 from ggvs_eval.pipelines.planning.rates import Rates
-from ggvs_eval.pipelines.planning.run_request import Wish
-from ggvs_eval.pipelines.planning.unfilmed import films
+from ggvs_eval.pipelines.planning.run_request import RunRequest
 from ggvs_eval.pipelines.planning.work_left import WorkLeft, plan_frames, work_left
-from ggvs_eval.pipelines.run.prepare import Prepared, claim_run, depth_choice_of
+from ggvs_eval.pipelines.run.prepare import Prepared, depth_choice_of, open_run
 from ggvs_eval.run_folder import RunFolder
 
 PROBED_FROM_PIXELS = 5e7  # depth maps and frames to render; the demo has 2e8, its small rooms 2e7 each
@@ -37,7 +37,7 @@ class RunPlan:
         probed_k: source cameras in that trial.
         jobs: processes.
         folder: where the runs go.
-        films: what has to be filmed first, a line for each capture.
+        films: what has to be rendered first, a line for each capture.
     """
 
     title: str
@@ -108,11 +108,11 @@ class RunPlan:
             )
 
 
-def plan_runs(wishes: Sequence[Wish], jobs: int, folder: Path, keep: bool = True) -> RunPlan:
+def plan_runs(requests: Sequence[RunRequest], jobs: int, folder: Path, keep: bool = True) -> RunPlan:
     """Count what runs still have to do, and try a little of it where that is worth the time.
 
     Args:
-        wishes: the runs, which lie below one folder.
+        requests: the runs, which lie below one folder.
         jobs: processes.
         folder: where all of them go.
         keep: what the trial makes goes where the runs find it; else into a folder that is thrown away.
@@ -121,52 +121,52 @@ def plan_runs(wishes: Sequence[Wish], jobs: int, folder: Path, keep: bool = True
         CaptureError: a capture lacks what its protocol asks for.
         ProtocolError: a folder belongs to another run, or its depth is found otherwise.
     """
-    trials = [(depth_choice_of(RunFolder(wish.root), wish.depth).options(), wish) for wish in wishes]
-    planned, portions = zip(*(_count(wish, options) for options, wish in trials), strict=True)
-    unfilmed = films({wish.capture.path: wish.capture for wish in wishes}.values())
-    plan = RunPlan(_title(wishes, portions), portions, None, 1, jobs, folder, unfilmed)
+    trials = [(depth_choice_of(RunFolder(request.root), request.depth).options(), request) for request in requests]
+    planned, portions = zip(*(_count(request, options) for options, request in trials), strict=True)
+    unfilmed = films({request.capture.path: request.capture for request in requests}.values())
+    plan = RunPlan(_title(requests, portions), portions, None, 1, jobs, folder, unfilmed)
     if unfilmed or sum(each.n_pixels * (each.left.n_depth + each.left.n_rendered) for each in portions) < PROBED_FROM_PIXELS:
         return plan
     plan.require_disk()
     index = max(range(len(portions)), key=lambda i: portions[i].left.n_rendered)
-    rates = _tried(wishes[index], portions[index].left, planned[index], trials[index][0], jobs, keep)
+    rates = _tried(requests[index], portions[index].left, planned[index], trials[index][0], jobs, keep)
     if keep:  # what the trial has made is done
-        portions = tuple(_count(wish, options)[1] for options, wish in trials)
+        portions = tuple(_count(request, options)[1] for options, request in trials)
     return replace(plan, rates=rates, probed_k=portions[index].k, portions=portions)
 
 
-def _count(wish: Wish, options: DepthOptions) -> tuple[Prepared, Portion]:
+def _count(request: RunRequest, options: DepthOptions) -> tuple[Prepared, Portion]:
     """The plan of a run and what is left of it."""
-    planned, truth = plan_frames(wish.root, wish.capture, wish.protocol, options, wish.shared)
-    left = work_left(planned, truth, options, wish.labels, wish.networks, wish.shared, wish.views)
+    planned, truth = plan_frames(request.root, request.capture, request.protocol, options, request.shared)
+    left = work_left(planned, truth, options, request.labels, request.networks, request.shared, request.views)
     width, height = planned.capture.cameras[0].size
-    return planned, Portion(left, width * height, wish.protocol.synthesis.k)
+    return planned, Portion(left, width * height, request.protocol.synthesis.k)
 
 
-def _tried(wish: Wish, left: WorkLeft, planned: Prepared, options: DepthOptions, jobs: int, keep: bool) -> Rates:
+def _tried(request: RunRequest, left: WorkLeft, planned: Prepared, options: DepthOptions, jobs: int, keep: bool) -> Rates:
     """The trial of what is left, in a process that has as many threads as those of the run."""
     with ExitStack() as stack:
         if keep:
-            root = wish.root
-            claim_run(planned.run, planned.protocol, planned.capture, wish.depth)
+            root = request.root
+            open_run(planned.run, planned.protocol, planned.capture, request.depth)
         else:
-            root = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix=".plan.", dir=_existing(wish.root))))
-        shared = (wish.shared or root) if keep else root
-        labels = [label for label in wish.labels if label in left.rendered] or wish.labels
-        specs = {label: find_method(label, wish.networks) for label in labels}
+            root = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix=".plan.", dir=_existing(request.root))))
+        shared = (request.shared or root) if keep else root
+        labels = [label for label in request.labels if label in left.rendered] or request.labels
+        specs = {label: find_method(label, request.networks) for label in labels}
         pool = stack.enter_context(worker_pool(jobs))
         return pool.submit(probe, replace(planned, run=RunFolder(root)), options, specs, shared, time.time()).result()
 
 
-def _title(wishes: Sequence[Wish], portions: Sequence[Portion]) -> str:
+def _title(requests: Sequence[RunRequest], portions: Sequence[Portion]) -> str:
     """What the runs are."""
-    first = wishes[0]
+    first = requests[0]
     width, height = first.protocol.synthesis.width, first.protocol.synthesis.height
     if not width:
         width, height = first.capture.cameras[0].size
     views, frames = len(first.protocol.views.test), first.protocol.frames.count
     methods = f" x {len(first.labels)} methods" if first.labels else ""
-    many = f"{len(wishes)} runs of " if len(wishes) > 1 else ""
+    many = f"{len(requests)} runs of " if len(requests) > 1 else ""
     ks = ", ".join(map(str, sorted({portion.k for portion in portions})))
     return f"{many}{views} views x {frames} frames{methods} at {width} x {height}, K = {ks}"
 

@@ -30,7 +30,7 @@ from ggvs_eval.pipelines.planning.score_trial import timed, try_scoring
 from ggvs_eval.pipelines.run.frame_cache import CachedFrames
 from ggvs_eval.pipelines.run.path_depth import write_path_depth
 from ggvs_eval.pipelines.run.prepare import Prepared, SourcePlan
-from ggvs_eval.run_folder import INSIDE, RunFolder, frame_path
+from ggvs_eval.run_folder import DIAGNOSTICS, RunFolder, frame_path
 
 INSTANTS = 2  # the first of a method or a metric pays for what is loaded and compiled once
 SLOW_S = 10.0  # a method whose first frame takes so long is not asked for another: what it loads is little of that
@@ -66,7 +66,7 @@ def probe(planned: Prepared, options: DepthOptions, specs: Mapping[str, MethodSp
             label: _try_method(capture, plan, frames, store, spec, scratch.renders(label, view)) for label, spec in specs.items()
         }
         score_setup_s, score_s, plain_score_s = try_scoring(planned, scratch, view, frames, list(specs), shared / "truth")
-        pictures = [(file.stat().st_size, INSIDE in file.parts) for file in (scratch.root / "renders").rglob("*.png")]
+        pictures = [(file.stat().st_size, DIAGNOSTICS in file.parts) for file in (scratch.root / "renders").rglob("*.png")]
     finally:
         shutil.rmtree(scratch.root, ignore_errors=True)
     truths = [file.stat().st_size for file in (shared / "truth").rglob("*.png")]

@@ -5,13 +5,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ggvs_eval.capture import Capture
-from ggvs_eval.pipelines.methods.network_choice import AS_SHIPPED, NetworkChoice
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
+from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.protocol import Protocol
 
 
 @dataclass(frozen=True)
-class Wish:
+class RunRequest:
     """One run that somebody wants.
 
     Attributes:
@@ -29,7 +29,7 @@ class Wish:
     capture: Capture
     protocol: Protocol
     labels: Sequence[str]
-    depth: DepthChoice | None = None
-    networks: NetworkChoice = field(default_factory=lambda: AS_SHIPPED)
+    depth: DepthRunOptions | None = None
+    networks: NetworkOptions = field(default_factory=lambda: AS_SHIPPED)
     shared: Path | None = None
     views: Collection[str] | None = None

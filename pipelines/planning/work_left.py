@@ -7,7 +7,7 @@ from pathlib import Path
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import ResultsError
-from ggvs_eval.pipelines.methods.network_choice import AS_SHIPPED, NetworkChoice
+from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import depth_spec
 from ggvs_eval.pipelines.run.path_depth import pose_file
@@ -98,7 +98,7 @@ def work_left(
     truth: Mapping[Path, int],
     options: DepthOptions,
     labels: Sequence[str],
-    networks: NetworkChoice = AS_SHIPPED,
+    networks: NetworkOptions = AS_SHIPPED,
     shared: Path | None = None,
     views: Collection[str] | None = None,
 ) -> WorkLeft:

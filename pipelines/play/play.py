@@ -12,7 +12,7 @@ from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import quantise
 from ggvs_eval.files.video import write_video
-from ggvs_eval.pipelines.play.playback import Reel
+from ggvs_eval.pipelines.play.playback import Playback
 from ggvs_eval.pipelines.play.synthesizer import DEFAULT_METHOD, OnlineSynthesizer
 from ggvs_eval.progress import track
 
@@ -40,11 +40,11 @@ class Timing:
         return "\n".join([*lines, rates])
 
 
-def record(reel: Reel, out: Path, method: str = DEFAULT_METHOD, device: str = "cpu") -> Timing:
-    """Synthesise every step of a reel into a video; frames and depth are read one instant at a time.
+def record(playback: Playback, out: Path, method: str = DEFAULT_METHOD, device: str = "cpu") -> Timing:
+    """Synthesise every step of a playback into a video; frames and depth are read one instant at a time.
 
     Args:
-        reel: what to play.
+        playback: what to play.
         out: MP4 file to write; it appears when it is whole.
         method: label of `ggvs_eval.pipelines.methods.registry.METHODS`.
         device: where its networks compute.
@@ -54,9 +54,11 @@ def record(reel: Reel, out: Path, method: str = DEFAULT_METHOD, device: str = "c
         RenderError: the file cannot be written, or unknown method.
     """
     require_writable(out)
-    synthesizer = OnlineSynthesizer(reel.capture.cameras, reel.k, reel.capture.units_per_metre, method, device, reel.sources)
+    synthesizer = OnlineSynthesizer(
+        playback.capture.cameras, playback.k, playback.capture.units_per_metre, method, device, playback.sources
+    )
     timing = Timing()
-    write_video(out, _views(reel, synthesizer, timing), reel.capture.fps or FPS_OF_STILLS)
+    write_video(out, _views(playback, synthesizer, timing), playback.capture.fps or FPS_OF_STILLS)
     return timing
 
 
@@ -77,14 +79,14 @@ def require_writable(out: Path) -> None:
         raise RenderError(f"{out}: cannot be written ({error.strerror}); choose a place where files can be written") from error
 
 
-def _views(reel: Reel, synthesizer: OnlineSynthesizer, timing: Timing) -> Iterator[Image8]:
+def _views(playback: Playback, synthesizer: OnlineSynthesizer, timing: Timing) -> Iterator[Image8]:
     """The video's frames, each made when it is asked for."""
-    steps = list(zip(reel.instants, reel.poses, strict=True))
+    steps = list(zip(playback.instants, playback.poses, strict=True))
     for instant, pose in track(steps, "playing"):
         begun = perf_counter()
         names = [camera.name for camera in synthesizer.sources(pose)]
-        images = {name: reel.capture.frame(name, instant) for name in names}
-        depths = {name: reel.store.read(reel.depth_keys[name], instant) for name in names}
+        images = {name: playback.capture.frame(name, instant) for name in names}
+        depths = {name: playback.store.read(playback.depth_keys[name], instant) for name in names}
         read = perf_counter()
         rendering = synthesizer.step(images, depths, pose)
         done = perf_counter()

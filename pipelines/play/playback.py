@@ -37,7 +37,7 @@ class PlayOptions:
 
 
 @dataclass(frozen=True)
-class Reel:
+class Playback:
     """All that is needed to play: where the camera goes, and frames and depth of the cameras it passes.
 
     Attributes:
@@ -59,7 +59,7 @@ class Reel:
     sources: SourceChoice = "nearest"
 
 
-def reel_of_run(prepared: Prepared, options: PlayOptions) -> Reel:
+def playback_of_run(prepared: Prepared, options: PlayOptions) -> Playback:
     """Play a run folder: its frames and the depth that its test views have made it compute, nothing new.
 
     Raises:
@@ -74,10 +74,10 @@ def reel_of_run(prepared: Prepared, options: PlayOptions) -> Reel:
     poses = camera_loop(capture.cameras, len(instants), options.width)
     k = _checked_k(capture, prepared.protocol.synthesis.k if options.k is None else options.k)
     sources = options.sources or prepared.protocol.synthesis.sources
-    return Reel(capture, poses, instants, k, DepthStore(prepared.run.depth), keys, sources)
+    return Playback(capture, poses, instants, k, DepthStore(prepared.run.depth), keys, sources)
 
 
-def reel_of_capture(capture: Capture, options: PlayOptions, depth: DepthOptions, cache: Path, workers: int = 1) -> Reel:
+def playback_of_capture(capture: Capture, options: PlayOptions, depth: DepthOptions, cache: Path, workers: int = 1) -> Playback:
     """Play a capture: decode the frames and compute the depth that the way of the camera needs, into a cache.
 
     Args:
@@ -109,7 +109,7 @@ def reel_of_capture(capture: Capture, options: PlayOptions, depth: DepthOptions,
     for block, names in blocks:
         prepare_depth(capture, [jobs[name] for name in sorted(names)], block, store, alone, workers)
     keys = {name: DepthStore.key(depth_spec(capture, job, alone)) for name, job in jobs.items()}
-    return Reel(capture, poses, instants, k, store, keys, sources)
+    return Playback(capture, poses, instants, k, store, keys, sources)
 
 
 def blocks_of(needed: Mapping[int, set[str]], most: int) -> Iterator[tuple[range, set[str]]]:

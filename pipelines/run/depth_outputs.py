@@ -32,11 +32,11 @@ def write_prepared_page(prepared: Prepared, filled_confidence: float, workers: i
     views, path = _keys(prepared.plans.values()), _keys(prepared.path)
     frames = prepared.frames
     shown = tuple(sorted({frames[0], frames[len(frames) // 2], frames[-1]}))
-    filmed = {job.camera_name for job in views}  # cameras that serve the path alone were prepared at its instant alone
+    of_views = {job.camera_name for job in views}  # cameras that serve the path alone were prepared at its instant alone
     store = DepthStore(prepared.run.depth)
     width_px = prepared.capture.cameras[0].width
     stored = [StoredDepth(job, key, shown, _registration(store, key, width_px)) for job, key in sorted(views.items())]
-    alone = {job: key for job, key in path.items() if job.camera_name not in filmed}
+    alone = {job: key for job, key in path.items() if job.camera_name not in of_views}
     stored += [
         StoredDepth(job, key, (prepared.path_frame,), _registration(store, key, width_px)) for job, key in sorted(alone.items())
     ]

@@ -9,7 +9,7 @@ from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.colour_maps import coloured, depth_colours
 from ggvs_eval.files.images import write_image
-from ggvs_eval.run_folder import inside_path
+from ggvs_eval.run_folder import diagnostics_path
 
 # Okabe and Ito's colours, which the colour-blind tell apart: one for each source view, nearest first.
 VIEW_COLOURS = np.array(
@@ -17,7 +17,7 @@ VIEW_COLOURS = np.array(
 )
 
 
-def write_inside(folder: Path, index: int, inside: Mapping[str, Map], target: Camera) -> None:
+def write_diagnostics(folder: Path, index: int, inside: Mapping[str, Map], target: Camera) -> None:
     """Write one picture per kind of map.
 
     Args:
@@ -27,7 +27,7 @@ def write_inside(folder: Path, index: int, inside: Mapping[str, Map], target: Ca
         target: camera of the image, for the scale of depth.
     """
     for name, values in inside.items():
-        write_image(inside_path(folder, name, index), _PICTURES[name](values, target))
+        write_image(diagnostics_path(folder, name, index), _PICTURES[name](values, target))
 
 
 def view_colours(weights: Map) -> Image8:

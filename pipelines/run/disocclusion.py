@@ -13,7 +13,7 @@ from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.files.images import write_image
 from ggvs_eval.geometry.splat import COVERED_ALPHA, PixelGaussians, splat
 from ggvs_eval.jobs.engine import Workers
-from ggvs_eval.jobs.run_all import do_all
+from ggvs_eval.jobs.run_all import run_all
 from ggvs_eval.run_folder import frame_path, missing_frames
 
 
@@ -35,7 +35,7 @@ def write_disocclusions(
         forward by its estimated depth (Sec. 3.1), covers it by half; errors of that depth are part of the mask.
     """
     missing = [(root / view, *plan) for view, plan in views.items() if missing_frames(root / view, frames)]
-    do_all(partial(_write, capture, frames, store), missing, workers, "what no camera sees")
+    run_all(partial(_write, capture, frames, store), missing, workers, "what no camera sees")
 
 
 def _write(capture: Capture, frames: range, store: Path, view: tuple[Path, Camera, dict[str, str]]) -> None:

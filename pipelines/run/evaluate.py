@@ -4,12 +4,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from ggvs_eval.capture import Capture, Retake
+from ggvs_eval.capture import Capture, CaptureEdit
 from ggvs_eval.datasets import open_capture
-from ggvs_eval.datasets.held_still import retake
+from ggvs_eval.datasets.capture_edit import perturb_capture
 from ggvs_eval.jobs.engine import Workers
-from ggvs_eval.pipelines.methods.network_choice import AS_SHIPPED, NetworkChoice
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
+from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.run.prepare import Prepared, prepare
 from ggvs_eval.pipelines.run.render import render
 from ggvs_eval.pipelines.run.score import score
@@ -23,8 +23,8 @@ def evaluate(
     protocol: Protocol,
     labels: Sequence[str],
     workers: Workers,
-    depth: DepthChoice | None = None,
-    networks: NetworkChoice = AS_SHIPPED,
+    depth: DepthRunOptions | None = None,
+    networks: NetworkOptions = AS_SHIPPED,
 ) -> Path:
     """Evaluate methods on a capture; a second call does only what is missing.
 
@@ -34,7 +34,7 @@ def evaluate(
         protocol: views, frames, sizes, metrics.
         labels: methods, see `ggvs_eval.pipelines.methods.registry.METHODS`.
         workers: where jobs run: so many processes, or an `Engine`.
-        depth: how depth is found, see `DepthChoice`.
+        depth: how depth is found, see `DepthRunOptions`.
         networks: with which weights and where networks compute.
 
     Returns:
@@ -50,8 +50,8 @@ def measure(
     protocol: Protocol,
     labels: Sequence[str],
     workers: Workers,
-    depth: DepthChoice | None = None,
-    networks: NetworkChoice = AS_SHIPPED,
+    depth: DepthRunOptions | None = None,
+    networks: NetworkOptions = AS_SHIPPED,
 ) -> None:
     """Everything of `evaluate` but the report."""
     prepared = prepare(root, capture, protocol, workers, depth)
@@ -70,7 +70,7 @@ def recorded_capture(run: RunFolder) -> Capture:
     record = run.capture_record()
     capture = open_capture(run.capture_path(), record["layout"], units=record["units_per_metre"], drop_unsynced=False)
     capture = capture.without([name for name in capture.camera_names if name not in record["cameras"]], "")
-    capture = retake(capture, Retake(**(record.get("retake") or {})))
+    capture = perturb_capture(capture, CaptureEdit(**(record.get("edit") or {})))
     return replace(capture, units_origin=record["units_origin"], notes=tuple(record["notes"]))
 
 

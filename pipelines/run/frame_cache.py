@@ -9,7 +9,7 @@ from ggvs_eval.arrays import Image8
 from ggvs_eval.capture import Capture, FrameSource
 from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.jobs.engine import Workers
-from ggvs_eval.jobs.run_all import do_all
+from ggvs_eval.jobs.run_all import run_all
 from ggvs_eval.run_folder import frame_path, missing_frames
 
 
@@ -58,7 +58,7 @@ def cache_frames(capture: Capture, wanted: Mapping[str, Sequence[int]], root: Pa
         name: [t for t in sorted(set(frames)) if not frame_path(root / name, t).is_file()] for name, frames in wanted.items()
     }
     missing = [(name, frames) for name, frames in absent.items() if frames]
-    do_all(partial(_write, capture, root), missing, workers, "frames per camera")
+    run_all(partial(_write, capture, root), missing, workers, "frames per camera")
     sources: list[FrameSource] = [
         CachedFrames(root / name, capture.n_frames, source.digest) if name in wanted else source
         for name, source in zip(capture.camera_names, capture.sources, strict=True)

@@ -18,7 +18,7 @@ from ggvs_eval.geometry.sight import require_sight
 from ggvs_eval.geometry.source_views import choose_sources
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import depth_spec, plan_depth, prepare_depth
 from ggvs_eval.pipelines.run.disocclusion import write_disocclusions
 from ggvs_eval.pipelines.run.frame_cache import cache_frames
@@ -73,7 +73,9 @@ class Prepared:
         return range(self.protocol.frames.start, self.protocol.frames.start + self.protocol.frames.count)
 
 
-def prepare(root: Path, capture: Capture, protocol: Protocol, workers: Workers = 1, depth: DepthChoice | None = None) -> Prepared:
+def prepare(
+    root: Path, capture: Capture, protocol: Protocol, workers: Workers = 1, depth: DepthRunOptions | None = None
+) -> Prepared:
     """Write protocol, capture record, truth frames and depth into a run folder; what is there is kept.
 
     Args:
@@ -88,7 +90,7 @@ def prepare(root: Path, capture: Capture, protocol: Protocol, workers: Workers =
         ProtocolError: the folder belongs to another protocol or capture.
     """
     capture, run = fit_capture(capture, protocol), RunFolder(root)
-    options = claim_run(run, protocol, capture, depth)
+    options = open_run(run, protocol, capture, depth)
     planned = plan(run, protocol, capture, options)
     prepared = replace(planned, capture=cache_frames(capture, wanted_frames(planned, options), run.root / "truth", workers))
     _write_path_truth(prepared)
@@ -195,12 +197,12 @@ def _camera_path(capture: Capture, protocol: Protocol) -> CameraPath:
 
 
 def _shows_its_instant(capture: Capture, known: CameraPath) -> bool:
-    """Whether the capture's own path was filmed at an instant that can be seen: not where another one is held still."""
-    retake = capture.retake
-    return retake is None or not retake.hold_frames or round(known.time_s * capture.fps) == retake.hold_frame
+    """Whether the capture's own path was rendered at an instant that can be seen: not where another one is held still."""
+    edit = capture.edit
+    return edit is None or not edit.hold_frames or round(known.time_s * capture.fps) == edit.hold_frame
 
 
-def claim_run(run: RunFolder, protocol: Protocol, capture: Capture, depth: DepthChoice | None) -> DepthOptions:
+def open_run(run: RunFolder, protocol: Protocol, capture: Capture, depth: DepthRunOptions | None) -> DepthOptions:
     """Make a folder this run's, or make sure that it already is, before anything is written into it.
 
     Args:
@@ -231,15 +233,15 @@ def _claim_folder(run: RunFolder, protocol: Protocol, capture: Capture) -> None:
     write_text(run.protocol_file, protocol.to_toml())
 
 
-def depth_choice_of(run: RunFolder, wanted: DepthChoice | None) -> DepthChoice:
+def depth_choice_of(run: RunFolder, wanted: DepthRunOptions | None) -> DepthRunOptions:
     """How this folder's depth is found, or will be; methods of one table must have been given the same.
 
     Raises:
         ProtocolError: the folder's depth is found otherwise.
     """
     if not run.depth_record.is_file():
-        return wanted or DepthChoice()
-    known = DepthChoice.from_record(read_json(run.depth_record))
+        return wanted or DepthRunOptions()
+    known = DepthRunOptions.from_record(read_json(run.depth_record))
     if wanted not in (None, known):
         raise ProtocolError(
             f"{run.root}: holds a run whose depth is found by {known.options().matcher.name} ({run.depth_record.name}), wanted "
@@ -271,7 +273,7 @@ def _capture_record(capture: Capture, root: Path) -> dict[str, Any]:
         "units_per_metre": capture.units_per_metre,
         "units_origin": capture.units_origin,
         "notes": list(capture.notes),
-        "retake": capture.retake and asdict(capture.retake),
+        "edit": capture.edit and asdict(capture.edit),
         "cameras": cameras,
         "digests": {name: capture.digest(name) for name in capture.camera_names},
     }

@@ -15,16 +15,16 @@ from ggvs_eval.jobs.job import Job, code_digest, run_jobs
 from ggvs_eval.jobs.ledger import Ledger
 from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.method import Instant, LookaheadMethod, Method, SourceView
-from ggvs_eval.pipelines.methods.network_choice import AS_SHIPPED, NetworkChoice
+from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
 from ggvs_eval.pipelines.methods.registry import find_method, split_label
 from ggvs_eval.pipelines.methods.spec import MethodSpec
-from ggvs_eval.pipelines.run.diagnostics import write_inside
+from ggvs_eval.pipelines.run.diagnostics import write_diagnostics
 from ggvs_eval.pipelines.run.prepare import Prepared, SourcePlan
 from ggvs_eval.results import installed_versions
 from ggvs_eval.run_folder import RunFolder, frame_path, read_json, write_json
 
 
-def render(prepared: Prepared, labels: Sequence[str], workers: Workers = 1, networks: NetworkChoice = AS_SHIPPED) -> int:
+def render(prepared: Prepared, labels: Sequence[str], workers: Workers = 1, networks: NetworkOptions = AS_SHIPPED) -> int:
     """Synthesise the protocol's views and the camera path by each method; what exists is not rendered again.
 
     Args:
@@ -50,7 +50,7 @@ def render(prepared: Prepared, labels: Sequence[str], workers: Workers = 1, netw
 
 
 def render_jobs(
-    prepared: Prepared, labels: Sequence[str], workers: Workers = 1, networks: NetworkChoice = AS_SHIPPED
+    prepared: Prepared, labels: Sequence[str], workers: Workers = 1, networks: NetworkOptions = AS_SHIPPED
 ) -> list[Job]:
     """What `render` runs: one job per method and test view, and one per method along the camera path.
 
@@ -174,7 +174,7 @@ def _instants(capture: Capture, plan: SourcePlan, frames: range, store: DepthSto
 def _render_frame(method: Method, instant: Instant, path: Path) -> dict[str, float]:
     rendering = method.step(instant)
     write_image(path, quantise(rendering.image))
-    write_inside(path.parent, instant.index, rendering.inside, instant.target)
+    write_diagnostics(path.parent, instant.index, rendering.inside, instant.target)
     return rendering.seconds
 
 

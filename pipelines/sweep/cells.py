@@ -7,10 +7,10 @@ from pathlib import Path
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import ProtocolError, RenderError, WeightsError
 from ggvs_eval.jobs.shard import WHOLE, Shard
-from ggvs_eval.pipelines.methods.network_choice import NetworkChoice
+from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
-from ggvs_eval.pipelines.planning.run_request import Wish
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
+from ggvs_eval.pipelines.planning.run_request import RunRequest
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import RunFolder
 from ggvs_eval.sweep import CAPTURE, Sweep, SweepRow
@@ -78,7 +78,7 @@ class Cell:
                 (run / name).symlink_to(Path("..") / name, target_is_directory=True)
 
 
-def sweep_cells(root: Path, captures: Captures, sweep: Sweep, networks: NetworkChoice) -> tuple[list[Cell], dict[str, str]]:
+def sweep_cells(root: Path, captures: Captures, sweep: Sweep, networks: NetworkOptions) -> tuple[list[Cell], dict[str, str]]:
     """The runs of a sweep, and what of it cannot be computed: title -> reason.
 
     Raises:
@@ -111,20 +111,20 @@ def share_of(cells: list[Cell], shard: Shard) -> dict[str, set[str]]:
     return share
 
 
-def wishes_of(
+def run_requests(
     root: Path,
     captures: Captures,
     sweep: Sweep,
-    depth: DepthChoice | None,
-    networks: NetworkChoice,
+    depth: DepthRunOptions | None,
+    networks: NetworkOptions,
     shard: Shard = WHOLE,
-) -> list[Wish]:
+) -> list[RunRequest]:
     """The runs of a sweep that a shard works on, as they are planned."""
     cells, _ = sweep_cells(root, captures if len(captures) > 1 else {"": next(iter(captures.values()))}, sweep, networks)
     share = share_of(cells, shard)
     taken = cells if shard.prepares_only else [cell for cell in cells if cell.name in share]
     return [
-        Wish(
+        RunRequest(
             cell.run.root,
             cell.capture,
             cell.protocol,
@@ -138,7 +138,7 @@ def wishes_of(
     ]
 
 
-def _why_not(row: SweepRow, n_captures: int, networks: NetworkChoice) -> str | None:
+def _why_not(row: SweepRow, n_captures: int, networks: NetworkOptions) -> str | None:
     """Why a row cannot be computed; None where it can, as far as can be told before it is tried."""
     label = row.method
     if row.rendered is not None:

@@ -8,11 +8,11 @@ from types import MappingProxyType
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import RenderError
 from ggvs_eval.jobs.engine import Workers, as_engine
-from ggvs_eval.pipelines.methods.network_choice import AS_SHIPPED, NetworkChoice
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
-from ggvs_eval.pipelines.planning.run_request import Wish
+from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
+from ggvs_eval.pipelines.planning.run_request import RunRequest
 from ggvs_eval.pipelines.run.evaluate import measure, report
-from ggvs_eval.pipelines.sweep.cells import SHARED_FOLDERS, wishes_of
+from ggvs_eval.pipelines.sweep.cells import SHARED_FOLDERS, run_requests
 from ggvs_eval.pipelines.sweep.run_sweep import run_sweep
 from ggvs_eval.protocol import load_protocol
 from ggvs_eval.sweep import Sweep, load_sweep
@@ -34,10 +34,10 @@ def evaluate_demos(
     labels: Mapping[str, Sequence[str]],
     workers: Workers,
     open_demo: Callable[[Path], Capture],
-    depth: DepthChoice | None = None,
-    networks: NetworkChoice = AS_SHIPPED,
+    depth: DepthRunOptions | None = None,
+    networks: NetworkOptions = AS_SHIPPED,
     rooms: Mapping[str, DemoOptions] = MappingProxyType(DEMO_ROOMS),
-    tell: Callable[[Sequence[Wish]], None] = lambda _: None,
+    tell: Callable[[Sequence[RunRequest]], None] = lambda _: None,
 ) -> Path:
     """Film and evaluate every demo room, the main one also over K; a second call does only what is missing.
 
@@ -48,7 +48,7 @@ def evaluate_demos(
         open_demo: opens the folder of a capture.
         depth: how depth is found.
         networks: with which weights and where networks compute.
-        rooms: name of the protocol -> what is filmed.
+        rooms: name of the protocol -> what is rendered.
         tell: is called before each evaluation, with its runs.
 
     Returns:
@@ -60,14 +60,14 @@ def evaluate_demos(
     roots = {name: demo_root(root, name) for name in rooms}
     for name, options in rooms.items():
         capture = open_demo(write_demo(capture_beside(roots[name]), options, as_engine(workers).jobs))
-        wish = Wish(roots[name], capture, load_protocol(name), labels[name], depth, networks)
-        tell([wish])
-        measure(wish.root, capture, wish.protocol, wish.labels, workers, depth, networks)
+        request = RunRequest(roots[name], capture, load_protocol(name), labels[name], depth, networks)
+        tell([request])
+        measure(request.root, capture, request.protocol, request.labels, workers, depth, networks)
     if not (sweep := k_sweep(labels[MAIN])).row:
         return report([*roots.values()])
     swept, protocol, capture = k_root(root), load_protocol(K_PROTOCOL), open_demo(capture_beside(root))
     _share_prepared(root, swept)
-    tell(wishes_of(swept, {"": (capture, protocol)}, sweep, depth, networks))
+    tell(run_requests(swept, {"": (capture, protocol)}, sweep, depth, networks))
     result = run_sweep(swept, capture, sweep, protocol, workers, depth, networks)
     page = report([*roots.values()], tables_of=[] if result.table.empty else [swept])
     if result.failures:

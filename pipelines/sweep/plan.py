@@ -5,7 +5,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from ggvs_eval.pipelines.methods.network_choice import NetworkChoice
+from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.sweep.cells import PATH, Captures, Cell, sweep_cells, units_of
 from ggvs_eval.run_folder import write_json
 from ggvs_eval.sweep import Sweep
@@ -13,7 +13,9 @@ from ggvs_eval.sweep import Sweep
 PREPARE, TABLE = "prepare", "table"
 
 
-def plan_sweep(file: Path, root: Path, captures: Captures, sweep: Sweep, networks: NetworkChoice, command: Sequence[str]) -> Path:
+def plan_sweep(
+    file: Path, root: Path, captures: Captures, sweep: Sweep, networks: NetworkOptions, command: Sequence[str]
+) -> Path:
     """Write a JSON plan: a job that prepares, one per run and view, and one that makes the table.
 
     Each job is a command that can be given to any machine which sees the captures and the sweep's folder; given twice it finds

@@ -13,9 +13,9 @@ from ggvs_eval.errors import ProtocolError
 from ggvs_eval.jobs.engine import Engine, Workers, as_engine
 from ggvs_eval.jobs.ledger import Failure
 from ggvs_eval.jobs.shard import WHOLE, Shard
-from ggvs_eval.pipelines.methods.network_choice import AS_SHIPPED, NetworkChoice
+from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
 from ggvs_eval.pipelines.methods.registry import split_label
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.run.coverage import read_import
 from ggvs_eval.pipelines.run.score import score
 from ggvs_eval.pipelines.sweep.cells import Captures, Cell, share_of, sweep_cells
@@ -48,8 +48,8 @@ def run_sweeps(
     captures: Captures,
     sweep: Sweep,
     workers: Workers,
-    depth: DepthChoice | None = None,
-    networks: NetworkChoice = AS_SHIPPED,
+    depth: DepthRunOptions | None = None,
+    networks: NetworkOptions = AS_SHIPPED,
     shard: Shard = WHOLE,
 ) -> SweepResult:
     """Run a sweep on several captures, each in a folder of its own, and give their means beside the single tables.
@@ -59,7 +59,7 @@ def run_sweeps(
         captures: name of the capture's folder in it -> the capture, and what its variants start from.
         sweep: rows and variants.
         workers: where jobs run.
-        depth: how depth is found, see `DepthChoice`.
+        depth: how depth is found, see `DepthRunOptions`.
         networks: with which weights and where networks compute.
         shard: which views are rendered and scored; only the whole has a table.
 
@@ -88,8 +88,8 @@ def run_sweep(
     sweep: Sweep,
     protocol: Protocol,
     workers: Workers,
-    depth: DepthChoice | None = None,
-    networks: NetworkChoice = AS_SHIPPED,
+    depth: DepthRunOptions | None = None,
+    networks: NetworkOptions = AS_SHIPPED,
     shard: Shard = WHOLE,
 ) -> SweepResult:
     """Evaluate every row under every variant; what exists is not computed again, and what fails does not stop the rest.
@@ -102,7 +102,7 @@ def run_sweep(
         sweep: rows and variants.
         protocol: what the variants start from.
         workers: where jobs run.
-        depth: how depth is found, see `DepthChoice`.
+        depth: how depth is found, see `DepthRunOptions`.
         networks: with which weights and where networks compute.
         shard: which views are rendered and scored; only the whole has a table.
 
@@ -122,8 +122,8 @@ def _run(
     captures: Captures,
     sweep: Sweep,
     engine: Engine,
-    depth: DepthChoice | None,
-    networks: NetworkChoice,
+    depth: DepthRunOptions | None,
+    networks: NetworkOptions,
     shard: Shard,
 ) -> SweepResult:
     """Every stage for all runs, then a line per run and row of which nothing is missing."""

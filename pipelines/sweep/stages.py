@@ -10,8 +10,8 @@ from ggvs_eval.errors import GgvsError
 from ggvs_eval.jobs.engine import Engine
 from ggvs_eval.jobs.job import Attempt, Job, attempt_jobs
 from ggvs_eval.jobs.ledger import Failure, Ledger
-from ggvs_eval.pipelines.methods.network_choice import NetworkChoice
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
+from ggvs_eval.pipelines.methods.network_options import NetworkOptions
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.pipelines.run.prepare import Prepared, prepare
 from ggvs_eval.pipelines.run.render import note_labels, render_jobs
@@ -32,7 +32,9 @@ def attempt(name: str, work: Callable[[], Value]) -> tuple[Value | None, list[Fa
         return None, [Failure(name, f"{type(error).__name__}: {error}", traceback.format_exc())]
 
 
-def prepare_cells(cells: Sequence[Cell], engine: Engine, depth: DepthChoice | None) -> tuple[dict[str, Prepared], list[Failure]]:
+def prepare_cells(
+    cells: Sequence[Cell], engine: Engine, depth: DepthRunOptions | None
+) -> tuple[dict[str, Prepared], list[Failure]]:
     """Write frames and depth of every run, one after the other, each in all processes.
 
     Returns:
@@ -73,7 +75,7 @@ def render_cells(
     cells: Sequence[Cell],
     ready: Mapping[str, Prepared],
     engine: Engine,
-    networks: NetworkChoice,
+    networks: NetworkOptions,
     share: Share,
     imported: Mapping[str, list[str]],
 ) -> tuple[dict[str, list[str]], list[Failure]]:

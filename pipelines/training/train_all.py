@@ -78,7 +78,7 @@ def planned_trainings(folder: Path, request: TrainingRequest, networks: Sequence
 
 
 def prepare_all(cache: Path, request: TrainingRequest, networks: Sequence[Network] = NETWORKS) -> None:
-    """Make the samples that any of the networks lacks, with all cores; rooms are filmed once for all.
+    """Make the samples that any of the networks lacks, with all cores; rooms are rendered once for all.
 
     Args:
         cache: where rooms and samples are kept.

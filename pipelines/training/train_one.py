@@ -4,7 +4,7 @@ from pathlib import Path
 
 from ggvs_eval.compute_device import compute_device, describe_device
 from ggvs_eval.jobs.processes import default_workers
-from ggvs_eval.pipelines.online.blend_network import WIDTHS, BlendConfig
+from ggvs_eval.pipelines.online.blend_network import WIDTHS, BlendNetworkOptions
 from ggvs_eval.pipelines.training.baselines.baseline_tasks import baseline_task
 from ggvs_eval.pipelines.training.blend.blend_task import BlendTask
 from ggvs_eval.pipelines.training.loop.card import write_card
@@ -32,7 +32,7 @@ def train_one(what: str, folder: Path, request: TrainingRequest) -> tuple[Path, 
         DeviceError: there is no such device here.
         TrainingError: nothing to learn from, or the folder's state belongs to another network.
     """
-    hardware = describe_device(compute_device(request.device))  # what is missing shows before anything is filmed
+    hardware = describe_device(compute_device(request.device))  # what is missing shows before anything is rendered
     task = _task(what, folder.parent / CACHE, request)
     options = TrainingOptions(
         steps=request.steps,
@@ -63,7 +63,7 @@ def _task(what: str, cache: Path, request: TrainingRequest) -> Task:
         baseline = baseline_task(what, cache, data, request.configuration, request.seed)
         prepare_samples(baseline.training, baseline.validation, default_workers())
         return baseline
-    config = BlendConfig(request.views, request.guidance, WIDTHS[request.size])
+    config = BlendNetworkOptions(request.views, request.guidance, WIDTHS[request.size])
     blend = BlendTask(*blend_samples(cache, data), config, seed=request.seed)
     prepare_samples(blend.training, blend.validation, default_workers())
     return blend

@@ -110,7 +110,7 @@ def _is_written(folder: Path, identity: str) -> bool:
 def examine_depth(
     pool: Executor, folder: Path, capture: Capture, stored: Sequence[StoredDepth], store: DepthStore, filled_confidence: float
 ) -> DepthRecord:
-    """Judge depth maps and pairs and write the pictures, in three rounds: statistics and features, pairs, pictures.
+    """Evaluate depth maps and pairs and write the pictures, in three rounds: statistics and features, pairs, pictures.
 
     Args:
         pool: does the work.

@@ -67,7 +67,7 @@ def measure_pair(camera: Camera, partner: Camera, features: Features, partner_fe
     longest_side_px = max(*camera.size, *partner.size)
     matched = match_pair(0, 1, features, partner_features, longest_side_px)
     uv = np.zeros((0, 2, 2)) if matched is None else np.stack([matched.uv_first, matched.uv_second], axis=1)
-    return _judge(camera, partner, pair, uv), uv
+    return _evaluate(camera, partner, pair, uv), uv
 
 
 def on_canvas(pair: RectifiedPair, camera: Camera, partner: Camera, uv: Array) -> Array:
@@ -92,7 +92,7 @@ def on_canvas(pair: RectifiedPair, camera: Camera, partner: Camera, uv: Array) -
     return np.stack(places, axis=1)
 
 
-def _judge(camera: Camera, partner: Camera, pair: RectifiedPair, uv: Array) -> PairErrors:
+def _evaluate(camera: Camera, partner: Camera, pair: RectifiedPair, uv: Array) -> PairErrors:
     places = on_canvas(pair, camera, partner, uv)
     places = places[np.isfinite(places).all(axis=(1, 2))]
     if not len(places):

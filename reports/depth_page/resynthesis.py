@@ -54,7 +54,7 @@ def resynthesise(camera: Camera, depth: Map, image: Image8, other: Camera, other
 
     Reading:
         What the other camera cannot see is found by this very depth map, seen from there, not by the other's own: then only one
-        depth map is judged at a time. The gain is the median ratio of the images, so that exposure does not pass for wrong depth.
+        depth map is held at a time. The gain is the median ratio of the images, so that exposure does not pass for wrong depth.
     """
     known = depth > 0
     tolerance = SAME_SURFACE * float(np.median(depth[known])) if known.any() else SAME_SURFACE * camera.near

@@ -18,7 +18,7 @@ from ggvs_eval.progress import track
 from ggvs_eval.reports.figures.regions import ERROR_FULL_SCALE
 from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.reports.page.data_uri import fitting_width, shrink, webp_uri
-from ggvs_eval.reports.page.inside import inside_folders, inside_name, told_label
+from ggvs_eval.reports.page.diagnostics import diagnostics_folders, diagnostics_label, diagnostics_name
 from ggvs_eval.run_folder import frame_path
 
 FRAME_BYTES = 10_000_000
@@ -39,7 +39,7 @@ class Comparison:
         width: width of the pictures, pixels.
         height: their height.
         full_size: width and height of the frames on disk.
-        keys: ``truth``, the methods' labels, and what one of them decided inside, see `inside_folders`.
+        keys: ``truth``, the methods' labels, and what one of them decided inside, see `diagnostics_folders`.
         names: what each is called.
         images: view -> key -> one picture per frame shown.
         errors: view -> label -> one error map per frame shown.
@@ -84,7 +84,7 @@ def compare_frames(run: MeasuredRun, byte_budget: int = FRAME_BYTES) -> Comparis
                 images[view][key].append(picture)
                 if error:
                     errors[view][key].append(error)
-    names = tuple(inside_name(run, key) for key in keys)
+    names = tuple(diagnostics_name(run, key) for key in keys)
     return Comparison(views, tuple(frames), stride, width, height, full_size, keys, names, images, errors)
 
 
@@ -101,9 +101,9 @@ def _fit(run: MeasuredRun, samples: list[Image8], byte_budget: int) -> tuple[int
 
 def _inside(run: MeasuredRun) -> dict[str, dict[str, Path]]:
     """View -> key -> folder of what a method decided inside, the same keys for every view."""
-    label = told_label(run)
+    label = diagnostics_label(run)
     found = {
-        view: {} if label is None else dict(inside_folders(run.folder.renders(label, view), label, run.frames))
+        view: {} if label is None else dict(diagnostics_folders(run.folder.renders(label, view), label, run.frames))
         for view in run.protocol.views.test
     }
     common = set.intersection(*(set(folders) for folders in found.values()))

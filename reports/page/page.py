@@ -14,8 +14,8 @@ from ggvs_eval.reports.figures.slices import NO_TRUTH, Slices
 from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.reports.page.comparison import compare_frames, error_scale
 from ggvs_eval.reports.page.data_uri import png_uri, shrink, webp_uri
+from ggvs_eval.reports.page.diagnostics import diagnostics_legend
 from ggvs_eval.reports.page.heat_map import heat_colours, heat_maps
-from ggvs_eval.reports.page.inside import inside_legend
 from ggvs_eval.reports.page.method_videos import method_videos
 from ggvs_eval.reports.page.path_pictures import path_pictures
 from ggvs_eval.reports.page.picture_room import PictureRoom, share_room
@@ -128,7 +128,7 @@ def _section(index: int, room: PictureRoom, section: RunSection) -> dict[str, An
         "view_tables": section.view_tables,
         "timing": section.timing,
         "comparison": comparison,
-        "inside": inside_legend(comparison.keys),
+        "inside": diagnostics_legend(comparison.keys),
         "first_left": (*run.ours_first, "truth")[0],
         "data": viewer_data(run, comparison, path, maps, row, fps),
         "heat_maps": maps,

@@ -10,7 +10,7 @@ from pathlib import Path
 from ggvs_eval.files.images import read_image
 from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.reports.page.data_uri import fitting_width, shrink, webp_uri
-from ggvs_eval.reports.page.inside import inside_folders, told_label
+from ggvs_eval.reports.page.diagnostics import diagnostics_folders, diagnostics_label
 from ggvs_eval.run_folder import frame_path, require_frames
 
 PATH_BYTES = 3_000_000
@@ -48,9 +48,9 @@ def path_pictures(run: MeasuredRun, byte_budget: int = PATH_BYTES) -> PathPictur
         return None
     require_frames({f"{run.name(key)} on the path": folder for key, folder in folders.items()}, range(count))
     poses = range(0, count, math.ceil(count * len(folders) / POSES_AT_MOST))
-    told = told_label(run)
+    told = diagnostics_label(run)
     if told in folders:
-        folders |= dict(inside_folders(folders[told], told, range(count)))
+        folders |= dict(diagnostics_folders(folders[told], told, range(count)))
     files = {key: [frame_path(folder, pose) for pose in poses] for key, folder in folders.items()}
     middle = [read_image(paths[len(paths) // 2]) for paths in files.values()]
     width = fitting_width(middle, byte_budget / (len(poses) * len(folders)))

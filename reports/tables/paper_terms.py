@@ -57,7 +57,7 @@ class PaperTerms:
             "source views chosen by coverage, not the nearest": protocol.synthesis.sources != "nearest",
             f"{_size(size)} pixels, not {_size(self.size)}": size != self.size,
             f"measured at {_size(measured)}, not {_size(self.metric_size)}": size == self.size and measured != self.metric_size,
-            "a frame held still or noise added": bool(capture.get("retake")),
+            "a frame held still or noise added": bool(capture.get("edit")),
         }
         return tuple(words for words, applies in found.items() if applies)
 

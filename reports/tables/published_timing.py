@@ -28,7 +28,7 @@ TIMINGS = {
 }
 
 
-def judge_time(runs: Sequence[MeasuredRun], label: str, key: str, paper_ms: float) -> tuple[Cell | None, str]:
+def evaluate_time(runs: Sequence[MeasuredRun], label: str, key: str, paper_ms: float) -> tuple[Cell | None, str]:
     """The time of a stage here and what it is against the paper's, or None and why there is none.
 
     Reading:

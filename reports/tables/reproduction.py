@@ -10,9 +10,9 @@ from typing import Literal
 
 from ggvs_eval.reports.model.measured import MeasuredRun, label_of
 from ggvs_eval.reports.model.table import Cell, format_value, measured_cell
-from ggvs_eval.reports.tables.grounds import Absence, Ground, find_ground
+from ggvs_eval.reports.tables.comparable_runs import ComparableRuns, NotComparable, find_ground
 from ggvs_eval.reports.tables.published import TIMING_WORDS, UNITS, is_higher_better, read_published
-from ggvs_eval.reports.tables.published_timing import TIMINGS, judge_time
+from ggvs_eval.reports.tables.published_timing import TIMINGS, evaluate_time
 from ggvs_eval.statistics.bootstrap import LEVEL, intervals
 
 Status = Literal["reproduced", "differs", "data absent", "weights absent", "not run"]
@@ -70,7 +70,7 @@ class PaperMethod:
 
 
 def reproduce(runs: Sequence[MeasuredRun]) -> tuple[Reproduction, ...]:
-    """Judge every value that the paper publishes.
+    """Evaluate every value that the paper publishes.
 
     Args:
         runs: scored runs, of several protocols if need be; those of one protocol and data set count as its scenes.
@@ -79,21 +79,23 @@ def reproduce(runs: Sequence[MeasuredRun]) -> tuple[Reproduction, ...]:
         One entry per published value, in the order of the paper's tables; none is left out.
     """
     grounds = {dataset: find_ground(dataset, runs) for dataset in read_published("quality")}
-    return tuple(entry for table in TABLES for entry in _judge_table(table, grounds))
+    return tuple(entry for table in TABLES for entry in _evaluation_table(table, grounds))
 
 
-def _judge_table(table: str, grounds: dict[str, Ground | Absence]) -> Iterator[Reproduction]:
+def _evaluation_table(table: str, grounds: dict[str, ComparableRuns | NotComparable]) -> Iterator[Reproduction]:
     for dataset, methods in read_published(table).items():
         for name, values in methods.items():
             for key, paper in values.items():
                 metric, unit = (TIMING_WORDS[key], "ms") if key in TIMINGS else (key, UNITS.get(key, ""))
-                ours, status, reason = _judge(grounds[dataset], dataset, paper_methods()[name], key, paper)
+                ours, status, reason = _evaluate(grounds[dataset], dataset, paper_methods()[name], key, paper)
                 yield Reproduction(table, dataset, name, metric, unit, paper, ours, status, reason)
 
 
-def _judge(ground: Ground | Absence, dataset: str, method: PaperMethod, metric: str, paper: str) -> tuple[Cell, Status, str]:
+def _evaluate(
+    ground: ComparableRuns | NotComparable, dataset: str, method: PaperMethod, metric: str, paper: str
+) -> tuple[Cell, Status, str]:
     """What was measured of a published value, its standing and why."""
-    if isinstance(ground, Absence):
+    if isinstance(ground, NotComparable):
         return NOT_MEASURED, "data absent", _absence(ground, method, metric)
     label = next(filter(None, map(method.find_label, ground.runs)), None)
     if label is None and method.weights:
@@ -110,12 +112,12 @@ def _judge(ground: Ground | Absence, dataset: str, method: PaperMethod, metric: 
             f"not rendered here; run `ggvs-eval render {root} --methods {method.label}` and score again",
         )
     if metric in TIMINGS:
-        cell, reason = judge_time(ground.runs, label, metric, float(paper))
+        cell, reason = evaluate_time(ground.runs, label, metric, float(paper))
         return (NOT_MEASURED, "not run", reason) if cell is None else (cell, "differs", reason)
-    return _judge_metric(ground, label, metric, paper)
+    return _evaluate_metric(ground, label, metric, paper)
 
 
-def _judge_metric(ground: Ground, label: str, metric: str, paper: str) -> tuple[Cell, Status, str]:
+def _evaluate_metric(ground: ComparableRuns, label: str, metric: str, paper: str) -> tuple[Cell, Status, str]:
     name = str(ground.results.table["dataset"].iloc[0])
     marked = next((run.partial[label] for run in ground.runs if label in run.partial), None)
     interval = None if marked else intervals(ground.results, metric, name).get(label)
@@ -123,13 +125,13 @@ def _judge_metric(ground: Ground, label: str, metric: str, paper: str) -> tuple[
         reason = f"{label} is {marked}" if marked else ground.results.not_computed.get(metric, f"{metric} was not asked for")
         return NOT_MEASURED, "not run", f"no value: {reason}"
     cell = measured_cell(metric, interval.value, "", interval)
-    status, reason = judge_value(paper, cell, metric)
+    status, reason = evaluate_value(paper, cell, metric)
     names = {run.name(label) for run in ground.runs}
     trained = "".join(f"; measured with {name}" for name in sorted(names) if RETRAINED in name)
     return cell, status, f"{reason}; {ground.words}{trained}"
 
 
-def judge_value(paper: str, ours: Cell, metric: str) -> tuple[Status, str]:
+def evaluate_value(paper: str, ours: Cell, metric: str) -> tuple[Status, str]:
     """Whether a measured value is the published one.
 
     Args:
@@ -142,7 +144,7 @@ def judge_value(paper: str, ours: Cell, metric: str) -> tuple[Status, str]:
         what other frames (and views, from five on) could have given; without an interval, where ours rounds to the same digits.
     """
     if ours.value is None:
-        raise ValueError(f"{metric}: nothing measured to judge")
+        raise ValueError(f"{metric}: nothing measured")
     decimals = len(paper.partition(".")[2])
     published, half_unit = float(paper), 0.5 * 10.0**-decimals
     given = f" ({ours.note})" if ours.note else ""
@@ -161,7 +163,7 @@ def _shown(metric: str, value: float | None) -> str:
     return "" if value is None else format_value(metric, value)
 
 
-def _absence(absence: Absence, method: PaperMethod, metric: str) -> str:
+def _absence(absence: NotComparable, method: PaperMethod, metric: str) -> str:
     """Why there is nothing to compare, with the value of a run that comes near, which proves nothing."""
     words = absence.words
     if absence.near is not None and metric not in TIMINGS:

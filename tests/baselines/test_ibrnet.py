@@ -272,13 +272,13 @@ def test_the_kernel_is_the_network(shaded):
 
 def test_vectors_of_any_size_agree(shaded):
     """Every instruction set gives the same to rounding, those with fused multiply-adds the same bits."""
-    best, by_level = kernels.get_level(), {}
+    best, by_level = kernels.get_simd_level(), {}
     try:
         for level in kernels.available_levels():
-            kernels.set_level(level)
+            kernels.set_simd_level(level)
             by_level[level] = shaded(with_gradients=False)
     finally:
-        kernels.set_level(best)
+        kernels.set_simd_level(best)
     for colours, density in by_level.values():
         np.testing.assert_allclose(colours, by_level["baseline"][0], atol=1e-5)
         np.testing.assert_allclose(density, by_level["baseline"][1], atol=1e-5)

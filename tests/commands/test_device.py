@@ -15,9 +15,9 @@ from ggvs_eval.baselines.gps_gaussian.tile_renderer import _tiles, blend_gaussia
 from ggvs_eval.compute_device import clock_s, compute_device, computing_on, describe_device, rendering_on
 from ggvs_eval.errors import DeviceError
 from ggvs_eval.pipelines.commands.main import run_command
-from ggvs_eval.pipelines.methods.network_choice import NetworkChoice
+from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.planning.work_left import plan_frames
 from ggvs_eval.pipelines.play.synthesizer import OnlineSynthesizer
 from ggvs_eval.pipelines.run import render
@@ -43,13 +43,13 @@ def no_gpu(monkeypatch):
 
 @pytest.fixture(scope="module")
 def capture(tmp_path_factory):
-    return write_small_capture(tmp_path_factory.mktemp("filmed") / "demo", n_frames=1)
+    return write_small_capture(tmp_path_factory.mktemp("rendered") / "demo", n_frames=1)
 
 
 @pytest.fixture
 def planned(capture, tmp_path):
     """A run that nothing has been done of."""
-    return plan_frames(tmp_path / "run", capture, small_protocol(1, 0, ("PSNR",)), DepthChoice().options())[0]
+    return plan_frames(tmp_path / "run", capture, small_protocol(1, 0, ("PSNR",)), DepthRunOptions().options())[0]
 
 
 @pytest.mark.usefixtures("no_gpu")
@@ -70,7 +70,7 @@ def test_devices_that_are_not_there_are_refused():
 @pytest.mark.parametrize("label", LEARNED)
 def test_methods_refuse_a_gpu_that_is_not_there(label):
     """Each method with networks says so when it is made, live or for a run."""
-    method = find_method(label, NetworkChoice(device="cuda"))
+    method = find_method(label, NetworkOptions(device="cuda"))
     assert method.device == "cuda"
     with pytest.raises(DeviceError, match="finds 0 GPUs"):
         method.make()
@@ -117,7 +117,7 @@ def test_tensors_are_made_where_it_is_computed():
 
 def test_methods_without_networks_know_no_device():
     """Their spec stays the very same; with networks it says the device, and makes what it made where that is the CPU."""
-    on_gpu = NetworkChoice(device="cuda")
+    on_gpu = NetworkOptions(device="cuda")
     for label, spec in METHODS.items():
         assert find_method(label).device == "cpu"
         learned = bool(spec.weights or spec.checkpoint)

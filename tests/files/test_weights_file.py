@@ -8,7 +8,7 @@ from safetensors.torch import save_file
 from torch import nn
 
 from ggvs_eval.errors import WeightsError
-from ggvs_eval.files.weights_file import pour_strictly, read_tensors, require_shapes
+from ggvs_eval.files.weights_file import load_strict, read_tensors, require_shapes
 from helpers.hostile import Hostile
 
 NETWORK = "a network of one convolution"
@@ -131,7 +131,7 @@ def test_poured_weights_are_the_files(tensors, tmp_path):
     half = {name: tensor.half() if tensor.is_floating_point() else tensor + 7 for name, tensor in tensors.items()}
     for stored in (tensors, half):
         network = nn.Sequential(nn.Conv2d(3, 4, 3), nn.BatchNorm2d(4))
-        pour_strictly(stored, network, tmp_path, NETWORK)
+        load_strict(stored, network, tmp_path, NETWORK)
         assert_equal(
             network.state_dict(),
             {name: tensor.float() if tensor.is_floating_point() else tensor for name, tensor in stored.items()},
@@ -154,7 +154,7 @@ def test_other_shapes_and_names_are_refused(change, message, tensors, tmp_path):
     with torch.device("meta"):
         weightless = small_network()
 
-    for refuse, given in ((pour_strictly, network), (require_shapes, weightless)):
+    for refuse, given in ((load_strict, network), (require_shapes, weightless)):
         with pytest.raises(WeightsError, match=rf"any\.pth: {message}; give weights of {NETWORK}"):
             refuse(stored, given, tmp_path / "any.pth", NETWORK)
     assert_equal(network.state_dict(), tensors)

@@ -47,7 +47,7 @@ def random_inputs(seed: int, size: tuple[int, int], views: int, features: int) -
 def test_one_pass_is_warps_mixed_with_splats(seed, size, views, features, level):
     """Any sizes, poses and holes give what `RawViews.maps` makes of warps and splats, with every instruction set."""
     inputs = random_inputs(seed, size, views, features)
-    kernels.set_level(level)
+    kernels.set_simd_level(level)
     found, expected = blend_maps(inputs, "registered"), raw_views(inputs).maps("registered")
     for name in ("colours", "coverage", "seen", "alphas", "depths", "fused_depth"):
         ours, theirs = getattr(found, name), getattr(expected, name)
@@ -61,7 +61,7 @@ def test_threads_and_instruction_sets_give_the_same_bits():
     inputs, found = random_inputs(0, (67, 41), 3, 4), []
     for level in kernels.available_levels():
         for threads in (1, 3):
-            kernels.set_level(level)
+            kernels.set_simd_level(level)
             kernels.set_threads(threads)
             found.append(blend_maps(inputs, "registered"))
     assert 0.1 < found[0].seen[:-1].mean() < 1

@@ -124,7 +124,7 @@ def test_threads_and_instruction_sets_give_the_same_bits():
     target = random_camera(random, 170, 130)
     results = []
     for level in kernels.available_levels():
-        kernels.set_level(level)
+        kernels.set_simd_level(level)
         for threads in (1, 2, 5):
             kernels.set_threads(threads)
             results.append(images(splat(sources, target, near=0.2)))
@@ -186,7 +186,7 @@ def test_settings_refuse_what_cannot_be():
     with pytest.raises(ValueError, match="at least 1"):
         kernels.set_threads(0)
     with pytest.raises(ValueError, match="wanted one of baseline"):
-        kernels.set_level("mmx")
+        kernels.set_simd_level("mmx")
 
 
 def test_settings_come_from_the_environment(monkeypatch):
@@ -194,7 +194,7 @@ def test_settings_come_from_the_environment(monkeypatch):
     monkeypatch.setattr(kernels, "_settings", {})
     monkeypatch.setenv("GGVS_EVAL_THREADS", "3")
     monkeypatch.setenv("GGVS_EVAL_SIMD", "baseline")
-    assert (kernels.get_threads(), kernels.get_level()) == (3, "baseline")
+    assert (kernels.get_threads(), kernels.get_simd_level()) == (3, "baseline")
 
 
 def test_depth_noise_does_not_open_holes():

@@ -187,7 +187,7 @@ def test_threads_and_instruction_sets_give_the_same_bits():
     previous = random_previous(random, target)
     results = []
     for level in kernels.available_levels():
-        kernels.set_level(level)
+        kernels.set_simd_level(level)
         for threads in (1, 2, 5):
             kernels.set_threads(threads)
             march = ray_march(target, views, tau=TAU, previous=previous)

@@ -88,7 +88,7 @@ def test_what_one_view_alone_sees_has_its_colour(far_x, share):
     truth = look(TARGET)[0] / 255.0
     alone = np.s_[8:-8, 66:80]  # right of the near view's knowledge and of the square, within the far one's image
 
-    image = GeometryGuided(OnlineOptions(temporal=False, harmonised=False), GeometricBlender()).step(moment).image
+    image = GeometryGuided(OnlineOptions(temporal=False, compensated=False), GeometricBlender()).step(moment).image
 
     assert np.abs(image[alone] - truth[alone]).max() < 0.05
     maps = blend_maps(inputs_of(moment), "registered")

@@ -332,7 +332,7 @@ def test_a_truncated_video_does_not_open(rig):
 
 
 def test_a_single_instant_leaves_timing_and_noise_unknown_with_the_reason(clean, tmp_path):
-    """One image per camera: what needs time says so, geometry and colour are judged as ever, in worker processes too."""
+    """One image per camera: what needs time says so, geometry and colour are evaluated as ever, in worker processes too."""
     capture = open_capture(clean)
     for name in NAMES:
         write_image(tmp_path / "one" / name / "images" / "0000.png", capture.frame(name, 0))

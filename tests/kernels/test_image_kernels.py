@@ -171,7 +171,7 @@ def test_threads_and_instruction_sets_give_the_same_bits():
     first = everything()
     for level in kernels.available_levels():
         for threads in (1, 2, 5):
-            kernels.set_level(level)
+            kernels.set_simd_level(level)
             kernels.set_threads(threads)
             for once, again in zip(first, everything(), strict=True):
                 np.testing.assert_array_equal(once, again)

@@ -13,8 +13,8 @@ from ggvs_eval.one_thread import one_thread
 from ggvs_eval.pipelines.online.blend_maps import BlendMaps
 from ggvs_eval.pipelines.online.blend_network import (
     BEYOND_VIEWS,
-    BlendConfig,
     BlendNetwork,
+    BlendNetworkOptions,
     compose_tensors,
     read_outputs,
     small_outputs,
@@ -47,7 +47,7 @@ def random_maps(random: np.random.Generator, width: int, height: int, views: int
     return BlendMaps(target, sources, colours, coverage, seen, alphas, depths, random_depth(random, target))
 
 
-def random_network(config: BlendConfig, width: int | None = None) -> BlendNetwork:
+def random_network(config: BlendNetworkOptions, width: int | None = None) -> BlendNetwork:
     """A seeded network whose outputs and filters do something; its refiner as wide as wanted."""
     torch.manual_seed(0)
     network = BlendNetwork(config).eval()
@@ -80,14 +80,14 @@ def twin(network: BlendNetwork, maps: BlendMaps) -> np.ndarray:
 
 
 SHAPES = (  # the shipped one, sizes that the scale does not divide, several tiles, and sizes below a filter's reach
-    (BlendConfig(6, "registered", 4, 4, 8), None, (301, 131), 4),
-    (BlendConfig(6, "registered", 4, 4, 8), None, (143, 65), 2),
-    (BlendConfig(3, "channels", 4, 2, 3), 5, (37, 70), 3),
-    (BlendConfig(2, "naive", 4, 3, 1), 21, (40, 17), 1),
-    (BlendConfig(2, "none", 4, 1, 17), 8, (16, 16), 2),
-    (BlendConfig(4, "registered", 4, 4, 0), None, (30, 22), 3),
-    (BlendConfig(2, "registered", 4, 8, 2), None, (1, 5), 2),
-    (BlendConfig(2, "registered", 4, 2, 2), None, (1, 3), 2),
+    (BlendNetworkOptions(6, "registered", 4, 4, 8), None, (301, 131), 4),
+    (BlendNetworkOptions(6, "registered", 4, 4, 8), None, (143, 65), 2),
+    (BlendNetworkOptions(3, "channels", 4, 2, 3), 5, (37, 70), 3),
+    (BlendNetworkOptions(2, "naive", 4, 3, 1), 21, (40, 17), 1),
+    (BlendNetworkOptions(2, "none", 4, 1, 17), 8, (16, 16), 2),
+    (BlendNetworkOptions(4, "registered", 4, 4, 0), None, (30, 22), 3),
+    (BlendNetworkOptions(2, "registered", 4, 8, 2), None, (1, 5), 2),
+    (BlendNetworkOptions(2, "registered", 4, 2, 2), None, (1, 3), 2),
 )
 
 
@@ -157,9 +157,9 @@ def refined_picture(refiner: Refiner, size: tuple[int, int]) -> np.ndarray:
 
 def test_threads_change_no_bit_and_instruction_sets_hardly_one():
     """Any number of threads gives the same bits; AVX2 and AVX-512 do, too, and the baseline rounds differently."""
-    refiner, images = random_network(BlendConfig(features=8)).refiner, {}
+    refiner, images = random_network(BlendNetworkOptions(features=8)).refiner, {}
     for level in kernels.available_levels():
-        kernels.set_level(level)
+        kernels.set_simd_level(level)
         alone, many = [], []
         for threads, into in ((1, alone), (3, many)):
             kernels.set_threads(threads)
@@ -176,6 +176,6 @@ def test_a_network_that_must_not_see_depth_does_not():
     """Without TSDF guidance the fused depth changes nothing, with it it does."""
     random = np.random.default_rng(3)
     for guidance in ("none", "channels"):
-        network, maps = random_network(BlendConfig(2, guidance, 4, 1, 4)), random_maps(random, 33, 21, 2)
+        network, maps = random_network(BlendNetworkOptions(2, guidance, 4, 1, 4)), random_maps(random, 33, 21, 2)
         moved = replace(maps, fused_depth=np.roll(maps.fused_depth, 7, axis=1))
         assert np.array_equal(blend_by(network, maps).image, blend_by(network, moved).image) == (guidance not in GUIDED)

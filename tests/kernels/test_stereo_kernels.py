@@ -12,7 +12,7 @@ from ggvs_eval.kernels import _stereo
 from helpers.twins.plane_sweep import sweep_twin
 from helpers.twins.sgm import aggregate_twin, median_twin
 
-LEVEL = kernels.LEVELS.index(kernels.get_level())
+LEVEL = kernels.SIMD_LEVELS.index(kernels.get_simd_level())
 WINDOW = (2, 20.0, 1.5, 0.5)
 PLANES = (0.1, 0.01, 32)
 seeds = st.integers(0, 2**32 - 1)
@@ -137,7 +137,7 @@ def test_bits_depend_on_neither_threads_nor_instruction_set():
         reference, guide, partners = sweep_inputs(7, 70, 150, 4, visible=visible)
         results = set()
         for threads, name in product((1, 2, 5), kernels.available_levels()):
-            level = kernels.LEVELS.index(name)
+            level = kernels.SIMD_LEVELS.index(name)
             costs = sweep(reference, guide, partners, threads=threads, level=level)
             surface, margin = _stereo.aggregate(costs, guide[..., 0].copy(), 8, np.full(256, 70, np.uint8), threads, level)
             median = _stereo.weighted_median(surface, guide, 32, 5, 7.0, 5.0, threads)

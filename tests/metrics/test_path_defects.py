@@ -201,7 +201,7 @@ def test_a_path_streams():
 
 @pytest.fixture(scope="module")
 def room():
-    """The middle of the demo's true path, filmed with its exact depth."""
+    """The middle of the demo's true path, rendered with its exact depth."""
     from ggvs_eval.synthetic.film.film import Footage, lit_room
     from ggvs_eval.synthetic.film.options import DemoOptions
     from ggvs_eval.synthetic.film.shots import path_shots

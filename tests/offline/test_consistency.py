@@ -75,7 +75,7 @@ def test_one_of_two_opinions_fills_nothing():
 
 
 def test_hidden_depth_stays_less_sure():
-    """Others that see a nearer surface cannot judge: the depth stays, with half its confidence."""
+    """Others that see a nearer surface cannot tell: the depth stays, with half its confidence."""
     deep = plane_depth(CAMERA)
     deep[BLOCK] *= 1.3
     result = check_consistency(CAMERA, sure(deep), see_planes(), ConsistencyOptions())
@@ -137,7 +137,7 @@ def test_majority():
     assert kept([right[0], behind[1], behind[2]]) == 0
     assert kept([right[0], right[1], behind[2]], min_support=2) == 1
     assert kept([right[0], behind[1]], min_support=2) == 0
-    assert kept([right[0]], min_support=2) == 1  # all that can judge
+    assert kept([right[0]], min_support=2) == 1  # all that see it
 
 
 def test_guesses_neither_stay_nor_vote():
@@ -221,9 +221,9 @@ def test_average_moves_along_the_ray():
     truth = (6 - (CAMERA.centre - turned.centre) @ turned.axis) / (CAMERA.rays() @ turned.axis)
     other = turned, sure(np.full(truth.shape, 6.0))
     result = check_consistency(CAMERA, sure(1.002 * truth), [other], ConsistencyOptions())
-    judged = result.confidence > 0.5
-    assert judged.mean() > 0.3
-    assert (result.depth / truth - 1)[judged] == pytest.approx(0.001, rel=0.01)
+    evaluated = result.confidence > 0.5
+    assert evaluated.mean() > 0.3
+    assert (result.depth / truth - 1)[evaluated] == pytest.approx(0.001, rel=0.01)
 
 
 @settings(max_examples=10, deadline=None)

@@ -8,7 +8,7 @@ import pytest
 from ggvs_eval.depth_store import DepthJob, DepthStore
 from ggvs_eval.errors import DepthError, WeightsError
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions, TimeOptions
-from ggvs_eval.pipelines.offline.depth.depth_choice import KEYFRAME_EVERY, DepthChoice
+from ggvs_eval.pipelines.offline.depth.depth_choice import KEYFRAME_EVERY, DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
 from ggvs_eval.pipelines.offline.depth.fill_store import depth_spec, prepare_depth
 from ggvs_eval.pipelines.offline.depth.matchers import MATCHERS, find_matcher
@@ -102,11 +102,11 @@ def test_a_lost_instant_comes_back_with_equal_bits(tmp_path):
 
 def test_the_choice_of_the_command_line():
     """Names become matchers with all their parameters; a record reads back as the choice it was written from."""
-    assert isinstance(DepthChoice().options().matcher, SgbmMatcher)
-    assert isinstance(DepthChoice("sweep").options().matcher, PlaneSweep)
-    reused = DepthChoice("sgbm", reuse_static=True)
+    assert isinstance(DepthRunOptions().options().matcher, SgbmMatcher)
+    assert isinstance(DepthRunOptions("sweep").options().matcher, PlaneSweep)
+    reused = DepthRunOptions("sgbm", reuse_static=True)
     assert reused.options().time.keyframe_every == KEYFRAME_EVERY
-    assert DepthChoice.from_record(reused.record()) == reused
+    assert DepthRunOptions.from_record(reused.record()) == reused
 
 
 def test_unknown_matchers_and_weights_are_refused(tmp_path):
@@ -116,6 +116,6 @@ def test_unknown_matchers_and_weights_are_refused(tmp_path):
     with pytest.raises(WeightsError, match=r"nowhere\.pth: wanted weights"):
         find_matcher(f"raft:{tmp_path / 'nowhere.pth'}")
     with pytest.raises(DepthError, match=r"--stereo-weights are for the matcher raft, got the matcher raft:other.pth"):
-        DepthChoice("raft:other.pth", tmp_path / "weights.pth").options()
+        DepthRunOptions("raft:other.pth", tmp_path / "weights.pth").options()
     with pytest.raises(DepthError, match="--stereo-weights are for the matcher raft, got the matcher sweep"):
-        DepthChoice("sweep", tmp_path / "weights.pth").options()
+        DepthRunOptions("sweep", tmp_path / "weights.pth").options()

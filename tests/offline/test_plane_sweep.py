@@ -10,7 +10,7 @@ from ggvs_eval import kernels
 from ggvs_eval.depth_store import DepthJob, DepthStore
 from ggvs_eval.errors import DepthError
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions, TimeOptions
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
 from ggvs_eval.pipelines.offline.depth.fill_store import depth_spec, prepare_depth
 from ggvs_eval.pipelines.offline.plane_sweep.plane_sweep import PlaneSweepEstimator
@@ -200,7 +200,7 @@ def test_planes_reach_from_far_to_near():
 
 def test_the_pipeline_takes_it():
     """`sweep` on the command line is the plane sweep, which the estimator of the pipeline then uses, checks and finishes."""
-    options = DepthChoice("sweep").options()
+    options = DepthRunOptions("sweep").options()
     assert options.matcher == PlaneSweep()
     assert options.describe()["matcher_name"] == PlaneSweep().name
     estimator = DepthEstimator(CAMERA, PARTNERS, options)

@@ -8,7 +8,7 @@ import pytest
 from ggvs_eval.capture import Extras
 from ggvs_eval.depth_store import DepthJob, DepthStore
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import depth_spec, plan_depth, prepare_depth
 from helpers.stereo_scenes import PLANE, plane_depth, write_capture
 
@@ -41,7 +41,7 @@ def test_cameras_with_a_sensor_need_no_partners(capture):
     """Sources with measured depth get jobs without partners, the others stereo; --no-sensor is stereo for all."""
     jobs = plan_depth(capture, [capture.camera("cam02")], 4, DepthOptions())["cam02"]
     assert {name for name, job in jobs.items() if not job.partner_names} == {"cam00", "cam01"}
-    by_stereo = plan_depth(capture, [capture.camera("cam02")], 4, DepthChoice(sensor=False).options())["cam02"]
+    by_stereo = plan_depth(capture, [capture.camera("cam02")], 4, DepthRunOptions(sensor=False).options())["cam02"]
     assert all(job.partner_names for job in by_stereo.values())
 
 

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from ggvs_eval.compute_device import compute_device, describe_device
-from ggvs_eval.pipelines.methods.network_choice import NetworkChoice
+from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.methods.registry import find_method
 from helpers.scenes import camera_at, instant
 from helpers.seeded_baselines import turned_rig
@@ -21,7 +21,7 @@ LEVEL = 1 / 255
 def test_a_render_is_that_of_the_cpu(label, views):
     """All but a few pixels within a level, and the same stages; the few lie where rounding decides between two surfaces."""
     moment = turned_rig(views)
-    here, there = (find_method(label, NetworkChoice(device=device)).make().step(moment) for device in ("cpu", "cuda"))
+    here, there = (find_method(label, NetworkOptions(device=device)).make().step(moment) for device in ("cpu", "cuda"))
     off = np.abs(here.image - there.image).max(axis=-1)
     assert there.image.dtype == np.float32
     assert there.image.shape == here.image.shape
@@ -40,7 +40,7 @@ def test_a_render_is_that_of_the_cpu(label, views):
 def test_both_devices_may_take_turns(label):
     """Networks of two devices in one process do not get mixed up, and a sequence stays together."""
     target, sources = camera_at(0.0, name="virtual"), [camera_at(x, y) for x, y in ((-0.3, 0.1), (0.3, -0.1), (0.1, 0.3))]
-    methods = [find_method(label, NetworkChoice(device=device)).make() for device in ("cpu", "cuda")]
+    methods = [find_method(label, NetworkOptions(device=device)).make() for device in ("cpu", "cuda")]
     for index in range(3):
         images = [method.step(instant(index, target, sources, 0.1 * index)).image for method in methods]
         assert (np.abs(images[0] - images[1]).max(axis=-1) > LEVEL).mean() < 0.005

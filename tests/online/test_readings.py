@@ -166,7 +166,7 @@ def with_a_darker_source(given):
         {"beta_temporal": 0.6},
         {"history_tolerance": float("inf")},
         {"recurrent_limit": 0.0},
-        {"harmonised": False},
+        {"compensated": False},
         {"normalised_field": False},
         {"signed_distance": "printed"},
     ],
@@ -209,7 +209,7 @@ def test_a_label_may_set_options():
         ("ours-geometric+beta_temporl=0.6", "did you mean beta_temporal"),
         ("ours-geometric+mask_views=least", "must be one of 'largest', 'mean', got 'least'"),
         ("ours-geometric+temporal=0.5", "must be true or false, got 0.5"),
-        ("ours-geometric+harmonised=0.5", "must be true or false, got 0.5"),
+        ("ours-geometric+compensated=0.5", "must be true or false, got 0.5"),
         ("no-blending+tau_m=1", "No Blending has no options to set; these have: ours, ours-geometric"),
     ],
 )

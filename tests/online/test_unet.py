@@ -107,7 +107,7 @@ def channels_of(inputs: int, height: int, width: int) -> np.ndarray:
 def test_the_kernel_is_the_network(size, layout, level):
     """Any size, number of channels and width give what torch gives, to rounding, with every instruction set."""
     network, channels = restless_unet(*layout), channels_of(layout[0], *size)
-    kernels.set_level(level)
+    kernels.set_simd_level(level)
     with torch.inference_mode():
         expected = network(torch.from_numpy(channels)[None])[0].numpy()
     found = unet_outputs(network, channels)
@@ -133,7 +133,7 @@ def test_vectors_of_any_size_give_the_same_bits():
     network, channels = restless_unet(6, 5, 4), channels_of(6, 35, 50)
     found = []
     for level in levels:
-        kernels.set_level(level)
+        kernels.set_simd_level(level)
         found.append(unet_outputs(network, channels))
     for other in found[1:]:
         np.testing.assert_array_equal(other, found[0])

@@ -9,9 +9,9 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.errors import CameraError, GgvsError, RenderError
 from ggvs_eval.files.images import quantise
 from ggvs_eval.files.video import VideoFrames
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.play.play import Timing, record
-from ggvs_eval.pipelines.play.playback import PlayOptions, blocks_of, reel_of_capture, reel_of_run
+from ggvs_eval.pipelines.play.playback import PlayOptions, blocks_of, playback_of_capture, playback_of_run
 from ggvs_eval.pipelines.play.synthesizer import OnlineSynthesizer
 from ggvs_eval.pipelines.play.trajectory import camera_loop
 from ggvs_eval.pipelines.run.prepare import prepare
@@ -19,7 +19,7 @@ from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthe
 from helpers.command_line import refusal
 from helpers.stereo_scenes import HEIGHT, WIDTH, plane_depth, see_plane, write_capture
 
-DEPTH = DepthChoice("sgbm").options()
+DEPTH = DepthRunOptions("sgbm").options()
 
 
 @pytest.fixture(scope="module")
@@ -107,14 +107,14 @@ def test_times_are_percentiles_without_the_first_frame():
 
 
 def test_a_capture_is_played(capture, tmp_path):
-    """The video shows what a camera on the way would see; every step is timed; a second reel finds frames and depth there."""
+    """The video shows what a camera on the way would see; every step is timed; a second playback finds frames and depth there."""
     options = PlayOptions(k=2, frames=3)
-    reel = reel_of_capture(capture, options, DEPTH, tmp_path / "cache")
-    timing = record(reel, tmp_path / "out.mp4")
+    playback = playback_of_capture(capture, options, DEPTH, tmp_path / "cache")
+    timing = record(playback, tmp_path / "out.mp4")
 
     video = VideoFrames(tmp_path / "out.mp4")
     assert (video.n_frames, video.size, video.fps) == (3, (WIDTH, HEIGHT), 30.0)
-    for t, (image, pose) in enumerate(zip(video.frames(0, 3), reel.poses, strict=True)):
+    for t, (image, pose) in enumerate(zip(video.frames(0, 3), playback.poses, strict=True)):
         truth = see_plane(pose, np.array([0.25, 0.15, 6.0 - 0.2 * t]))
         error = np.abs(image.astype(float) - truth)[20:-20, 20:-20]
         assert np.median(error) < 6, f"frame {t}"
@@ -122,22 +122,22 @@ def test_a_capture_is_played(capture, tmp_path):
 
     kept = {file: file.stat().st_mtime_ns for file in (tmp_path / "cache").rglob("*.npz")}
     assert len(kept) < 5 * 3  # not all depth there could be
-    again = reel_of_capture(capture, options, DEPTH, tmp_path / "cache")
+    again = playback_of_capture(capture, options, DEPTH, tmp_path / "cache")
     assert {file: file.stat().st_mtime_ns for file in (tmp_path / "cache").rglob("*.npz")} == kept
-    assert again.depth_keys == reel.depth_keys
+    assert again.depth_keys == playback.depth_keys
 
 
 def test_the_video_is_what_the_synthesizer_gives(capture, tmp_path):
     """Each frame is a step of OnlineSynthesizer, but for the encoder's loss."""
-    reel = reel_of_capture(capture, PlayOptions(k=2, frames=2, width=120), DEPTH, tmp_path / "cache")
-    record(reel, tmp_path / "out.mp4")
-    live = OnlineSynthesizer(reel.capture.cameras, 2)
+    playback = playback_of_capture(capture, PlayOptions(k=2, frames=2, width=120), DEPTH, tmp_path / "cache")
+    record(playback, tmp_path / "out.mp4")
+    live = OnlineSynthesizer(playback.capture.cameras, 2)
     for t, image in enumerate(VideoFrames(tmp_path / "out.mp4").frames(0, 2)):
-        names = [camera.name for camera in live.sources(reel.poses[t])]
+        names = [camera.name for camera in live.sources(playback.poses[t])]
         images = {name: capture.frame(name, t) for name in names}
-        depths = {name: reel.store.read(reel.depth_keys[name], t).depth for name in names}
+        depths = {name: playback.store.read(playback.depth_keys[name], t).depth for name in names}
         assert np.abs(depths[names[0]] / (plane_depth(capture.camera(names[0])) - 0.2 * t) - 1).mean() < 0.1
-        expected = quantise(live.step(images, depths, reel.poses[t]).image)
+        expected = quantise(live.step(images, depths, playback.poses[t]).image)
         assert np.abs(image.astype(float) - expected).mean() < 4
 
 
@@ -152,15 +152,15 @@ def test_a_run_is_played_without_new_depth(capture, tmp_path):
         Measurement(metrics=("PSNR",)),
         CameraPath(poses=0),
     )
-    prepared = prepare(tmp_path / "run", capture, protocol, depth=DepthChoice("sgbm"))
+    prepared = prepare(tmp_path / "run", capture, protocol, depth=DepthRunOptions("sgbm"))
     before = set((tmp_path / "run").rglob("*"))
 
-    reel = reel_of_run(prepared, PlayOptions())
-    record(reel, tmp_path / "out.mp4")
+    playback = playback_of_run(prepared, PlayOptions())
+    record(playback, tmp_path / "out.mp4")
 
     assert VideoFrames(tmp_path / "out.mp4").n_frames == 2
-    assert list(reel.instants) == [1, 2]
-    assert (reel.k, set(reel.capture.camera_names)) == (2, set(prepared.plans["cam00"].depth_keys))
+    assert list(playback.instants) == [1, 2]
+    assert (playback.k, set(playback.capture.camera_names)) == (2, set(prepared.plans["cam00"].depth_keys))
     assert set((tmp_path / "run").rglob("*")) == before
 
 
@@ -177,7 +177,7 @@ def test_a_run_is_played_without_new_depth(capture, tmp_path):
 def test_more_than_there_is_cannot_be_played(capture, tmp_path, options, words):
     """Said before anything is computed."""
     with pytest.raises(GgvsError, match=words):
-        reel_of_capture(capture, options, DEPTH, tmp_path / "cache")
+        playback_of_capture(capture, options, DEPTH, tmp_path / "cache")
     assert not (tmp_path / "cache").exists()
 
 

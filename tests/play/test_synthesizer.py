@@ -199,7 +199,7 @@ def test_too_few_cameras_beside_the_target():
 
 @pytest.mark.skipif(not DOCUMENT.is_file(), reason="reads the checkout")
 def test_the_example_of_the_page_works(tmp_path, monkeypatch):
-    """The code of docs/online.md, run as it stands on a small demo capture, writes views that resemble what is filmed there."""
+    """The code of docs/online.md, run as it stands on a small demo capture, writes views that resemble what is rendered there."""
     from ggvs_eval.synthetic.demo import write_demo
     from ggvs_eval.synthetic.film.options import DemoOptions
 
@@ -215,6 +215,6 @@ def test_the_example_of_the_page_works(tmp_path, monkeypatch):
     assert len(code) <= 10
     assert [file.name for file in sorted((tmp_path / "view").iterdir())] == ["0000.png", "0001.png"]
     for t in range(2):
-        view, filmed = read_image(tmp_path / "view" / f"{t:04d}.png"), names["room"].frame("cam01", t)
-        assert view.shape == filmed.shape
-        assert psnr_db(view / 255.0, quantise(np.full(filmed.shape, filmed.mean() / 255))) < psnr_db(view / 255.0, filmed)
+        view, rendered = read_image(tmp_path / "view" / f"{t:04d}.png"), names["room"].frame("cam01", t)
+        assert view.shape == rendered.shape
+        assert psnr_db(view / 255.0, quantise(np.full(rendered.shape, rendered.mean() / 255))) < psnr_db(view / 255.0, rendered)

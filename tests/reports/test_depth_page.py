@@ -217,7 +217,7 @@ def test_narrow_depth_range_is_told(capture):
 
 
 def test_too_few_matches_say_nothing(record):
-    """A pair without texture has no error, and the page says that it could not be judged."""
+    """A pair without texture has no error, and the page says that it could not be evaluated."""
     camera, partner = look_from(0, 0, "one"), look_from(0.4, 0, "other")
     blank = find_features(np.full((150, 200, 3), 90, np.uint8))
     errors, uv = measure_pair(camera, partner, blank, blank)
@@ -250,7 +250,7 @@ def test_exposure_does_not_pass_for_wrong_depth():
 
 
 def test_hidden_surfaces_are_not_compared():
-    """A wall that a near board hides from the other camera is marked, not judged; what both see is."""
+    """A wall that a near board hides from the other camera is marked, not evaluated; what both see is."""
     camera, other = look_from(0, 0, "camera"), look_from(0.5, 0, "other")
     depth = np.full((150, 200), 8.0, np.float32)
     depth[:, 80:110] = 4.5

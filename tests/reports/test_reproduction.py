@@ -16,7 +16,7 @@ from ggvs_eval.reports.model.measured import MeasuredRun, MetricNote
 from ggvs_eval.reports.model.table import Cell
 from ggvs_eval.reports.report import write_report
 from ggvs_eval.reports.tables.published import read_published
-from ggvs_eval.reports.tables.reproduction import STATUSES, Reproduction, judge_value, paper_methods, reproduce
+from ggvs_eval.reports.tables.reproduction import STATUSES, Reproduction, evaluate_value, paper_methods, reproduce
 from ggvs_eval.reports.tables.reproduction_formats import reproduction_csv, reproduction_markdown
 from ggvs_eval.results import Results, make_table
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, write_json
@@ -188,7 +188,7 @@ def test_departures_from_the_terms_are_named(on_dynerf, changed, words):
 )
 def test_a_value_is_reproduced_by_interval_or_digits(paper, cell, metric, status, reason):
     """A published value stands for all that round to it; outside our interval it differs, and the reason says by how much."""
-    found, words = judge_value(paper, cell, metric)
+    found, words = evaluate_value(paper, cell, metric)
     assert found == status
     assert reason in words
 

@@ -1,4 +1,4 @@
-"""What a plan tries and what it can say without: scoring by one method's frames, a demo that is not filmed yet."""
+"""What a plan tries and what it can say without: scoring by one method's frames, a demo that is not rendered yet."""
 
 import dataclasses
 from pathlib import Path
@@ -12,11 +12,11 @@ from ggvs_eval.files.images import write_image
 from ggvs_eval.metrics.fetch_lpips import weights_path
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.planning import plan as run_plan
+from ggvs_eval.pipelines.planning.demo_plan import demo_to_plan
 from ggvs_eval.pipelines.planning.estimate import Portion
 from ggvs_eval.pipelines.planning.plan import plan_runs
-from ggvs_eval.pipelines.planning.run_request import Wish
+from ggvs_eval.pipelines.planning.run_request import RunRequest
 from ggvs_eval.pipelines.planning.score_trial import try_scoring
-from ggvs_eval.pipelines.planning.unfilmed import demo_to_plan
 from ggvs_eval.pipelines.planning.work_left import plan_frames
 from ggvs_eval.run_folder import RunFolder, frame_path
 from helpers.small_runs import LABELS, small_options, small_protocol, write_small_capture
@@ -37,19 +37,19 @@ def counts(portion: Portion) -> list[int]:
 
 
 def test_a_demo_is_planned_before_it_is_filmed(capture, tmp_path, monkeypatch):
-    """A demo that is not there yet is planned like the filmed one, without a trial, and says what will be filmed."""
+    """A demo that is not there yet is planned like the rendered one, without a trial, and says what will be rendered."""
     unfilmed = demo_to_plan(tmp_path / "demo", small_options(3), open_capture)
-    filmed = demo_to_plan(capture.path, small_options(3), open_capture)
-    same = plan_runs([Wish(tmp_path / "run", filmed, PROTOCOL, LABELS)], 1, tmp_path)
+    rendered = demo_to_plan(capture.path, small_options(3), open_capture)
+    same = plan_runs([RunRequest(tmp_path / "run", rendered, PROTOCOL, LABELS)], 1, tmp_path)
     monkeypatch.setattr(run_plan, "PROBED_FROM_PIXELS", 0)
-    plan = plan_runs([Wish(tmp_path / "run", unfilmed, PROTOCOL, LABELS)], 1, tmp_path)
+    plan = plan_runs([RunRequest(tmp_path / "run", unfilmed, PROTOCOL, LABELS)], 1, tmp_path)
 
     assert [counts(each) for each in plan.portions] == [counts(each) for each in same.portions]
     assert plan.rates is None
-    assert plan.describe().startswith("film: the demo is filmed first, 6 cameras x 3 frames at 64 x 48, into ")
+    assert plan.describe().startswith("film: the demo is rendered first, 6 cameras x 3 frames at 64 x 48, into ")
     assert plan.describe().splitlines()[1] == same.describe().splitlines()[0]
     assert list(tmp_path.iterdir()) == []
-    with pytest.raises(CaptureError, match="the demo is not filmed yet"):
+    with pytest.raises(CaptureError, match="the demo is not rendered"):
         list(unfilmed.frames("cam00", 0, 1))
 
 
@@ -79,10 +79,10 @@ def write_frames(folder: Path, seed: int) -> None:
 
 def test_a_run_that_goes_on_is_tried_as_well(capture, tmp_path, monkeypatch):
     """What the first trial stored is not found again; the second still measures how long depth takes, as long as some is left."""
-    wishes = [Wish(tmp_path / "run", capture, PROTOCOL, LABELS)]
-    untried = plan_runs(wishes, 1, tmp_path)
+    requests = [RunRequest(tmp_path / "run", capture, PROTOCOL, LABELS)]
+    untried = plan_runs(requests, 1, tmp_path)
     monkeypatch.setattr(run_plan, "PROBED_FROM_PIXELS", 0)
-    tried = [plan_runs(wishes, 1, tmp_path) for _ in range(2)]
+    tried = [plan_runs(requests, 1, tmp_path) for _ in range(2)]
 
     assert [counts(plan.portions[0]) for plan in tried[1:]] == [counts(tried[0].portions[0])] != [counts(untried.portions[0])]
     for plan in tried:
@@ -92,6 +92,6 @@ def test_a_run_that_goes_on_is_tried_as_well(capture, tmp_path, monkeypatch):
 def test_pictures_of_the_inside_count_with_their_frame(capture, tmp_path, monkeypatch):
     """A frame of ours takes what it and the four small pictures behind it take, not the mean of five pictures."""
     monkeypatch.setattr(run_plan, "PROBED_FROM_PIXELS", 0)
-    plan = plan_runs([Wish(tmp_path / "run", capture, PROTOCOL, ("ours",))], 1, tmp_path)
+    plan = plan_runs([RunRequest(tmp_path / "run", capture, PROTOCOL, ("ours",))], 1, tmp_path)
 
     assert plan.rates.render_bytes > 1.5 * 64 * 48

@@ -11,7 +11,7 @@ import pytest
 
 from ggvs_eval.errors import RenderError
 from ggvs_eval.jobs.engine import Engine
-from ggvs_eval.jobs.run_all import do_all
+from ggvs_eval.jobs.run_all import run_all
 from ggvs_eval.pipelines.run.evaluate import measure
 from ggvs_eval.protocol import Protocol
 from helpers.small_runs import LABELS, small_protocol, write_small_capture
@@ -76,7 +76,7 @@ def test_the_work_is_done_elsewhere_and_survives_a_kill(engine, tmp_path):
     if engine.engine == "dask":
         pytest.importorskip("distributed")
 
-    do_all(partial(note_who, tmp_path), range(6), engine, "noting")
+    run_all(partial(note_who, tmp_path), range(6), engine, "noting")
 
     workers = [(tmp_path / f"{number}").read_text() for number in range(6)]
     assert str(os.getpid()) not in workers
@@ -92,5 +92,5 @@ def refuse(number: int) -> None:
 def test_what_the_work_raises_comes_through(workers):
     """The error of the first item that fails is raised as it is; no items are no work."""
     with pytest.raises(RenderError, match=r"item [0-2] cannot be done"):
-        do_all(refuse, range(3), workers, "refusing")
-    do_all(refuse, [], workers, "refusing")
+        run_all(refuse, range(3), workers, "refusing")
+    run_all(refuse, [], workers, "refusing")

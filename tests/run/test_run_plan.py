@@ -11,18 +11,18 @@ import pytest
 from ggvs_eval.errors import ProtocolError
 from ggvs_eval.jobs.shard import WHOLE, Shard
 from ggvs_eval.pipelines.commands.main import run_command
-from ggvs_eval.pipelines.methods.network_choice import AS_SHIPPED
+from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED
 from ggvs_eval.pipelines.methods.registry import find_method
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.planning import plan as run_plan
 from ggvs_eval.pipelines.planning import probe as trial
 from ggvs_eval.pipelines.planning.estimate import DEPTH_BYTES, Portion
 from ggvs_eval.pipelines.planning.plan import RunPlan, duration, plan_runs
 from ggvs_eval.pipelines.planning.rates import Rates
-from ggvs_eval.pipelines.planning.run_request import Wish
+from ggvs_eval.pipelines.planning.run_request import RunRequest
 from ggvs_eval.pipelines.planning.work_left import WorkLeft, plan_frames
 from ggvs_eval.pipelines.run.evaluate import measure
-from ggvs_eval.pipelines.sweep.cells import wishes_of
+from ggvs_eval.pipelines.sweep.cells import run_requests
 from ggvs_eval.protocol import CameraPath, Frames, Protocol, Synthesis
 from ggvs_eval.run_folder import RunFolder
 from ggvs_eval.sweep import Sweep, SweepRow
@@ -48,7 +48,7 @@ def tried(capture, protocol, tmp_path_factory):
     root = tmp_path_factory.mktemp("tried") / "run"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(run_plan, "PROBED_FROM_PIXELS", 0)
-        plan = plan_runs([Wish(root, capture, protocol, LABELS)], 1, root)
+        plan = plan_runs([RunRequest(root, capture, protocol, LABELS)], 1, root)
     return root, plan
 
 
@@ -67,7 +67,7 @@ def n_files(folder: Path, pattern: str) -> int:
 
 def test_what_is_counted_is_what_is_made(capture, protocol, finished, tmp_path):
     """Before a run the plan counts exactly the frames, depth maps, masks and renders that the run then leaves."""
-    left = plan_runs([Wish(tmp_path / "run", capture, protocol, LABELS)], 1, tmp_path).portions[0].left
+    left = plan_runs([RunRequest(tmp_path / "run", capture, protocol, LABELS)], 1, tmp_path).portions[0].left
     run = RunFolder(finished)
 
     assert sum(left.truth.values()) == n_files(run.root / "truth", "*.png")
@@ -81,9 +81,9 @@ def test_what_is_counted_is_what_is_made(capture, protocol, finished, tmp_path):
 
 def test_nothing_is_said_where_everything_is_done(capture, protocol, finished):
     """A finished run has no plan; one more method has that method's frames alone."""
-    assert plan_runs([Wish(finished, capture, protocol, LABELS)], 1, finished).describe() == ""
+    assert plan_runs([RunRequest(finished, capture, protocol, LABELS)], 1, finished).describe() == ""
 
-    more = plan_runs([Wish(finished, capture, protocol, (*LABELS, "ours-geometric"))], 1, finished)
+    more = plan_runs([RunRequest(finished, capture, protocol, (*LABELS, "ours-geometric"))], 1, finished)
 
     assert more.portions[0].left.n_rendered == 2 * 3 + 3
     assert more.portions[0].left.n_depth == 0
@@ -92,7 +92,7 @@ def test_nothing_is_said_where_everything_is_done(capture, protocol, finished):
 
 def test_a_small_run_is_not_tried(capture, protocol, tmp_path):
     """A run of a few seconds is told in two lines, and nothing is written for it."""
-    text = plan_runs([Wish(tmp_path / "run", capture, protocol, LABELS)], 1, tmp_path / "run").describe()
+    text = plan_runs([RunRequest(tmp_path / "run", capture, protocol, LABELS)], 1, tmp_path / "run").describe()
 
     assert [line.split(":")[0] for line in text.splitlines()] == ["plan", "disk"]
     assert "2 views x 3 frames x 2 methods at 64 x 48, K = 2" in text
@@ -161,7 +161,7 @@ def test_a_run_that_cannot_fit_is_refused(capture, protocol, tmp_path, monkeypat
 
 def test_disk_is_what_the_run_leaves(finished, capture, protocol, tmp_path):
     """The estimate of depth alone is right within 15 %, headers included; all of it within a factor of two."""
-    plan = plan_runs([Wish(tmp_path / "run", capture, protocol, LABELS)], 1, tmp_path)
+    plan = plan_runs([RunRequest(tmp_path / "run", capture, protocol, LABELS)], 1, tmp_path)
     left = plan.portions[0].left
     depth = sum(file.stat().st_size for file in (finished / "depth").rglob("*.npz"))
     everything = sum(file.stat().st_size for file in finished.rglob("*") if file.is_file())
@@ -190,7 +190,7 @@ def test_a_sweep_is_planned_as_one(capture, protocol, tmp_path):
     sweep = Sweep("s", "", (SweepRow("A", "no-blending"),), k=(2, 3))
     captures = {"": (capture, protocol)}
     whole, half, first = (
-        plan_runs(wishes_of(tmp_path, captures, sweep, None, AS_SHIPPED, shard), 1, tmp_path)
+        plan_runs(run_requests(tmp_path, captures, sweep, None, AS_SHIPPED, shard), 1, tmp_path)
         for shard in (WHOLE, Shard(1, 2), Shard(0, 2))
     )
 
@@ -198,7 +198,7 @@ def test_a_sweep_is_planned_as_one(capture, protocol, tmp_path):
     assert sum(each.left.n_rendered for each in whole.portions) == 2 * (2 * 3 + 3)
     assert sum(each.left.n_rendered for each in half.portions) == pytest.approx(9, abs=3)
     assert sum(each.left.n_rendered for each in first.portions) == 0
-    alone = plan_runs(wishes_of(tmp_path, captures, sweep, None, AS_SHIPPED, WHOLE)[:1], 1, tmp_path)
+    alone = plan_runs(run_requests(tmp_path, captures, sweep, None, AS_SHIPPED, WHOLE)[:1], 1, tmp_path)
     assert alone.disk_bytes < whole.disk_bytes < 2 * alone.disk_bytes
     assert list(tmp_path.iterdir()) == []
 
@@ -209,7 +209,7 @@ def test_a_folder_of_another_run_is_refused_before_a_trial(finished, capture, pr
     other = dataclasses.replace(protocol, synthesis=Synthesis(3))
 
     with pytest.raises(ProtocolError, match="another protocol or capture"):
-        plan_runs([Wish(finished, capture, other, LABELS)], 1, finished)
+        plan_runs([RunRequest(finished, capture, other, LABELS)], 1, finished)
 
 
 @pytest.mark.parametrize(("seconds", "text"), [(7.2, "7 s"), (119, "119 s"), (600, "10 min"), (9000, "2.5 h")])
@@ -224,7 +224,7 @@ def test_a_trial_asks_what_is_left_alone(capture, protocol, finished, tmp_path, 
     shutil.copytree(finished, root)
     monkeypatch.setattr(run_plan, "PROBED_FROM_PIXELS", 0)
 
-    plan = plan_runs([Wish(root, capture, protocol, (*LABELS, "ours-geometric"))], 1, root)
+    plan = plan_runs([RunRequest(root, capture, protocol, (*LABELS, "ours-geometric"))], 1, root)
 
     assert plan.rates is not None
     assert set(plan.rates.step_s) == {"ours-geometric"}
@@ -243,7 +243,7 @@ def test_a_slow_method_is_tried_once(capture, protocol, tmp_path, monkeypatch):
             return self.method.step(instant)
 
     monkeypatch.setattr(trial, "SLOW_S", 0.0)
-    options = DepthChoice().options()
+    options = DepthRunOptions().options()
     planned, _ = plan_frames(tmp_path, capture, protocol, options, None)
     rates = trial.probe(planned, options, {"slow": dataclasses.replace(spec, make=Slow)}, tmp_path, time.time())
 

@@ -7,7 +7,7 @@ import pytest
 from ggvs_eval.errors import CameraError
 from ggvs_eval.geometry.source_views import choose_sources
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.play.synthesizer import OnlineSynthesizer
 from ggvs_eval.pipelines.run.evaluate import measure
 from ggvs_eval.pipelines.run.prepare import plan
@@ -38,8 +38,8 @@ def chosen_protocol(sources: str) -> Protocol:
 def test_a_run_takes_the_chosen_sources(capture, tmp_path):
     """Views and path are synthesised from what `choose_sources` gives; the record of the path says so; scores come out."""
     protocol = chosen_protocol("coverage")
-    measure(tmp_path, capture, protocol, LABELS, 1, DepthChoice("sgbm"))
-    planned = plan(RunFolder(tmp_path), protocol, capture, DepthChoice("sgbm").options())
+    measure(tmp_path, capture, protocol, LABELS, 1, DepthRunOptions("sgbm"))
+    planned = plan(RunFolder(tmp_path), protocol, capture, DepthRunOptions("sgbm").options())
     for view in planned.plans.values():
         chosen = choose_sources(view.target, capture.cameras, 2, "coverage")
         assert [*view.depth_keys] == [*view.shares] == [each.camera.name for each in chosen]

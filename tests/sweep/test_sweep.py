@@ -6,9 +6,9 @@ import shutil
 import numpy as np
 import pytest
 
-from ggvs_eval.capture import Retake
+from ggvs_eval.capture import CaptureEdit
 from ggvs_eval.datasets import open_capture
-from ggvs_eval.datasets.held_still import retake
+from ggvs_eval.datasets.capture_edit import perturb_capture
 from ggvs_eval.errors import ProtocolError
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.methods.registry import find_method
@@ -128,7 +128,7 @@ def test_frames_rendered_elsewhere_are_a_row(capture, protocol, tmp_path):
 
 def test_frames_of_several_captures_are_told_apart(capture, protocol, tmp_path):
     """One folder for two captures is refused before anything is rendered; titles that make one folder name are too."""
-    noisy = retake(capture, Retake(hold_frames=2, sensor_noise_255=20.0))
+    noisy = perturb_capture(capture, CaptureEdit(hold_frames=2, sensor_noise_255=20.0))
     rows = (SweepRow("None", "no-blending"), SweepRow("Theirs", "rendered:frames"))
 
     result = run_sweeps(
@@ -146,7 +146,7 @@ def test_frames_of_several_captures_are_told_apart(capture, protocol, tmp_path):
 def test_several_captures_are_averaged(capture, protocol, tmp_path):
     """Two captures: a table of each, and the mean of the lines that both have; measured differently they have no mean."""
     sweep = Sweep("pair", "test", (SweepRow("Distance", "distance-based"), SweepRow("None", "no-blending")))
-    noisy = retake(capture, Retake(hold_frames=2, sensor_noise_255=20.0))
+    noisy = perturb_capture(capture, CaptureEdit(hold_frames=2, sensor_noise_255=20.0))
 
     result = run_sweeps(tmp_path / "s", {"still": (noisy, protocol), "moving": (capture, protocol)}, sweep, workers=1)
 

@@ -31,7 +31,7 @@ TINY = DemoOptions(width=64, height=48, n_frames=3, cameras_per_row=2, path_pose
 QUICK = replace(TINY, width=32, height=24, n_frames=1, supersampling=1, path_poses=1, noise_sigma_255=0.0)
 WRONG = {"calibration_error_px": 2.0, "focal_error": (("cam00", 1.05),)}
 METRIC = ("enerf-outdoor", "rgbd")
-# Mean absolute difference, of 255 levels, between a frame of 64 x 48 as filmed and as the codec gives it back.
+# Mean absolute difference, of 255 levels, between a frame of 64 x 48 as rendered and as the codec gives it back.
 JPEG_LOSS, VIDEO_LOSS = 2.5, 5.0
 
 
@@ -60,14 +60,14 @@ def recall(index):
 
 
 @cache
-def filmed(layout):
+def rendered(layout):
     """All frames of all cameras of a layout's `TINY` demo."""
     options = replace(TINY, layout=layout)
     return [list(Footage(options, shot, recall).frames()) for shot in shots_of(options)]
 
 
 def shots_of(options):
-    """What is filmed, but for the true path."""
+    """What is rendered, but for the true path."""
     return [shot for shot in LAYOUTS[options.layout].shots(options) if shot.sensor is not None]
 
 
@@ -104,9 +104,9 @@ def test_reading_back_gives_the_same_cameras_and_units(demo, layout):
 
 @pytest.mark.parametrize(("layout", "loss"), [("dynerf", VIDEO_LOSS), ("colmap", VIDEO_LOSS), ("rgbd", JPEG_LOSS), ("d3dmv", 0)])
 def test_reading_back_gives_the_same_images(demo, layout, loss):
-    """Frame t of camera i is what was filmed, within the loss of the codec: none in HDF5."""
+    """Frame t of camera i is what was rendered, within the loss of the codec: none in HDF5."""
     capture = open_capture(demo(layout))
-    for name, frames in zip(capture.camera_names, filmed(layout), strict=True):
+    for name, frames in zip(capture.camera_names, rendered(layout), strict=True):
         for image, frame in zip(capture.frames(name), frames, strict=True):
             assert mean_difference(image, frame.image) <= loss
 
@@ -166,8 +166,8 @@ def test_easymocap_files_hold_the_rig_in_metres(demo):
 
 
 def test_easymocap_images_are_those_of_the_lens(demo):
-    """Every image on disk is the distorted frame as filmed, within JPEG's loss."""
-    for number, frames in enumerate(filmed("enerf-outdoor")):
+    """Every image on disk is the distorted frame as rendered, within JPEG's loss."""
+    for number, frames in enumerate(rendered("enerf-outdoor")):
         for index, frame in enumerate(frames):
             image = read_image(demo("enerf-outdoor") / "images" / f"{number:02d}" / f"{index:06d}.jpg")
             assert mean_difference(image, frame.image) < JPEG_LOSS
@@ -176,7 +176,7 @@ def test_easymocap_images_are_those_of_the_lens(demo):
 def test_easymocap_images_read_back_undistorted(demo):
     """The adapter's images are nearer to those of a pinhole than the images on disk are, at every camera and frame."""
     capture = open_capture(demo("enerf-outdoor"))
-    for number, (name, frames) in enumerate(zip(capture.camera_names, filmed("d3dmv"), strict=True)):
+    for number, (name, frames) in enumerate(zip(capture.camera_names, rendered("d3dmv"), strict=True)):
         for index, (image, frame) in enumerate(zip(capture.frames(name), frames, strict=True)):
             on_disk = read_image(demo("enerf-outdoor") / "images" / f"{number:02d}" / f"{index:06d}.jpg")
             assert mean_difference(image, frame.image) < 0.5 * mean_difference(on_disk, frame.image)
@@ -254,7 +254,7 @@ def test_d3dmv_file_is_as_distributed(demo):
         chunks = {"rgb": (1, 1, 48, 64, 3), "fg_rgb": (1, 1, 48, 64, 4), "bg_rgb": (1, 48, 64, 3)}
         assert {key: data.chunks for key, data in file.items()} == chunks
         assert all(data.dtype == np.uint8 and data.shuffle and data.compression == "lzf" for data in file.values())
-        for row, frames in enumerate(filmed("d3dmv")):
+        for row, frames in enumerate(rendered("d3dmv")):
             np.testing.assert_array_equal(file["rgb"][row], [frame.image for frame in frames])
             foreground = file["fg_rgb"][row]
             np.testing.assert_array_equal(foreground[..., 3], [quantise(frame.foreground) for frame in frames])
@@ -330,7 +330,7 @@ def test_rgbd_files_are_as_exported(demo):
     np.testing.assert_allclose(np.diag([2, 2, 1]) @ depth_K, colour_K)
     for kind in ("depth", "color"):
         np.testing.assert_array_equal(np.loadtxt(folder / "intrinsic" / f"extrinsic_{kind}.txt"), np.eye(4))
-    for index, (shot, frames) in enumerate(zip(hand_held_shots(replace(TINY, layout="rgbd")), filmed("rgbd"), strict=True)):
+    for index, (shot, frames) in enumerate(zip(hand_held_shots(replace(TINY, layout="rgbd")), rendered("rgbd"), strict=True)):
         pose = np.loadtxt(folder / "pose" / f"{index}.txt")
         np.testing.assert_allclose(pose, np.linalg.inv(in_metres(shot.camera).world_to_camera), atol=1e-9)
         millimetres = cv2.imread(str(folder / "depth" / f"{index}.png"), cv2.IMREAD_UNCHANGED)

@@ -137,7 +137,7 @@ def small_protocols():
 
 
 def test_all_rooms_stand_on_one_page(tmp_path, small_protocols, monkeypatch):
-    """Each room is filmed and evaluated beside the main one, one page shows all, and a second call computes nothing."""
+    """Each room is rendered and evaluated beside the main one, one page shows all, and a second call computes nothing."""
     monkeypatch.setattr(demo_runs, "load_protocol", small_protocols)
     rooms = {MAIN: TINY, "demo-d3dmv": replace(TINY, layout="d3dmv", cameras_per_row=2)}
     root, told = tmp_path / "out", []
@@ -150,7 +150,7 @@ def test_all_rooms_stand_on_one_page(tmp_path, small_protocols, monkeypatch):
 
     over_k = [tmp_path / "out-k" / f"k{k}" for k in (2, 3, 4, 5)]  # of the main room's six cameras one is synthesised
     assert page == root / "report" / "index.html"
-    assert [wish.root for wishes in told for wish in wishes] == [root, tmp_path / "out-d3dmv", *over_k]
+    assert [request.root for requests in told for request in requests] == [root, tmp_path / "out-d3dmv", *over_k]
     assert len(Results.read(root).summary()) == 2
     assert len(Results.read(demo_root(root, "demo-d3dmv")).summary()) == 1
     assert (capture_beside(demo_root(root, "demo-d3dmv")) / "scene000.h5").is_file()
@@ -165,7 +165,7 @@ def test_all_rooms_stand_on_one_page(tmp_path, small_protocols, monkeypatch):
 
 
 def test_a_dry_run_films_nothing(tmp_path, capsys):
-    """Without a capture the plan says for each room what will be filmed and how much is to be done; nothing is written."""
+    """Without a capture the plan says for each room what will be rendered and how much is to be done; nothing is written."""
     run_command(["run", str(tmp_path / "out"), "--dry-run"])
 
     told = capsys.readouterr().out.splitlines()

@@ -10,11 +10,11 @@ import pytest
 from ggvs_eval.camera import Camera
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError, TrainingError
-from ggvs_eval.pipelines.training.samples.blend_lots import RoomSamples
+from ggvs_eval.pipelines.training.samples.blend_pools import RoomSamples
 from ggvs_eval.pipelines.training.samples.capture_views import overlap
 from ggvs_eval.pipelines.training.samples.domain_samples import domain_plans
 from ggvs_eval.pipelines.training.samples.held_back import held_back_halves
-from ggvs_eval.pipelines.training.samples.instant_lots import RoomInstants
+from ggvs_eval.pipelines.training.samples.instant_pools import RoomInstants
 from ggvs_eval.pipelines.training.samples.room_plan import RoomPlan, choose_views, draw_window, film_room, room_options
 from ggvs_eval.pipelines.training.samples.samples import JoinedSamples
 from ggvs_eval.synthetic.demo import write_demo
@@ -269,28 +269,28 @@ TINY_DOMAINS = ("narrow", "handheld", "misplaced_depth")
 
 
 def test_samples_of_many_domains_are_one_lot(tmp_path: Path) -> None:
-    """Each domain is filmed into its own folder, and its samples stand one after another, sensors' depth included."""
+    """Each domain is rendered into its own folder, and its samples stand one after another, sensors' depth included."""
     plans = [replace(plan, width=96, height=72) for plan in domain_plans(TINY_DOMAINS, rooms=1, targets=1, matcher="sgbm")]
-    lot = JoinedSamples(*(RoomSamples(tmp_path, plan) for plan in plans))
-    assert len(lot) == 3
+    pool = JoinedSamples(*(RoomSamples(tmp_path, plan) for plan in plans))
+    assert len(pool) == 3
     for plan in plans:
         RoomSamples(tmp_path, plan).prepare_room(plan.seeds[0])
-    samples = [lot.read(index) for index in range(3)]
+    samples = [pool.read(index) for index in range(3)]
     assert {sample.truth.shape for sample in samples} == {(72, 96, 3)}
     for sample in samples[1:]:
         assert (sample.views.fused_depth > 0).mean() > 0.3
-    assert "domain handheld" in lot.data
+    assert "domain handheld" in pool.data
 
 
 def test_of_large_images_a_window_is_kept(tmp_path: Path) -> None:
     """It shows what the whole sample shows there, for the network and for the baselines, whose sources are cut to it."""
     whole = replace(domain_plans(["large"], rooms=1, targets=1)[0], width=96, height=72, window=None)
     part = replace(whole, window=(64, 48))
-    lots = [RoomSamples(tmp_path, whole), RoomSamples(tmp_path, part), RoomInstants(tmp_path, part)]
+    pools = [RoomSamples(tmp_path, whole), RoomSamples(tmp_path, part), RoomInstants(tmp_path, part)]
     for plan in (whole, part):
         RoomSamples(tmp_path, plan).prepare_room(1000)
     RoomInstants(tmp_path, part).prepare_room(1000)
-    sample, window, instant = (lot.read(0) for lot in lots)
+    sample, window, instant = (pool.read(0) for pool in pools)
     left, top, width, height = draw_window(part, 1000, 0)
     assert (width, height) == (64, 48)
     assert (window.truth == sample.truth[top : top + 48, left : left + 64]).all()

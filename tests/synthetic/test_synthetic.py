@@ -237,7 +237,7 @@ def test_foreign_files_are_refused(tmp_path):
     ("name", "value"), [("width", 63), ("n_frames", 0), ("cameras_per_row", 1), ("noise_sigma_255", -1.0), ("fps", 0.0)]
 )
 def test_impossible_options_are_refused(name, value):
-    """An option that cannot be filmed is refused with its value."""
+    """An option that cannot be rendered is refused with its value."""
     with pytest.raises(CaptureError, match=f"got.* {value:g}"):
         replace(TINY, **{name: value})
 

@@ -10,13 +10,13 @@ from ggvs_eval.baselines.configuration import configuration_of
 from ggvs_eval.errors import TrainingError, WeightsError
 from ggvs_eval.one_thread import one_thread
 from ggvs_eval.pipelines.methods import baselines
-from ggvs_eval.pipelines.methods.network_choice import NetworkChoice
+from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
 from ggvs_eval.pipelines.training.baselines.baseline_tasks import BASELINE_TASKS, TAKING_DEPTH, baseline_task
 from ggvs_eval.pipelines.training.loop.card import write_card
 from ggvs_eval.pipelines.training.loop.loop import TrainingOptions, train
 from ggvs_eval.pipelines.training.samples.blend_samples import SampleMaker
-from ggvs_eval.pipelines.training.samples.instant_lots import RoomInstants
+from ggvs_eval.pipelines.training.samples.instant_pools import RoomInstants
 from ggvs_eval.pipelines.training.samples.instant_samples import read_instant
 from ggvs_eval.pipelines.training.samples.room_plan import RoomPlan, choose_views, validation_plan
 from ggvs_eval.pipelines.training.samples.training_data import TrainingData
@@ -77,9 +77,9 @@ def test_samples_are_those_of_the_blending_network_and_read_back(cache, capture)
 
 def sample_options():
     """How the samples' depth is computed."""
-    from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
+    from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 
-    return DepthChoice(PLAN.matcher).options()
+    return DepthRunOptions(PLAN.matcher).options()
 
 
 def test_a_damaged_sample_is_refused(tmp_path):
@@ -148,7 +148,7 @@ def test_what_a_training_writes_renders(what, cache, tmp_path):
     assert configuration_of(weights, ("compact",), what) == "compact"
     figures = dict(zip(*(line.split(",") for line in (tmp_path / "validation.csv").read_text().splitlines()), strict=True))
     sample = task.validation.read(0)
-    rendered = find_method(LABELS.get(what, what), NetworkChoice({what: weights})).make().step(sample.instant).image
+    rendered = find_method(LABELS.get(what, what), NetworkOptions({what: weights})).make().step(sample.instant).image
     assert rendered.shape == sample.truth.shape
     step = 4 if what == "ibrnet" else 1
     error = np.square(rendered - sample.truth / np.float32(255))[::step, ::step].mean()
@@ -178,7 +178,7 @@ def test_retrained_methods_are_labelled(tmp_path, monkeypatch):
         method = label.partition("+")[0]
         assert METHODS[label].title.endswith("(retrained, compact)")
         assert not METHODS[label].usual
-        with_own = find_method(label, NetworkChoice({method: tmp_path / "authors.pth"}))
+        with_own = find_method(label, NetworkOptions({method: tmp_path / "authors.pth"}))
         assert "retrained" not in with_own.title
         assert with_own.weights == (tmp_path / "authors.pth",)
     monkeypatch.setattr(baselines, "shipped", lambda name: tmp_path / name)

@@ -9,14 +9,14 @@ import torch
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.metrics.image import ssim
 from ggvs_eval.one_thread import one_thread
-from ggvs_eval.pipelines.online.blend_network import WIDTHS, BlendConfig, BlendNetwork, BlendOutputs
+from ggvs_eval.pipelines.online.blend_network import WIDTHS, BlendNetwork, BlendNetworkOptions, BlendOutputs
 from ggvs_eval.pipelines.online.blend_weights import load_blend_network, shipped_blend_weights
 from ggvs_eval.pipelines.online.network_inputs import input_channels
 from ggvs_eval.pipelines.training.blend.blend_loss import BlendLossWeights, blend_loss, depth_loss, mask_loss, structural_loss
 from ggvs_eval.pipelines.training.blend.blend_task import BlendTask, crop_arrays, mirrored, recoloured
 from ggvs_eval.pipelines.training.loop.card import write_card
 from ggvs_eval.pipelines.training.loop.loop import TrainingOptions, train
-from ggvs_eval.pipelines.training.samples.blend_lots import RoomSamples
+from ggvs_eval.pipelines.training.samples.blend_pools import RoomSamples
 from ggvs_eval.pipelines.training.samples.blend_samples import SampleMaker, read_sample
 from ggvs_eval.pipelines.training.samples.room_plan import RoomPlan, choose_views, room_options, validation_plan
 from ggvs_eval.pipelines.training.samples.samples import JoinedSamples
@@ -24,7 +24,7 @@ from helpers.stereo_scenes import HEIGHT, WIDTH, plane_depth, write_capture
 
 PLAN = RoomPlan(rooms=1, targets=2, views=2, other_views=(), other_share=0.0, width=WIDTH, height=HEIGHT)
 VALIDATION = replace(validation_plan(2, "sgbm", targets=1), rooms=1, width=WIDTH, height=HEIGHT)
-CONFIG = BlendConfig(views=3, width=4)  # one more than the samples have
+CONFIG = BlendNetworkOptions(views=3, width=4)  # one more than the samples have
 WINDOW = (20, 30, 64, 48)
 
 
@@ -122,9 +122,9 @@ def test_a_sample_is_what_the_method_would_see(capture):
 
 def depth_options():
     """The depth that plans ask for."""
-    from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
+    from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 
-    return DepthChoice(PLAN.matcher).options()
+    return DepthRunOptions(PLAN.matcher).options()
 
 
 def test_a_stored_sample_reads_back(capture, cache):
@@ -279,29 +279,29 @@ def test_a_real_training_learns(task, tmp_path):
 def test_named_sizes():
     """The standard one is what ships and fits 10 MB in half precision; the others are smaller and larger."""
     megabytes = {
-        size: 2 * sum(values.numel() for values in BlendNetwork(BlendConfig(width=width)).parameters()) / 2**20
+        size: 2 * sum(values.numel() for values in BlendNetwork(BlendNetworkOptions(width=width)).parameters()) / 2**20
         for size, width in WIDTHS.items()
     }
     assert megabytes["small"] < megabytes["standard"] < 10 < megabytes["large"]
-    assert load_blend_network(shipped_blend_weights()).config == BlendConfig(width=WIDTHS["standard"])
+    assert load_blend_network(shipped_blend_weights()).config == BlendNetworkOptions(width=WIDTHS["standard"])
 
 
 def test_what_does_not_fit_is_refused(task):
     """Another number of views than the samples have, and crops larger than they are, are errors before the first step."""
     with pytest.raises(TrainingError, match="a network for 1 views cannot learn from samples of 2 views"):
-        replace(task, config=BlendConfig(views=1))
+        replace(task, config=BlendNetworkOptions(views=1))
     with pytest.raises(TrainingError, match="crops of 512 x 48 do not fit samples of 200 x 150"):
         replace(task, crop_width=512)
 
 
 def test_lots_are_learned_from_side_by_side(task, cache):
-    """Joined lots count as one, one after the other; their descriptions stand in the card; a task takes them as it takes one."""
+    """Joined pools count as one, one after the other; their descriptions stand in the card; a task takes them as it takes one."""
     rooms, others = RoomSamples(cache, PLAN), RoomSamples(cache, VALIDATION)
     joined = JoinedSamples(rooms, others)
     joined.prepare(1)  # all is there
     assert len(joined) == len(rooms) + len(others)
-    for index, (lot, place) in enumerate([*((rooms, n) for n in range(len(rooms))), *((others, n) for n in range(len(others)))]):
-        np.testing.assert_array_equal(joined.read(index).truth, lot.read(place).truth)
+    for index, (pool, place) in enumerate([*((rooms, n) for n in range(len(rooms))), *((others, n) for n in range(len(others)))]):
+        np.testing.assert_array_equal(joined.read(index).truth, pool.read(place).truth)
     with pytest.raises(IndexError):
         joined.read(len(joined))
     mixed = replace(task, training=joined)

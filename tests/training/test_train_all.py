@@ -37,8 +37,8 @@ def cache(tmp_path_factory, capture):
     folder = tmp_path_factory.mktemp("all") / CACHE
     data = requested_data(REQUEST)
     joined = [*blend_samples(folder, data), *baseline_samples(folder, data, True), *baseline_samples(folder, data, False)]
-    for lot in (lot for samples in joined for lot in samples.lots):
-        lot.prepare_capture(lot.plan.first_room, capture.resized(*SIZES[lot.plan.domain], "area"))
+    for pool in (pool for samples in joined for pool in samples.pools):
+        pool.prepare_capture(pool.plan.first_room, capture.resized(*SIZES[pool.plan.domain], "area"))
     return folder
 
 

@@ -27,7 +27,7 @@ class LineTask:
     schedule: Schedule = field(default_factory=lambda: Schedule(learning_rate=0.05, warm_up=2, average=0.5))
     name = "line"
     data = "points on a line"
-    judged_on = "Distance from the line."
+    evaluated_on = "Distance from the line."
 
     def network(self):
         """One weight, one offset."""
@@ -218,7 +218,7 @@ def test_a_stereo_step_moves_the_weights(tmp_path):
 
 
 def test_sequence_loss_is_its_formula():
-    """Later iterations weigh more, earlier ones are judged at their cells, too large truths are left out."""
+    """Later iterations weigh more, earlier ones are evaluated at their cells, too large truths are left out."""
     truth = torch.full((1, 1, 8, 8), -10.0)
     truth[..., 0, 1] = -900.0
     flows = [torch.full((1, 1, 2, 2), -2.0), torch.full((1, 1, 2, 2), -2.5)]

@@ -1,4 +1,4 @@
-"""The judge of depth: each measure in closed form, regions of drawn pictures, points of a written model, and what is refused."""
+"""Validation of depth: each measure in closed form, regions of drawn pictures, points of a written model, and what is refused."""
 
 import numpy as np
 import pytest
@@ -8,9 +8,9 @@ from benchmarks.depth_validation.__main__ import main
 from benchmarks.depth_validation.depth_errors import relative_errors, summarise
 from benchmarks.depth_validation.evaluate_matcher import validate_depth
 from benchmarks.depth_validation.figures import Measure, figures_of, quoted_figures
-from benchmarks.depth_validation.middlebury import fill_disparity, judge_motorcycle, read_motorcycle, score_disparity
+from benchmarks.depth_validation.middlebury import evaluate_motorcycle, fill_disparity, read_motorcycle, score_disparity
 from benchmarks.depth_validation.named_matchers import depth_options, pairwise_matchers
-from benchmarks.depth_validation.region_errors import FRAME, errors_by_region, judge_rooms
+from benchmarks.depth_validation.region_errors import FRAME, errors_by_region, evaluate_rooms
 from benchmarks.depth_validation.room_regions import (
     RegionOptions,
     discontinuities,
@@ -18,9 +18,9 @@ from benchmarks.depth_validation.room_regions import (
     slope_of_grey,
     thin_structures,
 )
-from benchmarks.depth_validation.rooms import FRAMES, FilmedRoom
-from benchmarks.depth_validation.sparse_points import choose_points, judge_sparse, read_sparse_points, score_points
-from benchmarks.depth_validation.static_reuse import judge_reuse
+from benchmarks.depth_validation.rooms import FRAMES, RenderedRoom
+from benchmarks.depth_validation.sparse_points import choose_points, evaluate_sparse, read_sparse_points, score_points
+from benchmarks.depth_validation.static_reuse import evaluate_reuse
 from benchmarks.depth_validation.temporal_spread import find_static, measure_spread, temporal_spread
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthMap
@@ -120,7 +120,7 @@ def write_pair(folder, shift: int = 12) -> np.ndarray:
 def test_matcher_on_a_written_pair(tmp_path):
     """The real matcher finds the shift of a written pair; learned matchers alone have targets, peers are quoted."""
     write_pair(tmp_path)
-    rows, figures = judge_motorcycle(tmp_path, {"sgbm": SgbmMatcher(), "raft": SgbmMatcher(levels=1)})
+    rows, figures = evaluate_motorcycle(tmp_path, {"sgbm": SgbmMatcher(), "raft": SgbmMatcher(levels=1)})
     assert rows["sgbm"]["epe_px"] < 0.5
     assert rows["sgbm"]["bad_3_percent"] < 3
     assert figures["depth.motorcycle.epe_px.sgbm"]["target"] is None
@@ -202,7 +202,7 @@ def test_a_room_is_judged_region_by_region(tmp_path):
     truth = plane_depth(camera, PLANE - [0, 0, 0.2 * FRAME]).astype(np.float32)
     with DepthWriter(depth_path(capture.path, camera.name), [FRAME], camera.height, camera.width) as writer:
         writer.add(FRAME, truth)
-    table, figures = judge_rooms([FilmedRoom("demo", DemoOptions(), capture)], {"sgbm": DepthOptions(partners=2)})
+    table, figures = evaluate_rooms([RenderedRoom("demo", DemoOptions(), capture)], {"sgbm": DepthOptions(partners=2)})
     assert table.loc[("demo", "texture"), ("", "pixels_percent")] > 95
     assert table.loc[("demo", "thin"), ("", "pixels_percent")] == 0
     assert np.isnan(table.loc[("demo", "thin"), ("sgbm", "within_2_percent")])
@@ -220,7 +220,7 @@ def test_reuse_saves_what_stands_still(tmp_path):
         with DepthWriter(depth_path(capture.path, camera.name), range(FRAMES), camera.height, camera.width) as writer:
             for frame in range(FRAMES):
                 writer.add(frame, plane_depth(camera, PLANE - [0, 0, step * frame]).astype(np.float32))
-        table, figures = judge_reuse([FilmedRoom(name, DemoOptions(), capture)], {"sgbm": DepthOptions(partners=2)})
+        table, figures = evaluate_reuse([RenderedRoom(name, DemoOptions(), capture)], {"sgbm": DepthOptions(partners=2)})
         row = table.loc[name, "sgbm"]
         assert row["within_2_percent_whole"] > 90
         assert row["within_2_percent_reused"] == pytest.approx(row["within_2_percent_whole"], abs=2)
@@ -368,7 +368,7 @@ def planes(tmp_path) -> Capture:
 def test_depth_of_a_rig_against_its_points(planes):
     """Points of a written model lie where the pictures show them: stereo hits nearly all, the table has a row per camera."""
     write_model(planes.path / "sparse" / "0", planes)
-    table, figures = judge_sparse(planes, {"sgbm": DepthOptions(partners=2)})
+    table, figures = evaluate_sparse(planes, {"sgbm": DepthOptions(partners=2)})
     assert list(table.index) == list(planes.camera_names)
     assert table["sgbm", "within_2_percent"].mean() > 95
     assert figures["depth.sparse.within_2_percent.sgbm"]["value"] == pytest.approx(table["sgbm", "within_2_percent"].mean())
@@ -466,13 +466,13 @@ def test_figures_name_the_baseline_as_peer():
 
 
 def test_matchers_have_the_options_of_the_pipeline():
-    """The judge takes each matcher as the pipeline would."""
+    """Validation takes each matcher as the pipeline would."""
     matchers = pairwise_matchers({name: depth_options(name) for name in ("raft", "sgbm")})
     assert [each.name for each in matchers.values()] == ["raft-stereo-1", "sgbm-3way-1"]
 
 
 def test_the_sweep_matches_no_pairs():
-    """One rectified pair is nothing for the plane sweep, which the judge of pairs leaves out."""
+    """One rectified pair is nothing for the plane sweep, which the validation of pairs leaves out."""
     assert list(pairwise_matchers({name: depth_options(name) for name in ("sweep", "sgbm")})) == ["sgbm"]
 
 
@@ -496,7 +496,7 @@ def test_unknown_names_are_refused(tmp_path):
 
 
 def test_the_command_writes_table_and_figures(tmp_path, capsys):
-    """`python -m benchmarks.depth_validation` judges the pair it is given; what it refuses is one line."""
+    """`python -m benchmarks.depth_validation` evaluates the pair it is given; what it refuses is one line."""
     folder = tmp_path / "data" / middlebury.FOLDER
     folder.mkdir(parents=True)
     write_pair(folder)

@@ -35,7 +35,7 @@ class Painted:
 
 @pytest.fixture(scope="module")
 def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two small domains, filmed and with depth."""
+    """Two small domains, rendered and with depth."""
     folder = tmp_path_factory.mktemp("domains")
     domain_views.prepare_views(folder, DOMAINS, PLAN)
     return folder

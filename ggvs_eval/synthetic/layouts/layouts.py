@@ -18,7 +18,7 @@ class Layout:
 
     Attributes:
         units_per_metre: world units of its calibration per metre.
-        shots: what is filmed, in the order of the calibration.
+        shots: what is rendered, in the order of the calibration.
         write_shot: writes the frames of one shot into the folder, in any process; gives the camera as it is to be noted.
         finish: writes what wants all cameras, once all shots are written.
         files: names of files that every complete demo has.

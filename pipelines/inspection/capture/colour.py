@@ -26,14 +26,14 @@ def check_gain(names: Sequence[str], pairs: Sequence[MatchedPair]) -> tuple[Find
     """Gain per channel of every camera, median 1 over the rig, from the colours of matched features."""
     gains = camera_gains(len(names), pairs)
     known = np.isfinite(gains).all(axis=1)
-    judged = [_judge_gain(name, gain) for name, gain in zip(names, gains, strict=True)]
+    evaluated = [_evaluate_gain(name, gain) for name, gain in zip(names, gains, strict=True)]
     if not known.any():
         reason = "too few matches of medium brightness between neighbours"
-        return (Finding(RIG, GAIN, "unknown", reason), *judged)
+        return (Finding(RIG, GAIN, "unknown", reason), *evaluated)
     spread = np.abs(gains[known] - 1)
     measured = f"median deviation {100 * np.median(spread):.1f} %, largest {100 * spread.max():.1f} %, {known.sum()} cameras"
     values = {"median_deviation": round(float(np.median(spread)), 4), "largest_deviation": round(float(spread.max()), 4)}
-    return (Finding(RIG, GAIN, "ok", measured, values), *judged)
+    return (Finding(RIG, GAIN, "ok", measured, values), *evaluated)
 
 
 def camera_gains(count: int, pairs: Sequence[MatchedPair]) -> Array:
@@ -62,10 +62,10 @@ def check_noise(records: Sequence[CameraRecord]) -> tuple[Finding, ...]:
         return tuple(Finding(subject, NOISE, "unknown", reason) for subject in (RIG, *(record.name for record in records)))
     median = float(np.median(known))
     rig = Finding(RIG, NOISE, "ok", f"sigma {median:.2f} of 255 levels, median", {"sigma_255": round(median, 3)})
-    return (rig, *(_judge_noise(record.name, float(record.noise_sigma_255), median) for record in records))
+    return (rig, *(_evaluate_noise(record.name, float(record.noise_sigma_255), median) for record in records))
 
 
-def _judge_gain(name: str, gain: Array) -> Finding:
+def _evaluate_gain(name: str, gain: Array) -> Finding:
     if not np.isfinite(gain).all():
         return Finding(name, GAIN, "unknown", "too few matches of medium brightness with any neighbour")
     verdict = graded(float(np.abs(gain - 1).max()), WARN_GAIN, BAD_GAIN)
@@ -74,7 +74,7 @@ def _judge_gain(name: str, gain: Array) -> Finding:
     return Finding(name, GAIN, verdict, measured, {"gain": [round(float(value), 4) for value in gain]}, advice)
 
 
-def _judge_noise(name: str, sigma: float, median: float) -> Finding:
+def _evaluate_noise(name: str, sigma: float, median: float) -> Finding:
     if not np.isfinite(sigma):
         return Finding(name, NOISE, "unknown", "fewer than two frames in a row")
     verdict = graded(sigma, WARN_SIGMA, BAD_SIGMA)

@@ -19,7 +19,7 @@ FEWEST_POINTS = 30
 def check_depth_range(
     cameras: Sequence[Camera], depths: Mapping[int, Array], doubtful: Collection[int] = ()
 ) -> tuple[Finding, ...]:
-    """Judge near and far of every camera.
+    """Evaluate near and far of every camera.
 
     Args:
         cameras: the rig.
@@ -29,14 +29,14 @@ def check_depth_range(
     spacing = neighbour_spacing(cameras)
     typical = float(np.median([np.sqrt(camera.near * camera.far) for camera in cameras]))
     ratio = float(np.median(spacing)) / typical
-    judged = [_judge(camera, depths.get(index, np.empty(0)), index in doubtful) for index, camera in enumerate(cameras)]
+    evaluated = [_evaluate(camera, depths.get(index, np.empty(0)), index in doubtful) for index, camera in enumerate(cameras)]
     nearest, farthest = min(camera.near for camera in cameras), max(camera.far for camera in cameras)
     values = {"near": round(nearest, 4), "far": round(farthest, 4), "spacing_over_depth": round(ratio, 5)}
     measured = f"{nearest:.3g} .. {farthest:.3g} units, neighbours {100 * ratio:.1f} % of the depth apart"
     if not LEAST_BASELINE < ratio < LARGEST_BASELINE:
         advice = "poses and depth bounds in different units?"
-        return (Finding(RIG, QUESTION, "warn", measured, values, advice), *judged)
-    return (Finding(RIG, QUESTION, "ok", measured, values), *judged)
+        return (Finding(RIG, QUESTION, "warn", measured, values, advice), *evaluated)
+    return (Finding(RIG, QUESTION, "ok", measured, values), *evaluated)
 
 
 def neighbour_spacing(cameras: Sequence[Camera]) -> Array:
@@ -47,7 +47,7 @@ def neighbour_spacing(cameras: Sequence[Camera]) -> Array:
     return np.asarray(distances.min(axis=1))
 
 
-def _judge(camera: Camera, depths: Array, is_doubtful: bool) -> Finding:
+def _evaluate(camera: Camera, depths: Array, is_doubtful: bool) -> Finding:
     values: dict[str, object] = {"near": round(camera.near, 4), "far": round(camera.far, 4)}
     if len(depths) < FEWEST_POINTS:
         reason = (

@@ -30,10 +30,10 @@ def check_depth_registration(capture: Capture) -> tuple[Finding, ...]:
         return (Finding(RIG, QUESTION, "unknown", f"frames cannot be read: {error}"),)
     if measured is None:
         return (Finding(RIG, QUESTION, "unknown", "too few edges of depth to compare with colour"),)
-    return (_judge(measured, capture.cameras[0].width),)
+    return (_evaluate(measured, capture.cameras[0].width),)
 
 
-def _judge(measured: Displacement, width_px: int) -> Finding:
+def _evaluate(measured: Displacement, width_px: int) -> Finding:
     enlarged = width_px / measured.width_px
     applied, registration = measured.applied, measured.registration
     offset_px = measured.displacement_px if applied.moves else 0.0

@@ -49,7 +49,7 @@ class CalibrationVerdict:
 def check_epipolar(
     cameras: Sequence[Camera], records: Sequence[CameraRecord], pairs: Sequence[MatchedPair]
 ) -> CalibrationVerdict:
-    """Judge every camera by the matches with its neighbours.
+    """Evaluate every camera by the matches with its neighbours.
 
     A camera is accused when most of its pairs are wrong while the neighbours' other pairs are right; then what could be the
     reason is tried out on its matches with all trusted cameras.
@@ -66,17 +66,17 @@ def check_epipolar(
         return replace(_doubtful_rig(cameras, pairs, errors, shared), pairs=all_pairs)
     # Suspects are compared with trusted cameras all over the rig: of two exchanged ones each sees what the other's neighbours do.
     known = {(pair.first, pair.second) for pair in pairs}
-    judges, tried = trusted[:: len(trusted) // MOST_JUDGES + 1], suspects[:MOST_EXPLAINED]
-    wanted = {(min(index, other), max(index, other)) for index in tried for other in judges} - known
+    evaluates, tried = trusted[:: len(trusted) // MOST_JUDGES + 1], suspects[:MOST_EXPLAINED]
+    wanted = {(min(index, other), max(index, other)) for index in tried for other in evaluates} - known
     added = match_pairs(cameras, records, sorted(wanted))
     pairs = [*pairs, *(pair for pair in added if has_parallax(cameras[pair.first], cameras[pair.second]))]
     repairs = dict.fromkeys(suspects) | {index: explain_camera(cameras, pairs, index, trusted) for index in tried}
-    judged = [_judge(cameras, records, pairs, index, trusted, repairs) for index in range(len(cameras))]
+    evaluated = [_evaluate(cameras, records, pairs, index, trusted, repairs) for index in range(len(cameras))]
     rig = _rig_finding(cameras, errors, suspects)
-    return CalibrationVerdict((rig, *judged), (*all_pairs, *added), tuple(trusted), tuple(suspects))
+    return CalibrationVerdict((rig, *evaluated), (*all_pairs, *added), tuple(trusted), tuple(suspects))
 
 
-def _judge(
+def _evaluate(
     cameras: Sequence[Camera],
     records: Sequence[CameraRecord],
     pairs: Sequence[MatchedPair],

@@ -29,7 +29,7 @@ def check_frames(capture: Capture, records: Sequence[CameraRecord]) -> tuple[Fin
     values = {"layout": capture.layout, "n_cameras": len(capture.cameras), "n_frames": capture.n_frames, "fps": capture.fps}
     values |= {"sizes": [list(size) for size in sizes], "notes": list(capture.notes)}
     measured += "".join(f"; {note}" for note in capture.notes)
-    return (Finding(RIG, FRAMES, "ok", measured, values), *(_judge_damage(record, capture.n_frames) for record in records))
+    return (Finding(RIG, FRAMES, "ok", measured, values), *(_evaluate_damage(record, capture.n_frames) for record in records))
 
 
 def check_frozen(records: Sequence[CameraRecord]) -> tuple[Finding, ...]:
@@ -39,15 +39,15 @@ def check_frozen(records: Sequence[CameraRecord]) -> tuple[Finding, ...]:
         return tuple(Finding(subject, FROZEN, "unknown", reason) for subject in (RIG, *(record.name for record in records)))
     change = np.stack([record.change for record in records])  # (N, T)
     frozen, common = frozen_frames(change), common_repeats(change)
-    judged = [
-        _judge_frozen(record.name, list(map(int, np.flatnonzero(row)))) for record, row in zip(records, frozen, strict=True)
+    evaluated = [
+        _evaluate_frozen(record.name, list(map(int, np.flatnonzero(row)))) for record, row in zip(records, frozen, strict=True)
     ]
     if common.any():
         measured = f"frames {_listed(list(map(int, np.flatnonzero(common))))} repeat the one before in all cameras"
         advice = "a converted frame rate? use the original videos"
-        return (Finding(RIG, FROZEN, "warn", measured, {"frames": np.flatnonzero(common).tolist()}, advice), *judged)
+        return (Finding(RIG, FROZEN, "warn", measured, {"frames": np.flatnonzero(common).tolist()}, advice), *evaluated)
     measured = "none" if not frozen.any() else f"{int(frozen.sum())} in {int(frozen.any(axis=1).sum())} cameras"
-    return (Finding(RIG, FROZEN, "ok", measured, {"n_frozen": int(frozen.sum())}), *judged)
+    return (Finding(RIG, FROZEN, "ok", measured, {"n_frozen": int(frozen.sum())}), *evaluated)
 
 
 def frozen_frames(change: NDArray[np.float32]) -> NDArray[np.bool_]:
@@ -84,7 +84,7 @@ def _usual_of_others(share: NDArray[np.float64], index: int) -> NDArray[np.float
     return middle
 
 
-def _judge_damage(record: CameraRecord, n_frames: int) -> Finding:
+def _evaluate_damage(record: CameraRecord, n_frames: int) -> Finding:
     values = {"n_read": record.n_read, "damaged": [damage.frame for damage in record.damage]}
     if not record.damage:
         return Finding(record.name, FRAMES, "ok", f"{record.n_read} frames read", values)
@@ -93,7 +93,7 @@ def _judge_damage(record: CameraRecord, n_frames: int) -> Finding:
     return Finding(record.name, FRAMES, "bad", measured, values, "restore the file, or leave this camera out")
 
 
-def _judge_frozen(name: str, frames: list[int]) -> Finding:
+def _evaluate_frozen(name: str, frames: list[int]) -> Finding:
     values = {"frames": frames}
     if not frames:
         return Finding(name, FROZEN, "ok", "none", values)

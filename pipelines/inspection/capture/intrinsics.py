@@ -18,18 +18,18 @@ ODD_FOCAL = 0.03
 
 
 def check_intrinsics(cameras: Sequence[Camera]) -> tuple[Finding, ...]:
-    """Judge each camera's intrinsics."""
+    """Evaluate each camera's intrinsics."""
     relative = np.array([camera.focal_px / max(camera.size) for camera in cameras])
     typical = float(np.median(relative))
     # A rig of mixed lenses has no typical one, and nobody is odd in it.
     is_uniform = float(np.median(np.abs(relative / typical - 1))) < ODD_FOCAL / 2 and len(cameras) > 2
-    judged = [
-        _judge(camera, float(value / typical) if is_uniform else 1.0) for camera, value in zip(cameras, relative, strict=True)
+    evaluated = [
+        _evaluate(camera, float(value / typical) if is_uniform else 1.0) for camera, value in zip(cameras, relative, strict=True)
     ]
     views = [fields_of_view_deg(camera)[0] for camera in cameras]
     values = {"fov_deg": [round(min(views), 2), round(max(views), 2)], "one_kind_of_lens": is_uniform}
     measured = f"horizontal field of view {min(views):.1f} .. {max(views):.1f} deg, focal {typical:.3f} of the longer side"
-    return (Finding(RIG, QUESTION, "ok", measured, values), *judged)
+    return (Finding(RIG, QUESTION, "ok", measured, values), *evaluated)
 
 
 def fields_of_view_deg(camera: Camera) -> tuple[float, float]:
@@ -43,7 +43,7 @@ def off_centre(camera: Camera) -> float:
     return float(np.abs(camera.K[:2, 2] / np.array(camera.size) - 0.5).max())
 
 
-def _judge(camera: Camera, focal_ratio: float) -> Finding:
+def _evaluate(camera: Camera, focal_ratio: float) -> Finding:
     off, ratio, view = off_centre(camera), float(camera.K[0, 0] / camera.K[1, 1]), fields_of_view_deg(camera)[0]
     values = {
         "off_centre": round(off, 4),

@@ -27,16 +27,16 @@ def check_overlap(cameras: Sequence[Camera], sensed: Collection[str] = ()) -> tu
     if len(cameras) < 2:
         return (Finding(RIG, QUESTION, "unknown", "one camera alone"),)
     shares = np.array([seen_share(camera, cameras) for camera in cameras])
-    judged = []
+    evaluated = []
     blind = {camera.name: finding for camera in cameras if (finding := _blindness(camera, cameras, sensed)) is not None}
     for camera, share in zip(cameras, shares, strict=True):
         if camera.name in blind:
-            judged.append(blind[camera.name])
+            evaluated.append(blind[camera.name])
             continue
         is_little = share < LEAST_SHARE
         advice = "add cameras between, or leave it out of the test views" if is_little else ""
         measured = f"{100 * share:.0f} % of the picture seen by {LEAST_VIEWS} of {SOURCES} neighbours"
-        judged.append(
+        evaluated.append(
             Finding(camera.name, QUESTION, "warn" if is_little else "ok", measured, {"share": round(float(share), 4)}, advice)
         )
     measured = (
@@ -46,8 +46,8 @@ def check_overlap(cameras: Sequence[Camera], sensed: Collection[str] = ()) -> tu
     if len(blind) == len(cameras):
         worst = min(blind.values(), key=lambda finding: finding.values["shown_share"])
         measured = f"no camera can be synthesised from the others; {worst.subject}: {worst.measured}"
-        return (Finding(RIG, QUESTION, "bad", measured, values, worst.advice), *judged)
-    return (Finding(RIG, QUESTION, "ok", measured, values), *judged)
+        return (Finding(RIG, QUESTION, "bad", measured, values, worst.advice), *evaluated)
+    return (Finding(RIG, QUESTION, "ok", measured, values), *evaluated)
 
 
 def _blindness(camera: Camera, cameras: Sequence[Camera], sensed: Collection[str]) -> Finding | None:

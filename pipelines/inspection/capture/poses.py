@@ -22,7 +22,7 @@ ITERATIONS = 20
 
 
 def check_poses(cameras: Sequence[Camera], doubtful: Collection[int] = ()) -> tuple[Finding, ...]:
-    """Judge the poses by themselves.
+    """Evaluate the poses by themselves.
 
     Args:
         cameras: the rig.
@@ -38,8 +38,8 @@ def check_poses(cameras: Sequence[Camera], doubtful: Collection[int] = ()) -> tu
     n_outside = int(sum(angle > half_view_rad(camera) for angle, camera in zip(away, cameras, strict=True)))
     # Without a common region nobody looks away from it.
     away_known = away if n_outside <= len(cameras) / 3 else np.zeros(len(cameras))
-    judged = [
-        _judge(camera, float(away_known[index]), float(rolls[index]), [cameras[other].name for other in doubles[index]])
+    evaluated = [
+        _evaluate(camera, float(away_known[index]), float(rolls[index]), [cameras[other].name for other in doubles[index]])
         for index, camera in enumerate(cameras)
     ]
     values = {"extent": round(rig_extent(cameras), 4), "target": None if target is None else [round(float(x), 4) for x in target]}
@@ -51,8 +51,8 @@ def check_poses(cameras: Sequence[Camera], doubtful: Collection[int] = ()) -> tu
             f"no region that all look at: {n_outside} of {len(cameras)} cameras do not have the common point in the picture"
         )
         advice = "a moving or outward-looking camera? else the poses may be inverted or in other axes"
-        return (Finding(RIG, QUESTION, "warn", measured, values, advice), *judged)
-    return (Finding(RIG, QUESTION, "ok", f"{len(cameras)} cameras {seen}, right-handed", values), *judged)
+        return (Finding(RIG, QUESTION, "warn", measured, values, advice), *evaluated)
+    return (Finding(RIG, QUESTION, "ok", f"{len(cameras)} cameras {seen}, right-handed", values), *evaluated)
 
 
 def look_at_point(cameras: Sequence[Camera]) -> Array | None:
@@ -120,7 +120,7 @@ def half_view_rad(camera: Camera) -> float:
     return float(np.arctan(np.hypot(*camera.size) / 2 / camera.focal_px))
 
 
-def _judge(camera: Camera, away_rad: float, roll_rad: float, doubles: list[str]) -> Finding:
+def _evaluate(camera: Camera, away_rad: float, roll_rad: float, doubles: list[str]) -> Finding:
     slant = float(np.abs(camera.rotation @ camera.rotation.T - np.eye(3)).max())
     values = {"away_deg": round(np.degrees(away_rad), 2), "roll_deg": round(np.degrees(roll_rad), 2), "not_orthonormal": slant}
     if doubles:

@@ -15,7 +15,7 @@ FINE_STEPS = np.linspace(-0.01, 0.01, 9)
 REMAINING_SHARE = 0.5
 # A fault that all share is half absorbed by the others' same fault, so it is looked for below the tolerance too.
 LEAST_SHARE_OF_TOLERANCE = 0.25
-# Plenty to judge a fault that all share, and one that a single camera has.
+# Plenty to tell a fault that all share, and one that a single camera has.
 MOST_PAIRS, MOST_OWN_PAIRS = 80, 10
 Change = Callable[[Camera], Camera]
 
@@ -40,13 +40,13 @@ class Repair:
 
 
 def explain_camera(cameras: Sequence[Camera], pairs: Sequence[MatchedPair], index: int, trusted: Sequence[int]) -> Repair | None:
-    """The explanation that suits one camera best, judged against trusted cameras; None where none does.
+    """The explanation that suits one camera best, evaluated against trusted cameras; None where none does.
 
     Args:
         cameras: the rig.
         pairs: matches of any pairs.
         index: the camera in doubt.
-        trusted: cameras to judge by.
+        trusted: cameras to compare with.
     """
     own = [pair for pair in pairs if index in (pair.first, pair.second) and pair.seen_from(index)[0] in trusted]
     own = sorted(own, key=lambda pair: -len(pair.uv_first))[:MOST_OWN_PAIRS]

@@ -16,7 +16,7 @@ SCENE_M, SPACING_M = (0.2, 100.0), (0.005, 10.0)
 
 
 def check_scale(capture: Capture, depths: Mapping[int, Array]) -> tuple[Finding, ...]:
-    """Judge the scale by the metres it gives for the scene's depth and the cameras' spacing.
+    """Evaluate the scale by the metres it gives for the scene's depth and the cameras' spacing.
 
     Args:
         capture: the capture.

@@ -47,21 +47,21 @@ def check_timing(
         return tuple(Finding(subject, QUESTION, "unknown", reason) for subject in (RIG, *(camera.name for camera in cameras)))
     lags = measure_lags(cameras, records, doubtful)
     offsets = solve_offsets(len(cameras), lags)
-    judged = [
+    evaluated = [
         _unknown(record, index in doubtful, len(cameras), [lag for pair, lag in lags.items() if index in pair])
-        or _judge(record.name, index, offsets, lags)
+        or _evaluate(record.name, index, offsets, lags)
         for index, record in enumerate(records)
     ]
     n_known = int(np.isfinite(offsets).sum())
     if not n_known:
         reason = "nothing moves, or not as neighbours see it"
-        return (Finding(RIG, QUESTION, "unknown", reason, {}, "compare a clap or a flash by eye"), *judged)
+        return (Finding(RIG, QUESTION, "unknown", reason, {}, "compare a clap or a flash by eye"), *evaluated)
     spread = float(np.nanmax(np.abs(offsets)))
     shown = f"largest {spread:.2f} frames" + (f" ({1000 * spread / fps:.0f} ms)" if fps else "")
     correlation = float(np.median([lag.correlation for lag in lags.values()]))
     values = {"largest_frames": round(spread, 3), "n_cameras": n_known, "correlation": round(correlation, 3)}
     measured = f"{shown} among {n_known} cameras, {len(lags)} pairs, correlation {correlation:.2f}"
-    return (Finding(RIG, QUESTION, "ok", measured, values), *judged)
+    return (Finding(RIG, QUESTION, "ok", measured, values), *evaluated)
 
 
 def measure_lags(cameras: Sequence[Camera], records: Sequence[CameraRecord], doubtful: Collection[int] = ()) -> Lags:
@@ -109,7 +109,7 @@ def _unknown(record: CameraRecord, is_doubtful: bool, n_cameras: int, own: Seque
     return Finding(record.name, QUESTION, "unknown", reason) if reason else None
 
 
-def _judge(name: str, index: int, offsets: Array, lags: Lags) -> Finding:
+def _evaluate(name: str, index: int, offsets: Array, lags: Lags) -> Finding:
     own = {pair: lag for pair, lag in lags.items() if index in pair}
     offset = float(offsets[index])
     if not np.isfinite(offset):

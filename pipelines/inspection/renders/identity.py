@@ -56,7 +56,7 @@ def find_identity(name: str, view: ViewFrames, cameras: Mapping[str, CameraPictu
         for mirror, axes in MIRRORS.items():
             pairs = ((np.flip(ours, axes), theirs) for ours, theirs in zip(upright, truths, strict=True))
             scores[camera, mirror] = [correlation(ours, theirs) for ours, theirs in pairs]
-    return _judge(name, view, cameras, scores)
+    return _evaluate(name, view, cameras, scores)
 
 
 def structure(image: Array32) -> Array32:
@@ -75,7 +75,7 @@ def correlation(first: Array32, second: Array32) -> float:
     return float((one * other).sum(dtype=np.float64)) / energy if energy > 0 else 0.0
 
 
-def _judge(
+def _evaluate(
     name: str, view: ViewFrames, cameras: Mapping[str, CameraPictures], scores: Mapping[tuple[str, str], list[float]]
 ) -> tuple[list[DoctorFinding], ViewFrames]:
     own = np.array(scores[name, "as it is"])

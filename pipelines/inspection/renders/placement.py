@@ -46,10 +46,10 @@ def find_placement(name: str, view: ViewFrames) -> Placed:
     for rendered, truth in view.pairs(spread(view.frames, INSTANTS)):
         factor = max(max(truth.shape[:2]) / LONGEST_SIDE_PX, 1.0)
         placed.append(place(_grey(rendered), _grey(truth)))
-    stretched = _judge_scale(name, placed)
+    stretched = _evaluate_scale(name, placed)
     if not stretched:
         x, y = (float(value) for value in np.median([one.shift_px for one in placed], axis=0))
-        return Placed(_judge_shift(name, placed, factor), view, (factor * x, factor * y))
+        return Placed(_evaluate_shift(name, placed, factor), view, (factor * x, factor * y))
     scale = stretched[0].values["scale_x"], stretched[0].values["scale_y"]
     return Placed(stretched, view.with_rendered(lambda image: _scaled(image, *scale)), None)
 
@@ -81,7 +81,7 @@ def _grey(image: Image8) -> Array32:
     return np.asarray(shrink(image, LONGEST_SIDE_PX).mean(axis=-1), dtype=np.float32)
 
 
-def _judge_scale(name: str, placed: list[Placement]) -> list[DoctorFinding]:
+def _evaluate_scale(name: str, placed: list[Placement]) -> list[DoctorFinding]:
     scales = np.array([one.scale for one in placed])  # (instants, 2)
     scale_x, scale_y = (float(value) for value in np.median(scales, axis=0))
     strongest = max(abs(scale_x - 1), abs(scale_y - 1))
@@ -96,7 +96,7 @@ def _judge_scale(name: str, placed: list[Placement]) -> list[DoctorFinding]:
     return [DoctorFinding(name, "wrong resize", verdict, measured, {"scale_x": scale_x, "scale_y": scale_y}, advice)]
 
 
-def _judge_shift(name: str, placed: list[Placement], factor: float) -> list[DoctorFinding]:
+def _evaluate_shift(name: str, placed: list[Placement], factor: float) -> list[DoctorFinding]:
     shifts = factor * np.array([one.shift_px for one in placed])
     x, y = (float(value) for value in np.median(shifts, axis=0))
     uneven = factor * float(np.median([one.unevenness_px for one in placed]))

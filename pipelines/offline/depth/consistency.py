@@ -14,7 +14,7 @@ from ggvs_eval.geometry.pinhole import as_image, rigid_between
 
 ALGORITHM = "consistency 1"  # counts up whenever equal options give other bits
 CHUNK = 1 << 14  # points handled at a time: what they need stays in the processor's cache
-UNCHECKED = np.float32(0.5)  # confidence of what nobody can judge, over what it was
+UNCHECKED = np.float32(0.5)  # confidence of what no other camera sees, over what it was
 Indices = NDArray[np.int32]
 
 
@@ -26,7 +26,7 @@ class ConsistencyOptions:
         error_px: two depths of a point agree when their reprojections into each other's image differ by no more than this, ...
         error_share: ... and the depths themselves by no more than this share.
         least_confidence: depth that is less sure than this counts as unknown: guesses neither vote nor stay.
-        min_support: others that must agree for a depth to stay, or all that can judge it where there are fewer.
+        min_support: others that must agree for a depth to stay, or all that see it where there are fewer.
         average: take the mean with those that agree, weighted by confidence.
         fill_support: others that must agree for a pixel without depth to get theirs, or all if they are fewer; 0 fills nothing.
     """
@@ -46,7 +46,7 @@ class ConsistencyOptions:
 def check_consistency(
     camera: Camera, depth_map: DepthMap, others: Sequence[tuple[Camera, DepthMap]], options: ConsistencyOptions
 ) -> DepthMap:
-    """Keep what other cameras' depth confirms or cannot judge, average it with theirs, and fill in what they agree on.
+    """Keep what other cameras' depth confirms or cannot contradict, average it with theirs, and fill in what they agree on.
 
     Each point is looked up in each other depth map. The other supports it where both depths are of one surface, contradicts it
     where it sees farther through the point, and abstains where it sees a nearer surface, nothing, or not there at all.
@@ -58,8 +58,8 @@ def check_consistency(
         options: parameters.
 
     Returns:
-        Depth, 0 where it is unknown, and confidence: the mean over the camera and those that can judge, who contradicts counting
-        0; half of what it was where nobody can. `fill_background` guesses the rest.
+        Depth, 0 where it is unknown, and confidence: the mean over the camera and those that see the point, who contradicts
+        counting 0; half of what it was where nobody does. `fill_background` guesses the rest.
 
     Raises:
         DepthError: a depth map that does not fit its camera.
@@ -74,7 +74,7 @@ def check_consistency(
     depth = _known_depth(camera, depth_map, options).ravel()
     views = [_OtherView(camera, *other, options) for other in others]
     at = np.flatnonzero(depth).astype(np.int32)
-    verdict = _judge(camera, views, at, depth[at], depth_map.confidence.ravel()[at], options)
+    verdict = _evaluate(camera, views, at, depth[at], depth_map.confidence.ravel()[at], options)
     agreed = np.minimum(options.min_support, verdict.support + verdict.conflict)
     kept = (verdict.support >= agreed) & (verdict.conflict <= verdict.support)
     result, confidence = np.zeros_like(depth), np.zeros_like(depth)
@@ -102,7 +102,7 @@ class _Verdict:
     confidence: Map
 
 
-def _judge(
+def _evaluate(
     camera: Camera, views: Sequence["_OtherView"], at: Indices, depth: Map, confidence: Map, options: ConsistencyOptions
 ) -> _Verdict:
     """Ask all views about the depth (P,) and confidence (P,) of the pixels numbered `at` (P,)."""
@@ -121,9 +121,9 @@ def _judge(
             weighted += trust * theirs
         if options.average:
             np.divide(weighted, total, out=verdict.depth[part], where=(verdict.support[part] > 0) & (total > 0))
-        judges = verdict.support[part] + verdict.conflict[part]
-        mean = total / (1 + judges).astype(np.float32)
-        verdict.confidence[part] = np.where(judges > 0, mean, UNCHECKED * confidence[part])
+        evaluates = verdict.support[part] + verdict.conflict[part]
+        mean = total / (1 + evaluates).astype(np.float32)
+        verdict.confidence[part] = np.where(evaluates > 0, mean, UNCHECKED * confidence[part])
     return verdict
 
 
@@ -134,7 +134,7 @@ def _fill(camera: Camera, views: Sequence["_OtherView"], depth: Map, confidence:
     for view in views:
         layer = view.project(unknown)
         at = np.flatnonzero(np.isfinite(layer)).astype(np.int32)
-        verdict = _judge(camera, views, at, layer[at], np.zeros(at.shape, np.float32), options)  # the view itself supports
+        verdict = _evaluate(camera, views, at, layer[at], np.zeros(at.shape, np.float32), options)  # the view itself supports
         better = (verdict.support >= needed) & (verdict.conflict == 0) & (verdict.depth < nearest[at])
         nearest[at[better]], confidence[at[better]] = verdict.depth[better], verdict.confidence[better]
     filled = np.isfinite(nearest)
@@ -161,11 +161,11 @@ class _OtherView:
         inside = _inside(self._other, there_u, there_v, expected)
         there_u, there_v = np.where(inside, there_u, np.float32(0)), np.where(inside, there_v, np.float32(0))
         found = self._look_up(there_u, there_v, expected)
-        judged = inside & (found > 0)
+        evaluated = inside & (found > 0)
         back_u, back_v, _ = self._back.move(there_u, there_v, found)
         near = np.square(back_u - u) + np.square(back_v - v) <= np.float32(options.error_px**2)
-        supports = judged & near & (np.abs(found - expected) <= np.float32(options.error_share) * expected)
-        conflicts = judged & ~supports & (found > expected)
+        supports = evaluated & near & (np.abs(found - expected) <= np.float32(options.error_share) * expected)
+        conflicts = evaluated & ~supports & (found > expected)
         theirs = depth + (found - expected) / self._there.depth_slope(u, v)
         pixel = there_v.astype(np.int32) * np.int32(self._other.width) + there_u.astype(np.int32)
         return supports, conflicts, theirs, self._confidence[pixel]

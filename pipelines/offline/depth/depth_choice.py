@@ -13,7 +13,7 @@ KEYFRAME_EVERY = 16  # instants, where instants depend on each other
 
 
 @dataclass(frozen=True)
-class DepthChoice:
+class DepthRunOptions:
     """How depth is found.
 
     Attributes:
@@ -49,7 +49,7 @@ class DepthChoice:
         return asdict(self) | {"stereo_weights": None if self.stereo_weights is None else str(self.stereo_weights)}
 
     @classmethod
-    def from_record(cls, record: dict[str, Any]) -> "DepthChoice":
+    def from_record(cls, record: dict[str, Any]) -> "DepthRunOptions":
         """What `record` wrote."""
         weights = record.get("stereo_weights")
         return cls(**record | {"stereo_weights": None if weights is None else Path(weights)})

@@ -9,7 +9,7 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthJob, DepthStore, describe_depth
 from ggvs_eval.geometry.source_views import SourceChoice, choose_sources
 from ggvs_eval.jobs.engine import Workers
-from ggvs_eval.jobs.run_all import do_all
+from ggvs_eval.jobs.run_all import run_all
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.checked_depth import check_depth
 from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
@@ -122,7 +122,7 @@ def _in_workers(
 ) -> None:
     """Do what is missing of some jobs, one process each."""
     missing = [job for job in dict.fromkeys(jobs) if _missing(store, _key(capture, job, options), frames)]
-    do_all(partial(work, capture, frames, store, options), missing, workers, title)
+    run_all(partial(work, capture, frames, store, options), missing, workers, title)
 
 
 def _check(capture: Capture, frames: range, store: DepthStore, options: DepthOptions, job: DepthJob) -> None:

@@ -56,7 +56,7 @@ def choose_partners(camera: Camera, candidates: Sequence[Camera], count: int, ex
     passed_over = {camera.name, *excluded}
     others = sorted((other for other in candidates if other.name not in passed_over), key=lambda other: other.name)
     points = _sample_view(camera)
-    partners = [partner for other in others if (partner := _judge(camera, other, points)) is not None]
+    partners = [partner for other in others if (partner := _evaluate(camera, other, points)) is not None]
     if not partners:
         raise DepthError(
             f"camera {camera.name}: none of {len(others)} other cameras sees {MIN_OVERLAP:.0%} of its view from less than "
@@ -77,7 +77,7 @@ def _sample_view(camera: Camera) -> Array:
     return camera.unproject(np.stack([u, v], axis=-1), 1 / inverse).reshape(-1, 3)
 
 
-def _judge(camera: Camera, other: Camera, points: Array) -> Partner | None:
+def _evaluate(camera: Camera, other: Camera, points: Array) -> Partner | None:
     """What `other` is worth to `camera`; None where a match makes no sense."""
     uv, depth = other.project(points)
     inside = (depth > 0) & ((uv > 0) & (uv < other.size)).all(axis=-1)  # (S,)

@@ -82,7 +82,7 @@ class SweepLevel:
         return self.planes.inverse_depth_of(surface)
 
     def fit(self, images: LevelImages) -> SurfaceFit:
-        """What judges a surface by these images."""
+        """What evaluates a surface by these images."""
         return SurfaceFit(
             images.grey,
             [view for _, _, view in self._views],
@@ -151,7 +151,7 @@ class SweepLevel:
 
 
 def _threads_and_level() -> tuple[int, int]:
-    return kernels.get_threads(), kernels.LEVELS.index(kernels.get_level())
+    return kernels.get_threads(), kernels.SIMD_LEVELS.index(kernels.get_simd_level())
 
 
 def _as_fine_as(camera: Camera, partner: Camera) -> Camera:

@@ -7,7 +7,7 @@ Norm = Literal["batch", "instance"]
 
 
 @dataclass(frozen=True)
-class RaftConfig:
+class RaftOptions:
     """Shape of the network; the defaults are the authors' default.
 
     Attributes:
@@ -53,7 +53,7 @@ class RaftConfig:
         return first, second, third
 
 
-COMPACT = RaftConfig(
+COMPACT = RaftOptions(
     shared_backbone=True,
     n_gru_layers=2,
     context_norm="instance",
@@ -66,8 +66,8 @@ COMPACT = RaftConfig(
 )
 
 # raftstereo-middlebury, -eth3d and -sceneflow share one configuration.
-PUBLISHED: dict[str, RaftConfig] = {
-    "default": RaftConfig(),
-    "realtime": RaftConfig(shared_backbone=True, n_downsample=3, n_gru_layers=2, slow_fast_gru=True),
-    "rvc": RaftConfig(context_norm="instance"),
+PUBLISHED: dict[str, RaftOptions] = {
+    "default": RaftOptions(),
+    "realtime": RaftOptions(shared_backbone=True, n_downsample=3, n_gru_layers=2, slow_fast_gru=True),
+    "rvc": RaftOptions(context_norm="instance"),
 }

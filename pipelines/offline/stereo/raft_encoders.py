@@ -7,14 +7,14 @@ from collections.abc import Callable, Sequence
 
 from torch import Tensor, nn
 
-from ggvs_eval.pipelines.offline.stereo.raft_config import Norm, RaftConfig
+from ggvs_eval.pipelines.offline.stereo.raft_config import Norm, RaftOptions
 from ggvs_eval.residual_block import ResidualBlock
 
 
 class Trunk(nn.Module):
     """The three stages that both encoders begin with."""
 
-    def __init__(self, config: RaftConfig, norm: Norm) -> None:
+    def __init__(self, config: RaftOptions, norm: Norm) -> None:
         super().__init__()
         first, second, third = config.strides
         narrow, middle, wide = config.trunk_widths
@@ -36,7 +36,7 @@ class Trunk(nn.Module):
 class FeatureEncoder(Trunk):
     """Features of one image, to be correlated with the other's ('fnet')."""
 
-    def __init__(self, config: RaftConfig) -> None:
+    def __init__(self, config: RaftOptions) -> None:
         super().__init__(config, "instance")
         self.conv2 = nn.Conv2d(config.trunk_widths[-1], config.feature_width, 1)
 
@@ -52,7 +52,7 @@ class ContextEncoder(Trunk):
     All three levels exist whatever the configuration, as in the checkpoints; what is not used is not computed.
     """
 
-    def __init__(self, config: RaftConfig) -> None:
+    def __init__(self, config: RaftOptions) -> None:
         super().__init__(config, config.context_norm)
         norm, wide, width = config.context_norm, config.trunk_widths[-1], config.hidden_width
         self.n_levels = config.n_gru_layers

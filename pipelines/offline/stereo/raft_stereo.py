@@ -8,7 +8,7 @@ Reading:
 import torch
 from torch import Tensor, nn
 
-from ggvs_eval.pipelines.offline.stereo.raft_config import RaftConfig
+from ggvs_eval.pipelines.offline.stereo.raft_config import RaftOptions
 from ggvs_eval.pipelines.offline.stereo.raft_correlation import VOLUME_BYTES, Correlation, at_least_single
 from ggvs_eval.pipelines.offline.stereo.raft_encoders import ContextEncoder, FeatureEncoder
 from ggvs_eval.pipelines.offline.stereo.raft_update import Context, UpdateBlock, upsample_convex
@@ -25,7 +25,7 @@ class RaftStereo(nn.Module):
         volume_bytes: memory for the correlation volume, see `Correlation`.
     """
 
-    def __init__(self, config: RaftConfig, volume_bytes: int = VOLUME_BYTES) -> None:
+    def __init__(self, config: RaftOptions, volume_bytes: int = VOLUME_BYTES) -> None:
         super().__init__()
         self.config = config
         self.volume_bytes = volume_bytes

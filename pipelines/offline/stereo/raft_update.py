@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from ggvs_eval.pipelines.offline.stereo.raft_config import RaftConfig
+from ggvs_eval.pipelines.offline.stereo.raft_config import RaftOptions
 from ggvs_eval.pipelines.offline.stereo.raft_correlation import at_least_single
 
 Context = tuple[Tensor, Tensor]  # the context's share of both gates, (B, 2 C, H, W), and of the candidate, (B, C, H, W)
@@ -37,7 +37,7 @@ class ConvGru(nn.Module):
 class MotionEncoder(nn.Module):
     """Mixes correlations with the flow they were looked up at."""
 
-    def __init__(self, config: RaftConfig) -> None:
+    def __init__(self, config: RaftOptions) -> None:
         super().__init__()
         looked_up = config.corr_levels * (2 * config.corr_radius + 1)
         width = config.motion_width
@@ -72,7 +72,7 @@ class FlowHead(nn.Module):
 class UpdateBlock(nn.Module):
     """One iteration over all levels, coarse to fine."""
 
-    def __init__(self, config: RaftConfig) -> None:
+    def __init__(self, config: RaftOptions) -> None:
         super().__init__()
         hidden, levels = config.hidden_width, config.n_gru_layers
         self.n_levels = levels

@@ -9,8 +9,8 @@ from pathlib import Path
 import torch
 
 from ggvs_eval.errors import WeightsError
-from ggvs_eval.files.weights_file import pour_strictly, read_tensors
-from ggvs_eval.pipelines.offline.stereo.raft_config import COMPACT, PUBLISHED, RaftConfig
+from ggvs_eval.files.weights_file import load_strict, read_tensors
+from ggvs_eval.pipelines.offline.stereo.raft_config import COMPACT, PUBLISHED, RaftOptions
 from ggvs_eval.pipelines.offline.stereo.raft_stereo import RaftStereo
 
 SHIPPED = "raft-compact.safetensors"
@@ -46,11 +46,11 @@ def load_network(path: Path) -> RaftStereo:
     """
     tensors = read_tensors(path, of=NETWORK)
     network = RaftStereo(_configuration(tensors, path))
-    pour_strictly(tensors, network, path, NETWORK)
+    load_strict(tensors, network, path, NETWORK)
     return network.eval()
 
 
-def _configuration(tensors: Mapping[str, torch.Tensor], path: Path) -> RaftConfig:
+def _configuration(tensors: Mapping[str, torch.Tensor], path: Path) -> RaftOptions:
     """The configuration whose parameters these are, by names and shapes."""
     shapes = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
     nearest, fewest = "", len(shapes) + 1

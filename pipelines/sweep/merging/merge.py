@@ -16,7 +16,7 @@ from ggvs_eval.run_folder import RunFolder, read_json, write_json
 
 PLAIN_FOLDERS = ("truth", "depth", "disoccluded", "path/truth", "path_depth")
 JOB_FOLDERS = ("renders", "path", "path_scores", "ceilings")
-SAME_OF_CAPTURE = ("digests", "cameras", "fps", "n_frames", "units_per_metre", "retake", "layout")
+SAME_OF_CAPTURE = ("digests", "cameras", "fps", "n_frames", "units_per_metre", "edit", "layout")
 Place = Callable[[Path, Path], None]
 
 

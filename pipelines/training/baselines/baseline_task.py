@@ -62,7 +62,7 @@ class BaselineTask(ABC):
         return f"{self.training.data}; the targets and sources of the blending network's training"
 
     @property
-    def judged_on(self) -> str:
+    def evaluated_on(self) -> str:
         """What `validate` measures."""
         return f"PSNR (dB) and SSIM, means of whole views, single instants: {self.validation.data}."
 

@@ -58,7 +58,7 @@ class IbrnetTask(BaselineTask):
         return terms["coarse_loss"] + terms["fine_loss"], terms
 
     @property
-    def judged_on(self) -> str:
+    def evaluated_on(self) -> str:
         """What `validate` measures."""
         grid = f"each {JUDGED_STEP}th pixel of each {JUDGED_STEP}th row"
         return f"PSNR (dB) of {grid}, for whole views take minutes; means of single instants: {self.validation.data}."

@@ -14,7 +14,7 @@ from ggvs_eval.errors import TrainingError
 from ggvs_eval.files.images import quantise
 from ggvs_eval.metrics.image import psnr, ssim
 from ggvs_eval.pipelines.online.blend_maps import RawViews
-from ggvs_eval.pipelines.online.blend_network import BlendConfig, BlendNetwork, compose_tensors, read_outputs
+from ggvs_eval.pipelines.online.blend_network import BlendNetwork, BlendNetworkOptions, compose_tensors, read_outputs
 from ggvs_eval.pipelines.online.blend_weights import weights_name
 from ggvs_eval.pipelines.online.network_blender import blend_by, blend_start
 from ggvs_eval.pipelines.online.network_inputs import GUIDED, guide_depth, input_channels, reference_depth
@@ -50,7 +50,7 @@ class BlendTask:
 
     training: Samples[BlendSample]
     validation: Samples[BlendSample]
-    config: BlendConfig = field(default_factory=BlendConfig)
+    config: BlendNetworkOptions = field(default_factory=BlendNetworkOptions)
     seed: int = 0
     crop_width: int = 320
     crop_height: int = 240
@@ -79,7 +79,7 @@ class BlendTask:
         return f"{self.training.data}; the target takes no part in depth"
 
     @property
-    def judged_on(self) -> str:
+    def evaluated_on(self) -> str:
         """What `validate` measures."""
         return (
             f"PSNR (dB) and SSIM, means of whole views, single instants, and `geometric_`: of the geometric blender on the same "
@@ -129,7 +129,7 @@ class BlendTask:
 
 
 def crop_arrays(
-    sample: BlendSample, window: tuple[int, int, int, int], config: BlendConfig, change: Change | None = None
+    sample: BlendSample, window: tuple[int, int, int, int], config: BlendNetworkOptions, change: Change | None = None
 ) -> dict[str, Map]:
     """What the network and its loss take of a window (left, top, width, height) of a sample.
 

@@ -55,7 +55,7 @@ def write_card(task: Task, folder: Path, command: str, note: str = "", device: s
         "",
         "## Validation",
         "",
-        f"{task.judged_on}",
+        f"{task.evaluated_on}",
         "",
         *_table(shown if not validations or shown[-1] == validations[-1] else [*shown, validations[-1]]),
     ]

@@ -50,8 +50,8 @@ def _draw_loss(axes: "Axes", log: pd.DataFrame) -> None:
 
 def _draw_validation(axes: "Axes", validation: pd.DataFrame) -> None:
     """The first figure of the validation, and that of its reference where it has one."""
-    judged = validation.columns[1]
-    axes.plot(validation["step"], validation[judged], "o-", color=LINE, markersize=3, label=judged)
-    for reference in (f"{prefix}{judged}" for prefix in REFERENCES):
+    evaluated = validation.columns[1]
+    axes.plot(validation["step"], validation[evaluated], "o-", color=LINE, markersize=3, label=evaluated)
+    for reference in (f"{prefix}{evaluated}" for prefix in REFERENCES):
         if reference in validation:
             axes.plot(validation["step"], validation[reference], "--", color=REFERENCE, label=reference)

@@ -1,4 +1,4 @@
-"""What the training loop is told of a network: its batches, its loss, its judge."""
+"""What the training loop is told of a network: its batches, its loss, its evaluate."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -45,7 +45,7 @@ class Task(Protocol):
         """One sentence for the model card: what is learned from."""
 
     @property
-    def judged_on(self) -> str:
+    def evaluated_on(self) -> str:
         """One sentence for the model card: what `validate` measures."""
 
     @property

@@ -6,7 +6,7 @@ from pathlib import Path
 from safetensors.torch import save_file
 from torch import nn
 
-from ggvs_eval.files.weights_file import pour_strictly, read_tensors
+from ggvs_eval.files.weights_file import load_strict, read_tensors
 
 NETWORK = "the network to be trained"  # in messages
 
@@ -35,4 +35,4 @@ def pour_weights(path: Path, network: nn.Module) -> None:
     Raises:
         WeightsError: absent, damaged, or of another network.
     """
-    pour_strictly(read_tensors(path, of=NETWORK), network, path, NETWORK)
+    load_strict(read_tensors(path, of=NETWORK), network, path, NETWORK)

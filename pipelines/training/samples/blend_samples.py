@@ -70,7 +70,7 @@ class SampleMaker:
         """
         instant = self.instant(target, sources)
         recorder = _Recorder(GeometricBlender())
-        GeometryGuided(OnlineOptions(temporal=False, harmonised=False), recorder).step(instant)
+        GeometryGuided(OnlineOptions(temporal=False, compensated=False), recorder).step(instant)
         return BlendSample(raw_views(recorder.inputs[-1]), self.truth(target), quantise(recorder.images[-1]))
 
     def instant(self, target: Camera, sources: Sequence[Camera]) -> Instant:

@@ -10,7 +10,7 @@ WINDOW = (480, 360)  # of large images, pixels
 
 
 def domain_plans(domains: Iterable[str] = tuple(DOMAINS), rooms: int = 4, targets: int = 8, **shared: object) -> list[RoomPlan]:
-    """A training plan per domain, filmed at the domain's own size; of large images windows of the usual size are kept.
+    """A training plan per domain, rendered at the domain's own size; of large images windows of the usual size are kept.
 
     Args:
         domains: their names.

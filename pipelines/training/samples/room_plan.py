@@ -1,4 +1,4 @@
-"""Which procedural rooms networks learn from: their seeds, how each is filmed, and the views of each sample."""
+"""Which procedural rooms networks learn from: their seeds, how each is rendered, and the views of each sample."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -85,14 +85,14 @@ def refuse_tests(plan: RoomPlan) -> None:
 
 
 def film_room(folder: Path, seed: int, plan: RoomPlan) -> Capture:
-    """The capture of a room, filmed unless it has been."""
+    """The capture of a room, rendered unless it has been."""
     kind = "" if plan.domain == PLAIN else f"{plan.domain}-"
     name = f"{kind}seed{seed}-{plan.width}x{plan.height}"
     return open_capture(write_demo(folder / name, room_options(seed, plan), workers=1))
 
 
 def room_options(seed: int, plan: RoomPlan) -> DemoOptions:
-    """How a room is filmed: one instant; training rooms differ in their strengths, validation rooms are as their domain."""
+    """How a room is rendered: one instant; training rooms differ in their strengths, validation rooms are as their domain."""
     return domain_options(plan.domain, seed, plan.width, plan.height)
 
 

@@ -1,4 +1,4 @@
-"""Samples on disk: what a lot of them offers, what kinds there are to make, and several lots as one."""
+"""Samples on disk: what a pool of them offers, what kinds there are to make, and several pools as one."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -57,7 +57,7 @@ class SampleKind(ABC, Generic[Sample]):
 
 
 class Samples(ABC, Generic[Sample]):
-    """Samples of one kind on disk: of rooms, of captures, or several lots of them."""
+    """Samples of one kind on disk: of rooms, of captures, or several pools of them."""
 
     @property
     @abstractmethod
@@ -97,31 +97,31 @@ class Samples(ABC, Generic[Sample]):
 
 
 class JoinedSamples(Samples[Sample]):
-    """Several lots, one after the other; each sample is as likely as any other.
+    """Several pools, one after the other; each sample is as likely as any other.
 
     Args:
-        lots: at least one.
+        pools: at least one.
     """
 
-    def __init__(self, *lots: Samples[Sample]) -> None:
-        self.lots = lots
+    def __init__(self, *pools: Samples[Sample]) -> None:
+        self.pools = pools
 
     def __repr__(self) -> str:
-        """The lots; the model card shows them."""
-        return "; ".join(map(repr, self.lots))
+        """The pools; the model card shows them."""
+        return "; ".join(map(repr, self.pools))
 
     def __len__(self) -> int:
-        return sum(map(len, self.lots))
+        return sum(map(len, self.pools))
 
     @property
     def plans(self) -> tuple[SamplePlan, ...]:
-        """Of all lots."""
-        return tuple(plan for lot in self.lots for plan in lot.plans)
+        """Of all pools."""
+        return tuple(plan for pool in self.pools for plan in pool.plans)
 
     @property
     def data(self) -> str:
         """What they show, for the model card."""
-        return "; ".join(lot.data for lot in self.lots)
+        return "; ".join(pool.data for pool in self.pools)
 
     def read(self, index: int) -> Sample:
         """One of the samples.
@@ -129,15 +129,15 @@ class JoinedSamples(Samples[Sample]):
         Raises:
             TrainingError: it has not been prepared, or is damaged.
         """
-        for lot in self.lots:
-            if index < len(lot):
-                return lot.read(index)
-            index -= len(lot)
+        for pool in self.pools:
+            if index < len(pool):
+                return pool.read(index)
+            index -= len(pool)
         raise IndexError(index)
 
     def jobs(self) -> list[Job]:
-        """Those of all lots."""
-        return [job for lot in self.lots for job in lot.jobs()]
+        """Those of all pools."""
+        return [job for pool in self.pools for job in pool.jobs()]
 
 
 def require_room(samples: Samples[Sample], width: int, height: int) -> None:

@@ -8,12 +8,12 @@ from pathlib import Path
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import TrainingError
-from ggvs_eval.pipelines.training.samples.blend_lots import CaptureSamples, RoomSamples
+from ggvs_eval.pipelines.training.samples.blend_pools import CaptureSamples, RoomSamples
 from ggvs_eval.pipelines.training.samples.blend_samples import BlendSample
 from ggvs_eval.pipelines.training.samples.capture_views import CapturePlan
 from ggvs_eval.pipelines.training.samples.domain_samples import domain_plans, domain_validation_plan
 from ggvs_eval.pipelines.training.samples.held_back import held_back_halves
-from ggvs_eval.pipelines.training.samples.instant_lots import CaptureInstants, RoomInstants
+from ggvs_eval.pipelines.training.samples.instant_pools import CaptureInstants, RoomInstants
 from ggvs_eval.pipelines.training.samples.instant_samples import InstantSample
 from ggvs_eval.pipelines.training.samples.room_plan import RoomPlan
 from ggvs_eval.pipelines.training.samples.samples import JoinedSamples, Sample, Samples
@@ -102,7 +102,7 @@ def baseline_samples(
 
 
 def prepare_samples(training: Samples[Sample], validation: Samples[Sample], workers: int) -> None:
-    """Make what is not there yet of both at once, so that no worker waits for the last room of a lot."""
+    """Make what is not there yet of both at once, so that no worker waits for the last room of a pool."""
     JoinedSamples(validation, training).prepare(workers)
 
 

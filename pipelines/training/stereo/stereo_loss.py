@@ -18,7 +18,7 @@ def sequence_loss(flows: Sequence[Tensor], last: Tensor, truth: Tensor, decay: f
         largest_px: larger truths are left out.
 
     Reading:
-        The authors bring every iteration to full size; earlier ones are judged at their cells here, at a third less time a step.
+        The authors bring every iteration to full size; earlier ones count at their cells here, at a third less time a step.
     """
     factor = last.shape[-1] // flows[0].shape[-1]
     step, n = decay ** (15 / max(1, len(flows) - 1)), len(flows)

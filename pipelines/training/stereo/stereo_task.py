@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from ggvs_eval.arrays import Map
-from ggvs_eval.pipelines.offline.stereo.raft_config import COMPACT, RaftConfig
+from ggvs_eval.pipelines.offline.stereo.raft_config import COMPACT, RaftOptions
 from ggvs_eval.pipelines.offline.stereo.raft_start import start_from_matching
 from ggvs_eval.pipelines.offline.stereo.raft_stereo import RaftStereo
 from ggvs_eval.pipelines.training.loop.task import Schedule
@@ -38,7 +38,7 @@ class StereoTask:
         schedule: see `Schedule`.
     """
 
-    config: RaftConfig = COMPACT
+    config: RaftOptions = COMPACT
     seed: int = 0
     width: int = 384
     height: int = 256
@@ -60,7 +60,7 @@ class StereoTask:
         return "procedural stereo scenes made on the fly (stereo_scenes.py), each seen once; no captured stereo pair"
 
     @property
-    def judged_on(self) -> str:
+    def evaluated_on(self) -> str:
         """What `validate` measures."""
         return (
             f"{self.validation_scenes} scenes of 512x320 with seeds of their own, every pixel, occluded ones included: end-point "

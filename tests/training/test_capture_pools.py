@@ -10,11 +10,11 @@ import pytest
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.metrics.image import psnr
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
-from ggvs_eval.pipelines.training.samples.blend_lots import BlendSampleKind, CaptureSamples
-from ggvs_eval.pipelines.training.samples.capture_lot import MeasuredSampleMaker, make_samples
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
+from ggvs_eval.pipelines.training.samples.blend_pools import BlendSampleKind, CaptureSamples
+from ggvs_eval.pipelines.training.samples.capture_pool import MeasuredSampleMaker, make_samples
 from ggvs_eval.pipelines.training.samples.capture_views import CapturePlan, draw_views, overlap, possible_targets, within_rule
-from ggvs_eval.pipelines.training.samples.instant_lots import CaptureInstants
+from ggvs_eval.pipelines.training.samples.instant_pools import CaptureInstants
 from helpers.places import SHARED
 from helpers.stereo_scenes import HEIGHT, WIDTH, look_from, plane_depth, see_plane, write_capture
 
@@ -124,7 +124,7 @@ def test_overlap_is_the_share_of_the_view():
 def test_a_sample_has_the_sensor_s_depth(sequence):
     """Depth of the sources is what the sensor measured; the fused depth is the plane; truth is the target's frame."""
     target, sources = draw_views(sequence, PLAN, "scene", 4)
-    sample = MeasuredSampleMaker(sequence, DepthChoice().options()).sample(target, sources)
+    sample = MeasuredSampleMaker(sequence, DepthRunOptions().options()).sample(target, sources)
     exact, fused = plane_depth(target), sample.views.fused_depth
     known = fused > 0
     assert known.mean() > 0.7
@@ -138,7 +138,7 @@ def test_a_sample_has_the_sensor_s_depth(sequence):
 def test_stereo_where_no_sensor_is_wanted(sequence):
     """Without the sensor the same views get other depth: that of the matcher."""
     target, sources = draw_views(sequence, PLAN, "scene", 4)
-    choices = (DepthChoice(), DepthChoice(sensor=False))
+    choices = (DepthRunOptions(), DepthRunOptions(sensor=False))
     measured, matched = (MeasuredSampleMaker(sequence, each.options()).sample(target, sources).views.depths for each in choices)
     assert not np.array_equal(measured, matched)
 
@@ -156,7 +156,7 @@ def test_samples_are_kept_and_read(sequence, rig, tmp_path):
     assert len(sample.views.sources) == 3
     assert sample.truth.shape == (HEIGHT, WIDTH, 3)
     target, sources = draw_views(sequence, PLAN, samples._names[0], 1)
-    direct = MeasuredSampleMaker(sequence, DepthChoice(PLAN.matcher).options()).sample(target, sources)
+    direct = MeasuredSampleMaker(sequence, DepthRunOptions(PLAN.matcher).options()).sample(target, sources)
     np.testing.assert_array_equal(sample.views.fused_depth, direct.views.fused_depth)
     np.testing.assert_array_equal(sample.geometric, direct.geometric)
     assert str(tmp_path) not in repr(samples)
@@ -166,10 +166,10 @@ def test_samples_are_kept_and_read(sequence, rig, tmp_path):
 def test_baselines_are_shown_the_same_views(sequence, tmp_path):
     """Instants have the targets, sources and truths of the network's samples, with the sensor's depth or with none."""
     instants = (CaptureInstants(tmp_path, [sequence], PLAN, depth) for depth in (True, False))
-    lots = [CaptureSamples(tmp_path, [sequence], PLAN), *instants]
-    for lot in lots:
-        lot.jobs()[1]()
-    blended, shown, bare = (lot.read(1) for lot in lots)
+    pools = [CaptureSamples(tmp_path, [sequence], PLAN), *instants]
+    for pool in pools:
+        pool.jobs()[1]()
+    blended, shown, bare = (pool.read(1) for pool in pools)
     for sample in (shown, bare):
         assert sample.instant.target.name == blended.views.target.name
         assert [view.camera.name for view in sample.instant.sources] == [source.name for source in blended.views.sources]
@@ -180,7 +180,7 @@ def test_baselines_are_shown_the_same_views(sequence, tmp_path):
         assert np.median(np.abs(view.depth / exact - 1)[measured]) < 0.002
         assert not without.depth.any()
         np.testing.assert_array_equal(without.image, sequence.frame(view.camera.name, 0))
-    assert "no depth" in lots[2].data
+    assert "no depth" in pools[2].data
 
 
 def test_a_rig_s_samples_take_turns_at_its_instants(rig, tmp_path):

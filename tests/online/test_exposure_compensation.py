@@ -8,7 +8,7 @@ import pytest
 from ggvs_eval.files.images import quantise
 from ggvs_eval.geometry.view_weights import view_weights
 from ggvs_eval.method import Instant
-from ggvs_eval.pipelines.online.colour_harmony import GAUGE_POWER, ColourHarmony, gained_image
+from ggvs_eval.pipelines.online.exposure_compensation import GAUGE_POWER, ExposureCompensation, gained_image
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
 from helpers.scenes import camera_at, instant, look
 
@@ -28,8 +28,8 @@ def planted(index: int, sources=SOURCES, gains=GAINS) -> Instant:
     return replace(plain, sources=tuple(views))
 
 
-def estimated(harmony: ColourHarmony, seen: Instant) -> np.ndarray:
-    return harmony.gains(seen, [view.depth for view in seen.sources], TOLERANCE)
+def estimated(compensation: ExposureCompensation, seen: Instant) -> np.ndarray:
+    return compensation.gains(seen, [view.depth for view in seen.sources], TOLERANCE)
 
 
 def anchored(gains: np.ndarray, sources=SOURCES) -> np.ndarray:
@@ -45,24 +45,24 @@ def psnr_db(image: np.ndarray, truth: np.ndarray) -> float:
 
 def test_planted_gains_are_found():
     """Gains of up to 6 % per channel come back within half a percent, but for their common factor."""
-    np.testing.assert_allclose(estimated(ColourHarmony(), planted(0)), anchored(GAINS), atol=0.005)
+    np.testing.assert_allclose(estimated(ExposureCompensation(), planted(0)), anchored(GAINS), atol=0.005)
 
 
 def test_equal_cameras_keep_their_colours():
     """Without gains every factor is 1 within a thousandth or two."""
-    np.testing.assert_allclose(estimated(ColourHarmony(), planted(0, gains=np.ones_like(GAINS))), 1, atol=0.002)
+    np.testing.assert_allclose(estimated(ExposureCompensation(), planted(0, gains=np.ones_like(GAINS))), 1, atol=0.002)
 
 
 def test_the_common_gain_stays():
     """A gain that all sources share cannot be told from brightness and is left alone."""
-    np.testing.assert_allclose(estimated(ColourHarmony(), planted(0, gains=np.full_like(GAINS, 0.9))), 1, atol=0.002)
+    np.testing.assert_allclose(estimated(ExposureCompensation(), planted(0, gains=np.full_like(GAINS, 0.9))), 1, atol=0.002)
 
 
 def test_the_order_of_sources_does_not_matter():
     """The same cameras in another order get the same factors, at first and from memory."""
-    order, harmony, other = [2, 0, 3, 1], ColourHarmony(), ColourHarmony()
+    order, compensation, other = [2, 0, 3, 1], ExposureCompensation(), ExposureCompensation()
     for index in range(2):
-        first = estimated(harmony, planted(index))
+        first = estimated(compensation, planted(index))
         second = estimated(other, planted(index, [SOURCES[k] for k in order], GAINS[order]))
 
     np.testing.assert_allclose(second, first[order], atol=1e-6)
@@ -70,10 +70,10 @@ def test_the_order_of_sources_does_not_matter():
 
 def test_sources_may_come_and_go():
     """With another number of sources the factors are those of the ones that are there."""
-    harmony = ColourHarmony()
-    estimated(harmony, planted(0))
+    compensation = ExposureCompensation()
+    estimated(compensation, planted(0))
 
-    fewer = estimated(harmony, planted(1, SOURCES[1:], GAINS[1:]))
+    fewer = estimated(compensation, planted(1, SOURCES[1:], GAINS[1:]))
 
     assert fewer.shape == (3, 3)
     np.testing.assert_allclose(fewer, anchored(GAINS[1:], SOURCES[1:]), atol=0.005)
@@ -81,11 +81,15 @@ def test_sources_may_come_and_go():
 
 def test_ratios_are_remembered():
     """When a gain jumps, a memory of ten instants follows by a third at the third instant; without one it follows at once."""
-    jumped, calm, quick = GAINS * np.array([[1.1], [1], [1], [1]], np.float32), ColourHarmony(), ColourHarmony(memory=1)
-    for harmony in (calm, quick):
+    jumped, calm, quick = (
+        GAINS * np.array([[1.1], [1], [1], [1]], np.float32),
+        ExposureCompensation(),
+        ExposureCompensation(memory=1),
+    )
+    for compensation in (calm, quick):
         for index in range(2):
-            before = estimated(harmony, planted(index))
-    after = [estimated(harmony, planted(2, gains=jumped)) for harmony in (calm, quick)]
+            before = estimated(compensation, planted(index))
+    after = [estimated(compensation, planted(2, gains=jumped)) for compensation in (calm, quick)]
 
     shifts = [np.log(each[0] / each[3]) - np.log(before[0] / before[3]) for each in after]
     np.testing.assert_allclose(shifts[0], -np.log(1.1) / 3, atol=0.005)
@@ -100,8 +104,8 @@ def test_nothing_in_common_changes_nothing():
         [view.depth * (1 + k) for k, view in enumerate(seen.sources)],
     )
 
-    np.testing.assert_array_equal(ColourHarmony().gains(seen, unknown, TOLERANCE), 1)
-    np.testing.assert_array_equal(ColourHarmony().gains(seen, apart, TOLERANCE), 1)
+    np.testing.assert_array_equal(ExposureCompensation().gains(seen, unknown, TOLERANCE), 1)
+    np.testing.assert_array_equal(ExposureCompensation().gains(seen, apart, TOLERANCE), 1)
 
 
 def test_what_is_clipped_does_not_count():
@@ -112,7 +116,7 @@ def test_what_is_clipped_does_not_count():
         image[:36] = 255
     half = replace(seen, sources=tuple(replace(view, image=image) for view, image in zip(seen.sources, white, strict=True)))
 
-    np.testing.assert_allclose(estimated(ColourHarmony(), half), anchored(gains), atol=0.01)
+    np.testing.assert_allclose(estimated(ExposureCompensation(), half), anchored(gains), atol=0.01)
 
 
 def test_images_stay_in_8_bit():
@@ -122,17 +126,17 @@ def test_images_stay_in_8_bit():
 
     np.testing.assert_array_equal(gained_image(image, np.array([1.1, 0.5, 1.2], np.float32)), [[[110, 100, 255]]])
     np.testing.assert_array_equal(
-        ColourHarmony().step(plain, [plain.sources[0].depth], TOLERANCE).sources[0].image, plain.sources[0].image
+        ExposureCompensation().step(plain, [plain.sources[0].depth], TOLERANCE).sources[0].image, plain.sources[0].image
     )
 
 
 def test_the_picture_is_better_for_it():
-    """With gains whose weighted mean is 1, the harmonised picture is more than a decibel nearer to the truth."""
+    """With gains whose weighted mean is 1, the compensated picture is more than a decibel nearer to the truth."""
     weights, truth = view_weights(TARGET, SOURCES).astype(float) ** GAUGE_POWER, look(TARGET)[0]
     gains = GAINS / np.exp(weights @ np.log(GAINS) / weights.sum()).astype(np.float32)
 
     scores = {
-        on: psnr_db(GeometryGuided(OnlineOptions(harmonised=on)).step(planted(0, gains=gains)).image, truth)
+        on: psnr_db(GeometryGuided(OnlineOptions(compensated=on)).step(planted(0, gains=gains)).image, truth)
         for on in (True, False)
     }
 
@@ -151,6 +155,6 @@ def test_without_temporal_filtering_nothing_is_remembered():
 @pytest.mark.parametrize("count", [1, 2])
 def test_one_source_is_left_alone(count):
     """A single source has nobody to agree with; two meet at their weighted mean."""
-    gains = estimated(ColourHarmony(), planted(0, SOURCES[:count], GAINS[:count]))
+    gains = estimated(ExposureCompensation(), planted(0, SOURCES[:count], GAINS[:count]))
 
     np.testing.assert_allclose(gains, anchored(GAINS[:count], SOURCES[:count]), atol=0.005)

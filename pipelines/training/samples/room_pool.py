@@ -1,4 +1,4 @@
-"""Samples of procedural rooms on disk, whatever a sample is: the rooms are filmed once, each sample is made once."""
+"""Samples of procedural rooms on disk, whatever a sample is: the rooms are rendered once, each sample is made once."""
 
 import hashlib
 import json
@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from ggvs_eval.capture import Capture
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
-from ggvs_eval.pipelines.training.samples.capture_lot import MeasuredSampleMaker
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
+from ggvs_eval.pipelines.training.samples.capture_pool import MeasuredSampleMaker
 from ggvs_eval.pipelines.training.samples.room_plan import RoomPlan, choose_views, draw_window, film_room, refuse_tests
 from ggvs_eval.pipelines.training.samples.samples import Job, Sample, SampleKind, Samples
 from ggvs_eval.synthetic.domains import PLAIN, find_domain
 
 
-class RoomLot(Samples[Sample]):
+class RoomPool(Samples[Sample]):
     """The samples of a plan on disk.
 
     Args:
@@ -73,8 +73,8 @@ class RoomLot(Samples[Sample]):
         self.prepare_capture(seed, film_room(self._rooms, seed, self.plan))
 
     def prepare_capture(self, seed: int, capture: Capture) -> None:
-        """Make the samples of a room that has been filmed."""
-        maker = MeasuredSampleMaker(capture, DepthChoice(self.plan.matcher).options())
+        """Make the samples of a room that has been rendered."""
+        maker = MeasuredSampleMaker(capture, DepthRunOptions(self.plan.matcher).options())
         for number in range(self.plan.targets):
             path = self._path(seed, number)
             if not path.is_file():
@@ -88,7 +88,7 @@ class RoomLot(Samples[Sample]):
 
 def _digest(plan: RoomPlan, version: int, depth: bool) -> str:
     """Names all that a sample depends on but its room and its number."""
-    options = DepthChoice(plan.matcher).options()
+    options = DepthRunOptions(plan.matcher).options()
     described = {
         "version": version,
         "views": [plan.views, plan.other_views, plan.other_share],
@@ -109,6 +109,6 @@ def _describe_domain(name: str) -> dict[str, Any]:
     domain = find_domain(name)
     described: dict[str, Any] = {"domain": name, "options": dict(domain.options), "strengths": dict(domain.strengths)}
     if domain.hand_held:
-        sensor = DepthChoice().options().sensor
+        sensor = DepthRunOptions().options().sensor
         described |= {"frames": [domain.gap, domain.span], "sensor": sensor.describe() if sensor else None}
     return described

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8
-from ggvs_eval.capture import Capture, DepthSource, Extras, FrameSource, Retake
+from ggvs_eval.capture import Capture, CaptureEdit, DepthSource, Extras, FrameSource
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.digest import digest_values
 
@@ -107,7 +107,7 @@ class HeldDepths:
                 yield still.copy()
 
 
-def retake(capture: Capture, wanted: Retake) -> Capture:
+def perturb_capture(capture: Capture, wanted: CaptureEdit) -> Capture:
     """The same cameras with their frames as wanted, the frames that serve as truth included.
 
     Args:
@@ -122,21 +122,21 @@ def retake(capture: Capture, wanted: Retake) -> Capture:
         it. It is the same at every brightness, rounded and clipped to 8 bit. Backgrounds, masks and measured depth get none.
     """
     _check(capture, wanted)
-    if wanted == Retake():
+    if wanted == CaptureEdit():
         return capture
     named = zip(capture.camera_names, capture.sources, strict=True)
     held = capture.extras if not wanted.hold_frames else tuple(_held_extras(extras, wanted) for extras in capture.extras)
     return replace(
         capture,
-        sources=tuple(_retaken(name, source, wanted) for name, source in named),
+        sources=tuple(_edited(name, source, wanted) for name, source in named),
         extras=held,
         n_frames=wanted.hold_frames or capture.n_frames,
-        retake=wanted,
+        edit=wanted,
         notes=(*capture.notes, _describe(wanted)),
     )
 
 
-def _check(capture: Capture, wanted: Retake) -> None:
+def _check(capture: Capture, wanted: CaptureEdit) -> None:
     """Refuse what cannot be."""
     senseless = [f"{name} {value:g}" for name, value in asdict(wanted).items() if not 0 <= value < np.inf]
     if senseless:
@@ -149,16 +149,16 @@ def _check(capture: Capture, wanted: Retake) -> None:
         raise CaptureError(
             f"{capture.path}: frame {wanted.hold_frame} is to be held still, but not for how long; give hold_frames"
         )
-    if capture.retake is not None:
+    if capture.edit is not None:
         raise CaptureError(f"{capture.path}: wanted a capture as it was taken, got one that is held still or noisy; open it anew")
 
 
-def _retaken(name: str, source: FrameSource, wanted: Retake) -> FrameSource:
+def _edited(name: str, source: FrameSource, wanted: CaptureEdit) -> FrameSource:
     held = HeldFrames(source, wanted.hold_frame, wanted.hold_frames) if wanted.hold_frames else source
     return NoisyFrames(held, name, wanted.sensor_noise_255, wanted.noise_seed) if wanted.sensor_noise_255 else held
 
 
-def _held_extras(extras: Extras, wanted: Retake) -> Extras:
+def _held_extras(extras: Extras, wanted: CaptureEdit) -> Extras:
     mask, depth = extras.mask, extras.depth
     return replace(
         extras,
@@ -167,7 +167,7 @@ def _held_extras(extras: Extras, wanted: Retake) -> Extras:
     )
 
 
-def _describe(wanted: Retake) -> str:
+def _describe(wanted: CaptureEdit) -> str:
     """For people."""
     parts = [f"frame {wanted.hold_frame} held still for {wanted.hold_frames} instants"] if wanted.hold_frames else []
     if wanted.sensor_noise_255:

@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ggvs_eval.capture import Extras, Retake
+from ggvs_eval.capture import CaptureEdit, Extras
 from ggvs_eval.datasets import open_capture
-from ggvs_eval.datasets.held_still import HeldDepths, retake
+from ggvs_eval.datasets.capture_edit import HeldDepths, perturb_capture
 from ggvs_eval.errors import CaptureError, ProtocolError
 from ggvs_eval.files.images import read_image
 from ggvs_eval.pipelines.commands.captures import ReadingOptions
@@ -20,7 +20,7 @@ from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.film.options import DemoOptions
 from helpers.captures import N_FRAMES, NAMES, make_image, make_rig, write_folders, write_poses
 
-HELD = Retake(hold_frames=6, hold_frame=2, sensor_noise_255=1.5, noise_seed=7)
+HELD = CaptureEdit(hold_frames=6, hold_frame=2, sensor_noise_255=1.5, noise_seed=7)
 
 
 @pytest.fixture
@@ -38,7 +38,7 @@ def capture(folder):
 
 def test_one_instant_is_held_still(capture):
     """Without noise every instant shows the held one, for every camera, for as long as wanted."""
-    held = retake(capture, Retake(hold_frames=9, hold_frame=3))
+    held = perturb_capture(capture, CaptureEdit(hold_frames=9, hold_frame=3))
 
     assert held.n_frames == 9
     for camera, name in enumerate(NAMES):
@@ -48,7 +48,7 @@ def test_one_instant_is_held_still(capture):
 
 def test_noise_has_its_sigma_and_nothing_in_common(capture):
     """Noise of 1.5 levels (and 1/12 for rounding), no mean, uncorrelated between instants and between cameras."""
-    held = retake(capture, HELD)
+    held = perturb_capture(capture, HELD)
     grain = np.stack(
         [[image - make_image(camera, 2).astype(float) for image in held.frames(name)] for camera, name in enumerate(NAMES)]
     )  # (cameras, instants, H, W, 3)
@@ -62,25 +62,26 @@ def test_noise_has_its_sigma_and_nothing_in_common(capture):
 
 def test_equal_seeds_give_equal_bits_in_any_order(capture):
     """Frames are the same asked for one by one, backwards, or as a stream; another seed gives others."""
-    held, again = retake(capture, HELD), retake(capture, HELD)
+    held, again = perturb_capture(capture, HELD), perturb_capture(capture, HELD)
     stream = list(held.frames("cam01"))
 
     for frame in reversed(range(6)):
         np.testing.assert_array_equal(again.frame("cam01", frame), stream[frame])
-    other = retake(capture, dataclasses.replace(HELD, noise_seed=8))
+    other = perturb_capture(capture, dataclasses.replace(HELD, noise_seed=8))
     assert not np.array_equal(other.frame("cam01", 0), stream[0])
 
 
 def test_a_camera_keeps_its_noise_without_the_others(capture):
     """The noise of a camera does not depend on which other cameras there are."""
     np.testing.assert_array_equal(
-        retake(capture.without(["cam00"], "test"), HELD).frame("cam02", 4), retake(capture, HELD).frame("cam02", 4)
+        perturb_capture(capture.without(["cam00"], "test"), HELD).frame("cam02", 4),
+        perturb_capture(capture, HELD).frame("cam02", 4),
     )
 
 
 def test_a_moving_capture_goes_on_moving(capture):
     """Noise alone leaves time, number of frames and content as they are."""
-    noisy = retake(capture, Retake(sensor_noise_255=1.5))
+    noisy = perturb_capture(capture, CaptureEdit(sensor_noise_255=1.5))
 
     assert noisy.n_frames == N_FRAMES
     for frame, image in enumerate(noisy.frames("cam03")):
@@ -91,7 +92,7 @@ def test_a_moving_capture_goes_on_moving(capture):
 
 def test_noise_is_clipped_like_an_image(capture):
     """Noise of 80 levels wraps round nowhere: black and white are its ends."""
-    image = retake(capture, Retake(sensor_noise_255=80.0)).frame("cam00", 0)
+    image = perturb_capture(capture, CaptureEdit(sensor_noise_255=80.0)).frame("cam00", 0)
 
     dark = make_image(0, 0)[..., :2] == 30
     assert 0.2 < (image[..., :2][dark] == 0).mean() < 0.5  # P(30 + 80 n < 0.5) = 0.36
@@ -100,10 +101,10 @@ def test_noise_is_clipped_like_an_image(capture):
 
 def test_digests_tell_what_was_done(capture):
     """Held, noisy, other noise, longer, as taken: five inputs, five digests."""
-    kinds = [Retake(), Retake(hold_frames=6), Retake(hold_frames=7), HELD, dataclasses.replace(HELD, noise_seed=8)]
+    kinds = [CaptureEdit(), CaptureEdit(hold_frames=6), CaptureEdit(hold_frames=7), HELD, dataclasses.replace(HELD, noise_seed=8)]
 
-    assert len({retake(capture, kind).digest("cam00") for kind in kinds}) == len(kinds)
-    assert retake(capture, Retake()) is capture
+    assert len({perturb_capture(capture, kind).digest("cam00") for kind in kinds}) == len(kinds)
+    assert perturb_capture(capture, CaptureEdit()) is capture
 
 
 def test_measured_depth_is_held_too(capture):
@@ -116,7 +117,7 @@ def test_measured_depth_is_held_too(capture):
             yield from (np.full((2, 3), t + 1.0, np.float32) for t in range(start, stop))
 
     with_depth = dataclasses.replace(capture, extras=tuple(Extras(depth=Depths()) for _ in NAMES))
-    depth = retake(with_depth, HELD).extras_of("cam01").depth
+    depth = perturb_capture(with_depth, HELD).extras_of("cam01").depth
 
     assert isinstance(depth, HeldDepths)
     assert [float(each[0, 0]) for each in depth.depths(1, 4)] == [3.0, 3.0, 3.0]
@@ -125,31 +126,31 @@ def test_measured_depth_is_held_too(capture):
 @pytest.mark.parametrize(
     ("wanted", "message"),
     [
-        (Retake(hold_frames=4, hold_frame=N_FRAMES), f"wanted frame {N_FRAMES} held still, the capture has {N_FRAMES}"),
-        (Retake(hold_frame=1), "not for how long"),
-        (Retake(hold_frames=-1), "hold_frames -1"),
-        (Retake(sensor_noise_255=-0.5), "sensor_noise_255 -0.5"),
-        (Retake(sensor_noise_255=float("nan")), "sensor_noise_255 nan"),
+        (CaptureEdit(hold_frames=4, hold_frame=N_FRAMES), f"wanted frame {N_FRAMES} held still, the capture has {N_FRAMES}"),
+        (CaptureEdit(hold_frame=1), "not for how long"),
+        (CaptureEdit(hold_frames=-1), "hold_frames -1"),
+        (CaptureEdit(sensor_noise_255=-0.5), "sensor_noise_255 -0.5"),
+        (CaptureEdit(sensor_noise_255=float("nan")), "sensor_noise_255 nan"),
     ],
 )
 def test_what_cannot_be_is_refused(capture, wanted, message):
     """An instant that is not there, or a number that means nothing, is refused in one line."""
     with pytest.raises(CaptureError, match=message) as caught:
-        retake(capture, wanted)
+        perturb_capture(capture, wanted)
     assert "\n" not in str(caught.value)
 
 
 def test_noise_is_added_once(capture):
     """A noisy capture is not made noisy again: what a run records would no longer say what was done."""
     with pytest.raises(CaptureError, match="open it anew"):
-        retake(retake(capture, HELD), HELD)
+        perturb_capture(perturb_capture(capture, HELD), HELD)
 
 
 def test_the_command_line_says_what_it_did(folder, capsys):
     """`--hold-frames 6 ...` gives these frames, and a note of them."""
     opened = ReadingOptions(hold_frames=6, hold_frame=2, sensor_noise=1.5, noise_seed=7).open(folder)
 
-    np.testing.assert_array_equal(opened.frame("cam00", 5), retake(open_capture(folder), HELD).frame("cam00", 5))
+    np.testing.assert_array_equal(opened.frame("cam00", 5), perturb_capture(open_capture(folder), HELD).frame("cam00", 5))
     assert "frame 2 held still for 6 instants, sensor noise of 1.5/255" in capsys.readouterr().err
 
 
@@ -176,28 +177,28 @@ def test_a_run_picks_up_the_same_frames_again(room, protocol, tmp_path):
     run_command(
         ["prepare", str(tmp_path / "run"), "--capture", str(room), "--protocol", str(tmp_path / "protocol.toml"), *arguments]
     )
-    wanted = retake(open_capture(room), Retake(4, 1, 1.5, 3))
+    wanted = perturb_capture(open_capture(room), CaptureEdit(4, 1, 1.5, 3))
     first = read_image(frame_path(tmp_path / "run" / "truth" / "cam00", 3))
     depth = sorted((tmp_path / "run" / "depth").rglob("*.np*"))
 
     frame_path(tmp_path / "run" / "truth" / "cam00", 3).unlink()
     again = reopen(tmp_path / "run", workers=1)
 
-    assert again.capture.retake == wanted.retake
+    assert again.capture.edit == wanted.edit
     assert "noise" in read_json(tmp_path / "run" / "capture.json")["notes"][-1]
     np.testing.assert_array_equal(first, wanted.frame("cam00", 3))
     np.testing.assert_array_equal(read_image(frame_path(tmp_path / "run" / "truth" / "cam00", 3)), first)
     assert sorted((tmp_path / "run" / "depth").rglob("*.np*")) == depth
     with pytest.raises(ProtocolError, match="another protocol or capture"):
-        prepare(tmp_path / "run", retake(open_capture(room), Retake(4, 1, 1.5, 4)), protocol)
+        prepare(tmp_path / "run", perturb_capture(open_capture(room), CaptureEdit(4, 1, 1.5, 4)), protocol)
 
 
 def test_the_true_path_is_left_away_where_it_shows_another_instant(room, protocol, tmp_path):
-    """The demo's path is filmed at one instant: held still there it is the truth along the path, held elsewhere it is not."""
+    """The demo's path is rendered at one instant: held still there it is the truth along the path, held elsewhere it is not."""
     demo = open_capture(room)
     at = round(read_json(room / "demo.json")["path_time_s"] * demo.fps)
-    there = prepare(tmp_path / "there", retake(demo, Retake(4, at)), protocol)
-    elsewhere = prepare(tmp_path / "elsewhere", retake(demo, Retake(4, (at + 1) % 3)), protocol)
+    there = prepare(tmp_path / "there", perturb_capture(demo, CaptureEdit(4, at)), protocol)
+    elsewhere = prepare(tmp_path / "elsewhere", perturb_capture(demo, CaptureEdit(4, (at + 1) % 3)), protocol)
 
     assert there.path_images is not None
     assert elsewhere.path_images is None

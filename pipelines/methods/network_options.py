@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 @dataclass(frozen=True)
-class NetworkChoice:
+class NetworkOptions:
     """What is not the same for everybody about the networks of methods.
 
     Attributes:
@@ -18,7 +18,7 @@ class NetworkChoice:
     device: str = "cpu"
 
 
-AS_SHIPPED = NetworkChoice()
+AS_SHIPPED = NetworkOptions()
 
 
 def found_device(wanted: str) -> str:

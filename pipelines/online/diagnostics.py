@@ -9,7 +9,7 @@ from ggvs_eval.geometry.splat import Splat
 from ggvs_eval.pipelines.online.recurrent_output import REDUCTION
 
 
-def inside_maps(depth: Map | None, splats: Sequence[Splat], still: Map, weights: Map | None) -> dict[str, Map]:
+def diagnostics_maps(depth: Map | None, splats: Sequence[Splat], still: Map, weights: Map | None) -> dict[str, Map]:
     """The maps of `Rendering.inside`, at a quarter of the size: every fourth pixel, which costs next to nothing.
 
     Args:

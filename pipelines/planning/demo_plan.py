@@ -1,4 +1,4 @@
-"""The demo rooms as something to plan: as they were filmed, or before that, with cameras that have filmed nothing yet."""
+"""The demo rooms as something to plan: as they were rendered, or before that, with cameras that have rendered nothing yet."""
 
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -19,7 +19,7 @@ NEAR, FAR = 8.0, 40.0  # of the rooms, world units
 
 
 @dataclass(frozen=True)
-class UnfilmedFrames:
+class FramesToRender:
     """Frames that a camera of the demo is going to film; there is nothing to decode.
 
     Attributes:
@@ -36,29 +36,29 @@ class UnfilmedFrames:
         Raises:
             CaptureError: always.
         """
-        raise CaptureError(f"wanted frames {start}..{stop - 1} of {self.digest}, the demo is not filmed yet; leave --dry-run out")
+        raise CaptureError(f"wanted frames {start}..{stop - 1} of {self.digest}, the demo is not rendered; leave --dry-run out")
 
 
 def demo_to_plan(folder: Path, options: DemoOptions, open_demo: Callable[[Path], Capture]) -> Capture:
-    """The demo in a folder where it is filmed already, else what it is going to be; nothing is written.
+    """The demo in a folder where it is rendered already, else what it is going to be; nothing is written.
 
     Args:
         folder: of the capture.
-        options: what is filmed where nothing is.
+        options: what is rendered where nothing is.
         open_demo: opens the folder of a capture.
     """
-    return open_demo(folder) if (folder / DEMO_NOTES).is_file() else unfilmed_demo(folder, options)
+    return open_demo(folder) if (folder / DEMO_NOTES).is_file() else planned_demo(folder, options)
 
 
-def unfilmed_demo(folder: Path, options: DemoOptions) -> Capture:
-    """The demo capture without its frames: cameras, frame count and units are those of the filmed one.
+def planned_demo(folder: Path, options: DemoOptions) -> Capture:
+    """The demo capture without its frames: cameras, frame count and units are those of the rendered one.
 
     Reading:
-        A filmed demo may carry a camera path of its own; a plan takes the path that a capture without one is given, which has as
-        many poses.
+        A rendered demo may carry a camera path of its own; a plan takes the path that a capture without one is given, which
+        has as many poses.
     """
     cameras = tuple(_noted(options, shot.noted) for shot in rig_shots(options))
-    sources = tuple(UnfilmedFrames(options.n_frames, camera.name) for camera in cameras)
+    sources = tuple(FramesToRender(options.n_frames, camera.name) for camera in cameras)
     units = LAYOUTS[options.layout].units_per_metre
     name = folder.resolve().name
     return Capture(name, options.layout, folder, cameras, sources, options.n_frames, options.fps, units, DEMO_NOTES)
@@ -70,16 +70,16 @@ def _noted(options: DemoOptions, camera: Camera) -> Camera:
     return replace(in_metres(camera), name=easymocap_name(camera)) if options.layout == "enerf-outdoor" else camera
 
 
-def is_filmed(capture: Capture) -> bool:
+def is_rendered(capture: Capture) -> bool:
     """Whether a capture has frames that can be read."""
-    return not any(isinstance(source, UnfilmedFrames) for source in capture.sources)
+    return not any(isinstance(source, FramesToRender) for source in capture.sources)
 
 
 def films(captures: Collection[Capture]) -> Sequence[str]:
-    """A line for each capture that has to be filmed first."""
+    """A line for each capture that has to be rendered first."""
     lines = []
-    for capture in (each for each in captures if not is_filmed(each)):
+    for capture in (each for each in captures if not is_rendered(each)):
         width, height = capture.cameras[0].size
         what = f"{len(capture.cameras)} cameras x {capture.n_frames} frames at {width} x {height}"
-        lines.append(f"film: the demo is filmed first, {what}, into {capture.path}; only then can the time be estimated")
+        lines.append(f"film: the demo is rendered first, {what}, into {capture.path}; only then can the time be estimated")
     return lines

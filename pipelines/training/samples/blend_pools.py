@@ -6,10 +6,10 @@ from pathlib import Path
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.pipelines.training.samples.blend_samples import BlendSample, SampleMaker, read_sample, write_sample
-from ggvs_eval.pipelines.training.samples.capture_lot import CaptureLot
+from ggvs_eval.pipelines.training.samples.capture_pool import CapturePool
 from ggvs_eval.pipelines.training.samples.capture_views import CapturePlan
-from ggvs_eval.pipelines.training.samples.room_lot import RoomLot
 from ggvs_eval.pipelines.training.samples.room_plan import RoomPlan
+from ggvs_eval.pipelines.training.samples.room_pool import RoomPool
 from ggvs_eval.pipelines.training.samples.samples import SampleKind
 
 ROOM_VERSION, CAPTURE_VERSION = 4, 2  # each counts up whenever equal plans give other samples
@@ -35,8 +35,8 @@ class BlendSampleKind(SampleKind[BlendSample]):
         write_sample(path, sample)
 
 
-class RoomSamples(RoomLot[BlendSample]):
-    """The blending network's samples of a plan, see `RoomLot`.
+class RoomSamples(RoomPool[BlendSample]):
+    """The blending network's samples of a plan, see `RoomPool`.
 
     Args:
         folder: where rooms and samples are kept.
@@ -50,8 +50,8 @@ class RoomSamples(RoomLot[BlendSample]):
         super().__init__(folder, plan, BlendSampleKind(), "samples", ROOM_VERSION)
 
 
-class CaptureSamples(CaptureLot[BlendSample]):
-    """The blending network's samples of captures, see `CaptureLot`.
+class CaptureSamples(CapturePool[BlendSample]):
+    """The blending network's samples of captures, see `CapturePool`.
 
     Args:
         folder: where samples are kept.

@@ -1,10 +1,10 @@
-"""What a method decided on the way to its frames, as further pictures beside them; render jobs write them, see `inside_path`."""
+"""Diagnostics: what a method decided on the way to its frames, as pictures beside them; render jobs write them."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from ggvs_eval.reports.model.measured import MeasuredRun
-from ggvs_eval.run_folder import INSIDE, missing_frames
+from ggvs_eval.run_folder import DIAGNOSTICS, missing_frames
 
 MEANINGS = {
     "depth": ("depth", "the fused depth, near yellow, far dark blue, chequered where none was found"),
@@ -14,13 +14,13 @@ MEANINGS = {
 }
 
 
-def told_label(run: MeasuredRun) -> str | None:
+def diagnostics_label(run: MeasuredRun) -> str | None:
     """The method whose inside is shown: ours, rather itself than a variant of it, or whatever tells; None where none does."""
     first = run.protocol.views.test[0]
-    return next((label for label in run.ours_first if (run.folder.renders(label, first) / INSIDE).is_dir()), None)
+    return next((label for label in run.ours_first if (run.folder.renders(label, first) / DIAGNOSTICS).is_dir()), None)
 
 
-def inside_folders(frames: Path, label: str, indices: range) -> Iterator[tuple[str, Path]]:
+def diagnostics_folders(frames: Path, label: str, indices: range) -> Iterator[tuple[str, Path]]:
     """Key and folder of each kind of picture that is there for every frame.
 
     Args:
@@ -29,17 +29,17 @@ def inside_folders(frames: Path, label: str, indices: range) -> Iterator[tuple[s
         indices: of the frames.
     """
     for name in MEANINGS:
-        folder = frames / INSIDE / name
+        folder = frames / DIAGNOSTICS / name
         if folder.is_dir() and not missing_frames(folder, indices):
             yield f"{label}/{name}", folder
 
 
-def inside_name(run: MeasuredRun, key: str) -> str:
+def diagnostics_name(run: MeasuredRun, key: str) -> str:
     """What to call a picture: of a method, of the truth, or of the inside of a method."""
     label, _, name = key.partition("/")
     return f"{run.name(label)}: {MEANINGS[name][0]}" if name else run.name(label)
 
 
-def inside_legend(keys: Sequence[str]) -> list[tuple[str, str]]:
+def diagnostics_legend(keys: Sequence[str]) -> list[tuple[str, str]]:
     """What to say of those of the pictures that show the inside of a method: name and meaning."""
     return [MEANINGS[key.partition("/")[2]] for key in keys if "/" in key]

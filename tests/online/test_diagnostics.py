@@ -14,8 +14,8 @@ from ggvs_eval.pipelines.run.diagnostics import VIEW_COLOURS, view_colours
 from ggvs_eval.pipelines.run.evaluate import evaluate
 from ggvs_eval.reports.model.measured import read_run
 from ggvs_eval.reports.page.comparison import compare_frames
-from ggvs_eval.reports.page.inside import MEANINGS
-from ggvs_eval.run_folder import INSIDE, RunFolder, inside_path
+from ggvs_eval.reports.page.diagnostics import MEANINGS
+from ggvs_eval.run_folder import DIAGNOSTICS, RunFolder, diagnostics_path
 from helpers.blender_inputs import inputs_of
 from helpers.scenes import camera_at, instant
 from helpers.small_runs import small_protocol, write_small_capture
@@ -75,10 +75,10 @@ def test_one_view_alone_shows_its_colour():
 def test_a_job_writes_what_its_method_tells(run, label, names):
     """Each map of each frame, at a quarter of the size, in views and along the path; methods that tell nothing have no folder."""
     for frames in (run.renders(label, "cam00"), run.path(label)):
-        inside = frames / INSIDE
+        inside = frames / DIAGNOSTICS
         assert {folder.name for folder in inside.iterdir()} == names if names else not inside.exists()
         for name in names:
-            assert read_image(inside_path(frames, name, 1)).shape == (12, 16, 3)
+            assert read_image(diagnostics_path(frames, name, 1)).shape == (12, 16, 3)
 
 
 def test_the_page_can_choose_them(run):

@@ -10,11 +10,11 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.method import Instant, SourceView
 from ggvs_eval.pipelines.training.samples.blend_samples import SampleMaker
-from ggvs_eval.pipelines.training.samples.capture_lot import CaptureLot
+from ggvs_eval.pipelines.training.samples.capture_pool import CapturePool
 from ggvs_eval.pipelines.training.samples.capture_views import CapturePlan
 from ggvs_eval.pipelines.training.samples.instant_samples import InstantSample, read_instant, write_instant
-from ggvs_eval.pipelines.training.samples.room_lot import RoomLot
 from ggvs_eval.pipelines.training.samples.room_plan import RoomPlan
+from ggvs_eval.pipelines.training.samples.room_pool import RoomPool
 from ggvs_eval.pipelines.training.samples.samples import SampleKind
 
 ROOM_VERSION, CAPTURE_VERSION = 1, 1  # each counts up whenever equal plans give other samples
@@ -53,8 +53,8 @@ class InstantKind(SampleKind[InstantSample]):
         write_instant(path, sample)
 
 
-class RoomInstants(RoomLot[InstantSample]):
-    """The baselines' samples of a plan, see `RoomLot`.
+class RoomInstants(RoomPool[InstantSample]):
+    """The baselines' samples of a plan, see `RoomPool`.
 
     Args:
         folder: where rooms and samples are kept; `RoomSamples` may share it.
@@ -69,8 +69,8 @@ class RoomInstants(RoomLot[InstantSample]):
         super().__init__(folder, plan, InstantKind(depth), "instants", ROOM_VERSION)
 
 
-class CaptureInstants(CaptureLot[InstantSample]):
-    """The baselines' samples of captures, see `CaptureLot`.
+class CaptureInstants(CapturePool[InstantSample]):
+    """The baselines' samples of captures, see `CapturePool`.
 
     Args:
         folder: where samples are kept; `CaptureSamples` may share it.

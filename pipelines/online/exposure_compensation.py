@@ -22,7 +22,7 @@ LARGEST_LOG_GAIN = 0.5
 GAUGE_POWER = 2  # of the views' weights, by which their gains are averaged into the target's
 
 
-class ColourHarmony:
+class ExposureCompensation:
     """Gains, one per source camera and channel, that make the sources agree about the surfaces they share.
 
     A lattice of pixels of each source is looked up in every other source that sees the same surface. The median ratio of two

@@ -1,4 +1,4 @@
-"""On what a published value can be judged: the runs on its data set under the paper's terms, or the reason why there are none."""
+"""Runs that a published value can be compared with: on its data set, on the paper's terms; or why there are none."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from ggvs_eval.results import Results, merge_results
 
 
 @dataclass(frozen=True)
-class Ground:
+class ComparableRuns:
     """Runs on one of the paper's data sets, on its terms.
 
     Attributes:
@@ -24,7 +24,7 @@ class Ground:
 
 
 @dataclass(frozen=True)
-class Absence:
+class NotComparable:
     """That there is no such run, and why.
 
     Attributes:
@@ -36,7 +36,7 @@ class Absence:
     near: MeasuredRun | None = None
 
 
-def find_ground(dataset: str, runs: Sequence[MeasuredRun]) -> Ground | Absence:
+def find_ground(dataset: str, runs: Sequence[MeasuredRun]) -> ComparableRuns | NotComparable:
     """The runs that can be held against one of the paper's data sets.
 
     Reading:
@@ -47,16 +47,18 @@ def find_ground(dataset: str, runs: Sequence[MeasuredRun]) -> Ground | Absence:
     related = [run for run in runs if terms.relation(run) != "other"]
     whole = [run for run in related if terms.relation(run) == "whole" and not terms.departures(run)]
     if not related:
-        return Absence(f"no run on {dataset} here; {_what_instead(runs)}")
+        return NotComparable(f"no run on {dataset} here; {_what_instead(runs)}")
     if not whole:
-        return Absence(f"{_name(related[0])} is not {dataset} on the paper's terms: {_departures(terms, related[0])}", related[0])
+        return NotComparable(
+            f"{_name(related[0])} is not {dataset} on the paper's terms: {_departures(terms, related[0])}", related[0]
+        )
     alike = [run for run in whole if run.protocol.sha256 == whole[0].protocol.sha256]
     missing = terms.missing_scenes({run.scene for run in alike})
     if missing:
-        return Absence(
+        return NotComparable(
             f"{_name(alike[0])} is part of {dataset} alone; the paper's means hold {' and '.join(missing)} too", alike[0]
         )
-    return Ground(tuple(alike), merge_results([run.results for run in alike]), _words(terms, alike))
+    return ComparableRuns(tuple(alike), merge_results([run.results for run in alike]), _words(terms, alike))
 
 
 def _departures(terms: PaperTerms, run: MeasuredRun) -> str:

@@ -14,7 +14,7 @@ from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.files.digest import digest_values
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthChoice
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthEstimator
 from ggvs_eval.pipelines.training.samples.blend_samples import SampleMaker
 from ggvs_eval.pipelines.training.samples.capture_views import CapturePlan, draw_views, is_sequence, possible_targets
@@ -22,7 +22,7 @@ from ggvs_eval.pipelines.training.samples.samples import Job, Sample, SampleKind
 from ggvs_eval.synthetic.domains import FIRST_TRAINING_SEED, VALIDATION_SEEDS
 
 
-class CaptureLot(Samples[Sample]):
+class CapturePool(Samples[Sample]):
     """The samples of some captures on disk; a capture is whatever `open_capture` opens: ScanNet, Spaces, DyNeRF, one's own rig.
 
     A test capture must never be trained on: none of those that the packaged protocols name test views of, nor any other that
@@ -107,7 +107,7 @@ def make_samples(capture: Capture, plan: CapturePlan, name: str, paths: Mapping[
         paths: number of each sample, and where it goes.
         kind: what a sample is.
     """
-    maker = MeasuredSampleMaker(capture, DepthChoice(plan.matcher).options(), _instant(capture, plan, next(iter(paths))))
+    maker = MeasuredSampleMaker(capture, DepthRunOptions(plan.matcher).options(), _instant(capture, plan, next(iter(paths))))
     for number, path in paths.items():
         kind.write(path, kind.make(maker, *draw_views(capture, plan, name, number)))
 
@@ -197,7 +197,7 @@ def _name(capture: Capture) -> str:
 
 def _digest(plan: CapturePlan, version: int, depth: bool) -> str:
     """Names all that a sample depends on but its capture and its number."""
-    options = DepthChoice(plan.matcher).options()
+    options = DepthRunOptions(plan.matcher).options()
     described: dict[str, object] = {
         "version": version,
         "plan": {name: value for name, value in asdict(plan).items() if name != "targets"},
