@@ -24,7 +24,8 @@ from ggvs_eval.pipelines.online.network_blender import blend_by, blend_start
 from ggvs_eval.pipelines.online.network_inputs import GUIDED, input_channels
 from ggvs_eval.pipelines.online.refiner import Refiner, evidence
 from ggvs_eval.pipelines.online.torch_blender import blend_on
-from helpers.geometry_scenes import random_camera, random_depth, seeds
+from helpers.blender_inputs import random_maps
+from helpers.geometry_scenes import seeds
 
 pytestmark = pytest.mark.usefixtures("kernel_settings")
 
@@ -34,17 +35,6 @@ def alone():
     """Small networks are faster with one thread."""
     with one_thread():
         yield
-
-
-def random_maps(random: np.random.Generator, width: int, height: int, views: int) -> BlendMaps:
-    """Views that show nothing in places, over a surface with edges and holes."""
-    target, size = random_camera(random, width, height, "target"), (views, height, width)
-    seen = np.clip(random.normal(0.5, 0.6, size), 0, 1).astype(np.float32)
-    alphas, colours = random.random(size, dtype=np.float32), random.random((*size, 3), dtype=np.float32)
-    depths = np.stack([random_depth(random, target) for _ in range(views)])
-    sources = tuple(random_camera(random, 20, 15, f"source {k}") for k in range(views))
-    coverage = np.maximum(seen, np.float32(0.02) * alphas)
-    return BlendMaps(target, sources, colours, coverage, seen, alphas, depths, random_depth(random, target))
 
 
 def random_network(config: BlendNetworkOptions, width: int | None = None) -> BlendNetwork:

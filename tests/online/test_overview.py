@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_refine_kernel import random_maps
 
 from ggvs_eval import kernels
 from ggvs_eval.geometry.per_pixel import weighted_mean
@@ -15,6 +14,7 @@ from ggvs_eval.kernels import _core
 from ggvs_eval.pipelines.online.input_kernel import network_channels
 from ggvs_eval.pipelines.online.network_inputs import channel_count, input_channels
 from ggvs_eval.pipelines.online.overview import overview
+from helpers.blender_inputs import random_maps
 from helpers.geometry_scenes import seeds
 
 pytestmark = pytest.mark.usefixtures("kernel_settings")
