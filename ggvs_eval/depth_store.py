@@ -10,7 +10,8 @@ import json
 import os
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -20,27 +21,8 @@ from ggvs_eval.arrays import Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import DepthError
 
+CHECK_ENTRIES = ("checked_with", "check")  # what a spec says beside that of depth as it was found
 CONFIDENCE_STEPS = 255  # confidence is kept in 8 bit
-
-
-@dataclass(frozen=True, order=True)
-class DepthJob:
-    """One camera and the partners its depth is computed with; equal jobs give equal depth.
-
-    Attributes:
-        camera_name: the camera whose depth is wanted.
-        partner_names: the cameras it is matched with, in order; none where a sensor measured its depth.
-        checked_with: depth of other cameras that its own is held against; none for depth as it was found.
-    """
-
-    camera_name: str
-    partner_names: tuple[str, ...]
-    checked_with: tuple["DepthJob", ...] = ()
-
-    @property
-    def unchecked(self) -> "DepthJob":
-        """The same depth as it was found."""
-        return replace(self, checked_with=())
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +62,43 @@ def _describe_camera(camera: Camera) -> dict[str, object]:
         "near": float(camera.near),
         "far": float(camera.far),
     }
+
+
+@dataclass(frozen=True, order=True)
+class DepthJob:
+    """One camera and the partners its depth is computed with; equal jobs of one plan give equal depth.
+
+    Attributes:
+        camera_name: the camera whose depth is wanted.
+        partner_names: the cameras it is matched with, in order; none where a sensor measured its depth.
+        checked_with: depth of other cameras that its own is held against; none for depth as it was found.
+        spec: all that the depth depends on, as JSON values; whoever plans the job writes it, once.
+    """
+
+    camera_name: str
+    partner_names: tuple[str, ...]
+    checked_with: tuple["DepthJob", ...] = ()
+    spec: Mapping[str, object] = field(default_factory=dict, compare=False, repr=False)
+
+    @cached_property
+    def key(self) -> str:
+        """Of its depth in a store."""
+        return DepthStore.key(self.spec)
+
+    @property
+    def unchecked(self) -> "DepthJob":
+        """The same depth as it was found."""
+        return replace(self, checked_with=(), spec={name: self.spec[name] for name in self.spec if name not in CHECK_ENTRIES})
+
+    def checked_against(self, others: tuple["DepthJob", ...], check: Mapping[str, object]) -> "DepthJob":
+        """Depth as it was found, held against that of other cameras.
+
+        Args:
+            others: depth of other cameras, as it was found.
+            check: how, with its parameters.
+        """
+        spec = dict(self.spec) | dict(zip(CHECK_ENTRIES, ([other.key for other in others], check), strict=True))
+        return replace(self, checked_with=others, spec=spec)
 
 
 class DepthStore:

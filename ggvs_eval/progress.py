@@ -26,3 +26,10 @@ def track(items: Iterable[Item], description: str, total: int | None = None) -> 
     )
     with bar as progress:
         yield from progress.track(items, description=description, total=total)
+
+
+def duration(seconds: float) -> str:
+    """A length of time in the unit that suits it."""
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"

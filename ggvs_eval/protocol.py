@@ -34,6 +34,11 @@ class Frames:
     start: int
     count: int
 
+    @property
+    def numbers(self) -> range:
+        """The frame numbers."""
+        return range(self.start, self.start + self.count)
+
 
 @dataclass(frozen=True)
 class Synthesis:

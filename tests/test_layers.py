@@ -34,7 +34,7 @@ FLOORS = (
     ("pipelines.offline.export", "pipelines.inspection", "pipelines.training.loop"),
     ("pipelines.inspection.capture", "pipelines.inspection.renders", "pipelines.training.samples"),
     ("pipelines.run", "pipelines.training.blend", "pipelines.training.stereo"),
-    ("pipelines.play", "pipelines.planning", "pipelines.training.baselines"),
+    ("pipelines.play", "pipelines.training.baselines"),
     ("pipelines.sweep.merging", "pipelines.sweep", "pipelines.training"),
     ("pipelines.commands",),
     ("__main__", "install"),

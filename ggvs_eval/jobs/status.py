@@ -8,6 +8,7 @@ from pathlib import Path
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.jobs.job import is_in_hand
 from ggvs_eval.jobs.ledger import STAGES, Entry, Failure, Ledger
+from ggvs_eval.progress import duration
 from ggvs_eval.run_folder import JOB_FILE
 
 MEBIBYTE = 1 << 20
@@ -56,7 +57,7 @@ def describe_status(root: Path) -> str:
     lines = []
     for stage in read_status(root):
         counts = f"{stage.done} done, {len(stage.in_hand)} running, {len(stage.failed)} failed, {len(stage.missing)} missing"
-        left = "" if stage.left_s is None else f", about {_duration(stage.left_s)} left"
+        left = "" if stage.left_s is None else f", about {duration(stage.left_s)} left"
         lines.append(f"{stage.stage}: {counts}, {stage.n_bytes / MEBIBYTE:.1f} MiB{left}")
         lines += [f"  running  {name}" for name in stage.in_hand]
         lines += [f"  failed   {failure}" for failure in stage.failed]
@@ -113,8 +114,3 @@ def _size(folder: Path) -> int:
             except OSError:  # just renamed
                 continue
     return total
-
-
-def _duration(seconds: float) -> str:
-    minutes = round(seconds / 60)
-    return f"{round(seconds)} s" if seconds < 120 else f"{minutes} min" if minutes < 120 else f"{minutes / 60:.1f} h"

@@ -76,7 +76,7 @@ def wanted_of(run: RunFolder, label: str) -> Wanted:
         RenderError: a run folder without captured frames.
     """
     protocol, record = run.protocol(), run.capture_record()
-    frames = range(protocol.frames.start, protocol.frames.start + protocol.frames.count)
+    frames = protocol.frames.numbers
     views = protocol.views.test
     sizes = {}
     for view in views:

@@ -1,28 +1,31 @@
-"""What is told before runs begin."""
+"""The few lines that stand before runs."""
 
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from ggvs_eval.pipelines.planning.run_request import RunRequest
+from ggvs_eval.pipelines.run.run_plan import RunPlan
 
 
-def print_plan(requests: Sequence[RunRequest], jobs: int, folder: Path, dry_run: bool = False) -> None:
-    """Tell what stands before some runs, as a few lines; nothing where all is done.
+def print_plan(plans: Sequence[RunPlan], jobs: int, folder: Path, dry_run: bool = False) -> None:
+    """Tell what runs will do, as a few lines; nothing where all is done.
 
     Args:
-        requests: the runs.
+        plans: of the runs.
         jobs: processes.
         folder: where they go.
-        dry_run: nothing will follow: leave no trace, and say so even where all is done.
+        dry_run: nothing will follow: say so even where all is done.
 
     Raises:
         ProtocolError: they need more room than the disk has.
     """
-    from ggvs_eval.pipelines.planning.plan import plan_runs
+    from ggvs_eval.pipelines.run.work_left import count_work
+    from ggvs_eval.pipelines.sweep.demo_plan import renders_first
 
-    planned = plan_runs(requests, jobs, folder, keep=not dry_run)
-    text = planned.describe()
-    if text or dry_run:
-        print(text or f"{folder}: nothing is left to do", file=sys.stdout if dry_run else sys.stderr)
-    planned.require_disk()
+    if not plans:
+        return
+    work = count_work(plans, folder, jobs)
+    lines = [*renders_first(plan.request.capture for plan in plans), *work.describe().splitlines()]
+    if lines or dry_run:
+        print("\n".join(lines) or f"{folder}: nothing is left to do", file=sys.stdout if dry_run else sys.stderr)
+    work.require_disk()

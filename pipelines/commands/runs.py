@@ -15,7 +15,7 @@ from ggvs_eval.pipelines.commands.captures import BY_DEFAULT, FOUND_BY_DEFAULT, 
 from ggvs_eval.pipelines.commands.print_plan import print_plan
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions, found_device
 from ggvs_eval.pipelines.methods.registry import METHODS, usual_methods
-from ggvs_eval.pipelines.planning.run_request import RunRequest
+from ggvs_eval.pipelines.run.run_plan import RunPlan
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.synthetic.film.options import DemoOptions
 
@@ -52,14 +52,16 @@ def prepare(
         dry_run: only tell how much there is to do, what it needs and how long it takes.
     """
     from ggvs_eval.pipelines.run.depth_outputs import export_prepared, fuse_prepared, write_prepared_page
-    from ggvs_eval.pipelines.run.prepare import prepare as write
+    from ggvs_eval.pipelines.run.prepare import prepare_run
+    from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
 
     root, opened = engine.place(run), reading.open(engine.place(capture))
     chosen = _protocol(protocol, opened)
-    print_plan([RunRequest(root, opened, chosen, (), depth)], engine.jobs, root, dry_run)
+    plan = plan_run(RunRequest(root, opened, chosen, depth=depth))
+    print_plan([plan], engine.jobs, root, dry_run)
     if dry_run:
         return
-    prepared = write(root, opened, chosen, engine, depth)
+    prepared = prepare_run(plan, engine)
     print(write_prepared_page(prepared, depth.options().filled_confidence, engine.jobs))
     if fuse:
         fused = fuse_prepared(prepared)
@@ -116,29 +118,32 @@ def run(
         engine: where jobs run.
         dry_run: only tell how much there is to do, what it needs and how long it takes; nothing is rendered for it.
     """
-    from ggvs_eval.pipelines.run.evaluate import evaluate
-    from ggvs_eval.pipelines.sweep.demo_requests import demo_requests
+    from ggvs_eval.pipelines.run.evaluate import measure, report
+    from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
+    from ggvs_eval.pipelines.sweep.demo_plan import plan_demos
     from ggvs_eval.pipelines.sweep.demo_runs import evaluate_demos, room_labels
 
     root, networks = engine.place(run), _networks(weights, device)
     if capture is None and protocol is None:
         labels = room_labels(methods, USUAL_METHODS)
         if dry_run:
-            for requests in demo_requests(root, labels, reading.open, depth, networks):
-                print_plan(requests, engine.jobs, _home(requests), dry_run)
+            for plans in plan_demos(root, labels, reading.open, depth, networks):
+                print_plan(plans, engine.jobs, _home(plans), dry_run)
             return
 
-        def tell(requests: Sequence[RunRequest]) -> None:
-            print_plan(requests, engine.jobs, _home(requests))
+        def announce(plans: Sequence[RunPlan]) -> None:
+            print_plan(plans, engine.jobs, _home(plans))
 
-        print(evaluate_demos(root, labels, engine, reading.open, depth, networks, tell=tell))
+        print(evaluate_demos(root, labels, engine, reading.open, depth, networks, announce=announce))
         return
     opened = reading.open(engine.place(capture)) if capture else _demo_beside(root, engine.jobs, reading, dry_run)
     chosen = _protocol(protocol, opened)
-    print_plan([RunRequest(root, opened, chosen, methods, depth, networks)], engine.jobs, root, dry_run)
+    plan = plan_run(RunRequest(root, opened, chosen, methods, depth, networks))
+    print_plan([plan], engine.jobs, root, dry_run)
     if dry_run:
         return
-    print(evaluate(root, opened, chosen, methods, engine, depth, networks))
+    measure(plan, engine)
+    print(report([root]))
 
 
 def sweep(
@@ -174,9 +179,8 @@ def sweep(
         dry_run: only tell how much there is to do, what it needs and how long it takes.
     """
     from ggvs_eval.jobs.shard import Shard
-    from ggvs_eval.pipelines.sweep.cells import run_requests
     from ggvs_eval.pipelines.sweep.plan import flags, plan_sweep
-    from ggvs_eval.pipelines.sweep.run_sweep import run_sweep, run_sweeps
+    from ggvs_eval.pipelines.sweep.run_sweep import plan_runs, run_sweep, run_sweeps
     from ggvs_eval.sweep import load_sweep
 
     wanted, part = load_sweep(name), Shard.parse(shard)
@@ -195,16 +199,18 @@ def sweep(
         command = ["ggvs-eval", "sweep", name, str(out), "--capture", *map(str, paths), *chosen, *options]
         print(plan_sweep(plan, engine.place(out), starts, wanted, networks, command))
         return
-    requests = run_requests(engine.place(out), starts, wanted, depth, networks, part)
-    if requests:
-        print_plan(requests, engine.jobs, engine.place(out), dry_run)
+
+    def announce(plans: Sequence[RunPlan]) -> None:
+        print_plan(plans, engine.jobs, engine.place(out), dry_run)
+
     if dry_run:
+        announce(plan_runs(engine.place(out), starts, wanted, depth, networks, part))
         return
     if len(starts) > 1:
-        result = run_sweeps(engine.place(out), starts, wanted, engine, depth, networks, part)
+        result = run_sweeps(engine.place(out), starts, wanted, engine, depth, networks, part, announce)
     else:
         ((only, start),) = starts.values()
-        result = run_sweep(engine.place(out), only, wanted, start, engine, depth, networks, part)
+        result = run_sweep(engine.place(out), only, wanted, start, engine, depth, networks, part, announce)
     if not result.table.empty:
         print(result.table.round(4).to_string())
     for title, reason in result.not_computed.items():
@@ -248,8 +254,8 @@ def _checkpoints(weights: tuple[str, ...]) -> dict[str, Path]:
 
 
 def _demo_beside(run: Path, jobs: int, reading: ReadingOptions, dry_run: bool) -> Capture:
-    """The demo beside a run folder, which is rendered where it is not there; a dry run films nothing."""
-    from ggvs_eval.pipelines.planning.demo_plan import demo_to_plan
+    """The demo beside a run folder, which is rendered where it is not there; a dry run renders nothing."""
+    from ggvs_eval.pipelines.sweep.demo_plan import demo_to_plan
     from ggvs_eval.pipelines.sweep.demo_runs import capture_beside
     from ggvs_eval.synthetic.demo import write_demo
 
@@ -259,9 +265,9 @@ def _demo_beside(run: Path, jobs: int, reading: ReadingOptions, dry_run: bool) -
     return reading.open(write_demo(folder, DemoOptions(), jobs))
 
 
-def _home(requests: Sequence[RunRequest]) -> Path:
+def _home(plans: Sequence[RunPlan]) -> Path:
     """The folder of one run, or of the sweep that several belong to."""
-    return requests[0].root if len(requests) == 1 else requests[0].root.parent
+    return plans[0].run.root if len(plans) == 1 else plans[0].run.root.parent
 
 
 def _protocol(source: str | None, capture: Capture) -> Protocol:

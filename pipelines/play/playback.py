@@ -11,10 +11,10 @@ from ggvs_eval.errors import RenderError
 from ggvs_eval.files.digest import digest_values
 from ggvs_eval.geometry.source_views import SourceChoice, choose_sources
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
-from ggvs_eval.pipelines.offline.depth.fill_store import depth_spec, plan_depth, prepare_depth
+from ggvs_eval.pipelines.offline.depth.fill_store import plan_depth, prepare_depth
 from ggvs_eval.pipelines.play.trajectory import camera_loop
 from ggvs_eval.pipelines.run.frame_cache import cache_frames
-from ggvs_eval.pipelines.run.prepare import Prepared
+from ggvs_eval.pipelines.run.run_plan import RunPlan
 
 FRAMES_OF_STILLS = 90
 
@@ -59,7 +59,7 @@ class Playback:
     sources: SourceChoice = "nearest"
 
 
-def playback_of_run(prepared: Prepared, options: PlayOptions) -> Playback:
+def playback_of_run(prepared: RunPlan, options: PlayOptions) -> Playback:
     """Play a run folder: its frames and the depth that its test views have made it compute, nothing new.
 
     Raises:
@@ -108,7 +108,7 @@ def playback_of_capture(capture: Capture, options: PlayOptions, depth: DepthOpti
     capture = cache_frames(capture, _wanted(blocks, jobs, alone), root / "frames", workers)
     for block, names in blocks:
         prepare_depth(capture, [jobs[name] for name in sorted(names)], block, store, alone, workers)
-    keys = {name: DepthStore.key(depth_spec(capture, job, alone)) for name, job in jobs.items()}
+    keys = {name: job.key for name, job in jobs.items()}
     return Playback(capture, poses, instants, k, store, keys, sources)
 
 

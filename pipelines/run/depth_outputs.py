@@ -1,6 +1,5 @@
 """What `ggvs-eval prepare` makes of the depth beside storing it: the depth page, a fused instant, a COLMAP workspace."""
 
-from collections.abc import Iterable
 from pathlib import Path
 
 from ggvs_eval.depth_store import DepthJob, DepthStore
@@ -8,13 +7,12 @@ from ggvs_eval.errors import DepthError
 from ggvs_eval.pipelines.offline.export.dense_workspace import WorkspaceOptions, write_dense_workspace
 from ggvs_eval.pipelines.offline.export.fuse import FusedFiles, FuseOptions, fuse_instant
 from ggvs_eval.pipelines.offline.sensor.registration import Registration
-from ggvs_eval.pipelines.run.prepare import Prepared, SourcePlan
+from ggvs_eval.pipelines.run.run_plan import RunPlan
 from ggvs_eval.reports.depth_page.depth_page import write_depth_page
 from ggvs_eval.reports.depth_page.depth_record import StoredDepth
-from ggvs_eval.run_folder import read_json
 
 
-def write_prepared_page(prepared: Prepared, filled_confidence: float, workers: int = 1) -> Path:
+def write_prepared_page(prepared: RunPlan, filled_confidence: float, workers: int = 1) -> Path:
     """Write ``RUN/depth_page/`` of the first, middle and last instant.
 
     Args:
@@ -29,28 +27,24 @@ def write_prepared_page(prepared: Prepared, filled_confidence: float, workers: i
         DepthError: depth that is not stored.
         CaptureError: frames that cannot be read.
     """
-    views, path = _keys(prepared.plans.values()), _keys(prepared.path)
-    frames = prepared.frames
+    frames, width_px = prepared.frames, prepared.capture.cameras[0].width
     shown = tuple(sorted({frames[0], frames[len(frames) // 2], frames[-1]}))
-    of_views = {job.camera_name for job in views}  # cameras that serve the path alone were prepared at its instant alone
+    stored = [StoredDepth(job, shown, _registration(job, width_px)) for job in prepared.view_jobs]
+    of_views = {job.camera_name for job in prepared.view_jobs}  # cameras of the path alone were prepared at its instant alone
+    alone = [job for job in prepared.path_jobs if job.camera_name not in of_views]
+    stored += [StoredDepth(job, (prepared.path_frame,), _registration(job, width_px)) for job in alone]
     store = DepthStore(prepared.run.depth)
-    width_px = prepared.capture.cameras[0].width
-    stored = [StoredDepth(job, key, shown, _registration(store, key, width_px)) for job, key in sorted(views.items())]
-    alone = {job: key for job, key in path.items() if job.camera_name not in of_views}
-    stored += [
-        StoredDepth(job, key, (prepared.path_frame,), _registration(store, key, width_px)) for job, key in sorted(alone.items())
-    ]
     return write_depth_page(prepared.run.root / "depth_page", prepared.capture, stored, store, filled_confidence, workers)
 
 
-def _registration(store: DepthStore, key: str, width_px: int) -> str:
-    """What was done to the sensor depth of a key, in words; empty where nothing was."""
-    spec = store.folder(key) / "spec.json"
-    applied = read_json(spec)["options"].get("registration") if spec.is_file() else None
+def _registration(job: DepthJob, width_px: int) -> str:
+    """What was done to the sensor depth of a job, in words; empty where nothing was."""
+    options = job.spec["options"]
+    applied = options.get("registration") if isinstance(options, dict) else None
     return Registration(**applied).describe(width_px) if applied else ""
 
 
-def fuse_prepared(prepared: Prepared, frame: int | None = None, options: FuseOptions | None = None) -> FusedFiles:
+def fuse_prepared(prepared: RunPlan, frame: int | None = None, options: FuseOptions | None = None) -> FusedFiles:
     """Write ``RUN/fused/<frame>/points.ply`` and ``mesh.ply`` of all cameras with depth at one instant.
 
     Args:
@@ -67,13 +61,13 @@ def fuse_prepared(prepared: Prepared, frame: int | None = None, options: FuseOpt
     return fuse_instant(
         [capture.camera(name) for name in names],
         [capture.frame(name, frame) for name in names],
-        [store.read(key, frame) for key in chosen.values()],
+        [store.read(job.key, frame) for job in chosen],
         prepared.run.root / "fused" / f"{frame:04d}",
         options,
     )
 
 
-def export_prepared(prepared: Prepared, folder: Path, frame: int | None = None, options: WorkspaceOptions | None = None) -> Path:
+def export_prepared(prepared: RunPlan, folder: Path, frame: int | None = None, options: WorkspaceOptions | None = None) -> Path:
     """Write all cameras with depth at one instant as a COLMAP dense workspace.
 
     Args:
@@ -91,32 +85,27 @@ def export_prepared(prepared: Prepared, folder: Path, frame: int | None = None, 
     return write_dense_workspace(
         [capture.camera(name) for name in names],
         [capture.frame(name, frame) for name in names],
-        [store.read(key, frame) for key in chosen.values()],
+        [store.read(job.key, frame) for job in chosen],
         {job.camera_name: job.partner_names for job in chosen},
         folder,
         options,
     )
 
 
-def _one_per_camera(prepared: Prepared, frame: int) -> dict[DepthJob, str]:
-    """Of each camera with depth at an instant the job with most partners, and its key, in the order of the capture.
+def _one_per_camera(prepared: RunPlan, frame: int) -> list[DepthJob]:
+    """Of each camera with depth at an instant the job with most partners, in the order of the capture.
 
     Raises:
         DepthError: no camera has depth there.
     """
-    plans = [
-        *(prepared.plans.values() if frame in prepared.frames else ()),
-        *(prepared.path if frame == prepared.path_frame else ()),
-    ]
-    best: dict[str, tuple[DepthJob, str]] = {}
-    for job, key in sorted(_keys(plans).items(), key=lambda each: (-len(each[0].partner_names), each[0])):
-        best.setdefault(job.camera_name, (job, key))
+    jobs = {
+        *(prepared.view_jobs if frame in prepared.frames else ()),
+        *(prepared.path_jobs if frame == prepared.path_frame else ()),
+    }
+    best: dict[str, DepthJob] = {}
+    for job in sorted(jobs, key=lambda each: (-len(each.partner_names), each)):
+        best.setdefault(job.camera_name, job)
     if not best:
         frames = prepared.frames
         raise DepthError(f"{prepared.run.root}: wanted depth of frame {frame}, frames {frames[0]}..{frames[-1]} are prepared")
-    return dict(best[name] for name in prepared.capture.camera_names if name in best)
-
-
-def _keys(plans: Iterable[SourcePlan]) -> dict[DepthJob, str]:
-    """The key of each job that takes part in the plans."""
-    return {job: plan.depth_keys[job.camera_name] for plan in plans for job in plan.jobs}
+    return [best[name] for name in prepared.capture.camera_names if name in best]

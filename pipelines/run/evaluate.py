@@ -10,8 +10,9 @@ from ggvs_eval.datasets.capture_edit import perturb_capture
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
-from ggvs_eval.pipelines.run.prepare import Prepared, prepare
+from ggvs_eval.pipelines.run.prepare import prepare, prepare_run
 from ggvs_eval.pipelines.run.render import render
+from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
 from ggvs_eval.pipelines.run.score import score
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import RunFolder
@@ -40,26 +41,18 @@ def evaluate(
     Returns:
         Path of the report's page.
     """
-    measure(root, capture, protocol, labels, workers, depth, networks)
+    measure(plan_run(RunRequest(root, capture, protocol, labels, depth, networks)), workers)
     return report([root])
 
 
-def measure(
-    root: Path,
-    capture: Capture,
-    protocol: Protocol,
-    labels: Sequence[str],
-    workers: Workers,
-    depth: DepthRunOptions | None = None,
-    networks: NetworkOptions = AS_SHIPPED,
-) -> None:
-    """Everything of `evaluate` but the report."""
-    prepared = prepare(root, capture, protocol, workers, depth)
-    render(prepared, labels, workers, networks)
-    score(RunFolder(root), workers)
+def measure(plan: RunPlan, workers: Workers) -> None:
+    """Prepare, render and score what a run lacks: everything of `evaluate` but the report."""
+    prepared = prepare_run(plan, workers)
+    render(prepared, plan.request.labels, workers, plan.request.networks)
+    score(plan.run, workers)
 
 
-def reopen(root: Path, workers: Workers) -> Prepared:
+def reopen(root: Path, workers: Workers) -> RunPlan:
     """Pick up a run folder that `prepare` has made, from the protocol and capture that it names."""
     run = RunFolder(root)
     return prepare(root, recorded_capture(run), run.protocol(), workers)

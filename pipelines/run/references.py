@@ -41,7 +41,7 @@ def score_ceilings(run: RunFolder, protocol: Protocol, workers: Workers = 1) -> 
     if not protocol.measurement.ceilings or not wanted:
         return {}
     views = protocol.views.test
-    frames = range(protocol.frames.start, protocol.frames.start + protocol.frames.count)
+    frames = protocol.frames.numbers
     run_jobs([_job(run, view, frames, wanted, protocol.measurement) for view in views], workers, "noise ceilings")
     return {view: read_json(run.ceilings(view) / JOB_FILE) for view in views}
 

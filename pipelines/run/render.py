@@ -19,12 +19,12 @@ from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptio
 from ggvs_eval.pipelines.methods.registry import find_method, split_label
 from ggvs_eval.pipelines.methods.spec import MethodSpec
 from ggvs_eval.pipelines.run.diagnostics import write_diagnostics
-from ggvs_eval.pipelines.run.prepare import Prepared, SourcePlan
+from ggvs_eval.pipelines.run.run_plan import RunPlan, SourcePlan
 from ggvs_eval.results import installed_versions
 from ggvs_eval.run_folder import RunFolder, frame_path, read_json, write_json
 
 
-def render(prepared: Prepared, labels: Sequence[str], workers: Workers = 1, networks: NetworkOptions = AS_SHIPPED) -> int:
+def render(prepared: RunPlan, labels: Sequence[str], workers: Workers = 1, networks: NetworkOptions = AS_SHIPPED) -> int:
     """Synthesise the protocol's views and the camera path by each method; what exists is not rendered again.
 
     Args:
@@ -50,7 +50,7 @@ def render(prepared: Prepared, labels: Sequence[str], workers: Workers = 1, netw
 
 
 def render_jobs(
-    prepared: Prepared, labels: Sequence[str], workers: Workers = 1, networks: NetworkOptions = AS_SHIPPED
+    prepared: RunPlan, labels: Sequence[str], workers: Workers = 1, networks: NetworkOptions = AS_SHIPPED
 ) -> list[Job]:
     """What `render` runs: one job per method and test view, and one per method along the camera path.
 
@@ -78,20 +78,20 @@ def note_labels(run: RunFolder, labels: Sequence[str]) -> None:
         write_json(order, {"labels": merged})
 
 
-def _view_job(prepared: Prepared, label: str, spec: MethodSpec, view: str, workers: int) -> Job:
+def _view_job(prepared: RunPlan, label: str, spec: MethodSpec, view: str, workers: int) -> Job:
     """The job of one method in one test view over all frames of the protocol."""
     plan, frames = prepared.plans[view], prepared.frames
     work = partial(_render_view, label, spec, prepared.capture, plan, frames, prepared.run.depth, workers)
     return Job(f"{label} in {view}", prepared.run.renders(label, view), _identity(prepared, label, spec, [plan]), work)
 
 
-def _path_job(prepared: Prepared, label: str, spec: MethodSpec, workers: int) -> Job:
+def _path_job(prepared: RunPlan, label: str, spec: MethodSpec, workers: int) -> Job:
     """The job of one method along the camera path, at the one instant of the path."""
     work = partial(_render_path, label, spec, prepared.capture, prepared.path, prepared.path_frame, prepared.run.depth, workers)
     return Job(f"{label} along the path", prepared.run.path(label), _identity(prepared, label, spec, prepared.path), work)
 
 
-def _identity(prepared: Prepared, label: str, spec: MethodSpec, plans: Sequence[SourcePlan]) -> dict[str, Any]:
+def _identity(prepared: RunPlan, label: str, spec: MethodSpec, plans: Sequence[SourcePlan]) -> dict[str, Any]:
     """Everything that the pixels depend on; the CPU goes without saying, as its bits are equal everywhere."""
     sources = {(name, prepared.capture.digest(name), key) for plan in plans for name, key in plan.depth_keys.items()}
     return {

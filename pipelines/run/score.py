@@ -69,7 +69,7 @@ def score_jobs(run: RunFolder, labels: Sequence[str], views: Sequence[str]) -> l
 
 def _coverage(run: RunFolder, protocol: Protocol, labels: Sequence[str], views: Sequence[str]) -> Coverage:
     """The frames of some methods in some views, none of which is missing."""
-    frames = range(protocol.frames.start, protocol.frames.start + protocol.frames.count)
+    frames = protocol.frames.numbers
     coverage = read_coverage(run, frames, labels)
     coverage.require(run, views, labels)
     return coverage

@@ -78,5 +78,5 @@ def _fits(capture: Capture, protocol: Protocol) -> bool:
     """Whether a packaged protocol was made for this capture; the demos' are for demo captures alone."""
     if protocol.name.startswith(DEMO) != (capture.units_origin == DEMO_NOTES):
         return False
-    enough = protocol.frames.start + protocol.frames.count <= capture.n_frames
+    enough = protocol.frames.numbers.stop <= capture.n_frames
     return enough and set(protocol.views.test) <= set(capture.camera_names)

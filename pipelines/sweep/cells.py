@@ -1,16 +1,16 @@
 """What a sweep consists of: one run per capture and variant of the protocol, each with the rows that stand in it."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import ProtocolError, RenderError, WeightsError
-from ggvs_eval.jobs.shard import WHOLE, Shard
+from ggvs_eval.jobs.shard import Shard
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
-from ggvs_eval.pipelines.planning.run_request import RunRequest
+from ggvs_eval.pipelines.run.run_plan import RunRequest
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import RunFolder
 from ggvs_eval.sweep import CAPTURE, Sweep, SweepRow
@@ -68,6 +68,19 @@ class Cell:
         name = self.capture.path.resolve().name
         return {row.label: path for row in self.rows if (path := row.frames_of(name)) is not None}
 
+    def request(self, depth: DepthRunOptions | None, networks: NetworkOptions, views: Collection[str] | None) -> RunRequest:
+        """The run to plan.
+
+        Args:
+            depth: how depth is found.
+            networks: with which weights and where networks compute.
+            views: units that are worked on; none where the run is only prepared.
+        """
+        labels = self.synthesised if views else ()
+        return RunRequest(
+            self.run.root, self.capture, self.protocol, labels, depth, networks, self.root / self.folder, views or None
+        )
+
     def share_folders(self) -> None:
         """Let all variants of a capture have their frames and depth in common, so that K = 2 finds what K = 6 has computed."""
         run, common = self.run.root, self.root / self.folder
@@ -109,33 +122,6 @@ def share_of(cells: list[Cell], shard: Shard) -> dict[str, set[str]]:
     for cell, view in shard.pick(units_of(cells)):
         share.setdefault(cell.name, set()).add(view)
     return share
-
-
-def run_requests(
-    root: Path,
-    captures: Captures,
-    sweep: Sweep,
-    depth: DepthRunOptions | None,
-    networks: NetworkOptions,
-    shard: Shard = WHOLE,
-) -> list[RunRequest]:
-    """The runs of a sweep that a shard works on, as they are planned."""
-    cells, _ = sweep_cells(root, captures if len(captures) > 1 else {"": next(iter(captures.values()))}, sweep, networks)
-    share = share_of(cells, shard)
-    taken = cells if shard.prepares_only else [cell for cell in cells if cell.name in share]
-    return [
-        RunRequest(
-            cell.run.root,
-            cell.capture,
-            cell.protocol,
-            () if shard.prepares_only else cell.synthesised,
-            depth,
-            networks,
-            root / cell.folder,
-            share.get(cell.name),
-        )
-        for cell in taken
-    ]
 
 
 def _why_not(row: SweepRow, n_captures: int, networks: NetworkOptions) -> str | None:

@@ -10,10 +10,10 @@ from ggvs_eval.errors import RenderError
 from ggvs_eval.jobs.engine import Workers, as_engine
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
-from ggvs_eval.pipelines.planning.run_request import RunRequest
 from ggvs_eval.pipelines.run.evaluate import measure, report
-from ggvs_eval.pipelines.sweep.cells import SHARED_FOLDERS, run_requests
-from ggvs_eval.pipelines.sweep.run_sweep import run_sweep
+from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
+from ggvs_eval.pipelines.sweep.cells import SHARED_FOLDERS
+from ggvs_eval.pipelines.sweep.run_sweep import Announce, run_sweep
 from ggvs_eval.protocol import load_protocol
 from ggvs_eval.sweep import Sweep, load_sweep
 from ggvs_eval.synthetic.demo import write_demo
@@ -37,7 +37,7 @@ def evaluate_demos(
     depth: DepthRunOptions | None = None,
     networks: NetworkOptions = AS_SHIPPED,
     rooms: Mapping[str, DemoOptions] = MappingProxyType(DEMO_ROOMS),
-    tell: Callable[[Sequence[RunRequest]], None] = lambda _: None,
+    announce: Announce = lambda _: None,
 ) -> Path:
     """Film and evaluate every demo room, the main one also over K; a second call does only what is missing.
 
@@ -49,7 +49,7 @@ def evaluate_demos(
         depth: how depth is found.
         networks: with which weights and where networks compute.
         rooms: name of the protocol -> what is rendered.
-        tell: is called before each evaluation, with its runs.
+        announce: is called before each evaluation, with the plans of its runs.
 
     Returns:
         The page of all rooms, in the main room's run folder.
@@ -60,15 +60,14 @@ def evaluate_demos(
     roots = {name: demo_root(root, name) for name in rooms}
     for name, options in rooms.items():
         capture = open_demo(write_demo(capture_beside(roots[name]), options, as_engine(workers).jobs))
-        request = RunRequest(roots[name], capture, load_protocol(name), labels[name], depth, networks)
-        tell([request])
-        measure(request.root, capture, request.protocol, request.labels, workers, depth, networks)
+        plan = plan_run(RunRequest(roots[name], capture, load_protocol(name), labels[name], depth, networks))
+        announce([plan])
+        measure(plan, workers)
     if not (sweep := k_sweep(labels[MAIN])).row:
         return report([*roots.values()])
     swept, protocol, capture = k_root(root), load_protocol(K_PROTOCOL), open_demo(capture_beside(root))
     _share_prepared(root, swept)
-    tell(run_requests(swept, {"": (capture, protocol)}, sweep, depth, networks))
-    result = run_sweep(swept, capture, sweep, protocol, workers, depth, networks)
+    result = run_sweep(swept, capture, sweep, protocol, workers, depth, networks, announce=announce)
     page = report([*roots.values()], tables_of=[] if result.table.empty else [swept])
     if result.failures:
         raise RenderError(f"{swept}: {len(result.failures)} failed, first {result.failures[0]}; the same call tries again")

@@ -1,6 +1,6 @@
 """Run a sweep: the whole evaluation once per capture and variant of the protocol, and one table of all of them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -17,13 +17,16 @@ from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptio
 from ggvs_eval.pipelines.methods.registry import split_label
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.run.coverage import read_import
+from ggvs_eval.pipelines.run.run_plan import RunPlan, plan_run
 from ggvs_eval.pipelines.run.score import score
 from ggvs_eval.pipelines.sweep.cells import Captures, Cell, share_of, sweep_cells
-from ggvs_eval.pipelines.sweep.stages import attempt, import_cells, prepare_cells, render_cells, score_cells
+from ggvs_eval.pipelines.sweep.stages import attempt, import_cells, plan_cells, prepare_cells, render_cells, score_cells
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
 from ggvs_eval.sweep import Sweep, SweepRow
+
+Announce = Callable[[Sequence[RunPlan]], None]
 
 
 @dataclass(frozen=True)
@@ -51,6 +54,7 @@ def run_sweeps(
     depth: DepthRunOptions | None = None,
     networks: NetworkOptions = AS_SHIPPED,
     shard: Shard = WHOLE,
+    announce: Announce = lambda _: None,
 ) -> SweepResult:
     """Run a sweep on several captures, each in a folder of its own, and give their means beside the single tables.
 
@@ -62,6 +66,7 @@ def run_sweeps(
         depth: how depth is found, see `DepthRunOptions`.
         networks: with which weights and where networks compute.
         shard: which views are rendered and scored; only the whole has a table.
+        announce: is called with the plans of the runs before anything is written.
 
     Returns:
         The table's first level is the capture; ``mean`` is the mean over the captures, of lines that all of them have.
@@ -72,7 +77,7 @@ def run_sweeps(
     kinds = {protocol.measurement for _, protocol in captures.values()}
     if len(kinds) != 1:
         raise ProtocolError(f"{root}: wanted captures that are measured alike, got {len(kinds)} kinds; name one with --protocol")
-    result = _run(root, captures, sweep, as_engine(workers), depth, networks, shard)
+    result = _run(root, captures, sweep, as_engine(workers), depth, networks, shard, announce)
     if result.table.empty:
         return result
     lines = result.table.groupby(level=["variant", "method"], sort=False)
@@ -91,6 +96,7 @@ def run_sweep(
     depth: DepthRunOptions | None = None,
     networks: NetworkOptions = AS_SHIPPED,
     shard: Shard = WHOLE,
+    announce: Announce = lambda _: None,
 ) -> SweepResult:
     """Evaluate every row under every variant; what exists is not computed again, and what fails does not stop the rest.
 
@@ -105,11 +111,12 @@ def run_sweep(
         depth: how depth is found, see `DepthRunOptions`.
         networks: with which weights and where networks compute.
         shard: which views are rendered and scored; only the whole has a table.
+        announce: is called with the plans of the runs before anything is written.
 
     Raises:
         ProtocolError: no row can be computed.
     """
-    result = _run(root, {"": (capture, protocol)}, sweep, as_engine(workers), depth, networks, shard)
+    result = _run(root, {"": (capture, protocol)}, sweep, as_engine(workers), depth, networks, shard, announce)
     if result.table.empty:
         return result
     table = result.table.droplevel("capture")
@@ -125,13 +132,16 @@ def _run(
     depth: DepthRunOptions | None,
     networks: NetworkOptions,
     shard: Shard,
+    announce: Announce,
 ) -> SweepResult:
     """Every stage for all runs, then a line per run and row of which nothing is missing."""
     cells, absent = sweep_cells(root, captures, sweep, networks)
     runs = {cell.name: cell.run.root for cell in cells}
-    share = share_of(cells, shard)
-    taken = cells if shard.prepares_only else [cell for cell in cells if cell.name in share]
-    ready, failures = prepare_cells(taken, engine, depth)
+    taken, share = _shard_cells(cells, shard)
+    plans, failures = plan_cells(taken, depth, networks, share)
+    announce(list(plans.values()))
+    ready, unprepared = prepare_cells(taken, plans, engine)
+    failures += unprepared
     imported, refused = import_cells(taken, ready, engine)
     failures += refused
     if shard.prepares_only or not taken:
@@ -146,6 +156,32 @@ def _run(
             failures += why_not
             parts += [] if lines is None else [lines]
     return SweepResult(pd.concat(parts) if parts else pd.DataFrame(), absent, runs, tuple(failures))
+
+
+def plan_runs(
+    root: Path,
+    captures: Captures,
+    sweep: Sweep,
+    depth: DepthRunOptions | None,
+    networks: NetworkOptions,
+    shard: Shard = WHOLE,
+) -> list[RunPlan]:
+    """The runs of a sweep that a shard works on, as they will be made; arguments as of `run_sweeps`.
+
+    Raises:
+        GgvsError: a run that cannot be made.
+    """
+    cells, _ = sweep_cells(root, captures if len(captures) > 1 else {"": next(iter(captures.values()))}, sweep, networks)
+    taken, share = _shard_cells(cells, shard)
+    return [plan_run(cell.request(depth, networks, share.get(cell.name))) for cell in taken]
+
+
+def _shard_cells(cells: list[Cell], shard: Shard) -> tuple[list[Cell], dict[str, set[str]]]:
+    """The runs that a shard takes part in, and its views of each; one that only prepares has none."""
+    if shard.prepares_only:
+        return cells, {}
+    share = share_of(cells, shard)
+    return [cell for cell in cells if cell.name in share], share
 
 
 def _write_table(table: pd.DataFrame, root: Path) -> None:

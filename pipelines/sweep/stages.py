@@ -13,8 +13,9 @@ from ggvs_eval.jobs.ledger import Failure, Ledger
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.run.import_renders import import_renders
-from ggvs_eval.pipelines.run.prepare import Prepared, prepare
+from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.render import note_labels, render_jobs
+from ggvs_eval.pipelines.run.run_plan import RunPlan, plan_run
 from ggvs_eval.pipelines.run.score import score_jobs
 from ggvs_eval.pipelines.sweep.cells import PATH, Cell
 
@@ -32,20 +33,36 @@ def attempt(name: str, work: Callable[[], Value]) -> tuple[Value | None, list[Fa
         return None, [Failure(name, f"{type(error).__name__}: {error}", traceback.format_exc())]
 
 
+def plan_cells(
+    cells: Sequence[Cell], depth: DepthRunOptions | None, networks: NetworkOptions, share: Share
+) -> tuple[dict[str, RunPlan], list[Failure]]:
+    """Plan every run; nothing is written.
+
+    Returns:
+        By the names of the cells, the plans of those that can be prepared; and why others cannot.
+    """
+    plans, failures = {}, []
+    for cell in cells:
+        request = cell.request(depth, networks, share.get(cell.name))
+        plan, why_not = attempt(f"prepare {cell.name}", partial(plan_run, request))
+        failures += why_not
+        if plan is not None:
+            plans[cell.name] = plan
+    return plans, failures
+
+
 def prepare_cells(
-    cells: Sequence[Cell], engine: Engine, depth: DepthRunOptions | None
-) -> tuple[dict[str, Prepared], list[Failure]]:
-    """Write frames and depth of every run, one after the other, each in all processes.
+    cells: Sequence[Cell], plans: Mapping[str, RunPlan], engine: Engine
+) -> tuple[dict[str, RunPlan], list[Failure]]:
+    """Write frames and depth of every planned run, one after the other, each in all processes.
 
     Returns:
         By the names of the cells, those that are ready; and why others are not.
     """
     ready, failures = {}, []
-    for cell in cells:
+    for cell in (each for each in cells if each.name in plans):
         cell.share_folders()
-        prepared, why_not = attempt(
-            f"prepare {cell.name}", partial(prepare, cell.run.root, cell.capture, cell.protocol, engine, depth)
-        )
+        prepared, why_not = attempt(f"prepare {cell.name}", partial(prepare_run, plans[cell.name], engine))
         failures += why_not
         if prepared is not None:
             ready[cell.name] = prepared
@@ -53,7 +70,7 @@ def prepare_cells(
 
 
 def import_cells(
-    cells: Sequence[Cell], ready: Mapping[str, Prepared], engine: Engine
+    cells: Sequence[Cell], ready: Mapping[str, RunPlan], engine: Engine
 ) -> tuple[dict[str, list[str]], list[Failure]]:
     """Take in what others rendered for the runs that are ready; what is there already is left alone.
 
@@ -73,7 +90,7 @@ def import_cells(
 
 def render_cells(
     cells: Sequence[Cell],
-    ready: Mapping[str, Prepared],
+    ready: Mapping[str, RunPlan],
     engine: Engine,
     networks: NetworkOptions,
     share: Share,

@@ -14,15 +14,18 @@ class StoredDepth:
 
     Attributes:
         job: the camera and the partners it was matched with.
-        key: of the depth store.
         frames: instants to look at, ascending; the first one's features tell about the calibration.
         registration: what was done to a sensor's depth, in words; empty where nothing was.
     """
 
     job: DepthJob
-    key: str
     frames: tuple[int, ...]
     registration: str = ""
+
+    @property
+    def key(self) -> str:
+        """Of the depth store."""
+        return self.job.key
 
 
 @dataclass(frozen=True)

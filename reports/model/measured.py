@@ -82,7 +82,7 @@ class MeasuredRun:
     @property
     def frames(self) -> range:
         """Numbers of the synthesised frames."""
-        return range(self.protocol.frames.start, self.protocol.frames.start + self.protocol.frames.count)
+        return self.protocol.frames.numbers
 
     @property
     def partial(self) -> Mapping[str, str]:

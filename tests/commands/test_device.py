@@ -17,10 +17,9 @@ from ggvs_eval.errors import DeviceError
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
-from ggvs_eval.pipelines.planning.work_left import plan_frames
 from ggvs_eval.pipelines.play.synthesizer import OnlineSynthesizer
 from ggvs_eval.pipelines.run import render
+from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
 from ggvs_eval.pipelines.run.score import _devices
 from ggvs_eval.reports.page import page
 from ggvs_eval.results import COLUMNS, Results, merge_results
@@ -49,7 +48,7 @@ def capture(tmp_path_factory):
 @pytest.fixture
 def planned(capture, tmp_path):
     """A run that nothing has been done of."""
-    return plan_frames(tmp_path / "run", capture, small_protocol(1, 0, ("PSNR",)), DepthRunOptions().options())[0]
+    return plan_run(RunRequest(tmp_path / "run", capture, small_protocol(1, 0, ("PSNR",))))
 
 
 @pytest.mark.usefixtures("no_gpu")

@@ -59,7 +59,7 @@ def write_run(
     shape, run = shape or RunShape(), RunFolder(root)
     paint = paint or _painter(shape)
     protocol = make_protocol(shape)
-    frames = range(shape.frames.start, shape.frames.start + shape.frames.count)
+    frames = shape.frames.numbers
     for label in ("truth", *shape.labels):
         for view in shape.views:
             folder = run.truth(view) if label == "truth" else run.renders(label, view)
@@ -122,7 +122,7 @@ def _values(shape: RunShape, label: str) -> list[Sequence[object]]:
     for name in shape.metrics:
         size = SIZES.get(name, 1.0) * (good if name in HIGHER else 1.0 - good)
         views: Sequence[str | None] = (None,) if name == "SDV" else shape.views
-        frames = range(shape.frames.start, shape.frames.start + shape.frames.count)
+        frames = shape.frames.numbers
         indices = [-1] if name in PER_SEQUENCE else [*frames][1 if name == "TCC" else 0 :]
         rows += [(*head, view, index, name, size * (1 + 0.05 * random.standard_normal())) for view in views for index in indices]
     return rows

@@ -11,12 +11,11 @@ import pytest
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.datasets import open_capture
-from ggvs_eval.depth_store import DepthJob
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.inspection.capture.depth_registration import check_depth_registration
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
-from ggvs_eval.pipelines.offline.depth.fill_store import depth_spec
+from ggvs_eval.pipelines.offline.depth.fill_store import depth_job
 from ggvs_eval.pipelines.offline.sensor.registered_capture import displacement
 from ggvs_eval.pipelines.offline.sensor.registration import Registration, pose_after, with_registration
 from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthesis, Views
@@ -62,10 +61,8 @@ def test_depth_that_fits_is_left_alone(room):
     assert with_registration(capture, measured.applied) is capture
     (finding,) = check_depth_registration(capture)
     assert (finding.verdict, finding.advice) == ("ok", "")
-    job = DepthJob(capture.camera_names[0], ())
-    assert depth_spec(capture, job, DepthRunOptions(registration="estimated").options()) == depth_spec(
-        capture, job, DepthOptions()
-    )
+    name, estimated = capture.camera_names[0], DepthRunOptions(registration="estimated").options()
+    assert depth_job(capture, name, (), estimated).spec == depth_job(capture, name, (), DepthOptions()).spec
 
 
 @pytest.mark.parametrize(("right_px", "down_px", "roll_deg", "scale"), [(4, -2, 0, 1), (-2, 3, 0.8, 1.04)])
@@ -88,7 +85,7 @@ def test_planted_errors_are_recovered(room, tmp_path, right_px, down_px, roll_de
     given, mended = (depth_of(each, 5) for each in (capture, with_registration(capture, applied)))
     wrong = [np.mean(np.abs(each / truth - 1)[10:-10, 10:-10] > 0.03) for each in (given, mended)]
     assert wrong[1] < 0.5 * wrong[0]
-    spec = depth_spec(capture, DepthJob(capture.camera_names[0], ()), DepthRunOptions(registration="estimated").options())
+    spec = depth_job(capture, capture.camera_names[0], (), DepthRunOptions(registration="estimated").options()).spec
     assert spec["options"]["registration"]["scale"] == applied.scale
 
 

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ggvs_eval.depth_store import DepthJob, DepthStore
+from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import DepthError, WeightsError
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions, TimeOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import KEYFRAME_EVERY, DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
-from ggvs_eval.pipelines.offline.depth.fill_store import depth_spec, prepare_depth
+from ggvs_eval.pipelines.offline.depth.fill_store import depth_job, prepare_depth
 from ggvs_eval.pipelines.offline.depth.matchers import MATCHERS, find_matcher
 from ggvs_eval.pipelines.offline.plane_sweep.sweep_options import PlaneSweep
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
@@ -88,8 +88,9 @@ def test_by_default_instants_do_not_know_each_other():
 
 def test_a_lost_instant_comes_back_with_equal_bits(tmp_path):
     """Depth between keyframes that was lost is computed again from its keyframe: the same bits, and nothing else is touched."""
-    capture, job = write_capture(tmp_path / "capture", n_frames=6), DepthJob("cam00", ("cam01", "cam02"))
-    store, key = DepthStore(tmp_path / "store"), DepthStore.key(depth_spec(capture, job, REUSE))
+    capture = write_capture(tmp_path / "capture", n_frames=6)
+    job = depth_job(capture, "cam00", ("cam01", "cam02"), REUSE)
+    store, key = DepthStore(tmp_path / "store"), job.key
     prepare_depth(capture, [job], range(6), store, REUSE, workers=1)
     whole = [store.read(key, frame).depth for frame in range(6)]
     for frame in (2, 5):

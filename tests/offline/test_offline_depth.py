@@ -8,7 +8,7 @@ import pytest
 from ggvs_eval.depth_store import DepthJob, DepthStore
 from ggvs_eval.errors import CaptureError, DepthError
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
-from ggvs_eval.pipelines.offline.depth.fill_store import depth_spec, plan_depth, prepare_depth
+from ggvs_eval.pipelines.offline.depth.fill_store import depth_job, plan_depth, prepare_depth
 from ggvs_eval.pipelines.offline.depth.pairing import choose_partners
 from ggvs_eval.pipelines.offline.stereo.fusion import drop_flying_pixels, fill_background, fuse, smooth_surfaces
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
@@ -204,8 +204,14 @@ def test_plan_for_a_virtual_camera(capture):
     assert "cam00" in plan["path0000"]
 
 
-JOBS = [DepthJob("cam00", ("cam01", "cam02")), DepthJob("cam03", ("cam00", "cam01"))]
 OPTIONS = DepthOptions(matcher=SgbmMatcher(levels=2))
+
+
+@pytest.fixture(scope="module")
+def jobs(capture) -> list[DepthJob]:
+    """Two cameras with two partners each."""
+    pairs = (("cam00", ("cam01", "cam02")), ("cam03", ("cam00", "cam01")))
+    return [depth_job(capture, name, partners, OPTIONS) for name, partners in pairs]
 
 
 def stored_files(store):
@@ -213,27 +219,27 @@ def stored_files(store):
     return {path.relative_to(store.root): path.read_bytes() for path in sorted(store.root.rglob("*.*")) if path.is_file()}
 
 
-def test_prepare_resumes_and_does_not_depend_on_workers(capture, tmp_path):
+def test_prepare_resumes_and_does_not_depend_on_workers(capture, jobs, tmp_path):
     """A second call touches nothing, a lost frame alone is computed again, and one worker gives the bits of two."""
     two, one = DepthStore(tmp_path / "two"), DepthStore(tmp_path / "one")
-    prepare_depth(capture, [*JOBS, JOBS[0]], range(3), two, OPTIONS, workers=2)
+    prepare_depth(capture, [*jobs, jobs[0]], range(3), two, OPTIONS, workers=2)
     first = {path: path.stat().st_mtime_ns for path in two.root.rglob("*.npz")}
     assert len(first) == 6
-    prepare_depth(capture, JOBS, range(3), two, OPTIONS, workers=2)
+    prepare_depth(capture, jobs, range(3), two, OPTIONS, workers=2)
     assert {path: path.stat().st_mtime_ns for path in two.root.rglob("*.npz")} == first
     lost = min(first)
     lost.unlink()
-    prepare_depth(capture, JOBS, range(3), two, OPTIONS, workers=2)
+    prepare_depth(capture, jobs, range(3), two, OPTIONS, workers=2)
     assert [path for path in first if path.stat().st_mtime_ns != first[path]] == [lost]
-    prepare_depth(capture, JOBS, range(3), one, OPTIONS, workers=1)
+    prepare_depth(capture, jobs, range(3), one, OPTIONS, workers=1)
     assert stored_files(one) == stored_files(two)
 
 
-def test_prepared_depth_is_right(capture, tmp_path):
+def test_prepared_depth_is_right(capture, jobs, tmp_path):
     """What the store holds under a job's key is the depth of that instant."""
     store = DepthStore(tmp_path)
-    prepare_depth(capture, JOBS[:1], range(1, 2), store, OPTIONS, workers=1)
-    key = store.key(depth_spec(capture, JOBS[0], OPTIONS))
+    prepare_depth(capture, jobs[:1], range(1, 2), store, OPTIONS, workers=1)
+    key = jobs[0].key
     truth = plane_depth(capture.camera("cam00"), np.array([0.25, 0.15, 5.8]))
     assert np.median(np.abs(store.read(key, 1).depth / truth - 1)) < 0.005
     assert not store.has(key, 0)
@@ -241,29 +247,34 @@ def test_prepared_depth_is_right(capture, tmp_path):
 
 def test_options_change_the_key(capture):
     """Every field of the options and of the matcher enters the key."""
-    keys = {DepthStore.key(depth_spec(capture, JOBS[0], OPTIONS))}
+
+    def key_with(options: DepthOptions) -> str:
+        return depth_job(capture, "cam00", ("cam01", "cam02"), options).key
+
+    keys = {key_with(OPTIONS)}
     for field, value in vars(OPTIONS).items():
         if field not in ("matcher", "time", "sensor", "consistency"):
-            keys.add(DepthStore.key(depth_spec(capture, JOBS[0], replace(OPTIONS, **{field: value + 1}))))
+            keys.add(key_with(replace(OPTIONS, **{field: value + 1})))
     for field, value in vars(OPTIONS.time).items():
         changed = replace(OPTIONS, time=replace(OPTIONS.time, **{field: value + 1}))
-        keys.add(DepthStore.key(depth_spec(capture, JOBS[0], changed)))
+        keys.add(key_with(changed))
     for field, value in vars(OPTIONS.matcher).items():
         changed = replace(OPTIONS, matcher=replace(OPTIONS.matcher, **{field: value + 1}))
-        keys.add(DepthStore.key(depth_spec(capture, JOBS[0], changed)))
+        keys.add(key_with(changed))
     assert len(keys) == len(vars(OPTIONS)) - 3 + len(vars(OPTIONS.matcher)) + len(vars(OPTIONS.time))
 
 
 def test_failure_in_a_worker_is_reported(capture, tmp_path):
     """An unknown camera ends the run with the capture's own message."""
+    job = replace(depth_job(capture, "cam00", ("cam01",), OPTIONS), camera_name="cam99")
     with pytest.raises(CaptureError, match="no camera 'cam99'"):
-        prepare_depth(capture, [DepthJob("cam99", ("cam00",))], range(1), DepthStore(tmp_path), OPTIONS, workers=2)
+        prepare_depth(capture, [job], range(1), DepthStore(tmp_path), OPTIONS, workers=2)
 
 
-def test_missing_frames_in_a_worker_are_reported(capture, tmp_path):
+def test_missing_frames_in_a_worker_are_reported(capture, jobs, tmp_path):
     """Frames that the capture does not have end the run with a message that says which there are."""
     with pytest.raises(CaptureError, match=r"wanted frames 2\.\.4 .*has 3"):
-        prepare_depth(capture, JOBS, range(2, 5), DepthStore(tmp_path), OPTIONS, workers=2)
+        prepare_depth(capture, jobs, range(2, 5), DepthStore(tmp_path), OPTIONS, workers=2)
 
 
 def test_sources_of_a_view_are_held_against_each_other(capture):
@@ -280,7 +291,7 @@ def test_checked_depth_has_a_key_of_its_own_and_comes_back(capture, tmp_path):
     """Checked depth of a plane is no worse than what was found, lies beside it, and a lost instant comes back with equal bits."""
     store, job = DepthStore(tmp_path), plan_depth(capture, [capture.camera("cam01")], 3, OPTIONS)["cam01"]["cam00"]
     prepare_depth(capture, [job], range(2), store, OPTIONS, workers=2)
-    keys = [DepthStore.key(depth_spec(capture, each, OPTIONS)) for each in (job.unchecked, job)]
+    keys = [each.key for each in (job.unchecked, job)]
     truth = plane_depth(capture.camera("cam00"), np.array([0.25, 0.15, 5.8]))
     found, checked = (np.median(np.abs(store.read(key, 1).depth / truth - 1)) for key in keys)
     assert checked <= found * 1.01

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from ggvs_eval import kernels
-from ggvs_eval.depth_store import DepthJob, DepthStore
+from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import DepthError
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions, TimeOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
-from ggvs_eval.pipelines.offline.depth.fill_store import depth_spec, prepare_depth
+from ggvs_eval.pipelines.offline.depth.fill_store import depth_job, prepare_depth
 from ggvs_eval.pipelines.offline.plane_sweep.plane_sweep import PlaneSweepEstimator
 from ggvs_eval.pipelines.offline.plane_sweep.sweep_level import SweepLevel
 from ggvs_eval.pipelines.offline.plane_sweep.sweep_options import PlaneSweep
@@ -214,15 +214,15 @@ def test_the_pipeline_takes_it():
 def test_prepared_depth_is_right(tmp_path):
     """Depth that workers prepare into a store is that of the planes, and its key is not that of another matcher."""
     capture = write_capture(tmp_path / "capture", 2)
-    jobs = [DepthJob("cam00", ("cam01", "cam02", "cam03"))]
     store, options = DepthStore(tmp_path / "depth"), DepthOptions(matcher=PlaneSweep())
+    jobs = [depth_job(capture, "cam00", ("cam01", "cam02", "cam03"), options)]
     prepare_depth(capture, jobs, range(2), store, options, workers=1)
-    key = store.key(depth_spec(capture, jobs[0], options))
+    key = jobs[0].key
     camera = capture.cameras[0]
     for frame in range(2):
         truth = plane_depth(camera, PLANE - [0, 0, 0.2 * frame])
         assert np.quantile(np.abs(store.read(key, frame).depth / truth - 1)[INNER], 0.99) < 0.005
-    assert key != store.key(depth_spec(capture, jobs[0], DepthOptions()))
+    assert key != depth_job(capture, "cam00", jobs[0].partner_names, DepthOptions()).key
 
 
 def test_windows_of_a_stream():

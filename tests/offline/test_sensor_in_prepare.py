@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from ggvs_eval.capture import Extras
-from ggvs_eval.depth_store import DepthJob, DepthStore
+from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
-from ggvs_eval.pipelines.offline.depth.fill_store import depth_spec, plan_depth, prepare_depth
+from ggvs_eval.pipelines.offline.depth.fill_store import depth_job, plan_depth, prepare_depth
 from helpers.stereo_scenes import PLANE, plane_depth, write_capture
 
 
@@ -47,12 +47,13 @@ def test_cameras_with_a_sensor_need_no_partners(capture):
 
 def test_measured_depth_reaches_the_store(capture, tmp_path):
     """What is stored is the sensor's depth of that very frame, filtered, under a key of its own."""
-    store, job, options = DepthStore(tmp_path), DepthJob("cam01", ()), DepthOptions()
+    store, options = DepthStore(tmp_path), DepthOptions()
+    job = depth_job(capture, "cam01", (), options)
     prepare_depth(capture, [job], range(3), store, options, workers=1)
-    key = DepthStore.key(depth_spec(capture, job, options))
+    key = job.key
     for frame in range(3):
         truth = plane_depth(capture.camera("cam01"), PLANE - [0, 0, 0.2 * frame])
         assert np.median(np.abs(store.read(key, frame).depth / truth - 1)) < 1e-3
-    stereo = depth_spec(capture, DepthJob("cam01", ("cam00",)), options)
+    stereo = depth_job(capture, "cam01", ("cam00",), options).spec
     assert DepthStore.key(stereo) != key
-    assert depth_spec(capture, job, options)["options"]["algorithm"].startswith("sensor-filter")
+    assert job.spec["options"]["algorithm"].startswith("sensor-filter")

@@ -11,13 +11,14 @@ from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import DepthError
 from ggvs_eval.pipelines.offline.export.colmap_arrays import read_array
 from ggvs_eval.pipelines.run.depth_outputs import export_prepared, fuse_prepared, write_prepared_page
-from ggvs_eval.pipelines.run.prepare import Prepared, prepare
+from ggvs_eval.pipelines.run.prepare import prepare
+from ggvs_eval.pipelines.run.run_plan import RunPlan
 from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthesis, Views
 from helpers.stereo_scenes import PLANE, write_capture
 
 
 @pytest.fixture(scope="module")
-def prepared(tmp_path_factory) -> Prepared:
+def prepared(tmp_path_factory) -> RunPlan:
     """Two frames of the plane, cam01 left out and made from two others, and a short camera path."""
     folder = tmp_path_factory.mktemp("prepared")
     views, measurement = Views(("cam01",), "me"), Measurement(("PSNR",))

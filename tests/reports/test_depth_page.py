@@ -38,7 +38,8 @@ from helpers.page_reader import PageReader
 from helpers.stereo_scenes import FOCAL, PLANE, look_from, plane_depth, see_plane, write_capture
 
 FILLED = 0.02
-JOBS = (DepthJob("cam00", ("cam01", "cam03")), DepthJob("cam00", ("cam02",)), DepthJob("cam02", ("cam00", "cam01")))
+PAIRED = (("cam00", ("cam01", "cam03")), ("cam00", ("cam02",)), ("cam02", ("cam00", "cam01")))
+JOBS = tuple(DepthJob(name, partners, spec={"number": number}) for number, (name, partners) in enumerate(PAIRED))
 NASTY = '<script>alert("x")</script> & "quoted" #1'
 
 
@@ -53,7 +54,7 @@ def exact_map(camera: Camera, frame: int) -> DepthMap:
 
 def fill_store(store: DepthStore, capture: Capture) -> list[StoredDepth]:
     """Depth of three jobs at three instants; the second one measured less."""
-    stored = [StoredDepth(job, f"{number:x}".ljust(64, "0"), (0, 1, 2)) for number, job in enumerate(JOBS)]
+    stored = [StoredDepth(job, (0, 1, 2)) for job in JOBS]
     for number, each in enumerate(stored):
         for frame in each.frames:
             depth_map = exact_map(capture.camera(each.job.camera_name), frame)
@@ -379,7 +380,7 @@ def test_depth_without_partners_has_a_page(capture, stored, tmp_path):
     """Depth that a sensor measured is shown alone: no pairs, nothing made again, no warning."""
     store, depths = stored
     with ThreadPoolExecutor(1) as pool:
-        alone = StoredDepth(DepthJob("cam02", ()), depths[2].key, (1,))
+        alone = StoredDepth(replace(depths[2].job, partner_names=()), (1,))
         found = examine_depth(pool, tmp_path, capture, [alone], store, FILLED)
     assert found.cameras[0].pictures.pairs == ()
     assert found.cameras[0].pictures.instants[0].again is None
@@ -392,4 +393,4 @@ def test_what_cannot_be_shown(capture, tmp_path):
     with pytest.raises(DepthError, match="wanted depth to show, got none"):
         write_depth_page(tmp_path / "page", capture, [], DepthStore(tmp_path), FILLED)
     with ThreadPoolExecutor(1) as pool, pytest.raises(DepthError, match="not stored; prepare the capture first"):
-        examine_depth(pool, tmp_path, capture, [StoredDepth(JOBS[0], "0" * 64, (0,))], DepthStore(tmp_path / "none"), FILLED)
+        examine_depth(pool, tmp_path, capture, [StoredDepth(JOBS[0], (0,))], DepthStore(tmp_path / "none"), FILLED)

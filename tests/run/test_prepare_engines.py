@@ -13,6 +13,7 @@ from ggvs_eval.errors import RenderError
 from ggvs_eval.jobs.engine import Engine
 from ggvs_eval.jobs.run_all import run_all
 from ggvs_eval.pipelines.run.evaluate import measure
+from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
 from ggvs_eval.protocol import Protocol
 from helpers.small_runs import LABELS, small_protocol, write_small_capture
 
@@ -36,7 +37,7 @@ def protocol() -> Protocol:
 def serial(capture, protocol, tmp_path_factory) -> Path:
     """The run in one process."""
     root = tmp_path_factory.mktemp("serial") / "run"
-    measure(root, capture, protocol, LABELS[:1], 1)
+    measure(plan_run(RunRequest(root, capture, protocol, LABELS[:1])), 1)
     return root
 
 
@@ -52,7 +53,7 @@ def test_a_whole_run_is_the_same_on_every_engine(engine, serial, capture, protoc
     if engine.engine == "dask":
         pytest.importorskip("distributed")
 
-    measure(tmp_path / "run", capture, protocol, LABELS[:1], engine)
+    measure(plan_run(RunRequest(tmp_path / "run", capture, protocol, LABELS[:1])), engine)
 
     expected, found = contents(serial), contents(tmp_path / "run")
     assert {"truth", "depth", "disoccluded", "path_depth", "renders", "path"} <= {name.split("/")[0] for name in expected}

@@ -1,33 +1,30 @@
-"""A run is planned before it starts: what is counted is what is made, what cannot fit is refused, what was tried is kept."""
+"""A run is planned before it starts: what is counted is what is made, what cannot fit is refused, one key serves all."""
 
 import dataclasses
-import shutil
-import time
 from collections import namedtuple
 from pathlib import Path
 
 import pytest
 
-from ggvs_eval.errors import ProtocolError
+from ggvs_eval.datasets import open_capture
+from ggvs_eval.errors import CaptureError, ProtocolError
 from ggvs_eval.jobs.shard import WHOLE, Shard
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED
-from ggvs_eval.pipelines.methods.registry import find_method
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
-from ggvs_eval.pipelines.planning import plan as run_plan
-from ggvs_eval.pipelines.planning import probe as trial
-from ggvs_eval.pipelines.planning.estimate import DEPTH_BYTES, Portion
-from ggvs_eval.pipelines.planning.plan import RunPlan, duration, plan_runs
-from ggvs_eval.pipelines.planning.rates import Rates
-from ggvs_eval.pipelines.planning.run_request import RunRequest
-from ggvs_eval.pipelines.planning.work_left import WorkLeft, plan_frames
+from ggvs_eval.pipelines.offline.depth import fill_store
+from ggvs_eval.pipelines.run import work_left as counting
 from ggvs_eval.pipelines.run.evaluate import measure
-from ggvs_eval.pipelines.sweep.cells import run_requests
+from ggvs_eval.pipelines.run.prepare import prepare_run
+from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
+from ggvs_eval.pipelines.run.work_left import DEPTH_BYTES, WorkLeft, Workload, count_work, work_left
+from ggvs_eval.pipelines.sweep.demo_plan import demo_to_plan, renders_first
+from ggvs_eval.pipelines.sweep.run_sweep import plan_runs
+from ggvs_eval.progress import duration
 from ggvs_eval.protocol import CameraPath, Frames, Protocol, Synthesis
 from ggvs_eval.run_folder import RunFolder
 from ggvs_eval.sweep import Sweep, SweepRow
 from helpers.command_line import refusal
-from helpers.small_runs import LABELS, small_protocol, write_small_capture
+from helpers.small_runs import LABELS, small_options, small_protocol, write_small_capture
 
 Usage = namedtuple("Usage", "total used free")
 
@@ -43,32 +40,30 @@ def protocol() -> Protocol:
 
 
 @pytest.fixture(scope="module")
-def tried(capture, protocol, tmp_path_factory):
-    """A run that was planned with a trial, and its plan, before anything else is done."""
-    root = tmp_path_factory.mktemp("tried") / "run"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(run_plan, "PROBED_FROM_PIXELS", 0)
-        plan = plan_runs([RunRequest(root, capture, protocol, LABELS)], 1, root)
-    return root, plan
-
-
-@pytest.fixture(scope="module")
-def finished(tried, capture, protocol, tmp_path_factory):
-    """The same run, done after its trial."""
+def finished(capture, protocol, tmp_path_factory) -> Path:
+    """A run that is done."""
     root = tmp_path_factory.mktemp("finished") / "run"
-    shutil.copytree(tried[0], root)
-    measure(root, capture, protocol, LABELS, 1)
+    measure(planned(root, capture, protocol), 1)
     return root
+
+
+def planned(root: Path, capture, protocol: Protocol, labels=LABELS) -> RunPlan:
+    return plan_run(RunRequest(root, capture, protocol, labels))
 
 
 def n_files(folder: Path, pattern: str) -> int:
     return sum(1 for _ in folder.rglob(pattern))
 
 
+def counts(left: WorkLeft) -> list[int]:
+    """How much of each kind is left."""
+    parts = (left.truth, left.found_depth, left.checked_depth, left.disoccluded, left.renders, left.scores)
+    return [sum(part.values()) for part in parts] + [left.path_depth, left.n_rendered, left.n_pixels]
+
+
 def test_what_is_counted_is_what_is_made(capture, protocol, finished, tmp_path):
     """Before a run the plan counts exactly the frames, depth maps, masks and renders that the run then leaves."""
-    left = plan_runs([RunRequest(tmp_path / "run", capture, protocol, LABELS)], 1, tmp_path).portions[0].left
-    run = RunFolder(finished)
+    left, run = work_left(planned(tmp_path / "run", capture, protocol)), RunFolder(finished)
 
     assert sum(left.truth.values()) == n_files(run.root / "truth", "*.png")
     assert left.n_depth == n_files(run.depth, "*.npz")
@@ -79,77 +74,73 @@ def test_what_is_counted_is_what_is_made(capture, protocol, finished, tmp_path):
     assert {folder.name for folder in left.scores} == {"cam00", "cam01"}
 
 
+def test_a_key_is_made_once(capture, protocol, tmp_path, monkeypatch):
+    """Planning describes each depth job once; counting and preparing take the key from the plan."""
+    described = []
+    describe = fill_store.describe_depth
+    monkeypatch.setattr(fill_store, "describe_depth", lambda camera, partners, *rest: described.append(
+        (camera.name, *(each.name for each in partners))) or describe(camera, partners, *rest))  # fmt: skip
+    short = dataclasses.replace(protocol, frames=Frames(0, 1), path=CameraPath(0))
+
+    plan = planned(tmp_path / "run", capture, short)
+    by_planning = list(described)
+    work_left(plan)
+    prepare_run(plan)
+
+    assert len(by_planning) == len(set(by_planning)) > 0
+    assert described == by_planning
+    assert {job.key for job in plan.view_jobs} <= {job.key for each in plan.plans.values() for job in each.jobs}
+    assert work_left(plan).n_depth == 0
+
+
 def test_nothing_is_said_where_everything_is_done(capture, protocol, finished):
-    """A finished run has no plan; one more method has that method's frames alone."""
-    assert plan_runs([RunRequest(finished, capture, protocol, LABELS)], 1, finished).describe() == ""
+    """A finished run has no plan; one more method has that method's frames alone, and nobody knows how long they take."""
+    assert count_work([planned(finished, capture, protocol)], finished).describe() == ""
 
-    more = plan_runs([RunRequest(finished, capture, protocol, (*LABELS, "ours-geometric"))], 1, finished)
+    more = count_work([planned(finished, capture, protocol, (*LABELS, "ours-geometric"))], finished)
 
-    assert more.portions[0].left.n_rendered == 2 * 3 + 3
-    assert more.portions[0].left.n_depth == 0
+    assert more.left[0].n_rendered == 2 * 3 + 3
+    assert more.left[0].n_depth == 0
     assert "9 frames to render, 0 depth maps" in more.describe()
+    assert "time:" not in more.describe()
 
 
-def test_a_small_run_is_not_tried(capture, protocol, tmp_path):
-    """A run of a few seconds is told in two lines, and nothing is written for it."""
-    text = plan_runs([RunRequest(tmp_path / "run", capture, protocol, LABELS)], 1, tmp_path / "run").describe()
+def test_a_run_is_told_in_two_lines(capture, protocol, tmp_path):
+    """What there is to do and how large it is, and nothing is written for it."""
+    text = count_work([planned(tmp_path / "run", capture, protocol)], tmp_path / "run").describe()
 
     assert [line.split(":")[0] for line in text.splitlines()] == ["plan", "disk"]
     assert "2 views x 3 frames x 2 methods at 64 x 48, K = 2" in text
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_trial_tells_memory_and_time(tried):
-    """After a trial of every stage the plan says what a process holds and how long the run takes."""
-    _, plan = tried
+def test_time_is_that_of_frames_that_are_rendered(capture, protocol, finished, tmp_path):
+    """A view more of methods that have rendered others takes as long as those; methods without a frame are counted."""
+    left = WorkLeft(100, {}, {}, {}, {}, 0, {("a", tmp_path / "a"): 300, ("b", tmp_path / "b"): 3})
+    text = Workload("", (left,), tmp_path, {"a": 2.0}, jobs=2).describe()
 
-    assert plan.rates is not None
-    assert min(plan.rates.depth_s, plan.rates.score_s, plan.rates.mask_s, plan.rates.pose_depth_s, plan.rates.truth_s) > 0
-    assert set(plan.rates.step_s) == set(LABELS)
-    assert min(plan.rates.step_s.values()) > 0
-    assert 5e7 < plan.rates.memory_bytes < 5e9
-    assert [line.split(":")[0] for line in plan.describe().splitlines()] == ["plan", "disk", "memory", "time"]
-    assert all(seconds > 0 for seconds in plan.stage_seconds().values())
-
-
-def test_a_trial_is_not_wasted(tried, finished):
-    """Frames and depth of a trial are those of the run, bit for bit and not made again; of its renders nothing stays."""
-    root, _ = tried
-    kept = [file for folder in ("truth", "depth") for file in (root / folder).rglob("*.*") if file.is_file()]
-
-    assert n_files(root / "depth", "*.npz") >= 4
-    assert not (root / "renders").exists()
-    assert not (root / ".probe.tmp").exists()
-    assert all((finished / file.relative_to(root)).read_bytes() == file.read_bytes() for file in kept)
+    assert text.splitlines()[-1] == (
+        "time: about 5 min to render, as the frames took that are rendered; of 1 more methods no frame is rendered yet"
+    )
+    wider = dataclasses.replace(protocol, views=dataclasses.replace(protocol.views, test=("cam00", "cam01", "cam02")))
+    lines = count_work([planned(finished, capture, wider)], finished).describe().splitlines()
+    assert [line.split(":")[0] for line in lines] == ["plan", "disk", "time"]
 
 
-def test_a_tried_run_equals_one_that_was_not(finished, capture, protocol, tmp_path):
-    """Depth and captured frames of the first instants are the same bytes with and without a trial."""
-    from ggvs_eval.pipelines.run.prepare import prepare
-
-    prepare(tmp_path / "run", capture, dataclasses.replace(protocol, frames=Frames(0, 1), path=CameraPath(0)))
-    made = [file for folder in ("truth", "depth") for file in (tmp_path / "run" / folder).rglob("*.*") if file.is_file()]
-
-    assert made
-    for file in made:
-        assert (finished / file.relative_to(tmp_path / "run")).read_bytes() == file.read_bytes()
-
-
-def test_a_dry_run_leaves_nothing(capture, protocol, tmp_path, monkeypatch, capsys):
-    """`--dry-run` prints the plan, with a trial, and leaves no trace."""
-    monkeypatch.setattr(run_plan, "PROBED_FROM_PIXELS", 0)
+def test_a_dry_run_leaves_nothing(capture, protocol, tmp_path, capsys):
+    """`--dry-run` prints the plan and leaves no trace."""
     (tmp_path / "p.toml").write_text(dataclasses.replace(protocol, frames=Frames(0, 2), path=CameraPath(0)).to_toml())
     arguments = ["--capture", str(capture.path), "--protocol", str(tmp_path / "p.toml"), "--jobs", "1", "--dry-run"]
 
     run_command(["prepare", str(tmp_path / "run"), *arguments])
 
-    assert "time: about" in capsys.readouterr().out
+    assert capsys.readouterr().out.startswith("plan: 2 views x 2 frames at 64 x 48, K = 2; left are 0 frames to render, ")
     assert [item.name for item in tmp_path.iterdir()] == ["p.toml"]
 
 
 def test_a_run_that_cannot_fit_is_refused(capture, protocol, tmp_path, monkeypatch):
     """Where the disk has less room than the run needs, one line says both and what to do; nothing is begun."""
-    monkeypatch.setattr(run_plan.shutil, "disk_usage", lambda _: Usage(10**9, 10**9, 1000))
+    monkeypatch.setattr(counting.shutil, "disk_usage", lambda _: Usage(10**9, 10**9, 1000))
     (tmp_path / "p.toml").write_text(protocol.to_toml())
 
     message = refusal("run", tmp_path / "run", "--capture", capture.path, "--protocol", tmp_path / "p.toml")
@@ -161,55 +152,35 @@ def test_a_run_that_cannot_fit_is_refused(capture, protocol, tmp_path, monkeypat
 
 def test_disk_is_what_the_run_leaves(finished, capture, protocol, tmp_path):
     """The estimate of depth alone is right within 15 %, headers included; all of it within a factor of two."""
-    plan = plan_runs([RunRequest(tmp_path / "run", capture, protocol, LABELS)], 1, tmp_path)
-    left = plan.portions[0].left
+    work = count_work([planned(tmp_path / "run", capture, protocol)], tmp_path)
     depth = sum(file.stat().st_size for file in (finished / "depth").rglob("*.npz"))
     everything = sum(file.stat().st_size for file in finished.rglob("*") if file.is_file())
 
-    assert left.n_depth * 64 * 48 * DEPTH_BYTES == pytest.approx(depth, rel=0.15)
-    assert everything / 2 < plan.disk_bytes < everything * 2
-
-
-def test_time_is_that_of_jobs_in_several_processes(tmp_path):
-    """Jobs of 3, 3 and 3 frames at 2 s in two processes that need 1 s to start take 13 s; runs that share depth find it once."""
-    jobs = {(label, tmp_path / label): 3 for label in "abc"}
-    depth = {tmp_path / "depth": 4}
-    left = WorkLeft({}, depth, {}, {}, 0, jobs)
-    rates = Rates(start_s=1.0, depth_s=5.0, step_s=dict.fromkeys("abc", 2.0))
-    plan = RunPlan("", (Portion(left, 100, 2), Portion(left, 100, 4)), rates, 2, 2, tmp_path)
-
-    seconds = plan.stage_seconds()
-
-    assert seconds["frames and depth"] == 1 + 4 * 5
-    assert seconds["rendering"] == (1 + 2 * 6) + (1 + 2 * 12)
-    assert plan.disk_bytes >= 4 * 100 * DEPTH_BYTES
+    assert work.left[0].n_depth * 64 * 48 * DEPTH_BYTES == pytest.approx(depth, rel=0.15)
+    assert everything / 2 < work.disk_bytes < everything * 2
 
 
 def test_a_sweep_is_planned_as_one(capture, protocol, tmp_path):
     """Variants that share frames count them once; a shard has its own views alone, and one that prepares renders nothing."""
     sweep = Sweep("s", "", (SweepRow("A", "no-blending"),), k=(2, 3))
     captures = {"": (capture, protocol)}
-    whole, half, first = (
-        plan_runs(run_requests(tmp_path, captures, sweep, None, AS_SHIPPED, shard), 1, tmp_path)
-        for shard in (WHOLE, Shard(1, 2), Shard(0, 2))
-    )
+    plans = [plan_runs(tmp_path, captures, sweep, None, AS_SHIPPED, shard) for shard in (WHOLE, Shard(1, 2), Shard(0, 2))]
+    whole, half, first = (count_work(each, tmp_path) for each in plans)
 
     assert whole.title.startswith("2 runs of ")
-    assert sum(each.left.n_rendered for each in whole.portions) == 2 * (2 * 3 + 3)
-    assert sum(each.left.n_rendered for each in half.portions) == pytest.approx(9, abs=3)
-    assert sum(each.left.n_rendered for each in first.portions) == 0
-    alone = plan_runs(run_requests(tmp_path, captures, sweep, None, AS_SHIPPED, WHOLE)[:1], 1, tmp_path)
-    assert alone.disk_bytes < whole.disk_bytes < 2 * alone.disk_bytes
+    assert sum(each.n_rendered for each in whole.left) == 2 * (2 * 3 + 3)
+    assert sum(each.n_rendered for each in half.left) == pytest.approx(9, abs=3)
+    assert sum(each.n_rendered for each in first.left) == 0
+    assert count_work(plans[0][:1], tmp_path).disk_bytes < whole.disk_bytes < 2 * count_work(plans[0][:1], tmp_path).disk_bytes
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_folder_of_another_run_is_refused_before_a_trial(finished, capture, protocol, monkeypatch):
-    """A trial writes nothing into a folder that belongs to another protocol."""
-    monkeypatch.setattr(run_plan, "PROBED_FROM_PIXELS", 0)
-    other = dataclasses.replace(protocol, synthesis=Synthesis(3))
+def test_a_folder_of_another_run_is_refused(finished, capture, protocol):
+    """A plan of another protocol is not prepared into the folder of a run."""
+    other = planned(finished, capture, dataclasses.replace(protocol, synthesis=Synthesis(3)))
 
     with pytest.raises(ProtocolError, match="another protocol or capture"):
-        plan_runs([RunRequest(finished, capture, other, LABELS)], 1, finished)
+        prepare_run(other)
 
 
 @pytest.mark.parametrize(("seconds", "text"), [(7.2, "7 s"), (119, "119 s"), (600, "10 min"), (9000, "2.5 h")])
@@ -218,35 +189,17 @@ def test_durations_are_told_in_their_unit(seconds, text):
     assert duration(seconds) == text
 
 
-def test_a_trial_asks_what_is_left_alone(capture, protocol, finished, tmp_path, monkeypatch):
-    """Methods that have all their frames cost a trial nothing."""
-    root = tmp_path / "run"
-    shutil.copytree(finished, root)
-    monkeypatch.setattr(run_plan, "PROBED_FROM_PIXELS", 0)
+def test_a_demo_is_planned_before_it_is_rendered(capture, protocol, tmp_path):
+    """A demo that is not there yet is planned like the rendered one, and the plan says what will be rendered."""
+    absent = demo_to_plan(tmp_path / "demo", small_options(3), open_capture)
+    rendered = demo_to_plan(capture.path, small_options(3), open_capture)
+    plans = [planned(tmp_path / "run", each, protocol) for each in (absent, rendered)]
 
-    plan = plan_runs([RunRequest(root, capture, protocol, (*LABELS, "ours-geometric"))], 1, root)
-
-    assert plan.rates is not None
-    assert set(plan.rates.step_s) == {"ours-geometric"}
-
-
-def test_a_slow_method_is_tried_once(capture, protocol, tmp_path, monkeypatch):
-    """Where the first frame takes long a second one would double the trial; scoring is tried all the same."""
-    spec, asked = find_method("no-blending"), []
-
-    class Slow:
-        def __init__(self) -> None:
-            self.method = spec.make()
-
-        def step(self, instant):
-            asked.append(instant.index)
-            return self.method.step(instant)
-
-    monkeypatch.setattr(trial, "SLOW_S", 0.0)
-    options = DepthRunOptions().options()
-    planned, _ = plan_frames(tmp_path, capture, protocol, options, None)
-    rates = trial.probe(planned, options, {"slow": dataclasses.replace(spec, make=Slow)}, tmp_path, time.time())
-
-    assert asked == [protocol.frames.start]
-    assert rates.step_s["slow"] > 0
-    assert rates.score_s > 0
+    assert counts(work_left(plans[0])) == counts(work_left(plans[1]))
+    assert renders_first([rendered]) == []
+    assert renders_first([absent, absent]) == [
+        f"demo: is rendered first, 6 cameras x 3 frames at 64 x 48, into {tmp_path / 'demo'}"
+    ]
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(CaptureError, match="the demo is not rendered"):
+        list(absent.frames("cam00", 0, 1))

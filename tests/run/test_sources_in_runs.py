@@ -6,12 +6,11 @@ import pytest
 
 from ggvs_eval.errors import CameraError
 from ggvs_eval.geometry.source_views import choose_sources
-from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.play.synthesizer import OnlineSynthesizer
 from ggvs_eval.pipelines.run.evaluate import measure
-from ggvs_eval.pipelines.run.prepare import plan
 from ggvs_eval.pipelines.run.render import render_jobs
+from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
 from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
 from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthesis, Views
 from ggvs_eval.results import Results
@@ -38,8 +37,8 @@ def chosen_protocol(sources: str) -> Protocol:
 def test_a_run_takes_the_chosen_sources(capture, tmp_path):
     """Views and path are synthesised from what `choose_sources` gives; the record of the path says so; scores come out."""
     protocol = chosen_protocol("coverage")
-    measure(tmp_path, capture, protocol, LABELS, 1, DepthRunOptions("sgbm"))
-    planned = plan(RunFolder(tmp_path), protocol, capture, DepthRunOptions("sgbm").options())
+    planned = plan_run(RunRequest(tmp_path, capture, protocol, LABELS, DepthRunOptions("sgbm")))
+    measure(planned, 1)
     for view in planned.plans.values():
         chosen = choose_sources(view.target, capture.cameras, 2, "coverage")
         assert [*view.depth_keys] == [*view.shares] == [each.camera.name for each in chosen]
@@ -53,7 +52,7 @@ def test_a_run_takes_the_chosen_sources(capture, tmp_path):
 
 def test_shares_are_part_of_what_a_rendering_depends_on(capture, tmp_path):
     """Other shares along the path, another job; equal ones, the same."""
-    planned = plan(RunFolder(tmp_path), chosen_protocol("nearest"), capture, DepthOptions())
+    planned = plan_run(RunRequest(tmp_path, capture, chosen_protocol("nearest")))
     halved = tuple(replace(pose, shares=dict.fromkeys(pose.shares, 0.5)) for pose in planned.path)
     view, path = render_jobs(planned, LABELS[:1])
     same_view, other_path = render_jobs(replace(planned, path=halved), LABELS[:1])

@@ -144,13 +144,13 @@ def test_all_rooms_stand_on_one_page(tmp_path, small_protocols, monkeypatch):
 
     def run() -> Path:
         labels = {MAIN: ["no-blending", "distance-based"], "demo-d3dmv": ["no-blending"]}
-        return evaluate_demos(root, labels, 1, open_capture, rooms=rooms, tell=told.append)
+        return evaluate_demos(root, labels, 1, open_capture, rooms=rooms, announce=told.append)
 
     page = run()
 
     over_k = [tmp_path / "out-k" / f"k{k}" for k in (2, 3, 4, 5)]  # of the main room's six cameras one is synthesised
     assert page == root / "report" / "index.html"
-    assert [request.root for requests in told for request in requests] == [root, tmp_path / "out-d3dmv", *over_k]
+    assert [plan.run.root for plans in told for plan in plans] == [root, tmp_path / "out-d3dmv", *over_k]
     assert len(Results.read(root).summary()) == 2
     assert len(Results.read(demo_root(root, "demo-d3dmv")).summary()) == 1
     assert (capture_beside(demo_root(root, "demo-d3dmv")) / "scene000.h5").is_file()
@@ -169,7 +169,7 @@ def test_a_dry_run_films_nothing(tmp_path, capsys):
     run_command(["run", str(tmp_path / "out"), "--dry-run"])
 
     told = capsys.readouterr().out.splitlines()
-    assert [line.split(":")[0] for line in told] == ["film", "plan", "disk"] * 4
+    assert [line.split(":")[0] for line in told] == ["demo", "plan", "disk"] * 4
     assert "24 cameras x 24 frames at 480 x 360, into " in told[0]
     assert "3 views x 24 frames x 6 methods at 480 x 360, K = 4" in told[1]
     assert "2 views x 8 frames x 3 methods at 384 x 216, K = 4" in told[4]

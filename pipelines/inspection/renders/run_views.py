@@ -22,7 +22,7 @@ def views_of_run(run: RunFolder, label: str) -> dict[str, ViewFrames]:
     if label not in run.labels():
         raise RenderError(f"{run.root}: no renders of {label!r}; there are {', '.join(run.labels()) or 'none'}")
     protocol = run.protocol()
-    frames = range(protocol.frames.start, protocol.frames.start + protocol.frames.count)
+    frames = protocol.frames.numbers
     require_frames({f"{label} in {view}": run.renders(label, view) for view in protocol.views.test}, frames)
     require_frames({f"truth of {view}": run.truth(view) for view in protocol.views.test}, frames)
     return {view: ViewFrames(_reader(run.renders(label, view)), _reader(run.truth(view)), frames) for view in protocol.views.test}
@@ -31,7 +31,7 @@ def views_of_run(run: RunFolder, label: str) -> dict[str, ViewFrames]:
 def cameras_of_run(run: RunFolder) -> dict[str, FrameReader]:
     """Captured frames of every camera whose truth the run folder holds whole, source cameras among them."""
     protocol = run.protocol()
-    frames = range(protocol.frames.start, protocol.frames.start + protocol.frames.count)
+    frames = protocol.frames.numbers
     root = run.root / "truth"
     folders = sorted(folder for folder in root.iterdir() if folder.is_dir()) if root.is_dir() else []
     return {folder.name: _reader(folder) for folder in folders if not missing_frames(folder, frames)}

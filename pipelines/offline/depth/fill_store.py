@@ -31,31 +31,39 @@ def plan_depth(
         sources: which cameras they are.
 
     Returns:
-        For each target's name its sources' names, nearest first, each with its job; equal jobs are shared between targets.
+        For each target's name its sources' names, nearest first, each with its job and that job's key; equal jobs are shared
+        between targets.
 
     Raises:
         CameraError: fewer sources than `choose_sources` wants.
         DepthError: a source that no camera can be matched with.
     """
     plan = {}
+    known: dict[tuple[str, ...], DepthJob] = {}  # near targets share jobs, whose specs take a digest of every frame source
     for target in targets:
         chosen = [each.camera for each in choose_sources(target, capture.cameras, k, sources)]
-        found = {source.name: _plan_job(capture, source, target, options) for source in chosen}
+        found = {}
+        for source in chosen:
+            names = _matched_cameras(capture, source, target, options)
+            if names not in known:
+                known[names] = depth_job(capture, source.name, names[1:], options)
+            found[source.name] = known[names]
         plan[target.name] = {name: _checked(job, found, options) for name, job in found.items()}
     return plan
 
 
-def _plan_job(capture: Capture, source: Camera, target: Camera, options: DepthOptions) -> DepthJob:
+def _matched_cameras(capture: Capture, source: Camera, target: Camera, options: DepthOptions) -> tuple[str, ...]:
+    """A source and those that it is matched with; itself alone where a sensor measured its depth."""
     if _sensor(capture, source.name, options) is not None:
-        return DepthJob(source.name, ())
+        return (source.name,)
     chosen = choose_partners(source, capture.cameras, options.partners, {target.name})
-    return DepthJob(source.name, tuple(each.name for each in chosen))
+    return (source.name, *(each.name for each in chosen))
 
 
 def _checked(job: DepthJob, found: Mapping[str, DepthJob], options: DepthOptions) -> DepthJob:
     """A source's depth held against that of the view's other sources; in the order of names, so that near targets share it."""
     others = tuple(found[name] for name in sorted(found) if name != job.camera_name)
-    return job if options.consistency is None else replace(job, checked_with=others)
+    return job if options.consistency is None or not others else job.checked_against(others, options.consistency.describe())
 
 
 def _sensor(capture: Capture, name: str, options: DepthOptions) -> SensorDepthEstimator | None:
@@ -68,16 +76,24 @@ def _sensor(capture: Capture, name: str, options: DepthOptions) -> SensorDepthEs
     )
 
 
-def depth_spec(capture: Capture, job: DepthJob, options: DepthOptions) -> dict[str, object]:
-    """What a job's depth depends on; `DepthStore.key` makes its key of it."""
-    if job.checked_with and options.consistency is not None:
-        others = [_key(capture, other, options) for other in job.checked_with]
-        return depth_spec(capture, job.unchecked, options) | {"checked_with": others, "check": options.consistency.describe()}
-    names = (job.camera_name, *job.partner_names)
+def depth_job(capture: Capture, camera_name: str, partner_names: Sequence[str], options: DepthOptions) -> DepthJob:
+    """A job with all that its depth depends on, as it is found.
+
+    Args:
+        capture: the capture.
+        camera_name: whose depth is wanted.
+        partner_names: whom it is matched with; none where a sensor measured its depth.
+        options: parameters.
+
+    Raises:
+        CaptureError: no such camera.
+    """
+    names = (camera_name, *partner_names)
     camera, *partners = (capture.camera(name) for name in names)
-    sensor = None if partners else _sensor(capture, camera.name, options)
+    sensor = None if partners else _sensor(capture, camera_name, options)
     described = (sensor or options).describe() | {"resize_filter": capture.resize_filter}
-    return describe_depth(camera, partners, {name: capture.digest(name) for name in names}, described)
+    spec = describe_depth(camera, partners, {name: capture.digest(name) for name in names}, described)
+    return DepthJob(camera_name, tuple(partner_names), spec=spec)
 
 
 def prepare_depth(
@@ -90,7 +106,7 @@ def prepare_depth(
 
     Args:
         capture: the capture.
-        jobs: what to compute; equal jobs are computed once.
+        jobs: what to compute, see `plan_depth`; equal jobs are computed once.
         frames: consecutive instants.
         store: where depth maps go.
         options: parameters.
@@ -103,7 +119,7 @@ def prepare_depth(
     if options.sensor is not None:  # estimated once, here, for all workers
         capture = registered(capture, options.sensor)
         options = replace(options, sensor=replace(options.sensor, registration="given"))
-    missing = [job for job in dict.fromkeys(jobs) if _missing(store, _key(capture, job, options), frames)]
+    missing = [job for job in dict.fromkeys(jobs) if _missing(store, job.key, frames)]
     checked = [job for job in missing if job.checked_with]
     found = [each for job in missing for each in (job.unchecked, *job.checked_with)]
     _in_workers(_run, capture, found, frames, store, options, workers, "depth maps per camera")
@@ -121,14 +137,14 @@ def _in_workers(
     title: str,
 ) -> None:
     """Do what is missing of some jobs, one process each."""
-    missing = [job for job in dict.fromkeys(jobs) if _missing(store, _key(capture, job, options), frames)]
+    missing = [job for job in dict.fromkeys(jobs) if _missing(store, job.key, frames)]
     run_all(partial(work, capture, frames, store, options), missing, workers, title)
 
 
 def _check(capture: Capture, frames: range, store: DepthStore, options: DepthOptions, job: DepthJob) -> None:
     """Hold what was found for one camera against the others; runs in a worker."""
-    key = store.write_spec(depth_spec(capture, job, options))
-    own, *others = ((each.camera_name, _key(capture, each, options)) for each in (job.unchecked, *job.checked_with))
+    key = store.write_spec(job.spec)
+    own, *others = ((each.camera_name, each.key) for each in (job.unchecked, *job.checked_with))
     for frame in sorted(_missing(store, key, frames)):
         views = [(capture.camera(name), store.read(other, frame)) for name, other in others]
         store.write(key, frame, check_depth(capture.camera(own[0]), store.read(own[1], frame), views, options))
@@ -136,7 +152,7 @@ def _check(capture: Capture, frames: range, store: DepthStore, options: DepthOpt
 
 def _run(capture: Capture, frames: range, store: DepthStore, options: DepthOptions, job: DepthJob) -> None:
     """Compute what is missing of one job; runs in a worker."""
-    key = store.write_spec(depth_spec(capture, job, options))
+    key = store.write_spec(job.spec)
     missing = _missing(store, key, frames)
     if not missing:
         return
@@ -154,10 +170,6 @@ def _run(capture: Capture, frames: range, store: DepthStore, options: DepthOptio
         depth_map = stream.step(frame, image, partner_images) if options.time.keyframe_every > 1 or frame in missing else None
         if depth_map is not None and frame in missing:
             store.write(key, frame, depth_map)
-
-
-def _key(capture: Capture, job: DepthJob, options: DepthOptions) -> str:
-    return DepthStore.key(depth_spec(capture, job, options))
 
 
 def _missing(store: DepthStore, key: str, frames: range) -> set[int]:

@@ -1,6 +1,6 @@
-"""The demo rooms as something to plan: as they were rendered, or before that, with cameras that have rendered nothing yet."""
+"""Plans of the demo rooms: as they are rendered, or before that, of cameras without frames."""
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,6 +9,13 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.errors import CaptureError
+from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
+from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
+from ggvs_eval.pipelines.sweep.demo_runs import K_PROTOCOL, capture_beside, demo_root, k_root, k_sweep
+from ggvs_eval.pipelines.sweep.run_sweep import plan_runs
+from ggvs_eval.protocol import load_protocol
+from ggvs_eval.synthetic.demo_rooms import DEMO_ROOMS, MAIN
 from ggvs_eval.synthetic.film.options import DemoOptions
 from ggvs_eval.synthetic.film.rig import in_metres
 from ggvs_eval.synthetic.film.shots import rig_shots
@@ -20,7 +27,7 @@ NEAR, FAR = 8.0, 40.0  # of the rooms, world units
 
 @dataclass(frozen=True)
 class FramesToRender:
-    """Frames that a camera of the demo is going to film; there is nothing to decode.
+    """Frames that a camera of the demo is going to show; there is nothing to decode.
 
     Attributes:
         n_frames: how many.
@@ -75,11 +82,37 @@ def is_rendered(capture: Capture) -> bool:
     return not any(isinstance(source, FramesToRender) for source in capture.sources)
 
 
-def films(captures: Collection[Capture]) -> Sequence[str]:
-    """A line for each capture that has to be rendered first."""
+def renders_first(captures: Iterable[Capture]) -> list[str]:
+    """A line for each capture whose own frames have to be rendered first."""
     lines = []
-    for capture in (each for each in captures if not is_rendered(each)):
+    for capture in {capture.path: capture for capture in captures if not is_rendered(capture)}.values():
         width, height = capture.cameras[0].size
         what = f"{len(capture.cameras)} cameras x {capture.n_frames} frames at {width} x {height}"
-        lines.append(f"film: the demo is rendered first, {what}, into {capture.path}; only then can the time be estimated")
+        lines.append(f"demo: is rendered first, {what}, into {capture.path}")
     return lines
+
+
+def plan_demos(
+    root: Path,
+    labels: Mapping[str, Sequence[str]],
+    open_demo: Callable[[Path], Capture],
+    depth: DepthRunOptions | None = None,
+    networks: NetworkOptions = AS_SHIPPED,
+) -> Iterator[list[RunPlan]]:
+    """The runs of each demo room, and those over K, as `evaluate_demos` makes them; nothing is written.
+
+    Args:
+        root: run folder of the main room.
+        labels: name of a room -> its methods.
+        open_demo: opens the folder of a capture that was rendered already.
+        depth: how depth is found.
+        networks: with which weights and where networks compute.
+    """
+    for name, options in DEMO_ROOMS.items():
+        place = demo_root(root, name)
+        capture = demo_to_plan(capture_beside(place), options, open_demo)
+        yield [plan_run(RunRequest(place, capture, load_protocol(name), labels[name], depth, networks))]
+    if (sweep := k_sweep(labels[MAIN])).row:
+        main = demo_to_plan(capture_beside(root), DEMO_ROOMS[MAIN], open_demo)
+        over_k = plan_runs(k_root(root), {"": (main, load_protocol(K_PROTOCOL))}, sweep, depth, networks)
+        yield [replace(plan, request=replace(plan.request, shared=root)) for plan in over_k]

@@ -1,0 +1,237 @@
+"""The plan of a run: what is wanted, and everything that follows from it before anything is written.
+
+A plan is made once. What is left to do is counted on it, and prepare, render and score work through it.
+"""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from ggvs_eval.camera import Camera, nearest_cameras, translated_path
+from ggvs_eval.capture import Capture
+from ggvs_eval.datasets.frames import ImageFrames
+from ggvs_eval.datasets.path import CameraPath, open_path
+from ggvs_eval.depth_store import DepthJob
+from ggvs_eval.errors import CaptureError, ProtocolError
+from ggvs_eval.geometry.sight import require_sight
+from ggvs_eval.geometry.source_views import choose_sources
+from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
+from ggvs_eval.pipelines.offline.depth.fill_store import plan_depth
+from ggvs_eval.protocol import Protocol
+from ggvs_eval.run_folder import RunFolder, read_json
+
+
+@dataclass(frozen=True)
+class RunRequest:
+    """One run that somebody wants.
+
+    Attributes:
+        root: run folder.
+        capture: at its own size.
+        protocol: what is evaluated.
+        labels: methods; none where it is only prepared.
+        depth: how depth is found; as the folder says, or the default.
+        networks: with which weights and where networks compute.
+        shared: folder whose truth/ and depth/ it uses together with others; its own where None.
+        views: units of a shard, test views or ``path``; None for all.
+    """
+
+    root: Path
+    capture: Capture
+    protocol: Protocol
+    labels: Sequence[str] = ()
+    depth: DepthRunOptions | None = None
+    networks: NetworkOptions = field(default_factory=lambda: AS_SHIPPED)
+    shared: Path | None = None
+    views: Collection[str] | None = None
+
+
+@dataclass(frozen=True)
+class SourcePlan:
+    """How one target view is synthesised.
+
+    Attributes:
+        target: the camera to synthesise, at synthesis size.
+        jobs: depth of each source camera, nearest first; the target takes no part in any of it.
+        shares: source camera -> how far the choice counts on it, see `ChosenSource`.
+    """
+
+    target: Camera
+    jobs: tuple[DepthJob, ...]
+    shares: dict[str, float]
+
+    @property
+    def depth_keys(self) -> dict[str, str]:
+        """Source camera -> key of its depth in the depth store."""
+        return {job.camera_name: job.key for job in self.jobs}
+
+
+@dataclass(frozen=True)
+class RunPlan:
+    """A run as it will be made, or as it has been prepared.
+
+    Attributes:
+        request: what it was made of.
+        run: the folder.
+        depth: how depth is found.
+        capture: the capture at synthesis size; its frames are read from the run folder once that is prepared.
+        plans: test view -> how it is synthesised.
+        path: poses of the camera path, each with its plan.
+        path_frame: the instant at which the camera moves along the path.
+        path_images: what a camera would have seen there; None where nobody knows.
+    """
+
+    request: RunRequest
+    run: RunFolder
+    depth: DepthRunOptions
+    capture: Capture
+    plans: dict[str, SourcePlan]
+    path: tuple[SourcePlan, ...]
+    path_frame: int
+    path_images: ImageFrames | None
+
+    @property
+    def protocol(self) -> Protocol:
+        """What is evaluated."""
+        return self.request.protocol
+
+    @property
+    def depth_options(self) -> DepthOptions:
+        """The parameters of depth."""
+        return self.depth.options()
+
+    @property
+    def shared_root(self) -> Path:
+        """Folder of the captured frames and of the depth store."""
+        return self.request.shared or self.run.root
+
+    @property
+    def frames(self) -> range:
+        """Frame numbers of the protocol."""
+        return self.protocol.frames.numbers
+
+    @property
+    def path_frames(self) -> range:
+        """The instant of the path, which may lie outside the protocol's frames."""
+        return range(self.path_frame, self.path_frame + 1)
+
+    @property
+    def view_jobs(self) -> list[DepthJob]:
+        """Depth that the test views need, each once."""
+        return sorted({job for plan in self.plans.values() for job in plan.jobs})
+
+    @property
+    def path_jobs(self) -> list[DepthJob]:
+        """Depth that the camera path needs, each once."""
+        return sorted({job for plan in self.path for job in plan.jobs})
+
+    def frames_of_cameras(self) -> dict[str, list[int]]:
+        """Which frames of which cameras take part: test views, source cameras and those that their depth is matched with."""
+        numbers: dict[str, list[int]] = {view: list(self.frames) for view in self.plans}
+        for jobs, frames in ((self.view_jobs, self.frames), (self.path_jobs, self.path_frames)):
+            needed = range(self.depth_options.time.first_needed(frames.start), frames.stop)
+            for name in {name for job in jobs for name in (job.camera_name, *job.partner_names)}:
+                numbers[name] = sorted({*numbers.get(name, []), *needed})
+        return numbers
+
+
+def plan_run(request: RunRequest) -> RunPlan:
+    """Choose source cameras and depth partners of every test view and path pose; nothing is written.
+
+    Raises:
+        CaptureError: the capture lacks what the protocol asks for.
+        CameraError: fewer sources than the protocol wants, or sources that can show too little of a test view.
+        DepthError: a source that no camera can be matched with.
+        ProtocolError: the folder's depth is found otherwise.
+
+    Reading:
+        Shares are for targets that move. A test view stands still and its sources never change, so that all count whole: with the
+        path's shares, nearest sources score up to 0.17 dB less and chosen ones 0.08 to 0.18 dB (validation rooms).
+    """
+    protocol, run = request.protocol, RunFolder(request.root)
+    capture, depth = fit_capture(request.capture, protocol), _depth_of(run, request.depth)
+    options, path = depth.options(), _camera_path(capture, protocol)
+    targets = [*(capture.camera(view) for view in protocol.views.test), *path.cameras]
+    k, choice = protocol.synthesis.k, protocol.synthesis.sources
+    chosen = {target.name: choose_sources(target, capture.cameras, k, choice) for target in targets}
+    sensed = capture.sensed_cameras if options.sensor is not None else frozenset[str]()
+    for target in targets[: len(protocol.views.test)]:
+        require_sight(target, [each.camera for each in chosen[target.name]], capture.cameras, sensed)
+    jobs = plan_depth(capture, targets, k, options, choice)
+    plans = {
+        target.name: SourcePlan(
+            target,
+            tuple(jobs[target.name].values()),
+            {each.camera.name: each.share for each in chosen[target.name]},
+        )
+        for target in targets
+    }
+    views = {view: replace(plans[view], shares=dict.fromkeys(plans[view].shares, 1.0)) for view in protocol.views.test}
+    frame = min(max(round(path.time_s * capture.fps), protocol.frames.start), capture.n_frames - 1)
+    poses = tuple(plans[pose.name] for pose in path.cameras)
+    return RunPlan(request, run, depth, capture, views, poses, frame, path.images)
+
+
+def fit_capture(capture: Capture, protocol: Protocol) -> Capture:
+    """The capture at the protocol's size.
+
+    Raises:
+        CaptureError: it lacks views or frames that the protocol asks for.
+    """
+    absent = [name for name in protocol.views.test if name not in capture.camera_names]
+    if absent:
+        raise CaptureError(
+            f"{capture.path}: protocol {protocol.name} tests {', '.join(absent)}, the capture has "
+            f"{', '.join(capture.camera_names)}; choose another protocol or edit views.test"
+        )
+    frames = protocol.frames.numbers
+    if frames.stop > capture.n_frames:
+        raise CaptureError(
+            f"{capture.path}: protocol {protocol.name} wants frames {frames.start}..{frames.stop - 1}, the capture has "
+            f"{capture.n_frames}; lower frames.count"
+        )
+    synthesis = protocol.synthesis
+    if synthesis.width:
+        return capture.resized(synthesis.width, synthesis.height, synthesis.resize_filter)
+    return capture
+
+
+def _depth_of(run: RunFolder, asked: DepthRunOptions | None) -> DepthRunOptions:
+    """How this folder's depth is found, or will be; methods of one table must have been given the same."""
+    if not run.depth_record.is_file():
+        return asked or DepthRunOptions()
+    known = DepthRunOptions.from_record(read_json(run.depth_record))
+    if asked not in (None, known):
+        raise ProtocolError(
+            f"{run.root}: holds a run whose depth is found by {known.options().matcher.name} ({run.depth_record.name}), wanted "
+            f"{asked}; choose a new folder or delete it"
+        )
+    return known
+
+
+def _camera_path(capture: Capture, protocol: Protocol) -> CameraPath:
+    """The capture's own path where it has one, else a horizontal translation around the first test view.
+
+    Reading:
+        The paper moves the camera horizontally and does not say from where to where; ours spans the nearest cameras on both
+        sides, at the protocol's first instant.
+    """
+    middle = capture.camera(protocol.views.test[0])
+    if protocol.path.poses == 0:
+        return CameraPath((), None, 0.0)
+    known = open_path(capture.path)
+    if known is not None and _shows_its_instant(capture, known):
+        return replace(known, cameras=tuple(pose.resized(*middle.size) for pose in known.cameras))
+    neighbour = nearest_cameras(middle, capture.cameras, 2)[-1]
+    span = 2 * float(np.linalg.norm(neighbour.centre - middle.centre))
+    return CameraPath(tuple(translated_path(middle, span, protocol.path.poses)), None, 0.0)
+
+
+def _shows_its_instant(capture: Capture, known: CameraPath) -> bool:
+    """Whether the capture's own path was rendered at an instant that can be seen: not where another one is held still."""
+    edit = capture.edit
+    return edit is None or not edit.hold_frames or round(known.time_s * capture.fps) == edit.hold_frame
