@@ -7,7 +7,6 @@ compressed: at 1345 x 1008 a map takes 6.8 MB and 2 ms, compressed 3.5 MB and 30
 
 import hashlib
 import json
-import os
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 from ggvs_eval.arrays import Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import DepthError
+from ggvs_eval.files.atomic import atomic_file, write_text
 
 CHECK_ENTRIES = ("checked_with", "check")  # what a spec says beside that of depth as it was found
 CONFIDENCE_STEPS = 255  # confidence is kept in 8 bit
@@ -133,18 +133,14 @@ class DepthStore:
         key = self.key(spec)
         path = self.folder(key) / "spec.json"
         if not path.is_file():
-            _write_atomically(path, (json.dumps({"key": key, **spec}, indent=1) + "\n").encode())
+            write_text(path, json.dumps({"key": key, **spec}, indent=1) + "\n")
         return key
 
     def write(self, key: str, frame: int, depth_map: DepthMap) -> None:
         """Store one instant; confidence is rounded to 8 bit."""
         confidence = np.rint(depth_map.confidence * CONFIDENCE_STEPS).astype(np.uint8)
-        path = self.path(key, frame)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = _temporary(path)
-        with temporary.open("wb") as file:
+        with atomic_file(self.path(key, frame)) as temporary, temporary.open("wb") as file:
             np.savez(file, depth=depth_map.depth.astype(np.float32, copy=False), confidence=confidence)
-        temporary.replace(path)
 
     def read(self, key: str, frame: int) -> DepthMap:
         """Read one instant.
@@ -172,14 +168,3 @@ def _check(path: Path, depth: NDArray[np.generic], confidence: NDArray[np.generi
         )
     if not np.isfinite(depth).all() or depth.min(initial=0) < 0:
         raise DepthError(f"{path}: depth must be finite and not negative; delete this file and prepare again")
-
-
-def _temporary(path: Path) -> Path:
-    return path.with_name(f".{path.name}.{os.getpid()}.tmp")
-
-
-def _write_atomically(path: Path, content: bytes) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = _temporary(path)
-    temporary.write_bytes(content)
-    temporary.replace(path)

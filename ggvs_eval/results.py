@@ -1,7 +1,6 @@
 """Results: one tidy table of every measured value, with the provenance that makes it quotable."""
 
 import json
-import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from importlib import metadata
@@ -11,6 +10,7 @@ from typing import Any
 import pandas as pd
 
 from ggvs_eval.errors import ResultsError
+from ggvs_eval.files.atomic import atomic_file, write_text
 
 COLUMNS = ("dataset", "scene", "method", "variant", "view", "frame", "metric", "value")
 TABLE_FILE = "results.parquet"
@@ -42,13 +42,10 @@ class Results:
 
     def write(self, folder: Path) -> None:
         """Write the table as Parquet and the provenance as JSON, each whole or not at all."""
-        folder.mkdir(parents=True, exist_ok=True)
-        table, notes = (folder / f".{name}.{os.getpid()}.tmp" for name in (TABLE_FILE, PROVENANCE_FILE))
-        self.table.to_parquet(table, index=False)
-        os.replace(table, folder / TABLE_FILE)
+        with atomic_file(folder / TABLE_FILE) as temporary:
+            self.table.to_parquet(temporary, index=False)
         text = json.dumps({"provenance": self.provenance, "not_computed": self.not_computed}, indent=1, sort_keys=True)
-        notes.write_text(text, encoding="utf-8")
-        os.replace(notes, folder / PROVENANCE_FILE)
+        write_text(folder / PROVENANCE_FILE, text)
 
     @classmethod
     def read(cls, folder: Path) -> "Results":

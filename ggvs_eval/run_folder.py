@@ -21,13 +21,13 @@
 """
 
 import json
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import RenderError, ResultsError
+from ggvs_eval.files.atomic import write_text
 from ggvs_eval.files.images import read_image
 from ggvs_eval.protocol import Protocol, load_protocol
 
@@ -180,14 +180,6 @@ def as_ranges(indices: list[int]) -> str:
 def write_json(path: Path, record: Any) -> None:
     """Write a JSON file whole or not at all."""
     write_text(path, json.dumps(record, indent=1))
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a text file whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    temporary.write_text(text, encoding="utf-8")
-    temporary.replace(path)
 
 
 def read_json(path: Path) -> Any:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from ggvs_eval.files.atomic import write_text
 from ggvs_eval.reports.figures.crop_figure import draw_crops, draw_failures
 from ggvs_eval.reports.figures.curves import draw_curves
 from ggvs_eval.reports.figures.k_figure import draw_k
@@ -13,7 +14,7 @@ from ggvs_eval.reports.page.sweep_section import is_sweep, sweep_runs, sweep_sec
 from ggvs_eval.reports.run_groups import RunSection, read_groups
 from ggvs_eval.reports.table_files import write_tables
 from ggvs_eval.reports.tables.reproduction import reproduce
-from ggvs_eval.run_folder import RunFolder, write_text
+from ggvs_eval.run_folder import RunFolder
 
 
 def write_report(runs: Sequence[Path], out: Path | None = None, tables_of: Sequence[Path] = ()) -> Path:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from ggvs_eval.files.atomic import write_text
 from ggvs_eval.reports.model.table import Table
 from ggvs_eval.reports.run_groups import RunGroup
 from ggvs_eval.reports.tables.excel import has_excel, write_excel
@@ -13,7 +14,6 @@ from ggvs_eval.reports.tables.published import CAVEATS, SOURCE
 from ggvs_eval.reports.tables.reproduction import Reproduction
 from ggvs_eval.reports.tables.reproduction_formats import reproduction_csv, reproduction_markdown
 from ggvs_eval.reports.tables.table_formats import to_csv, to_latex, to_markdown
-from ggvs_eval.run_folder import write_text
 
 
 def write_tables(groups: Sequence[RunGroup], reproduced: Sequence[Reproduction], out: Path) -> None:

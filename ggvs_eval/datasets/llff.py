@@ -1,6 +1,5 @@
 """LLFF pose files (``poses_bounds.npy``): N x 17 numbers, in axes of their own."""
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -11,6 +10,7 @@ from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.datasets.array_file import map_array
 from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.files.atomic import atomic_file
 
 LARGEST_RIG = 10_000
 # What is beyond is damage, and no square of it is finite.
@@ -54,10 +54,8 @@ def read_llff_poses(path: Path) -> list[LlffPose]:
 def write_llff_poses(path: Path, poses: Sequence[LlffPose]) -> None:
     """Write a pose file that `read_llff_poses` reads back; it appears under its name when it is whole."""
     rows = np.stack([_to_row(pose) for pose in poses])  # (N, 17)
-    temporary = path.with_suffix(f".{os.getpid()}.tmp")
-    with temporary.open("wb") as file:
+    with atomic_file(path) as temporary, temporary.open("wb") as file:
         np.save(file, rows)
-    temporary.replace(path)
 
 
 def llff_pose(camera: Camera) -> LlffPose:

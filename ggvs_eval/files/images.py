@@ -1,6 +1,5 @@
 """8-bit images: what is measured is what lies on disk."""
 
-import os
 from pathlib import Path
 from typing import Literal
 
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import CaptureError
+from ggvs_eval.files.atomic import write_bytes
 
 ResizeFilter = Literal["area", "lanczos", "bicubic", "bilinear"]
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -56,11 +56,8 @@ def _is_cut_png(content: bytes) -> bool:
 
 def write_image(path: Path, image: Image8) -> None:
     """Write an 8-bit RGB image as PNG so that a killed process leaves either the whole file or none."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     _, encoded = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_PNG_COMPRESSION, 3])
-    temporary = path.with_suffix(f".{os.getpid()}.tmp")
-    temporary.write_bytes(encoded.tobytes())
-    temporary.replace(path)
+    write_bytes(path, encoded.tobytes())
 
 
 def resize(image: Image8, width: int, height: int, resize_filter: ResizeFilter) -> Image8:

@@ -1,6 +1,5 @@
 """Video files as sources of frames: written so that equal frames give equal bytes, read so that frame t is frame t."""
 
-import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
@@ -13,6 +12,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import CaptureError
+from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.files.digest import digest_files
 
 if TYPE_CHECKING:
@@ -40,14 +40,11 @@ def write_video(path: Path, frames: Iterable[Image8], fps: float, crf: float = 1
     """
     import av
 
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_suffix(f".{os.getpid()}.tmp")
-    try:
-        with av.open(str(temporary), "w", format="mp4", options={"fflags": "+bitexact"}) as container:
-            _encode(container, path, frames, fps, crf)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with (
+        atomic_file(path) as temporary,
+        av.open(str(temporary), "w", format="mp4", options={"fflags": "+bitexact"}) as container,
+    ):
+        _encode(container, path, frames, fps, crf)
 
 
 def _encode(container: "OutputContainer", path: Path, frames: Iterable[Image8], fps: float, crf: float) -> None:

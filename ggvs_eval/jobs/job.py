@@ -6,10 +6,8 @@ run again and what was killed is: results are written under a temporary name bes
 
 import hashlib
 import json
-import os
 import shutil
 import socket
-import time
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -19,15 +17,14 @@ from typing import Any
 
 import ggvs_eval
 from ggvs_eval.errors import GgvsError, RenderError
+from ggvs_eval.files.atomic import remove_leftovers, scratch_folder
 from ggvs_eval.jobs.engine import Workers, as_engine
 from ggvs_eval.jobs.ledger import Entry, Failure, Ledger
 from ggvs_eval.jobs.lost_job import LostJob
-from ggvs_eval.jobs.processes import is_running
 from ggvs_eval.progress import track
 from ggvs_eval.run_folder import JOB_FILE, write_json
 
 ALL_CODE = ("ggvs_eval", "ggvs_eval.baselines", "ggvs_eval.metrics", "ggvs_eval.pipelines")
-SILENT_S = 3600  # after that without a new frame, what another machine began is taken for given up
 
 
 @dataclass(frozen=True)
@@ -63,15 +60,10 @@ class Job:
 
     def run(self) -> None:
         """Do the work and put its result in place."""
-        temporary = self.folder.with_name(f".{self.folder.name}.{_host()}.{os.getpid()}.tmp")
-        shutil.rmtree(temporary, ignore_errors=True)
-        temporary.mkdir(parents=True)
-        try:
+        with scratch_folder(self.folder) as temporary:
             record = self.work(temporary)
             write_json(temporary / JOB_FILE, {"sha256": self.sha256, "identity": self.identity, **record})
             self._put_in_place(temporary)
-        finally:
-            shutil.rmtree(temporary, ignore_errors=True)
 
     def _put_in_place(self, temporary: Path) -> None:
         shutil.rmtree(self.folder, ignore_errors=True)
@@ -133,7 +125,7 @@ def attempt_jobs(jobs: Sequence[Job], workers: Workers, description: str, ledger
     """
     open_jobs = [job for job in jobs if not job.is_done()]
     for job in open_jobs:
-        _sweep_leftovers(job.folder)
+        remove_leftovers(job.folder)
     if not open_jobs:
         return Attempt(0, ())
     engine = as_engine(workers)
@@ -144,7 +136,7 @@ def attempt_jobs(jobs: Sequence[Job], workers: Workers, description: str, ledger
         if ledger:
             ledger.note(open_jobs[index].entry, failure)
         failures += [failure] if failure else []
-        _sweep_leftovers(open_jobs[index].folder)  # of a worker that died, before another did its job
+        remove_leftovers(open_jobs[index].folder)  # of a worker that died, before another did its job
     return Attempt(len(open_jobs) - len(failures), tuple(failures))
 
 
@@ -186,30 +178,3 @@ def _evaluate(job: Job, outcome: Failure | LostJob | None) -> Failure | None:
     if outcome is None and not job.is_done():
         return Failure(job.name, f"it ended, and {job.folder} is not here: workers must see the same folders")
     return outcome
-
-
-def _sweep_leftovers(folder: Path) -> None:
-    """Remove what killed runs of the same job left beside its folder; not what another process is working on."""
-    for leftover in folder.parent.glob(f".{folder.name}.*.tmp"):
-        if not is_in_hand(leftover):
-            shutil.rmtree(leftover, ignore_errors=True)
-
-
-def _host() -> str:
-    """This machine, as part of a file's name."""
-    return socket.gethostname().replace(".", "-")
-
-
-def is_in_hand(temporary: Path) -> bool:
-    """Whether the process that fills a temporary folder still does.
-
-    Args:
-        temporary: ``.<name>.<host>.<pid>.tmp``.
-    """
-    *_, host, pid = temporary.name.removesuffix(".tmp").rsplit(".", 2)
-    if host == _host():
-        return is_running(int(pid))
-    try:
-        return time.time() - temporary.stat().st_mtime < SILENT_S
-    except OSError:  # it has just been put in place
-        return False

@@ -5,7 +5,6 @@ import threading
 from collections.abc import Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from multiprocessing import connection, get_context, parent_process
-from pathlib import Path
 from typing import Any
 
 from ggvs_eval.progress import track
@@ -45,23 +44,6 @@ def finish_all(pool: Executor, running: Sequence[Future[Any]], description: str)
     except BaseException:
         pool.shutdown(cancel_futures=True)
         raise
-
-
-def is_running(pid: int) -> bool:
-    """Whether a process of this machine is there and works; a zombie that nobody has collected does not."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
-    except OSError:
-        pass
-    if Path("/proc/self").exists():
-        return False
-    try:  # no /proc: another system
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        pass
-    return True
 
 
 def share_cpus(threads: int) -> None:

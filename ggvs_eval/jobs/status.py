@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ggvs_eval.errors import ResultsError
-from ggvs_eval.jobs.job import is_in_hand
+from ggvs_eval.files.atomic import is_in_hand, scratch_folders
 from ggvs_eval.jobs.ledger import STAGES, Entry, Failure, Ledger
 from ggvs_eval.progress import duration
 from ggvs_eval.run_folder import JOB_FILE
@@ -95,7 +95,7 @@ def _stage_status(ledger: Ledger, root: Path) -> StageStatus:
 
 
 def _is_in_hand(entry: Entry) -> bool:
-    return any(is_in_hand(temporary) for temporary in entry.folder.parent.glob(f".{entry.folder.name}.*.tmp"))
+    return any(is_in_hand(temporary) for temporary in scratch_folders(entry.folder))
 
 
 def _left_s(begun_s: float, done: list[Entry], left: int) -> float | None:

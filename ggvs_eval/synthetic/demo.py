@@ -3,7 +3,6 @@
 import json
 import os
 import shutil
-import tempfile
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import asdict
 from functools import partial
@@ -12,6 +11,7 @@ from typing import TypeVar
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import CaptureError
+from ggvs_eval.files.atomic import atomic_folder
 from ggvs_eval.jobs.processes import worker_pool
 from ggvs_eval.progress import track
 from ggvs_eval.synthetic.film.film import PARTS, Footage, light_instant, stored_instant
@@ -43,15 +43,8 @@ def write_demo(folder: Path, options: DemoOptions, workers: int | None = None) -
     """
     if _is_written(folder, options):
         return folder
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
-    try:
-        with _executor(workers or os.cpu_count() or 1) as executor:
-            _film(executor, unfinished, options)
-        unfinished.chmod(0o755)
-        unfinished.replace(folder)
-    finally:
-        shutil.rmtree(unfinished, ignore_errors=True)
+    with atomic_folder(folder) as unfinished, _executor(workers or os.cpu_count() or 1) as executor:
+        _film(executor, unfinished, options)
     return folder
 
 

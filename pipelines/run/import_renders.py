@@ -1,6 +1,5 @@
 """Renders of others become a method of a run: understood, checked against the protocol, and put in place whole or not at all."""
 
-import os
 import re
 import shutil
 from collections.abc import Mapping
@@ -8,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ggvs_eval.errors import RenderError
+from ggvs_eval.files.atomic import atomic_folder, remove_leftovers, scratch_folder
 from ggvs_eval.files.digest import digest_files, digest_values
 from ggvs_eval.jobs.processes import worker_pool
 from ggvs_eval.pipelines.methods.registry import METHODS
@@ -54,12 +54,9 @@ def import_renders(run: RunFolder, label: str, path: Path, allow_partial: bool =
         raise RenderError(f"{path}: these renders are in the run {run.root} already; score it without --renders")
     if target.exists() and not target.is_symlink() and read_import(run, label) is None:
         raise RenderError(f"{target} exists already; choose another name for these renders")
-    _sweep(target)
-    unpacked = target.with_name(f".{label}.{os.getpid()}.unpacked.tmp")
-    try:
+    remove_leftovers(target)
+    with scratch_folder(target.with_name(f"{label}.unpacked")) as unpacked:
         return _import(run, wanted, path, unpacked, allow_partial, workers)
-    finally:
-        shutil.rmtree(unpacked, ignore_errors=True)
 
 
 def _import(run: RunFolder, wanted: Wanted, path: Path, unpacked: Path, allow_partial: bool, workers: int) -> dict[str, Any]:
@@ -91,9 +88,7 @@ def _import(run: RunFolder, wanted: Wanted, path: Path, unpacked: Path, allow_pa
 
 def _put(target: Path, found: Found, fitted: Fit, record: dict[str, Any], workers: int) -> dict[str, Any]:
     """Fill a folder beside the target, then let it take the target's place."""
-    temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
-    shutil.rmtree(temporary, ignore_errors=True)
-    try:
+    with atomic_folder(target) as temporary:
         views = {view: (found.views[view], frames) for view, frames in fitted.usable.items()}
         notes = _write(views, temporary, workers)
         record["notes"] += [f"{view}: {note}" for view, lines in notes.items() for note in lines]
@@ -101,15 +96,11 @@ def _put(target: Path, found: Found, fitted: Fit, record: dict[str, Any], worker
         if target.is_symlink():
             target.unlink()
         shutil.rmtree(target, ignore_errors=True)
-        temporary.replace(target)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
     return record
 
 
 def _write(views: Mapping[str, tuple[RenderedView, tuple[int, ...]]], folder: Path, workers: int) -> dict[str, list[str]]:
     """Write the frames of each view; gives back the notes of each."""
-    folder.mkdir(parents=True)
     if workers == 1 or len(views) == 1:
         return {view: rendered.write(folder / view, frames) for view, (rendered, frames) in views.items()}
     with worker_pool(min(workers, len(views))) as pool:
@@ -149,9 +140,3 @@ def _left_out(fitted: Fit) -> list[str]:
     """What partial renders lack, for the record; nothing is cut short here."""
     groups = {"missing": fitted.missing, "not usable": fitted.faulty, "not used": fitted.extras}
     return [f"{title}: {item}" for title, items in groups.items() for item in items]
-
-
-def _sweep(target: Path) -> None:
-    """Remove what killed imports left."""
-    for leftover in target.parent.glob(f".{target.name}.*.tmp"):
-        shutil.rmtree(leftover, ignore_errors=True)

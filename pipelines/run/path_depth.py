@@ -10,6 +10,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import DepthError
+from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.geometry.tsdf import DepthView, fusion_weights, ray_march
 from ggvs_eval.pipelines.online.geometry_guided import OnlineOptions
 from ggvs_eval.progress import track
@@ -36,10 +37,8 @@ def write_path_depth(
     for index in track(missing, "depth along the path"):
         target, keys = poses[index]
         depth = _fused_depth(capture, target, keys, frame, store)
-        temporary = pose_file(folder, index).with_suffix(".tmp")
-        with temporary.open("wb") as file:
+        with atomic_file(pose_file(folder, index)) as temporary, temporary.open("wb") as file:
             np.save(file, depth)
-        temporary.replace(pose_file(folder, index))
 
 
 def read_path_depth(folder: Path, pose: int) -> NDArray[np.float32]:

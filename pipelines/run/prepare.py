@@ -8,6 +8,7 @@ from typing import Any
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import ProtocolError
+from ggvs_eval.files.atomic import write_text
 from ggvs_eval.files.images import resize, write_image
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
@@ -18,7 +19,7 @@ from ggvs_eval.pipelines.run.path_depth import write_path_depth
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, fit_capture, plan_run
 from ggvs_eval.pipelines.run.score_path import write_path_record
 from ggvs_eval.protocol import Protocol
-from ggvs_eval.run_folder import RunFolder, frame_path, missing_frames, write_json, write_text
+from ggvs_eval.run_folder import RunFolder, frame_path, missing_frames, write_json
 
 
 def prepare(

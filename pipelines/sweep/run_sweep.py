@@ -10,6 +10,7 @@ import pandas as pd
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import ProtocolError
+from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.jobs.engine import Engine, Workers, as_engine
 from ggvs_eval.jobs.ledger import Failure
 from ggvs_eval.jobs.shard import WHOLE, Shard
@@ -186,9 +187,8 @@ def _shard_cells(cells: list[Cell], shard: Shard) -> tuple[list[Cell], dict[str,
 
 def _write_table(table: pd.DataFrame, root: Path) -> None:
     """Whole or not at all."""
-    temporary = root / ".sweep.csv.tmp"
-    table.to_csv(temporary)
-    temporary.replace(root / "sweep.csv")
+    with atomic_file(root / "sweep.csv") as temporary:
+        table.to_csv(temporary)
 
 
 def _score_lines(cell: Cell, labels: Sequence[str], engine: Engine) -> pd.DataFrame:

@@ -22,6 +22,7 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.colour_maps import confidence_scale, depth_scale, difference_scale
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import DepthError, ResultsError
+from ggvs_eval.files.atomic import write_text
 from ggvs_eval.geometry.features import Features, find_features
 from ggvs_eval.jobs.processes import finish_all, worker_pool
 from ggvs_eval.reports.depth_page.depth_pictures import write_instant, write_pairs
@@ -68,7 +69,7 @@ def write_depth_page(
     with worker_pool(min(workers, len(stored))) as pool:
         record = examine_depth(pool, folder / "pictures", capture, stored, store, filled_confidence)
     files = sorted(path.name for path in (folder / "pictures").iterdir())
-    (folder / "index.html").write_text(render_depth_page(record), encoding="utf-8")
+    write_text(folder / "index.html", render_depth_page(record))
     spoken = {"warnings": find_warnings(record), "notes": find_notes(record)}
     write_json(folder / "index.json", {"identity": identity, "files": files, **spoken, **asdict(record)})
     return folder / "index.html"

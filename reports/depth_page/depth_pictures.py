@@ -1,6 +1,5 @@
 """The pictures of one camera's depth: what it saw, how far that is, how sure we are, and what it looks like made again."""
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from ggvs_eval.arrays import Array, Image8, Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.colour_maps import confidence_colours, depth_colours, difference_colours, with_checks
 from ggvs_eval.depth_store import DepthMap
+from ggvs_eval.files.atomic import write_bytes
 from ggvs_eval.files.images import resize
 from ggvs_eval.geometry.rectification import rectify
 from ggvs_eval.reports.depth_page.depth_statistics import measured_pixels
@@ -183,8 +183,5 @@ def _sampled_mask(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _write(path: Path, image: Image8) -> Picture:
     """Write a JPEG whole or not at all."""
     _, encoded = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    temporary.write_bytes(encoded.tobytes())
-    temporary.replace(path)
+    write_bytes(path, encoded.tobytes())
     return Picture(path.name, image.shape[1], image.shape[0])

@@ -5,6 +5,7 @@ import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from ggvs_eval.files.atomic import write_text
 from ggvs_eval.reports.model.table import format_value
 from ggvs_eval.reports.tables.compare_runs import (
     Difference,
@@ -70,8 +71,7 @@ def write_comparison(first: str, second: str, run: Path | None, views: bool = Fa
         for one, other in pairs
     }
     if out is not None:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_text(differences_csv(found), encoding="utf-8")
+        write_text(out, differences_csv(found))
     parts = [f"{name}\n{differences_text([one for one in each if views or not one.view])}" for name, each in found.items()]
     return "\n\n".join([f"first: {first}, second: {second}", *notes, *parts])
 

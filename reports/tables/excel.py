@@ -2,7 +2,6 @@
 
 import importlib.util
 import io
-import os
 import re
 import zipfile
 from collections.abc import Sequence
@@ -11,6 +10,7 @@ from typing import Any
 
 import pandas as pd
 
+from ggvs_eval.files.atomic import write_bytes
 from ggvs_eval.reports.model.table import Cell, Table
 
 LONGEST_NAME = 31  # of a sheet, set by Excel
@@ -44,10 +44,7 @@ def write_excel(tables: Sequence[Table], values: dict[str, str], out: Path) -> P
             )
         for sheet in writer.sheets.values():
             _take_text_literally(sheet)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    temporary = out.with_name(f".{out.name}.{os.getpid()}.tmp")
-    temporary.write_bytes(_without_dates(content.getvalue()))
-    temporary.replace(out)
+    write_bytes(out, _without_dates(content.getvalue()))
     return out
 
 

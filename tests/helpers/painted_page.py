@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
+from ggvs_eval.files.atomic import write_text
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.page.page import render_page
 from ggvs_eval.reports.run_groups import read_groups
 from ggvs_eval.reports.tables.reproduction import reproduce
-from ggvs_eval.run_folder import write_text
 from helpers.run_folders import LABELS, RunShape, write_run
 
 SHAPE = RunShape(width=160, height=120, frames=Frames(2, 4), dataset="DyNeRF", metrics=("PSNR", "L1", "TCC"))

@@ -14,9 +14,9 @@ from typing import Any
 import pytest
 
 from ggvs_eval.errors import CaptureError, RenderError
+from ggvs_eval.files.atomic import is_running
 from ggvs_eval.jobs.job import BrokenJobError, Job, attempt_jobs, run_jobs
 from ggvs_eval.jobs.ledger import Ledger
-from ggvs_eval.jobs.processes import is_running
 from ggvs_eval.run_folder import JOB_FILE, read_json
 
 

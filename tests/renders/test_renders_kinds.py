@@ -1,6 +1,7 @@
 """Renders of every layout become <view>/<frame>.png of a run, each picture at its place."""
 
 import shutil
+import socket
 from collections.abc import Callable
 from pathlib import Path
 
@@ -257,7 +258,7 @@ def test_a_changed_file_is_noticed(suffix, run, tmp_path):
 def test_a_killed_import_is_made_again(run, tmp_path):
     """Leftovers of a killed import are removed, lost frames are brought back."""
     source = write_folders(tmp_path / "theirs")
-    (run.root / "renders" / ".mine.99.tmp" / "cam00").mkdir(parents=True)
+    (run.root / "renders" / f".mine.{socket.gethostname().replace('.', '-')}.4194304000.tmp" / "cam00").mkdir(parents=True)
     import_renders(run, "mine", source)
     frame_path(run.renders("mine", "cam00"), 3).unlink()
 

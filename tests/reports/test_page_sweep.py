@@ -2,10 +2,10 @@
 
 import pytest
 
+from ggvs_eval.files.atomic import write_text
 from ggvs_eval.reports.page.page import render_page
 from ggvs_eval.reports.page.sweep_section import sweep_runs, sweep_section
 from ggvs_eval.reports.run_groups import read_groups
-from ggvs_eval.run_folder import write_text
 from helpers.browser import DESKTOP, PHONE
 from helpers.sweep_folders import KS, LINES, write_sweep
 

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import shutil
+import socket
 
 import numpy as np
 import pytest
@@ -173,7 +174,7 @@ def test_a_killed_merge_leaves_nothing_half_made(runs, monkeypatch):
             raise KeyboardInterrupt
         shutil.copy2(source, destination)
 
-    (runs / ".out.4194304000.tmp").mkdir()
+    (runs / f".out.{socket.gethostname().replace('.', '-')}.4194304000.tmp").mkdir()
     monkeypatch.setattr(merging, "_link", stopped)
     with pytest.raises(KeyboardInterrupt):
         merge_runs(runs / "out", [runs / "a", runs / "b"])

@@ -2,7 +2,6 @@
 
 import importlib.metadata
 import shutil
-import tempfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -14,6 +13,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.colmap_model import read_model
 from ggvs_eval.errors import CaptureError
+from ggvs_eval.files.atomic import atomic_folder
 from ggvs_eval.geometry.alignment import pose_differences, rig_extent
 from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.pipelines.offline.calibration.calibration_job import describe_known, keep_log, run_worker
@@ -117,9 +117,7 @@ def calibrate(frames_folder: Path, out: Path, options: CalibrationOptions) -> Ca
     if len(files) > MOST_CAMERAS:
         raise CaptureError(f"{frames_folder}: wanted up to {MOST_CAMERAS} cameras, got {len(files)}; calibrate by COLMAP itself")
     known = _known(files, options)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
-    try:
+    with atomic_folder(out) as unfinished:
         images = write_instant(files, options.frame, unfinished / "work" / "images")
         result = run_worker(unfinished, out, _job(files, images, known, options))
         missing = _missing(images, result)
@@ -131,10 +129,6 @@ def calibrate(frames_folder: Path, out: Path, options: CalibrationOptions) -> Ca
         calibration = _read(unfinished, out, missing, result)
         write_json(unfinished / RECORD, _record(frames_folder, calibration, result, options))
         shutil.rmtree(unfinished / "work")
-        unfinished.chmod(0o755)
-        unfinished.replace(out)
-    finally:
-        shutil.rmtree(unfinished, ignore_errors=True)
     return calibration
 
 

@@ -1,7 +1,5 @@
 """Raw videos of known lenses, written as pinhole videos or frames."""
 
-import shutil
-import tempfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -14,6 +12,7 @@ from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.assemble import FOLDER_FPS
 from ggvs_eval.datasets.undistort import UndistortedFrames
 from ggvs_eval.errors import CaptureError
+from ggvs_eval.files.atomic import atomic_folder
 from ggvs_eval.files.images import write_image
 from ggvs_eval.files.video import VideoFrames, write_video
 from ggvs_eval.jobs.processes import default_workers
@@ -86,15 +85,9 @@ def undistort_videos(source: Path, lens_file: Path | None, out: Path, options: U
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise CaptureError(f"{out}: wanted a new or empty folder for undistorted frames, got one with content; choose another")
     streams = _of_capture(source) if lens_file is None else _of_files(source, lens_file)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
-    try:
+    with atomic_folder(out) as unfinished:
         _write_all(unfinished, streams, options or UndistortOptions())
         write_intrinsics(unfinished / INTRINSICS, {stream.name: stream.pinhole for stream in streams})
-        unfinished.chmod(0o755)
-        unfinished.replace(out)
-    finally:
-        shutil.rmtree(unfinished, ignore_errors=True)
     return Undistorted(out, tuple(stream.name for stream in streams), streams[0].n_frames, streams[0].fps)
 
 

@@ -1,6 +1,5 @@
 """COLMAP's files of depth and normal maps: ``width&height&channels&`` in ASCII, then float32, one channel after the other."""
 
-import os
 import re
 from pathlib import Path
 
@@ -8,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.errors import DepthError
+from ggvs_eval.files.atomic import write_bytes
 
 HEADER = re.compile(rb"(\d{1,9})&(\d{1,9})&(\d{1,9})&")
 
@@ -21,10 +21,7 @@ def write_array(path: Path, array: NDArray[np.float32]) -> None:
     """
     planes = array[None] if array.ndim == 2 else np.moveaxis(array, -1, 0)  # (C, H, W)
     channels, height, width = planes.shape
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    temporary.write_bytes(f"{width}&{height}&{channels}&".encode() + np.ascontiguousarray(planes, "<f4").tobytes())
-    temporary.replace(path)
+    write_bytes(path, f"{width}&{height}&{channels}&".encode() + np.ascontiguousarray(planes, "<f4").tobytes())
 
 
 def read_array(path: Path) -> NDArray[np.float32]:

@@ -9,8 +9,6 @@
 """
 
 import re
-import shutil
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +21,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.datasets.colmap_writer import Sightings, write_model
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
+from ggvs_eval.files.atomic import atomic_folder
 from ggvs_eval.files.images import write_image
 from ggvs_eval.pipelines.offline.export.colmap_arrays import write_array
 from ggvs_eval.pipelines.offline.export.surface_normals import surface_normals
@@ -77,17 +76,11 @@ def write_dense_workspace(
     options = options or WorkspaceOptions()
     _check(cameras, images, depth_maps, folder)
     depths = [np.where(each.confidence >= options.least_confidence, each.depth, np.float32(0)) for each in depth_maps]
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
-    try:
+    with atomic_folder(folder) as unfinished:
         _write_maps(cameras, images, depths, unfinished)
         points = _surface_points(cameras, depths, options.points_per_camera)
         write_model(unfinished / "sparse", cameras, *_shared(cameras, images, depths, points))
         _write_lists(cameras, partners, unfinished / "stereo")
-        unfinished.chmod(0o755)
-        unfinished.replace(folder)
-    finally:
-        shutil.rmtree(unfinished, ignore_errors=True)
     return folder
 
 

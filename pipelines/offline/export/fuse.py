@@ -1,6 +1,5 @@
 """One instant as a point cloud and a mesh: the depth of all cameras fused, in PLY files that any viewer opens."""
 
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from ggvs_eval.arrays import Array, Image8, Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
+from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.pipelines.offline.export.surface_normals import surface_normals
 from ggvs_eval.pipelines.offline.export.tsdf_mesh import mesh_of
 
@@ -200,10 +200,6 @@ def _mesh(views: Sequence[_View], middle: Array, voxel: float, options: FuseOpti
 
 def _write(path: Path, write: Callable[[Path], bool]) -> None:
     """Write a PLY file whole or not at all."""
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.ply")  # Open3D goes by the suffix
-    try:
+    with atomic_file(path, ending=".ply") as temporary:  # Open3D goes by the suffix
         if not write(temporary):
             raise DepthError(f"{path}: Open3D could not write this file; is the disk full, or the folder read-only?")
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)

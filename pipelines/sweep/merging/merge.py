@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from ggvs_eval.errors import ProtocolError, ResultsError
+from ggvs_eval.files.atomic import atomic_folder
 from ggvs_eval.jobs.ledger import JOBS_FOLDER
-from ggvs_eval.jobs.processes import is_running
 from ggvs_eval.pipelines.sweep.merging.scores import merge_scores
 from ggvs_eval.pipelines.sweep.merging.units import Unit, job_units, plain_units, same_unit
 from ggvs_eval.run_folder import RunFolder, read_json, write_json
@@ -43,16 +43,11 @@ def merge_runs(out: Path, roots: Sequence[Path], copy: bool = False) -> RunFolde
         raise ProtocolError(f"{out}: exists already; name a new folder to merge into")
     _require_alike(runs)
     units = _union([unit for run in runs for unit in _units(run)])
-    _sweep(out)
-    temporary = out.with_name(f".{out.name}.{os.getpid()}.tmp")
-    try:
+    with atomic_folder(out) as temporary:
         for unit in units.values():
             _place(unit, temporary / unit.name, _copy if copy else _link)
         _write_records(runs, temporary)
         merge_scores(runs, temporary)
-        temporary.replace(out)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
     return RunFolder(out)
 
 
@@ -152,10 +147,3 @@ def _write_records(runs: Sequence[RunFolder], folder: Path) -> None:
     if ledgers:
         jobs = {name: job for ledger in reversed(ledgers) for name, job in ledger["jobs"].items()}
         write_json(folder / JOBS_FOLDER / "render.json", {"begun_s": min(each["begun_s"] for each in ledgers), "jobs": jobs})
-
-
-def _sweep(out: Path) -> None:
-    """Remove what killed merges left; not what another process is working on."""
-    for leftover in out.parent.glob(f".{out.name}.*.tmp"):
-        if not is_running(int(leftover.name.removesuffix(".tmp").rsplit(".", 1)[1])):
-            shutil.rmtree(leftover, ignore_errors=True)

@@ -9,6 +9,7 @@ from torch import nn
 from torch.optim.swa_utils import AveragedModel
 
 from ggvs_eval.errors import TrainingError
+from ggvs_eval.files.atomic import atomic_file
 
 
 @dataclass
@@ -35,16 +36,14 @@ def state_file(folder: Path) -> Path:
 
 def write_state(folder: Path, state: TrainingState) -> None:
     """Write it under a temporary name and rename it, so that a kill leaves the old one or the new one."""
-    folder.mkdir(parents=True, exist_ok=True)
     values = {
         "step": state.step,
         "network": state.network.state_dict(),
         "average": state.average.state_dict(),
         "optimiser": state.optimiser.state_dict(),
     }
-    temporary = folder / ".state.tmp"
-    torch.save(values, temporary)
-    temporary.replace(state_file(folder))
+    with atomic_file(state_file(folder)) as temporary:
+        torch.save(values, temporary)
 
 
 def read_state(folder: Path, fresh: TrainingState, device: torch.device) -> TrainingState:

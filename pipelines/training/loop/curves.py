@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
+from ggvs_eval.files.atomic import atomic_file
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
@@ -35,9 +37,10 @@ def draw_curves(folder: Path, name: str) -> Path:
         axes.set_xlabel("steps", fontsize=8)
         axes.tick_params(which="both", labelsize=7)
         axes.legend(fontsize=7, frameon=False)
-    picture, temporary = folder / f"{name}.png", folder / f".{name}.tmp"
-    figure.savefig(temporary, format="png", dpi=DOTS_PER_INCH, metadata={"Software": None})
-    return temporary.replace(picture)
+    picture = folder / f"{name}.png"
+    with atomic_file(picture) as temporary:
+        figure.savefig(temporary, format="png", dpi=DOTS_PER_INCH, metadata={"Software": None})
+    return picture
 
 
 def _draw_loss(axes: "Axes", log: pd.DataFrame) -> None:

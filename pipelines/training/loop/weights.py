@@ -6,6 +6,7 @@ from pathlib import Path
 from safetensors.torch import save_file
 from torch import nn
 
+from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.files.weights_file import load_strict, read_tensors
 
 NETWORK = "the network to be trained"  # in messages
@@ -19,14 +20,12 @@ def write_weights(path: Path, network: nn.Module, notes: Mapping[str, str]) -> N
         network: whose weights.
         notes: texts for the file's header.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
     tensors = {
         name: (tensor.half() if tensor.is_floating_point() else tensor).contiguous().cpu()
         for name, tensor in network.state_dict().items()
     }
-    temporary = path.with_suffix(".tmp")
-    save_file(tensors, temporary, dict(notes))
-    temporary.replace(path)
+    with atomic_file(path) as temporary:
+        save_file(tensors, temporary, dict(notes))
 
 
 def pour_weights(path: Path, network: nn.Module) -> None:

@@ -1,6 +1,5 @@
 """Files of training samples: named arrays, the cameras among them, whole or not there at all."""
 
-import os
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -12,17 +11,15 @@ import numpy as np
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import TrainingError
+from ggvs_eval.files.atomic import atomic_file
 
 POSE_SIZE = 16
 
 
 def write_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
     """Write arrays so that a killed process leaves either the whole file or none."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    with temporary.open("wb") as file:
+    with atomic_file(path) as temporary, temporary.open("wb") as file:
         np.savez(file, **arrays)
-    temporary.replace(path)
 
 
 @contextmanager

@@ -1,0 +1,141 @@
+"""Write files and folders whole or not at all: under a temporary name beside the target, which is renamed when it is complete.
+
+A kill leaves the old file or the new one. What a killed process was filling stays beside the target until `remove_leftovers`.
+"""
+
+import glob
+import os
+import shutil
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from secrets import token_hex
+
+SILENT_S = 3600.0  # after that without a new file, what another machine began is taken for given up
+
+
+@contextmanager
+def atomic_file(path: Path, ending: str = ".tmp") -> Iterator[Path]:
+    """Give a path to write to, which takes the place of `path` when the block ends; after an error nothing is left of it.
+
+    Args:
+        path: the file to write; its folder is made.
+        ending: of the temporary name, for libraries that go by it.
+
+    Yields:
+        A name in the same folder that nobody else uses.
+
+    Raises:
+        OSError: the file cannot be written. The error names it, where it would name no file or the temporary one.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{token_hex(6)}{ending}")
+    try:
+        yield temporary
+        temporary.replace(path)
+    except OSError as error:
+        if error.errno is None or error.filename not in (None, str(temporary), temporary):
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from error  # a full disk names no file, others the temporary one
+    finally:
+        with suppress(OSError):  # it is in place, was never made, or its folder is gone
+            temporary.unlink()
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a file whole or not at all."""
+    with atomic_file(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file (UTF-8) whole or not at all."""
+    with atomic_file(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+@contextmanager
+def scratch_folder(beside: Path) -> Iterator[Path]:
+    """Give an empty folder beside a path; it goes when the block ends.
+
+    Args:
+        beside: what the folder is for; its name tells others so.
+
+    Yields:
+        ``.<name>.<host>.<pid>.tmp``: others can see that this process works on it, and sweep it when the process is dead.
+    """
+    folder = beside.absolute().with_name(f".{beside.absolute().name}.{_host()}.{os.getpid()}.tmp")
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextmanager
+def atomic_folder(folder: Path) -> Iterator[Path]:
+    """Give a folder to fill, which takes the place of `folder` when the block ends; after an error nothing is left of it.
+
+    Args:
+        folder: the folder to make: absent or empty when the block ends.
+
+    Raises:
+        OSError: `folder` holds something.
+    """
+    remove_leftovers(folder)
+    with scratch_folder(folder) as temporary:
+        yield temporary
+        temporary.replace(folder)
+
+
+def is_in_hand(temporary: Path) -> bool:
+    """Whether the process that fills a scratch folder still does.
+
+    Args:
+        temporary: ``.<name>.<host>.<pid>.tmp``.
+    """
+    *_, host, pid = temporary.name.removesuffix(".tmp").rsplit(".", 2)
+    if host == _host():
+        return is_running(int(pid))
+    try:
+        return time.time() - temporary.stat().st_mtime < SILENT_S
+    except OSError:  # it has just been put in place
+        return False
+
+
+def scratch_folders(beside: Path) -> list[Path]:
+    """What `scratch_folder` made beside a path and is there still, in hand or not."""
+    pattern = f".{glob.escape(beside.absolute().name)}.*.*.tmp"
+    return [item for item in beside.absolute().parent.glob(pattern) if item.is_dir()]
+
+
+def remove_leftovers(beside: Path) -> None:
+    """Remove what killed processes left beside a path; not what another process is working on."""
+    for leftover in scratch_folders(beside):
+        if not is_in_hand(leftover):
+            shutil.rmtree(leftover, ignore_errors=True)
+
+
+def is_running(pid: int) -> bool:
+    """Whether a process of this machine is there and works; a zombie that nobody has collected does not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        pass
+    if Path("/proc/self").exists():
+        return False
+    try:  # no /proc: another system
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass
+    return True
+
+
+def _host() -> str:
+    """This machine, as part of a file's name."""
+    return socket.gethostname().replace(".", "-")
