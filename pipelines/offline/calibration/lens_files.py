@@ -11,11 +11,12 @@ from ggvs_eval.arrays import Array
 from ggvs_eval.datasets.easymocap_yaml import PIXEL_CENTRE
 from ggvs_eval.datasets.filestorage_yaml import FileStorageYaml
 from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.files.unpickler import unpickle_plain
 from ggvs_eval.lens import Lens
 from ggvs_eval.pipelines.offline.calibration.known_cameras import fit_known, read_known
-from ggvs_eval.pipelines.offline.calibration.lens_pickle import read_plain_pickle
 
 KINDS = "intri.yml (EasyMocap), calib_*.pkl (D3DMV) or a .toml file with cameras"
+LARGEST_PICKLE_BYTES = 1 << 20
 Size = tuple[int, int]
 
 
@@ -78,7 +79,7 @@ def _from_easymocap(path: Path, sizes: Mapping[str, Size]) -> dict[str, LensAndT
 
 
 def _from_d3dmv(path: Path, sizes: Mapping[str, Size]) -> dict[str, LensAndTarget]:
-    entries = read_plain_pickle(path)
+    entries = read_pickle(path)
     if not isinstance(entries, list) or len(entries) != len(sizes):
         found = f"{len(entries)} entries" if isinstance(entries, list) else "no list"
         raise CaptureError(f"{path}: wanted one entry for each of the {len(sizes)} cameras, got {found}; restore all videos")
@@ -90,6 +91,24 @@ def _from_d3dmv(path: Path, sizes: Mapping[str, Size]) -> dict[str, LensAndTarge
         target = np.array([[width / 2, 0.0, width / 2], [0.0, width / 2, height / 2], [0.0, 0.0, 1.0]])
         found_lenses[name] = LensAndTarget(lens, target)
     return found_lenses
+
+
+def read_pickle(path: Path) -> Any:
+    """What a ``calib_*.pkl`` holds; nothing in it is run.
+
+    Raises:
+        CaptureError: absent, too large, cut, or holding more than plain numbers and arrays.
+    """
+    size = path.stat().st_size if path.is_file() else -1
+    if not 0 < size <= LARGEST_PICKLE_BYTES:
+        found = "no such file" if size < 0 else f"{size} bytes"
+        raise CaptureError(
+            f"{path}: wanted a pickled calibration below {LARGEST_PICKLE_BYTES >> 20} MiB, got {found}; restore it"
+        )
+    try:
+        return unpickle_plain(path.read_bytes())
+    except ValueError as error:
+        raise CaptureError(f"{path}: wanted a pickle of plain numbers and arrays, got: {error}; nothing was run") from error
 
 
 def _numbers(path: Path, name: str, entry: Any, key: str, count: int) -> Array:
