@@ -36,8 +36,7 @@ def doctor(
         reading: how the capture is read.
         jobs: processes.
     """
-    from ggvs_eval.pipelines.inspection.renders.examine import examine
-    from ggvs_eval.pipelines.inspection.renders.finding import findings_table
+    from ggvs_eval.pipelines.inspection.renders.examine import examine, faults_table
     from ggvs_eval.pipelines.inspection.renders.run_views import cameras_of_run, views_of_run
 
     folder, labels = _rendered(renders, capture, protocol, run, reading, jobs)
@@ -45,7 +44,7 @@ def doctor(
     for label in labels:
         findings = examine(views_of_run(folder, label), cameras_of_run(folder))
         certain |= any(finding.verdict == "certain" for finding in findings)
-        print(f"{label}\n{findings_table(findings)}")
+        print(f"{label}\n{faults_table(findings)}")
     if certain:
         sys.exit(1)
 

@@ -14,7 +14,7 @@ from ggvs_eval.geometry.epipolar import MatchedPair, consistent, epipolar_errors
 from ggvs_eval.geometry.features import Features, find_features, match_features
 from ggvs_eval.pipelines.inspection.capture.calibration_errors import accused, camera_error, pair_error, triangulated_depths
 from ggvs_eval.pipelines.inspection.capture.camera_record import difference_sigma, largest_change, record_camera
-from ggvs_eval.pipelines.inspection.capture.check import check_capture
+from ggvs_eval.pipelines.inspection.capture.check import CaptureCheck, check_capture
 from ggvs_eval.pipelines.inspection.capture.colour import camera_gains, check_gain, check_noise
 from ggvs_eval.pipelines.inspection.capture.depth_range import neighbour_spacing
 from ggvs_eval.pipelines.inspection.capture.frames import common_repeats, frozen_frames
@@ -26,7 +26,7 @@ from ggvs_eval.pipelines.inspection.capture.pairs import neighbour_pairs
 from ggvs_eval.pipelines.inspection.capture.poses import away_angles, check_poses, look_at_point, roll_angles, same_places
 from ggvs_eval.pipelines.inspection.capture.repairs import explain_camera, explain_rig, with_focal
 from ggvs_eval.pipelines.inspection.capture.scale import check_scale
-from ggvs_eval.pipelines.inspection.finding import CaptureCheck, Finding, graded, worst
+from ggvs_eval.pipelines.inspection.finding import Finding, graded, worst
 from helpers.captures import make_image, make_rig, write_dynerf, write_folders, write_poses
 
 TARGET = np.array([0.5, -0.25, 6.0])

@@ -14,8 +14,7 @@ from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.llff import LlffPose, llff_pose, read_llff_poses, write_llff_poses
 from ggvs_eval.files.images import quantise, write_image
 from ggvs_eval.files.video import VideoFrames, write_video
-from ggvs_eval.pipelines.inspection.capture.check import check_capture, examine, record_cameras, run_check
-from ggvs_eval.pipelines.inspection.finding import CaptureCheck
+from ggvs_eval.pipelines.inspection.capture.check import CaptureCheck, check_capture, examine, record_cameras, run_check
 
 WIDTH, HEIGHT, N_FRAMES, COLUMNS = 320, 240, 24, 3
 

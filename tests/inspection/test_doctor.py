@@ -9,8 +9,8 @@ import pytest
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import read_image
-from ggvs_eval.pipelines.inspection.renders.examine import examine
-from ggvs_eval.pipelines.inspection.renders.finding import DoctorFinding, findings_table
+from ggvs_eval.pipelines.inspection.finding import Finding
+from ggvs_eval.pipelines.inspection.renders.examine import examine, faults_table
 from ggvs_eval.pipelines.inspection.renders.run_views import cameras_of_run, views_of_run
 from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames
 from ggvs_eval.run_folder import RunFolder, frame_path
@@ -79,14 +79,14 @@ def view_of(rendered: np.ndarray, captured: np.ndarray, frames: range = range(N_
     return ViewFrames(lambda index: rendered[index], lambda index: captured[index], frames, range(len(captured)))
 
 
-def diagnose(rendered: np.ndarray, truth: dict[str, np.ndarray], frames: range = range(N_FRAMES)) -> list[DoctorFinding]:
+def diagnose(rendered: np.ndarray, truth: dict[str, np.ndarray], frames: range = range(N_FRAMES)) -> list[Finding]:
     """Findings on renders that are said to be of VIEW."""
     cameras = {name: captured.__getitem__ for name, captured in truth.items()}
     return examine({VIEW: view_of(rendered, truth[VIEW], frames)}, cameras)
 
 
-def faults(findings: list[DoctorFinding]) -> list[str]:
-    return [finding.fault for finding in findings]
+def faults(findings: list[Finding]) -> list[str]:
+    return [finding.question for finding in findings]
 
 
 def table(curve: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
@@ -160,7 +160,7 @@ def test_a_frame_offset_is_found_with_its_sign(offset, kind, honest, truth):
     rendered = np.roll(honest[kind][VIEW], -offset, axis=0)
     (finding,) = diagnose(rendered, truth, range(3, 7))
 
-    assert finding.fault == "frame offset"
+    assert finding.question == "frame offset"
     assert finding.values["offset_frames"] == offset
 
 
@@ -169,7 +169,7 @@ def test_the_wrong_camera_is_named(kind, honest, truth):
     """Renders of another camera under this one's name are found, and the camera with them."""
     (finding,) = diagnose(honest[kind][OTHER], truth)
 
-    assert (finding.fault, finding.verdict) == ("wrong camera", "certain")
+    assert (finding.question, finding.verdict) == ("wrong camera", "certain")
     assert f"shows {OTHER}" in finding.measured
 
 
@@ -180,14 +180,14 @@ def test_a_shift_that_single_views_leave_in_doubt_is_told_by_all(honest, truth):
         for name, frames in honest["warped"].items()
     }
 
-    assert [(one.view, one.fault) for one in examine(views)] == [(name, "shift") for name in truth]
+    assert [(one.subject, one.question) for one in examine(views)] == [(name, "shift") for name in truth]
 
 
 def test_a_large_shift_is_measured(honest, truth):
     """A crop that is off by many pixels is a shift, not another picture."""
     (shift,) = diagnose(np.stack([shifted(9, -6)(image) for image in honest["blurred"][VIEW]]), truth)
 
-    assert shift.fault == "shift"
+    assert shift.question == "shift"
     assert (shift.values["shift_x_px"], shift.values["shift_y_px"]) == pytest.approx((9, -6), abs=0.15)
 
 
@@ -218,7 +218,7 @@ def test_the_truth_itself_is_found_out(truth):
     soft = np.stack([cv2.GaussianBlur(image, (0, 0), 0.6) for image in captured])
 
     (exact,) = diagnose(captured, truth)
-    assert (exact.fault, exact.verdict) == ("truth copied in", "certain")
+    assert (exact.question, exact.verdict) == ("truth copied in", "certain")
     assert faults(diagnose(quantised(captured + noise), truth)) == ["truth copied in"]
     assert faults(diagnose(soft, truth)) == ["truth copied in"]
     assert faults(diagnose(np.stack([jpeg(90)(image) for image in captured]), truth)) == ["truth copied in", "JPEG"]
@@ -233,7 +233,7 @@ def test_sensor_noise_in_the_rendering_is_certain_proof():
     clean = quantised(np.stack([0.8 * scene + 0.2 * wrong + rng.normal(0, 3, scene.shape) for _ in range(4)]))
 
     found, nothing = (examine({VIEW: view_of(rendered, captured, range(4))}) for rendered in (mixed, clean))
-    assert [(one.fault, one.verdict) for one in found] == [("truth copied in", "certain")]
+    assert [(one.question, one.verdict) for one in found] == [("truth copied in", "certain")]
     assert nothing == []
 
 
@@ -245,7 +245,7 @@ def test_repeated_and_frozen_frames_are_listed(honest, truth):
     (frozen,) = diagnose(np.repeat(repeated[3:4], N_FRAMES, axis=0), truth)
     captured[[3, 6]] = captured[[2, 5]]
 
-    assert finding.fault == frozen.fault == "repeated frames"
+    assert finding.question == frozen.question == "repeated frames"
     assert "frames 3, 6 " in finding.measured
     assert "all 9 frames show one instant" in frozen.measured
     assert examine({VIEW: view_of(repeated, captured)}) == []
@@ -257,7 +257,7 @@ def test_blank_frames_are_listed(honest, truth):
     rendered[[0, 7]] = 0
     blank, order = diagnose(rendered, truth)
 
-    assert (blank.fault, order.fault) == ("blank frames", "channel order")
+    assert (blank.question, order.question) == ("blank frames", "channel order")
     assert "frames 0, 7 " in blank.measured
     assert faults(diagnose(np.zeros_like(rendered), truth)) == ["blank frames"]
 
@@ -269,7 +269,7 @@ def test_renders_of_another_size_are_compared_all_the_same(honest, truth):
     )
     size, mirrored = diagnose(rendered, truth)
 
-    assert (size.fault, mirrored.fault) == ("wrong size", "mirrored")
+    assert (size.question, mirrored.question) == ("wrong size", "mirrored")
     assert "144 x 108" in size.measured
     assert "192 x 144" in size.measured
 
@@ -316,11 +316,9 @@ def test_a_run_folder_is_read(tmp_path):
 def test_the_table_fits_a_screen_and_joins_views():
     """Equal findings of several views share a line of at most 130 characters."""
     values, long = {"offset_frames": 1.0}, "frame t shows instant t+1 and " + "so on " * 30
-    findings = [
-        DoctorFinding(name, "frame offset", "certain", long, values, "renumber") for name in [f"cam{i:02d}" for i in range(12)]
-    ]
-    text = findings_table(findings)
+    findings = [Finding(name, "frame offset", "certain", long, values, "renumber") for name in [f"cam{i:02d}" for i in range(12)]]
+    text = faults_table(findings)
 
-    assert "cam00, cam01, cam02 and 9 more" in text
+    assert "cam06, cam07 and 4 more" in text
     assert max(map(len, text.splitlines())) <= 130
-    assert "nothing found" in findings_table([])
+    assert "nothing found" in faults_table([])

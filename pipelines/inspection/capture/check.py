@@ -3,7 +3,9 @@
 import time
 from collections.abc import Callable
 from concurrent.futures import as_completed
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
@@ -25,7 +27,8 @@ from ggvs_eval.pipelines.inspection.capture import (
 from ggvs_eval.pipelines.inspection.capture.calibration_errors import triangulated_depths
 from ggvs_eval.pipelines.inspection.capture.camera_record import CameraRecord, record_camera
 from ggvs_eval.pipelines.inspection.capture.pairs import match_pairs, neighbour_pairs
-from ggvs_eval.pipelines.inspection.finding import RIG, CaptureCheck, Finding
+from ggvs_eval.pipelines.inspection.finding import RIG, Finding
+from ggvs_eval.pipelines.inspection.table import WIDTH, findings_table
 from ggvs_eval.progress import track
 from ggvs_eval.run_folder import write_json
 
@@ -43,6 +46,44 @@ QUESTIONS = (
     colour.NOISE,
     scale.QUESTION,
 )
+
+
+@dataclass(frozen=True)
+class CaptureCheck:
+    """Everything that was found out about one capture.
+
+    Attributes:
+        path: the capture.
+        findings: in the order of the questions; per question the rig first, then its cameras.
+        seconds: how long the check took.
+    """
+
+    path: Path
+    findings: tuple[Finding, ...]
+    seconds: float = 0.0
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether nothing was found that would spoil results."""
+        return all(finding.verdict != "bad" for finding in self.findings)
+
+    def of(self, question: str) -> tuple[Finding, ...]:
+        """The answers to one question."""
+        return tuple(finding for finding in self.findings if finding.question == question)
+
+    def to_json(self) -> dict[str, Any]:
+        """The check as plain values for a JSON file."""
+        findings = [{**asdict(finding), "values": dict(finding.values)} for finding in self.findings]
+        return {
+            "capture": str(self.path),
+            "is_usable": self.is_usable,
+            "seconds": round(self.seconds, 2),
+            "findings": findings,
+        }
+
+    def table(self, width: int = WIDTH) -> str:
+        """The check as text: one line per question, and one for each group of cameras that deviate."""
+        return findings_table(self.findings, width)
 
 
 def check_capture(path: Path, *, layout: str | None = None, units: GivenUnits = None, workers: int = 1) -> CaptureCheck:

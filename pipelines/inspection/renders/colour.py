@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Array32
-from ggvs_eval.pipelines.inspection.renders.finding import DoctorFinding, verdict_of
+from ggvs_eval.pipelines.inspection.finding import Finding, verdict_of
 from ggvs_eval.pipelines.inspection.renders.view_frames import Sample, ViewFrames
 
 CHANNELS = "RGB"
@@ -23,7 +23,7 @@ VIDEO_BLACK, VIDEO_WHITE = 16.0, 235.0
 FLOOR_255, CEILING_255 = (14.0, 20.0), 236.5
 
 
-def find_channel_order(name: str, view: ViewFrames, sample: Sample) -> tuple[list[DoctorFinding], ViewFrames]:
+def find_channel_order(name: str, view: ViewFrames, sample: Sample) -> tuple[list[Finding], ViewFrames]:
     """Compare the hue of the pictures under every order of the channels.
 
     The mean of the channels does not depend on their order and is left out.
@@ -44,11 +44,11 @@ def find_channel_order(name: str, view: ViewFrames, sample: Sample) -> tuple[lis
     )
     advice = "convert before writing: OpenCV reads and writes BGR" if came == "BGR" else "reorder the channels before writing"
     verdict = verdict_of(ratio < CERTAIN_ORDER)
-    finding = DoctorFinding(name, "channel order", verdict, measured, values, advice)
+    finding = Finding(name, "channel order", verdict, measured, values, advice)
     return [finding], view.with_rendered(lambda image: np.ascontiguousarray(image[..., list(order)]))
 
 
-def find_tone(name: str, sample: Sample) -> list[DoctorFinding]:
+def find_tone(name: str, sample: Sample) -> list[Finding]:
     """Compare the distribution of levels: no misplaced edge disturbs it, as it would a comparison pixel by pixel."""
     ours, theirs = (levels(images) for images in (sample.rendered, sample.truth_now))  # (quantile, channel)
     found = _video_range(name, sample, ours, theirs)
@@ -60,7 +60,7 @@ def levels(images: Array32) -> NDArray[np.float64]:
     return np.quantile(images.reshape(-1, 3), QUANTILES, axis=0)
 
 
-def _power_law(name: str, ours: NDArray[np.float64], theirs: NDArray[np.float64]) -> list[DoctorFinding]:
+def _power_law(name: str, ours: NDArray[np.float64], theirs: NDArray[np.float64]) -> list[Finding]:
     powers, ratios = zip(*(_fit_power(ours[:, c] / 255, theirs[:, c] / 255) for c in range(3)), strict=True)
     power, ratio = float(np.median(powers)), float(np.median(ratios))
     agree = max(powers) < 1.35 * min(powers)
@@ -75,7 +75,7 @@ def _power_law(name: str, ours: NDArray[np.float64], theirs: NDArray[np.float64]
     measured = (
         f"rendered = truth^{power:.2f} in each channel, levels in 0..1; leaves {ratio:.2f} of what the best affine map leaves"
     )
-    return [DoctorFinding(name, "tone curve", verdict, measured, {"power": power, "rest_ratio": ratio}, advice)]
+    return [Finding(name, "tone curve", verdict, measured, {"power": power, "rest_ratio": ratio}, advice)]
 
 
 def _fit_power(ours: NDArray[np.float64], theirs: NDArray[np.float64]) -> tuple[float, float]:
@@ -93,7 +93,7 @@ def _gain_free_error(model: NDArray[np.float64], ours: NDArray[np.float64]) -> f
     return float(np.abs(gain * model - ours).mean())
 
 
-def _video_range(name: str, sample: Sample, ours: NDArray[np.float64], theirs: NDArray[np.float64]) -> list[DoctorFinding]:
+def _video_range(name: str, sample: Sample, ours: NDArray[np.float64], theirs: NDArray[np.float64]) -> list[Finding]:
     """Levels squeezed into 16..235, or stretched from there although they were not.
 
     A straight line with such an offset is not enough, a milky or a dark rendering has one too: the cut must be seen.
@@ -109,7 +109,7 @@ def _video_range(name: str, sample: Sample, ours: NDArray[np.float64], theirs: N
     measured = f"levels are {what}: rendered = {slope:.2f} x truth {intercept:+.0f}"
     values = {"slope": slope, "intercept_255": intercept}
     advice = "convert between full and limited range exactly once; mark the range in the video"
-    return [DoctorFinding(name, "value range", "likely", measured, values, advice)]
+    return [Finding(name, "value range", "likely", measured, values, advice)]
 
 
 def _is_squeezed(sample: Sample) -> bool:

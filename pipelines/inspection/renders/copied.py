@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from ggvs_eval.arrays import Array32, Image8
-from ggvs_eval.pipelines.inspection.renders.finding import DoctorFinding, Verdict, verdict_of
+from ggvs_eval.pipelines.inspection.finding import Finding, Verdict, verdict_of
 from ggvs_eval.pipelines.inspection.renders.identity import correlation
 from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames
 
@@ -21,7 +21,7 @@ WORST_SHARE, SUSPICIOUS_CORRELATION = 0.05, 0.97
 PATCH_PX, TEXTURE_255, FEWEST_PATCHES = 16, 3.0, 20
 
 
-def find_copied(name: str, view: ViewFrames) -> list[DoctorFinding]:
+def find_copied(name: str, view: ViewFrames) -> list[Finding]:
     """Compare bits, then noise (the fine change over time where nothing moves), then the patches that fit worst."""
     identical: list[bool] = []
     worst: list[float] = []
@@ -97,6 +97,6 @@ def _cells(values: Array32, rows: int, columns: int) -> Array32:
     return cropped.reshape(rows, CELL_PX, columns, CELL_PX).mean(axis=(1, 3))
 
 
-def _finding(name: str, verdict: Verdict, measured: str, values: dict[str, float]) -> DoctorFinding:
+def _finding(name: str, verdict: Verdict, measured: str, values: dict[str, float]) -> Finding:
     advice = "take the test view out of the method's inputs; are truth and render folders mixed up?"
-    return DoctorFinding(name, "truth copied in", verdict, measured, values, advice)
+    return Finding(name, "truth copied in", verdict, measured, values, advice)

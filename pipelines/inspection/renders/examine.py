@@ -1,11 +1,11 @@
 """The examination of renders: each question in turn, and what it finds is mended before the next is asked."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from ggvs_eval.pipelines.inspection.finding import Finding
 from ggvs_eval.pipelines.inspection.renders.colour import find_channel_order, find_tone
 from ggvs_eval.pipelines.inspection.renders.copied import find_copied
-from ggvs_eval.pipelines.inspection.renders.finding import DoctorFinding
 from ggvs_eval.pipelines.inspection.renders.identity import CameraPictures, find_identity, remember
 from ggvs_eval.pipelines.inspection.renders.jpeg import find_jpeg
 from ggvs_eval.pipelines.inspection.renders.offset import find_offset
@@ -13,13 +13,14 @@ from ggvs_eval.pipelines.inspection.renders.placement import find_placement, sha
 from ggvs_eval.pipelines.inspection.renders.repeats import resized, scan_frames
 from ggvs_eval.pipelines.inspection.renders.upscaling import find_upscaling
 from ggvs_eval.pipelines.inspection.renders.view_frames import FrameReader, ViewFrames, take_sample
+from ggvs_eval.pipelines.inspection.table import WIDTH, findings_table
 
 SAMPLED_FRAMES = 12
 
 
 def examine(
     views: Mapping[str, ViewFrames], cameras: Mapping[str, FrameReader] | None = None, sampled_frames: int = SAMPLED_FRAMES
-) -> list[DoctorFinding]:
+) -> list[Finding]:
     """Find what went wrong between a method and the folder of its renders.
 
     An honest rendering, blurred, ghosted, off in colour as it may be, gets no finding: a fault is told only where it explains the
@@ -40,18 +41,25 @@ def examine(
     pictures = {name: remember(read) for name, read in readers.items()}
     examined = {name: _examine_view(name, view, pictures, sampled_frames) for name, view in views.items()}
     shared = shared_shift({name: one.shift_px for name, one in examined.items() if one.shift_px is not None})
-    findings: list[DoctorFinding] = []
+    findings: list[Finding] = []
     for name, one in examined.items():
-        is_told = any(finding.fault == "shift" for finding in one.findings)
-        findings += [*one.findings, *(extra for extra in shared if extra.view == name and not is_told)]
+        is_told = any(finding.question == "shift" for finding in one.findings)
+        findings += [*one.findings, *(extra for extra in shared if extra.subject == name and not is_told)]
     return findings
+
+
+def faults_table(findings: Sequence[Finding], width: int = WIDTH) -> str:
+    """What was found as text; views with word for word the same finding share a line."""
+    if not findings:
+        return "nothing found: no sign of any of the known faults"
+    return findings_table(findings, width, ("fault", "view"), most_lines=len(findings))
 
 
 @dataclass(frozen=True)
 class _Examined:
     """Findings of one view, and its shift where it could be measured."""
 
-    findings: list[DoctorFinding]
+    findings: list[Finding]
     shift_px: tuple[float, float] | None = None
 
 
@@ -61,7 +69,7 @@ def _examine_view(name: str, view: ViewFrames, cameras: Mapping[str, CameraPictu
     if not usable:
         return _Examined(scan.findings)
     view = replace(view, frames=usable, truth_frames=view.known_truth)
-    has_size = all(finding.fault != "wrong size" for finding in scan.findings)
+    has_size = all(finding.question != "wrong size" for finding in scan.findings)
     if not has_size:
         height, width = view.truth(usable[0]).shape[:2]
         view = view.with_rendered(lambda image: resized(image, width, height))
@@ -69,7 +77,7 @@ def _examine_view(name: str, view: ViewFrames, cameras: Mapping[str, CameraPictu
     jpeg = find_jpeg(name, view) if has_size else []
     enlarged = find_upscaling(name, view) if has_size and not jpeg else []
     picture = _examine_picture(name, view, cameras, count)
-    enlarged = [] if any(finding.fault == "wrong resize" for finding in picture.findings) else enlarged
+    enlarged = [] if any(finding.question == "wrong resize" for finding in picture.findings) else enlarged
     return _Examined([*scan.findings, *picture.findings, *enlarged, *jpeg], picture.shift_px)
 
 

@@ -11,7 +11,7 @@ from ggvs_eval.pipelines.inspection.renders.ssim_conventions import ssim_convent
 from ggvs_eval.pipelines.inspection.renders.sted_conventions import sted_conventions
 from ggvs_eval.pipelines.inspection.renders.time_conventions import sdt_conventions, sdv_conventions, tcc_conventions
 from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames
-from ggvs_eval.pipelines.inspection.text_table import text_table
+from ggvs_eval.pipelines.inspection.table import WIDTH, text_table
 
 # Single and double precision disagree by this share of a value; a quoted one may come from either.
 ROUNDING = 5e-6
@@ -95,7 +95,7 @@ def printed(quoted: str) -> tuple[float, float]:
     return float(number), 0.5 * 10.0**exponent
 
 
-def explanation_table(metric: str, quoted: str, conventions: Sequence[Convention], width: int = 130) -> str:
+def explanation_table(metric: str, quoted: str, conventions: Sequence[Convention], width: int = WIDTH) -> str:
     """What was found as text: a sentence, and the conventions over all views, with those over one view that match."""
     wanted, _ = printed(quoted)
     shown = [one for one in conventions if one.views == ALL_VIEWS or one.matches]
@@ -103,7 +103,7 @@ def explanation_table(metric: str, quoted: str, conventions: Sequence[Convention
         ("=" if one.matches else "", "ours" if one.is_ours else "", f"{one.value:.6g}", one.views, one.name)
         for one in sorted(shown, key=lambda one: (not one.matches, not one.is_ours, abs(one.value - wanted)))
     ]
-    table = text_table(("", " ", metric.upper(), "over", "convention"), rows, width, stretched=("convention",))
+    table = text_table({"": 0, " ": 0, metric.upper(): 0, "over": 0, "convention": 1}, rows, width)
     return f"{_sentence(metric.upper(), quoted, wanted, conventions)}\n\n{table}"
 
 

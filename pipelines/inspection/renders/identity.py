@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from ggvs_eval.arrays import Array32
-from ggvs_eval.pipelines.inspection.renders.finding import DoctorFinding, verdict_of
+from ggvs_eval.pipelines.inspection.finding import Finding, verdict_of
 from ggvs_eval.pipelines.inspection.renders.view_frames import FrameReader, ViewFrames, shrink, spread
 
 INSTANTS = 4
@@ -37,7 +37,7 @@ def remember(read: FrameReader) -> CameraPictures:
     return CameraPictures(read, lru_cache(maxsize=INSTANTS)(lambda index: structure(shrink(read(index)))))
 
 
-def find_identity(name: str, view: ViewFrames, cameras: Mapping[str, CameraPictures]) -> tuple[list[DoctorFinding], ViewFrames]:
+def find_identity(name: str, view: ViewFrames, cameras: Mapping[str, CameraPictures]) -> tuple[list[Finding], ViewFrames]:
     """Compare with every camera's picture and its mirror images.
 
     Args:
@@ -77,7 +77,7 @@ def correlation(first: Array32, second: Array32) -> float:
 
 def _evaluate(
     name: str, view: ViewFrames, cameras: Mapping[str, CameraPictures], scores: Mapping[tuple[str, str], list[float]]
-) -> tuple[list[DoctorFinding], ViewFrames]:
+) -> tuple[list[Finding], ViewFrames]:
     own = np.array(scores[name, "as it is"])
     camera, mirror = max(scores, key=lambda key: float(np.mean(scores[key])))
     best = np.array(scores[camera, mirror])
@@ -89,13 +89,13 @@ def _evaluate(
     verdict = verdict_of(ratio < CERTAIN_RATIO)
     values = {"correlation": float(best.mean()), "own_correlation": float(own.mean()), "instants": float(len(own))}
     shown = f"structure correlates {best.mean():.2f}, as it should be {own.mean():.2f}, at all {len(own)} instants"
-    findings: list[DoctorFinding] = []
+    findings: list[Finding] = []
     if camera != name:
         advice = f"check names and order of the cameras: render {name}, or score these as {camera}"
-        findings.append(DoctorFinding(name, "wrong camera", verdict, f"shows {camera}: {shown}", values, advice))
+        findings.append(Finding(name, "wrong camera", verdict, f"shows {camera}: {shown}", values, advice))
         view = view.with_truth(cameras[camera].read)
     if axes := MIRRORS[mirror]:
         advice = "flip the frames before they are written, or correct the sign of the camera's axes"
-        findings.append(DoctorFinding(name, "mirrored", verdict, f"{mirror}: {shown}", values, advice))
+        findings.append(Finding(name, "mirrored", verdict, f"{mirror}: {shown}", values, advice))
         view = view.with_rendered(lambda image: np.ascontiguousarray(np.flip(image, axes)))
     return findings, view

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Array32, Image8
-from ggvs_eval.pipelines.inspection.renders.finding import DoctorFinding, verdict_of
+from ggvs_eval.pipelines.inspection.finding import Finding, verdict_of
 from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames, spread
 
 INSTANTS = 3
@@ -19,7 +19,7 @@ LIKELY_COMB, CERTAIN_COMB = 0.2, 0.35
 FEWEST_BLOCKS = 40
 
 
-def find_jpeg(name: str, view: ViewFrames) -> list[DoctorFinding]:
+def find_jpeg(name: str, view: ViewFrames) -> list[Finding]:
     """Look for coefficients of 8 x 8 blocks that are multiples of a step on JPEG's grid, and not on a grid half a block off."""
     combs = [comb_strength(view.rendered(index)) for index in spread(view.frames, INSTANTS)]
     strength = min(comb[0] for comb in combs)
@@ -29,9 +29,7 @@ def find_jpeg(name: str, view: ViewFrames) -> list[DoctorFinding]:
     measured = f"block coefficients come in steps (about {step:g} levels): comb {strength:.2f} on the 8 x 8 grid, 0 without JPEG"
     verdict = verdict_of(strength > CERTAIN_COMB)
     values = {"comb": strength, "step_255": step}
-    return [
-        DoctorFinding(name, "JPEG", verdict, measured, values, "write PNG: JPEG costs decibels, or hides noise and gains some")
-    ]
+    return [Finding(name, "JPEG", verdict, measured, values, "write PNG: JPEG costs decibels, or hides noise and gains some")]
 
 
 def comb_strength(image: Image8) -> tuple[float, float]:

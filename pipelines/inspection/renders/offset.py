@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from ggvs_eval.arrays import Array32
-from ggvs_eval.pipelines.inspection.renders.finding import DoctorFinding, verdict_of
+from ggvs_eval.pipelines.inspection.finding import Finding, verdict_of
 from ggvs_eval.pipelines.inspection.renders.identity import correlation
 from ggvs_eval.pipelines.inspection.renders.view_frames import LARGEST_OFFSET, Sample, ViewFrames
 
@@ -17,7 +17,7 @@ LEAST_CORRELATION = 0.45
 AGREEING_SHARE = 0.75
 
 
-def find_offset(name: str, view: ViewFrames, sample: Sample) -> tuple[list[DoctorFinding], ViewFrames]:
+def find_offset(name: str, view: ViewFrames, sample: Sample) -> tuple[list[Finding], ViewFrames]:
     """Correlate the change over time of rendered and captured frames at every lag.
 
     What stands still is taken out by each pixel's mean over the instants, and with it most of what is wrong with a rendering;
@@ -41,7 +41,7 @@ def find_offset(name: str, view: ViewFrames, sample: Sample) -> tuple[list[Docto
         f"{agreeing:.0%} of the instants agree"
     )
     advice = f"renumber the frames by {lag:+d}: first frame counted from 0 or 1, or another start in the protocol?"
-    return [DoctorFinding(name, "frame offset", verdict, measured_text, values, advice)], view.moved(lag)
+    return [Finding(name, "frame offset", verdict, measured_text, values, advice)], view.moved(lag)
 
 
 def _grey(frames: Array32) -> Array32:

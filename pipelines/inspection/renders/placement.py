@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from ggvs_eval.arrays import Array32, Image8
-from ggvs_eval.pipelines.inspection.renders.finding import DoctorFinding, verdict_of
+from ggvs_eval.pipelines.inspection.finding import Finding, verdict_of
 from ggvs_eval.pipelines.inspection.renders.registration import Placement, place
 from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames, shrink, spread
 
@@ -35,7 +35,7 @@ class Placed:
         shift_px: rightwards and downwards; None where the scale is wrong too.
     """
 
-    findings: list[DoctorFinding]
+    findings: list[Finding]
     view: ViewFrames
     shift_px: tuple[float, float] | None
 
@@ -54,7 +54,7 @@ def find_placement(name: str, view: ViewFrames) -> Placed:
     return Placed(stretched, view.with_rendered(lambda image: _scaled(image, *scale)), None)
 
 
-def shared_shift(shifts_px: Mapping[str, tuple[float, float]]) -> list[DoctorFinding]:
+def shared_shift(shifts_px: Mapping[str, tuple[float, float]]) -> list[Finding]:
     """A shift that all views have alike, which single ones may leave in doubt: wrong depth moves each view its own way."""
     if len(shifts_px) < FEWEST_VIEWS:
         return []
@@ -65,7 +65,7 @@ def shared_shift(shifts_px: Mapping[str, tuple[float, float]]) -> list[DoctorFin
         return []
     measured = f"all {len(shifts)} views lie {x:+.2f} px right and {y:+.2f} px down, within {scatter:.2f} px"
     values = {"shift_x_px": x, "shift_y_px": y, "scatter_px": scatter}
-    return [DoctorFinding(name, "shift", "likely", measured, values, _shift_advice(x, y)) for name in shifts_px]
+    return [Finding(name, "shift", "likely", measured, values, _shift_advice(x, y)) for name in shifts_px]
 
 
 def _scaled(image: Image8, scale_x: float, scale_y: float) -> Image8:
@@ -81,7 +81,7 @@ def _grey(image: Image8) -> Array32:
     return np.asarray(shrink(image, LONGEST_SIDE_PX).mean(axis=-1), dtype=np.float32)
 
 
-def _evaluate_scale(name: str, placed: list[Placement]) -> list[DoctorFinding]:
+def _evaluate_scale(name: str, placed: list[Placement]) -> list[Finding]:
     scales = np.array([one.scale for one in placed])  # (instants, 2)
     scale_x, scale_y = (float(value) for value in np.median(scales, axis=0))
     strongest = max(abs(scale_x - 1), abs(scale_y - 1))
@@ -93,10 +93,10 @@ def _evaluate_scale(name: str, placed: list[Placement]) -> list[DoctorFinding]:
     advice = (
         "cropped or resized to another aspect? resize whole frames, and scale the intrinsics (fx, cx by width, fy, cy by height)"
     )
-    return [DoctorFinding(name, "wrong resize", verdict, measured, {"scale_x": scale_x, "scale_y": scale_y}, advice)]
+    return [Finding(name, "wrong resize", verdict, measured, {"scale_x": scale_x, "scale_y": scale_y}, advice)]
 
 
-def _evaluate_shift(name: str, placed: list[Placement], factor: float) -> list[DoctorFinding]:
+def _evaluate_shift(name: str, placed: list[Placement], factor: float) -> list[Finding]:
     shifts = factor * np.array([one.shift_px for one in placed])
     x, y = (float(value) for value in np.median(shifts, axis=0))
     uneven = factor * float(np.median([one.unevenness_px for one in placed]))
@@ -107,7 +107,7 @@ def _evaluate_shift(name: str, placed: list[Placement], factor: float) -> list[D
     verdict = verdict_of(whole < NEAR_HALF_PX and uneven < EVEN * size)
     measured = f"the whole picture lies {x:+.2f} px right and {y:+.2f} px down, parts of it deviate by {uneven:.2f} px"
     values = {"shift_x_px": x, "shift_y_px": y, "unevenness_px": uneven}
-    return [DoctorFinding(name, "shift", verdict, measured, values, _shift_advice(x, y))]
+    return [Finding(name, "shift", verdict, measured, values, _shift_advice(x, y))]
 
 
 def _shift_advice(x: float, y: float) -> str:

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from ggvs_eval.arrays import Array32, Image8
-from ggvs_eval.pipelines.inspection.renders.finding import DoctorFinding
+from ggvs_eval.pipelines.inspection.finding import Finding
 from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames, shrink
 from ggvs_eval.run_folder import as_ranges
 
@@ -35,7 +35,7 @@ class Scan:
         usable: frames with a picture.
     """
 
-    findings: list[DoctorFinding]
+    findings: list[Finding]
     usable: list[int]
 
 
@@ -75,7 +75,7 @@ def resized(image: Image8, width: int, height: int) -> Image8:
     return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
-def _wrong_size(name: str, view: ViewFrames, sizes: dict[tuple[int, int], list[int]]) -> list[DoctorFinding]:
+def _wrong_size(name: str, view: ViewFrames, sizes: dict[tuple[int, int], list[int]]) -> list[Finding]:
     height, width = view.truth(view.frames[0]).shape[:2]
     wrong = {size: indices for size, indices in sizes.items() if size != (width, height)}
     if not wrong:
@@ -83,18 +83,18 @@ def _wrong_size(name: str, view: ViewFrames, sizes: dict[tuple[int, int], list[i
     shown = "; ".join(f"frames {as_ranges(indices)} are {w} x {h}" for (w, h), indices in wrong.items())
     values = {"width_px": float(next(iter(wrong))[0]), "height_px": float(next(iter(wrong))[1])}
     measured = f"{shown}, the truth is {width} x {height}"
-    return [DoctorFinding(name, "wrong size", "certain", measured, values, f"render at {width} x {height}, do not resize after")]
+    return [Finding(name, "wrong size", "certain", measured, values, f"render at {width} x {height}, do not resize after")]
 
 
-def _blank(name: str, blank: list[int], count: int) -> list[DoctorFinding]:
+def _blank(name: str, blank: list[int], count: int) -> list[Finding]:
     if not blank:
         return []
     measured = f"frames {as_ranges(blank)} show nothing ({len(blank)} of {count})"
     advice = "render them again; black frames: is the camera inside something, or near and far wrong?"
-    return [DoctorFinding(name, "blank frames", "certain", measured, {"n_frames": float(len(blank))}, advice)]
+    return [Finding(name, "blank frames", "certain", measured, {"n_frames": float(len(blank))}, advice)]
 
 
-def _repeated(name: str, view: ViewFrames, candidates: list[int]) -> list[DoctorFinding]:
+def _repeated(name: str, view: ViewFrames, candidates: list[int]) -> list[Finding]:
     """Of the frames that hardly differ from the one before those in which the truth goes on moving."""
     if not candidates:
         return []
@@ -107,7 +107,7 @@ def _repeated(name: str, view: ViewFrames, candidates: list[int]) -> list[Doctor
     measured = f"all {len(view.frames)} frames show one instant while the truth moves" if whole else measured
     values = {"n_frames": float(len(found)), "truth_change_255": typical.largest}
     advice = "is time handed to the renderer? a converted frame rate or frames skipped under load repeat some"
-    return [DoctorFinding(name, "repeated frames", "certain", measured, values, advice)]
+    return [Finding(name, "repeated frames", "certain", measured, values, advice)]
 
 
 def _truth_change(view: ViewFrames, indices: list[int]) -> Change:

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8
-from ggvs_eval.pipelines.inspection.renders.finding import DoctorFinding, verdict_of
+from ggvs_eval.pipelines.inspection.finding import Finding, verdict_of
 from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames, spread
 
 INSTANTS = 3
@@ -18,7 +18,7 @@ LARGEST_FINE_SHARE = 0.35
 PLAIN_PEAK = 40.0
 
 
-def find_upscaling(name: str, view: ViewFrames) -> list[DoctorFinding]:
+def find_upscaling(name: str, view: ViewFrames) -> list[Finding]:
     """Look for periods in the curvature along rows and columns, as interpolation leaves them, where fine detail is missing."""
     peaks: list[dict[float, float]] = []
     shares: list[float] = []
@@ -37,7 +37,7 @@ def find_upscaling(name: str, view: ViewFrames) -> list[DoctorFinding]:
     )
     values = {"period_px": period, "peak": strength[period], "fine_share": share}
     advice = "rendered at a smaller size and enlarged? render at the full size"
-    return [DoctorFinding(name, "up-scaled", verdict, measured, values, advice)]
+    return [Finding(name, "up-scaled", verdict, measured, values, advice)]
 
 
 def period_peaks(image: Image8) -> dict[float, float]:
