@@ -4,8 +4,9 @@ Conventions (docs/conventions.md): OpenCV axes, world_to_camera, the centre of p
 depth is z in the camera's frame, in world units.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -65,6 +66,29 @@ class Camera:
             )
         if not 0 < self.near < self.far < np.inf:
             raise CameraError(f"camera {self.name}: depth range must satisfy 0 < near < far, got {self.near:g} .. {self.far:g}")
+
+    def to_json(self) -> dict[str, Any]:
+        """All but the name as values for a JSON file; `from_json` gives back the same camera, bit by bit."""
+        return {
+            "K": self.K.tolist(),
+            "world_to_camera": self.world_to_camera.tolist(),
+            "size": list(self.size),
+            "near": float(self.near),
+            "far": float(self.far),
+        }
+
+    @classmethod
+    def from_json(cls, name: str, values: Mapping[str, Any]) -> "Camera":
+        """The camera that `to_json` wrote.
+
+        Raises:
+            CameraError: a value is missing, or it is no camera.
+        """
+        try:
+            width, height = values["size"]
+            return cls(name, values["K"], values["world_to_camera"], width, height, values["near"], values["far"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise CameraError(f"camera {name}: wanted K, world_to_camera, size, near and far, got: {error}") from error
 
     @property
     def size(self) -> tuple[int, int]:

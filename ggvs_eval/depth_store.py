@@ -49,19 +49,8 @@ def describe_depth(
         digests: content of each of these cameras' frames, by name.
         options: parameters and version of the algorithm, values that JSON knows.
     """
-    cameras = [_describe_camera(each) | {"frames": digests[each.name]} for each in (camera, *partners)]
+    cameras = [{"name": each.name, **each.to_json(), "frames": digests[each.name]} for each in (camera, *partners)]
     return {"camera": cameras[0], "partners": cameras[1:], "options": dict(options)}
-
-
-def _describe_camera(camera: Camera) -> dict[str, object]:
-    return {
-        "name": camera.name,
-        "size": list(camera.size),
-        "K": camera.K.tolist(),
-        "world_to_camera": camera.world_to_camera.tolist(),
-        "near": float(camera.near),
-        "far": float(camera.far),
-    }
 
 
 @dataclass(frozen=True, order=True)

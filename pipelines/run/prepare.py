@@ -104,16 +104,6 @@ def _claim_folder(run: RunFolder, protocol: Protocol, capture: Capture) -> None:
 def _capture_record(capture: Capture, root: Path) -> dict[str, Any]:
     """What a run folder says of its capture: its path as it was given, and where it lies, seen from anywhere and from the run."""
     place = capture.path.resolve()
-    cameras = {
-        camera.name: {
-            "K": camera.K.tolist(),
-            "world_to_camera": camera.world_to_camera.tolist(),
-            "size": list(camera.size),
-            "near": camera.near,
-            "far": camera.far,
-        }
-        for camera in capture.cameras
-    }
     return {
         "path": str(capture.path),
         "place": {"absolute": str(place), "from_run": os.path.relpath(place, root.resolve())},
@@ -125,7 +115,7 @@ def _capture_record(capture: Capture, root: Path) -> dict[str, Any]:
         "units_origin": capture.units_origin,
         "notes": list(capture.notes),
         "edit": capture.edit and asdict(capture.edit),
-        "cameras": cameras,
+        "cameras": {camera.name: camera.to_json() for camera in capture.cameras},
         "digests": {name: capture.digest(name) for name in capture.camera_names},
     }
 

@@ -5,8 +5,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ggvs_eval.camera import Camera
 from ggvs_eval.files.digest import digest_files
 from ggvs_eval.files.images import read_image
@@ -32,16 +30,7 @@ def write_path_record(run: RunFolder, frame: int, poses: Sequence[tuple[Camera, 
     """
     if not poses:
         return
-    cameras = [
-        {
-            "K": camera.K.tolist(),
-            "world_to_camera": camera.world_to_camera.tolist(),
-            "size": list(camera.size),
-            "near": camera.near,
-            "far": camera.far,
-        }
-        for camera, _ in poses
-    ]
+    cameras = [camera.to_json() for camera, _ in poses]
     centres = [camera.centre.tolist() for camera, _ in poses]
     record = {"frame": frame, "centres": centres, "cameras": cameras, "sources": [list(sources) for _, sources in poses]}
     write_json(run.path_record, record)
@@ -89,8 +78,6 @@ def _score(run: RunFolder, label: str, _folder: Path) -> dict[str, Any]:
 def _poses(run: RunFolder, label: str) -> Iterator[PathPose]:
     record = read_json(run.path_record)
     for index, (values, sources) in enumerate(zip(record["cameras"], record["sources"], strict=True)):
-        width, height = values["size"]
-        K, world_to_camera = np.array(values["K"]), np.array(values["world_to_camera"])
-        camera = Camera(f"path{index:04d}", K, world_to_camera, width, height, values["near"], values["far"])
+        camera = Camera.from_json(f"path{index:04d}", values)
         depth = read_path_depth(run.path_depth, index) if pose_file(run.path_depth, index).is_file() else None
         yield PathPose(camera, read_image(frame_path(run.path(label), index)), depth, sources)

@@ -52,13 +52,5 @@ def _digest(capture: Capture) -> str:
     total = hashlib.sha256()
     for camera in capture.cameras:
         source = capture.extras_of(camera.name).depth
-        described = [
-            capture.digest(camera.name),
-            source and source.digest,
-            camera.size,
-            camera.K.tolist(),
-            camera.near,
-            camera.far,
-        ]
-        total.update(repr([*described, camera.world_to_camera.tolist()]).encode())
+        total.update(repr([capture.digest(camera.name), source and source.digest, camera.to_json()]).encode())
     return total.hexdigest()
