@@ -23,7 +23,7 @@ from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
 from ggvs_eval.files.images import quantise
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
-from ggvs_eval.pipelines.offline.depth.matchers import find_matcher
+from ggvs_eval.pipelines.offline.depth.depth_choice import find_matcher
 from ggvs_eval.pipelines.offline.stereo.raft_config import PUBLISHED
 from ggvs_eval.pipelines.offline.stereo.raft_stereo import RaftStereo
 

@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
-from ggvs_eval.pipelines.offline.depth.matchers import find_matcher
-from ggvs_eval.pipelines.offline.plane_sweep.sweep_options import PlaneSweep
+from ggvs_eval.pipelines.offline.depth.depth_choice import find_matcher
+from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep
 from ggvs_eval.pipelines.offline.stereo.matcher import StereoMatcher
 
 

@@ -17,8 +17,7 @@ from ggvs_eval.datasets import open_capture
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
 from ggvs_eval.files.images import read_image
-from ggvs_eval.pipelines.offline.export.colmap_arrays import read_array, write_array
-from ggvs_eval.pipelines.offline.export.dense_workspace import WorkspaceOptions, write_dense_workspace
+from ggvs_eval.pipelines.offline.export.dense_workspace import WorkspaceOptions, read_array, write_array, write_dense_workspace
 from helpers.stereo_scenes import PLANE, look_from, plane_depth, see_plane
 
 PLACES = [(0, 0), (0.4, 0), (-0.4, 0), (0, 0.4)]

@@ -8,11 +8,10 @@ import pytest
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import DepthError, WeightsError
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions, TimeOptions
-from ggvs_eval.pipelines.offline.depth.depth_choice import KEYFRAME_EVERY, DepthRunOptions
+from ggvs_eval.pipelines.offline.depth.depth_choice import KEYFRAME_EVERY, MATCHERS, DepthRunOptions, find_matcher
 from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
 from ggvs_eval.pipelines.offline.depth.fill_store import depth_job, prepare_depth
-from ggvs_eval.pipelines.offline.depth.matchers import MATCHERS, find_matcher
-from ggvs_eval.pipelines.offline.plane_sweep.sweep_options import PlaneSweep
+from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
 from helpers.stereo_scenes import look_from, paint, plane_depth, random_texture, write_capture
 

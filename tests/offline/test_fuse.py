@@ -16,7 +16,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
 from ggvs_eval.pipelines.offline.export.fuse import FuseOptions, fuse_instant
-from ggvs_eval.pipelines.offline.export.surface_normals import surface_normals
+from ggvs_eval.pipelines.offline.export.surfaces import surface_normals
 from helpers.stereo_scenes import look_from
 
 WALL_Z, BALL, RADIUS = 7.0, np.array([0.3, -0.2, 5.0]), 0.8

@@ -13,11 +13,9 @@ from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, Depth
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
 from ggvs_eval.pipelines.offline.depth.fill_store import depth_job, prepare_depth
-from ggvs_eval.pipelines.offline.plane_sweep.plane_sweep import PlaneSweepEstimator
-from ggvs_eval.pipelines.offline.plane_sweep.sweep_level import SweepLevel
-from ggvs_eval.pipelines.offline.plane_sweep.sweep_options import PlaneSweep
-from ggvs_eval.pipelines.offline.plane_sweep.sweep_planes import plan_planes
-from ggvs_eval.pipelines.offline.plane_sweep.sweep_views import find_hidden, turn_partner
+from ggvs_eval.pipelines.offline.plane_sweep.plane_sweep import PlaneSweepEstimator, SweepLevel
+from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep, plan_planes
+from ggvs_eval.pipelines.offline.plane_sweep.views import find_hidden, turn_partner
 from helpers.stereo_scenes import PLANE, look_from, paint, plane_depth, random_texture, see_plane, write_capture
 
 CAMERA = look_from(0, 0, "camera")

@@ -9,10 +9,9 @@ from torch.nn import functional
 
 from ggvs_eval.errors import WeightsError
 from ggvs_eval.pipelines.offline.stereo.raft_config import COMPACT, PUBLISHED
-from ggvs_eval.pipelines.offline.stereo.raft_correlation import Correlation
+from ggvs_eval.pipelines.offline.stereo.raft_matcher import load_network
 from ggvs_eval.pipelines.offline.stereo.raft_stereo import RaftStereo
-from ggvs_eval.pipelines.offline.stereo.raft_update import ConvGru, upsample_convex
-from ggvs_eval.pipelines.offline.stereo.raft_weights import load_network
+from ggvs_eval.pipelines.offline.stereo.raft_update import ConvGru, Correlation, upsample_convex
 from ggvs_eval.residual_block import ResidualBlock
 from helpers.hostile import Hostile
 from helpers.places import DATA_FOLDER

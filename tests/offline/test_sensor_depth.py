@@ -19,8 +19,7 @@ from ggvs_eval.pipelines.offline.sensor.sensor_depth import (
     filter_sensor_depth,
     surface_confidence,
 )
-from ggvs_eval.pipelines.offline.sensor.sensor_grid import SensorGrid
-from ggvs_eval.pipelines.offline.sensor.sensor_holes import close_edges, close_holes
+from ggvs_eval.pipelines.offline.sensor.sensor_grid import SensorGrid, close_edges, close_holes
 from ggvs_eval.pipelines.offline.stereo.fusion import drop_flying_pixels
 from helpers.places import SHARED
 

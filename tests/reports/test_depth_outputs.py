@@ -9,7 +9,7 @@ import trimesh
 
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import DepthError
-from ggvs_eval.pipelines.offline.export.colmap_arrays import read_array
+from ggvs_eval.pipelines.offline.export.dense_workspace import read_array
 from ggvs_eval.pipelines.run.depth_outputs import export_prepared, fuse_prepared, write_prepared_page
 from ggvs_eval.pipelines.run.prepare import prepare
 from ggvs_eval.pipelines.run.run_plan import RunPlan

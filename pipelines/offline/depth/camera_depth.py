@@ -1,4 +1,4 @@
-"""Depth of one camera from the images of its partners, by whatever matcher, frame by frame."""
+"""Depth of one camera from the images of its partners, by whatever matcher, frame by frame, and held against that of others."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
@@ -10,13 +10,12 @@ from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
-from ggvs_eval.pipelines.offline.depth.consistency import ConsistencyOptions
+from ggvs_eval.pipelines.offline.depth.consistency import ConsistencyOptions, check_consistency
 from ggvs_eval.pipelines.offline.plane_sweep.plane_sweep import PlaneSweepEstimator
-from ggvs_eval.pipelines.offline.plane_sweep.sweep_options import PlaneSweep
+from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthOptions
-from ggvs_eval.pipelines.offline.stereo.fusion import drop_flying_pixels, fill_background, smooth_surfaces
+from ggvs_eval.pipelines.offline.stereo.fusion import PairwiseEstimator, drop_flying_pixels, fill_background, smooth_surfaces
 from ggvs_eval.pipelines.offline.stereo.matcher import StereoMatcher
-from ggvs_eval.pipelines.offline.stereo.pairwise import PairwiseEstimator
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
 
 ALGORITHM = "match-fuse-finish 2"  # counts up whenever equal options give other bits
@@ -143,3 +142,26 @@ def finish(raw: DepthMap, options: DepthOptions) -> DepthMap:
     depth = smooth_surfaces(drop_flying_pixels(raw.depth, options.flying), options.smooth, options.smooth_radius_px)
     confidence = np.where(depth > 0, raw.confidence, np.float32(0))
     return DepthMap(*fill_background(depth, confidence, options.filled_confidence))
+
+
+def check_depth(
+    camera: Camera, depth_map: DepthMap, others: Sequence[tuple[Camera, DepthMap]], options: DepthOptions
+) -> DepthMap:
+    """Hold a camera's depth against that of the other sources of a view, and fill the rest from the background.
+
+    Args:
+        camera: the camera of the depth map.
+        depth_map: depth and confidence as they were found, (H, W).
+        others: other cameras with theirs, as they were found too.
+        options: parameters.
+
+    Returns:
+        Depth and confidence, (H, W); those that were given where `options` want no consistency.
+
+    Raises:
+        DepthError: a depth map that does not fit its camera.
+    """
+    if options.consistency is None:
+        return depth_map
+    checked = check_consistency(camera, depth_map, others, options.consistency)
+    return DepthMap(*fill_background(checked.depth, checked.confidence, options.filled_confidence))

@@ -10,8 +10,7 @@ from ggvs_eval.depth_store import DepthJob, DepthStore, describe_depth
 from ggvs_eval.geometry.source_views import SourceChoice, choose_sources
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.jobs.run_all import run_all
-from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
-from ggvs_eval.pipelines.offline.depth.checked_depth import check_depth
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions, check_depth
 from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
 from ggvs_eval.pipelines.offline.depth.pairing import choose_partners
 from ggvs_eval.pipelines.offline.sensor.registered_capture import registered

@@ -6,6 +6,8 @@
     FOLDER/sparse/cameras.txt  images.txt  points3D.txt
     FOLDER/stereo/depth_maps/<camera>.png.geometric.bin    normal_maps/...    consistency_graphs/
     FOLDER/stereo/patch-match.cfg  fusion.cfg
+
+Maps are ``width&height&channels&`` in ASCII, then float32, one channel after the other.
 """
 
 import re
@@ -21,10 +23,48 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.datasets.colmap_writer import Sightings, write_model
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
-from ggvs_eval.files.atomic import atomic_folder
+from ggvs_eval.files.atomic import atomic_folder, write_bytes
 from ggvs_eval.files.images import write_image
-from ggvs_eval.pipelines.offline.export.colmap_arrays import write_array
-from ggvs_eval.pipelines.offline.export.surface_normals import surface_normals
+from ggvs_eval.pipelines.offline.export.surfaces import surface_normals
+
+HEADER = re.compile(rb"(\d{1,9})&(\d{1,9})&(\d{1,9})&")
+
+
+def write_array(path: Path, array: NDArray[np.float32]) -> None:
+    """Write a map whole or not at all.
+
+    Args:
+        path: the file; its folder is made.
+        array: (H, W), or (H, W, C).
+    """
+    planes = array[None] if array.ndim == 2 else np.moveaxis(array, -1, 0)  # (C, H, W)
+    channels, height, width = planes.shape
+    write_bytes(path, f"{width}&{height}&{channels}&".encode() + np.ascontiguousarray(planes, "<f4").tobytes())
+
+
+def read_array(path: Path) -> NDArray[np.float32]:
+    """Read what `write_array` or COLMAP wrote, (H, W) where it has one channel, else (H, W, C).
+
+    Raises:
+        DepthError: absent, or not such a file.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise DepthError(f"{path}: wanted a map of COLMAP's, got: {error}; export the workspace again") from None
+    header = HEADER.match(content)
+    if header is None:
+        raise DepthError(f"{path}: wanted a map that begins with width&height&channels&, got {content[:24]!r}; export it again")
+    width, height, channels = (int(number) for number in header.groups())
+    wanted, found = 4 * width * height * channels, len(content) - header.end()
+    if wanted != found or not wanted:
+        raise DepthError(
+            f"{path}: wanted {width} x {height} x {channels} numbers in {wanted} bytes, got {found}; the file is cut short or "
+            "damaged, export it again"
+        )
+    planes = np.frombuffer(content, "<f4", offset=header.end()).reshape(channels, height, width)
+    return np.ascontiguousarray(planes[0] if channels == 1 else np.moveaxis(planes, 0, -1), np.float32)
+
 
 AGREES = 0.01  # a camera sees a point where its own depth differs by no larger share
 # COLMAP reads names up to a blank in images.txt, up to a comma in patch-match.cfg, and a stroke as a folder.

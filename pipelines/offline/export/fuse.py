@@ -13,8 +13,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
 from ggvs_eval.files.atomic import atomic_file
-from ggvs_eval.pipelines.offline.export.surface_normals import surface_normals
-from ggvs_eval.pipelines.offline.export.tsdf_mesh import mesh_of
+from ggvs_eval.pipelines.offline.export.surfaces import mesh_of, surface_normals
 
 FOOTPRINTS = 2.0  # a voxel by default, in median pixels on the surface
 MOST_VOXELS = 512  # along the diagonal of the scene by default; more would be gigabytes

@@ -1,14 +1,174 @@
 """Depth from all partners at once: planes swept from a small image to the full one, then the fraction of a plane."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
+from ggvs_eval import kernels
 from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
-from ggvs_eval.pipelines.offline.plane_sweep.sweep_level import SweepLevel
-from ggvs_eval.pipelines.offline.plane_sweep.sweep_options import PlaneSweep
+from ggvs_eval.pipelines.offline.plane_sweep.fit import SurfaceFit
+from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep, plan_planes
+from ggvs_eval.pipelines.offline.plane_sweep.views import find_hidden, turn_partner
+
+DISTANCE_SCALE_PX = 1.5  # a pixel of the window this far from its middle counts half
+HIDDEN_PX = 1.5  # of parallax; what lies this much nearer hides
+HIDDEN_WEIGHT = 0.05  # of a partner that should not see a point: little, but all there is where all are hidden
+MEDIAN_TOLERANCE = 5.0  # planes; what is as near to the median of its surroundings stays
+
+
+@dataclass(frozen=True, eq=False)
+class LevelImages:
+    """The images of one instant, as one size of the sweep needs them.
+
+    Attributes:
+        guide: what the camera saw, RGB, (H, W, 3).
+        grey: the same in grey around 0, (H, W).
+        turned: the partners' grey images on the camera's axes.
+    """
+
+    guide: Image8
+    grey: Map
+    turned: tuple[Map, ...]
+
+
+class SweepLevel:
+    """Matches a camera with its partners at one size; all that does not depend on the images is prepared once.
+
+    Args:
+        camera: the camera whose depth is wanted, at this size.
+        partners: the cameras it is matched with, at their full size.
+        options: parameters.
+    """
+
+    def __init__(self, camera: Camera, partners: Sequence[Camera], options: PlaneSweep) -> None:
+        self.camera, self.options = camera, options
+        shrunk = [_as_fine_as(camera, partner) for partner in partners]
+        self.planes = plan_planes(camera, shrunk, options.step_px, options.most_planes)
+        views = [turn_partner(camera, partner, self.planes, options.radius_px) for partner in shrunk]
+        self._views = [(n, shrunk[n].size, view) for n, view in enumerate(views) if view is not None]  # n: which partner
+        self._n_partners = len(partners)
+
+    @property
+    def blind(self) -> bool:
+        """Whether no partner sees anything of what the camera sees."""
+        return not self._views
+
+    def load(self, image: Image8, partner_images: Sequence[Image8]) -> LevelImages:
+        """Prepare the images of one instant, given at full size, RGB."""
+        guide = np.ascontiguousarray(_shrink(image, self.camera.size))
+        turned = [view.turn(_grey(_shrink(partner_images[n], size))) for n, size, view in self._views]
+        return LevelImages(guide, _grey(guide), tuple(turned))
+
+    def match(self, images: LevelImages, prior: Map | None) -> Map:
+        """The surface that the images agree on.
+
+        Args:
+            images: of one instant.
+            prior: inverse depth found at a smaller size, (H', W'); None looks at every plane.
+
+        Returns:
+            Inverse depth, (H, W), 1 / world units.
+        """
+        if prior is not None:
+            prior = cv2.resize(prior, self.camera.size, interpolation=cv2.INTER_NEAREST)
+        surface = self._aggregate(images.guide, self._costs(images, prior))
+        if self.options.median_radius_px:
+            surface = self._move_edges(images.guide, surface)
+        return self.planes.inverse_depth_of(surface)
+
+    def fit(self, images: LevelImages) -> SurfaceFit:
+        """What evaluates a surface by these images."""
+        return SurfaceFit(
+            images.grey,
+            [view for _, _, view in self._views],
+            images.turned,
+            self._n_partners,
+            noise=self.options.noise,
+            window_px=2 * self.options.radius_px + 1,
+            hidden_px=HIDDEN_PX,
+        )
+
+    def _costs(self, images: LevelImages, prior: Map | None) -> NDArray[np.uint8]:
+        """(H, W, planes)."""
+        from ggvs_eval.kernels import _stereo
+
+        options, planes = self.options, self.planes
+        partners = []
+        for (_, _, view), turned in zip(self._views, images.turned, strict=True):
+            visible = None if prior is None else (~find_hidden(view, prior, HIDDEN_PX)).astype(np.uint8)
+            partners.append((turned, view.first, view.last, visible, view.motion))
+        return _stereo.sweep_planes(
+            images.grey,
+            images.guide,
+            partners,
+            (options.radius_px, options.colour_scale, DISTANCE_SCALE_PX, options.noise),
+            HIDDEN_WEIGHT,
+            (planes.first, planes.step, planes.count),
+            self._ranges(prior),
+            *_threads_and_level(),
+        )
+
+    def _ranges(self, prior: Map | None) -> NDArray[np.int32]:
+        """The planes worth a look in each tile of the kernel: around those of the prior in it and in the eight beside it."""
+        from ggvs_eval.kernels import _stereo
+
+        columns, rows = _stereo.TILE_SIZE
+        width, height = self.camera.size
+        across, down = -(-width // columns), -(-height // rows)
+        if prior is None:
+            return np.tile(np.array([0, self.planes.count], np.int32), (down, across, 1))
+        surface = (prior - np.float32(self.planes.first)) / np.float32(self.planes.step)
+        padded = np.pad(surface, ((0, down * rows - height), (0, across * columns - width)), mode="edge")
+        tiles = padded.reshape(down, rows, across, columns)
+        beside = np.ones((3, 3), np.uint8)
+        first = cv2.erode(tiles.min(axis=(1, 3)), beside) - self.options.search_planes
+        last = cv2.dilate(tiles.max(axis=(1, 3)), beside) + self.options.search_planes + 1
+        ranges = np.stack([np.floor(first), np.ceil(last)], axis=-1)
+        return np.ascontiguousarray(np.clip(ranges, 0, self.planes.count).astype(np.int32))
+
+    def _aggregate(self, guide: Image8, costs: NDArray[np.uint8]) -> Map:
+        """Semi-global matching: the surface in planes, (H, W)."""
+        from ggvs_eval.kernels import _stereo
+
+        options, limit = self.options, _stereo.COST_LIMIT
+        small = round(options.small_step * limit)
+        falling = options.large_step / (1 + np.arange(256) / options.edge_grey)
+        large = np.clip(np.rint(falling * limit), 2 * small, limit - small).astype(np.uint8)
+        grey = cv2.cvtColor(guide, cv2.COLOR_RGB2GRAY)
+        return _stereo.aggregate(costs, grey, small, large, *_threads_and_level())[0]
+
+    def _move_edges(self, guide: Image8, surface: Map) -> Map:
+        from ggvs_eval.kernels import _stereo
+
+        radius, colour = self.options.median_radius_px, self.options.median_colour
+        threads = kernels.get_threads()
+        return _stereo.weighted_median(surface, guide, self.planes.count, radius, colour, MEDIAN_TOLERANCE, threads)
+
+
+def _threads_and_level() -> tuple[int, int]:
+    return kernels.get_threads(), kernels.SIMD_LEVELS.index(kernels.get_simd_level())
+
+
+def _as_fine_as(camera: Camera, partner: Camera) -> Camera:
+    """The partner at a size at which its pixels are no finer than the camera's."""
+    share = min(1.0, camera.focal_px / partner.focal_px)
+    return partner.resized(max(round(partner.width * share), 1), max(round(partner.height * share), 1))
+
+
+def _shrink(image: Image8, size: tuple[int, int]) -> Image8:
+    if image.shape[1::-1] == size:
+        return image
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def _grey(image: Image8) -> Map:
+    """Around 0, which keeps sums of squares small."""
+    return cv2.cvtColor(image.astype(np.float32), cv2.COLOR_RGB2GRAY) - np.float32(128)
 
 
 class PlaneSweepEstimator:

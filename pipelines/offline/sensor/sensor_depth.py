@@ -12,8 +12,7 @@ from ggvs_eval.capture import DepthSource
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
 from ggvs_eval.pipelines.offline.sensor.registration import RegisteredDepth
-from ggvs_eval.pipelines.offline.sensor.sensor_grid import SensorGrid
-from ggvs_eval.pipelines.offline.sensor.sensor_holes import close_edges, close_holes
+from ggvs_eval.pipelines.offline.sensor.sensor_grid import SensorGrid, close_edges, close_holes
 from ggvs_eval.pipelines.offline.stereo.fusion import drop_flying_pixels, smooth_surfaces
 
 ALGORITHM = "sensor-filter 1"  # counts up whenever equal options give other bits

@@ -1,8 +1,84 @@
-"""What any stereo matcher looks like to the rest: rectified pair in, disparity and confidence out."""
+"""What matchers of rectified images have in common: their interface, the check of left against right, and subpixel steps.
+
+Semi-global matching interpolates its costs between whole pixels and so prefers whole pixels; on short baselines that bias is the
+largest error in depth. Least squares on the images (one-dimensional Lucas-Kanade) take it away.
+"""
 
 from typing import Protocol
 
+import cv2
+import numpy as np
+
 from ggvs_eval.arrays import Image8, Map
+
+
+def left_right_gap(disparity: Map, disparity_right: Map) -> Map:
+    """How far the right image's disparity at the matched point is from the left one's.
+
+    Args:
+        disparity: of the left image, (H, W), pixels.
+        disparity_right: of the right image, (H, W), pixels, 0 = rejected.
+
+    Returns:
+        Distance in pixels, (H, W); inf where the right image has no disparity or does not show the point.
+    """
+    width = disparity.shape[1]
+    columns = np.rint(np.arange(width, dtype=np.float32) - disparity).astype(np.intp)
+    matched = np.take_along_axis(disparity_right, np.clip(columns, 0, width - 1), axis=1)
+    return np.where((matched > 0) & (columns >= 0), np.abs(disparity - matched), np.float32(np.inf))
+
+
+LARGEST_STEP_PX = 0.5  # larger corrections mean that the match itself is wrong
+NOISE_SLOPE = 4.0  # mean squared slope that noise alone makes, squared grey values per pixel
+
+
+def refine_disparity(left: Image8, right: Image8, disparity: Map, window: int, iterations: int) -> Map:
+    """Move each disparity to where the right image's surroundings fit the left one's best.
+
+    The right image may be exposed differently: the offset is free in each window, the gain is one for all matched points.
+
+    Args:
+        left: grey values, (H, W).
+        right: grey values, (H, W).
+        disparity: (H, W), pixels, 0 = invalid and left so.
+        window: side of the surroundings, pixels.
+        iterations: of the least squares; 2 converge from half a pixel.
+
+    Returns:
+        Refined disparity, (H, W), at most half a pixel per iteration from what was given.
+    """
+    reference, other = left.astype(np.float32), right.astype(np.float32)
+    slope = cv2.Sobel(other, cv2.CV_32F, 1, 0, ksize=3, scale=1 / 8)
+    grid: Map = np.indices(disparity.shape, dtype=np.float32)
+    rows, columns = grid[0], grid[1]
+    valid = disparity > 0
+    if not valid.any():
+        return disparity
+    matched = _sample(other, columns - disparity, rows)[valid]
+    gain = reference[valid].std() / max(matched.std(), np.float32(1))
+    refined = disparity
+    for _ in range(iterations):
+        warped, warped_slope = (gain * _sample(image, columns - refined, rows) for image in (other, slope))
+        step = _solve(reference - warped, warped_slope, valid.astype(np.float32), window)
+        refined = np.where(valid, refined + np.clip(step, -LARGEST_STEP_PX, LARGEST_STEP_PX), np.float32(0))
+    return np.maximum(refined, 0)
+
+
+def _solve(difference: Map, slope: Map, weight: Map, window: int) -> Map:
+    """The step that explains the difference but for a constant per window, (H, W)."""
+    share = np.maximum(cv2.blur(weight, (window, window)), np.float32(1e-6))
+
+    def mean(values: Map) -> Map:
+        return cv2.blur(values * weight, (window, window)) / share
+
+    mean_slope, mean_difference = mean(slope), mean(difference)
+    covariance = mean(slope * difference) - mean_slope * mean_difference
+    variance: Map = np.maximum(mean(slope * slope) - mean_slope * mean_slope, np.float32(0))
+    return -covariance / (variance + np.float32(NOISE_SLOPE))
+
+
+def _sample(image: Map, columns: Map, rows: Map) -> Map:
+    return cv2.remap(image, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
 class StereoMatcher(Protocol):

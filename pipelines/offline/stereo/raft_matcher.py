@@ -1,8 +1,16 @@
-"""RAFT-Stereo as a stereo matcher: pad, start, walk, check left against right, refine."""
+"""RAFT-Stereo as a stereo matcher: load its weights, pad, start, walk, check left against right, refine.
 
+It starts from semi-global matching at half size, its gaps filled from the background. From zero, RAFT-Stereo walks the whole
+disparity in small steps; from a guess that is right nearly everywhere, a small network with few iterations is left with what
+matching cannot do.
+"""
+
+import hashlib
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
+from importlib import resources
 from pathlib import Path
 
 import cv2
@@ -11,12 +19,119 @@ import torch
 
 from ggvs_eval import kernels
 from ggvs_eval.arrays import Image8, Map
+from ggvs_eval.errors import WeightsError
+from ggvs_eval.files.weights_file import load_strict, read_tensors
 from ggvs_eval.one_thread import one_thread
-from ggvs_eval.pipelines.offline.stereo.left_right import left_right_gap
-from ggvs_eval.pipelines.offline.stereo.raft_start import start_from_disparity, start_from_matching
-from ggvs_eval.pipelines.offline.stereo.raft_stereo import SIZE_MULTIPLE
-from ggvs_eval.pipelines.offline.stereo.raft_weights import load_network
-from ggvs_eval.pipelines.offline.stereo.subpixel import refine_disparity
+from ggvs_eval.pipelines.offline.stereo.matcher import left_right_gap, refine_disparity
+from ggvs_eval.pipelines.offline.stereo.raft_config import COMPACT, PUBLISHED, RaftOptions
+from ggvs_eval.pipelines.offline.stereo.raft_stereo import SIZE_MULTIPLE, RaftStereo
+from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
+
+SHIPPED = "raft-compact.safetensors"
+NETWORK = "RAFT-Stereo"  # in messages
+
+
+def shipped_weights() -> Path:
+    """File of the compact network's weights."""
+    return Path(str(resources.files("ggvs_eval.pipelines") / "weights" / SHIPPED))
+
+
+def weights_digest(path: Path) -> str:
+    """sha256 of a weights file, part of a depth map's key.
+
+    Raises:
+        WeightsError: no such file.
+    """
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise WeightsError(f"{path}: wanted weights of {NETWORK}, got no readable file ({error.strerror})") from error
+
+
+@lru_cache(maxsize=2)
+def load_network(path: Path) -> RaftStereo:
+    """The network of a weights file, in evaluation mode; its configuration is known from the tensors.
+
+    Args:
+        path: safetensors of ours, or a ``.pth`` of the authors: a state dict whose names may begin with ``module.``.
+
+    Raises:
+        WeightsError: absent, damaged, more than tensors inside, or tensors of no configuration of RAFT-Stereo.
+    """
+    tensors = read_tensors(path, of=NETWORK)
+    network = RaftStereo(_configuration(tensors, path))
+    load_strict(tensors, network, path, NETWORK)
+    return network.eval()
+
+
+def _configuration(tensors: Mapping[str, torch.Tensor], path: Path) -> RaftOptions:
+    """The configuration whose parameters these are, by names and shapes."""
+    shapes = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
+    nearest, fewest = "", len(shapes) + 1
+    for title, config in {"compact": COMPACT, **PUBLISHED}.items():
+        with torch.device("meta"):
+            wanted = {name: tuple(tensor.shape) for name, tensor in RaftStereo(config).state_dict().items()}
+        different = {name for name in shapes.keys() | wanted.keys() if shapes.get(name) != wanted.get(name)}
+        if not different:
+            return config
+        if len(different) < fewest:
+            name = min(different)
+            nearest = f"{len(different)} differ from '{title}', first {name}: {shapes.get(name)}, wanted {wanted.get(name)}"
+            fewest = len(different)
+    raise WeightsError(f"{path}: {len(shapes)} tensors of no known RAFT-Stereo; {nearest or 'none of its names is known'}")
+
+
+HALF = SgbmMatcher(levels=2, refine_iterations=0, speckle_px=40)
+
+
+def start_from_matching(left: Image8, right: Image8, d_min: int, d_max: int, factor: int) -> Map:
+    """Initial flow of the network.
+
+    Args:
+        left: RGB, (H, W, 3), sizes multiples of `factor`.
+        right: likewise.
+        d_min: smallest disparity, pixels.
+        d_max: largest disparity, pixels.
+        factor: pixels per cell of the flow.
+
+    Returns:
+        Negative disparity in cells, (H / factor, W / factor).
+    """
+    half_size = left.shape[1] // 2, left.shape[0] // 2
+    halves = [cv2.resize(image, half_size, interpolation=cv2.INTER_AREA) for image in (left, right)]
+    found, _ = HALF.match(halves[0], halves[1], d_min // 2, -(-d_max // 2))
+    return start_from_disparity(found, factor // 2)
+
+
+def start_from_disparity(disparity: Map, factor: int) -> Map:
+    """A disparity map as flow of the network: gaps filled, one value per cell.
+
+    Args:
+        disparity: (H, W), pixels, 0 = unknown, sizes multiples of `factor`.
+        factor: pixels per cell.
+
+    Returns:
+        Negative disparity in cells, (H / factor, W / factor).
+    """
+    cells = disparity.shape[1] // factor, disparity.shape[0] // factor
+    filled = fill_from_background(disparity)
+    return np.asarray(-cv2.resize(filled, cells, interpolation=cv2.INTER_NEAREST) / factor, np.float32)
+
+
+def fill_from_background(disparity: Map) -> Map:
+    """Give rejected pixels (0) the smaller of the nearest disparities left and right on their row, else of the rows around."""
+    filled = np.where(disparity > 0, disparity, _smaller_neighbour(disparity))
+    return np.where(filled > 0, filled, _smaller_neighbour(filled.T).T)
+
+
+def _smaller_neighbour(disparity: Map) -> Map:
+    columns = np.broadcast_to(np.arange(disparity.shape[1]), disparity.shape)
+    known = disparity > 0
+    left = np.maximum.accumulate(np.where(known, columns, 0), axis=1)
+    right = np.minimum.accumulate(np.where(known, columns, disparity.shape[1] - 1)[:, ::-1], axis=1)[:, ::-1]
+    sides = np.stack([np.take_along_axis(disparity, side, axis=1) for side in (left, right)])
+    smaller = np.where(sides > 0, sides, np.inf).min(axis=0)
+    return np.where(np.isfinite(smaller), smaller, 0).astype(np.float32)
 
 
 @dataclass(frozen=True)

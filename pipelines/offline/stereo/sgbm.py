@@ -6,8 +6,7 @@ import cv2
 import numpy as np
 
 from ggvs_eval.arrays import Image8, Map
-from ggvs_eval.pipelines.offline.stereo.left_right import left_right_gap
-from ggvs_eval.pipelines.offline.stereo.subpixel import refine_disparity
+from ggvs_eval.pipelines.offline.stereo.matcher import left_right_gap, refine_disparity
 
 SUBPIXEL = 16  # OpenCV counts disparity in sixteenths of a pixel
 

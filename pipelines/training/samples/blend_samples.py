@@ -13,8 +13,7 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.files.images import quantise
 from ggvs_eval.method import Instant, SourceView
-from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
-from ggvs_eval.pipelines.offline.depth.checked_depth import check_depth
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions, check_depth
 from ggvs_eval.pipelines.offline.depth.pairing import choose_partners
 from ggvs_eval.pipelines.online.blend_maps import RawViews, raw_views
 from ggvs_eval.pipelines.online.blending import Blended, Blender, BlendingInputs

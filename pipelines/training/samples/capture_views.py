@@ -27,7 +27,7 @@ class CapturePlan:
         instants: rigs: targets take turns at so many instants, evenly spaced over the capture.
         width: least width of the samples, pixels; captures are reduced, in their own shape, as far as both sides allow.
         height: least height of the samples, pixels.
-        matcher: whose depth the samples have where no sensor measured it, see `ggvs_eval.pipelines.offline.depth.matchers`.
+        matcher: whose depth the samples have where no sensor measured it, see `ggvs_eval.pipelines.offline.depth.depth_choice`.
     """
 
     targets: int = 24

@@ -31,7 +31,8 @@ class RoomPlan:
         width: of the images, pixels.
         height: of the images, pixels.
         wide_share: share of the samples whose sources are drawn from twice as many near cameras instead of being the nearest.
-        matcher: whose depth the samples have, see `ggvs_eval.pipelines.offline.depth.matchers`; a sensor's where there is one.
+        matcher: whose depth the samples have, see `ggvs_eval.pipelines.offline.depth.depth_choice`,
+            or that of a sensor.
         domain: kind of captures, see `ggvs_eval.synthetic.domains`.
         window: width and height of the random part of each view that is kept, pixels; None keeps whole views. Large images would
             fill disks, and a training looks at crops anyway.

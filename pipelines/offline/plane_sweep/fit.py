@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Map
-from ggvs_eval.pipelines.offline.plane_sweep.sweep_views import PartnerView, Projection, find_hidden
+from ggvs_eval.pipelines.offline.plane_sweep.views import PartnerView, Projection, find_hidden
 
 CONFIRMING = 0.3  # a partner takes part where its correlation is at least this
 FLAT = np.float32(0.1)  # confidence without texture, a third of what counts as sure

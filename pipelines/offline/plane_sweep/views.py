@@ -12,7 +12,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Array, Map, Mask
 from ggvs_eval.camera import Camera
-from ggvs_eval.pipelines.offline.plane_sweep.sweep_planes import SMALLEST_DENOMINATOR, SweepPlanes
+from ggvs_eval.pipelines.offline.plane_sweep.planes import SMALLEST_DENOMINATOR, SweepPlanes
 
 MIN_RAY_Z = 1e-3
 
