@@ -22,8 +22,7 @@ from ggvs_eval.method import Instant, SourceView
 from ggvs_eval.one_thread import one_thread
 from ggvs_eval.pipelines.online.blend_maps import blend_maps, raw_views
 from ggvs_eval.pipelines.online.blend_network import WIDTHS, BlendNetwork, BlendNetworkOptions, compose_tensors, read_outputs
-from ggvs_eval.pipelines.online.blending import Blended, BlendingInputs
-from ggvs_eval.pipelines.online.geometric_blender import GeometricBlender
+from ggvs_eval.pipelines.online.blending import Blended, BlendingInputs, GeometricBlender
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
 from ggvs_eval.pipelines.online.network_blender import NetworkBlender, blend_by, blend_start
 from ggvs_eval.pipelines.online.network_inputs import input_channels

@@ -11,8 +11,7 @@ from ggvs_eval.reports.figures.curves import Panel, curve_panels
 from ggvs_eval.reports.figures.slices import Slices, all_slices
 from ggvs_eval.reports.model.measured import MeasuredRun, read_run
 from ggvs_eval.reports.model.table import Table
-from ggvs_eval.reports.tables.decomposition_table import decomposition_table
-from ggvs_eval.reports.tables.error_budget import budget_table
+from ggvs_eval.reports.tables.error_budget import budget_table, decomposition_table
 from ggvs_eval.reports.tables.report_tables import main_tables, view_tables
 from ggvs_eval.reports.tables.timing import timing_table
 from ggvs_eval.results import Results, merge_results

@@ -26,7 +26,7 @@ FLOORS = (
     ("reports.model",),
     ("reports.figures", "reports.tables", "reports.depth_page"),
     ("reports.run_groups",),
-    ("reports.table_files", "reports.page"),
+    ("reports.page",),
     ("reports.report",),
     ("pipelines.online", "pipelines.offline.stereo", "pipelines.offline.plane_sweep", "pipelines.offline.calibration"),
     ("pipelines.methods", "pipelines.offline.sensor"),

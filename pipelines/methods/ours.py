@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 def _geometric(options: Any = None, background: bool = True) -> Method:
     """With geometric weights in place of the network, and `OnlineOptions`."""
-    from ggvs_eval.pipelines.online.geometric_blender import GeometricBlender
+    from ggvs_eval.pipelines.online.blending import GeometricBlender
     from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
 
     return GeometryGuided(options, GeometricBlender(background=background))

@@ -1,4 +1,4 @@
-"""What a blending network does at full size, by compiled kernels: its outputs composed, and the picture refined.
+"""Full-size passes around the blending network by compiled kernels: all views at one glance, composition, refinement.
 
 The torch code of `blend_network` and `refiner` says the same, is what training differentiates, and defines these in the tests.
 """
@@ -6,13 +6,50 @@ The torch code of `blend_network` and `refiner` says the same, is what training 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from torch import nn
 
 from ggvs_eval.arrays import Map
+from ggvs_eval.geometry.splat import COVERED_ALPHA
 from ggvs_eval.kernels import SIMD_LEVELS, get_simd_level, get_threads
 from ggvs_eval.pipelines.online.blend_maps import BlendMaps
 from ggvs_eval.pipelines.online.blend_network import BEYOND_VIEWS, SURE
 from ggvs_eval.pipelines.online.refiner import Refiner
+
+
+@dataclass(frozen=True, eq=False)
+class Overview:
+    """The views at one glance.
+
+    Attributes:
+        small: `BlendMaps.reduced`.
+        unseen: `BlendMaps.unseen`, (H, W), in [0, 1].
+        picture: the views blended by coverage and their weights, black where none has any, (H, W, 3).
+        covered: where a splat shows something, (H, W).
+    """
+
+    small: BlendMaps
+    unseen: Map
+    picture: Map
+    covered: NDArray[np.bool_]
+
+
+def overview(maps: BlendMaps, scale: int) -> Overview:
+    """All that follows from the views alone.
+
+    Args:
+        maps: the K views.
+        scale: of the network, see `BlendNetworkOptions`.
+    """
+    from ggvs_eval.kernels import _core
+
+    arrays = (maps.colours, maps.coverage, maps.seen, maps.alphas)
+    colours, coverage, seen, alphas = (np.ascontiguousarray(each, np.float32) for each in arrays)
+    picture, unseen, covered, means = _core.overview(
+        colours, coverage, seen, alphas, maps.weights, scale, COVERED_ALPHA, get_threads()
+    )
+    return Overview(maps.with_means(scale, means), unseen, picture, covered)
+
 
 OUTPUT_MULTIPLE = 8  # of a layer: so many are summed at once
 

@@ -1,30 +1,76 @@
 """Learned weights: the blending network of the paper in place of geometric ones."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from ggvs_eval.arrays import Map
-from ggvs_eval.compute_device import compute_device
+from ggvs_eval.compute_device import compute_device, rendering_on
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.per_pixel import weighted_mean
 from ggvs_eval.geometry.splat import COVERED_ALPHA
 from ggvs_eval.kernels.side_by_side import side_by_side
 from ggvs_eval.one_thread import one_thread
 from ggvs_eval.pipelines.online.blend_maps import BlendMaps, Guidance, blend_maps
-from ggvs_eval.pipelines.online.blend_network import BlendNetwork, small_outputs
+from ggvs_eval.pipelines.online.blend_network import SURE, BlendNetwork, compose_tensors, read_outputs, small_outputs
 from ggvs_eval.pipelines.online.blend_weights import load_blend_network, shipped_blend_weights
-from ggvs_eval.pipelines.online.blending import Blended, BlendingInputs
-from ggvs_eval.pipelines.online.full_size import composed, refined
-from ggvs_eval.pipelines.online.inpainting import push_pull
-from ggvs_eval.pipelines.online.input_kernel import network_channels
-from ggvs_eval.pipelines.online.network_inputs import GUIDED
-from ggvs_eval.pipelines.online.overview import overview
-from ggvs_eval.pipelines.online.torch_blender import blend_on
-from ggvs_eval.pipelines.online.unet_kernel import unet_outputs
-from ggvs_eval.pipelines.online.view_shares import view_shares
+from ggvs_eval.pipelines.online.blending import Blended, BlendingInputs, push_pull
+from ggvs_eval.pipelines.online.full_size import composed, overview, refined
+from ggvs_eval.pipelines.online.network_inputs import GUIDED, network_channels
+from ggvs_eval.pipelines.online.refiner import NO_WEIGHT
+from ggvs_eval.pipelines.online.unet import unet_outputs
+
+
+def view_shares(small: Map, reduced: BlendMaps) -> Map:
+    """Share of each view in the composed picture (Eqs. 4-5) at the network's own size, (K, h, w).
+
+    Args:
+        small: `small_outputs` of the network, (K + 4 + F, h, w).
+        reduced: the maps of that size.
+    """
+    views = len(reduced.coverage)
+    weights = small[:views] * reduced.coverage
+    unseen = np.clip(reduced.unseen(), SURE, 1 - SURE)
+    background = 1 / (1 + np.exp(-small[views]) * (1 - unseen) / unseen)
+    return np.asarray(weights * ((1 - background) / np.maximum(weights.sum(axis=0), NO_WEIGHT)), np.float32)
+
+
+def blend_on(network: BlendNetwork, maps: BlendMaps, device: torch.device) -> Blended:
+    """What a network makes of the views, as `blend_by` but for rounding.
+
+    What the network looks at, and the background, come from the compiled kernels on the CPU: they pass over the views once.
+
+    Args:
+        network: lies on the device.
+        maps: the K views.
+        device: where network, composition and refiner compute.
+
+    Raises:
+        DeviceError: the GPU's memory is out.
+    """
+    config = network.config
+    seen = overview(maps, config.scale)
+    channels = network_channels(seen.small, config.guidance, config.views)
+    with rendering_on(device):
+        raw = network(torch.as_tensor(channels)[None])
+        background = push_pull(seen.picture, seen.covered)  # while a GPU works on what it was asked for
+        start = _tensors({"weights": maps.weights, "unseen": seen.unseen, "background": np.moveaxis(background, 2, 0)})
+        views = _tensors({"coverage": maps.coverage, "fused_depth": maps.fused_depth})
+        views["colours"] = torch.as_tensor(maps.colours)[None].permute(0, 1, 4, 2, 3)  # (1, K, 3, H, W)
+        outputs = read_outputs(raw, start, config.views)
+        picture = network.refine(compose_tensors(outputs, views["colours"], views["coverage"]), outputs, views)
+        image = picture[0].clamp(0, 1).permute(1, 2, 0).contiguous().numpy(force=True)
+        small = small_outputs(raw, start["weights"], config.views)[0].contiguous().numpy(force=True)
+    return Blended(image, view_shares(small, seen.small))
+
+
+def _tensors(arrays: Mapping[str, Map]) -> dict[str, Tensor]:
+    """Arrays as batches of one."""
+    return {name: torch.as_tensor(np.ascontiguousarray(array))[None] for name, array in arrays.items()}
 
 
 @dataclass(frozen=True)
@@ -67,7 +113,7 @@ class NetworkBlender:
 def blend_by(network: BlendNetwork, maps: BlendMaps) -> Blended:
     """What a network makes of the views; equal bits whatever the number of threads.
 
-    Compiled kernels compute it, those of `unet_kernel` at the network's own size and those of `full_size` at full size.
+    Compiled kernels compute it, those of `unet` at the network's own size and those of `full_size` at full size.
     """
     config = network.config
     seen = overview(maps, config.scale)

@@ -1,11 +1,15 @@
-"""The U-Net of the blending network."""
+"""The U-Net of the blending network: in torch, which training differentiates, and by compiled kernels with equal bits."""
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-SIMD_LEVELS = 4
-SIZE_MULTIPLE = 2**SIMD_LEVELS
+from ggvs_eval.arrays import Map
+from ggvs_eval.kernels import SIMD_LEVELS, get_simd_level, get_threads
+
+LEVELS = 4
+SIZE_MULTIPLE = 2**LEVELS
 LEAST_SIZE_PX = 2 * SIZE_MULTIPLE  # the coarsest level must be two cells wide, or there is nothing to reflect
 
 
@@ -24,7 +28,7 @@ class UNet(nn.Module):
 
     def __init__(self, inputs: int, outputs: int, width: int) -> None:
         super().__init__()
-        widths = [width << level for level in range(SIMD_LEVELS + 1)]
+        widths = [width << level for level in range(LEVELS + 1)]
         befores = [inputs, *widths[:-1]]
         self.down = nn.ModuleList(_block(before, after) for before, after in zip(befores, widths, strict=True))
         self.up = nn.ModuleList(_block(3 * each, each) for each in reversed(widths[:-1]))
@@ -61,3 +65,35 @@ def _margins(size: int) -> tuple[int, int]:
     """Pixels to add on both sides."""
     missing = max(LEAST_SIZE_PX - size, -size % SIZE_MULTIPLE)
     return missing // 2, missing - missing // 2
+
+
+def unet_outputs(unet: UNet, channels: Map) -> Map:
+    """What a U-Net makes of channels (inputs, H, W): (outputs, H, W), float32.
+
+    `UNet.forward` is what training differentiates, and defines this in the tests. Torch would need one thread for equal bits:
+    its convolutions sum in another order with more.
+
+    Raises:
+        TypeError: another number of channels than the first layer takes.
+    """
+    from ggvs_eval.kernels import _core
+
+    layers = [layer for block in (*unet.down, *unet.up) for layer in _layers(block)]
+    last = np.ascontiguousarray(_array(unet.last, "weight")[:, :, 0, 0]), _array(unet.last, "bias")
+    epsilon = next(module.eps for module in unet.modules() if isinstance(module, nn.GroupNorm))
+    inputs = np.ascontiguousarray(channels, np.float32)
+    return _core.unet(inputs, layers, last, epsilon, get_threads(), SIMD_LEVELS.index(get_simd_level()))
+
+
+def _layers(block: nn.Module) -> list[tuple[Map, Map, Map, Map]]:
+    """Weights, bias, gain and shift of a block's convolutions and the normalisations behind them."""
+    convolutions = [module for module in block.modules() if isinstance(module, nn.Conv2d)]
+    norms = [module for module in block.modules() if isinstance(module, nn.GroupNorm)]
+    return [
+        (_array(convolution, "weight"), _array(convolution, "bias"), _array(norm, "weight"), _array(norm, "bias"))
+        for convolution, norm in zip(convolutions, norms, strict=True)
+    ]
+
+
+def _array(module: nn.Module, name: str) -> Map:
+    return module.get_parameter(name).detach().float().cpu().numpy()

@@ -8,8 +8,8 @@ from ggvs_eval.pipelines.offline.export.dense_workspace import WorkspaceOptions,
 from ggvs_eval.pipelines.offline.export.fuse import FusedFiles, FuseOptions, fuse_instant
 from ggvs_eval.pipelines.offline.sensor.registration import Registration
 from ggvs_eval.pipelines.run.run_plan import RunPlan
-from ggvs_eval.reports.depth_page.depth_page import write_depth_page
-from ggvs_eval.reports.depth_page.depth_record import StoredDepth
+from ggvs_eval.reports.depth_page.page import write_depth_page
+from ggvs_eval.reports.depth_page.record import StoredDepth
 
 
 def write_prepared_page(prepared: RunPlan, filled_confidence: float, workers: int = 1) -> Path:

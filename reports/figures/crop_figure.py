@@ -8,8 +8,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.files.images import read_image
-from ggvs_eval.reports.figures.curves import COLOURS
-from ggvs_eval.reports.figures.figure_file import save_figure
+from ggvs_eval.reports.figures.curves import COLOURS, save_figure
 from ggvs_eval.reports.figures.regions import ERROR_FULL_SCALE, RULES, Region, Rule, find_regions, read_errors
 from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.run_folder import frame_path

@@ -4,10 +4,35 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
-from ggvs_eval.reports.figures.figure_file import save_figure
+from ggvs_eval.errors import ResultsError
 from ggvs_eval.reports.model.measured import MeasuredRun, label_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+# Metadata keys that would carry a date or a version.
+VOLATILE = {".png": ("Software",), ".pdf": ("CreationDate", "Producer", "Creator"), ".svg": ("Date", "Creator")}
+DOTS_PER_INCH = 200
+
+
+def save_figure(figure: "Figure", out: Path) -> Path:
+    """Write a figure; the suffix of the file chooses the format.
+
+    Raises:
+        ResultsError: another suffix than ``.png``, ``.pdf`` or ``.svg``.
+    """
+    if out.suffix not in VOLATILE:
+        raise ResultsError(f"{out}: a figure's name must end in {', '.join(VOLATILE)}, got {out.suffix or 'no suffix'}")
+    import matplotlib
+
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with matplotlib.rc_context({"svg.hashsalt": "ggvs-eval", "savefig.dpi": DOTS_PER_INCH}):
+        figure.savefig(out, format=out.suffix[1:], metadata=dict.fromkeys(VOLATILE[out.suffix]))
+    return out
+
 
 # Okabe and Ito's colours, told apart by colour-blind readers; the page repeats them as CSS variables.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#b8a800", "#777777")

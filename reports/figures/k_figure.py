@@ -6,8 +6,7 @@ from pathlib import Path
 import pandas as pd
 
 from ggvs_eval.errors import ResultsError
-from ggvs_eval.reports.figures.curves import COLOURS
-from ggvs_eval.reports.figures.figure_file import save_figure
+from ggvs_eval.reports.figures.curves import COLOURS, save_figure
 
 SWEEP_FILE = "sweep.csv"
 SECONDS = "s/frame"

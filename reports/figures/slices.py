@@ -10,7 +10,7 @@ import numpy as np
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.files.images import read_image
-from ggvs_eval.reports.figures.figure_file import save_figure
+from ggvs_eval.reports.figures.curves import save_figure
 from ggvs_eval.reports.model.measured import MeasuredRun, read_run
 from ggvs_eval.run_folder import frame_path, require_frames
 

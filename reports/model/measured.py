@@ -1,15 +1,56 @@
 """A scored run folder as the reports see it: who was measured, under what name, and what each number means."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.protocol import Protocol
-from ggvs_eval.reports.model.references import Reference, read_references
+from ggvs_eval.reports.model.table import Cell, Row, format_value
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder, read_json, require_frames
+
+REFERENCES_FILE = "references.json"
+
+
+@dataclass(frozen=True)
+class Reference:
+    """One such row.
+
+    Attributes:
+        group: table it stands in, e.g. ``consistency``.
+        name: what it is.
+        note: how it was made, one sentence.
+        values: metric -> value, or the reason why there is none.
+    """
+
+    group: str
+    name: str
+    note: str
+    values: Mapping[str, float | str]
+
+
+def read_references(folder: RunFolder) -> tuple[Reference, ...]:
+    """What the score step wrote beside the results; nothing where it wrote none."""
+    file = folder.root / REFERENCES_FILE
+    return tuple(Reference(**entry) for entry in read_json(file)) if file.is_file() else ()
+
+
+def reference_rows(references: Sequence[Reference], group: str, metrics: Sequence[str]) -> tuple[Row, ...]:
+    """The rows of one table; a reference that knows none of its metrics is left out."""
+    return tuple(
+        Row(reference.name, tuple(_cell(metric, reference.values.get(metric)) for metric in metrics), "reference")
+        for reference in references
+        if reference.group == group and any(metric in reference.values for metric in metrics)
+    )
+
+
+def _cell(metric: str, value: float | str | None) -> Cell:
+    if value is None:
+        return Cell("no such reference")
+    return Cell(f"not computed: {value}") if isinstance(value, str) else Cell(format_value(metric, value), value)
+
 
 METHODS_FILE = "methods.json"
 METRICS_FILE = "metrics.json"

@@ -1,7 +1,10 @@
 """The page: one HTML file that carries everything it shows and opens without a network."""
 
+import base64
+import hashlib
 import shlex
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -12,22 +15,68 @@ from ggvs_eval.reports.figures.curves import COLOURS, DASHES, MARGIN, SIZE
 from ggvs_eval.reports.figures.regions import ERROR_FULL_SCALE
 from ggvs_eval.reports.figures.slices import NO_TRUTH, Slices
 from ggvs_eval.reports.model.measured import MeasuredRun
-from ggvs_eval.reports.page.comparison import compare_frames, error_scale
+from ggvs_eval.reports.page.comparison import Comparison, compare_frames, diagnostics_legend, error_scale
 from ggvs_eval.reports.page.data_uri import png_uri, shrink, webp_uri
-from ggvs_eval.reports.page.diagnostics import diagnostics_legend
-from ggvs_eval.reports.page.heat_map import heat_colours, heat_maps
-from ggvs_eval.reports.page.method_videos import method_videos
-from ggvs_eval.reports.page.path_pictures import path_pictures
-from ggvs_eval.reports.page.picture_room import PictureRoom, share_room
-from ggvs_eval.reports.page.scripts import FIRST_SCRIPTS, TEMPLATES, page_script, script_digest
+from ggvs_eval.reports.page.heat_map import HeatMap, heat_colours, heat_maps
+from ggvs_eval.reports.page.sequences import PathPictures, PictureRoom, method_videos, path_pictures, share_room
 from ggvs_eval.reports.page.sweep_section import SweepSection
-from ggvs_eval.reports.page.viewer_data import viewer_data
 from ggvs_eval.reports.run_groups import RunGroup, RunSection
 from ggvs_eval.reports.tables.leaders import leaders
 from ggvs_eval.reports.tables.published import CAVEATS, published_tables
 from ggvs_eval.reports.tables.reproduction import MEANING, Reproduction
 from ggvs_eval.reports.tables.reproduction_formats import blocks, count_words
 from ggvs_eval.run_folder import JOB_FILE
+
+TEMPLATES = Path(__file__).parent / "templates"
+FIRST_SCRIPTS = ("theme",)  # run before anything is drawn, so that no page flashes in the wrong colours
+SCRIPTS = (
+    *("zoom_window", "pointer_gestures", "picture_grid", "curve_cursor", "row_cutter", "linked_slices"),
+    *("heat_map", "sortable_table", "viewer", "start"),
+)
+
+
+def page_script(names: Sequence[str] = SCRIPTS) -> str:
+    """Scripts in the order in which they build on each other; the last one starts the page."""
+    parts = [(TEMPLATES / f"{name}.js").read_text(encoding="utf-8") for name in names]
+    return "\n".join(['"use strict";', *parts])
+
+
+def script_digest(script: str) -> str:
+    """What the page's policy knows a script by: SHA-256 of the text in UTF-8, in base64."""
+    return base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii")
+
+
+def viewer_data(
+    run: MeasuredRun, comparison: Comparison, path: PathPictures | None, maps: tuple[HeatMap, ...], row: int, fps: float
+) -> dict[str, Any]:
+    """Everything that the viewer, the linked slices and the heat maps of one run share.
+
+    Args:
+        run: the run.
+        comparison: its frames, compressed.
+        path: its frames along the camera path, compressed; None where there is none.
+        maps: its values per view and frame.
+        row: image row that the linked slices start with.
+        fps: frames per second of the capture; 0 where unknown.
+    """
+    return {
+        "views": comparison.views,
+        "frames": comparison.frames,
+        "fps": fps,
+        "start": run.frames[0],
+        "count": len(run.frames),
+        "size": comparison.full_size,
+        "row": row,
+        "keys": comparison.keys,
+        "labels": run.labels,
+        "names": {key: run.name(key) for key in run.labels} | dict(zip(comparison.keys, comparison.names, strict=True)),
+        "images": comparison.images,
+        "errors": comparison.errors,
+        "path": None if path is None else asdict(path),
+        "colours": ["#" + bytes(colour).hex() for colour in heat_colours()[0]],
+        "heat": {heat_map.metric: heat_map.record() for heat_map in maps},
+    }
+
 
 CONTEXT_WIDTH = 480
 FACT_NAMES = {"n_frames": "frames captured", "fps": "frames per second", "units_origin": "scale known from"}

@@ -1,8 +1,8 @@
-"""Where the squared error lies: where no camera sees the view, in light and colour over wide areas, or in detail."""
+"""Where the error of each method lies: over views or over time; unseen, in light and colour over wide areas, or in detail."""
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -11,10 +11,46 @@ import cv2
 import numpy as np
 
 from ggvs_eval.arrays import Image8, Mask
+from ggvs_eval.errors import ResultsError
 from ggvs_eval.files.images import read_image
 from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.reports.model.table import Cell, Column, Row, Table
 from ggvs_eval.run_folder import frame_path, missing_frames
+from ggvs_eval.statistics.decomposition import TwoWay, decompose_metric
+
+METRIC = "L1"
+UNIT = "grey levels of 255"
+VARIANCE_CAPTION = (
+    "L1 of every view and frame taken apart: mean + view effect + time effect + rest; shares of the variance about the mean. "
+    "SDT sees time and rest, SDV sees views and rest."
+)
+VARIANCE_COLUMNS: tuple[tuple[Column, str, Callable[[TwoWay], float]], ...] = (
+    (Column("mean L1", UNIT, False), "{:.2f}", lambda parts: parts.mean),
+    (Column("views", "%"), "{:.1f}", lambda parts: 100 * parts.shares()["view"]),
+    (Column("time", "%"), "{:.1f}", lambda parts: 100 * parts.shares()["time"]),
+    (Column("rest", "%"), "{:.1f}", lambda parts: 100 * parts.shares()["rest"]),
+)
+
+
+def decomposition_table(run: MeasuredRun) -> Table | None:
+    """The table of one run; None where it has a single view or frame, or no L1."""
+    if run.protocol.frames.count < 2 or len(run.protocol.views.test) < 2 or METRIC not in set(run.results.table["metric"]):
+        return None
+    rows = [
+        Row(run.name(label), _variance_cells(run, label), "ours" if label in run.ours else "measured") for label in run.labels
+    ]
+    columns = tuple(column for column, _, _ in VARIANCE_COLUMNS)
+    return Table("decomposition", "Where the error varies", VARIANCE_CAPTION, columns, tuple(rows), run.scene)
+
+
+def _variance_cells(run: MeasuredRun, label: str) -> tuple[Cell, ...]:
+    method, _, variant = label.partition("+")
+    try:
+        parts = decompose_metric(run.results, METRIC, run.scene, method, variant, run.protocol.dataset)
+    except ResultsError as error:
+        return tuple(Cell(f"not computed: {error}") for _ in VARIANCE_COLUMNS)
+    return tuple(Cell(text.format(value(parts)), value(parts)) for _, text, value in VARIANCE_COLUMNS)
+
 
 WIDE_SHARE = 0.03  # of the width: standard deviation of the Gaussian that tells colour and light from detail
 FRAMES_AT_MOST = 4  # of each view, evenly spaced
@@ -87,11 +123,11 @@ def budget_table(run: MeasuredRun) -> Table | None:
     with ThreadPoolExecutor(os.cpu_count()) as pool:  # OpenCV releases the GIL
         found = dict(zip(instants, pool.map(partial(_budgets, run), instants), strict=True))
     rows = [
-        Row(run.name(label), _cells([each[label] for each in found.values()]), "ours" if label in run.ours else "measured")
+        Row(run.name(label), _share_cells([each[label] for each in found.values()]), "ours" if label in run.ours else "measured")
         for label in run.pictured
     ]
     for view in run.protocol.views.test:
-        rows.append(Row(f"{run.name(shown)} in {view}", _cells([found[view, frame][shown] for frame in frames])))
+        rows.append(Row(f"{run.name(shown)} in {view}", _share_cells([found[view, frame][shown] for frame in frames])))
     return Table("error_budget", "Where the error lies", CAPTION, COLUMNS, tuple(rows), run.title)
 
 
@@ -105,7 +141,7 @@ def _budgets(run: MeasuredRun, instant: tuple[str, int]) -> dict[str, ErrorBudge
     return {label: error_budget(read_image(frame_path(folder, frame)), truth, unseen) for label, folder in folders.items()}
 
 
-def _cells(budgets: Sequence[ErrorBudget]) -> tuple[Cell, ...]:
+def _share_cells(budgets: Sequence[ErrorBudget]) -> tuple[Cell, ...]:
     """Mean of the squared errors, and shares of it."""
     total = float(np.mean([each.total for each in budgets]))
     told = [each.unseen for each in budgets if each.unseen is not None]

@@ -7,8 +7,7 @@ from typing import cast
 
 import pandas as pd
 
-from ggvs_eval.reports.model.measured import MeasuredRun, MetricNote, label_of
-from ggvs_eval.reports.model.references import reference_rows
+from ggvs_eval.reports.model.measured import MeasuredRun, MetricNote, label_of, reference_rows
 from ggvs_eval.reports.model.table import Cell, Column, Row, RowKind, Table, measured_cell, rank
 from ggvs_eval.reports.tables.published import published_rows
 from ggvs_eval.results import Results

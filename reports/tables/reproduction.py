@@ -12,7 +12,7 @@ from ggvs_eval.reports.model.measured import MeasuredRun, label_of
 from ggvs_eval.reports.model.table import Cell, format_value, measured_cell
 from ggvs_eval.reports.tables.comparable_runs import ComparableRuns, NotComparable, find_ground
 from ggvs_eval.reports.tables.published import TIMING_WORDS, UNITS, is_higher_better, read_published
-from ggvs_eval.reports.tables.published_timing import TIMINGS, evaluate_time
+from ggvs_eval.reports.tables.timing import TIMINGS, evaluate_time
 from ggvs_eval.statistics.bootstrap import LEVEL, intervals
 
 Status = Literal["reproduced", "differs", "data absent", "weights absent", "not run"]

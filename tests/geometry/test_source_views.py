@@ -12,7 +12,7 @@ from ggvs_eval.camera import Camera, nearest_cameras
 from ggvs_eval.errors import CameraError
 from ggvs_eval.geometry import source_views
 from ggvs_eval.geometry.source_views import LEAST_SHARE, choose_sources, covered_share, sample_view, turn_rad
-from ggvs_eval.pipelines.play.trajectory import camera_loop
+from ggvs_eval.pipelines.play.playback import camera_loop
 from ggvs_eval.synthetic.film import hand_held
 from ggvs_eval.synthetic.film.hand_held import hand_held_poses
 from ggvs_eval.synthetic.film.rig import GRID_YAW_RAD, OUTERMOST_YAW_RAD, arc_rig, rig

@@ -13,9 +13,9 @@ from ggvs_eval.geometry.per_pixel import weighted_mean
 from ggvs_eval.geometry.view_weights import FALL_OFF, LEAST_PARALLAX_RAD, view_weights
 from ggvs_eval.method import Instant
 from ggvs_eval.pipelines.online.blend_maps import blend_maps
-from ggvs_eval.pipelines.online.geometric_blender import GeometricBlender
+from ggvs_eval.pipelines.online.blending import GeometricBlender
+from ggvs_eval.pipelines.online.full_size import overview
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
-from ggvs_eval.pipelines.online.overview import overview
 from helpers.blender_inputs import inputs_of
 from helpers.scenes import camera_at, instant, look
 

@@ -12,8 +12,8 @@ from ggvs_eval.geometry import CapturedView, look_up, warp
 from ggvs_eval.geometry.difference_mask import difference_mask
 from ggvs_eval.geometry.per_pixel import largest_feature, weighted_mean
 from ggvs_eval.kernels import _core
+from ggvs_eval.pipelines.online.blending import push_pull
 from ggvs_eval.pipelines.online.depth_filter import filter_depth
-from ggvs_eval.pipelines.online.inpainting import push_pull
 from helpers.geometry_scenes import TAU, random_camera, random_depth, seeds, sizes
 from helpers.twins.blending import look_up_twin, push_pull_twin, weighted_mean_twin
 from helpers.twins.depth_filter import difference_mask_twin, filter_depth_twin

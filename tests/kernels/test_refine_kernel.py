@@ -20,10 +20,9 @@ from ggvs_eval.pipelines.online.blend_network import (
     small_outputs,
 )
 from ggvs_eval.pipelines.online.full_size import Composed, composed, refined
-from ggvs_eval.pipelines.online.network_blender import blend_by, blend_start
+from ggvs_eval.pipelines.online.network_blender import blend_by, blend_on, blend_start
 from ggvs_eval.pipelines.online.network_inputs import GUIDED, input_channels
 from ggvs_eval.pipelines.online.refiner import Refiner, evidence
-from ggvs_eval.pipelines.online.torch_blender import blend_on
 from helpers.blender_inputs import random_maps
 from helpers.geometry_scenes import seeds
 

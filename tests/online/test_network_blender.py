@@ -16,7 +16,7 @@ from ggvs_eval.pipelines.online.blend_network import (
     read_outputs,
 )
 from ggvs_eval.pipelines.online.blend_weights import load_blend_network, shipped_blend_weights
-from ggvs_eval.pipelines.online.geometric_blender import GeometricBlender
+from ggvs_eval.pipelines.online.blending import GeometricBlender
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
 from ggvs_eval.pipelines.online.network_blender import NetworkBlender, blend_by, blend_start
 from ggvs_eval.pipelines.online.network_inputs import input_channels

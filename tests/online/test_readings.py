@@ -12,7 +12,7 @@ from ggvs_eval.geometry.point_splat import splat_points
 from ggvs_eval.geometry.splat import PixelGaussians, Splat, splat
 from ggvs_eval.geometry.tsdf import DepthView, PreviousDepth, ray_march
 from ggvs_eval.pipelines.methods.registry import find_method
-from ggvs_eval.pipelines.online.geometric_blender import GeometricBlender
+from ggvs_eval.pipelines.online.blending import GeometricBlender
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions, target_mask
 from ggvs_eval.pipelines.online.printed_march import FieldReading, printed_march
 from helpers.scenes import SQUARE_Z, WALL_Z, camera_at, instant, look

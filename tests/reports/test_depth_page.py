@@ -27,13 +27,11 @@ from ggvs_eval.errors import DepthError
 from ggvs_eval.files.images import read_image
 from ggvs_eval.geometry.features import find_features
 from ggvs_eval.geometry.rectification import rectify
-from ggvs_eval.reports.depth_page.depth_page import examine_depth, render_depth_page, write_depth_page
-from ggvs_eval.reports.depth_page.depth_record import DepthRecord, StoredDepth
-from ggvs_eval.reports.depth_page.depth_statistics import describe_map
-from ggvs_eval.reports.depth_page.depth_warnings import find_notes, find_warnings
-from ggvs_eval.reports.depth_page.pair_errors import measure_pair
-from ggvs_eval.reports.depth_page.pair_pictures import pair_picture
-from ggvs_eval.reports.depth_page.resynthesis import resynthesise
+from ggvs_eval.reports.depth_page.page import examine_depth, render_depth_page, write_depth_page
+from ggvs_eval.reports.depth_page.pairs import measure_pair, pair_picture
+from ggvs_eval.reports.depth_page.record import DepthRecord, StoredDepth
+from ggvs_eval.reports.depth_page.statistics import describe_map, resynthesise
+from ggvs_eval.reports.depth_page.warnings import find_notes, find_warnings
 from helpers.page_reader import PageReader
 from helpers.stereo_scenes import FOCAL, PLANE, look_from, plane_depth, see_plane, write_capture
 

@@ -16,10 +16,16 @@ from ggvs_eval.reports.model.measured import MeasuredRun, read_run
 from ggvs_eval.reports.page.comparison import FRAME_BYTES, compare_frames
 from ggvs_eval.reports.page.data_uri import fitting_width
 from ggvs_eval.reports.page.heat_map import heat_colours, heat_maps
-from ggvs_eval.reports.page.method_videos import FRAMES_AT_MOST, MethodVideo, method_videos
-from ggvs_eval.reports.page.path_pictures import PATH_BYTES, POSES_AT_MOST, path_pictures
-from ggvs_eval.reports.page.picture_room import share_room
-from ggvs_eval.reports.page.scripts import FIRST_SCRIPTS, SCRIPTS, TEMPLATES, page_script, script_digest
+from ggvs_eval.reports.page.page import FIRST_SCRIPTS, SCRIPTS, TEMPLATES, page_script, script_digest
+from ggvs_eval.reports.page.sequences import (
+    PATH_BYTES,
+    POSES_AT_MOST,
+    VIDEO_FRAMES_AT_MOST,
+    MethodVideo,
+    method_videos,
+    path_pictures,
+    share_room,
+)
 from ggvs_eval.reports.report import write_report
 from ggvs_eval.run_folder import frame_path
 from helpers.page_reader import PageReader
@@ -139,10 +145,12 @@ def test_video_shows_every_view_and_frame(run):
 
 def test_long_runs_give_short_videos(tmp_path):
     """Of a run longer than the bound the beginning of one view is shown; one frame gives no video."""
-    shape = RunShape(frames=Frames(0, FRAMES_AT_MOST + 10), width=32, height=32, poses=0, labels=LABELS[:1], metrics=("PSNR",))
+    shape = RunShape(
+        frames=Frames(0, VIDEO_FRAMES_AT_MOST + 10), width=32, height=32, poses=0, labels=LABELS[:1], metrics=("PSNR",)
+    )
     videos = method_videos(read_run(write_run(tmp_path / "long", shape)), 0.0)
     assert videos[0].views == ("cam00",)
-    assert len(decode(videos[0])) == FRAMES_AT_MOST
+    assert len(decode(videos[0])) == VIDEO_FRAMES_AT_MOST
     single = RunShape(frames=Frames(0, 1), metrics=("PSNR",))
     assert method_videos(read_run(write_run(tmp_path / "single", single)), 30.0) == ()
 

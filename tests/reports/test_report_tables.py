@@ -12,7 +12,7 @@ from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.model.measured import read_run
 from ggvs_eval.reports.model.table import Cell, Column, Row, Table, format_half_width, format_value, rank, shade
 from ggvs_eval.reports.report import write_report
-from ggvs_eval.reports.tables.decomposition_table import decomposition_table
+from ggvs_eval.reports.tables.error_budget import decomposition_table
 from ggvs_eval.reports.tables.published import published_rows, read_published
 from ggvs_eval.reports.tables.report_tables import main_tables
 from ggvs_eval.reports.tables.table_formats import escape_latex, to_latex, to_markdown

@@ -12,8 +12,8 @@ from ggvs_eval.reports.model.measured import read_run
 from ggvs_eval.reports.model.table import Cell, Column, Row, Table
 from ggvs_eval.reports.report import write_report
 from ggvs_eval.reports.tables.excel import write_excel
-from ggvs_eval.reports.tables.paper_layout import paper_tables
 from ggvs_eval.reports.tables.reproduction import reproduce
+from ggvs_eval.reports.tables.reproduction_formats import paper_tables
 from ggvs_eval.reports.tables.table_formats import to_latex
 from helpers.run_folders import RunShape, write_run
 

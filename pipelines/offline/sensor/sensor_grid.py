@@ -1,4 +1,4 @@
-"""The pixels of a depth sensor behind a map that was enlarged by repeating them, narrow holes filled, and back to an image's size."""
+"""The pixels of a depth sensor behind a map that was enlarged by repeating them, with narrow holes filled."""
 
 from dataclasses import dataclass
 

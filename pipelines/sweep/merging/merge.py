@@ -1,6 +1,8 @@
 """Run folders of one capture and protocol, made on several machines with different methods or views, become one."""
 
 import dataclasses
+import hashlib
+import json
 import os
 import shutil
 from collections.abc import Callable, Mapping, Sequence
@@ -10,9 +12,8 @@ from typing import Any
 from ggvs_eval.errors import ProtocolError, ResultsError
 from ggvs_eval.files.atomic import atomic_folder
 from ggvs_eval.jobs.ledger import JOBS_FOLDER
-from ggvs_eval.pipelines.sweep.merging.scores import merge_scores
-from ggvs_eval.pipelines.sweep.merging.units import Unit, job_units, plain_units, same_unit
-from ggvs_eval.run_folder import RunFolder, read_json, write_json
+from ggvs_eval.pipelines.sweep.merging.units import Unit, job_units, plain_units, same_unit, same_values
+from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
 
 PLAIN_FOLDERS = ("truth", "depth", "disoccluded", "path/truth", "path_depth")
 JOB_FOLDERS = ("renders", "path", "path_scores", "ceilings")
@@ -147,3 +148,38 @@ def _write_records(runs: Sequence[RunFolder], folder: Path) -> None:
     if ledgers:
         jobs = {name: job for ledger in reversed(ledgers) for name, job in ledger["jobs"].items()}
         write_json(folder / JOBS_FOLDER / "render.json", {"begun_s": min(each["begun_s"] for each in ledgers), "jobs": jobs})
+
+
+def merge_scores(runs: Sequence[RunFolder], folder: Path) -> None:
+    """Write ``scores/<view>/job.json`` with the methods of all runs.
+
+    Args:
+        runs: of one protocol and capture.
+        folder: of the merged run.
+
+    Raises:
+        ResultsError: one method has different values in two runs, or was measured from different frames.
+    """
+    records: dict[str, list[tuple[Path, dict[str, Any]]]] = {}
+    for run in runs:
+        for file in sorted(run.scores("").glob(f"*/{JOB_FILE}")):
+            records.setdefault(file.parent.name, []).append((file, read_json(file)))
+    for view, found in records.items():
+        methods = _one_record(found)
+        identity = {label: method["identity"] for label, method in methods.items()}
+        sha256 = hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()
+        write_json(RunFolder(folder).scores(view) / JOB_FILE, {"sha256": sha256, "identity": identity, "methods": methods})
+
+
+def _one_record(found: Sequence[tuple[Path, dict[str, Any]]]) -> dict[str, Any]:
+    """Every method of one view once."""
+    methods: dict[str, Any] = {}
+    origin: dict[str, Path] = {}
+    for file, record in found:
+        for label, method in record["methods"].items():
+            known = methods.setdefault(label, method)
+            if not same_values(known, method):
+                kind = "values" if known["identity"] == method["identity"] else "frames or metrics"
+                raise ResultsError(f"{origin[label]} and {file} differ in the {kind} of {label}; keep one of them")
+            origin.setdefault(label, file)
+    return methods

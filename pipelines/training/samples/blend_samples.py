@@ -16,8 +16,7 @@ from ggvs_eval.method import Instant, SourceView
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions, check_depth
 from ggvs_eval.pipelines.offline.depth.pairing import choose_partners
 from ggvs_eval.pipelines.online.blend_maps import RawViews, raw_views
-from ggvs_eval.pipelines.online.blending import Blended, Blender, BlendingInputs
-from ggvs_eval.pipelines.online.geometric_blender import GeometricBlender
+from ggvs_eval.pipelines.online.blending import Blended, Blender, BlendingInputs, GeometricBlender
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
 from ggvs_eval.pipelines.online.network_inputs import reference_depth
 from ggvs_eval.pipelines.training.samples.sample_file import camera_arrays, stored_arrays, stored_cameras, write_arrays

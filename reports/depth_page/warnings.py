@@ -4,8 +4,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from ggvs_eval.reports.depth_page.depth_record import CameraRecord, DepthRecord
-from ggvs_eval.reports.depth_page.pair_errors import PairErrors
+from ggvs_eval.reports.depth_page.pairs import PairErrors
+from ggvs_eval.reports.depth_page.record import CameraRecord, DepthRecord
 
 LEAST_MEASURED = 0.5  # of the pixels; the rest of the picture is guesswork
 LEAST_CONFIDENCE = 0.3  # what `FuseOptions` and `WorkspaceOptions` ask for

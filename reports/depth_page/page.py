@@ -25,11 +25,11 @@ from ggvs_eval.errors import DepthError, ResultsError
 from ggvs_eval.files.atomic import write_text
 from ggvs_eval.geometry.features import Features, find_features
 from ggvs_eval.jobs.processes import finish_all, worker_pool
-from ggvs_eval.reports.depth_page.depth_pictures import write_instant, write_pairs
-from ggvs_eval.reports.depth_page.depth_record import CameraPictures, CameraRecord, DepthRecord, StoredDepth
-from ggvs_eval.reports.depth_page.depth_statistics import DepthStatistics, describe_map
-from ggvs_eval.reports.depth_page.depth_warnings import find_notes, find_warnings
-from ggvs_eval.reports.depth_page.pair_errors import PairErrors, measure_pair
+from ggvs_eval.reports.depth_page.pairs import PairErrors, measure_pair
+from ggvs_eval.reports.depth_page.pictures import write_instant, write_pairs
+from ggvs_eval.reports.depth_page.record import CameraPictures, CameraRecord, DepthRecord, StoredDepth
+from ggvs_eval.reports.depth_page.statistics import DepthStatistics, describe_map
+from ggvs_eval.reports.depth_page.warnings import find_notes, find_warnings
 from ggvs_eval.run_folder import read_json, write_json
 
 VERSION = 1  # counts up whenever equal depth gives another page

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 from ggvs_eval.depth_store import DepthJob
-from ggvs_eval.reports.depth_page.depth_pictures import InstantPictures, PictureOfPair
-from ggvs_eval.reports.depth_page.depth_statistics import DepthStatistics
-from ggvs_eval.reports.depth_page.pair_errors import PairErrors
+from ggvs_eval.reports.depth_page.pairs import PairErrors
+from ggvs_eval.reports.depth_page.pictures import InstantPictures, PictureOfPair
+from ggvs_eval.reports.depth_page.statistics import DepthStatistics
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,8 @@ from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.files.atomic import write_bytes
 from ggvs_eval.files.images import resize
 from ggvs_eval.geometry.rectification import rectify
-from ggvs_eval.reports.depth_page.depth_statistics import measured_pixels
-from ggvs_eval.reports.depth_page.pair_pictures import pair_picture
-from ggvs_eval.reports.depth_page.resynthesis import Resynthesis, resynthesise
+from ggvs_eval.reports.depth_page.pairs import pair_picture
+from ggvs_eval.reports.depth_page.statistics import Resynthesis, measured_pixels, resynthesise
 
 WIDTH_PX = 480  # of a picture; with QUALITY it keeps the page of 12 cameras below 10 MB
 QUALITY = 75
