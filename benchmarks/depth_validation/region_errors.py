@@ -16,7 +16,7 @@ from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
 from ggvs_eval.pipelines.offline.depth.pairing import choose_partners
 from ggvs_eval.progress import track
-from ggvs_eval.synthetic.film.exact_depth import read_exact_depth
+from ggvs_eval.synthetic.film.depth import read_exact_depth
 
 FRAME = 4
 WHOLE = "whole picture"

@@ -4,8 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 
 from ggvs_eval.capture import Capture
-from ggvs_eval.datasets.arrangements import ARRANGEMENTS, find_sources, listed
-from ggvs_eval.datasets.assemble import SizedSource, assemble_capture
+from ggvs_eval.datasets.assemble import ARRANGEMENTS, SizedSource, assemble_capture, find_sources, listed
 from ggvs_eval.datasets.colmap_model import CalibratedView, read_model, undistorted_sources
 from ggvs_eval.datasets.frames import ImageFrames, list_images
 from ggvs_eval.datasets.units import GivenUnits, choose_units

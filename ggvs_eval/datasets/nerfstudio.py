@@ -11,8 +11,7 @@ import numpy as np
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
-from ggvs_eval.datasets.arrangements import find_sources
-from ggvs_eval.datasets.assemble import assemble_capture
+from ggvs_eval.datasets.assemble import assemble_capture, find_sources
 from ggvs_eval.datasets.colmap_model import undistorted_sources
 from ggvs_eval.datasets.depth_range import rig_depth_range
 from ggvs_eval.datasets.units import GivenUnits, choose_units

@@ -37,7 +37,7 @@ def doctor(
         jobs: processes.
     """
     from ggvs_eval.pipelines.inspection.renders.examine import examine, faults_table
-    from ggvs_eval.pipelines.inspection.renders.run_views import cameras_of_run, views_of_run
+    from ggvs_eval.pipelines.inspection.renders.view_frames import cameras_of_run, views_of_run
 
     folder, labels = _rendered(renders, capture, protocol, run, reading, jobs)
     certain = False
@@ -75,7 +75,7 @@ def explain(
     """
     from ggvs_eval.pipelines.inspection.renders.explain import explain as recompute
     from ggvs_eval.pipelines.inspection.renders.explain import explanation_table
-    from ggvs_eval.pipelines.inspection.renders.run_views import views_of_run
+    from ggvs_eval.pipelines.inspection.renders.view_frames import views_of_run
 
     folder, labels = _rendered(renders, capture, protocol, run, reading, jobs)
     if method is None and len(labels) != 1:

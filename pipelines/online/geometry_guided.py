@@ -12,8 +12,7 @@ from ggvs_eval.arrays import Map
 from ggvs_eval.baselines.gaussians import near_plane, pixel_gaussians
 from ggvs_eval.camera import Camera
 from ggvs_eval.geometry.per_pixel import largest_feature
-from ggvs_eval.geometry.point_splat import splat_points
-from ggvs_eval.geometry.splat import Splat, splat
+from ggvs_eval.geometry.splat import Splat, splat, splat_points
 from ggvs_eval.geometry.tsdf import DepthView, PreviousDepth, RayMarch, fusion_weights, ray_march
 from ggvs_eval.kernels.side_by_side import side_by_side
 from ggvs_eval.method import Instant, Rendering

@@ -13,9 +13,8 @@ from ggvs_eval.jobs.processes import worker_pool
 from ggvs_eval.pipelines.methods.registry import METHODS
 from ggvs_eval.pipelines.run.coverage import IMPORT_FILE, read_import
 from ggvs_eval.renders.archive import Limits, is_archive, unpack
-from ggvs_eval.renders.fit import Fit, fit, partial_text, require_whole
 from ggvs_eval.renders.kinds import KINDS, detect
-from ggvs_eval.renders.wanted import Found, RenderedView, Wanted, wanted_of
+from ggvs_eval.renders.wanted import Fit, Found, RenderedView, Wanted, fit, partial_text, require_whole, wanted_of
 from ggvs_eval.run_folder import RunFolder, frame_path, write_json
 
 NAME = re.compile(r"\w[\w.+-]*")

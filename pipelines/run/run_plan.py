@@ -11,8 +11,8 @@ import numpy as np
 
 from ggvs_eval.camera import Camera, nearest_cameras, translated_path
 from ggvs_eval.capture import Capture
+from ggvs_eval.datasets.dynerf import CameraPath, open_path
 from ggvs_eval.datasets.frames import ImageFrames
-from ggvs_eval.datasets.path import CameraPath, open_path
 from ggvs_eval.depth_store import DepthJob
 from ggvs_eval.errors import CaptureError, ProtocolError
 from ggvs_eval.geometry.sight import require_sight

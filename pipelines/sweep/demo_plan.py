@@ -15,11 +15,11 @@ from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
 from ggvs_eval.pipelines.sweep.demo_runs import K_PROTOCOL, capture_beside, demo_root, k_root, k_sweep
 from ggvs_eval.pipelines.sweep.run_sweep import plan_runs
 from ggvs_eval.protocol import load_protocol
-from ggvs_eval.synthetic.demo_rooms import DEMO_ROOMS, MAIN
+from ggvs_eval.synthetic.demo import DEMO_ROOMS, MAIN
 from ggvs_eval.synthetic.film.options import DemoOptions
 from ggvs_eval.synthetic.film.rig import in_metres
 from ggvs_eval.synthetic.film.shots import rig_shots
-from ggvs_eval.synthetic.layouts.layout_enerf import easymocap_name
+from ggvs_eval.synthetic.layouts.enerf import easymocap_name
 from ggvs_eval.synthetic.layouts.layouts import LAYOUTS
 
 NEAR, FAR = 8.0, 40.0  # of the rooms, world units

@@ -16,8 +16,7 @@ from ggvs_eval.pipelines.sweep.cells import SHARED_FOLDERS
 from ggvs_eval.pipelines.sweep.run_sweep import Announce, run_sweep
 from ggvs_eval.protocol import load_protocol
 from ggvs_eval.sweep import Sweep, load_sweep
-from ggvs_eval.synthetic.demo import write_demo
-from ggvs_eval.synthetic.demo_rooms import DEMO_ROOMS, MAIN
+from ggvs_eval.synthetic.demo import DEMO_ROOMS, MAIN, write_demo
 from ggvs_eval.synthetic.film.options import DemoOptions
 
 K_PROTOCOL = "demo-k"

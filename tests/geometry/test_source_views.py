@@ -13,9 +13,7 @@ from ggvs_eval.errors import CameraError
 from ggvs_eval.geometry import source_views
 from ggvs_eval.geometry.source_views import LEAST_SHARE, choose_sources, covered_share, sample_view, turn_rad
 from ggvs_eval.pipelines.play.playback import camera_loop
-from ggvs_eval.synthetic.film import hand_held
-from ggvs_eval.synthetic.film.hand_held import hand_held_poses
-from ggvs_eval.synthetic.film.rig import GRID_YAW_RAD, OUTERMOST_YAW_RAD, arc_rig, rig
+from ggvs_eval.synthetic.film.rig import GRID_YAW_RAD, OUTERMOST_YAW_RAD, arc_rig, hand_held_poses, rig
 
 CHOICES = ("nearest", "coverage")
 SIZE, NEAR, FAR = (64, 48), 10.0, 32.0
@@ -29,7 +27,7 @@ def make_rig(shape: str, seed: int = 101) -> list[Camera]:
         yaw_rad = OUTERMOST_YAW_RAD if shape == "rows" else GRID_YAW_RAD
         return rig(seed, *SIZE, 8, NEAR, FAR, yaw_rad)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(hand_held, "AIM_SWAY", 10.0)
+        patch.setattr("ggvs_eval.synthetic.film.rig.AIM_SWAY", 10.0)
         return hand_held_poses(seed, *SIZE, 20, 4.0, NEAR, FAR)
 
 

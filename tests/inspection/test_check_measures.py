@@ -21,8 +21,7 @@ from ggvs_eval.pipelines.inspection.capture.frames import common_repeats, frozen
 from ggvs_eval.pipelines.inspection.capture.intrinsics import check_intrinsics, fields_of_view_deg, off_centre
 from ggvs_eval.pipelines.inspection.capture.motion_signals import best_lag, motion_energy, plane_angles
 from ggvs_eval.pipelines.inspection.capture.overlap import seen_share
-from ggvs_eval.pipelines.inspection.capture.pair_graph import largest_group, solve_differences
-from ggvs_eval.pipelines.inspection.capture.pairs import neighbour_pairs
+from ggvs_eval.pipelines.inspection.capture.pairs import largest_group, neighbour_pairs, solve_differences
 from ggvs_eval.pipelines.inspection.capture.poses import away_angles, check_poses, look_at_point, roll_angles, same_places
 from ggvs_eval.pipelines.inspection.capture.repairs import explain_camera, explain_rig, with_focal
 from ggvs_eval.pipelines.inspection.capture.scale import check_scale

@@ -8,8 +8,7 @@ import pytest
 from ggvs_eval.baselines.gaussians import pixel_gaussians
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.difference_mask import difference_mask
-from ggvs_eval.geometry.point_splat import splat_points
-from ggvs_eval.geometry.splat import PixelGaussians, Splat, splat
+from ggvs_eval.geometry.splat import PixelGaussians, Splat, splat, splat_points
 from ggvs_eval.geometry.tsdf import DepthView, PreviousDepth, ray_march
 from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.online.blending import GeometricBlender

@@ -18,8 +18,7 @@ from ggvs_eval.pipelines.sweep import demo_runs
 from ggvs_eval.pipelines.sweep.demo_runs import capture_beside, demo_root, evaluate_demos
 from ggvs_eval.protocol import CameraPath, Frames, Protocol, Synthesis, Views, load_protocol
 from ggvs_eval.results import Results
-from ggvs_eval.synthetic.demo import write_demo
-from ggvs_eval.synthetic.demo_rooms import DEMO_ROOMS, MAIN
+from ggvs_eval.synthetic.demo import DEMO_ROOMS, MAIN, write_demo
 from ggvs_eval.synthetic.film.options import DemoOptions
 from ggvs_eval.synthetic.film.rig import AIM_M, ARC_YAW_RAD, UNITS_PER_METRE, arc_rig, eye_in_room
 from ggvs_eval.synthetic.film.shots import rig_shots

@@ -19,13 +19,12 @@ from ggvs_eval.pipelines.training.samples.room_plan import RoomPlan, choose_view
 from ggvs_eval.pipelines.training.samples.samples import JoinedSamples
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.domains import DOMAINS, VALIDATION_SEEDS, domain_options
-from ggvs_eval.synthetic.film.depth_sensor import measured, misplaced
+from ggvs_eval.synthetic.film.depth import measured, misplaced
 from ggvs_eval.synthetic.film.film import Footage, lit_room
 from ggvs_eval.synthetic.film.options import LATER, DemoOptions
-from ggvs_eval.synthetic.film.picture_making import compress, defocus, denoise, mosaic_and_back, sharpen, to_linear, to_srgb
 from ggvs_eval.synthetic.film.raycast import render_depth, render_view
 from ggvs_eval.synthetic.film.rig import UNITS_PER_METRE
-from ggvs_eval.synthetic.film.sensor import rig_sensors
+from ggvs_eval.synthetic.film.sensor import compress, defocus, denoise, mosaic_and_back, rig_sensors, sharpen, to_linear, to_srgb
 from ggvs_eval.synthetic.film.shots import hand_held_shots, rig_of
 
 SMALL = DemoOptions(width=96, height=72, n_frames=3, cameras_per_row=2, path_poses=0, supersampling=1, depth_stride=0)

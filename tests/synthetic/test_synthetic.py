@@ -11,7 +11,7 @@ import pytest
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.video import VideoFrames
 from ggvs_eval.synthetic.demo import write_demo
-from ggvs_eval.synthetic.film.exact_depth import read_exact_depth
+from ggvs_eval.synthetic.film.depth import read_exact_depth
 from ggvs_eval.synthetic.film.film import Footage, lit_room
 from ggvs_eval.synthetic.film.options import DemoOptions
 from ggvs_eval.synthetic.film.raycast import render_view

@@ -29,7 +29,7 @@ from ggvs_eval.files.images import write_image
 from ggvs_eval.method import SourceView
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
-from ggvs_eval.synthetic.film.exact_depth import DepthWriter, depth_path
+from ggvs_eval.synthetic.film.depth import DepthWriter, depth_path
 from ggvs_eval.synthetic.film.options import DemoOptions
 from helpers.stereo_scenes import PLANE, look_from, plane_depth, random_texture, see_plane, write_capture
 

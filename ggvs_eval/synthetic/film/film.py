@@ -11,7 +11,7 @@ import numpy as np
 from ggvs_eval.arrays import Array32, Image8
 from ggvs_eval.camera import Camera
 from ggvs_eval.files.images import quantise
-from ggvs_eval.synthetic.film.exact_depth import DepthWriter, depth_path
+from ggvs_eval.synthetic.film.depth import DepthWriter, depth_path
 from ggvs_eval.synthetic.film.options import DemoOptions, SceneName
 from ggvs_eval.synthetic.film.raycast import Picture, View
 from ggvs_eval.synthetic.film.shots import Shot

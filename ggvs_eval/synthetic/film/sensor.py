@@ -2,12 +2,92 @@
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from ggvs_eval.arrays import Array32, Image8
 from ggvs_eval.files.images import quantise
 from ggvs_eval.synthetic.film.options import DemoOptions
-from ggvs_eval.synthetic.film.picture_making import compress, defocus, denoise, mosaic_and_back, sharpen, to_linear, to_srgb
+
+# A telephone indoors, at processing 1: electrons of a white pixel, and the noise of reading one, electrons.
+FULL_WELL, READ_NOISE = 2500.0, 4.0
+# How much weaker red and blue arrive than green.
+WHITE_BALANCE: Array32 = np.array([1.9, 1.0, 1.6], np.float32)
+# Denoising: standard deviations over levels in [0, 1], of colour and of brightness, and over pixels.
+COLOUR_LEVELS, BRIGHTNESS_LEVELS, DENOISED_PX = 0.08, 0.03, 1.5
+# The unsharp mask: how much of what a blur takes away is added.
+SHARPENING, SHARPENED_PX = 0.8, 1.0
+LARGEST = np.iinfo(np.uint16).max
+# The lowest raw level, of the largest: noise around black must not be cut off.
+BLACK_LEVEL = 0.02
+
+
+def defocus(linear: Array32, radius_px: float) -> Array32:
+    """Spread every point into a disc with a soft rim, linear light, (H, W, 3)."""
+    if not radius_px:
+        return linear
+    reach = int(np.ceil(radius_px + 0.5))
+    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    disc = np.clip(radius_px + 0.5 - np.hypot(x, y), 0, 1).astype(np.float32)
+    return np.asarray(cv2.filter2D(linear, -1, disc / disc.sum(), borderType=cv2.BORDER_REFLECT_101), np.float32)
+
+
+def mosaic_and_back(linear: Array32, strength: float, noise: np.random.Generator) -> Array32:
+    """What is left of linear light, (H, W, 3), after a sensor under an RGGB mosaic and demosaicing along edges.
+
+    Args:
+        linear: in [0, 1].
+        strength: of the shot and reading noise, 1 for a telephone indoors.
+        noise: source of it.
+
+    Reading:
+        Shot noise is normal with the variance of the electrons, which differs from Poisson's law by less than a level above
+        twenty electrons, and every pixel takes one number, so that streams of noise stay in step.
+    """
+    weakened = linear / WHITE_BALANCE
+    raw = np.empty(linear.shape[:2], np.float32)
+    for row, column, channel in ((0, 0, 0), (0, 1, 1), (1, 0, 1), (1, 1, 2)):
+        raw[row::2, column::2] = weakened[row::2, column::2, channel]
+    sigma = strength * np.sqrt(raw * FULL_WELL + READ_NOISE**2) / FULL_WELL
+    raw += sigma * noise.standard_normal(raw.shape, np.float32)
+    levels = np.rint(np.clip(BLACK_LEVEL + (1 - BLACK_LEVEL) * raw, 0, 1) * LARGEST).astype(np.uint16)
+    colours = cv2.demosaicing(levels, cv2.COLOR_BayerRGGB2RGB_EA).astype(np.float32) / LARGEST
+    return np.asarray((colours - BLACK_LEVEL) / (1 - BLACK_LEVEL) * WHITE_BALANCE, np.float32)
+
+
+def denoise(image: Array32, strength: float) -> Array32:
+    """Smooth an sRGB picture, (H, W, 3), within its edges: colour strongly, brightness a little."""
+    parts = cv2.cvtColor(np.clip(image, 0, 1), cv2.COLOR_RGB2YCrCb)
+    brightness = cv2.bilateralFilter(parts[..., 0], 5, BRIGHTNESS_LEVELS * strength, DENOISED_PX)
+    # The filter takes one or three channels: brightness leads colour across its edges.
+    colour = cv2.bilateralFilter(parts, 7, COLOUR_LEVELS * strength, 2 * DENOISED_PX)[..., 1:]
+    return np.asarray(cv2.cvtColor(np.dstack([brightness, colour]), cv2.COLOR_YCrCb2RGB), np.float32)
+
+
+def sharpen(image: Array32, strength: float) -> Array32:
+    """Unsharp mask on the brightness of an sRGB picture, (H, W, 3), with its halos."""
+    brightness = cv2.cvtColor(np.clip(image, 0, 1), cv2.COLOR_RGB2GRAY)
+    detail = brightness - cv2.GaussianBlur(brightness, (0, 0), SHARPENED_PX)
+    return np.asarray(image + (SHARPENING * strength) * detail[..., None], np.float32)
+
+
+def compress(image: Image8, quality: int) -> Image8:
+    """An RGB picture, (H, W, 3), after JPEG with halved colour, as cameras write it; quality 0 leaves it alone."""
+    if not quality:
+        return image
+    _, encoded = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return np.asarray(cv2.cvtColor(cv2.imdecode(encoded, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB), np.uint8)
+
+
+def to_linear(image: Array32) -> Array32:
+    """Linear light of sRGB in [0, 1], any shape."""
+    return np.where(image <= 0.04045, image / 12.92, ((image + 0.055) / 1.055) ** 2.4).astype(np.float32)
+
+
+def to_srgb(linear: Array32) -> Array32:
+    """SRGB of linear light, any shape; what is below black or above white is cut off."""
+    linear = np.clip(linear, 0, 1)
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)

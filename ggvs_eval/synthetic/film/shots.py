@@ -5,10 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.synthetic.film.hand_held import hand_held_poses
 from ggvs_eval.synthetic.film.options import DemoOptions
-from ggvs_eval.synthetic.film.pixel_grid import Coefficients
-from ggvs_eval.synthetic.film.rig import GRID_YAW_RAD, OUTERMOST_YAW_RAD, arc_rig, rig, sideways_path
+from ggvs_eval.synthetic.film.raycast import Coefficients
+from ggvs_eval.synthetic.film.rig import GRID_YAW_RAD, OUTERMOST_YAW_RAD, arc_rig, hand_held_poses, rig, sideways_path
 from ggvs_eval.synthetic.film.sensor import Sensor, rig_sensors
 
 PATH_LENGTH = 5.0

@@ -9,7 +9,7 @@ from ggvs_eval.synthetic.film.film import Footage
 from ggvs_eval.synthetic.film.options import DemoOptions, LayoutName
 from ggvs_eval.synthetic.film.rig import UNITS_PER_METRE
 from ggvs_eval.synthetic.film.shots import Shot, distorted_shots, hand_held_shots, rig_and_path_shots, rig_shots
-from ggvs_eval.synthetic.layouts import layout_colmap, layout_d3dmv, layout_dynerf, layout_enerf, layout_rgbd
+from ggvs_eval.synthetic.layouts import colmap, d3dmv, dynerf, enerf, rgbd
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,9 @@ class Layout:
 
 
 LAYOUTS: dict[LayoutName, Layout] = {
-    "dynerf": Layout(UNITS_PER_METRE, rig_and_path_shots, layout_dynerf.write_film, layout_dynerf.finish, layout_dynerf.files),
-    "enerf-outdoor": Layout(1.0, distorted_shots, layout_enerf.write_shot, layout_enerf.finish, layout_enerf.files),
-    "d3dmv": Layout(UNITS_PER_METRE, rig_shots, layout_d3dmv.write_shot, layout_d3dmv.finish, layout_d3dmv.files),
-    "colmap": Layout(UNITS_PER_METRE, rig_and_path_shots, layout_colmap.write_shot, layout_colmap.finish, layout_colmap.files),
-    "rgbd": Layout(1.0, hand_held_shots, layout_rgbd.write_shot, layout_rgbd.finish, layout_rgbd.files),
+    "dynerf": Layout(UNITS_PER_METRE, rig_and_path_shots, dynerf.write_film, dynerf.finish, dynerf.files),
+    "enerf-outdoor": Layout(1.0, distorted_shots, enerf.write_shot, enerf.finish, enerf.files),
+    "d3dmv": Layout(UNITS_PER_METRE, rig_shots, d3dmv.write_shot, d3dmv.finish, d3dmv.files),
+    "colmap": Layout(UNITS_PER_METRE, rig_and_path_shots, colmap.write_shot, colmap.finish, colmap.files),
+    "rgbd": Layout(1.0, hand_held_shots, rgbd.write_shot, rgbd.finish, rgbd.files),
 }

@@ -6,9 +6,8 @@ import cv2
 import numpy as np
 
 from ggvs_eval.arrays import Array
-from ggvs_eval.synthetic.room.pictures import picture
 from ggvs_eval.synthetic.room.surfaces import Material, Surface, box, ellipsoid, moved, panel, rod, rotation, translation, turned
-from ggvs_eval.synthetic.room.textures import bands, plain
+from ggvs_eval.synthetic.room.textures import bands, picture, plain
 
 Mover = Callable[[float], list[Surface]]
 

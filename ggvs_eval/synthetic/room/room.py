@@ -12,9 +12,8 @@ import numpy as np
 from ggvs_eval.arrays import Array
 from ggvs_eval.synthetic.room import clutter, furniture, movers, shell, textures
 from ggvs_eval.synthetic.room.figure import random_figure
-from ggvs_eval.synthetic.room.pictures import PICTURES, picture
 from ggvs_eval.synthetic.room.surfaces import Material, Surface, box, moved, rotation, translation
-from ggvs_eval.synthetic.room.textures import Colour
+from ggvs_eval.synthetic.room.textures import PICTURES, Colour, picture
 
 TABLE_M = 0.74
 WOODS: tuple[Colour, ...] = ((0.62, 0.42, 0.26), (0.45, 0.28, 0.17), (0.75, 0.58, 0.38), (0.36, 0.24, 0.17))

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.synthetic.room import textures
-from ggvs_eval.synthetic.room.pictures import picture
+from ggvs_eval.synthetic.room.textures import picture
 
 SIDE = 512  # texels along each axis
 

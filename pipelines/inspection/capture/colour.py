@@ -7,7 +7,7 @@ import numpy as np
 from ggvs_eval.arrays import Array
 from ggvs_eval.geometry.epipolar import MatchedPair
 from ggvs_eval.pipelines.inspection.capture.camera_record import CameraRecord
-from ggvs_eval.pipelines.inspection.capture.pair_graph import solve_differences
+from ggvs_eval.pipelines.inspection.capture.pairs import solve_differences
 from ggvs_eval.pipelines.inspection.finding import RIG, Finding, graded
 
 GAIN, NOISE = "colour gain", "noise"

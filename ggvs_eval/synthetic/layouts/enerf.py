@@ -11,11 +11,10 @@ from ggvs_eval.arrays import Array, Image8
 from ggvs_eval.camera import Camera
 from ggvs_eval.synthetic.film.film import PARTS, Footage, Frame, lit_room
 from ggvs_eval.synthetic.film.options import DemoOptions
-from ggvs_eval.synthetic.film.pixel_grid import Coefficients
+from ggvs_eval.synthetic.film.raycast import Coefficients
 from ggvs_eval.synthetic.film.rig import UNITS_PER_METRE, in_metres, room_to_world
 from ggvs_eval.synthetic.film.shots import distorted_shots
 from ggvs_eval.synthetic.layouts.encoded_images import write_grey_png, write_jpeg
-from ggvs_eval.synthetic.layouts.opencv_yaml import matrix_entry, names_entry, number_entry, write_yaml
 from ggvs_eval.synthetic.room.geometry import Geometry
 
 BACKGROUND_POINTS = 20_000
@@ -127,3 +126,25 @@ def files(options: DemoOptions) -> list[str]:
 
 def _folders(name: str) -> list[tuple[str, str]]:
     return [(f"images/{name}", "jpg"), (f"mask/{name}", "png")]
+
+
+def names_entry(key: str, names: Sequence[str]) -> str:
+    """A sequence of strings."""
+    return "\n".join([f"{key}:", *(f'   - "{name}"' for name in names)])
+
+
+def number_entry(key: str, value: int) -> str:
+    """A whole number."""
+    return f"{key}: {value}"
+
+
+def matrix_entry(key: str, matrix: Array) -> str:
+    """A matrix of doubles, every digit of it."""
+    data = ", ".join(repr(float(value)) for value in matrix.ravel())
+    rows, columns = matrix.shape
+    return f"{key}: !!opencv-matrix\n   rows: {rows}\n   cols: {columns}\n   dt: d\n   data: [ {data} ]"
+
+
+def write_yaml(path: Path, entries: Sequence[str]) -> None:
+    """Write a file that ``cv2.FileStorage`` opens."""
+    path.write_text("\n".join(["%YAML:1.0", "---", *entries, ""]), encoding="utf-8")

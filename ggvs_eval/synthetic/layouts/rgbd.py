@@ -7,7 +7,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
-from ggvs_eval.synthetic.film.depth_sensor import measured, misplaced
+from ggvs_eval.synthetic.film.depth import measured, misplaced
 from ggvs_eval.synthetic.film.film import Footage
 from ggvs_eval.synthetic.film.options import DemoOptions
 from ggvs_eval.synthetic.film.raycast import render_depth
