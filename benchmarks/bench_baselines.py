@@ -15,8 +15,8 @@ from ggvs_eval.baselines.ibrnet.method import depth_range, see
 from ggvs_eval.baselines.ibrnet.networks import load_ibrnet
 from ggvs_eval.baselines.ibrnet.rendering import render_rays
 from ggvs_eval.camera import Camera
+from ggvs_eval.compute_device import one_thread
 from ggvs_eval.method import Instant, SourceView
-from ggvs_eval.one_thread import one_thread
 from ggvs_eval.pipelines.methods.spec import shipped
 
 WIDTH, HEIGHT, K, RAYS, ROUNDS = 480, 360, 4, 512, 3

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from benchmarks.bench_geometry import HEIGHT, WIDTH, Scene, make_scene
 from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
+from ggvs_eval.compute_device import one_thread
 from ggvs_eval.files.images import quantise
 from ggvs_eval.kernels import get_threads
 from ggvs_eval.method import Instant, SourceView
-from ggvs_eval.one_thread import one_thread
 from ggvs_eval.pipelines.online.blend_maps import blend_maps, raw_views
 from ggvs_eval.pipelines.online.blend_network import WIDTHS, BlendNetwork, BlendNetworkOptions, compose_tensors, read_outputs
 from ggvs_eval.pipelines.online.blending import Blended, BlendingInputs, GeometricBlender

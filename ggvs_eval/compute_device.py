@@ -7,7 +7,17 @@ from time import perf_counter
 import torch
 
 from ggvs_eval.errors import DeviceError
-from ggvs_eval.one_thread import one_thread
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Within, torch computes with one thread; parallel work is done in processes, one per view."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 def compute_device(wanted: str) -> torch.device:

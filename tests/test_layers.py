@@ -11,7 +11,7 @@ import ggvs_eval
 # Rooms from the ground up; rooms of one floor do not import each other. A module of the package itself, e.g.
 # `ggvs_eval.camera`, is a room of its own; what stands in a folder belongs to the longest name listed here.
 FLOORS = (
-    ("arrays", "errors", "kernels", "one_thread", "residual_block"),
+    ("arrays", "errors", "kernels", "residual_block"),
     ("camera", "progress"),
     ("files", "lens", "compute_device"),
     ("geometry", "capture", "colour_maps"),

@@ -7,7 +7,12 @@ processor has them: there the baseline rounds differently. The environment varia
 """
 
 import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
 
+First = TypeVar("First")
+Second = TypeVar("Second")
 SIMD_LEVELS = ("baseline", "avx2", "avx512")
 
 _settings: dict[str, int] = {}
@@ -32,6 +37,18 @@ def get_threads() -> int:
             raise ValueError(f"GGVS_EVAL_THREADS: wanted a number of threads, got {wanted!r}")
         set_threads(int(wanted) if wanted else _usable_cpus())
     return _settings["threads"]
+
+
+def side_by_side(first: Callable[[], First], second: Callable[[], Second]) -> tuple[First, Second]:
+    """Do two pieces of work that need nothing of each other at the same time, each filling the gaps of the other.
+
+    With one thread for all kernels it is one after the other. Errors of either are raised.
+    """
+    if get_threads() == 1:
+        return first(), second()
+    with ThreadPoolExecutor(1) as beside:
+        other = beside.submit(second)
+        return first(), other.result()
 
 
 def set_simd_level(name: str) -> None:

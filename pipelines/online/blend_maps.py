@@ -10,9 +10,8 @@ import numpy as np
 from ggvs_eval.arrays import Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
-from ggvs_eval.geometry.register import register_views
-from ggvs_eval.geometry.view_weights import view_weights
-from ggvs_eval.geometry.warp import CapturedView, Warp, warp
+from ggvs_eval.geometry.per_pixel import view_weights
+from ggvs_eval.geometry.warp import CapturedView, Warp, register_views, warp
 from ggvs_eval.pipelines.online.blending import BlendingInputs
 
 Guidance = Literal["registered", "channels", "none", "naive"]

@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Map
-from ggvs_eval.geometry.per_pixel import weighted_mean
+from ggvs_eval.geometry.per_pixel import view_weights, weighted_mean
 from ggvs_eval.geometry.splat import COVERED_ALPHA, Splat
-from ggvs_eval.geometry.view_weights import view_weights
 from ggvs_eval.geometry.warp import CapturedView, look_up
 from ggvs_eval.kernels import get_threads
 from ggvs_eval.method import Instant

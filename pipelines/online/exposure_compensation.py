@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Array, Image8, Map
+from ggvs_eval.geometry.per_pixel import view_weights
 from ggvs_eval.geometry.pinhole import rigid_between
-from ggvs_eval.geometry.view_weights import view_weights
 from ggvs_eval.method import Instant, SourceView
 
 REDUCTION = 4  # of the images that are compared, so that a registration that is off by a pixel does not matter

@@ -14,7 +14,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.geometry.per_pixel import largest_feature
 from ggvs_eval.geometry.splat import Splat, splat, splat_points
 from ggvs_eval.geometry.tsdf import DepthView, PreviousDepth, RayMarch, fusion_weights, ray_march
-from ggvs_eval.kernels.side_by_side import side_by_side
+from ggvs_eval.kernels import side_by_side
 from ggvs_eval.method import Instant, Rendering
 from ggvs_eval.pipelines.online.blending import Blender, BlendingInputs, GeometricBlender
 from ggvs_eval.pipelines.online.depth_filter import FilteredDepth, TemporalDepthFilter

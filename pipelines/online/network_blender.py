@@ -9,12 +9,11 @@ import torch
 from torch import Tensor
 
 from ggvs_eval.arrays import Map
-from ggvs_eval.compute_device import compute_device, rendering_on
+from ggvs_eval.compute_device import compute_device, one_thread, rendering_on
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.per_pixel import weighted_mean
 from ggvs_eval.geometry.splat import COVERED_ALPHA
-from ggvs_eval.kernels.side_by_side import side_by_side
-from ggvs_eval.one_thread import one_thread
+from ggvs_eval.kernels import side_by_side
 from ggvs_eval.pipelines.online.blend_maps import BlendMaps, Guidance, blend_maps
 from ggvs_eval.pipelines.online.blend_network import SURE, BlendNetwork, compose_tensors, read_outputs, small_outputs
 from ggvs_eval.pipelines.online.blend_weights import load_blend_network, shipped_blend_weights

@@ -13,8 +13,8 @@ from ggvs_eval.baselines.enerf.networks import Networks, load_enerf
 from ggvs_eval.baselines.enerf.rendering import composite, render_pixels
 from ggvs_eval.baselines.enerf.views import SeenView, extrinsics, intrinsics, see
 from ggvs_eval.baselines.enerf.volumes import disagreement, find_surface
+from ggvs_eval.compute_device import one_thread
 from ggvs_eval.errors import RenderError, WeightsError
-from ggvs_eval.one_thread import one_thread
 from helpers.hostile import Hostile
 from helpers.places import DATA_FOLDER
 from helpers.scenes import WALL_Z, camera_at, look

@@ -18,11 +18,11 @@ from ggvs_eval.baselines.gps_gaussian.rectification import rectify
 from ggvs_eval.baselines.gps_gaussian.regressor import MAX_SCALE_M
 from ggvs_eval.baselines.gps_gaussian.tile_renderer import blend_gaussians, render_gaussians
 from ggvs_eval.baselines.gps_gaussian.weights import load_network
+from ggvs_eval.compute_device import one_thread
 from ggvs_eval.errors import RenderError, WeightsError
 from ggvs_eval.files.images import quantise
 from ggvs_eval.geometry import splat
 from ggvs_eval.method import SourceView
-from ggvs_eval.one_thread import one_thread
 from helpers.geometry_scenes import random_camera, random_gaussians
 from helpers.hostile import Hostile
 from helpers.places import DATA_FOLDER

@@ -15,9 +15,9 @@ from ggvs_eval.baselines.ibrnet.pooling_kernel import packed_layers
 from ggvs_eval.baselines.ibrnet.rendering import _shade, opacity_shares, render_rays
 from ggvs_eval.baselines.ibrnet.samples import coarse_depths, finer_depths, quantiles
 from ggvs_eval.baselines.ibrnet.views import SeenView, projection_of
+from ggvs_eval.compute_device import one_thread
 from ggvs_eval.errors import RenderError, WeightsError
 from ggvs_eval.kernels import _core
-from ggvs_eval.one_thread import one_thread
 from helpers.hostile import Hostile
 from helpers.places import DATA_FOLDER
 from helpers.seeded_baselines import seed_weights, turned_rig

@@ -8,9 +8,8 @@ from hypothesis import strategies as st
 from ggvs_eval import kernels
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
-from ggvs_eval.geometry.register import register_views
 from ggvs_eval.geometry.splat import Splat
-from ggvs_eval.geometry.warp import CapturedView
+from ggvs_eval.geometry.warp import CapturedView, register_views
 from ggvs_eval.method import Instant, SourceView
 from ggvs_eval.pipelines.online.blend_maps import FAINT, blend_maps, raw_views
 from ggvs_eval.pipelines.online.blending import BlendingInputs

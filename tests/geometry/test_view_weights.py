@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from ggvs_eval.baselines.distance_based import DistanceBased
 from ggvs_eval.camera import Camera
-from ggvs_eval.geometry.per_pixel import weighted_mean
-from ggvs_eval.geometry.view_weights import FALL_OFF, LEAST_PARALLAX_RAD, view_weights
+from ggvs_eval.geometry.per_pixel import FALL_OFF, LEAST_PARALLAX_RAD, view_weights, weighted_mean
 from ggvs_eval.method import Instant
 from ggvs_eval.pipelines.online.blend_maps import blend_maps
 from ggvs_eval.pipelines.online.blending import GeometricBlender

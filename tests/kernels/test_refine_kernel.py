@@ -9,7 +9,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from ggvs_eval import kernels
-from ggvs_eval.one_thread import one_thread
+from ggvs_eval.compute_device import one_thread
 from ggvs_eval.pipelines.online.blend_maps import BlendMaps
 from ggvs_eval.pipelines.online.blend_network import (
     BEYOND_VIEWS,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ggvs_eval.files.images import quantise
-from ggvs_eval.geometry.view_weights import view_weights
+from ggvs_eval.geometry.per_pixel import view_weights
 from ggvs_eval.method import Instant
 from ggvs_eval.pipelines.online.exposure_compensation import GAUGE_POWER, ExposureCompensation, gained_image
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions

@@ -5,8 +5,8 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
+from ggvs_eval.compute_device import one_thread
 from ggvs_eval.errors import RenderError, WeightsError
-from ggvs_eval.one_thread import one_thread
 from ggvs_eval.pipelines.online.blend_maps import blend_maps
 from ggvs_eval.pipelines.online.blend_network import (
     BlendNetwork,

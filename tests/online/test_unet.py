@@ -6,7 +6,7 @@ import torch
 from torch.nn import functional
 
 from ggvs_eval import kernels
-from ggvs_eval.one_thread import one_thread
+from ggvs_eval.compute_device import one_thread
 from ggvs_eval.pipelines.online.unet import UNet, unet_outputs
 
 pytestmark = pytest.mark.usefixtures("kernel_settings")

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from ggvs_eval.baselines.configuration import configuration_of
+from ggvs_eval.compute_device import one_thread
 from ggvs_eval.errors import TrainingError, WeightsError
-from ggvs_eval.one_thread import one_thread
 from ggvs_eval.pipelines.methods import baselines
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method

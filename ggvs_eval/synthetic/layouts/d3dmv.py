@@ -1,7 +1,8 @@
 """Deep 3D Mask Volume's layout, compressed as it is distributed: one HDF5 file with all frames, lossless, and LLFF poses.
 
-The bytes of its LZF chunks depend on their content alone. The encoder in h5py begins with whatever its hash table holds from earlier calls, so that equal images give different, equally
-valid bytes. This one looks for nothing but repeated bytes, which is what cut-outs before a black ground consist of.
+The bytes of its LZF chunks depend on their content alone. The encoder in h5py begins with whatever its hash table holds from
+earlier calls, so that equal images give different, equally valid bytes. This one looks for nothing but repeated bytes, which is
+what cut-outs before a black ground consist of.
 """
 
 from collections.abc import Sequence

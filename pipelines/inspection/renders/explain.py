@@ -8,8 +8,12 @@ from ggvs_eval.errors import MetricError
 from ggvs_eval.pipelines.inspection.renders.frame_conventions import l1_conventions, lpips_conventions, psnr_conventions
 from ggvs_eval.pipelines.inspection.renders.recompute import ALL_VIEWS, MaskReader, Recomputed
 from ggvs_eval.pipelines.inspection.renders.ssim_conventions import ssim_conventions
-from ggvs_eval.pipelines.inspection.renders.sted_conventions import sted_conventions
-from ggvs_eval.pipelines.inspection.renders.time_conventions import sdt_conventions, sdv_conventions, tcc_conventions
+from ggvs_eval.pipelines.inspection.renders.time_conventions import (
+    sdt_conventions,
+    sdv_conventions,
+    sted_conventions,
+    tcc_conventions,
+)
 from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames
 from ggvs_eval.pipelines.inspection.table import WIDTH, text_table
 

@@ -19,9 +19,9 @@ import torch
 
 from ggvs_eval import kernels
 from ggvs_eval.arrays import Image8, Map
+from ggvs_eval.compute_device import one_thread
 from ggvs_eval.errors import WeightsError
 from ggvs_eval.files.weights_file import load_strict, read_tensors
-from ggvs_eval.one_thread import one_thread
 from ggvs_eval.pipelines.offline.stereo.matcher import left_right_gap, refine_disparity
 from ggvs_eval.pipelines.offline.stereo.raft_config import COMPACT, PUBLISHED, RaftOptions
 from ggvs_eval.pipelines.offline.stereo.raft_stereo import SIZE_MULTIPLE, RaftStereo
