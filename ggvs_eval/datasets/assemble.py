@@ -14,6 +14,10 @@ from ggvs_eval.files.video import VideoFrames
 
 # Image folders do not say their rate; every capture published in this layout was recorded at this one.
 FOLDER_FPS = 30.0
+ARRANGEMENTS = "CAM.mp4, videos/CAM.mp4, images/CAM/, CAM/images/, CAM/ or one image per camera in images/"
+LISTED = 24
+# File systems take no longer ones.
+LONGEST_NAME_BYTES, LONGEST_PATH = 200, 1000
 
 
 class SizedSource(FrameSource, Protocol):
@@ -107,12 +111,6 @@ def _fit_camera(camera: Camera, source: SizedSource, path: Path) -> Camera:
             "for, scaled but not cropped"
         )
     return camera.resized(width, height)
-
-
-ARRANGEMENTS = "CAM.mp4, videos/CAM.mp4, images/CAM/, CAM/images/, CAM/ or one image per camera in images/"
-LISTED = 24
-# File systems take no longer ones.
-LONGEST_NAME_BYTES, LONGEST_PATH = 200, 1000
 
 
 def find_sources(path: Path, image_names: Mapping[str, str]) -> list[SizedSource]:

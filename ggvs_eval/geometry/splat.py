@@ -14,6 +14,8 @@ from ggvs_eval.kernels import SIMD_LEVELS, get_simd_level, get_threads
 
 MAX_FEATURES = 4
 COVERED_ALPHA = 0.5  # from this coverage on a splatted view shows something
+OPAQUE = 0.99  # the most that one opaque Gaussian covers, see `splat`
+Projected = tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,9 +128,6 @@ def _common_channels(sources: Sequence[PixelGaussians]) -> int:
     return min(channels)
 
 
-OPAQUE = 0.99  # the most that one opaque Gaussian covers, see `splat`
-
-
 def splat_points(source: PixelGaussians, target: Camera, *, near: float) -> Splat:
     """Render the pixels of one source as points: each falls into one pixel of the target, where the nearest is seen.
 
@@ -158,9 +157,6 @@ def splat_points(source: PixelGaussians, target: Camera, *, near: float) -> Spla
     alpha.reshape(-1)[place[first]] = OPAQUE
     seen.reshape(-1)[place[first]] = z[first]
     return Splat(colour, alpha, seen)
-
-
-Projected = tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]
 
 
 def _project(camera: Camera, depth: NDArray[np.float32], target: Camera, near: float) -> Projected:

@@ -14,6 +14,11 @@ from ggvs_eval.renders.numbering import number_stream
 from ggvs_eval.renders.wanted import Found, RenderedView, Wanted
 from ggvs_eval.run_folder import frame_path
 
+VIDEO_SUFFIXES = (".mp4", ".mov")
+ARRAY_SUFFIXES = (".npy", ".npz")
+VIDEO_NOTE = "decoded from video: what its coding lost counts against the method"
+ARRAY_NOTE = "written to PNG from an array, floats rounded to 8 bit"
+
 
 class FrameStream(Protocol):
     """Frames in order, at one size."""
@@ -61,12 +66,6 @@ class StreamView:
             if index in numbered:
                 write_image(frame_path(folder, numbered[index]), image)
         return [self.note]
-
-
-VIDEO_SUFFIXES = (".mp4", ".mov")
-ARRAY_SUFFIXES = (".npy", ".npz")
-VIDEO_NOTE = "decoded from video: what its coding lost counts against the method"
-ARRAY_NOTE = "written to PNG from an array, floats rounded to 8 bit"
 
 
 def refuse_videos(path: Path, wanted: Wanted) -> str | None:

@@ -12,6 +12,8 @@ from ggvs_eval.files.images import read_image
 from ggvs_eval.renders.picture import read_header
 from ggvs_eval.run_folder import RunFolder, as_ranges, frame_path
 
+LISTED = 20
+
 
 @dataclass(frozen=True)
 class Wanted:
@@ -87,9 +89,6 @@ def wanted_of(run: RunFolder, label: str) -> Wanted:
         header = read_header(file)
         sizes[view] = (header.width, header.height)
     return Wanted(label, views, frames, record["n_frames"], sizes, tuple(record["cameras"]), run.root / "truth")
-
-
-LISTED = 20
 
 
 @dataclass(frozen=True)

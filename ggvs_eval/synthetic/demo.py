@@ -24,6 +24,14 @@ VERSION = 2
 DESCRIPTION = "demo.json"
 LISTED = 5
 T = TypeVar("T")
+MAIN = "demo"
+SMALL = DemoOptions(width=384, height=216, n_frames=8, path_poses=0, depth_stride=0)
+# Name of the packaged protocol -> what is rendered. ENeRF-Outdoor: 18 cameras on an arc; D3DMV: 10 in two rows of five.
+DEMO_ROOMS: dict[str, DemoOptions] = {
+    MAIN: DemoOptions(),
+    "demo-enerf-outdoor": replace(SMALL, layout="enerf-outdoor", seed=1, cameras_per_row=9, rig="arc"),
+    "demo-d3dmv": replace(SMALL, layout="d3dmv", seed=2, cameras_per_row=5, rig="grid"),
+}
 
 
 def write_demo(folder: Path, options: DemoOptions, workers: int | None = None) -> Path:
@@ -106,13 +114,3 @@ def _is_written(folder: Path, options: DemoOptions) -> bool:
         listed = ", ".join(missing[:LISTED]) + (f" and {len(missing) - LISTED} more" if len(missing) > LISTED else "")
         raise CaptureError(f"{folder}: this demo has lost {listed}; delete the folder and write it again")
     return True
-
-
-MAIN = "demo"
-SMALL = DemoOptions(width=384, height=216, n_frames=8, path_poses=0, depth_stride=0)
-# Name of the packaged protocol -> what is rendered. ENeRF-Outdoor: 18 cameras on an arc; D3DMV: 10 in two rows of five.
-DEMO_ROOMS: dict[str, DemoOptions] = {
-    MAIN: DemoOptions(),
-    "demo-enerf-outdoor": replace(SMALL, layout="enerf-outdoor", seed=1, cameras_per_row=9, rig="arc"),
-    "demo-d3dmv": replace(SMALL, layout="d3dmv", seed=2, cameras_per_row=5, rig="grid"),
-}

@@ -16,6 +16,8 @@ from ggvs_eval.pipelines.online.blend_maps import BlendMaps
 from ggvs_eval.pipelines.online.blend_network import BEYOND_VIEWS, SURE
 from ggvs_eval.pipelines.online.refiner import Refiner
 
+OUTPUT_MULTIPLE = 8  # of a layer: so many are summed at once
+
 
 @dataclass(frozen=True, eq=False)
 class Overview:
@@ -49,9 +51,6 @@ def overview(maps: BlendMaps, scale: int) -> Overview:
         colours, coverage, seen, alphas, maps.weights, scale, COVERED_ALPHA, get_threads()
     )
     return Overview(maps.with_means(scale, means), unseen, picture, covered)
-
-
-OUTPUT_MULTIPLE = 8  # of a layer: so many are summed at once
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,7 @@ from ggvs_eval.pipelines.run.frame_cache import cache_frames
 from ggvs_eval.pipelines.run.run_plan import RunPlan
 
 REACH = 0.6  # of the rig's extent along its two main directions
+FRAMES_OF_STILLS = 90
 
 
 def camera_loop(cameras: Sequence[Camera], count: int, width: int | None = None) -> list[Camera]:
@@ -80,9 +81,6 @@ def _view(cameras: Sequence[Camera], centres: Array, width: int | None) -> Camer
         middle = middle.resized(width, max(round(middle.height * width / middle.width), 2))
     even = middle.cropped(0, 0, middle.width - middle.width % 2, middle.height - middle.height % 2)
     return replace(even, near=min(camera.near for camera in cameras), far=max(camera.far for camera in cameras))
-
-
-FRAMES_OF_STILLS = 90
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,14 @@ from ggvs_eval.geometry.features import Features
 from ggvs_eval.geometry.rectification import RectifiedPair, rectify
 
 SLACK_PX = 1.0  # a disparity counts as outside its range only beyond this, the error of a feature's place
+WIDTH_PX = 640  # of a picture
+HEIGHT_PX = 400  # of each half
+GAP_PX = 4
+GUIDES = 12
+DOTS = 14
+GREY = 128
+GUIDE_COLOURS = ((240, 228, 66), (86, 180, 233))  # yellow and sky blue, of Okabe and Ito's colours
+DOT_COLOURS = ((213, 94, 0), (0, 158, 115), (204, 121, 167), (0, 114, 178), (230, 159, 0))
 
 
 @dataclass(frozen=True)
@@ -120,16 +128,6 @@ def _unmeasured(camera: Camera, partner: Camera, obstacle: str) -> PairErrors:
     baseline = float(np.linalg.norm(partner.centre - camera.centre))
     angle_rad = float(np.arccos(np.clip(camera.axis @ partner.axis, -1, 1)))
     return PairErrors(camera.name, partner.name, baseline, angle_rad, 0, 0, 0, 0.0, 0.0, 0.0, obstacle)
-
-
-WIDTH_PX = 640  # of a picture
-HEIGHT_PX = 400  # of each half
-GAP_PX = 4
-GUIDES = 12
-DOTS = 14
-GREY = 128
-GUIDE_COLOURS = ((240, 228, 66), (86, 180, 233))  # yellow and sky blue, of Okabe and Ito's colours
-DOT_COLOURS = ((213, 94, 0), (0, 158, 115), (204, 121, 167), (0, 114, 178), (230, 159, 0))
 
 
 class PairPicture(NamedTuple):

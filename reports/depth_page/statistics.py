@@ -12,6 +12,9 @@ from ggvs_eval.files.images import quantise
 from ggvs_eval.geometry.splat import COVERED_ALPHA, PixelGaussians, splat
 from ggvs_eval.geometry.warp import warp
 
+SAME_SURFACE = 0.03  # of the median depth: what lies deeper behind another pixel is hidden by it
+FEWEST_PIXELS = 100  # that both cameras see, to compare their colours
+
 
 @dataclass(frozen=True)
 class DepthStatistics:
@@ -60,10 +63,6 @@ def describe_map(frame: int, depth_map: DepthMap, filled_confidence: float) -> D
     near, median, far = np.percentile(depths, (1, 50, 99)) if depths.size else (0.0, 0.0, 0.0)
     confidence = np.median(depth_map.confidence[measured]) if depths.size else 0.0
     return DepthStatistics(frame, *(float(value) for value in (*shares, confidence, near, median, far)))
-
-
-SAME_SURFACE = 0.03  # of the median depth: what lies deeper behind another pixel is hidden by it
-FEWEST_PIXELS = 100  # that both cameras see, to compare their colours
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,11 @@ if TYPE_CHECKING:
 # Metadata keys that would carry a date or a version.
 VOLATILE = {".png": ("Software",), ".pdf": ("CreationDate", "Producer", "Creator"), ".svg": ("Date", "Creator")}
 DOTS_PER_INCH = 200
+# Okabe and Ito's colours, told apart by colour-blind readers; the page repeats them as CSS variables.
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#b8a800", "#777777")
+DASHES = ("", "7 3", "2 3", "9 3 2 3")
+SIZE = (340, 170)
+MARGIN = (46, 10, 10, 24)  # left, right, top, bottom
 
 
 def save_figure(figure: "Figure", out: Path) -> Path:
@@ -32,13 +37,6 @@ def save_figure(figure: "Figure", out: Path) -> Path:
     with matplotlib.rc_context({"svg.hashsalt": "ggvs-eval", "savefig.dpi": DOTS_PER_INCH}):
         figure.savefig(out, format=out.suffix[1:], metadata=dict.fromkeys(VOLATILE[out.suffix]))
     return out
-
-
-# Okabe and Ito's colours, told apart by colour-blind readers; the page repeats them as CSS variables.
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#b8a800", "#777777")
-DASHES = ("", "7 3", "2 3", "9 3 2 3")
-SIZE = (340, 170)
-MARGIN = (46, 10, 10, 24)  # left, right, top, bottom
 
 
 @dataclass(frozen=True)

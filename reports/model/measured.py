@@ -12,6 +12,8 @@ from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder, read_json, require_frames
 
 REFERENCES_FILE = "references.json"
+METHODS_FILE = "methods.json"
+METRICS_FILE = "metrics.json"
 
 
 @dataclass(frozen=True)
@@ -50,10 +52,6 @@ def _cell(metric: str, value: float | str | None) -> Cell:
     if value is None:
         return Cell("no such reference")
     return Cell(f"not computed: {value}") if isinstance(value, str) else Cell(format_value(metric, value), value)
-
-
-METHODS_FILE = "methods.json"
-METRICS_FILE = "metrics.json"
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,11 @@ MEANINGS = {
     "coverage": ("coverage", "how far the splatted views cover the pixel, none dark blue, fully yellow"),
     "motion": ("motion", "where the past is forgotten because something moves, yellow; kept, dark blue"),
 }
+FRAME_BYTES = 10_000_000
+FRAMES_AT_MOST = 900
+CLEAR_WIDTH = 320  # pixels; where all frames would be narrower, fewer are shown
+FRAMES_AT_LEAST = 8
+ERROR_SHARE = 0.5
 
 
 def diagnostics_label(run: MeasuredRun) -> str | None:
@@ -58,13 +63,6 @@ def diagnostics_name(run: MeasuredRun, key: str) -> str:
 def diagnostics_legend(keys: Sequence[str]) -> list[tuple[str, str]]:
     """What to say of those of the pictures that show the inside of a method: name and meaning."""
     return [MEANINGS[key.partition("/")[2]] for key in keys if "/" in key]
-
-
-FRAME_BYTES = 10_000_000
-FRAMES_AT_MOST = 900
-CLEAR_WIDTH = 320  # pixels; where all frames would be narrower, fewer are shown
-FRAMES_AT_LEAST = 8
-ERROR_SHARE = 0.5
 
 
 @dataclass(frozen=True)

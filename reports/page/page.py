@@ -33,6 +33,9 @@ SCRIPTS = (
     *("zoom_window", "pointer_gestures", "picture_grid", "curve_cursor", "row_cutter", "linked_slices"),
     *("heat_map", "sortable_table", "viewer", "start"),
 )
+CONTEXT_WIDTH = 480
+FACT_NAMES = {"n_frames": "frames captured", "fps": "frames per second", "units_origin": "scale known from"}
+PLOT = {"size": SIZE, "margin": MARGIN, "dashes": DASHES, "colours": len(COLOURS)}
 
 
 def page_script(names: Sequence[str] = SCRIPTS) -> str:
@@ -76,11 +79,6 @@ def viewer_data(
         "colours": ["#" + bytes(colour).hex() for colour in heat_colours()[0]],
         "heat": {heat_map.metric: heat_map.record() for heat_map in maps},
     }
-
-
-CONTEXT_WIDTH = 480
-FACT_NAMES = {"n_frames": "frames captured", "fps": "frames per second", "units_origin": "scale known from"}
-PLOT = {"size": SIZE, "margin": MARGIN, "dashes": DASHES, "colours": len(COLOURS)}
 
 
 def render_page(groups: Sequence[RunGroup], reproduced: Sequence[Reproduction] = (), sweeps: Sequence[SweepSection] = ()) -> str:

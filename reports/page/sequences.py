@@ -23,6 +23,8 @@ VIDEO_FRAMES_AT_MOST = 300
 WIDTHS = (480, 320, 240, 160)
 CRF = 26.0  # for looking at; x264's own default is 23
 DEFAULT_FPS = 10.0
+PATH_BYTES = 3_000_000
+POSES_AT_MOST = 480  # over all methods; the browser decodes each of them for one row
 
 
 @dataclass(frozen=True)
@@ -86,10 +88,6 @@ def _pictures(folders: list[Path], frames: range, width: int) -> Iterator[Image8
         for frame in frames[:VIDEO_FRAMES_AT_MOST]:
             image = shrink(read_image(frame_path(folder, frame)), width)
             yield image[: image.shape[0] // 2 * 2, : image.shape[1] // 2 * 2]
-
-
-PATH_BYTES = 3_000_000
-POSES_AT_MOST = 480  # over all methods; the browser decodes each of them for one row
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,20 @@ VARIANCE_COLUMNS: tuple[tuple[Column, str, Callable[[TwoWay], float]], ...] = (
     (Column("time", "%"), "{:.1f}", lambda parts: 100 * parts.shares()["time"]),
     (Column("rest", "%"), "{:.1f}", lambda parts: 100 * parts.shares()["rest"]),
 )
+WIDE_SHARE = 0.03  # of the width: standard deviation of the Gaussian that tells colour and light from detail
+FRAMES_AT_MOST = 4  # of each view, evenly spaced
+CAPTION = (
+    "Mean squared error of single frames, taken apart. Unseen: pixels that no source view covers, where methods must invent. "
+    f"Wide: what would be gone without the error's mean over {100 * WIDE_SHARE:.0f} % of the width, colour and light above all. "
+    "Detail: the rest, such as misplaced edges, blur and noise."
+)
+COLUMNS = (
+    Column("squared error", "grey levels² of 255", higher_is_better=False),
+    Column("unseen", "%"),
+    Column("wide", "%"),
+    Column("detail", "%"),
+)
+NOT_TOLD = Cell("not measured: wants PSNR_disoccluded among the protocol's metrics")
 
 
 def decomposition_table(run: MeasuredRun) -> Table | None:
@@ -50,22 +64,6 @@ def _variance_cells(run: MeasuredRun, label: str) -> tuple[Cell, ...]:
     except ResultsError as error:
         return tuple(Cell(f"not computed: {error}") for _ in VARIANCE_COLUMNS)
     return tuple(Cell(text.format(value(parts)), value(parts)) for _, text, value in VARIANCE_COLUMNS)
-
-
-WIDE_SHARE = 0.03  # of the width: standard deviation of the Gaussian that tells colour and light from detail
-FRAMES_AT_MOST = 4  # of each view, evenly spaced
-CAPTION = (
-    "Mean squared error of single frames, taken apart. Unseen: pixels that no source view covers, where methods must invent. "
-    f"Wide: what would be gone without the error's mean over {100 * WIDE_SHARE:.0f} % of the width, colour and light above all. "
-    "Detail: the rest, such as misplaced edges, blur and noise."
-)
-COLUMNS = (
-    Column("squared error", "grey levels² of 255", higher_is_better=False),
-    Column("unseen", "%"),
-    Column("wide", "%"),
-    Column("detail", "%"),
-)
-NOT_TOLD = Cell("not measured: wants PSNR_disoccluded among the protocol's metrics")
 
 
 @dataclass(frozen=True)

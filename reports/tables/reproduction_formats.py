@@ -13,6 +13,7 @@ from ggvs_eval.reports.tables.table_formats import escape_markdown
 
 HEADS = ("Method", "Metric", "Paper", "Ours here", "Status", "Why")
 CSV_HEAD = ("table", "dataset", "method", "metric", "unit", "paper", "ours", "lo", "hi", "difference", "status", "reason")
+TIMING = "timing"
 
 
 @dataclass(frozen=True)
@@ -78,9 +79,6 @@ def _words(entry: Reproduction) -> tuple[str, ...]:
 
 def _row(cells: Sequence[str]) -> str:
     return f"| {' | '.join(cells)} |"
-
-
-TIMING = "timing"
 
 
 def paper_tables(entries: Sequence[Reproduction]) -> tuple[Table, ...]:

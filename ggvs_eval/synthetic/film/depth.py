@@ -13,6 +13,11 @@ from ggvs_eval.errors import CaptureError
 from ggvs_eval.synthetic.film.options import DemoOptions
 from ggvs_eval.synthetic.film.rig import UNITS_PER_METRE
 
+# A pixel is lost where depth within its 3 x 3 neighbours differs by more than this share.
+EDGE = 0.05
+# Noise of triangulating sensors is correlated over so many pixels.
+CORRELATED_PX = 1.0
+
 
 class DepthWriter:
     """Writes ``depth`` (T, H, W), float32, world units, and ``frames`` (T,), the video frames they belong to.
@@ -74,12 +79,6 @@ def read_exact_depth(folder: Path, camera: str, frame: int) -> Array32:
         if frame not in frames:
             raise CaptureError(f"{path}: wanted frame {frame}, depth is kept of {frames}; change depth_stride")
         return np.asarray(file["depth"][frames.index(frame)])
-
-
-# A pixel is lost where depth within its 3 x 3 neighbours differs by more than this share.
-EDGE = 0.05
-# Noise of triangulating sensors is correlated over so many pixels.
-CORRELATED_PX = 1.0
 
 
 def misplaced(options: DemoOptions, camera: Camera, image_width: int) -> Camera:

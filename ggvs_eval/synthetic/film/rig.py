@@ -22,6 +22,10 @@ ARC_YAW_RAD, GRID_YAW_RAD = np.radians(38), np.radians(8)
 # Room metres (x right, y into the room, z up) from world units, (4, 4).
 WORLD_TO_ROOM: Array = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, TOP_ROW_M * UNITS_PER_METRE], [0, 0, 0, UNITS_PER_METRE]])
 WORLD_TO_ROOM = WORLD_TO_ROOM / UNITS_PER_METRE
+# Half the extent of the motion along x, y and z, world units, and how often it swings per second.
+REACH = np.array([4.0, 1.0, 0.7])
+SWINGS_HZ = np.array([0.25, 0.37, 0.31])
+AIM_SWAY, ROLL_RAD = 0.8, 0.03
 
 
 def rig(
@@ -164,12 +168,6 @@ def room_to_world(points_m: Array32) -> Array:
 def room_from_world(points: Array) -> Array:
     """Points of the world in the room, metres, (N, 3)."""
     return points @ WORLD_TO_ROOM[:3, :3].T + WORLD_TO_ROOM[:3, 3]
-
-
-# Half the extent of the motion along x, y and z, world units, and how often it swings per second.
-REACH = np.array([4.0, 1.0, 0.7])
-SWINGS_HZ = np.array([0.25, 0.37, 0.31])
-AIM_SWAY, ROLL_RAD = 0.8, 0.03
 
 
 def hand_held_poses(

@@ -19,6 +19,8 @@ from ggvs_eval.synthetic.room.lighting import Instant
 POINTS = 600
 # What ends a ray before this share of its way to a point hides the point.
 REACHED = 0.9998
+MODEL = "sparse/0"
+LEAST_VIEWS = 2
 
 
 def surface_points(options: DemoOptions) -> Array:
@@ -55,10 +57,6 @@ def sightings(points: Array, camera: Camera, instant: Instant, image: Image8) ->
     index = np.flatnonzero(seen)
     column, row = np.floor(uv[index]).astype(int).T
     return Sightings(index, uv[index], image[row, column])
-
-
-MODEL = "sparse/0"
-LEAST_VIEWS = 2
 
 
 def write_shot(folder: Path, footage: Footage) -> Camera:

@@ -25,6 +25,11 @@ POSES = "scene000_pb.npy"
 # The poses are those of the images before they were compressed, 1280 x 720 for 640 x 360.
 POSE_SCALE = 2
 MEDIAN_FRAMES = 32
+BLOCK, LITERALS = 256, 32
+# A reference back by one byte, of length 9 + 247.
+REPEAT = (0xE0, BLOCK - 9, 0)
+# Bit of a chunk's filter mask that says that its second filter, after shuffle, was not used.
+STORED = 0b10
 
 
 def write_shot(folder: Path, footage: Footage) -> Camera:
@@ -80,13 +85,6 @@ def files(options: DemoOptions) -> list[str]:
 
 def _part(folder: Path, name: str, key: str) -> Path:
     return folder / PARTS / f"{name}_{key}.npy"
-
-
-BLOCK, LITERALS = 256, 32
-# A reference back by one byte, of length 9 + 247.
-REPEAT = (0xE0, BLOCK - 9, 0)
-# Bit of a chunk's filter mask that says that its second filter, after shuffle, was not used.
-STORED = 0b10
 
 
 def create_lzf(file: Any, key: str, shape: tuple[int, ...], chunk: tuple[int, ...]) -> Any:

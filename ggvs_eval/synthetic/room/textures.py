@@ -9,6 +9,9 @@ import numpy as np
 from ggvs_eval.arrays import Image8, Map
 
 PICTURES = ("astronaut", "chelsea", "coffee", "rocket", "hubble_deep_field", "moon", "camera", "retina")
+TEXELS_PER_METRE = 400
+Colour = tuple[float, float, float]
+Size = tuple[float, float]
 
 
 def picture(name: str, width: int = 320) -> Image8:
@@ -20,12 +23,6 @@ def picture(name: str, width: int = 320) -> Image8:
         image = np.repeat(image[..., None], 3, axis=2)
     height = round(image.shape[0] * width / image.shape[1])
     return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
-
-
-TEXELS_PER_METRE = 400
-
-Colour = tuple[float, float, float]
-Size = tuple[float, float]
 
 
 def fractal_noise(rng: np.random.Generator, shape: tuple[int, int], cell: Size, octaves: int = 4) -> Map:

@@ -12,6 +12,8 @@ from ggvs_eval.progress import track
 
 # Enough that a camera between two faulty neighbours still has honest ones.
 NEIGHBOURS = 5
+ITERATIONS = 30
+SMALLEST_RESIDUAL = 1e-3
 
 
 def neighbour_pairs(cameras: Sequence[Camera], count: int = NEIGHBOURS) -> list[tuple[int, int]]:
@@ -42,10 +44,6 @@ def _remoteness(camera: Camera, other: Camera) -> float:
     """Distance of the centres, doubled at 90 degrees between the axes and tripled back to back."""
     distance = float(np.linalg.norm(camera.centre - other.centre))
     return distance * (2.0 - float(camera.axis @ other.axis))
-
-
-ITERATIONS = 30
-SMALLEST_RESIDUAL = 1e-3
 
 
 def solve_differences(count: int, pairs: Sequence[tuple[int, int]], differences: Array, weights: Array) -> Array:

@@ -24,6 +24,11 @@ from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames
 
 OUR_TCC = "Gaussian 11 x 11, valid positions, range 1, each channel cut off at 0"
 DIVISORS = {"ddof 1": 1, "ddof 0": 0}
+LUMAS = {"luma BT.601": np.array(strred.LUMA_WEIGHTS), "luma BT.709": BT709}
+SCALES = {"0..255": 1.0, "0..1": 1.0 / 255}
+OURS = ("disjoint pairs", "mean x mean", "luma BT.601", "0..255")
+PAIRINGS = {"disjoint": "disjoint pairs", "consecutive": "consecutive pairs"}
+Outputs = dict[tuple[str, str, str], dict[str, float]]
 
 
 def tcc_conventions(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskReader]) -> list[Recomputed]:
@@ -111,13 +116,6 @@ def _in_units(name: str, values: Mapping[str, float], ours: bool = False) -> lis
     """A spread on both scales."""
     scaled = {over: value / 255 for over, value in values.items()}
     return [Recomputed(f"{name}, L1 in 0..255", values, ours), Recomputed(f"{name}, L1 in 0..1", scaled)]
-
-
-LUMAS = {"luma BT.601": np.array(strred.LUMA_WEIGHTS), "luma BT.709": BT709}
-SCALES = {"0..255": 1.0, "0..1": 1.0 / 255}
-OURS = ("disjoint pairs", "mean x mean", "luma BT.601", "0..255")
-PAIRINGS = {"disjoint": "disjoint pairs", "consecutive": "consecutive pairs"}
-Outputs = dict[tuple[str, str, str], dict[str, float]]
 
 
 def sted_conventions(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskReader]) -> list[Recomputed]:

@@ -20,6 +20,7 @@ MATCHERS = {
     "raft:CHECKPOINT": "RAFT-Stereo with a checkpoint of its authors, e.g. raft:raftstereo-middlebury.pth",
 }
 PUBLISHED_ITERATIONS = 32  # what the authors' networks are made for
+KEYFRAME_EVERY = 16  # instants, where instants depend on each other
 
 
 def find_matcher(name: str) -> StereoMatcher | PlaneSweep:
@@ -50,9 +51,6 @@ def _raft(checkpoint: str) -> StereoMatcher:
     if checkpoint:
         return RaftMatcher(path, digest, iterations=PUBLISHED_ITERATIONS, from_matching=False)
     return RaftMatcher(path, digest)
-
-
-KEYFRAME_EVERY = 16  # instants, where instants depend on each other
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,9 @@ from ggvs_eval.files.images import write_image
 from ggvs_eval.pipelines.offline.export.surfaces import surface_normals
 
 HEADER = re.compile(rb"(\d{1,9})&(\d{1,9})&(\d{1,9})&")
+AGREES = 0.01  # a camera sees a point where its own depth differs by no larger share
+# COLMAP reads names up to a blank in images.txt, up to a comma in patch-match.cfg, and a stroke as a folder.
+TELLING = re.compile(r"[\s,/\\]")
 
 
 def write_array(path: Path, array: NDArray[np.float32]) -> None:
@@ -64,11 +67,6 @@ def read_array(path: Path) -> NDArray[np.float32]:
         )
     planes = np.frombuffer(content, "<f4", offset=header.end()).reshape(channels, height, width)
     return np.ascontiguousarray(planes[0] if channels == 1 else np.moveaxis(planes, 0, -1), np.float32)
-
-
-AGREES = 0.01  # a camera sees a point where its own depth differs by no larger share
-# COLMAP reads names up to a blank in images.txt, up to a comma in patch-match.cfg, and a stroke as a folder.
-TELLING = re.compile(r"[\s,/\\]")
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,9 @@ from ggvs_eval.camera import Camera
 
 BLOCK = 8  # voxels along the edge of a block, the unit in which Open3D allocates
 FEWEST_VIEWS = 0.5  # weight of a voxel is the number of cameras that measured it: one is enough
+RADIUS_PX = 3  # of the window that a plane is fitted to
+SAME_SURFACE = 0.03  # neighbours whose depth differs by a larger share belong to another surface
+FEWEST = 8  # neighbours that decide on a plane
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,11 +82,6 @@ def _in_order(vertices: Array, colours: Array, triangles: NDArray[np.int64]) -> 
     first = triangles.argmin(axis=1)[:, None]
     turned = np.take_along_axis(triangles, (first + np.arange(3)) % 3, axis=1)  # (F, 3), the same sense of rotation
     return Mesh(rows[:, :3], rows[:, 3:], turned[np.lexsort(turned.T[::-1])])
-
-
-RADIUS_PX = 3  # of the window that a plane is fitted to
-SAME_SURFACE = 0.03  # neighbours whose depth differs by a larger share belong to another surface
-FEWEST = 8  # neighbours that decide on a plane
 
 
 def surface_normals(camera: Camera, depth: Map) -> Map:

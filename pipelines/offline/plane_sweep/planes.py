@@ -8,6 +8,10 @@ import numpy as np
 from ggvs_eval.arrays import Array, Map
 from ggvs_eval.camera import Camera
 
+BLOCK = 32  # planes come in multiples of it, as the kernels want them
+SMALLEST_DENOMINATOR = 0.1  # nearer to a partner's centre nothing is matched; the kernels' number
+SAMPLED_PX = 8  # parallax is sampled at every so many pixels
+
 
 @dataclass(frozen=True)
 class PlaneSweep:
@@ -51,11 +55,6 @@ class PlaneSweep:
     def name(self) -> str:
         """Algorithm and version."""
         return "plane-sweep-2"
-
-
-BLOCK = 32  # planes come in multiples of it, as the kernels want them
-SMALLEST_DENOMINATOR = 0.1  # nearer to a partner's centre nothing is matched; the kernels' number
-SAMPLED_PX = 8  # parallax is sampled at every so many pixels
 
 
 @dataclass(frozen=True)

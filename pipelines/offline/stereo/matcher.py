@@ -11,6 +11,9 @@ import numpy as np
 
 from ggvs_eval.arrays import Image8, Map
 
+LARGEST_STEP_PX = 0.5  # larger corrections mean that the match itself is wrong
+NOISE_SLOPE = 4.0  # mean squared slope that noise alone makes, squared grey values per pixel
+
 
 def left_right_gap(disparity: Map, disparity_right: Map) -> Map:
     """How far the right image's disparity at the matched point is from the left one's.
@@ -26,10 +29,6 @@ def left_right_gap(disparity: Map, disparity_right: Map) -> Map:
     columns = np.rint(np.arange(width, dtype=np.float32) - disparity).astype(np.intp)
     matched = np.take_along_axis(disparity_right, np.clip(columns, 0, width - 1), axis=1)
     return np.where((matched > 0) & (columns >= 0), np.abs(disparity - matched), np.float32(np.inf))
-
-
-LARGEST_STEP_PX = 0.5  # larger corrections mean that the match itself is wrong
-NOISE_SLOPE = 4.0  # mean squared slope that noise alone makes, squared grey values per pixel
 
 
 def refine_disparity(left: Image8, right: Image8, disparity: Map, window: int, iterations: int) -> Map:

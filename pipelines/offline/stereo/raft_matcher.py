@@ -29,6 +29,7 @@ from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
 
 SHIPPED = "raft-compact.safetensors"
 NETWORK = "RAFT-Stereo"  # in messages
+HALF = SgbmMatcher(levels=2, refine_iterations=0, speckle_px=40)
 
 
 def shipped_weights() -> Path:
@@ -79,9 +80,6 @@ def _configuration(tensors: Mapping[str, torch.Tensor], path: Path) -> RaftOptio
             nearest = f"{len(different)} differ from '{title}', first {name}: {shapes.get(name)}, wanted {wanted.get(name)}"
             fewest = len(different)
     raise WeightsError(f"{path}: {len(shapes)} tensors of no known RAFT-Stereo; {nearest or 'none of its names is known'}")
-
-
-HALF = SgbmMatcher(levels=2, refine_iterations=0, speckle_px=40)
 
 
 def start_from_matching(left: Image8, right: Image8, d_min: int, d_max: int, factor: int) -> Map:

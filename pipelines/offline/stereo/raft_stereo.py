@@ -23,6 +23,8 @@ from ggvs_eval.pipelines.offline.stereo.raft_update import (
 )
 from ggvs_eval.residual_block import ResidualBlock
 
+SIZE_MULTIPLE = 32  # images are padded to it
+
 
 class Trunk(nn.Module):
     """The three stages that both encoders begin with."""
@@ -102,9 +104,6 @@ def _head(width_in: int, width: int, norm: Norm) -> nn.Sequential:
 def normalisation(norm: Norm) -> Callable[[int], nn.Module]:
     """What makes the normalisation of so many channels."""
     return nn.BatchNorm2d if norm == "batch" else nn.InstanceNorm2d
-
-
-SIZE_MULTIPLE = 32  # images are padded to it
 
 
 class RaftStereo(nn.Module):

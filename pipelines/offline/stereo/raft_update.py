@@ -10,6 +10,7 @@ from torch.nn import functional
 from ggvs_eval.pipelines.offline.stereo.raft_config import RaftOptions
 
 VOLUME_BYTES = 512 * 2**20  # a larger volume is not kept but computed again for every lookup, row by row
+Context = tuple[Tensor, Tensor]  # the context's share of both gates, (B, 2 C, H, W), and of the candidate, (B, C, H, W)
 
 
 def at_least_single(tensor: Tensor) -> Tensor:
@@ -86,9 +87,6 @@ class Correlation:
             cells = torch.gather(products, -1, index)
             sampled.append(torch.lerp(cells[..., :-1], cells[..., 1:], share))
         return torch.cat(sampled, dim=-1).permute(0, 3, 1, 2)
-
-
-Context = tuple[Tensor, Tensor]  # the context's share of both gates, (B, 2 C, H, W), and of the candidate, (B, C, H, W)
 
 
 class ConvGru(nn.Module):
