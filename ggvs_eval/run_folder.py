@@ -25,10 +25,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import RenderError, ResultsError
 from ggvs_eval.files.atomic import write_text
-from ggvs_eval.files.images import read_image
 from ggvs_eval.protocol import Protocol, load_protocol
 
 JOB_FILE = "job.json"
@@ -137,11 +135,6 @@ def frame_path(folder: Path, index: int) -> Path:
 def diagnostics_path(folder: Path, name: str, index: int) -> Path:
     """Path of the picture of something that a method decided on the way to a frame, in its folder of frames."""
     return frame_path(folder / DIAGNOSTICS / name, index)
-
-
-def read_frames(folder: Path, indices: range) -> list[Image8]:
-    """Read several frames at once; for few and small ones (slices, thumbnails)."""
-    return [read_image(frame_path(folder, index)) for index in indices]
 
 
 def missing_frames(folder: Path, indices: range) -> list[int]:

@@ -76,23 +76,6 @@ def choose_sources(target: Camera, cameras: Sequence[Camera], k: int, how: Sourc
     return tuple(ChosenSource(others[index], share) for index, share in sorted(shares.items()))
 
 
-def covered_share(target: Camera, sources: Sequence[Camera], most_angle_rad: float = np.pi) -> float:
-    """Share of the target's view, over the depths from near to far, that at least one source has in its image.
-
-    Nothing occludes; depths are evenly spaced in inverse depth.
-
-    Args:
-        target: whose view.
-        sources: which cameras.
-        most_angle_rad: a point is not seen by a source whose ray to it differs by more from the target's.
-    """
-    points = sample_view(target)
-    seen = np.zeros(len(points), bool)
-    for source in sources:
-        seen |= sees(source, points) & (ray_angles(target, source, points) <= most_angle_rad)
-    return float(seen.mean())
-
-
 def turn_rad(one: Camera, other: Camera) -> float:
     """Angle between the viewing directions of two cameras."""
     return float(np.arccos(np.clip(one.axis @ other.axis, -1.0, 1.0)))

@@ -29,11 +29,6 @@ class Comparison:
     p_value: float | None
     note: str
 
-    @property
-    def is_tie(self) -> bool | None:
-        """Whether the interval spans 0; None where there is no interval."""
-        return None if self.low is None or self.high is None else self.low <= 0.0 <= self.high
-
 
 @dataclass(frozen=True)
 class Standing:
@@ -110,18 +105,6 @@ def rank_methods(
     tied = [label for label, p_value in p_values.items() if p_value >= 1.0 - level]
     untested = {label: one.note for label, one in comparisons.items() if one.p_value is None}
     return Standing(frozenset(best), frozenset(best + tied), comparisons, p_values, untested)
-
-
-def best_and_ties(results: Results, metric: str, higher_is_better: bool, dataset: str | None = None) -> frozenset[str]:
-    """Labels of the best method and of all that cannot be told from it, see `rank_methods`.
-
-    Raises:
-        ResultsError: nobody has a value, or no data set is named and the results know several.
-    """
-    known = sorted(results.table["dataset"].unique())
-    if dataset is None and len(known) != 1:
-        raise ResultsError(f"{metric}: the results know {', '.join(known) or 'no data set'}; say which data set")
-    return rank_methods(results, metric, higher_is_better, dataset or known[0]).ties
 
 
 def holm(p_values: Sequence[float]) -> list[float]:

@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 from ggvs_eval.reports.model.table import Cell, Column, Row, Table, rank
 from ggvs_eval.reports.tables.published import CAVEATS, SOURCE, is_higher_better
 from ggvs_eval.reports.tables.reproduction import MEANING, STATUSES, TABLES, Reproduction
-from ggvs_eval.reports.tables.table_formats import escape_markdown
+from ggvs_eval.reports.tables.table_formats import escape_markdown, markdown_table
 
 HEADS = ("Method", "Metric", "Paper", "Ours here", "Status", "Why")
+WORDS = (0, 1, 4, 5)  # columns without numbers
 CSV_HEAD = ("table", "dataset", "method", "metric", "unit", "paper", "ours", "lo", "hi", "difference", "status", "reason")
 TIMING = "timing"
 
@@ -51,8 +52,8 @@ def reproduction_markdown(entries: Sequence[Reproduction]) -> str:
     """One table per table of the paper and data set, one line per value, what the words mean at the end."""
     parts = [f"# The paper's values and ours\n\n{len(entries)} published values: {count_words(entries)}."]
     for block in blocks(entries):
-        lines = [f"## {block.title}", "", f"{block.summary}.", "", _row(HEADS), "|---|---|---:|---:|---|---|"]
-        parts.append("\n".join([*lines, *(_row(_words(entry)) for entry in block.entries)]))
+        table = markdown_table(HEADS, map(_words, block.entries), words=WORDS)
+        parts.append(f"## {block.title}\n\n{block.summary}.\n\n{table}")
     notes = "\n".join(f"- {escape_markdown(note)}" for note in (MEANING, f"Published values: {SOURCE}", *CAVEATS))
     return "\n\n".join([*parts, notes]) + "\n"
 
@@ -75,10 +76,6 @@ def _words(entry: Reproduction) -> tuple[str, ...]:
     metric = f"{entry.metric} ({entry.unit})" if entry.unit else entry.metric
     ours = f"{entry.ours.text} {entry.ours.spread}".strip()
     return tuple(map(escape_markdown, (entry.method, metric, entry.paper, ours, entry.status, entry.reason)))
-
-
-def _row(cells: Sequence[str]) -> str:
-    return f"| {' | '.join(cells)} |"
 
 
 def paper_tables(entries: Sequence[Reproduction]) -> tuple[Table, ...]:

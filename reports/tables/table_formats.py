@@ -3,7 +3,7 @@
 import csv
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Sequence
 
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.reports.model.table import Cell, Column, Row, Table
@@ -49,13 +49,23 @@ def to_markdown(tables: Sequence[Table], notes: Sequence[str] = ()) -> str:
     parts = []
     for table in tables:
         heads = ["Method", *(_head(column) for column in table.columns)]
-        lines = [f"## {escape_markdown(_title(table))}", "", escape_markdown(table.caption), "", _markdown_row(heads)]
-        lines.append("|---|" + "---:|" * len(table.columns))
-        for row in table.rows:
-            lines.append(_markdown_row([_markdown_text(row, row.name), *(_markdown_cell(row, cell) for cell in row.cells)]))
-        parts.append("\n".join(lines))
+        rows = [[_markdown_text(row, row.name), *(_markdown_cell(row, cell) for cell in row.cells)] for row in table.rows]
+        head = f"## {escape_markdown(_title(table))}\n\n{escape_markdown(table.caption)}\n\n"
+        parts.append(head + markdown_table(heads, rows))
     closing = "\n".join(f"- {escape_markdown(note)}" for note in notes)
     return "\n\n".join([*parts, *([closing] if closing else [])]) + "\n"
+
+
+def markdown_table(heads: Sequence[str], rows: Iterable[Sequence[str]], words: Collection[int] = (0,)) -> str:
+    """A table in GitHub's Markdown.
+
+    Args:
+        heads: of the columns.
+        rows: cells, one per head, in which nothing is escaped.
+        words: columns that are set to the left; the others hold numbers.
+    """
+    rule = "".join("---|" if at in words else "---:|" for at in range(len(heads)))
+    return "\n".join([f"| {' | '.join(heads)} |", f"|{rule}", *(f"| {' | '.join(row)} |" for row in rows)])
 
 
 def to_csv(groups: Sequence[tuple[Protocol, Sequence[Table]]]) -> str:
@@ -155,10 +165,6 @@ def _markdown_cell(row: Row, cell: Cell) -> str:
 
 def _markdown_text(row: Row, text: str) -> str:
     return f"*{escape_markdown(text)}*" if row.is_grey else escape_markdown(text)
-
-
-def _markdown_row(cells: Sequence[str]) -> str:
-    return f"| {' | '.join(cells)} |"
 
 
 def escape_markdown(text: str) -> str:

@@ -11,12 +11,18 @@ from scipy.spatial.transform import Rotation
 from ggvs_eval.camera import Camera, nearest_cameras
 from ggvs_eval.errors import CameraError
 from ggvs_eval.geometry import source_views
-from ggvs_eval.geometry.source_views import LEAST_SHARE, choose_sources, covered_share, sample_view, turn_rad
+from ggvs_eval.geometry.source_views import LEAST_SHARE, choose_sources, sample_view, sees, turn_rad
 from ggvs_eval.pipelines.play.playback import camera_loop
 from ggvs_eval.synthetic.film.rig import GRID_YAW_RAD, OUTERMOST_YAW_RAD, arc_rig, hand_held_poses, rig
 
 CHOICES = ("nearest", "coverage")
 SIZE, NEAR, FAR = (64, 48), 10.0, 32.0
+
+
+def covered_share(target, sources):
+    """Share of the target's view, over the depths from near to far, that at least one source has in its image."""
+    points = sample_view(target)
+    return float(np.any([sees(source, points) for source in sources] or [np.zeros(len(points), bool)], axis=0).mean())
 
 
 def make_rig(shape: str, seed: int = 101) -> list[Camera]:

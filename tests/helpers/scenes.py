@@ -5,6 +5,8 @@ import numpy as np
 from ggvs_eval.camera import Camera
 from ggvs_eval.files.images import quantise
 from ggvs_eval.method import Instant, SourceView
+from ggvs_eval.synthetic.film.raycast import View
+from ggvs_eval.synthetic.room.lighting import Instant as RoomInstant
 
 WALL_Z, SQUARE_Z, SQUARE_HALF = 5.0, 3.5, 0.5
 WIDTH, HEIGHT, FOCAL = 96, 72, 90.0
@@ -47,3 +49,9 @@ def instant(
         depth = depth + random.normal(0, depth_noise, depth.shape).astype(np.float32) if depth_noise else depth
         views.append(SourceView(camera, image, depth, np.ones_like(depth)))
     return Instant(index, target, tuple(views), units_per_metre=2.5)
+
+
+def render_view(instant: RoomInstant, camera: Camera, supersampling: int = 2) -> tuple[np.ndarray, np.ndarray]:
+    """One picture of the lit demo room: image, sRGB in [0, 1], (H, W, 3), and depth, world units, (H, W)."""
+    picture = View(instant.static, camera, supersampling).render(instant)
+    return picture.image, picture.depth

@@ -19,11 +19,12 @@ from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.film.depth import read_exact_depth
 from ggvs_eval.synthetic.film.film import Footage, lit_room
 from ggvs_eval.synthetic.film.options import DemoOptions
-from ggvs_eval.synthetic.film.raycast import PixelGrid, View, render_depth, render_view
+from ggvs_eval.synthetic.film.raycast import PixelGrid, View, render_depth
 from ggvs_eval.synthetic.film.rig import UNITS_PER_METRE, WORLD_TO_ROOM, in_metres
 from ggvs_eval.synthetic.film.shots import LENS, distorted_shots, hand_held_shots, rig_shots
 from ggvs_eval.synthetic.layouts.d3dmv import MEDIAN_FRAMES, median_background
 from ggvs_eval.synthetic.layouts.layouts import LAYOUTS
+from helpers.scenes import render_view
 
 TINY = DemoOptions(width=64, height=48, n_frames=3, cameras_per_row=2, path_poses=2)
 # One instant; rgbd has two poses of it.

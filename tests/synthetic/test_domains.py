@@ -22,10 +22,11 @@ from ggvs_eval.synthetic.domains import DOMAINS, VALIDATION_SEEDS, domain_option
 from ggvs_eval.synthetic.film.depth import measured, misplaced
 from ggvs_eval.synthetic.film.film import Footage, lit_room
 from ggvs_eval.synthetic.film.options import LATER, DemoOptions
-from ggvs_eval.synthetic.film.raycast import render_depth, render_view
+from ggvs_eval.synthetic.film.raycast import render_depth
 from ggvs_eval.synthetic.film.rig import UNITS_PER_METRE
 from ggvs_eval.synthetic.film.sensor import compress, defocus, denoise, mosaic_and_back, rig_sensors, sharpen, to_linear, to_srgb
 from ggvs_eval.synthetic.film.shots import hand_held_shots, rig_of
+from helpers.scenes import render_view
 
 SMALL = DemoOptions(width=96, height=72, n_frames=3, cameras_per_row=2, path_poses=0, supersampling=1, depth_stride=0)
 # At 3326e7f, before there were domains.

@@ -8,16 +8,17 @@ import h5py
 import numpy as np
 import pytest
 
+from ggvs_eval.datasets.llff import llff_pose, write_llff_poses
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.video import VideoFrames
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.film.depth import read_exact_depth
 from ggvs_eval.synthetic.film.film import Footage, lit_room
 from ggvs_eval.synthetic.film.options import DemoOptions
-from ggvs_eval.synthetic.film.raycast import render_view
-from ggvs_eval.synthetic.film.rig import UNITS_PER_METRE, eye_in_room, llff_poses, rays_in_room, rig, sideways_path
+from ggvs_eval.synthetic.film.rig import UNITS_PER_METRE, eye_in_room, rays_in_room, rig, sideways_path
 from ggvs_eval.synthetic.film.sensor import camera_gains
 from ggvs_eval.synthetic.film.shots import rig_shots
+from helpers.scenes import render_view
 
 TINY = DemoOptions(width=64, height=48, n_frames=3, cameras_per_row=2, path_poses=2)
 CLEAN = replace(TINY, noise_sigma_255=0.0, exposure_spread=0.0)
@@ -81,9 +82,10 @@ def test_poses_follow_llff(demo):
         assert 0 < row[15] < row[16]
 
 
-def test_identity_pose_is_down_right_backwards(cameras):
+def test_identity_pose_is_down_right_backwards(cameras, tmp_path):
     """A camera in the world's own axes has r0 = (0, 1, 0), r1 = (1, 0, 0), r2 = (0, 0, -1)."""
-    row = llff_poses([replace(cameras[0], world_to_camera=np.eye(4))])[0]
+    write_llff_poses(tmp_path / "poses.npy", [llff_pose(replace(cameras[0], world_to_camera=np.eye(4)))])
+    row = np.load(tmp_path / "poses.npy")[0]
     np.testing.assert_array_equal(row[:15].reshape(3, 5)[:, :3], [[0, 1, 0], [1, 0, 0], [0, 0, -1]])
 
 

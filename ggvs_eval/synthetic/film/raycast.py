@@ -83,21 +83,6 @@ class Picture(NamedTuple):
     depth: Array32
 
 
-def render_view(instant: Instant, camera: Camera, supersampling: int = 2) -> tuple[Array32, Array32]:
-    """Render one picture.
-
-    Args:
-        instant: the lit room.
-        camera: any camera in the world of the demo.
-        supersampling: rays per pixel along each side.
-
-    Returns:
-        Image, sRGB in [0, 1], (H, W, 3), and depth, world units, 0 where nothing is, (H, W).
-    """
-    picture = View(instant.static, camera, supersampling).render(instant)
-    return picture.image, picture.depth
-
-
 def render_depth(instant: Instant, camera: Camera) -> Array32:
     """Depth at the pixel centres of any camera, world units, 0 where nothing is, (H, W)."""
     grid, eye = PixelGrid(camera), eye_in_room(camera)

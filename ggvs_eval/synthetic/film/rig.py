@@ -1,13 +1,11 @@
-"""Two rows of cameras like DyNeRF's, an arc like ENeRF-Outdoor's, and the poses_bounds.npy that describes them.
+"""Two rows of cameras like DyNeRF's, an arc like ENeRF-Outdoor's, and a camera that is carried by hand.
 
 World frame: units of 1 / `UNITS_PER_METRE` metres as a structure-from-motion tool would give, x right, y down, z into the room.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Array, Array32
 from ggvs_eval.camera import Camera
@@ -127,17 +125,6 @@ def in_metres(camera: Camera) -> Camera:
     world_to_camera = camera.world_to_camera.copy()
     world_to_camera[:3, 3] /= UNITS_PER_METRE
     return replace(camera, world_to_camera=world_to_camera, near=camera.near / UNITS_PER_METRE, far=camera.far / UNITS_PER_METRE)
-
-
-def llff_poses(cameras: Sequence[Camera]) -> NDArray[np.float64]:
-    """The rows of poses_bounds.npy: axes [down, right, backwards], centre, (H, W, f), near, far; (N, 17)."""
-    rows = []
-    for camera in cameras:
-        right, down, forward = camera.rotation
-        size = [camera.height, camera.width, camera.focal_px]
-        pose = np.stack([down, right, -forward, camera.centre, size], axis=1)  # (3, 5)
-        rows.append([*pose.ravel(), camera.near, camera.far])
-    return np.array(rows, np.float64)
 
 
 def eye_in_room(camera: Camera) -> Array32:

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
+from ggvs_eval.datasets.llff import llff_pose, write_llff_poses
 from ggvs_eval.files.images import quantise
 from ggvs_eval.synthetic.film.film import PARTS, Footage, Frame
 from ggvs_eval.synthetic.film.options import DemoOptions
-from ggvs_eval.synthetic.film.rig import llff_poses
 
 SCENE = "scene000.h5"
 POSES = "scene000_pb.npy"
@@ -59,7 +59,7 @@ def finish(folder: Path, options: DemoOptions, cameras: Sequence[Camera]) -> Non
                 for index in np.ndindex(times):
                     write_chunk(joined, (row, *index), part[index])
     large = [camera.resized(POSE_SCALE * camera.width, POSE_SCALE * camera.height) for camera in cameras]
-    np.save(folder / POSES, llff_poses(large))
+    write_llff_poses(folder / POSES, [llff_pose(camera) for camera in large])
 
 
 def cut_out(frame: Frame) -> Image8:

@@ -3,14 +3,12 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
 from ggvs_eval.camera import Camera
+from ggvs_eval.datasets.llff import llff_pose, write_llff_poses
 from ggvs_eval.files.images import write_image
 from ggvs_eval.files.video import write_video
 from ggvs_eval.synthetic.film.film import Footage
 from ggvs_eval.synthetic.film.options import DemoOptions
-from ggvs_eval.synthetic.film.rig import llff_poses
 
 POSES = "poses_bounds.npy"
 
@@ -29,7 +27,7 @@ def write_film(folder: Path, footage: Footage) -> Camera:
 def finish(folder: Path, options: DemoOptions, cameras: Sequence[Camera]) -> None:
     """Write ``poses_bounds.npy`` of the rig and of the path."""
     on_rig, on_path = split_path(options, cameras)
-    np.save(folder / POSES, llff_poses(on_rig))
+    write_llff_poses(folder / POSES, [llff_pose(camera) for camera in on_rig])
     write_path_poses(folder, on_path)
 
 
@@ -42,7 +40,7 @@ def split_path(options: DemoOptions, cameras: Sequence[Camera]) -> tuple[Sequenc
 def write_path_poses(folder: Path, cameras: Sequence[Camera]) -> None:
     """Write ``path/poses_bounds.npy``, if there is a path."""
     if cameras:
-        np.save(folder / "path" / POSES, llff_poses(cameras))
+        write_llff_poses(folder / "path" / POSES, [llff_pose(camera) for camera in cameras])
 
 
 def files(options: DemoOptions) -> list[str]:
