@@ -1,16 +1,19 @@
 """Depth as the online part gets it: held against that of other cameras, and guessed where nobody knows any."""
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
-from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.consistency import check_consistency
 from ggvs_eval.pipelines.offline.stereo.fusion import fill_background
 
+if TYPE_CHECKING:
+    from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
+
 
 def check_depth(
-    camera: Camera, depth_map: DepthMap, others: Sequence[tuple[Camera, DepthMap]], options: DepthOptions
+    camera: Camera, depth_map: DepthMap, others: Sequence[tuple[Camera, DepthMap]], options: "DepthOptions"
 ) -> DepthMap:
     """Hold a camera's depth against that of the other sources of a view, and fill the rest from the background.
 

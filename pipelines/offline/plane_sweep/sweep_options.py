@@ -43,5 +43,5 @@ class PlaneSweep:
 
     @property
     def name(self) -> str:
-        """Algorithm and version."""
-        return "plane-sweep-2"
+        """Names the algorithm."""
+        return "plane-sweep"
