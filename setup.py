@@ -1,9 +1,9 @@
 """The one thing setup.cfg cannot say: the compiled kernels."""
 
+import hashlib
+import re
 from pathlib import Path
-
-from pybind11.setup_helpers import ParallelCompile, Pybind11Extension
-from setuptools import setup
+from typing import Any
 
 KERNELS = Path("ggvs_eval/kernels")
 SOURCES = (
@@ -15,20 +15,54 @@ STEREO = ("stereo", "plane_sweep", "sgm", "weighted_median", "stereo_levels", "s
 
 # No -march: the instruction set is chosen when the program runs (dispatch.cpp), so that one wheel serves every machine.
 # No contraction to fused multiply-adds: then every instruction set gives the same bits.
-FLAGS = ["-O3", "-ffp-contract=off", "-fno-math-errno", "-Wall", "-Wextra", "-pthread"]
+FLAGS = ("-O3", "-ffp-contract=off", "-fno-math-errno", "-Wall", "-Wextra", "-pthread")
 
 
-def extension(name: str, sources: tuple[str, ...]) -> Pybind11Extension:
-    """One extension module, rebuilt when any header beside it changes."""
+EXTENSIONS = {"_core": SOURCES, "_ssim": ("ssim",), "_stereo": STEREO}
+INCLUDED = re.compile(r'^#include "(.+)"$', re.MULTILINE)
+
+
+def sources_of(name: str) -> list[Path]:
+    """The sources of an extension module and every header that they include, sorted."""
+    found: set[Path] = set()
+    waiting = [KERNELS / f"{source}.cpp" for source in EXTENSIONS[name]]
+    while waiting:
+        file = waiting.pop()
+        if file not in found:
+            found.add(file)
+            waiting += [KERNELS / header for header in INCLUDED.findall(file.read_text(encoding="utf-8"))]
+    return sorted(found)
+
+
+def digest_sources(name: str) -> str:
+    """SHA-256 of all that determines the results of an extension module, whatever compiles it."""
+    texts = [f"{file.name}\0{file.read_text(encoding='utf-8')}" for file in sources_of(name)]
+    return hashlib.sha256("\0".join([*FLAGS, *texts]).encode()).hexdigest()
+
+
+def extension(name: str) -> Any:
+    """One extension module, which carries the hash of its sources and is rebuilt when one of them changes."""
+    from pybind11.setup_helpers import Pybind11Extension
+
     return Pybind11Extension(
         f"ggvs_eval.kernels.{name}",
-        [str(KERNELS / f"{source}.cpp") for source in sources],
-        depends=sorted(str(header) for header in KERNELS.glob("*.hpp")),
+        [str(KERNELS / f"{source}.cpp") for source in EXTENSIONS[name]],
+        depends=[str(file) for file in sources_of(name)],
+        define_macros=[("GGVS_EVAL_SOURCES", f'"{digest_sources(name)}"')],
         cxx_std=17,
-        extra_compile_args=FLAGS,
+        extra_compile_args=list(FLAGS),
         extra_link_args=["-pthread"],
     )
 
 
-ParallelCompile("GGVS_EVAL_BUILD_JOBS").install()
-setup(ext_modules=[extension("_core", SOURCES), extension("_ssim", ("ssim",)), extension("_stereo", STEREO)])
+def main() -> None:
+    """Hand the extension modules to setuptools."""
+    from pybind11.setup_helpers import ParallelCompile
+    from setuptools import setup
+
+    ParallelCompile("GGVS_EVAL_BUILD_JOBS").install()
+    setup(ext_modules=[extension(name) for name in EXTENSIONS])
+
+
+if __name__ == "__main__":  # tests read the sources of the modules without building them
+    main()

@@ -47,7 +47,7 @@ def describe_depth(
         camera: the camera whose depth is computed.
         partners: the cameras it is matched with, in order.
         digests: content of each of these cameras' frames, by name.
-        options: parameters and version of the algorithm, values that JSON knows.
+        options: parameters and code of the algorithm, values that JSON knows.
     """
     cameras = [{"name": each.name, **each.to_json(), "frames": digests[each.name]} for each in (camera, *partners)]
     return {"camera": cameras[0], "partners": cameras[1:], "options": dict(options)}

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from ggvs_eval import kernels
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.colour_correction import apply_colour_map, fit_colour_map, unit_range
-from ggvs_eval.metrics.inputs import Image, check_pair, white_level
+from ggvs_eval.metrics.inputs import Image, check_pair, require_finite, white_level
 
 PSNR_CEILING_DB = 100.0
 SSIM_WINDOW_PX = 11
@@ -114,17 +114,6 @@ def same_kind(rendered: Image, truth: Image) -> tuple[Image, Image]:
     if truth.dtype == np.uint8:
         return rendered, truth
     return rendered.astype(np.float64, copy=False), truth.astype(np.float64, copy=False)
-
-
-def require_finite(value: float, metric: str) -> float:
-    """The value of a metric, or an error where a frame of floats held NaN or infinity: no score is NaN in silence.
-
-    Raises:
-        MetricError: the value is not finite.
-    """
-    if not np.isfinite(value):
-        raise MetricError(f"{metric}: the frames hold values that are not finite; render them again")
-    return value
 
 
 def _mean_squared_error(rendered: Image, truth: Image) -> float:

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from ggvs_eval.arrays import Mask
 from ggvs_eval.errors import MetricError
 from ggvs_eval.geometry.difference_mask import difference_mask
-from ggvs_eval.metrics.image import decibels, require_finite, same_kind
-from ggvs_eval.metrics.inputs import Image, check_pair, white_level
+from ggvs_eval.metrics.image import decibels, same_kind
+from ggvs_eval.metrics.inputs import Image, check_pair, require_finite, white_level
 from ggvs_eval.metrics.ssim_variants import SSIM_VARIANTS, SsimName, ssim_map
 
 Region = Literal["static", "moving", "disoccluded"]

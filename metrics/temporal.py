@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.image import require_finite, same_kind, ssim_per_channel
-from ggvs_eval.metrics.inputs import Image, check_pair
+from ggvs_eval.metrics.image import same_kind, ssim_per_channel
+from ggvs_eval.metrics.inputs import Image, check_pair, require_finite
 
 
 def tcc(rendered: Sequence[Image] | Image, truth: Sequence[Image] | Image) -> float:

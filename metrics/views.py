@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.image import require_finite
+from ggvs_eval.metrics.inputs import require_finite
 
 
 def sdv(l1_255: ArrayLike, ddof: int = 1) -> float:

@@ -11,20 +11,19 @@ import socket
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import ggvs_eval
 from ggvs_eval.errors import GgvsError, RenderError
 from ggvs_eval.files.atomic import remove_leftovers, scratch_folder
+from ggvs_eval.jobs.code_identity import package_digest
 from ggvs_eval.jobs.engine import Workers, as_engine
 from ggvs_eval.jobs.ledger import Entry, Failure, Ledger
 from ggvs_eval.jobs.lost_job import LostJob
 from ggvs_eval.progress import track
 from ggvs_eval.run_folder import JOB_FILE, write_json
 
-ALL_CODE = ("ggvs_eval", "ggvs_eval.baselines", "ggvs_eval.metrics", "ggvs_eval.pipelines")
 
 
 @dataclass(frozen=True)
@@ -129,7 +128,7 @@ def attempt_jobs(jobs: Sequence[Job], workers: Workers, description: str, ledger
     if not open_jobs:
         return Attempt(0, ())
     engine = as_engine(workers)
-    work = partial(_run_one, code=code_digest(*ALL_CODE) if engine.scheduler else None)
+    work = partial(_run_one, code=package_digest() if engine.scheduler else None)
     failures = []
     for index, outcome in track(engine.run(work, open_jobs), description, len(open_jobs)):
         failure = _evaluate(open_jobs[index], outcome)
@@ -140,28 +139,10 @@ def attempt_jobs(jobs: Sequence[Job], workers: Workers, description: str, ledger
     return Attempt(len(open_jobs) - len(failures), tuple(failures))
 
 
-@cache
-def code_digest(*packages: str) -> str:
-    """Hash of the source and compiled code of sub-packages, so that changed code means a changed job.
-
-    Args:
-        packages: importable names, e.g. ``ggvs_eval.geometry``.
-    """
-    import importlib
-
-    digest = hashlib.sha256(ggvs_eval.__name__.encode())
-    for name in packages:
-        folder = Path(str(importlib.import_module(name).__file__)).parent
-        for file in sorted(folder.rglob("*")):
-            if file.suffix in {".py", ".so", ".pyd"}:
-                digest.update(file.name.encode() + file.read_bytes())
-    return digest.hexdigest()
-
-
 def _run_one(job: Job, code: str | None) -> Failure | None:
     """Run a job; give back why it failed, if it did. What runs on another machine must be the code that the job was made by."""
     try:
-        if code not in (None, code_digest(*ALL_CODE)):
+        if code not in (None, package_digest()):
             return Failure(job.name, f"the worker on {socket.gethostname()} has another version of ggvs-eval; install the same")
         job.run()
     except GgvsError as error:

@@ -6,8 +6,8 @@ from functools import partial
 from typing import TypeVar
 
 from ggvs_eval.errors import RenderError
+from ggvs_eval.jobs.code_identity import package_digest
 from ggvs_eval.jobs.engine import Workers, as_engine
-from ggvs_eval.jobs.job import ALL_CODE, code_digest
 from ggvs_eval.jobs.lost_job import LostJob
 from ggvs_eval.progress import track
 
@@ -30,7 +30,7 @@ def run_all(work: Callable[[Item], None], items: Sequence[Item], workers: Worker
     if not items:
         return
     engine = as_engine(workers)
-    checked = partial(_do_one, work, code_digest(*ALL_CODE)) if engine.scheduler else work
+    checked = partial(_do_one, work, package_digest()) if engine.scheduler else work
     for _, outcome in track(engine.run(checked, items), description, len(items)):
         if isinstance(outcome, LostJob):
             raise RenderError(f"{description}: {outcome.reason}; what is done stays, run this again")
@@ -38,6 +38,6 @@ def run_all(work: Callable[[Item], None], items: Sequence[Item], workers: Worker
 
 def _do_one(work: Callable[[Item], None], code: str, item: Item) -> None:
     """Runs on a worker of another's cluster, which must have the code of whoever asks."""
-    if code != code_digest(*ALL_CODE):
+    if code != package_digest():
         raise RenderError(f"the worker on {socket.gethostname()} has another version of ggvs-eval; install the same")
     work(item)

@@ -7,6 +7,7 @@
 #include "images.hpp"
 #include "kernels.hpp"
 #include "learned.hpp"
+#include "sources.hpp"
 #include "warp.hpp"
 
 namespace py = pybind11;

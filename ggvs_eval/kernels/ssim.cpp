@@ -21,6 +21,7 @@
 #include <vector>
 
 #include "parallel.hpp"
+#include "sources.hpp"
 
 namespace py = pybind11;
 

@@ -13,6 +13,7 @@
 #include "array_arguments.hpp"
 #include "plane_sweep.hpp"
 #include "sgm.hpp"
+#include "sources.hpp"
 #include "weighted_median.hpp"
 
 namespace py = pybind11;

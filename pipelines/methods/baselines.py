@@ -7,7 +7,7 @@ from typing import Literal, NoReturn
 
 from ggvs_eval.errors import WeightsError
 from ggvs_eval.method import Method
-from ggvs_eval.pipelines.methods.spec import BASELINE_CODE, MethodSpec, shipped
+from ggvs_eval.pipelines.methods.spec import MethodSpec, shipped
 
 
 def _no_blending() -> Method:
@@ -65,11 +65,17 @@ def _weights_name(label: str) -> str:
 
 
 def _learned(
-    label: str, title: str, describe: str, checkpoint: str, make_from: Callable[..., Method], retrained: str = ""
+    label: str,
+    title: str,
+    describe: str,
+    checkpoint: str,
+    module: str,
+    make_from: Callable[..., Method],
+    retrained: str = "",
 ) -> MethodSpec:
     """A network that renders with a checkpoint of its authors, or of whoever trained it.
 
-    `retrained` says in what configuration we trained it; without, it needs a checkpoint.
+    `module` is where its class stands; `retrained` says in what configuration we trained it; without, it needs a checkpoint.
     """
     make: Callable[..., Method] = partial(_without_checkpoint, title, label, checkpoint)
     weights: tuple[Path, ...] = ()
@@ -80,7 +86,7 @@ def _learned(
         f"{title} (retrained, {retrained})" if retrained else title,
         describe,
         make,
-        BASELINE_CODE,
+        (module,),
         usual=False,
         weights=weights,
         checkpoint=checkpoint,
@@ -91,19 +97,32 @@ def _learned(
 
 BASELINES: dict[str, MethodSpec] = {
     "no-blending": MethodSpec(
-        "No Blending", "all Gaussians of the K views in one pass, the nearest wins", _no_blending, BASELINE_CODE
+        "No Blending",
+        "all Gaussians of the K views in one pass, the nearest wins",
+        _no_blending,
+        ("ggvs_eval.baselines.no_blending",),
     ),
     "distance-based": MethodSpec(
-        "Distance-based Blending", "splatted views weighted by camera distance (LLFF)", _distance_based, BASELINE_CODE
+        "Distance-based Blending",
+        "splatted views weighted by camera distance (LLFF)",
+        _distance_based,
+        ("ggvs_eval.baselines.distance_based",),
     ),
     "fwd": _learned(
-        "fwd", "FWD", "features splatted by the given depth, fused by attention", "a checkpoint of our network", _fwd, "compact"
+        "fwd",
+        "FWD",
+        "features splatted by the given depth, fused by attention",
+        "a checkpoint of our network",
+        "ggvs_eval.baselines.fwd.method",
+        _fwd,
+        "compact",
     ),
     "ibrnet": _learned(
         "ibrnet",
         "IBRNet",
         "colours of the views blended along rays",
         "model_255000.pth of googleinterns/IBRNet",
+        "ggvs_eval.baselines.ibrnet.method",
         _ibrnet,
         "compact",
     ),
@@ -112,6 +131,7 @@ BASELINES: dict[str, MethodSpec] = {
         "GPS-Gaussian",
         "Gaussians of the nearest pair by its own stereo",
         "GPS-GS_stage2_final.pth of aipixel/GPS-Gaussian",
+        "ggvs_eval.baselines.gps_gaussian.method",
         _gps_gaussian,
     ),
     "gps-gaussian+given-depth": _learned(
@@ -119,6 +139,7 @@ BASELINES: dict[str, MethodSpec] = {
         "GPS-Gaussian, Given Depth",
         "Gaussians of the nearest pair by the depth that the others get",
         "GPS-GS_stage2_final.pth of aipixel/GPS-Gaussian",
+        "ggvs_eval.baselines.gps_gaussian.method",
         partial(_gps_gaussian, depth="given"),
         "compact",
     ),
@@ -127,6 +148,7 @@ BASELINES: dict[str, MethodSpec] = {
         "ENeRF",
         "radiance near the surface of a cost volume",
         "dtu_pretrain/latest.pth of zju3dv/ENeRF",
+        "ggvs_eval.baselines.enerf.method",
         _enerf,
         "compact",
     ),

@@ -4,10 +4,15 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from ggvs_eval.method import Method
-from ggvs_eval.pipelines.methods.spec import ONLINE_CODE, MethodSpec, shipped
+from ggvs_eval.pipelines.methods.spec import MethodSpec, shipped
 
 if TYPE_CHECKING:
     from ggvs_eval.pipelines.online.blend_maps import Guidance
+
+ONLINE = "ggvs_eval.pipelines.online"
+GEOMETRIC = (f"{ONLINE}.geometry_guided", f"{ONLINE}.geometric_blender")
+LEARNED = (f"{ONLINE}.geometry_guided", f"{ONLINE}.network_blender")
+OFFLINE = (f"{ONLINE}.whole_sequence",)
 
 
 def _geometric(options: Any = None, background: bool = True) -> Method:
@@ -48,8 +53,8 @@ OURS: dict[str, MethodSpec] = {
     "naive": MethodSpec(
         "Naive Network",
         "splatted views alone: the network was trained without any depth, be it fused or of the views",
-        partial(_learned_with, "naive", fused=False),
-        ONLINE_CODE,
+        partial(_learned_with, guidance="naive", fused=False),
+        LEARNED,
         ours=True,
         usual=False,
         weights=(shipped("blend-naive.safetensors"),),
@@ -57,16 +62,16 @@ OURS: dict[str, MethodSpec] = {
     "ours+no-tsdf": MethodSpec(
         "Ours, No TSDF Guidance",
         "no fused depth; the network was trained without it",
-        partial(_learned_with, "none", fused=False),
-        ONLINE_CODE,
+        partial(_learned_with, guidance="none", fused=False),
+        LEARNED,
         ours=True,
         weights=(shipped("blend-no-tsdf.safetensors"),),
     ),
     "ours+no-temporal": MethodSpec(
         "Ours, No Temporal Filtering",
         "without temporal depth filter, temporal term of the ray march and recurrent output",
-        partial(_learned_with, "registered", temporal=False),
-        ONLINE_CODE,
+        partial(_learned_with, guidance="registered", temporal=False),
+        LEARNED,
         ours=True,
         weights=(shipped("blend.safetensors"),),
     ),
@@ -74,7 +79,7 @@ OURS: dict[str, MethodSpec] = {
         "Ours",
         "the whole online method: splats, filtered and fused depth, blending network",
         _learned,
-        ONLINE_CODE,
+        LEARNED,
         ours=True,
         weights=(shipped("blend.safetensors"),),
         make_with=_learned,
@@ -83,7 +88,7 @@ OURS: dict[str, MethodSpec] = {
         "Ours (geometric weights)",
         "the whole online method with geometric weights in place of the blending network",
         _geometric,
-        ONLINE_CODE,
+        GEOMETRIC,
         ours=True,
         make_with=_geometric,
     ),
@@ -91,7 +96,7 @@ OURS: dict[str, MethodSpec] = {
         "Ours (geometric weights), No Temporal Filtering",
         "without temporal depth filter, temporal term of the ray march and recurrent output",
         partial(_geometric_with, temporal=False),
-        ONLINE_CODE,
+        GEOMETRIC,
         ours=True,
         usual=False,
     ),
@@ -99,7 +104,7 @@ OURS: dict[str, MethodSpec] = {
         "Ours (geometric weights), Point Splats",
         "views rendered forward as points of one pixel, not as pixel-sized Gaussians",
         partial(_geometric_with, splatted_as="points"),
-        ONLINE_CODE,
+        GEOMETRIC,
         ours=True,
         usual=False,
     ),
@@ -107,7 +112,7 @@ OURS: dict[str, MethodSpec] = {
         "Ours (geometric weights), No Background Blending",
         "what no view shows stays black",
         partial(_geometric, background=False),
-        ONLINE_CODE,
+        GEOMETRIC,
         ours=True,
         usual=False,
     ),
@@ -115,7 +120,7 @@ OURS: dict[str, MethodSpec] = {
         "Ours (geometric weights), Not Online",
         "a reference that sees the whole sequence: depth filtered backwards in time, then forwards",
         _offline,
-        ONLINE_CODE,
+        OFFLINE,
         ours=True,
         online=False,
         usual=False,

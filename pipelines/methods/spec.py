@@ -5,11 +5,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 from ggvs_eval.method import Method
-
-BASELINE_CODE = ("ggvs_eval.kernels", "ggvs_eval.geometry", "ggvs_eval.baselines")
-ONLINE_CODE = (*BASELINE_CODE, "ggvs_eval.pipelines.online")
 
 
 def shipped(name: str) -> Path:
@@ -25,7 +23,7 @@ class MethodSpec:
         title: how tables call it.
         describe: one line for the help and the report.
         make: builds a fresh object that renders one sequence; that of a method with networks takes their ``device``.
-        packages: code its output depends on; a change there makes its renders stale.
+        modules: where its classes stand; a change there, or in what they import, makes its renders stale.
         ours: whether it is this project's method or an ablation of it.
         online: whether it sees nothing of the future.
         usual: whether it is rendered where nobody names methods; ablations that only a sweep asks for are not.
@@ -40,7 +38,7 @@ class MethodSpec:
     title: str
     describe: str
     make: Callable[..., Method]
-    packages: tuple[str, ...]
+    modules: tuple[str, ...]
     ours: bool = False
     online: bool = True
     usual: bool = True
@@ -51,8 +49,21 @@ class MethodSpec:
     make_with: Callable[..., Method] | None = None
     device: str = "cpu"
 
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What the label fixes of its classes' options, by name; neither files nor the device, which are told apart."""
+        return _settings(self.make)
+
     def on(self, device: str) -> "MethodSpec":
         """The method with its networks on a device; one without networks stays as it is."""
         if device == self.device or not (self.weights or self.checkpoint):
             return self
         return replace(self, make=partial(self.make, device=device), device=device)
+
+
+def _settings(make: Any) -> dict[str, Any]:
+    """Keywords of a partial, and of the partials that it is given."""
+    if not isinstance(make, partial):
+        return {}
+    inner = {name: value for each in make.args for name, value in _settings(each).items()}
+    return inner | {name: value for name, value in make.keywords.items() if name != "device"}

@@ -12,7 +12,7 @@ from ggvs_eval.arrays import Map
 from ggvs_eval.baselines.gaussians import near_plane, pixel_gaussians
 from ggvs_eval.camera import Camera
 from ggvs_eval.geometry.per_pixel import largest_feature
-from ggvs_eval.geometry.splat import Splat, splat, splat_points
+from ggvs_eval.geometry.splat import COVERED_ALPHA, Splat, splat, splat_points
 from ggvs_eval.geometry.tsdf import DepthView, PreviousDepth, RayMarch, fusion_weights, ray_march
 from ggvs_eval.kernels import side_by_side
 from ggvs_eval.method import Instant, Rendering
@@ -57,7 +57,6 @@ class OnlineOptions:
         eta: limit of the temporal weight (Eq. 13).
         tau_m: truncation distance of the signed distance (Eqs. 9-10).
         depth_noise_m: depth noise in the fusion weight (Eqs. 11-12).
-        covered_alpha: a pixel with less coverage by every view counts as empty.
         mask_channels: how the difference of three colour channels becomes one number (Eq. 1), see `difference_mask`.
         mask_views: how the splatted masks of K views become one, see `target_mask`.
         splatted_depth: what is rendered forward: the ``new`` depth D^t, as printed, or the ``filtered`` one.
@@ -88,7 +87,6 @@ class OnlineOptions:
     eta: float = 15.0
     tau_m: float = 0.02
     depth_noise_m: float = 0.001
-    covered_alpha: float = 0.5
     mask_channels: Literal["largest", "mean"] = "largest"
     mask_views: Literal["largest", "mean"] = "largest"
     splatted_depth: Literal["new", "filtered"] = "new"
@@ -130,7 +128,7 @@ class GeometryGuided:
         )
         self._previous: _Fused | None = None
         self._output = RecurrentOutput(chosen.recurrent_limit if chosen.temporal else 0.0)
-        self._background = RememberedBackground(chosen.covered_alpha) if chosen.temporal and chosen.remembered else None
+        self._background = RememberedBackground() if chosen.temporal and chosen.remembered else None
         self._compensation = ExposureCompensation() if chosen.temporal else ExposureCompensation(memory=1)
 
     def step(self, instant: Instant) -> Rendering:
@@ -169,7 +167,7 @@ class GeometryGuided:
     ) -> tuple[Map, dict[str, Map]]:
         """Blend the views and mix the output with the one before where nothing moves; and what was decided for it."""
         chosen = self.options
-        still = stillness(splatted_change(splats, chosen.covered_alpha, chosen.beta_mask, chosen.lambda_t))
+        still = stillness(splatted_change(splats, chosen.beta_mask, chosen.lambda_t))
         known = np.zeros((instant.target.height, instant.target.width), np.float32) if depth is None else depth
         depths = [view.depth for view in filtered]
         blended = self.blender.blend(BlendingInputs(instant, depths, splats, known, self._tau(instant)))
@@ -213,7 +211,7 @@ class GeometryGuided:
         """The fused depth of the instant before as one more depth camera, trusted where nothing moves (Eqs. 13-14)."""
         if not self.options.temporal or self._previous is None or self._previous.index != instant.index - 1:
             return None
-        mask = target_mask(splats, self.options.covered_alpha, self.options.mask_views)
+        mask = target_mask(splats, self.options.mask_views)
         gain = np.subtract(np.float32(1), mask, out=mask)
         np.maximum(gain, np.float32(0), out=gain)
         gain *= np.float32(self.options.beta_temporal)
@@ -226,12 +224,11 @@ class GeometryGuided:
         )
 
 
-def target_mask(splats: list[Splat], covered_alpha: float, views: Literal["largest", "mean"] = "largest") -> Map:
+def target_mask(splats: list[Splat], views: Literal["largest", "mean"] = "largest") -> Map:
     """Motion in the target view: the largest splatted difference mask, 1 (all is new) where no view covers the pixel.
 
     Args:
         splats: forward renderings whose fourth feature is the difference mask.
-        covered_alpha: coverage from which a view has a say.
         views: ``largest``, or the ``mean`` over the views that cover the pixel.
 
     Returns:
@@ -242,11 +239,11 @@ def target_mask(splats: list[Splat], covered_alpha: float, views: Literal["large
     """
     features, alphas = [view.features for view in splats], [view.alpha for view in splats]
     if views == "largest":
-        return largest_feature(features, alphas, channel=3, least_alpha=covered_alpha, otherwise=1.0)
+        return largest_feature(features, alphas, channel=3, least_alpha=COVERED_ALPHA, otherwise=1.0)
     covering = np.zeros_like(alphas[0])
     mask = np.zeros_like(covering)
     for view in splats:
-        covers = view.alpha >= covered_alpha
+        covers = view.alpha >= COVERED_ALPHA
         covering += covers
         mask += np.where(covers, view.features[..., 3], np.float32(0))
     mask /= np.maximum(covering, np.float32(1))

@@ -9,7 +9,7 @@ import numpy as np
 from ggvs_eval.arrays import Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
-from ggvs_eval.geometry.splat import Splat
+from ggvs_eval.geometry.splat import COVERED_ALPHA, Splat
 
 REDUCTION = 4  # stillness is decided at a quarter of the size, as the difference masks are
 REACH = 2  # cells: what no view covers moves as its surroundings do
@@ -78,12 +78,11 @@ class RecurrentOutput:
         return image
 
 
-def splatted_change(splats: Sequence[Splat], covered_alpha: float, beta_mask: float, lambda_t: float) -> Map:
+def splatted_change(splats: Sequence[Splat], beta_mask: float, lambda_t: float) -> Map:
     """The largest change of colour that a source sees at each cell and next to it: Eq. 1 undone, in the target view.
 
     Args:
         splats: forward renderings whose fourth feature is the difference mask.
-        covered_alpha: coverage from which a view has a say.
         beta_mask: as in `difference_mask`.
         lambda_t: as in `difference_mask`.
 
@@ -92,7 +91,7 @@ def splatted_change(splats: Sequence[Splat], covered_alpha: float, beta_mask: fl
     """
     mask = np.zeros_like(splats[0].alpha[::REDUCTION, ::REDUCTION])
     for view in splats:
-        covers = view.alpha[::REDUCTION, ::REDUCTION] >= covered_alpha
+        covers = view.alpha[::REDUCTION, ::REDUCTION] >= COVERED_ALPHA
         np.maximum(mask, view.features[::REDUCTION, ::REDUCTION, 3], out=mask, where=covers)
     size = 2 * REACH + 1
     widest = cv2.dilate(mask, np.ones((size, size), np.uint8))

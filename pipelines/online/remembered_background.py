@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Map
 from ggvs_eval.camera import Camera
-from ggvs_eval.geometry.splat import Splat
+from ggvs_eval.geometry.splat import COVERED_ALPHA, Splat
 
 BEHIND = 0.98  # of the remembered depth: what lies so far back at least is the same surface, or one behind it
 FORGETTING = 0.99  # of the remembered depth from one instant to the next, so that a wrong one does not last
 RENEWAL = 0.15  # share of a new filling in the recursive mean of fillings
 SURE_STILL = 0.5  # stillness from which on a pixel is background
-FEATHER = 0.5  # share of the covering alpha below which a pixel is a hole altogether
+FEATHER = 0.5  # share of COVERED_ALPHA below which a pixel is a hole altogether
 
 
 @dataclass(eq=False)
@@ -36,15 +36,11 @@ class RememberedBackground:
     hole shows the wall that somebody hides from the sources, or has uncovered, and not the body that has left. Where nothing is
     remembered the recursive mean of the fillings is shown. State: one image and one depth map of the target.
 
-    Args:
-        covered_alpha: coverage from which a splat shows something.
-
     Reading:
         Not in the paper, whose network invents the background anew in every frame.
     """
 
-    def __init__(self, covered_alpha: float) -> None:
-        self._covered_alpha = covered_alpha
+    def __init__(self) -> None:
         self._memory: _Memory | None = None
 
     def step(self, index: int, target: Camera, image: Map, depth: Map, splats: Sequence[Splat], still: Map) -> Map:
@@ -62,7 +58,7 @@ class RememberedBackground:
             The image.
         """
         alpha = largest_alpha(splats)
-        in_hole = cv2.compare(alpha, self._covered_alpha, cv2.CMP_LT)
+        in_hole = cv2.compare(alpha, COVERED_ALPHA, cv2.CMP_LT)
         memory = self._memory
         if memory is None or memory.index != index - 1 or not memory.target.shows_the_same_rays(target):
             self._memory = _Memory(index, target, image.copy(), np.where(in_hole > 0, np.float32(0), depth))
@@ -78,7 +74,7 @@ class RememberedBackground:
         past, new = memory.image.reshape(-1, 3), image.reshape(-1, 3)
         guessed = at[memory.depth.ravel()[at] <= 0]
         past[guessed] += np.float32(RENEWAL) * (new[guessed] - past[guessed])
-        new[at] += hole_weight(alpha.ravel()[at], self._covered_alpha)[:, None] * (past[at] - new[at])
+        new[at] += hole_weight(alpha.ravel()[at])[:, None] * (past[at] - new[at])
 
 
 def largest_alpha(splats: Sequence[Splat]) -> Map:
@@ -86,9 +82,9 @@ def largest_alpha(splats: Sequence[Splat]) -> Map:
     return reduce(cv2.max, (view.alpha for view in splats))
 
 
-def hole_weight(alpha: Map, covered_alpha: float) -> Map:
+def hole_weight(alpha: Map) -> Map:
     """How far a pixel of that coverage is a hole: not at all where it is covered, altogether from half of that coverage down."""
-    return np.clip((covered_alpha - alpha) / (covered_alpha * (1 - FEATHER)), 0, 1).astype(np.float32)
+    return np.clip((COVERED_ALPHA - alpha) / (COVERED_ALPHA * (1 - FEATHER)), 0, 1).astype(np.float32)
 
 
 def _remember(memory: _Memory, image: Map, depth: Map, in_hole: NDArray[np.uint8], still: Map) -> None:

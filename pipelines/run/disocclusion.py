@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,15 +13,17 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.files.images import write_image
 from ggvs_eval.geometry.splat import COVERED_ALPHA, PixelGaussians, splat
+from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.jobs.run_all import run_all
+from ggvs_eval.pipelines.run.derived_files import drop_stale, seen_from
 from ggvs_eval.run_folder import frame_path, missing_frames
 
 
 def write_disocclusions(
     capture: Capture, views: Mapping[str, tuple[Camera, dict[str, str]]], frames: range, store: Path, root: Path, workers: Workers
 ) -> None:
-    """Write a mask of every frame of every test view; what is there is kept.
+    """Write a mask of every frame of every test view; what is there, and made from the same, is kept.
 
     Args:
         capture: at synthesis size.
@@ -34,8 +37,16 @@ def write_disocclusions(
         The paper speaks of disoccluded regions and gives no mask. Here a pixel is disoccluded where no source view, splatted
         forward by its estimated depth (Sec. 3.1), covers it by half; errors of that depth are part of the mask.
     """
+    for view, (target, keys) in views.items():
+        drop_stale(root / view, made_from(capture, target, keys))
     missing = [(root / view, *plan) for view, plan in views.items() if missing_frames(root / view, frames)]
     run_all(partial(_write, capture, frames, store), missing, workers, "what no camera sees")
+
+
+def made_from(capture: Capture, target: Camera, keys: Mapping[str, str]) -> dict[str, Any]:
+    """All that the masks of one view depend on; arguments as of `write_disocclusions`."""
+    code = code_identity(__name__, splat.__module__, unfollowed=(__name__,))
+    return seen_from(target, keys) | {"units_per_metre": capture.units_per_metre, "code": code}
 
 
 def _write(capture: Capture, frames: range, store: Path, view: tuple[Path, Camera, dict[str, str]]) -> None:

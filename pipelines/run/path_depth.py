@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,14 +13,16 @@ from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import DepthError
 from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.geometry.tsdf import DepthView, fusion_weights, ray_march
+from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.pipelines.online.geometry_guided import OnlineOptions
+from ggvs_eval.pipelines.run.derived_files import drop_stale, seen_from
 from ggvs_eval.progress import track
 
 
 def write_path_depth(
     capture: Capture, poses: Sequence[tuple[Camera, dict[str, str]]], frame: int, store: DepthStore, folder: Path
 ) -> None:
-    """Fuse the depth of each pose's source cameras and write it; what is there is kept.
+    """Fuse the depth of each pose's source cameras and write it; what is there, and made from the same, is kept.
 
     Args:
         capture: at synthesis size.
@@ -32,13 +35,25 @@ def write_path_depth(
         A method's own depth would hide its contradictions from the measures; this one is the same for all. It is fused as the
         online method does it (Eq. 3), without history.
     """
+    drop_stale(folder, made_from(capture, poses, frame))
     missing = [index for index in range(len(poses)) if not pose_file(folder, index).is_file()]
-    folder.mkdir(parents=True, exist_ok=True)
     for index in track(missing, "depth along the path"):
         target, keys = poses[index]
         depth = _fused_depth(capture, target, keys, frame, store)
         with atomic_file(pose_file(folder, index)) as temporary, temporary.open("wb") as file:
             np.save(file, depth)
+
+
+def made_from(capture: Capture, poses: Sequence[tuple[Camera, dict[str, str]]], frame: int) -> dict[str, Any]:
+    """All that the depth of a path depends on; arguments as of `write_path_depth`."""
+    options = OnlineOptions()
+    return {
+        "poses": [seen_from(target, keys) for target, keys in poses],
+        "frame": frame,
+        "units_per_metre": capture.units_per_metre,
+        "lengths_m": [options.tau_m, options.depth_noise_m],
+        "code": code_identity(__name__, ray_march.__module__, unfollowed=(__name__,)),
+    }
 
 
 def read_path_depth(folder: Path, pose: int) -> NDArray[np.float32]:

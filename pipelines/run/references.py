@@ -9,8 +9,9 @@ import numpy as np
 
 from ggvs_eval.errors import MetricError
 from ggvs_eval.jobs.engine import Workers
-from ggvs_eval.jobs.job import Job, code_digest, run_jobs
+from ggvs_eval.jobs.job import Job, run_jobs
 from ggvs_eval.metrics.ceilings import CEILING_METRICS, ceilings
+from ggvs_eval.pipelines.run.score_code import ceilings_code
 from ggvs_eval.pipelines.run.score_path import TRUTH
 from ggvs_eval.pipelines.run.score_view import digest_frames, metric_options, truth_frames
 from ggvs_eval.protocol import Measurement, Protocol
@@ -84,7 +85,7 @@ def _job(run: RunFolder, view: str, frames: range, metrics: Sequence[str], measu
         "truth": digest_frames(run.truth(view), frames),
         "metrics": list(metrics),
         "measurement": [str(value) for value in vars(measurement).values()],
-        "code": code_digest("ggvs_eval.metrics"),
+        "code": ceilings_code(metrics),
     }
     return Job(f"ceilings of {view}", run.ceilings(view), identity, partial(_estimate, run, view, frames, metrics, measurement))
 

@@ -1,7 +1,7 @@
 """Render: every test view, and a camera path, by every method; one job per (method, view)."""
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,15 +10,17 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.files.images import quantise, write_image
+from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.engine import Workers, as_engine
-from ggvs_eval.jobs.job import Job, code_digest, run_jobs
+from ggvs_eval.jobs.job import Job, run_jobs
 from ggvs_eval.jobs.ledger import Ledger
 from ggvs_eval.jobs.processes import default_workers
-from ggvs_eval.method import Instant, LookaheadMethod, Method, SourceView
+from ggvs_eval.method import Instant, Method
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
 from ggvs_eval.pipelines.methods.registry import find_method, split_label
 from ggvs_eval.pipelines.methods.spec import MethodSpec
 from ggvs_eval.pipelines.run.diagnostics import write_diagnostics
+from ggvs_eval.pipelines.run.instants import path_instants, view_instants
 from ggvs_eval.pipelines.run.run_plan import RunPlan, SourcePlan
 from ggvs_eval.results import installed_versions
 from ggvs_eval.run_folder import RunFolder, frame_path, read_json, write_json
@@ -96,7 +98,8 @@ def _identity(prepared: RunPlan, label: str, spec: MethodSpec, plans: Sequence[S
     sources = {(name, prepared.capture.digest(name), key) for plan in plans for name, key in plan.depth_keys.items()}
     return {
         "method": label,
-        "code": code_digest(*spec.packages),
+        "code": method_code(spec),
+        "settings": spec.settings,
         "weights": [hashlib.sha256(file.read_bytes()).hexdigest() for file in spec.weights],
         "targets": [_camera_values(plan.target) for plan in plans],
         "sources": sorted(sources),
@@ -106,6 +109,11 @@ def _identity(prepared: RunPlan, label: str, spec: MethodSpec, plans: Sequence[S
         "resize": prepared.capture.resize_filter,
         **({} if spec.device == "cpu" else {"device": _described(spec.device)}),
     }
+
+
+def method_code(spec: MethodSpec) -> str:
+    """Hash of the code that a method's frames are made by, from the captured ones to the files."""
+    return code_identity(*spec.modules, view_instants.__module__)
 
 
 def _described(device: str) -> str:
@@ -123,11 +131,8 @@ def _render_view(
     label: str, spec: MethodSpec, capture: Capture, plan: SourcePlan, frames: range, store: Path, workers: int, folder: Path
 ) -> dict[str, Any]:
     """Stream the source cameras through one method; only the frames of one instant are in memory."""
-    method, depths = spec.make(), DepthStore(store)
-    if isinstance(method, LookaheadMethod):
-        backwards = (range(index, index + 1) for index in reversed(frames))
-        method.look_ahead(instant for each in backwards for instant in _instants(capture, plan, each, depths))
-    instants = _instants(capture, plan, frames, depths)
+    method = spec.make()
+    instants = view_instants(method, capture, plan, frames, DepthStore(store))
     seconds = [_render_frame(method, instant, frame_path(folder, instant.index)) for instant in instants]
     return _record(label, seconds, plan.target, workers)
 
@@ -142,33 +147,11 @@ def _render_path(
     workers: int,
     folder: Path,
 ) -> dict[str, Any]:
-    """Move the target camera along the path while time stands still; the method sees a scene in which nothing moves."""
+    """Move the target camera along the path while time stands still."""
     method = spec.make()
-    names = {name for plan in plans for name in plan.depth_keys}
-    images = {name: capture.frame(name, frame) for name in sorted(names)}
-    depths = DepthStore(store)
-    seconds = []
-    for pose, plan in enumerate(plans):
-        views = [
-            SourceView(capture.camera(name), images[name], stored.depth, stored.confidence, plan.shares[name])
-            for name, key in plan.depth_keys.items()
-            for stored in [depths.read(key, frame)]
-        ]
-        instant = Instant(pose, plan.target, tuple(views), capture.units_per_metre)
-        seconds.append(_render_frame(method, instant, frame_path(folder, pose)))
+    instants = path_instants(capture, plans, frame, DepthStore(store))
+    seconds = [_render_frame(method, instant, frame_path(folder, instant.index)) for instant in instants]
     return _record(label, seconds, plans[0].target, workers)
-
-
-def _instants(capture: Capture, plan: SourcePlan, frames: range, store: DepthStore) -> Iterator[Instant]:
-    """Decode the sources of one target side by side, frame by frame."""
-    streams = [capture.frames(name, frames.start, frames.stop) for name in plan.depth_keys]
-    for index, images in zip(frames, zip(*streams, strict=True), strict=True):
-        depths = [store.read(key, index) for key in plan.depth_keys.values()]
-        sources = tuple(
-            SourceView(capture.camera(name), image, stored.depth, stored.confidence, plan.shares[name])
-            for name, image, stored in zip(plan.depth_keys, images, depths, strict=True)
-        )
-        yield Instant(index, plan.target, sources, capture.units_per_metre)
 
 
 def _render_frame(method: Method, instant: Instant, path: Path) -> dict[str, float]:

@@ -9,10 +9,11 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.files.digest import digest_files
 from ggvs_eval.files.images import read_image
 from ggvs_eval.jobs.engine import Workers
-from ggvs_eval.jobs.job import Job, code_digest, run_jobs
+from ggvs_eval.jobs.job import Job, run_jobs
 from ggvs_eval.metrics.path_scores import PathPose, score_path
 from ggvs_eval.metrics.registry import METRICS
 from ggvs_eval.pipelines.run.path_depth import pose_file, read_path_depth
+from ggvs_eval.pipelines.run.score_code import path_code
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, missing_frames, read_json, write_json
 
@@ -64,7 +65,7 @@ def _job(run: RunFolder, label: str, n_poses: int) -> Job:
         "rendered": digest_files(frames),
         "depth": digest_files([file for file in depths if file.is_file()]),
         "path": digest_files([run.path_record]),
-        "code": code_digest("ggvs_eval.metrics"),
+        "code": path_code(),
     }
     return Job(f"path of {label}", run.path_scores(label), identity, partial(_score, run, label))
 

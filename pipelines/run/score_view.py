@@ -2,7 +2,7 @@
 
 import hashlib
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,24 +12,25 @@ import cv2
 from ggvs_eval.arrays import Image8, Mask
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import read_image, resize
-from ggvs_eval.jobs.job import Job, code_digest
+from ggvs_eval.jobs.job import Job
 from ggvs_eval.metrics.fetch_lpips import weights_path
 from ggvs_eval.metrics.registry import METRICS
 from ggvs_eval.metrics.scorers import CORRECTED, MetricOptions
 from ggvs_eval.pipelines.run.coverage import Coverage
+from ggvs_eval.pipelines.run.score_code import metric_code
 from ggvs_eval.protocol import Measurement, Protocol
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, missing_frames, read_json
 
 
 def view_job(run: RunFolder, protocol: Protocol, coverage: Coverage, labels: Sequence[str], view: str) -> Job:
-    """The job of one view; a method in it is stale when a frame, the measurement or the metrics' code changes."""
+    """The job of one view; in it all metrics of a method are stale when a frame changes, and one metric when its code does."""
     measurement = protocol.measurement
+    metrics = per_view_metrics(measurement)
     common = {
         "truth": digest_frames(run.truth(view), coverage.wanted),
         "disoccluded": digest_frames(run.disoccluded(view), coverage.wanted),
-        "measurement": [str(value) for value in vars(measurement).values()],
-        "lpips_weights": weights_path(measurement.lpips_net).is_file(),
-        "code": code_digest("ggvs_eval.metrics"),
+        "measurement": [str(value) for name, value in vars(measurement).items() if name != "metrics"],
+        "metrics": {name: _metric_identity(name, measurement) for name in metrics},
     }
     stretches = {label: there for label in labels if (there := coverage.stretches(label, view))}
     identities = {
@@ -40,6 +41,12 @@ def view_job(run: RunFolder, protocol: Protocol, coverage: Coverage, labels: Seq
     }
     work = partial(_score_view, run, view, tuple(labels), identities, stretches, measurement)
     return Job(f"scores of {view}", run.scores(view), identities, work)
+
+
+def _metric_identity(name: str, measurement: Measurement) -> dict[str, Any]:
+    """What one metric depends on beside the frames and the measurement."""
+    weights = {"weights": weights_path(measurement.lpips_net).is_file()} if name.startswith("LPIPS") else {}
+    return {"code": metric_code(name)} | weights
 
 
 def digest_frames(folder: Path, frames: Sequence[int]) -> str:
@@ -62,37 +69,58 @@ def _score_view(
     measurement: Measurement,
     _folder: Path,
 ) -> dict[str, Any]:
-    """Measure the methods of one view whose frames changed, those with the same frames side by side; others' values stay."""
+    """Measure what is stale, methods with the same frames and stale metrics side by side; all other values stay."""
     known = run.scores(view) / JOB_FILE
     records = read_json(known)["methods"] if known.is_file() else {}
-    methods = {
-        label: record for label, record in records.items() if label not in asked or record["identity"] == identities.get(label)
-    }
-    alike: dict[tuple[range, ...], list[str]] = defaultdict(list)
-    for label in identities:
-        if label not in methods:
-            alike[stretches[label]].append(label)
-    for there, labels in alike.items():
-        for label, record in zip(labels, _score_methods(run, view, labels, there, measurement), strict=True):
-            methods[label] = {"identity": identities[label]} | record
+    methods = {label: record for label, record in records.items() if label not in asked}
+    alike: dict[tuple[tuple[range, ...], tuple[str, ...]], list[str]] = defaultdict(list)
+    for label, identity in identities.items():
+        fresh = fresh_metrics(records.get(label, {}).get("identity", {}), identity)
+        methods[label] = {"identity": identity} | _values_of(fresh, records.get(label, {}))
+        if stale := tuple(name for name in identity["metrics"] if name not in fresh):
+            alike[stretches[label], stale].append(label)
+    for (there, metrics), labels in alike.items():
+        for label, measured in zip(labels, _score_methods(run, view, labels, there, metrics, measurement), strict=True):
+            methods[label]["values"] += measured["values"]
+            methods[label]["not_computed"] |= measured["not_computed"]
     return {"methods": methods}
 
 
+def fresh_metrics(known: Mapping[str, Any], wanted: Mapping[str, Any]) -> set[str]:
+    """Metrics whose values stand: none where anything but a metric's own identity differs."""
+    if {**known, "metrics": {}} != {**wanted, "metrics": {}}:
+        return set()
+    return {name for name, identity in wanted["metrics"].items() if known["metrics"].get(name) == identity}
+
+
+def _values_of(metrics: Collection[str], record: Mapping[str, Any]) -> dict[str, Any]:
+    """The part of a record that belongs to some metrics."""
+    values = [value for value in record.get("values", ()) if _metric_of(value[0]) in metrics]
+    reasons = record.get("not_computed", {})
+    return {"values": values, "not_computed": {name: reason for name, reason in reasons.items() if name in metrics}}
+
+
+def _metric_of(value: str) -> str:
+    """The metric that a value belongs to, itself or as a part such as ``STED_spatial``."""
+    return value if value in METRICS else value.rpartition("_")[0]
+
+
 def _score_methods(
-    run: RunFolder, view: str, labels: Sequence[str], stretches: tuple[range, ...], measurement: Measurement
+    run: RunFolder,
+    view: str,
+    labels: Sequence[str],
+    stretches: tuple[range, ...],
+    metrics: Sequence[str],
+    measurement: Measurement,
 ) -> list[dict[str, Any]]:
-    """Values of methods that have the same frames; frames are streamed, two instants in memory.
+    """Some metrics of methods that have the same frames; frames are streamed, two instants in memory.
 
     What is measured from frame to frame is measured inside each stretch of consecutive frames; what belongs to the whole
     sequence only where there is one stretch.
     """
     from ggvs_eval.metrics.stream import fit_colour_maps, score_views
 
-    folders, metrics, options = (
-        [run.renders(label, view) for label in labels],
-        per_view_metrics(measurement),
-        metric_options(measurement),
-    )
+    folders, options = [run.renders(label, view) for label in labels], metric_options(measurement)
     records: list[dict[str, Any]] = [{"values": [], "not_computed": {}} for _ in labels]
     maps = None
     if options.colour_scope == "view" and set(metrics) & set(CORRECTED):

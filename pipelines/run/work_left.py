@@ -8,7 +8,8 @@ from pathlib import Path
 
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import ProtocolError, ResultsError
-from ggvs_eval.pipelines.run.path_depth import pose_file
+from ggvs_eval.pipelines.run import disocclusion, path_depth
+from ggvs_eval.pipelines.run.derived_files import is_stale
 from ggvs_eval.pipelines.run.render import render_jobs
 from ggvs_eval.pipelines.run.run_plan import RunPlan
 from ggvs_eval.progress import duration
@@ -184,13 +185,28 @@ def work_left(plan: RunPlan) -> WorkLeft:
         width * height,
         {folder: sum(len(missing_frames(folder, range(t, t + 1))) for t in frames) for folder, frames in truth.items()},
         *_depth_left(plan, store),
-        {run.disoccluded(view): len(missing_frames(run.disoccluded(view), plan.frames)) for view in masks},
-        sum(not pose_file(run.path_depth, pose).is_file() for pose in range(len(plan.path))),
+        {run.disoccluded(view): _masks_left(plan, view) for view in masks},
+        _poses_left(plan),
         renders,
         path_renders,
         {run.scores(view): len(plan.frames) for view in unscored},
         {run.ceilings(view): len(plan.frames) for view in without},
     )
+
+
+def _masks_left(plan: RunPlan, view: str) -> int:
+    """Missing or stale masks of one test view."""
+    folder, source_plan = plan.run.disoccluded(view), plan.plans[view]
+    stale = is_stale(folder, disocclusion.made_from(plan.capture, source_plan.target, source_plan.depth_keys))
+    return len(plan.frames) if stale else len(missing_frames(folder, plan.frames))
+
+
+def _poses_left(plan: RunPlan) -> int:
+    """Missing or stale depth of poses."""
+    poses, folder = [(pose.target, pose.depth_keys) for pose in plan.path], plan.run.path_depth
+    if is_stale(folder, path_depth.made_from(plan.capture, poses, plan.path_frame)):
+        return len(poses)
+    return sum(not path_depth.pose_file(folder, pose).is_file() for pose in range(len(poses)))
 
 
 def _depth_left(plan: RunPlan, store: DepthStore) -> tuple[dict[Path, int], dict[Path, int]]:

@@ -282,6 +282,6 @@ def test_maps_of_another_size_are_refused():
 
 
 def test_every_option_is_described():
-    """What goes into a depth map's key names the algorithm and every option."""
+    """What goes into a depth map's key names the algorithm, its code and every option."""
     options = ConsistencyOptions()
-    assert set(options.describe()) == {"algorithm", *vars(options)}
+    assert set(options.describe()) == {"algorithm", "code", *vars(options)}

@@ -130,7 +130,7 @@ def test_the_change_is_the_largest_that_a_covering_view_saw():
         for mask, alpha in zip(masks, alphas, strict=True)
     ]
 
-    change = splatted_change(splats, 0.5, 0.6, 0.7)
+    change = splatted_change(splats, 0.6, 0.7)
 
     assert change.shape == (8, 16)
     np.testing.assert_allclose(change[4, 6:11], 0.14, atol=1e-6)

@@ -38,7 +38,7 @@ def stillness_of(moves: bool) -> np.ndarray:
 
 def run(steps: list[tuple[np.float32, float, bool, bool]]) -> list[np.ndarray]:
     """Outputs of instants given as colour, depth (0 where unknown), whether it moves, whether no source sees it."""
-    memory, outputs = RememberedBackground(0.5), []
+    memory, outputs = RememberedBackground(), []
     for index, (colour, depth, moves, hole) in enumerate(steps):
         image, surface = maps(colour, depth)
         outputs.append(memory.step(index, TARGET, image, surface, splats_of(hole), stillness_of(moves)))
@@ -77,7 +77,7 @@ def test_fillings_do_not_boil():
 
 def test_a_target_that_moves_remembers_nothing():
     """From another pose, and after a gap in time, the filling is shown as it is."""
-    memory = RememberedBackground(0.5)
+    memory = RememberedBackground()
     image, depth = maps(WALL, 5.0)
     memory.step(0, TARGET, image, depth, splats_of(False), stillness_of(False))
     other, unknown = maps(BODY, 0.0)
@@ -90,7 +90,7 @@ def test_a_target_that_moves_remembers_nothing():
 def test_holes_fade_in():
     """No hole where half is covered, all of one from a quarter on, in proportion between."""
     alpha = np.array([[1.0, 0.5, 0.375, 0.25, 0.0]], np.float32)
-    np.testing.assert_allclose(hole_weight(alpha, 0.5), [[0, 0, 0.5, 1, 1]], atol=1e-6)
+    np.testing.assert_allclose(hole_weight(alpha), [[0, 0, 0.5, 1, 1]], atol=1e-6)
 
 
 def _inside() -> np.ndarray:

@@ -11,6 +11,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
 from ggvs_eval.pipelines.offline.depth.consistency import ConsistencyOptions, check_consistency
+from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.pipelines.offline.plane_sweep.plane_sweep import PlaneSweepEstimator
 from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthOptions
@@ -18,7 +19,7 @@ from ggvs_eval.pipelines.offline.stereo.fusion import PairwiseEstimator, drop_fl
 from ggvs_eval.pipelines.offline.stereo.matcher import StereoMatcher
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
 
-ALGORITHM = "match-fuse-finish 2"  # counts up whenever equal options give other bits
+STREAM = "ggvs_eval.pipelines.offline.depth.depth_stream"  # renews what has changed by what stands here
 
 
 @dataclass(frozen=True)
@@ -74,11 +75,23 @@ class DepthOptions:
     sensor: SensorDepthOptions | None = field(default_factory=SensorDepthOptions)
 
     def describe(self) -> dict[str, object]:
-        """All that stereo depends on, as values that JSON knows, with the versions of the algorithms; part of the key."""
+        """All that stereo depends on, as values that JSON knows, its code included; part of the key."""
         matcher = {name: value for name, value in vars(self.matcher).items() if not isinstance(value, Path)}
-        described = {"algorithm": ALGORITHM, "matcher_name": self.matcher.name, **asdict(self), "matcher": matcher}
+        described = {
+            "algorithm": "match-fuse-finish",
+            "code": self._code(),
+            "matcher_name": self.matcher.name,
+            **asdict(self),
+            "matcher": matcher,
+        }
         del described["sensor"], described["consistency"]  # they have specs of their own
         return described
+
+    def _code(self) -> str:
+        """Hash of the code that finds depth by this matcher, and by no other."""
+        estimator = PlaneSweepEstimator if isinstance(self.matcher, PlaneSweep) else PairwiseEstimator
+        modules = (part.__module__ for part in (fill_background, estimator, type(self.matcher)))
+        return code_identity(__name__, STREAM, *modules, unfollowed=(__name__,))
 
 
 class DepthEstimator:

@@ -11,8 +11,10 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
 from ggvs_eval.geometry.pinhole import as_image, rigid_between
+from ggvs_eval.jobs.code_identity import code_identity
 
-ALGORITHM = "consistency 1"  # counts up whenever equal options give other bits
+# Besides what stands here: the fill of what is left, and `check_depth`, whose neighbours find depth and do not count.
+FILL, CALLER = "ggvs_eval.pipelines.offline.stereo.fusion", "ggvs_eval.pipelines.offline.depth.camera_depth"
 CHUNK = 1 << 14  # points handled at a time: what they need stays in the processor's cache
 UNCHECKED = np.float32(0.5)  # confidence of what no other camera sees, over what it was
 Indices = NDArray[np.int32]
@@ -39,8 +41,8 @@ class ConsistencyOptions:
     fill_support: int = 2
 
     def describe(self) -> dict[str, object]:
-        """All of it as values that JSON knows, with the version of the algorithm; part of a depth map's key."""
-        return {"algorithm": ALGORITHM, **asdict(self)}
+        """All of it as values that JSON knows, its code included; part of a depth map's key."""
+        return {"algorithm": "consistency", "code": code_identity(__name__, FILL, CALLER, unfollowed=(CALLER,)), **asdict(self)}
 
 
 def check_consistency(

@@ -53,8 +53,8 @@ class PlaneSweep:
 
     @property
     def name(self) -> str:
-        """Algorithm and version."""
-        return "plane-sweep-2"
+        """Names the algorithm."""
+        return "plane-sweep"
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,11 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import DepthSource
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
+from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.pipelines.offline.sensor.registration import RegisteredDepth
 from ggvs_eval.pipelines.offline.sensor.sensor_grid import SensorGrid, close_edges, close_holes
 from ggvs_eval.pipelines.offline.stereo.fusion import drop_flying_pixels, smooth_surfaces
 
-ALGORITHM = "sensor-filter 1"  # counts up whenever equal options give other bits
 STEPS = 1000  # of the logarithm of depth in which OpenCV looks for speckles; one is a thousandth of the depth
 RegistrationName = Literal["given", "estimated"]
 OPPOSITE = ((0, 1), (1, 0), (1, 1), (1, -1))  # rows down and columns right to one of two opposite neighbours
@@ -52,8 +52,8 @@ class SensorDepthOptions:
     registration: RegistrationName = "given"
 
     def describe(self) -> dict[str, object]:
-        """The filter as values that JSON knows, with the version of the algorithm; a registration tells of itself where it is."""
-        described = {"algorithm": ALGORITHM, **asdict(self)}
+        """The filter as values that JSON knows, its code included; a registration tells of itself where it is."""
+        described = {"algorithm": "sensor-filter", "code": code_identity(__name__), **asdict(self)}
         del described["registration"]
         return described
 

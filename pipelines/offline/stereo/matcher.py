@@ -88,7 +88,7 @@ class StereoMatcher(Protocol):
 
     @property
     def name(self) -> str:
-        """Names the algorithm and its version; changes whenever its results do."""
+        """Names the algorithm."""
 
     def match(self, left: Image8, right: Image8, d_min: int, d_max: int, previous: Map | None = None) -> tuple[Map, Map]:
         """Match a rectified pair.

@@ -166,8 +166,8 @@ class RaftMatcher:
 
     @property
     def name(self) -> str:
-        """Algorithm and version."""
-        return "raft-stereo-1"
+        """See StereoMatcher.name."""
+        return "raft-stereo"
 
     def match(self, left: Image8, right: Image8, d_min: int, d_max: int, previous: Map | None = None) -> tuple[Map, Map]:
         """Match a rectified pair, see StereoMatcher.match."""

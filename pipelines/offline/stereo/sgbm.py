@@ -44,8 +44,8 @@ class SgbmMatcher:
 
     @property
     def name(self) -> str:
-        """Algorithm and version."""
-        return "sgbm-3way-1"
+        """See StereoMatcher.name."""
+        return "sgbm-3way"
 
     def match(self, left: Image8, right: Image8, d_min: int, d_max: int, previous: Map | None = None) -> tuple[Map, Map]:
         """Match a rectified pair, see StereoMatcher.match; the frame before is not needed."""

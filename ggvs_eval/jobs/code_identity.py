@@ -1,0 +1,142 @@
+"""Identity of code: a hash of everything that a module imports of this package, so that changed code means changed jobs.
+
+The closure is found by reading source files, at their heads and inside functions; nothing is imported. A package counts where
+something is taken from it, not where it only lies on the way to a module: no ``__init__.py`` does more than define names. Of an
+extension module, the sources that it was built from count, which setup.py hashes into it: equal code has equal hashes on every
+machine, whatever compiled it.
+"""
+
+import ast
+import hashlib
+import importlib.util
+import os
+import re
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from functools import cache
+from importlib.machinery import EXTENSION_SUFFIXES
+from pathlib import Path
+
+import ggvs_eval
+
+PACKAGE = ggvs_eval.__name__
+ROOMS_APART = ("baselines", "metrics", "pipelines", "reports")  # a checkout keeps them beside the package, see setup.cfg
+BUILT_FROM = re.compile(rb"ggvs-eval sources ([0-9a-f]{64})")  # ggvs_eval/kernels/sources.hpp
+
+# Where and when work is done moves no result; nor do threads and instruction set, so that asking the processor for these does
+# not tie one kernel to all others.
+NEVER_COUNTED = f"{PACKAGE}.jobs."
+UNFOLLOWED = frozenset({f"{PACKAGE}.kernels"})
+
+
+@dataclass(frozen=True)
+class CodeTree:
+    """The modules of the package, wherever its folders lie; taken not to change while the process runs.
+
+    Attributes:
+        folder: of the package itself.
+        apart: names of rooms that lie elsewhere, with their folders.
+    """
+
+    folder: Path
+    apart: tuple[tuple[str, Path], ...] = ()
+
+    def modules(self) -> Iterator[str]:
+        """Dotted names of all modules."""
+        for name, top in ((PACKAGE, self.folder), *((f"{PACKAGE}.{room}", folder) for room, folder in self.apart)):
+            for folder, _, files in os.walk(top, followlinks=True):  # a checkout's view of the package is made of links
+                above = [name, *Path(folder).relative_to(top).parts]
+                stems = {file.partition(".")[0] for file in files if file.endswith((".py", *EXTENSION_SUFFIXES))}
+                yield from (".".join([*above, stem]).removesuffix(".__init__") for stem in stems)
+
+    def file(self, module: str) -> Path | None:
+        """Source or extension module of a dotted name; None where there is none of that name."""
+        _, *parts = module.split(".")
+        apart = dict(self.apart).get(parts[0]) if parts else None
+        path = apart.joinpath(*parts[1:]) if apart else self.folder.joinpath(*parts)
+        beside = (path.with_name(f"{path.name}{suffix}") for suffix in (".py", *EXTENSION_SUFFIXES))
+        return next((file for file in (path / "__init__.py", *beside) if file.is_file()), None)
+
+    def closure(self, *roots: str, unfollowed: Collection[str] = ()) -> tuple[str, ...]:
+        """Names of some modules and of all that they import of the package, sorted.
+
+        Args:
+            roots: dotted names, e.g. ``ggvs_eval.metrics.image``.
+            unfollowed: modules that count themselves, but not by what they import: those that choose among many.
+
+        Raises:
+            ModuleNotFoundError: no such module.
+        """
+        stops = UNFOLLOWED.union(unfollowed)
+        found: set[str] = set()
+        waiting = set(roots)
+        while waiting:
+            found |= waiting
+            waiting = {name for module in waiting - stops for name in _code_of(self, module).imports} - found
+        return tuple(sorted(found))
+
+    def digest(self, modules: Collection[str]) -> str:
+        """SHA-256 of the names and the code of some modules, in whatever order."""
+        lines = [f"{module} {_code_of(self, module).sha256}" for module in sorted(modules)]
+        return hashlib.sha256("\n".join(lines).encode()).hexdigest()
+
+
+def code_identity(*roots: str, unfollowed: Collection[str] = ()) -> str:
+    """Hash of the installed code that some modules run; arguments as of `CodeTree.closure`."""
+    tree = installed_code()
+    return tree.digest(tree.closure(*roots, unfollowed=unfollowed))
+
+
+@cache
+def package_digest() -> str:
+    """Hash of the whole package, which machines that share jobs must have in common."""
+    tree = installed_code()
+    return tree.digest(list(tree.modules()))
+
+
+@cache
+def installed_code() -> CodeTree:
+    """The package as it is installed here."""
+    folder = Path(str(ggvs_eval.__file__)).parent
+    specs = {room: importlib.util.find_spec(f"{PACKAGE}.{room}") for room in ROOMS_APART if not (folder / room).is_dir()}
+    return CodeTree(folder, tuple((room, Path(str(spec.origin)).parent) for room, spec in specs.items() if spec))
+
+
+@dataclass(frozen=True)
+class _Code:
+    """One module: a hash of its code, and the modules of the package that it imports."""
+
+    sha256: str
+    imports: frozenset[str]
+
+
+@cache
+def _code_of(tree: CodeTree, module: str) -> _Code:
+    """Read a module: a source's text, whatever ends its lines, or what an extension module was built from."""
+    file = tree.file(module)
+    if file is None:
+        raise ModuleNotFoundError(f"{module}: wanted its code for the identity of a job, found none in {tree.folder}")
+    content = file.read_bytes()
+    if file.suffix != ".py":
+        built_from = BUILT_FROM.search(content)
+        return _Code(built_from[1].decode() if built_from else hashlib.sha256(content).hexdigest(), frozenset())
+    package = module if file.name == "__init__.py" else module.rpartition(".")[0]
+    imports = {name for name in _imports(tree, package, ast.parse(content, str(file))) if not name.startswith(NEVER_COUNTED)}
+    return _Code(hashlib.sha256(content.replace(b"\r\n", b"\n")).hexdigest(), frozenset(imports))
+
+
+def _imports(tree: CodeTree, package: str, source: ast.AST) -> Iterator[str]:
+    """Modules of the package that a source of `package` imports anywhere but for the type checker."""
+    for node in ast.iter_child_nodes(source):
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+            node = ast.Module(node.orelse, [])
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name.startswith(f"{PACKAGE}."))
+        elif isinstance(node, ast.ImportFrom):
+            above = package.rsplit(".", node.level - 1)[0] if node.level else ""
+            origin = ".".join(part for part in (above, node.module) if part)
+            if origin.partition(".")[0] == PACKAGE:
+                inner = (f"{origin}.{alias.name}" for alias in node.names)
+                yield from (name if tree.file(name) else origin for name in inner)
+        else:
+            yield from _imports(tree, package, node)

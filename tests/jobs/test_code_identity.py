@@ -1,0 +1,377 @@
+"""The identity of code: one byte changed somewhere makes exactly those jobs stale that run it."""
+
+import ast
+import importlib.util
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from ggvs_eval.errors import WeightsError
+from ggvs_eval.jobs import code_identity as identity
+from ggvs_eval.jobs.code_identity import BUILT_FROM, CodeTree, installed_code
+from ggvs_eval.metrics.ceilings import CEILING_METRICS
+from ggvs_eval.metrics.registry import METRICS
+from ggvs_eval.pipelines.methods.registry import METHODS, find_method
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
+from ggvs_eval.pipelines.offline.depth.consistency import ConsistencyOptions
+from ggvs_eval.pipelines.offline.plane_sweep.sweep_options import PlaneSweep
+from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthOptions
+from ggvs_eval.pipelines.offline.stereo.raft_matcher import RaftMatcher
+from ggvs_eval.pipelines.run.render import method_code
+from ggvs_eval.pipelines.run.score_code import METRIC_MODULES, ceilings_code, metric_code, path_code
+
+ROOT = Path(__file__).resolve().parents[2]
+checkout = pytest.mark.skipif(not (ROOT / "setup.py").exists(), reason="the kernels' sources are in the checkout alone")
+
+IBRNET = ("feature_network", "method", "networks", "pooling_kernel", "ray_network", "rendering", "samples", "views")
+LEARNED = {"naive", "ours", "ours+no-tsdf", "ours+no-temporal"}
+OURS = LEARNED | {label for label in METHODS if label.startswith("ours-geometric")}
+GPS_GAUSSIAN = {"gps-gaussian", "gps-gaussian+given-depth"}
+GAUSSIANS = OURS | GPS_GAUSSIAN | {"no-blending", "distance-based", "fwd"}
+ALL_METHODS = GAUSSIANS | {"ibrnet", "enerf"}
+REGIONS = {f"{measure}_{region}" for measure in ("PSNR", "SSIM", "L1") for region in ("static", "moving", "disoccluded")}
+WITH_SSIM = {"SSIM", "SSIM_cc", "TCC", "ceilings"} | REGIONS
+IN_ONE_FILE_WITH_SSIM = {"PSNR", "L1", "PSNR_cc"}
+STED, FLICKER, LPIPS = {"STED", "STED_ssn"}, {"Flicker", "Flicker_excess"}, {"LPIPS", "LPIPS_cc"}
+ALL_SCORES = WITH_SSIM | IN_ONE_FILE_WITH_SSIM | STED | FLICKER | LPIPS | {"path"}
+STEREO = {"depth by sgbm", "depth by sweep", "depth by raft"}
+ALL_DEPTH = STEREO | {"checked depth", "sensor depth"}
+
+# A file of the package, and the jobs that are stale when one byte of it changes.
+STALE: dict[str, set[str]] = {
+    "camera.py": ALL_METHODS | ALL_DEPTH | {"path"},
+    "files/images.py": ALL_METHODS | ALL_SCORES | {"sensor depth"},
+    "geometry/difference_mask.py": OURS | REGIONS,
+    "geometry/warp.py": OURS | {"path"},
+    "geometry/splat.py": GAUSSIANS,
+    "kernels/_core": ALL_METHODS - {"enerf"} | REGIONS | {"path"},
+    "kernels/_ssim": WITH_SSIM | IN_ONE_FILE_WITH_SSIM,
+    "kernels/_stereo": {"depth by sweep"},
+    **{f"baselines/ibrnet/{name}.py": {"ibrnet"} for name in IBRNET},
+    "baselines/enerf/volumes.py": {"enerf"},
+    "baselines/no_blending.py": {"no-blending"},
+    "baselines/gps_gaussian/stereo.py": GPS_GAUSSIAN,
+    "pipelines/online/unet_kernel.py": LEARNED,
+    "pipelines/online/depth_filter.py": OURS,
+    "pipelines/online/whole_sequence.py": {"ours-geometric+offline"},
+    "pipelines/run/instants.py": ALL_METHODS,
+    "pipelines/offline/stereo/sgbm.py": {"depth by sgbm", "depth by raft"},
+    "pipelines/offline/stereo/raft_update.py": {"depth by raft"},
+    "pipelines/offline/plane_sweep/sweep_level.py": {"depth by sweep"},
+    "pipelines/offline/depth/depth_stream.py": STEREO,
+    "pipelines/offline/depth/consistency.py": {"checked depth"},
+    "pipelines/offline/sensor/sensor_holes.py": {"sensor depth"},
+    "metrics/lpips.py": LPIPS,
+    "metrics/strred.py": STED | {"ceilings"},
+    "metrics/temporal.py": {"TCC", "ceilings"},
+    "metrics/flicker.py": FLICKER,
+    "metrics/regions.py": REGIONS,
+    "metrics/noise.py": {"ceilings"},
+    "metrics/view_switch.py": {"path"},
+    "metrics/stream.py": ALL_SCORES - {"path"},
+    "metrics/registry.py": set(),
+    "metrics/__init__.py": set(),
+    "kernels/side_by_side.py": OURS,
+    "protocol.py": set(),
+    "run_folder.py": set(),
+    "jobs/job.py": set(),
+    "jobs/code_identity.py": set(),
+    "reports/report.py": set(),
+    "reports/tables/report_tables.py": set(),
+    "pipelines/methods/registry.py": set(),
+    "pipelines/run/render.py": set(),
+    "pipelines/run/score.py": set(),
+    "pipelines/run/prepare.py": set(),
+    "pipelines/run/run_plan.py": set(),
+    "pipelines/commands/main.py": set(),
+}
+
+
+def copy_package(folder: Path) -> CodeTree:
+    """The installed package in one folder, as a wheel lays it out."""
+    installed = installed_code()
+    for module in installed.modules():
+        source = installed.file(module)
+        assert source is not None
+        target = folder.joinpath(*module.split("."))
+        target = target / source.name if source.name == "__init__.py" else target.with_name(source.name)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(source, target)
+    return CodeTree(folder / "ggvs_eval")
+
+
+def change_a_byte(tree: CodeTree, name: str) -> None:
+    """Lengthen a comment; of an extension module, change the hash of its sources, as a build from other sources does."""
+    module = ".".join(["ggvs_eval", *name.removesuffix(".py").removesuffix("/__init__").split("/")])
+    file = tree.file(module)
+    assert file is not None
+    content = file.read_bytes()
+    built_from = BUILT_FROM.search(content)
+    file.write_bytes(content.replace(built_from[1], built_from[1][::-1]) if built_from else content + b"#")
+
+
+def codes_of(tree: CodeTree) -> dict[str, Any]:
+    """Hashes of the code of every kind of job, by its name."""
+    matchers = {"sgbm": DepthOptions().matcher, "sweep": PlaneSweep(), "raft": RaftMatcher(Path("weights"), "")}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(identity, "installed_code", lambda: tree)
+        return {
+            **{label: method_code(spec) for label, spec in METHODS.items()},
+            **{name: metric_code(name) for name in METRIC_MODULES},
+            "path": path_code(),
+            "ceilings": ceilings_code(CEILING_METRICS),
+            **{f"depth by {name}": DepthOptions(matcher=each).describe()["code"] for name, each in matchers.items()},
+            "checked depth": ConsistencyOptions().describe()["code"],
+            "sensor depth": SensorDepthOptions().describe()["code"],
+        }
+
+
+@pytest.fixture(scope="module")
+def installed() -> dict[str, Any]:
+    """The hashes of the code as it is."""
+    return codes_of(installed_code())
+
+
+@pytest.mark.parametrize("name", STALE)
+def test_exactly_the_right_jobs_go_stale(name, installed, tmp_path):
+    """A changed byte makes those methods, scores and depth maps stale that run it, and no other."""
+    tree = copy_package(tmp_path)
+
+    change_a_byte(tree, name)
+    changed = codes_of(tree)
+
+    assert {job for job in installed if installed[job] != changed[job]} == STALE[name]
+
+
+def test_every_kind_of_job_is_tried(installed):
+    """The table above speaks of every method, metric and way to find depth."""
+    assert installed.keys() == ALL_METHODS | ALL_SCORES | ALL_DEPTH
+
+
+def test_a_new_metric_makes_no_other_stale(installed, tmp_path):
+    """A metric in a file of its own and its line in the registry leave every score that is there."""
+    tree = copy_package(tmp_path)
+
+    (tree.folder / "metrics/niqe.py").write_text("from ggvs_eval.metrics.image import psnr\n")
+    registry = tree.folder / "metrics/registry.py"
+    registry.write_text(registry.read_text() + "from ggvs_eval.metrics import niqe\n")
+
+    assert codes_of(tree) == installed
+
+
+def load_setup() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("kernel_setup", ROOT / "setup.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@checkout
+@pytest.mark.parametrize(
+    ("source", "rebuilt"),
+    [
+        ("ssim.cpp", {"_ssim"}),
+        ("splat_simd.hpp", {"_core"}),  # included by files that are included
+        ("sgm.cpp", {"_stereo"}),
+        ("parallel.hpp", {"_core", "_ssim", "_stereo"}),
+    ],
+)
+def test_sources_of_kernels(source, rebuilt, monkeypatch, tmp_path):
+    """A changed source changes the hash of the extension modules that it is compiled into, and of no other."""
+    setup = load_setup()
+    shutil.copytree(ROOT / "ggvs_eval/kernels", tmp_path / "kernels")
+    monkeypatch.setattr(setup, "KERNELS", tmp_path / "kernels")
+    before = {name: setup.digest_sources(name) for name in setup.EXTENSIONS}
+
+    with (tmp_path / "kernels" / source).open("a") as file:
+        file.write("//")
+
+    assert {name for name in before if setup.digest_sources(name) != before[name]} == rebuilt
+
+
+@checkout
+@pytest.mark.parametrize("name", ["_core", "_ssim", "_stereo"])
+def test_kernels_carry_the_hash_of_their_sources(name, monkeypatch):
+    """What was built says from what, and that is what lies here; where it is not, `make clean` or setup.py builds it anew."""
+    monkeypatch.chdir(ROOT)
+    built = installed_code().file(f"ggvs_eval.kernels.{name}")
+    assert built is not None
+
+    carried = BUILT_FROM.findall(built.read_bytes())
+
+    assert [each.decode() for each in carried] == [load_setup().digest_sources(name)]
+
+
+@pytest.fixture
+def package(tmp_path) -> CodeTree:
+    """A package of a few lines."""
+    files = {
+        "__init__": "from ggvs_eval import everything",
+        "everything": "",
+        "root": """
+            import os.path
+            from typing import TYPE_CHECKING
+            from ggvs_eval.head import value
+            from ggvs_evaluation import other
+            if TYPE_CHECKING:
+                from ggvs_eval import for_types
+            else:
+                from ggvs_eval import for_running
+            class Thing:
+                def act(self):
+                    if value:
+                        import ggvs_eval.room.inner
+                    text = "from ggvs_eval import everything"
+            """,
+        "head": "from . import beside\nfrom .room import named\nfrom ggvs_eval.jobs import engine",
+        "beside": "",
+        "for_types": "",
+        "for_running": "",
+        "room/__init__": "from ggvs_eval.room.behind import named",
+        "room/inner": "from .deep import value\nfrom .. import above",
+        "room/behind": "import ggvs_eval.root",
+        "room/deep/__init__": "value = 1",
+        "above": "from ggvs_eval.chooser import choose",
+        "chooser": "from ggvs_eval import chosen",
+        "chosen": "",
+        "jobs/engine": "",
+    }
+    for name, text in files.items():
+        file = tmp_path / "ggvs_eval" / f"{name}.py"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(re.sub("^            ", "", text, flags=re.MULTILINE))
+    return CodeTree(tmp_path / "ggvs_eval")
+
+
+def names(closure: tuple[str, ...]) -> list[str]:
+    return [module.removeprefix("ggvs_eval.") for module in closure]
+
+
+def test_the_closure(package):
+    """Imports at heads, inside functions, relative ones and circles are followed; text, other packages and types are not."""
+    assert names(package.closure("ggvs_eval.root")) == sorted(
+        ["root", "head", "beside", "for_running", "room", "room.inner", "room.behind", "room.deep", "above", "chooser", "chosen"]
+    )
+
+
+def test_a_package_counts_where_something_is_taken_from_it(package):
+    """``room/__init__.py`` belongs to those who import its names, not to those who import a module that lies in it."""
+    assert "room" in names(package.closure("ggvs_eval.head"))
+    assert names(package.closure("ggvs_eval.room.inner")) == ["above", "chooser", "chosen", "room.deep", "room.inner"]
+
+
+def test_what_chooses_is_not_followed(package):
+    """A module that chooses among many counts itself; what it could choose does not."""
+    closure = package.closure("ggvs_eval.above", unfollowed=["ggvs_eval.chooser"])
+
+    assert names(closure) == ["above", "chooser"]
+
+
+def test_the_digest_depends_on_no_order(package):
+    """Neither the order of the modules nor line ends that a checkout on another system has make a difference; a byte does."""
+    modules = package.closure("ggvs_eval.root")
+    other = CodeTree(package.folder.parent / "again" / "ggvs_eval")
+    for file in sorted(package.folder.rglob("*.py"), reverse=True):
+        copy = other.folder / file.relative_to(package.folder)
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        copy.write_bytes(file.read_bytes().replace(b"\n", b"\r\n"))
+
+    assert other.digest(modules[::-1]) == package.digest(modules)
+    assert package.digest(modules[1:]) != package.digest(modules)
+
+
+def test_a_missing_module_is_named(package):
+    """A root that is not there is an error, not an empty closure."""
+    with pytest.raises(ModuleNotFoundError, match=r"ggvs_eval\.gone: wanted its code"):
+        package.closure("ggvs_eval.gone")
+
+
+def test_nothing_is_imported():
+    """The closure of the heaviest method is found without loading it, or anything else."""
+    code = (
+        "import sys; from ggvs_eval.jobs.code_identity import code_identity, package_digest;"
+        "before = set(sys.modules);"
+        "code_identity('ggvs_eval.pipelines.online.network_blender', 'ggvs_eval.metrics.lpips'); package_digest();"
+        "print([name for name in set(sys.modules) - before if name.startswith(('ggvs_eval', 'torch', 'numpy', 'cv2'))])"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
+
+
+def test_the_whole_package_is_found():
+    """Machines that share jobs compare all of it: every room, and the extension modules."""
+    modules = set(installed_code().modules())
+    rooms = {"camera", "geometry.warp", "kernels._core", "baselines.ibrnet.method", "metrics.lpips", "reports.report"}
+
+    assert {f"ggvs_eval.{room}" for room in (*rooms, "pipelines.commands.main", "jobs.code_identity")} <= modules
+
+
+def test_packages_do_nothing_when_they_are_imported():
+    """That a package on the way to a module need not count rests on this: its ``__init__.py`` defines names and no more."""
+    harmless = (ast.Import, ast.ImportFrom, ast.FunctionDef, ast.ClassDef, ast.AnnAssign, ast.Assign)
+    tree = installed_code()
+    acting = []
+    for module in tree.modules():
+        file = tree.file(module)
+        if file is not None and file.name == "__init__.py":
+            body = ast.parse(file.read_text(encoding="utf-8")).body[1:]  # after the docstring
+            acting += [f"{module}: {ast.unparse(node)}" for node in body if not _is_definition(node, harmless)]
+
+    assert acting == []
+
+
+def _is_definition(node: ast.stmt, harmless: tuple[type, ...]) -> bool:
+    targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
+    type_checking = isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+    return type_checking or (isinstance(node, harmless) and all(isinstance(target, ast.Name) for target in targets))
+
+
+def test_every_metric_says_where_it_is_defined():
+    """Every metric that a view has is listed; SDT and SDV are made of L1, and a path is measured as a whole."""
+    of_views = {name for name, spec in METRICS.items() if spec.kind != "path"} - {"SDT", "SDV"}
+
+    assert METRIC_MODULES.keys() == of_views
+
+
+@pytest.mark.parametrize("label", METHODS)
+def test_a_method_names_its_modules(label):
+    """Whatever a method is made of stands in the closure of the modules that its spec names."""
+    spec = find_method(label)
+    try:
+        method = spec.make()
+    except WeightsError:
+        pytest.skip("its weights do not ship")
+    closure = installed_code().closure(*spec.modules)
+
+    assert {type(part).__module__ for part in _parts(method)} <= set(closure)
+
+
+def _parts(value: Any, depth: int = 4) -> Iterator[Any]:
+    """The objects of this package that an object is made of, itself included."""
+    if type(value).__module__.startswith("ggvs_eval.") and depth:
+        yield value
+        for part in getattr(value, "__dict__", {}).values():
+            yield from _parts(part, depth - 1)
+
+
+@pytest.mark.parametrize(
+    ("label", "settings"),
+    [
+        ("ours", {}),
+        ("naive", {"guidance": "naive", "fused": False}),
+        ("ours-geometric+no-background", {"background": False}),
+        ("gps-gaussian+given-depth", {"depth": "given"}),
+    ],
+)
+def test_settings_of_a_label(label, settings):
+    """What a label fixes is told beside the code, so that a label that comes to mean something else is stale; no device is."""
+    assert METHODS[label].settings == settings
+    assert find_method(label).on("cuda").settings == settings

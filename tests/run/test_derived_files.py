@@ -1,0 +1,81 @@
+"""Masks and path depth are made anew when the code or the depth that they come from changes, and only then."""
+
+from pathlib import Path
+
+import pytest
+
+from ggvs_eval.files.images import read_image, write_image
+from ggvs_eval.jobs import code_identity as identity
+from ggvs_eval.jobs.code_identity import CodeTree, installed_code
+from ggvs_eval.pipelines.run.prepare import prepare_run
+from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
+from ggvs_eval.pipelines.run.work_left import work_left
+from ggvs_eval.run_folder import frame_path
+from helpers.small_runs import small_protocol, write_small_capture
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory) -> RunPlan:
+    """A run that has been prepared."""
+    folder = tmp_path_factory.mktemp("derived")
+    protocol = small_protocol(2, 3, ("PSNR", "PSNR_disoccluded"))
+    made = plan_run(RunRequest(folder / "run", write_small_capture(folder / "demo", 2), protocol))
+    prepare_run(made)
+    return made
+
+
+def damage(plan: RunPlan) -> tuple[Path, Path]:
+    """Write something else into one mask and one depth map."""
+    mask, pose = frame_path(plan.run.disoccluded("cam00"), 1), plan.run.path_depth / "0002.npy"
+    write_image(mask, 77 * (read_image(mask) // 255))
+    pose.write_bytes(b"damaged")
+    return mask, pose
+
+
+def change_code(monkeypatch, module: str) -> None:
+    """Make the digest of one module another."""
+
+    class Changed(CodeTree):
+        def digest(self, modules) -> str:
+            return super().digest(modules) + (" changed" if module in modules else "")
+
+    tree = installed_code()
+    monkeypatch.setattr(identity, "installed_code", lambda: Changed(tree.folder, tree.apart))
+
+
+@pytest.mark.parametrize(
+    ("module", "masks", "poses"),
+    [
+        ("ggvs_eval.geometry.splat", True, False),
+        ("ggvs_eval.geometry.tsdf", False, True),
+        ("ggvs_eval.camera", True, True),
+        ("ggvs_eval.geometry.warp", False, False),
+    ],
+)
+def test_what_the_code_has_made_otherwise(module, masks, poses, plan, monkeypatch):
+    """The code that made them has changed: they are counted as missing, and made anew; what other code made stays."""
+    prepare_run(plan)
+    mask, pose = damage(plan)
+    change_code(monkeypatch, module)
+
+    # Depth keys depend on cameras too, but a plan that is made keeps its own.
+    left = work_left(plan)
+    assert (sum(left.disoccluded.values()), left.path_depth) == (4 if masks else 0, 3 if poses else 0)
+
+    prepare_run(plan)
+    left = work_left(plan)
+    assert (sum(left.disoccluded.values()), left.path_depth) == (0, 0)
+    assert (77 not in read_image(mask)) == masks
+    assert (pose.read_bytes() != b"damaged") == poses
+
+
+def test_what_other_depth_has_made(plan):
+    """A mask whose note names other depth is made anew, that of another view stays."""
+    prepare_run(plan)
+    note = plan.run.disoccluded("cam00") / "made_from.json"
+    key = next(iter(plan.plans["cam00"].depth_keys.values()))
+    note.write_text(note.read_text().replace(key, "another"))
+
+    left = work_left(plan)
+
+    assert {folder.name: count for folder, count in left.disoccluded.items()} == {"cam00": 2, "cam01": 0}

@@ -1,0 +1,102 @@
+"""Scores are measured again metric by metric: what the code of one has changed, and nothing else."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import pytest
+
+from ggvs_eval.files.images import read_image, write_image
+from ggvs_eval.metrics import stream
+from ggvs_eval.pipelines.run import score_view
+from ggvs_eval.pipelines.run.import_renders import import_renders
+from ggvs_eval.pipelines.run.score import score, score_jobs
+from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, read_json
+from helpers.render_folders import make_run, write_folders
+
+METRICS = ("PSNR", "L1", "TCC", "STED", "STED_ssn", "SDT", "PSNR_static")
+MEASURED = ("PSNR", "L1", "TCC", "STED", "STED_ssn", "PSNR_static")  # SDT is made of L1
+VIEW = "cam00"
+
+
+@pytest.fixture
+def run(tmp_path) -> RunFolder:
+    """A run of two methods that has been scored."""
+    made = make_run(tmp_path / "run", METRICS)
+    for name in ("one", "other"):
+        import_renders(made, name, write_folders(tmp_path / name))
+    score(made)
+    return made
+
+
+@pytest.fixture
+def measured(monkeypatch) -> list[tuple[str, ...]]:
+    """The metrics of every pass over a view from now on."""
+    passes: list[tuple[str, ...]] = []
+    original = stream.score_views
+
+    def score_views(frames: Any, metrics: Sequence[str], *arguments: Any, **keywords: Any) -> Any:
+        passes.append(tuple(metrics))
+        return original(frames, metrics, *arguments, **keywords)
+
+    monkeypatch.setattr(stream, "score_views", score_views)
+    return passes
+
+
+def change_code(monkeypatch, *names: str) -> None:
+    original = score_view.metric_code
+    monkeypatch.setattr(score_view, "metric_code", lambda name: "changed" if name in names else original(name))
+
+
+def records(run: RunFolder) -> dict[str, Any]:
+    """Values in no order and reasons of every method in one view."""
+    methods = read_json(run.scores(VIEW) / JOB_FILE)["methods"]
+    return {label: (sorted(map(tuple, each["values"])), each["not_computed"]) for label, each in methods.items()}
+
+
+def test_nothing_is_measured_twice(run, measured):
+    """Scores of the same frames by the same code stand."""
+    score(run)
+
+    assert measured == []
+
+
+@pytest.mark.parametrize("changed", [("TCC",), ("STED",), ("STED_ssn",), ("PSNR_static", "L1"), MEASURED])
+def test_the_metrics_whose_code_has_changed(changed, run, measured, monkeypatch):
+    """They alone are measured again, of all methods in one pass; together with what stands they are what they were."""
+    before = records(run)
+    change_code(monkeypatch, *changed)
+
+    score(run)
+
+    assert [set(metrics) for metrics in measured] == [set(changed)] * 2  # once per view
+    assert records(run) == before
+    assert all(job.is_done() for job in score_jobs(run, run.labels(), [VIEW]))
+
+
+def test_values_that_stand_are_those_on_disk(run, monkeypatch):
+    """What is not stale is not looked at: a wrong value in the record stays until its own metric is."""
+    file = run.scores(VIEW) / JOB_FILE
+    text = file.read_text()
+    value = next(value for name, _, value in read_json(file)["methods"]["one"]["values"] if name == "L1")
+    file.write_text(text.replace(repr(value), "77.5"))
+
+    change_code(monkeypatch, "TCC")
+    score(run)
+    assert 77.5 in [value for *_, value in records(run)["one"][0]]
+
+    change_code(monkeypatch, "TCC", "L1")
+    score(run)
+    assert 77.5 not in [value for *_, value in records(run)["one"][0]]
+
+
+def test_changed_frames_make_every_metric_stale(run, measured):
+    """Another frame of one method is measured again by every metric, and the other method by none."""
+    file = frame_path(run.renders("one", VIEW), 3)
+    write_image(file, 255 - read_image(file))
+    before = records(run)
+
+    score(run)
+
+    assert [set(metrics) for metrics in measured] == [set(MEASURED)]
+    assert records(run)["other"] == before["other"]
+    assert records(run)["one"] != before["one"]
