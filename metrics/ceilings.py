@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8
-from ggvs_eval.metrics.noise import NoiseEstimator, NoiseModel, NoiseStream
-from ggvs_eval.metrics.noise_blocks import BLOCK_PX, ROUNDING_VARIANCE, Field, block_means
+from ggvs_eval.metrics.noise.blocks import BLOCK_PX, ROUNDING_VARIANCE, Field, block_means
+from ggvs_eval.metrics.noise.estimate import NoiseEstimator, NoiseModel, NoiseStream
 from ggvs_eval.metrics.scorers import MetricOptions
 from ggvs_eval.metrics.stream import ViewScores, score_views
 

@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.epi_coherence import epi_coherence
-from ggvs_eval.metrics.epi_slope import SlopeOptions, slope_agreement
-from ggvs_eval.metrics.horizontal_path import horizontal_path
 from ggvs_eval.metrics.inputs import Image
-from ggvs_eval.metrics.reprojection import DEPTH_TOLERANCE, StepError, mean_reprojection, reprojection_step
-from ggvs_eval.metrics.view_switch import switch_score
+from ggvs_eval.metrics.path.epi_coherence import epi_coherence
+from ggvs_eval.metrics.path.epi_slope import SlopeOptions, slope_agreement
+from ggvs_eval.metrics.path.horizontal_path import horizontal_path
+from ggvs_eval.metrics.path.reprojection import DEPTH_TOLERANCE, StepError, mean_reprojection, reprojection_step
+from ggvs_eval.metrics.path.view_switch import switch_score
 
 COHERENCE = ("EPI_coherence", "EPI_line_texture")
 SLOPE = ("EPI_slope_error", "EPI_slope_agreeing", "EPI_slope_measured")

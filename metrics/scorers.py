@@ -6,13 +6,13 @@ from typing import Literal
 
 from ggvs_eval.arrays import Image8, Mask
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics import strred
-from ggvs_eval.metrics.colour_correction import ColourMap, ColourMoments, apply_colour_map, unit_range
-from ggvs_eval.metrics.fetch_lpips import LpipsNet
-from ggvs_eval.metrics.image import l1, psnr, ssim
-from ggvs_eval.metrics.lpips import lpips_between, lpips_features
-from ggvs_eval.metrics.regions import REGIONS, Region, masked_l1, masked_psnr, masked_ssim
-from ggvs_eval.metrics.ssim_variants import SsimName, ssim_variant
+from ggvs_eval.metrics.image.colour_correction import ColourMap, ColourMoments, apply_colour_map, unit_range
+from ggvs_eval.metrics.image.fetch_lpips import LpipsNet
+from ggvs_eval.metrics.image.lpips import lpips_between, lpips_features
+from ggvs_eval.metrics.image.psnr import l1, psnr, ssim
+from ggvs_eval.metrics.image.regions import REGIONS, Region, masked_l1, masked_psnr, masked_ssim
+from ggvs_eval.metrics.image.ssim_variants import SsimName, ssim_variant
+from ggvs_eval.metrics.time import strred
 from ggvs_eval.metrics.time_scorers import ChangeScorer, FlickerScorer, SpreadScorer, StredScorer
 from ggvs_eval.metrics.truth_frame import Scorer, TruthFrame, Value
 

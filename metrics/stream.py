@@ -6,7 +6,7 @@ from functools import partial
 
 from ggvs_eval.arrays import Image8, Mask
 from ggvs_eval.errors import MetricError, WeightsError
-from ggvs_eval.metrics.colour_correction import ColourMap, ColourMoments
+from ggvs_eval.metrics.image.colour_correction import ColourMap, ColourMoments
 from ggvs_eval.metrics.inputs import check_pair
 from ggvs_eval.metrics.registry import select_metrics
 from ggvs_eval.metrics.scorers import CORRECTED, MetricOptions, make_scorers

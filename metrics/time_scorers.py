@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics import strred
-from ggvs_eval.metrics.flicker import FlickerMeter
-from ggvs_eval.metrics.image import l1
-from ggvs_eval.metrics.temporal import sdt, temporal_change_ssim
+from ggvs_eval.metrics.image.psnr import l1
+from ggvs_eval.metrics.time import strred
+from ggvs_eval.metrics.time.flicker import FlickerMeter
+from ggvs_eval.metrics.time.tcc import sdt, temporal_change_ssim
 from ggvs_eval.metrics.truth_frame import TruthFrame, Value
 
 

@@ -5,10 +5,10 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Protocol
 
 from ggvs_eval.arrays import Image8, Mask
-from ggvs_eval.metrics import strred
-from ggvs_eval.metrics.fetch_lpips import LpipsNet
-from ggvs_eval.metrics.lpips import lpips_features
-from ggvs_eval.metrics.regions import Region, moving_mask
+from ggvs_eval.metrics.image.fetch_lpips import LpipsNet
+from ggvs_eval.metrics.image.lpips import lpips_features
+from ggvs_eval.metrics.image.regions import Region, moving_mask
+from ggvs_eval.metrics.time import strred
 
 if TYPE_CHECKING:
     import torch

@@ -119,8 +119,8 @@ def _deviations(protocol: Protocol, l1: dict[str, dict[int, float]], not_compute
         l1: view -> frame -> L1.
         not_computed: takes the reason where there is none.
     """
-    from ggvs_eval.metrics.temporal import sdt
-    from ggvs_eval.metrics.views import sdv
+    from ggvs_eval.metrics.time.deviations import sdv
+    from ggvs_eval.metrics.time.tcc import sdt
 
     rows: list[tuple[Any, ...]] = []
     wanted, ddof = protocol.measurement.metrics, protocol.measurement.ddof

@@ -13,7 +13,7 @@ from ggvs_eval.arrays import Image8, Mask
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import read_image, resize
 from ggvs_eval.jobs.job import Job, code_digest
-from ggvs_eval.metrics.fetch_lpips import weights_path
+from ggvs_eval.metrics.image.fetch_lpips import weights_path
 from ggvs_eval.metrics.registry import METRICS
 from ggvs_eval.metrics.scorers import CORRECTED, MetricOptions
 from ggvs_eval.pipelines.run.coverage import Coverage

@@ -117,10 +117,10 @@ def _rounded(frames: np.ndarray) -> Image8:
 def print_tables(folder: Path) -> None:
     """Print what planted renderings score, and the ceilings beside what perfect renderings score."""
     from ggvs_eval.metrics.ceilings import CEILING_METRICS, ceilings
-    from ggvs_eval.metrics.flicker import flicker
     from ggvs_eval.metrics.stream import score_view
-    from ggvs_eval.metrics.strred import strred
-    from ggvs_eval.metrics.temporal import tcc
+    from ggvs_eval.metrics.time.flicker import flicker
+    from ggvs_eval.metrics.time.strred import strred
+    from ggvs_eval.metrics.time.tcc import tcc
 
     clean = clean_video(30)
     captured, second = noisy(clean, 2.0, seed=1), noisy(clean, 2.0, seed=2)

@@ -7,10 +7,10 @@ import pytest
 
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.ceilings import CEILING_METRICS, ceilings
-from ggvs_eval.metrics.flicker import flicker
-from ggvs_eval.metrics.image import psnr, ssim
-from ggvs_eval.metrics.strred import strred
-from ggvs_eval.metrics.temporal import tcc
+from ggvs_eval.metrics.image.psnr import psnr, ssim
+from ggvs_eval.metrics.time.flicker import flicker
+from ggvs_eval.metrics.time.strred import strred
+from ggvs_eval.metrics.time.tcc import tcc
 from helpers.noise_scenes import clean_video, encoded, flickering, noisy, panned_video, shot_noise
 
 FRAMES = 30

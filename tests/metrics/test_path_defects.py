@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from ggvs_eval.errors import MetricError
+from ggvs_eval.metrics.path.view_switch import switch_steps
 from ggvs_eval.metrics.path_scores import COHERENCE, REPROJECTION, SLOPE, SWITCH, PathOptions, PathPose, score_path, spread_rows
-from ggvs_eval.metrics.view_switch import switch_steps
 from helpers.epi_scenes import POSES, SCENES, changed, exact, path, rendered, sources_of
 
 SWITCHES = np.array(switch_steps([sources_of(camera) for camera in path()]))

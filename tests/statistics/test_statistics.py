@@ -6,8 +6,8 @@ import pytest
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.metrics.scorers import MetricOptions
 from ggvs_eval.metrics.stream import score_view
-from ggvs_eval.metrics.temporal import sdt
-from ggvs_eval.metrics.views import sdv
+from ggvs_eval.metrics.time.deviations import sdv
+from ggvs_eval.metrics.time.tcc import sdt
 from ggvs_eval.statistics.blocks import block_length, block_weights
 from ggvs_eval.statistics.bootstrap import Interval, intervals, resample
 from ggvs_eval.statistics.decomposition import decompose, decompose_metric

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics import strred
+from ggvs_eval.metrics.time import strred
 from ggvs_eval.pipelines.inspection.renders.frame_conventions import BT709
 from ggvs_eval.pipelines.inspection.renders.recompute import MaskReader, Recomputed, mean_over_views, view_pairs
 from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames

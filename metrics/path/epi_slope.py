@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.epi_lines import Lines, find_lines
-from ggvs_eval.metrics.horizontal_path import HorizontalPath
 from ggvs_eval.metrics.inputs import Image
+from ggvs_eval.metrics.path.epi_lines import Lines, find_lines
+from ggvs_eval.metrics.path.horizontal_path import HorizontalPath
 
 BIN_PX = 1.0 / 1024
 WIDER_PX = 1.0

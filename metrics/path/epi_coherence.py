@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.epi_lines import find_lines
-from ggvs_eval.metrics.horizontal_path import HorizontalPath
 from ggvs_eval.metrics.inputs import Image
+from ggvs_eval.metrics.path.epi_lines import find_lines
+from ggvs_eval.metrics.path.horizontal_path import HorizontalPath
 
 LEAST_TEXTURE_255 = 0.25
 WIDER = 1.25

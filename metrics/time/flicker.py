@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.inputs import check_pair
-from ggvs_eval.metrics.noise_blocks import (
+from ggvs_eval.metrics.noise.blocks import (
     ENERGY_EDGES,
     N_ENERGIES,
     N_LEVELS,

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.image import require_finite
+from ggvs_eval.metrics.image.psnr import require_finite
 
 
 def sdv(l1_255: ArrayLike, ddof: int = 1) -> float:
@@ -18,7 +18,7 @@ def sdv(l1_255: ArrayLike, ddof: int = 1) -> float:
         MetricError: not a table of views and frames, fewer than 2 views, or values that are not finite.
 
     Reading:
-        Defined by words only in the paper; read as the mirror of `temporal.sdt`, ddof=1 as there.
+        Defined by words only in the paper; read as the mirror of `tcc.sdt`, ddof=1 as there.
     """
     errors = np.asarray(l1_255, dtype=np.float64)
     if errors.ndim != 2 or errors.shape[0] < 2 or errors.shape[1] < 1:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ggvs_eval.errors import MetricError, WeightsError
-from ggvs_eval.metrics.fetch_lpips import FETCH_COMMAND, LpipsNet, weights_path
-from ggvs_eval.metrics.image import require_finite
+from ggvs_eval.metrics.image.fetch_lpips import FETCH_COMMAND, LpipsNet, weights_path
+from ggvs_eval.metrics.image.psnr import require_finite
 from ggvs_eval.metrics.inputs import Image, check_pair, white_level
 
 if TYPE_CHECKING:

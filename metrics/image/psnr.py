@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from ggvs_eval import kernels
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.colour_correction import apply_colour_map, fit_colour_map, unit_range
+from ggvs_eval.metrics.image.colour_correction import apply_colour_map, fit_colour_map, unit_range
 from ggvs_eval.metrics.inputs import Image, check_pair, white_level
 
 PSNR_CEILING_DB = 100.0

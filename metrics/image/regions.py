@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from ggvs_eval.arrays import Mask
 from ggvs_eval.errors import MetricError
 from ggvs_eval.geometry.difference_mask import difference_mask
-from ggvs_eval.metrics.image import decibels, require_finite, same_kind
+from ggvs_eval.metrics.image.psnr import decibels, require_finite, same_kind
+from ggvs_eval.metrics.image.ssim_variants import SSIM_VARIANTS, SsimName, ssim_map
 from ggvs_eval.metrics.inputs import Image, check_pair, white_level
-from ggvs_eval.metrics.ssim_variants import SSIM_VARIANTS, SsimName, ssim_map
 
 Region = Literal["static", "moving", "disoccluded"]
 REGIONS: tuple[Region, ...] = get_args(Region)

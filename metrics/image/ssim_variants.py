@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.image import require_finite, ssim
+from ggvs_eval.metrics.image.psnr import require_finite, ssim
 from ggvs_eval.metrics.inputs import Image, check_pair, white_level
 
 SsimName = Literal["gaussian-valid", "gaussian-zero", "uniform7", "uniform7-range2"]

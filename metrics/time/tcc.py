@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.image import require_finite, same_kind, ssim_per_channel
+from ggvs_eval.metrics.image.psnr import require_finite, same_kind, ssim_per_channel
 from ggvs_eval.metrics.inputs import Image, check_pair
 
 
