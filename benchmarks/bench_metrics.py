@@ -20,8 +20,8 @@ from skimage.metrics import structural_similarity
 from ggvs_eval.metrics.image.colour_correction import ColourMoments, apply_colour_map
 from ggvs_eval.metrics.image.fetch_lpips import weights_path
 from ggvs_eval.metrics.image.lpips import lpips
-from ggvs_eval.metrics.image.psnr import ssim
 from ggvs_eval.metrics.image.regions import masked_ssim
+from ggvs_eval.metrics.image.ssim import ssim
 from ggvs_eval.metrics.stream import score_view, score_views
 
 COMMAND = "python -m benchmarks.bench_metrics"

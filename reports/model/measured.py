@@ -7,36 +7,12 @@ from pathlib import Path
 from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.protocol import Protocol
+from ggvs_eval.reports.model.metric_note import MetricNote, read_metric_notes
 from ggvs_eval.reports.model.references import Reference, read_references
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder, read_json, require_frames
 
 METHODS_FILE = "methods.json"
-METRICS_FILE = "metrics.json"
-
-
-@dataclass(frozen=True)
-class MetricNote:
-    """What a column head says about a metric; written beside the results by the score step.
-
-    Attributes:
-        name: as in the results.
-        unit: e.g. ``dB``; empty where there is none.
-        higher_is_better: direction of the arrow.
-        describe: one sentence.
-        reference: publication that defines it.
-    """
-
-    name: str
-    unit: str
-    higher_is_better: bool
-    describe: str
-    reference: str
-
-    @property
-    def arrow(self) -> str:
-        """Direction in which it gets better."""
-        return "↑" if self.higher_is_better else "↓"
 
 
 @dataclass(frozen=True)
@@ -128,7 +104,7 @@ def read_run(root: Path) -> MeasuredRun:
     if not folder.labels():
         raise ResultsError(f"{folder.root}: no frames under renders/ to report on; run `ggvs-eval render` again")
     methods = read_json(folder.root / METHODS_FILE)
-    notes = {name: MetricNote(name, **note) for name, note in read_json(folder.root / METRICS_FILE).items()}
+    notes = read_metric_notes(folder.root)
     run = MeasuredRun(folder, protocol, results, tuple(folder.labels()), methods["names"], frozenset(methods["ours"]), notes)
     run = replace(run, references=read_references(folder))
     for view in protocol.views.test:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from ggvs_eval.reports.model.metric_note import MetricNote
 from ggvs_eval.reports.model.table import Cell, Row, format_value
 from ggvs_eval.run_folder import RunFolder, read_json
 
@@ -32,16 +33,16 @@ def read_references(folder: RunFolder) -> tuple[Reference, ...]:
     return tuple(Reference(**entry) for entry in read_json(file)) if file.is_file() else ()
 
 
-def reference_rows(references: Sequence[Reference], group: str, metrics: Sequence[str]) -> tuple[Row, ...]:
+def reference_rows(references: Sequence[Reference], group: str, notes: Sequence[MetricNote]) -> tuple[Row, ...]:
     """The rows of one table; a reference that knows none of its metrics is left out."""
     return tuple(
-        Row(reference.name, tuple(_cell(metric, reference.values.get(metric)) for metric in metrics), "reference")
+        Row(reference.name, tuple(_cell(note, reference.values.get(note.name)) for note in notes), "reference")
         for reference in references
-        if reference.group == group and any(metric in reference.values for metric in metrics)
+        if reference.group == group and any(note.name in reference.values for note in notes)
     )
 
 
-def _cell(metric: str, value: float | str | None) -> Cell:
+def _cell(note: MetricNote, value: float | str | None) -> Cell:
     if value is None:
         return Cell("no such reference")
-    return Cell(f"not computed: {value}") if isinstance(value, str) else Cell(format_value(metric, value), value)
+    return Cell(f"not computed: {value}") if isinstance(value, str) else Cell(format_value(value, note.decimals), value)

@@ -94,7 +94,7 @@ def test_conventions_of_psnr(name):
 
 def test_colour_corrected_psnr_is_ours():
     """The colour-corrected convention equals the metric of that name."""
-    from ggvs_eval.metrics.image.psnr import psnr_colour_corrected
+    from ggvs_eval.metrics.image.corrected import psnr_colour_corrected
 
     value = mean_over_frames(psnr_colour_corrected)
     assert explained("psnr", value, 3) == {"RGB after the best affine colour map, mean of the frames' PSNR"}

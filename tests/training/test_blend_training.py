@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from ggvs_eval.errors import TrainingError
-from ggvs_eval.metrics.image.psnr import ssim
+from ggvs_eval.metrics.image.ssim import ssim
 from ggvs_eval.one_thread import one_thread
 from ggvs_eval.pipelines.online.blend_network import WIDTHS, BlendNetwork, BlendNetworkOptions, BlendOutputs
 from ggvs_eval.pipelines.online.blend_weights import load_blend_network, shipped_blend_weights
