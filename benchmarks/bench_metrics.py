@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from skimage import data
 from skimage.metrics import structural_similarity
 
-from ggvs_eval.metrics.colour_correction import ColourMoments, apply_colour_map
-from ggvs_eval.metrics.fetch_lpips import weights_path
-from ggvs_eval.metrics.image import ssim
-from ggvs_eval.metrics.lpips import lpips
-from ggvs_eval.metrics.regions import masked_ssim
+from ggvs_eval.metrics.image.colour_correction import ColourMoments, apply_colour_map
+from ggvs_eval.metrics.image.fetch_lpips import weights_path
+from ggvs_eval.metrics.image.lpips import lpips
+from ggvs_eval.metrics.image.regions import masked_ssim
+from ggvs_eval.metrics.image.ssim import ssim
 from ggvs_eval.metrics.stream import score_view, score_views
 
 COMMAND = "python -m benchmarks.bench_metrics"

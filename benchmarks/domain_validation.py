@@ -17,9 +17,10 @@ from ggvs_eval.errors import WeightsError
 from ggvs_eval.files.images import quantise
 from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.method import Method
-from ggvs_eval.metrics.image import psnr, ssim
-from ggvs_eval.metrics.lpips import lpips_between, lpips_features
-from ggvs_eval.metrics.strred import strred
+from ggvs_eval.metrics.image.lpips import lpips_between, lpips_features
+from ggvs_eval.metrics.image.psnr import psnr
+from ggvs_eval.metrics.image.ssim import ssim
+from ggvs_eval.metrics.time.strred import strred
 from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.progress import track
 from ggvs_eval.run_folder import write_json

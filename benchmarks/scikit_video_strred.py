@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from skimage import data
 
-from ggvs_eval.metrics.strred import luma, strred
+from ggvs_eval.metrics.time.strred import luma, strred
 
 WIDTH, HEIGHT, FRAMES = 1352, 1014, 4
 ROUNDS = 4

@@ -34,7 +34,7 @@ def _install_system_libraries() -> None:
 
 def _fetch_lpips() -> None:
     from ggvs_eval.errors import WeightsError
-    from ggvs_eval.metrics.fetch_lpips import fetch_weights
+    from ggvs_eval.metrics.image.fetch_lpips import fetch_weights
 
     try:
         fetch_weights()

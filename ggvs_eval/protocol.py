@@ -80,7 +80,7 @@ class Measurement:
         width: both images are resized to this width before anything is measured; 0 keeps the rendered size.
         height: likewise.
         resize_filter: how they are resized.
-        ssim: which SSIM, see `ggvs_eval.metrics.ssim_variants.SSIM_VARIANTS`.
+        ssim: which SSIM, see `ggvs_eval.metrics.image.ssim_variants.SSIM_VARIANTS`.
         lpips_net: backbone of LPIPS v0.1.
         sted_pairing: frame pairs of ST-RRED: ``disjoint`` (0-1, 2-3, ...) or ``consecutive``.
         sted_pooling: ``means`` (mean spatial times mean temporal difference) or ``products`` (mean of the pairs' products).

@@ -26,7 +26,8 @@ class Results:
             ``frame`` is -1 where it belongs to the whole sequence (STED, SDT).
         provenance: ``protocol`` (values), ``protocol_sha256``, ``inputs`` (digest per camera), ``renders`` (digest per method and
             view), ``partial`` (method -> what its row stands on, where that is not everything), ``devices`` (method and view ->
-            where its networks computed, there alone where that is not the CPU), ``versions``.
+            where its networks computed, there alone where that is not the CPU), ``pooling`` (metric -> how its number is made of
+            views and frames, see `ggvs_eval.statistics.pooling.Pooling`), ``versions``.
         not_computed: metric -> reason, for what was asked for and could not be had.
     """
 

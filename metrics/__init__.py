@@ -1,1 +1,79 @@
-"""Images in, numbers out: fidelity of frames, steadiness over time and over views."""
+"""Images in, numbers out: fidelity of frames, steadiness over time and over views.
+
+>>> from ggvs_eval.metrics import psnr, ssim, strred
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from ggvs_eval.metrics.image.corrected import psnr_colour_corrected
+    from ggvs_eval.metrics.image.l1 import l1
+    from ggvs_eval.metrics.image.lpips import lpips
+    from ggvs_eval.metrics.image.psnr import psnr
+    from ggvs_eval.metrics.image.regions import masked_l1, masked_psnr, masked_ssim
+    from ggvs_eval.metrics.image.ssim import ssim
+    from ggvs_eval.metrics.image.ssim_variants import ssim_variant
+    from ggvs_eval.metrics.metric import MetricOptions
+    from ggvs_eval.metrics.path.rendered_path import PathPose
+    from ggvs_eval.metrics.path_scores import score_path
+    from ggvs_eval.metrics.registry import METRICS
+    from ggvs_eval.metrics.stream import score_view
+    from ggvs_eval.metrics.time.deviations import sdt, sdv
+    from ggvs_eval.metrics.time.flicker import flicker
+    from ggvs_eval.metrics.time.strred import strred
+    from ggvs_eval.metrics.time.tcc import tcc
+
+__all__ = [
+    "METRICS",
+    "MetricOptions",
+    "PathPose",
+    "flicker",
+    "l1",
+    "lpips",
+    "masked_l1",
+    "masked_psnr",
+    "masked_ssim",
+    "psnr",
+    "psnr_colour_corrected",
+    "score_path",
+    "score_view",
+    "sdt",
+    "sdv",
+    "ssim",
+    "ssim_variant",
+    "strred",
+    "tcc",
+]
+
+# What is imported when a name is first used, so that the import of this package costs nothing.
+_MODULES = {
+    "image.corrected": ("psnr_colour_corrected",),
+    "image.l1": ("l1",),
+    "image.lpips": ("lpips",),
+    "image.psnr": ("psnr",),
+    "image.regions": ("masked_l1", "masked_psnr", "masked_ssim"),
+    "image.ssim": ("ssim",),
+    "image.ssim_variants": ("ssim_variant",),
+    "metric": ("MetricOptions",),
+    "path.rendered_path": ("PathPose",),
+    "path_scores": ("score_path",),
+    "registry": ("METRICS",),
+    "stream": ("score_view",),
+    "time.deviations": ("sdt", "sdv"),
+    "time.flicker": ("flicker",),
+    "time.strred": ("strred",),
+    "time.tcc": ("tcc",),
+}
+_MODULE_OF = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    """Import what is asked for (PEP 562)."""
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_MODULE_OF[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

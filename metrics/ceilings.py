@@ -7,12 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8
-from ggvs_eval.metrics.noise import NoiseEstimator, NoiseModel, NoiseStream
-from ggvs_eval.metrics.noise_blocks import BLOCK_PX, ROUNDING_VARIANCE, Field, block_means
-from ggvs_eval.metrics.scorers import MetricOptions
+from ggvs_eval.metrics.metric import MetricOptions
+from ggvs_eval.metrics.noise.blocks import BLOCK_PX, ROUNDING_VARIANCE, Field, block_means
+from ggvs_eval.metrics.noise.estimate import NoiseEstimator, NoiseModel, NoiseStream
 from ggvs_eval.metrics.stream import ViewScores, score_views
 
-CEILING_METRICS = ("PSNR", "SSIM", "TCC", "STED")
 MEMORY_FRAMES = 30  # over which a still pixel is averaged
 MIN_AGE_FRAMES = 3  # younger averages are no better than the frame
 STEP_255 = 1.0  # an average shown in 8 bit follows by steps of at least this; rounding each would make it tremble
@@ -44,7 +43,7 @@ class Ceilings:
 
 def ceilings(
     frames: Callable[[], Iterable[Image8]],
-    metrics: Sequence[str] = CEILING_METRICS,
+    metrics: Sequence[str],
     options: MetricOptions | None = None,
     seed: int = 0,
 ) -> Ceilings:
@@ -52,7 +51,7 @@ def ceilings(
 
     Args:
         frames: gives the captured frames of the view, (H, W, 3) uint8, from the first on each time it is called; called twice.
-        metrics: names out of `registry.METRICS`, but no metric of the whole rig.
+        metrics: names out of `registry.METRICS`, but no metric of the whole rig; see `registry.ceiling_metrics`.
         options: as for the scores that stand beside.
         seed: of the noise that is drawn; equal seeds give equal bits.
 

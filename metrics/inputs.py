@@ -1,4 +1,4 @@
-"""What every metric demands of its two images."""
+"""What every metric demands of its two images, and of the number that it makes of them."""
 
 from typing import Any
 
@@ -39,6 +39,13 @@ def check_pair(rendered: Image, truth: Image, ndim: int = 3) -> None:
 def white_level(image: Image) -> float:
     """The value of white: 255 for uint8, 1 for float."""
     return 255.0 if image.dtype == np.uint8 else 1.0
+
+
+def same_kind(rendered: Image, truth: Image) -> tuple[Image, Image]:
+    """Both images as they are if 8-bit, else as float64: OpenCV compares one type only, and not every width of float."""
+    if truth.dtype == np.uint8:
+        return rendered, truth
+    return rendered.astype(np.float64, copy=False), truth.astype(np.float64, copy=False)
 
 
 def require_finite(value: float, metric: str) -> float:

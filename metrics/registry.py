@@ -1,88 +1,50 @@
 """The metrics by the names that stand in protocols, tables and figures."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from difflib import get_close_matches
-from typing import Literal
+from functools import partial
+from typing import Any
 
 from ggvs_eval.errors import MetricError
-
-Kind = Literal["frame", "pair", "view", "rig", "path"]
-
-
-@dataclass(frozen=True)
-class MetricSpec:
-    """What a table needs to know about a metric.
-
-    Attributes:
-        name: as in protocols and tables.
-        kind: what one value belongs to: a ``frame``, a ``pair`` of neighbouring frames, a ``view`` (all its frames), or the
-            ``rig`` (all views), or a camera ``path`` without truth.
-        unit: unit of a value, empty where it has none.
-        higher_is_better: direction of the arrow in tables.
-        describe: one line for a reader who meets the metric for the first time.
-        reference: where it is defined.
-    """
-
-    name: str
-    kind: Kind
-    unit: str
-    higher_is_better: bool
-    describe: str
-    reference: str
-
-
-_PAPER = "Ha et al. 2025, section 4"
-_VIEWS = "docs/view_consistency.md"
-_TIME = "docs/temporal_metrics.md"
-
-
-def _region_spec(measure: str, region: str) -> MetricSpec:
-    """A metric of one region of the image."""
-    units = {"PSNR": "dB", "SSIM": "", "L1": "grey levels of 255"}
-    where = {"static": "what stands still", "moving": "what moves", "disoccluded": "what no source camera sees"}[region]
-    inside = " in windows wholly inside it" if measure == "SSIM" else ""
-    describe = f"{measure} of {where}{inside}"
-    return MetricSpec(f"{measure}_{region}", "frame", units[measure], measure != "L1", describe, "regions by the masks of Eq. 1")
-
-
-_SPECS = (
-    MetricSpec("PSNR", "frame", "dB", True, "peak signal-to-noise ratio of the 8-bit frame", _PAPER),
-    MetricSpec("SSIM", "frame", "", True, "structural similarity, 11 x 11 Gaussian window, RGB mean", "Wang et al. 2004"),
-    MetricSpec("LPIPS", "frame", "", False, "learned perceptual distance, v0.1", "Zhang et al. 2018"),
-    MetricSpec("L1", "frame", "grey levels of 255", False, "mean absolute error over pixels and channels", _PAPER),
-    MetricSpec("TCC", "pair", "", True, "SSIM of the colour changes between neighbouring frames", "Ha et al. 2025, Eq. 8"),
-    MetricSpec("STED", "view", "", False, "ST-RRED, entropy differences over space and time", "Soundararajan & Bovik 2013"),
-    MetricSpec("STED_ssn", "view", "", False, "ST-RRED from single-number differences", "Soundararajan & Bovik 2013"),
-    MetricSpec("SDT", "view", "grey levels of 255", False, "standard deviation of L1 over the frames of a view", _PAPER),
-    MetricSpec("SDV", "rig", "grey levels of 255", False, "standard deviation of L1 over the views of an instant", _PAPER),
-    MetricSpec(
-        "PSNR_cc", "frame", "dB", True, "PSNR after the best affine colour map of the view or frame", "as gsplat's cc_psnr"
-    ),
-    MetricSpec("SSIM_cc", "frame", "", True, "SSIM after an affine colour map", "as gsplat's cc_ssim"),
-    MetricSpec("LPIPS_cc", "frame", "", False, "LPIPS after an affine colour map", "as gsplat's cc_lpips"),
-    MetricSpec(
-        "Flicker", "view", "grey levels of 255", False, "change over time that the scene does not have, and lack of it", _TIME
-    ),
-    MetricSpec("Flicker_excess", "view", "grey levels of 255", False, "the same, signed: below 0 is frozen or blurred", _TIME),
-    *(_region_spec(measure, region) for region in ("static", "moving", "disoccluded") for measure in ("PSNR", "SSIM", "L1")),
-    MetricSpec("EPI_coherence", "path", "", True, "how straight the lines of epipolar plane images are", _VIEWS),
-    MetricSpec("EPI_line_texture", "path", "grey levels per px", True, "contrast across these lines; blur lowers it", _VIEWS),
-    MetricSpec("EPI_slope_error", "path", "px per pose", False, "their slope against that of the fused depth", _VIEWS),
-    MetricSpec("EPI_slope_agreeing", "path", "", True, "share of pixels whose slope agrees with the fused depth", _VIEWS),
-    MetricSpec(
-        "reprojection", "path", "grey levels of 255", False, "colour change of points seen from two neighbouring poses", _VIEWS
-    ),
-    MetricSpec("reprojection_visible", "path", "", True, "share of pixels that two neighbouring poses both see", _VIEWS),
-    MetricSpec("switch_ratio", "path", "", False, "change where the source cameras switch over change elsewhere", _VIEWS),
-    MetricSpec(
-        "switch_excess", "path", "grey levels of 255", False, "change where the source cameras switch minus elsewhere", _VIEWS
-    ),
+from ggvs_eval.metrics.image.corrected import LPIPS_CC, PSNR_CC, SSIM_CC
+from ggvs_eval.metrics.image.l1 import L1
+from ggvs_eval.metrics.image.lpips import LPIPS
+from ggvs_eval.metrics.image.psnr import PSNR
+from ggvs_eval.metrics.image.regions import REGION_METRICS
+from ggvs_eval.metrics.image.ssim_variants import SSIM
+from ggvs_eval.metrics.metric import (
+    ColourMap,
+    FrameScorer,
+    Metric,
+    MetricOptions,
+    Row,
+    Scorer,
+    ScorerFactory,
+    TableMetric,
+    ViewMetric,
 )
-METRICS: dict[str, MetricSpec] = {spec.name: spec for spec in _SPECS}
+from ggvs_eval.metrics.path.epi_coherence import EPI_COHERENCE, EPI_LINE_TEXTURE
+from ggvs_eval.metrics.path.epi_slope import EPI_SLOPE_AGREEING, EPI_SLOPE_ERROR
+from ggvs_eval.metrics.path.reprojection import REPROJECTION, REPROJECTION_VISIBLE
+from ggvs_eval.metrics.path.view_switch import SWITCH_EXCESS, SWITCH_RATIO
+from ggvs_eval.metrics.time.deviations import SDT, SDV
+from ggvs_eval.metrics.time.flicker import FLICKER, FLICKER_EXCESS
+from ggvs_eval.metrics.time.strred import STED, STED_SSN
+from ggvs_eval.metrics.time.tcc import TCC
+
+# In the order in which they are scored and stand in the results.
+_ALL: tuple[Metric, ...] = (
+    *(PSNR, SSIM, L1, LPIPS),
+    *(PSNR_CC, SSIM_CC, LPIPS_CC),
+    *REGION_METRICS,
+    *(TCC, STED, STED_SSN, FLICKER, FLICKER_EXCESS, SDT, SDV),
+    *(EPI_COHERENCE, EPI_LINE_TEXTURE, EPI_SLOPE_ERROR, EPI_SLOPE_AGREEING),
+    *(REPROJECTION, REPROJECTION_VISIBLE, SWITCH_RATIO, SWITCH_EXCESS),
+)
+METRICS: dict[str, Metric] = {metric.name: metric for metric in _ALL}
 
 
-def select_metrics(names: Iterable[str]) -> tuple[MetricSpec, ...]:
+def select_metrics(names: Iterable[str]) -> tuple[Metric, ...]:
     """The metrics of these names, in this order.
 
     Raises:
@@ -94,3 +56,80 @@ def select_metrics(names: Iterable[str]) -> tuple[MetricSpec, ...]:
             nearest = get_close_matches(name, METRICS, n=1, cutoff=0.0)[0]
             raise MetricError(f"no metric {name!r}; nearest is {nearest!r}, all are {', '.join(METRICS)}")
     return tuple(METRICS[name] for name in names)
+
+
+def scored_by_view(names: Iterable[str]) -> tuple[ViewMetric, ...]:
+    """What the frames of a view are scored with: those of the metrics that are of a view, and what others are made of."""
+    asked = select_metrics(names)
+    wanted = {metric.part if isinstance(metric, TableMetric) else metric.name for metric in asked}
+    return tuple(metric for metric in METRICS.values() if isinstance(metric, ViewMetric) and metric.name in wanted)
+
+
+def make_scorers(metrics: Sequence[ViewMetric], options: MetricOptions, colour_map: ColourMap | None) -> list[Scorer]:
+    """One scorer, or one for several metrics that share work, for the metrics of a view.
+
+    Args:
+        metrics: see `scored_by_view`.
+        options: their variants.
+        colour_map: of the view where colours are corrected per view.
+    """
+    together: dict[ScorerFactory, list[str]] = {}
+    for metric in metrics:
+        together.setdefault(metric.scorer or partial(_frame_scorer, metric.function), []).append(metric.name)
+    return [factory(names, options, colour_map) for factory, names in together.items()]
+
+
+def _frame_scorer(
+    function: Callable[..., float], names: Sequence[str], _options: MetricOptions, _colour_map: ColourMap | None
+) -> Scorer:
+    return FrameScorer(names[0], function)
+
+
+def derived_rows(
+    metrics: Iterable[Metric], values: Mapping[str, Mapping[str, Mapping[int, float]]], options: MetricOptions
+) -> tuple[dict[str, list[Row]], dict[str, str]]:
+    """Values of those metrics that are made of other metrics' values.
+
+    Args:
+        metrics: any.
+        values: metric -> view -> frame -> value.
+        options: variants.
+
+    Returns:
+        Metric -> values, and metric -> reason why there are none.
+    """
+    rows: dict[str, list[Row]] = {}
+    reasons: dict[str, str] = {}
+    for metric in metrics:
+        if isinstance(metric, TableMetric):
+            try:
+                rows[metric.name] = metric.rows(values.get(metric.part, {}), options)
+            except MetricError as error:
+                reasons[metric.name] = str(error)
+    return rows, reasons
+
+
+def metric_notes(names: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """What a report says about metrics, as JSON values: reports read run folders and import no metric."""
+    return {
+        metric.name: {
+            "unit": metric.unit,
+            "higher_is_better": metric.higher_is_better,
+            "describe": metric.describe,
+            "reference": metric.reference,
+            "group": metric.group.key,
+            "group_title": metric.group.title,
+            "decimals": metric.decimals,
+        }
+        for metric in select_metrics(names)
+    }
+
+
+def pooling_records(names: Iterable[str], options: MetricOptions) -> dict[str, dict[str, Any]]:
+    """How the number of each metric is made of views and frames, as JSON values that the results carry."""
+    return {metric.name: metric.pooling(options).record() for metric in select_metrics(names)}
+
+
+def ceiling_metrics() -> tuple[str, ...]:
+    """Metrics that perfect renderings are scored with."""
+    return tuple(metric.name for metric in METRICS.values() if metric.has_ceiling)

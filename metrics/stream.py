@@ -1,16 +1,15 @@
 """All metrics of one view in one pass, two instants in memory at most; what the truth alone decides is computed once."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 from ggvs_eval.arrays import Image8, Mask
 from ggvs_eval.errors import MetricError, WeightsError
-from ggvs_eval.metrics.colour_correction import ColourMap, ColourMoments
+from ggvs_eval.metrics.image.colour_correction import ColourMoments
 from ggvs_eval.metrics.inputs import check_pair
-from ggvs_eval.metrics.registry import select_metrics
-from ggvs_eval.metrics.scorers import CORRECTED, MetricOptions, make_scorers
-from ggvs_eval.metrics.truth_frame import Scorer, TruthFrame, Value
+from ggvs_eval.metrics.metric import ColourMap, Metric, MetricOptions, Scorer, TruthFrame, Value
+from ggvs_eval.metrics.registry import derived_rows, make_scorers, scored_by_view, select_metrics
 
 
 @dataclass(frozen=True)
@@ -47,6 +46,12 @@ def score_view(
 
     Returns:
         See `score_views`.
+
+    Example:
+        >>> import numpy as np
+        >>> truth = np.full((16, 16, 3), 100, np.uint8)
+        >>> score_view([(truth + 5, truth), (truth + 7, truth)], ["L1", "SDT"], MetricOptions(ddof=0)).values
+        [('L1', 0, 5.0), ('L1', 1, 7.0), ('SDT', None, 1.0)]
     """
     frames = (((rendered,), truth) for rendered, truth in pairs)
     maps = None if colour_map is None else [colour_map]
@@ -78,9 +83,10 @@ def score_views(
         MetricError: an unknown metric, no frames, frames that do not fit each other, or no colour maps where they are needed.
     """
     options = options or MetricOptions()
-    names = [spec.name for spec in select_metrics(metrics)]
-    if options.colour_scope == "view" and colour_maps is None and set(names) & set(CORRECTED):
-        raise MetricError(f"{', '.join(set(names) & set(CORRECTED))}: colours are corrected per view; fit the maps first")
+    asked, streamed = select_metrics(metrics), scored_by_view(metrics)
+    corrected = [metric.name for metric in streamed if metric.corrects_colours]
+    if options.colour_scope == "view" and colour_maps is None and corrected:
+        raise MetricError(f"{', '.join(corrected)}: colours are corrected per view; fit the maps first")
     scores: list[ViewScores] = []
     scorers: list[list[Scorer]] = []
     masks = iter(disoccluded) if disoccluded is not None else None
@@ -91,8 +97,8 @@ def score_views(
         if previous is None:
             scores = [ViewScores([], {}) for _ in renderings]
             per_view = colour_maps if options.colour_scope == "view" and colour_maps else [None] * len(renderings)
-            scorers = [make_scorers(names, options, colour_map) for colour_map in per_view]
-        truth = TruthFrame(image, previous, next(masks) if masks else None, options.lpips_net)
+            scorers = [make_scorers(streamed, options, colour_map) for colour_map in per_view]
+        truth = TruthFrame(image, previous, next(masks) if masks else None)
         previous = image
         for i, rendered in enumerate(renderings):
             check_pair(rendered, image)
@@ -102,7 +108,8 @@ def score_views(
     for remaining, view_scores in zip(scorers, scores, strict=True):
         for scorer in remaining:
             _attempt(scorer, scorer.finish, view_scores)
-    return scores
+    hidden = {metric.name for metric in streamed} - {metric.name for metric in asked}
+    return [_with_derived(view_scores, asked, hidden, options) for view_scores in scores]
 
 
 def fit_colour_maps(frames: Iterable[tuple[Sequence[Image8], Image8]]) -> list[ColourMap]:
@@ -122,6 +129,18 @@ def fit_colour_maps(frames: Iterable[tuple[Sequence[Image8], Image8]]) -> list[C
     if not moments:
         raise MetricError("no frames to fit colours to; render this view first")
     return [one.map() for one in moments]
+
+
+def _with_derived(scores: ViewScores, asked: Sequence[Metric], hidden: Collection[str], options: MetricOptions) -> ViewScores:
+    """The scores with what one view's other values decide, and without what was measured for that alone."""
+    values: dict[str, dict[str, dict[int, float]]] = {}
+    for name, frame, value in scores.values:
+        if frame is not None:
+            values.setdefault(name, {"": {}})[""][frame] = value
+    rows, reasons = derived_rows([metric for metric in asked if metric.kind == "view"], values, options)
+    own = [one for one in scores.values if one[0] not in hidden]
+    own += [(name, None, value) for name, of_view in rows.items() for _, _, value in of_view]
+    return ViewScores(own, {name: reason for name, reason in (scores.not_computed | reasons).items() if name not in hidden})
 
 
 def _attempt(scorer: Scorer, measure: Callable[[], list[Value]], scores: ViewScores) -> bool:

@@ -25,7 +25,6 @@ from ggvs_eval.progress import track
 from ggvs_eval.run_folder import JOB_FILE, write_json
 
 
-
 @dataclass(frozen=True)
 class Job:
     """One piece of work.

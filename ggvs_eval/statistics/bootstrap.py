@@ -73,7 +73,7 @@ def intervals(
 
     Args:
         results: every measured value.
-        metric: name as in the table; SDT, SDV and STED are computed anew from each resample.
+        metric: name as in the table; what is no mean is computed anew from each resample, see `pooling.Pooling`.
         dataset: which data set of the table.
         level: confidence.
         resamples: of the bootstrap.
@@ -188,7 +188,13 @@ def _small_sample(generator: np.random.Generator, resamples: int, units: float) 
 
 
 def _centred(values: Array) -> Array:
-    """Deviations from the mean resample: draws with repetition shift a standard deviation, which is no error of the number."""
+    """Deviations from the mean resample: draws with repetition shift a standard deviation, which is no error of the number.
+
+    Raises:
+        ResultsError: a resample has no finite number.
+    """
+    if not np.isfinite(values).all():
+        raise ResultsError("a resample has no finite number, such as a ratio to 0; no interval")
     return np.asarray(values - values.mean())
 
 

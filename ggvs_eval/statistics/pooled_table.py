@@ -1,6 +1,6 @@
 """One metric of a whole table: every method's number on every scene of a data set."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import pandas as pd
@@ -8,7 +8,8 @@ import pandas as pd
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.results import Results
 from ggvs_eval.statistics.panels import label_of
-from ggvs_eval.statistics.pooled import PooledScene, needed_metrics, pool_scene
+from ggvs_eval.statistics.pooled import PooledScene, pool_scene
+from ggvs_eval.statistics.pooling import Pooling
 
 
 @dataclass(frozen=True)
@@ -40,29 +41,32 @@ def pool_table(results: Results, metric: str, dataset: str) -> PooledTable:
     """Collect one metric of every method.
 
     Args:
-        results: every measured value; the ddof of SDT and SDV is that of its protocol.
+        results: every measured value; their provenance says how each metric is pooled.
         metric: name as in the table.
         dataset: which data set of the table.
     """
-    cells = _cells(results, metric, dataset)
-    ddof = results.provenance.get("protocol", {}).get("measurement", {}).get("ddof", 1)
+    record = results.provenance.get("pooling", {}).get(metric)
+    pooling = None if record is None else Pooling.read(record)
+    cells = _cells(results, metric, () if pooling is None else pooling.parts, dataset)
     values = {label: _mean(by_scene, metric) for label, by_scene in cells.items()}
+    if pooling is None:
+        return PooledTable(values, {}, dict.fromkeys(values, f"the results do not say how {metric} is pooled; score again"))
     scenes: dict[str, tuple[PooledScene, ...]] = {}
     refusals: dict[str, str] = {}
     for label, by_scene in cells.items():
         try:
             scenes[label] = tuple(
-                pool_scene(by_scene[scene], metric, scene, f"{label} in {scene}", ddof) for scene in sorted(by_scene)
+                pool_scene(by_scene[scene], metric, pooling, scene, f"{label} in {scene}") for scene in sorted(by_scene)
             )
         except ResultsError as refusal:
             refusals[label] = str(refusal)
     return PooledTable(values, scenes, refusals)
 
 
-def _cells(results: Results, metric: str, dataset: str) -> dict[str, dict[str, dict[str, pd.DataFrame]]]:
+def _cells(results: Results, metric: str, parts: Sequence[str], dataset: str) -> dict[str, dict[str, dict[str, pd.DataFrame]]]:
     """Rows of the metric and of what it is made of: label -> scene -> metric -> rows; methods in the order of the table."""
     table = results.table
-    table = table[table["metric"].isin(needed_metrics(metric)) & (table["dataset"] == dataset)]
+    table = table[table["metric"].isin({metric, *parts}) & (table["dataset"] == dataset)]
     found: dict[str, dict[str, dict[str, pd.DataFrame]]] = {}
     for (method, variant, scene, name), rows in table.groupby(["method", "variant", "scene", "metric"], sort=False):
         found.setdefault(label_of(str(method), str(variant)), {}).setdefault(str(scene), {})[str(name)] = rows

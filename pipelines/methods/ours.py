@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from ggvs_eval.pipelines.online.blend_maps import Guidance
 
 ONLINE = "ggvs_eval.pipelines.online"
-GEOMETRIC = (f"{ONLINE}.geometry_guided", f"{ONLINE}.geometric_blender")
+GEOMETRIC = (f"{ONLINE}.geometry_guided", f"{ONLINE}.blending")
 LEARNED = (f"{ONLINE}.geometry_guided", f"{ONLINE}.network_blender")
 OFFLINE = (f"{ONLINE}.whole_sequence",)
 

@@ -10,14 +10,14 @@ import numpy as np
 from ggvs_eval.errors import MetricError
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.jobs.job import Job, run_jobs
-from ggvs_eval.metrics.ceilings import CEILING_METRICS, ceilings
+from ggvs_eval.metrics.ceilings import ceilings
+from ggvs_eval.metrics.registry import METRICS, ceiling_metrics
 from ggvs_eval.pipelines.run.score_code import ceilings_code
 from ggvs_eval.pipelines.run.score_path import TRUTH
 from ggvs_eval.pipelines.run.score_view import digest_frames, metric_options, truth_frames
 from ggvs_eval.protocol import Measurement, Protocol
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
 
-GROUPS = {"quality": ("PSNR", "SSIM"), "consistency": ("TCC", "STED")}
 NOISE_FREE, SECOND = "Ceiling: perfect and noise-free", "Ceiling: second recording"
 NOTES = {
     NOISE_FREE: "estimate of what the scene without the camera's noise would score against this capture.",
@@ -38,7 +38,7 @@ def score_ceilings(run: RunFolder, protocol: Protocol, workers: Workers = 1) -> 
         view -> ``noise_free`` and ``second_recording``, metric -> value, and ``not_computed``, metric -> reason. Empty where the
         protocol wants none.
     """
-    wanted = [name for name in CEILING_METRICS if name in protocol.measurement.metrics]
+    wanted = [name for name in ceiling_metrics() if name in protocol.measurement.metrics]
     if not protocol.measurement.ceilings or not wanted:
         return {}
     views = protocol.views.test
@@ -55,9 +55,12 @@ def write_references(run: RunFolder, paths: Mapping[str, dict[str, Any]], found:
         paths: see `score_path.score_paths`.
         found: see `score_ceilings`.
     """
+    groups: dict[str, list[str]] = {}
+    for name in ceiling_metrics():
+        groups.setdefault(METRICS[name].group.key, []).append(name)
     entries = [
         {"group": group, "name": name, "note": NOTES[name], "values": _means(found, kind, metrics)}
-        for group, metrics in GROUPS.items()
+        for group, metrics in groups.items()
         for name, kind in ((NOISE_FREE, "noise_free"), (SECOND, "second_recording"))
         if found
     ]

@@ -5,7 +5,6 @@ Each view is one job for all methods, because what the truth alone decides is th
 """
 
 import dataclasses
-from collections import defaultdict
 from collections.abc import Collection, Sequence
 from typing import Any
 
@@ -13,12 +12,12 @@ from ggvs_eval.errors import RenderError
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.jobs.job import Job, run_jobs
 from ggvs_eval.jobs.ledger import Ledger
-from ggvs_eval.metrics.registry import METRICS
+from ggvs_eval.metrics.registry import METRICS, derived_rows, metric_notes, pooling_records, select_metrics
 from ggvs_eval.pipelines.methods.registry import METHODS, split_label
 from ggvs_eval.pipelines.run.coverage import Coverage, read_coverage
 from ggvs_eval.pipelines.run.references import score_ceilings, write_references
 from ggvs_eval.pipelines.run.score_path import PATH_VIEW, score_paths
-from ggvs_eval.pipelines.run.score_view import view_job
+from ggvs_eval.pipelines.run.score_view import metric_options, view_job
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.results import Results, installed_versions, make_table
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
@@ -78,24 +77,24 @@ def _coverage(run: RunFolder, protocol: Protocol, labels: Sequence[str], views: 
 def _collect(
     run: RunFolder, protocol: Protocol, coverage: Coverage, labels: Sequence[str], paths: dict[str, dict[str, Any]]
 ) -> Results:
-    """One tidy table of all jobs, with the deviations over time (SDT) and views (SDV) that need more than one of them."""
+    """One tidy table of all jobs, with the metrics that are made of the values of several, such as SDV."""
     capture = run.capture_record()
     records = {view: read_json(run.scores(view) / JOB_FILE)["methods"] for view in protocol.views.test}
     rows: list[tuple[Any, ...]] = []
     not_computed: dict[str, str] = {}
     for label in labels:
         head = (protocol.dataset, capture["scene"], *split_label(label))
-        l1: dict[str, dict[int, float]] = {}
+        values: dict[str, dict[str, dict[int, float]]] = {}  # metric -> view -> frame -> value
         own: list[tuple[Any, ...]] = []
         reasons: dict[str, str] = {}
         for view, methods in records.items():
             if label not in methods:  # partial renders may lack a view
                 continue
-            values = methods[label]["values"]
-            own += [(view, frame, name, value) for name, frame, value in values]
-            l1[view] = {frame: value for name, frame, value in values if name == "L1"}
+            for name, frame, value in methods[label]["values"]:
+                own.append((view, frame, name, value))
+                values.setdefault(name, {}).setdefault(view, {})[frame] = value
             reasons |= methods[label]["not_computed"]
-        own += _deviations(protocol, l1, reasons)
+        own += _derived(protocol, values, reasons)
         own += _along_path(protocol, paths.get(label), reasons)
         rows += [(*head, *row) for row in own]
         not_computed |= coverage.reasons(label, reasons, {name for _, _, name, _ in own})
@@ -111,32 +110,20 @@ def _collect(
     return Results(make_table(rows), provenance, not_computed)
 
 
-def _deviations(protocol: Protocol, l1: dict[str, dict[int, float]], not_computed: dict[str, str]) -> list[tuple[Any, ...]]:
-    """Rows (view, frame, metric, value) of SDT and SDV, of whatever views and frames there are.
+def _derived(
+    protocol: Protocol, values: dict[str, dict[str, dict[int, float]]], not_computed: dict[str, str]
+) -> list[tuple[Any, ...]]:
+    """Rows (view, frame, metric, value) of what is made of other metrics' values, of whatever views and frames there are.
 
     Args:
         protocol: the metrics that are wanted.
-        l1: view -> frame -> L1.
+        values: metric -> view -> frame -> value.
         not_computed: takes the reason where there is none.
     """
-    from ggvs_eval.metrics.temporal import sdt
-    from ggvs_eval.metrics.views import sdv
-
-    rows: list[tuple[Any, ...]] = []
-    wanted, ddof = protocol.measurement.metrics, protocol.measurement.ddof
-    if "SDT" in wanted and protocol.frames.count < 2:
-        not_computed["SDT"] = f"{protocol.frames.count} frame; needs 2"
-    elif "SDT" in wanted:
-        rows += [(view, -1, "SDT", sdt([list(values.values())], ddof)) for view, values in l1.items() if len(values) > 1]
-    if "SDV" in wanted and len(l1) < 2:
-        not_computed["SDV"] = f"{len(l1)} view; needs 2"
-    elif "SDV" in wanted:
-        by_frame: dict[int, list[float]] = defaultdict(list)
-        for values in l1.values():
-            for frame, value in values.items():
-                by_frame[frame].append(value)
-        rows += [(None, t, "SDV", sdv([[v] for v in by_frame[t]], ddof)) for t in sorted(by_frame) if len(by_frame[t]) > 1]
-    return rows
+    measurement = protocol.measurement
+    rows, reasons = derived_rows(select_metrics(measurement.metrics), values, metric_options(measurement))
+    not_computed |= reasons
+    return [(view, frame, name, value) for name, of_metric in rows.items() for view, frame, value in of_metric]
 
 
 def _along_path(protocol: Protocol, path: dict[str, Any] | None, not_computed: dict[str, str]) -> list[tuple[Any, ...]]:
@@ -155,6 +142,7 @@ def _provenance(protocol: Protocol, capture: dict[str, Any], renders: dict[str, 
         "protocol_sha256": protocol.sha256,
         "inputs": {f"{capture['scene']}/{name}": digest for name, digest in capture["digests"].items()},
         "renders": renders,
+        "pooling": pooling_records(protocol.measurement.metrics, metric_options(protocol.measurement)),
         "versions": installed_versions(),
     }
 
@@ -171,6 +159,4 @@ def _write_shown_names(run: RunFolder, protocol: Protocol, labels: Sequence[str]
     titles = {label: METHODS[label].title if label in METHODS else label for label in labels}
     ours = [label for label in labels if label in METHODS and METHODS[label].ours]
     write_json(run.root / "methods.json", {"labels": list(labels), "names": titles, "ours": ours})
-    fields = ("unit", "higher_is_better", "describe", "reference")
-    shown = {name: {field: getattr(METRICS[name], field) for field in fields} for name in protocol.measurement.metrics}
-    write_json(run.root / "metrics.json", shown)
+    write_json(run.root / "metrics.json", metric_notes(protocol.measurement.metrics))

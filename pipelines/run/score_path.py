@@ -10,7 +10,8 @@ from ggvs_eval.files.digest import digest_files
 from ggvs_eval.files.images import read_image
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.jobs.job import Job, run_jobs
-from ggvs_eval.metrics.path_scores import PathPose, score_path
+from ggvs_eval.metrics.path.rendered_path import PathPose
+from ggvs_eval.metrics.path_scores import score_path
 from ggvs_eval.metrics.registry import METRICS
 from ggvs_eval.pipelines.run.path_depth import pose_file, read_path_depth
 from ggvs_eval.pipelines.run.score_code import path_code

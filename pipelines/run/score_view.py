@@ -13,9 +13,8 @@ from ggvs_eval.arrays import Image8, Mask
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import read_image, resize
 from ggvs_eval.jobs.job import Job
-from ggvs_eval.metrics.fetch_lpips import weights_path
-from ggvs_eval.metrics.registry import METRICS
-from ggvs_eval.metrics.scorers import CORRECTED, MetricOptions
+from ggvs_eval.metrics.metric import MetricOptions, ViewMetric
+from ggvs_eval.metrics.registry import METRICS, scored_by_view
 from ggvs_eval.pipelines.run.coverage import Coverage
 from ggvs_eval.pipelines.run.score_code import metric_code
 from ggvs_eval.protocol import Measurement, Protocol
@@ -25,12 +24,12 @@ from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, missing_frames
 def view_job(run: RunFolder, protocol: Protocol, coverage: Coverage, labels: Sequence[str], view: str) -> Job:
     """The job of one view; in it all metrics of a method are stale when a frame changes, and one metric when its code does."""
     measurement = protocol.measurement
-    metrics = per_view_metrics(measurement)
+    metrics = scored_by_view(measurement.metrics)
     common = {
         "truth": digest_frames(run.truth(view), coverage.wanted),
         "disoccluded": digest_frames(run.disoccluded(view), coverage.wanted),
         "measurement": [str(value) for name, value in vars(measurement).items() if name != "metrics"],
-        "metrics": {name: _metric_identity(name, measurement) for name in metrics},
+        "metrics": {metric.name: _metric_identity(metric, measurement) for metric in metrics},
     }
     stretches = {label: there for label in labels if (there := coverage.stretches(label, view))}
     identities = {
@@ -43,10 +42,10 @@ def view_job(run: RunFolder, protocol: Protocol, coverage: Coverage, labels: Seq
     return Job(f"scores of {view}", run.scores(view), identities, work)
 
 
-def _metric_identity(name: str, measurement: Measurement) -> dict[str, Any]:
+def _metric_identity(metric: ViewMetric, measurement: Measurement) -> dict[str, Any]:
     """What one metric depends on beside the frames and the measurement."""
-    weights = {"weights": weights_path(measurement.lpips_net).is_file()} if name.startswith("LPIPS") else {}
-    return {"code": metric_code(name)} | weights
+    code = {"code": metric_code(metric)}
+    return code if metric.weights is None else code | {"weights": metric.weights(metric_options(measurement)).is_file()}
 
 
 def digest_frames(folder: Path, frames: Sequence[int]) -> str:
@@ -122,8 +121,8 @@ def _score_methods(
 
     folders, options = [run.renders(label, view) for label in labels], metric_options(measurement)
     records: list[dict[str, Any]] = [{"values": [], "not_computed": {}} for _ in labels]
-    maps = None
-    if options.colour_scope == "view" and set(metrics) & set(CORRECTED):
+    maps, corrected = None, any(metric.corrects_colours for metric in scored_by_view(metrics))
+    if options.colour_scope == "view" and corrected:
         maps = fit_colour_maps(one for frames in stretches for one in _instants(folders, run.truth(view), frames, measurement))
     for frames in stretches:
         instants = _instants(folders, run.truth(view), frames, measurement)
@@ -144,13 +143,8 @@ def metric_options(measurement: Measurement) -> MetricOptions:
         sted_pairing=measurement.sted_pairing,
         sted_pooling=measurement.sted_pooling,
         colour_scope=measurement.colour_scope,
+        ddof=measurement.ddof,
     )
-
-
-def per_view_metrics(measurement: Measurement) -> list[str]:
-    """What a view alone can tell, and L1, of which SDT and SDV are the deviations over the whole table."""
-    names = [name for name in measurement.metrics if name not in ("SDT", "SDV") and METRICS[name].kind != "path"]
-    return names if "L1" in names or not {"SDT", "SDV"} & set(measurement.metrics) else [*names, "L1"]
 
 
 def truth_frames(run: RunFolder, view: str, frames: range, measurement: Measurement) -> Iterator[Image8]:

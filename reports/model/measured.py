@@ -7,18 +7,18 @@ from pathlib import Path
 from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.protocol import Protocol
+from ggvs_eval.reports.model.metric_note import MetricNote, read_metric_notes
 from ggvs_eval.reports.model.table import Cell, Row, format_value
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder, read_json, require_frames
 
 REFERENCES_FILE = "references.json"
 METHODS_FILE = "methods.json"
-METRICS_FILE = "metrics.json"
 
 
 @dataclass(frozen=True)
 class Reference:
-    """One such row.
+    """Values that were computed on this capture but belong to no method.
 
     Attributes:
         group: table it stands in, e.g. ``consistency``.
@@ -39,43 +39,19 @@ def read_references(folder: RunFolder) -> tuple[Reference, ...]:
     return tuple(Reference(**entry) for entry in read_json(file)) if file.is_file() else ()
 
 
-def reference_rows(references: Sequence[Reference], group: str, metrics: Sequence[str]) -> tuple[Row, ...]:
+def reference_rows(references: Sequence[Reference], group: str, notes: Sequence[MetricNote]) -> tuple[Row, ...]:
     """The rows of one table; a reference that knows none of its metrics is left out."""
     return tuple(
-        Row(reference.name, tuple(_cell(metric, reference.values.get(metric)) for metric in metrics), "reference")
+        Row(reference.name, tuple(_cell(note, reference.values.get(note.name)) for note in notes), "reference")
         for reference in references
-        if reference.group == group and any(metric in reference.values for metric in metrics)
+        if reference.group == group and any(note.name in reference.values for note in notes)
     )
 
 
-def _cell(metric: str, value: float | str | None) -> Cell:
+def _cell(note: MetricNote, value: float | str | None) -> Cell:
     if value is None:
         return Cell("no such reference")
-    return Cell(f"not computed: {value}") if isinstance(value, str) else Cell(format_value(metric, value), value)
-
-
-@dataclass(frozen=True)
-class MetricNote:
-    """What a column head says about a metric; written beside the results by the score step.
-
-    Attributes:
-        name: as in the results.
-        unit: e.g. ``dB``; empty where there is none.
-        higher_is_better: direction of the arrow.
-        describe: one sentence.
-        reference: publication that defines it.
-    """
-
-    name: str
-    unit: str
-    higher_is_better: bool
-    describe: str
-    reference: str
-
-    @property
-    def arrow(self) -> str:
-        """Direction in which it gets better."""
-        return "↑" if self.higher_is_better else "↓"
+    return Cell(f"not computed: {value}") if isinstance(value, str) else Cell(format_value(value, note.decimals), value)
 
 
 @dataclass(frozen=True)
@@ -167,7 +143,7 @@ def read_run(root: Path) -> MeasuredRun:
     if not folder.labels():
         raise ResultsError(f"{folder.root}: no frames under renders/ to report on; run `ggvs-eval render` again")
     methods = read_json(folder.root / METHODS_FILE)
-    notes = {name: MetricNote(name, **note) for name, note in read_json(folder.root / METRICS_FILE).items()}
+    notes = read_metric_notes(folder.root)
     run = MeasuredRun(folder, protocol, results, tuple(folder.labels()), methods["names"], frozenset(methods["ours"]), notes)
     run = replace(run, references=read_references(folder))
     for view in protocol.views.test:

@@ -7,7 +7,6 @@ from typing import Literal
 
 from ggvs_eval.statistics.bootstrap import LEVEL, Interval
 
-DECIMALS = {"PSNR": 2, "PSNR_cc": 2, "SSIM": 3, "LPIPS": 3, "L1": 2, "TCC": 3, "SDT": 3, "SDV": 3}
 SIGNIFICANT = 4
 
 RowKind = Literal["measured", "ours", "partial", "published", "reference"]
@@ -102,39 +101,38 @@ class Table:
     dataset: str = ""
 
 
-def measured_cell(metric: str, value: float | None, reason: str, interval: Interval | None = None) -> Cell:
+def measured_cell(value: float | None, reason: str, interval: Interval | None = None, decimals: int | None = None) -> Cell:
     """A cell with a rounded value and its interval if there is one, or with the reason for its absence."""
     if value is None or math.isnan(value):
         return Cell(f"not computed: {reason}")
     if interval is None:
-        return Cell(format_value(metric, value), value)
-    spread = "" if interval.half_width is None else f"± {format_half_width(metric, value, interval.half_width)}"
-    return Cell(format_value(metric, value), value, False, 0.0, spread, interval.low, interval.high, interval.note)
+        return Cell(format_value(value, decimals), value)
+    spread = "" if interval.half_width is None else f"± {format_half_width(value, interval.half_width, decimals)}"
+    return Cell(format_value(value, decimals), value, False, 0.0, spread, interval.low, interval.high, interval.note)
 
 
-def format_value(metric: str, value: float) -> str:
-    """Round as the paper does: fixed decimals per metric, four significant digits for what spans magnitudes (STED)."""
+def format_value(value: float, decimals: int | None = None) -> str:
+    """Round as the paper does: fixed decimals per metric, four significant digits (None) for what spans magnitudes (STED)."""
     if math.isinf(value):
         return "∞" if value > 0 else "−∞"
-    return f"{value:.{_decimals(metric, value)}f}"
+    return f"{value:.{_decimals(value, decimals)}f}"
 
 
-def format_half_width(metric: str, value: float, half_width: float) -> str:
+def format_half_width(value: float, half_width: float, decimals: int | None = None) -> str:
     """Half the width of an interval to the digits of its value, or to its first digit where that would print 0."""
     if half_width <= 0.0:
         return "0"
-    decimals = _decimals(metric, value)
+    decimals = _decimals(value, decimals)
     if float(f"{half_width:.{decimals}f}") == 0.0:
         decimals = -math.floor(math.log10(half_width))
     return f"{half_width:.{decimals}f}"
 
 
-def _decimals(metric: str, value: float) -> int:
-    decimals = DECIMALS.get(metric)
-    if decimals is None:
-        magnitude = math.floor(math.log10(abs(value))) if value else 0
-        decimals = max(0, SIGNIFICANT - 1 - magnitude) if magnitude > -SIGNIFICANT else 2 * SIGNIFICANT
-    return decimals
+def _decimals(value: float, decimals: int | None) -> int:
+    if decimals is not None:
+        return decimals
+    magnitude = math.floor(math.log10(abs(value))) if value else 0
+    return max(0, SIGNIFICANT - 1 - magnitude) if magnitude > -SIGNIFICANT else 2 * SIGNIFICANT
 
 
 def rank(columns: Sequence[Column], rows: Sequence[Row], told: Sequence[frozenset[int] | None] = ()) -> tuple[Row, ...]:

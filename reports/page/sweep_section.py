@@ -10,7 +10,7 @@ import pandas as pd
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.reports.figures.curves import Curve, Panel, with_margin
 from ggvs_eval.reports.figures.k_figure import SECONDS, SWEEP_FILE, USUAL, read_k_table
-from ggvs_eval.reports.model.measured import MetricNote
+from ggvs_eval.reports.model.metric_note import MetricNote
 from ggvs_eval.reports.model.table import Cell, Column, Row, Table, format_value
 from ggvs_eval.run_folder import RunFolder
 
@@ -93,7 +93,10 @@ def _table(sweep: Path, notes: Mapping[str, MetricNote], caption: str) -> Table:
     metrics = [name for name in lines.columns if name not in levels]
     columns = tuple(_column(metric, notes) for metric in metrics)
     rows = [
-        Row(", ".join(str(line[level]) for level in levels), tuple(_cell(metric, float(line[metric])) for metric in metrics))
+        Row(
+            ", ".join(str(line[level]) for level in levels),
+            tuple(_cell(line[metric], notes.get(metric)) for metric in metrics),
+        )
         for _, line in lines.iterrows()
     ]
     return Table("sweep", f"Sweep {sweep.name}", caption, columns, tuple(rows), sweep.name)
@@ -106,8 +109,10 @@ def _column(metric: str, notes: Mapping[str, MetricNote]) -> Column:
     return Column(metric) if note is None else Column(metric, note.unit, note.higher_is_better, note.describe)
 
 
-def _cell(metric: str, value: float) -> Cell:
-    return Cell("not measured") if pd.isna(value) else Cell(format_value(metric, value), value)
+def _cell(value: float, note: MetricNote | None) -> Cell:
+    if pd.isna(value):
+        return Cell("not measured")
+    return Cell(format_value(float(value), note.decimals if note else None), float(value))
 
 
 def _panel(over_k: pd.DataFrame, metric: str, notes: Mapping[str, MetricNote]) -> Panel:

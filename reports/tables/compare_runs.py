@@ -8,7 +8,8 @@ from typing import Any
 import pandas as pd
 
 from ggvs_eval.errors import ResultsError
-from ggvs_eval.reports.model.measured import METHODS_FILE, METRICS_FILE, label_of
+from ggvs_eval.reports.model.measured import METHODS_FILE, label_of
+from ggvs_eval.reports.model.metric_note import MetricNote, read_metric_notes
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder, read_json
 from ggvs_eval.statistics.bootstrap import LEVEL
@@ -37,24 +38,25 @@ class Difference:
     """One metric of two methods, over all views or in one.
 
     Attributes:
-        metric: name.
-        unit: of the values; empty where there is none.
+        note: the metric.
         view: test view; empty for the mean over all.
         first: number of the first method.
         second: of the second.
         comparison: first minus second.
         p_value: after Holm's correction for the metrics, or for the views of one metric; None where nothing could be compared.
-        higher_is_better: direction.
     """
 
-    metric: str
-    unit: str
+    note: MetricNote
     view: str
     first: float
     second: float
     comparison: Comparison
     p_value: float | None
-    higher_is_better: bool
+
+    @property
+    def metric(self) -> str:
+        """Name of the metric."""
+        return self.note.name
 
     @property
     def is_significant(self) -> bool:
@@ -67,7 +69,7 @@ class Difference:
         difference = self.comparison.difference
         if difference == 0.0:
             return "equal"
-        better = SIDES[0] if (difference > 0) == self.higher_is_better else SIDES[1]
+        better = SIDES[0] if (difference > 0) == self.note.higher_is_better else SIDES[1]
         if self.p_value is None:
             return f"{better} better, not tested: {self.comparison.note}"
         return f"{better} better" if self.is_significant else "not to be told apart"
@@ -115,7 +117,7 @@ def differences(one: Side, other: Side, run: Path) -> tuple[Difference, ...]:
     """
     both = _both(one, other)
     dataset = str(both.table["dataset"].iloc[0])
-    notes = read_json(run / METRICS_FILE)
+    notes = read_metric_notes(run)
     shared = [metric for metric in notes if all((side.results.table["metric"] == metric).any() for side in (one, other))]
     whole = {}
     for metric in shared:
@@ -125,23 +127,24 @@ def differences(one: Side, other: Side, run: Path) -> tuple[Difference, ...]:
     p_values = _corrected(whole)
     found: list[Difference] = []
     for metric, comparison in whole.items():
-        unit, higher = notes[metric]["unit"], bool(notes[metric]["higher_is_better"])
         means = both.summary().loc[dataset][metric]
         numbers = float(means[SIDES[0], ""]), float(means[SIDES[1], ""])
-        found.append(Difference(metric, unit, "", *numbers, comparison, p_values[metric], higher))
-        found += _per_view(both, dataset, metric, unit, higher)
+        found.append(Difference(notes[metric], "", *numbers, comparison, p_values[metric]))
+        found += _per_view(both, dataset, notes[metric])
     return tuple(found)
 
 
-def _per_view(both: Results, dataset: str, metric: str, unit: str, higher: bool) -> list[Difference]:
+def _per_view(both: Results, dataset: str, note: MetricNote) -> list[Difference]:
     """The same in each test view by itself; nothing for what belongs to the whole rig or to the camera path."""
-    means = both.per_view(metric)
+    means = both.per_view(note.name)
     wanted = both.provenance.get("protocol", {}).get("views", {}).get("test", means.columns)
-    compared = {str(view): compare(_view_alone(both, view), metric, *SIDES, dataset) for view in wanted if view in means.columns}
+    compared = {
+        str(view): compare(_view_alone(both, view), note.name, *SIDES, dataset) for view in wanted if view in means.columns
+    }
     p_values = _corrected(compared)
     numbers = {view: means[view].loc[[(side, "") for side in SIDES]].astype(float).tolist() for view in compared}
     return [
-        Difference(metric, unit, view, numbers[view][0], numbers[view][1], comparison, p_values[view], higher)
+        Difference(note, view, numbers[view][0], numbers[view][1], comparison, p_values[view])
         for view, comparison in compared.items()
     ]
 

@@ -42,7 +42,7 @@ def differences_csv(found: Mapping[str, Sequence[Difference]]) -> str:
     for name, one in ((name, one) for name, several in found.items() for one in several):
         bounds = ["" if value is None else repr(value) for value in (one.comparison.low, one.comparison.high, one.p_value)]
         numbers = [repr(value) for value in (one.first, one.second, one.comparison.difference)]
-        head = [name, one.metric, one.unit, one.view]
+        head = [name, one.metric, one.note.unit, one.view]
         writer.writerow([*head, *numbers, *bounds, one.is_significant, one.verdict, one.comparison.note])
     return text.getvalue()
 
@@ -78,12 +78,12 @@ def write_comparison(first: str, second: str, run: Path | None, views: bool = Fa
 
 def _line(one: Difference) -> tuple[str, ...]:
     low, high = one.comparison.low, one.comparison.high
-    shown = [format_value(one.metric, value) for value in (one.first, one.second)]
+    shown = [format_value(value, one.note.decimals) for value in (one.first, one.second)]
     interval = "none" if low is None or high is None else f"{_signed(one, low)} to {_signed(one, high)}"
     p_value = "none" if one.p_value is None else f"{one.p_value:.4f}"
-    name = f"{one.metric} ({one.unit})" if one.unit else one.metric
+    name = f"{one.metric} ({one.note.unit})" if one.note.unit else one.metric
     return name, one.view or "all", *shown, _signed(one, one.comparison.difference), interval, p_value, one.verdict
 
 
 def _signed(one: Difference, value: float) -> str:
-    return f"{'+' if value > 0 else ''}{format_value(one.metric, value)}"
+    return f"{'+' if value > 0 else ''}{format_value(value, one.note.decimals)}"

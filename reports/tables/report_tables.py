@@ -7,26 +7,14 @@ from typing import cast
 
 import pandas as pd
 
-from ggvs_eval.reports.model.measured import MeasuredRun, MetricNote, label_of, reference_rows
+from ggvs_eval.reports.model.measured import MeasuredRun, label_of, reference_rows
+from ggvs_eval.reports.model.metric_note import MetricNote, note_groups
 from ggvs_eval.reports.model.table import Cell, Column, Row, RowKind, Table, measured_cell, rank
 from ggvs_eval.reports.tables.published import published_rows
 from ggvs_eval.results import Results
 from ggvs_eval.statistics.bootstrap import LEVEL, Interval, intervals
 from ggvs_eval.statistics.paired import Standing, rank_methods
 
-REGIONS = ("static", "moving", "disoccluded")
-GROUPS = {
-    "quality": ("Image quality", ("PSNR", "PSNR_cc", "SSIM", "LPIPS", "L1")),
-    "consistency": ("Temporal and view consistency", ("TCC", "STED", "STED_ssn", "Flicker", "Flicker_excess", "SDT", "SDV")),
-    "regions": ("Quality by region", tuple(f"{name}_{region}" for name in ("PSNR", "SSIM", "L1") for region in REGIONS)),
-    "path": (
-        "View consistency along the camera path, without truth",
-        (
-            *("EPI_coherence", "EPI_line_texture", "EPI_slope_error", "EPI_slope_agreeing"),
-            *("reprojection", "reprojection_visible", "switch_ratio", "switch_excess"),
-        ),
-    ),
-}
 CHOSEN_FOR = {"nearest": "", "coverage": ", chosen for what they see of the target"}  # words after the number of sources
 PUBLISHED_GROUPS = ("quality", "consistency")
 
@@ -73,38 +61,28 @@ def main_tables(runs: Sequence[MeasuredRun], results: Results) -> tuple[Table, .
         results: their results in one, see `ggvs_eval.results.merge_results`.
 
     Returns:
-        Per dataset one table for each group of metrics that the protocol asks for; what belongs to no group comes last.
+        Per dataset one table for each group of the metrics that the protocol asks for, in its order.
     """
-    asked = runs[0].protocol.measurement.metrics
-    grouped = {metric for _, metrics in GROUPS.values() for metric in metrics}
-    groups = GROUPS | {"further": ("Further measures", tuple(metric for metric in asked if metric not in grouped))}
+    groups = note_groups([runs[0].metrics[metric] for metric in runs[0].protocol.measurement.metrics])
     summary = results.summary()
     tables = []
     for dataset in dict.fromkeys(str(name) for name in summary.index.get_level_values("dataset")):
-        for key, (title, metrics) in groups.items():
-            wanted = tuple(metric for metric in metrics if metric in asked)
-            if wanted:
-                tables.append(_main_table(key, title, dataset, wanted, runs, summary, results))
+        tables += [_main_table(dataset, notes, runs, summary, results) for notes in groups.values()]
     return tuple(tables)
 
 
 def _main_table(
-    key: str,
-    title: str,
-    dataset: str,
-    metrics: tuple[str, ...],
-    runs: Sequence[MeasuredRun],
-    summary: pd.DataFrame,
-    results: Results,
+    dataset: str, notes: tuple[MetricNote, ...], runs: Sequence[MeasuredRun], summary: pd.DataFrame, results: Results
 ) -> Table:
-    columns = tuple(metric_column(runs[0].metrics[metric]) for metric in metrics)
+    key, title, metrics = notes[0].group, notes[0].group_title, tuple(note.name for note in notes)
+    columns = tuple(metric_column(note) for note in notes)
     here = cast(pd.DataFrame, summary.xs(dataset, level="dataset"))
     partial = results.provenance.get("partial", {})
-    certain = {metric: _certainty(runs[0].metrics[metric], results, dataset, partial) for metric in metrics}
-    rows = measured_rows(runs, here, metrics, metrics, results, certain)
+    certain = {note.name: _certainty(note, results, dataset, partial) for note in notes}
+    rows = measured_rows(runs, here, metrics, notes, results, certain)
     told = [_told_rows(certain[metric], row_labels(runs, here)) for metric in metrics]
     references = [reference for run in runs for reference in run.references]
-    grey = reference_rows(references, key, metrics)
+    grey = reference_rows(references, key, notes)
     grey += published_rows(key, dataset, metrics) if key in PUBLISHED_GROUPS else ()
     protocol = runs[0].protocol
     frames, views = _count(protocol.frames.count, "frame"), _count(len(protocol.views.test), "view")
@@ -112,9 +90,9 @@ def _main_table(
     means = f"Mean over {frames}, then {views}, then scenes; {sources}."
     if key == "path":
         means = f"Over the whole camera path, at one instant; {sources}."
-    notes = [f"{reference.name}: {reference.note}" for reference in references if reference.group == key]
+    remarks = [f"{reference.name}: {reference.note}" for reference in references if reference.group == key]
     marks = [f"{label} is {mark}; it is not ranked." for label, mark in partial.items()]
-    caption = " ".join([means, *marks, *_certainty_captions(certain), *dict.fromkeys(notes)])
+    caption = " ".join([means, *marks, *_certainty_captions(certain), *dict.fromkeys(remarks)])
     return Table(key, title, caption, columns, rank(columns, rows, told) + grey, dataset)
 
 
@@ -165,7 +143,7 @@ def view_tables(run: MeasuredRun) -> tuple[Table, ...]:
             continue
         note, views = run.metrics[metric], run.protocol.views.test
         columns = tuple(Column(view, note.unit, note.higher_is_better) for view in views)
-        rows = rank(columns, measured_rows([run], values, views, (metric,) * len(views), run.results))
+        rows = rank(columns, measured_rows([run], values, views, (note,) * len(views), run.results))
         unit = f", {note.unit}" if note.unit else ""
         caption = f"Mean over frames in each test view; {'higher' if note.higher_is_better else 'lower'} is better."
         tables.append(Table(f"view-{metric}", f"{metric}{unit}", caption, columns, rows, run.scene))
@@ -187,7 +165,7 @@ def measured_rows(
     runs: Sequence[MeasuredRun],
     values: pd.DataFrame,
     keys: Sequence[str],
-    metrics: Sequence[str],
+    notes: Sequence[MetricNote],
     results: Results,
     certain: Mapping[str, Certainty] | None = None,
 ) -> tuple[Row, ...]:
@@ -197,7 +175,7 @@ def measured_rows(
         runs: who was measured, under which names.
         values: rows (method, variant).
         keys: columns of `values` to show.
-        metrics: metric of each of these columns.
+        notes: metric of each of these columns.
         results: knows why a value may be absent.
         certain: metric -> what is known of its numbers; None shows numbers alone.
     """
@@ -207,23 +185,23 @@ def measured_rows(
         names = next((run for run in runs if label in run.labels), runs[0])
         cells = [
             _cell(
-                metric,
+                note,
                 by_label[label].get(key) if label in by_label else None,
                 results,
-                certain[metric].interval(label) if certain else None,
+                certain[note.name].interval(label) if certain else None,
                 label in names.partial,
             )
-            for key, metric in zip(keys, metrics, strict=True)
+            for key, note in zip(keys, notes, strict=True)
         ]
         kind: RowKind = "partial" if label in names.partial else "ours" if label in names.ours else "measured"
         rows.append(Row(names.name(label), tuple(cells), kind))
     return tuple(rows)
 
 
-def _cell(metric: str, value: float | None, results: Results, interval: Interval | None, is_partial: bool) -> Cell:
+def _cell(note: MetricNote, value: float | None, results: Results, interval: Interval | None, is_partial: bool) -> Cell:
     absent = "partial renders" if is_partial else "no value in the results; run `ggvs-eval score` again"
-    reason = results.not_computed.get(metric, absent)
-    return measured_cell(metric, None if value is None else float(value), reason, interval)
+    reason = results.not_computed.get(note.name, absent)
+    return measured_cell(None if value is None else float(value), reason, interval, note.decimals)
 
 
 def _count(number: int, noun: str) -> str:

@@ -124,20 +124,22 @@ def _evaluate_metric(ground: ComparableRuns, label: str, metric: str, paper: str
     if interval is None or math.isnan(interval.value):
         reason = f"{label} is {marked}" if marked else ground.results.not_computed.get(metric, f"{metric} was not asked for")
         return NOT_MEASURED, "not run", f"no value: {reason}"
-    cell = measured_cell(metric, interval.value, "", interval)
-    status, reason = evaluate_value(paper, cell, metric)
+    digits = ground.runs[0].metrics[metric].decimals
+    cell = measured_cell(interval.value, "", interval, digits)
+    status, reason = evaluate_value(paper, cell, metric, digits)
     names = {run.name(label) for run in ground.runs}
     trained = "".join(f"; measured with {name}" for name in sorted(names) if RETRAINED in name)
     return cell, status, f"{reason}; {ground.words}{trained}"
 
 
-def evaluate_value(paper: str, ours: Cell, metric: str) -> tuple[Status, str]:
+def evaluate_value(paper: str, ours: Cell, metric: str, digits: int | None = None) -> tuple[Status, str]:
     """Whether a measured value is the published one.
 
     Args:
         paper: value with the digits that the paper prints.
         ours: measured, with its interval where there is one.
-        metric: says which direction is better, and the digits.
+        metric: says which direction is better.
+        digits: after the point, of our numbers; None for four significant ones.
 
     Reading:
         A published value stands for all that round to it. It is reproduced where one of those lies in our interval, which holds
@@ -148,19 +150,19 @@ def evaluate_value(paper: str, ours: Cell, metric: str) -> tuple[Status, str]:
     decimals = len(paper.partition(".")[2])
     published, half_unit = float(paper), 0.5 * 10.0**-decimals
     given = f" ({ours.note})" if ours.note else ""
-    bounds = f"{100 * LEVEL:.0f} % interval {_shown(metric, ours.low)} to {_shown(metric, ours.high)}{given}"
+    bounds = f"{100 * LEVEL:.0f} % interval {_shown(ours.low, digits)} to {_shown(ours.high, digits)}{given}"
     if f"{ours.value:.{decimals}f}" == paper:
         return "reproduced", "the same to the printed digits"
     known = ours.low is not None and ours.high is not None
     if known and ours.low - half_unit <= published <= ours.high + half_unit:  # type: ignore[operator]
         return "reproduced", f"the paper's value lies in our {bounds}"
     better = "better" if (ours.value > published) == is_higher_better(metric) else "worse"
-    by = f"{format_value(metric, abs(ours.value - published))}{' ' if metric in UNITS else ''}{UNITS.get(metric, '')}"
+    by = f"{format_value(abs(ours.value - published), digits)}{' ' if metric in UNITS else ''}{UNITS.get(metric, '')}"
     return "differs", f"{better} by {by}; {bounds if known else f'no interval{given}'}"
 
 
-def _shown(metric: str, value: float | None) -> str:
-    return "" if value is None else format_value(metric, value)
+def _shown(value: float | None, digits: int | None) -> str:
+    return "" if value is None else format_value(value, digits)
 
 
 def _absence(absence: NotComparable, method: PaperMethod, metric: str) -> str:
@@ -174,7 +176,8 @@ def _absence(absence: NotComparable, method: PaperMethod, metric: str) -> str:
         ]
         values = table[metric][named].dropna() if metric in table else table.iloc[:0, 0]
         if len(values):
-            value = format_value(metric, float(values.iloc[0]))
+            note = absence.near.metrics.get(metric)
+            value = format_value(float(values.iloc[0]), note.decimals if note else None)
             words += f"; {method.name} has {value} there, which does not compare"
     return words + (f"; weights of {method.name} do not ship either" if method.weights else "")
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ggvs_eval.camera import Camera, translated_path
 from ggvs_eval.files.images import quantise
-from ggvs_eval.metrics.path_scores import PathPose
+from ggvs_eval.metrics.path.rendered_path import PathPose
 
 WIDTH, HEIGHT, FOCAL, POSES = 128, 32, 110.0, 25
 SPAN = 0.9  # 0.0375 per pose: 1.0 to 1.6 px per pose on the planes below

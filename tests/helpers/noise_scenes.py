@@ -116,11 +116,12 @@ def _rounded(frames: np.ndarray) -> Image8:
 
 def print_tables(folder: Path) -> None:
     """Print what planted renderings score, and the ceilings beside what perfect renderings score."""
-    from ggvs_eval.metrics.ceilings import CEILING_METRICS, ceilings
-    from ggvs_eval.metrics.flicker import flicker
+    from ggvs_eval.metrics.ceilings import ceilings
+    from ggvs_eval.metrics.registry import ceiling_metrics
     from ggvs_eval.metrics.stream import score_view
-    from ggvs_eval.metrics.strred import strred
-    from ggvs_eval.metrics.temporal import tcc
+    from ggvs_eval.metrics.time.flicker import flicker
+    from ggvs_eval.metrics.time.strred import strred
+    from ggvs_eval.metrics.time.tcc import tcc
 
     clean = clean_video(30)
     captured, second = noisy(clean, 2.0, seed=1), noisy(clean, 2.0, seed=2)
@@ -135,11 +136,11 @@ def print_tables(folder: Path) -> None:
         stored = [encoded(noisy(clean, 2.0, seed), folder / f"{crf}-{seed}.mp4", crf) for seed in (1, 2)]
         recordings[f"white, 2, then H.264 crf {crf}"] = stored
     for label, (captured, second) in recordings.items():
-        found = ceilings(lambda captured=captured: iter(captured))
+        found = ceilings(lambda captured=captured: iter(captured), ceiling_metrics())
         for kind, video, estimate in (("noise-free", clean, found.noise_free), ("second", second, found.second_recording)):
-            values = score_view(zip(video, captured, strict=True), CEILING_METRICS).values
-            means = {name: np.mean([value for other, _, value in values if other == name]) for name in CEILING_METRICS}
-            print(f"| {label} | {kind} | " + " | ".join(f"{means[name]:.3f} / {estimate[name]:.3f}" for name in CEILING_METRICS))
+            values = score_view(zip(video, captured, strict=True), ceiling_metrics()).values
+            means = {name: np.mean([value for other, _, value in values if other == name]) for name in ceiling_metrics()}
+            print(f"| {label} | {kind} | " + " | ".join(f"{means[name]:.3f} / {estimate[name]:.3f}" for name in means))
 
 
 if __name__ == "__main__":

@@ -9,9 +9,13 @@ import numpy as np
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.files.images import write_image
+from ggvs_eval.metrics.metric import MetricOptions
+from ggvs_eval.metrics.registry import METRICS as REGISTERED
+from ggvs_eval.metrics.registry import metric_notes, pooling_records
 from ggvs_eval.protocol import Frames, Measurement, Protocol, Synthesis, Views
 from ggvs_eval.results import Results, make_table
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, write_json
+from ggvs_eval.statistics.pooling import MEAN
 
 METRICS = ("PSNR", "PSNR_cc", "SSIM", "LPIPS", "L1", "TCC", "STED", "SDT", "SDV")
 UNITS = {"PSNR": "dB", "PSNR_cc": "dB"}
@@ -24,6 +28,7 @@ NAMES = {
     "ours-geometric": "Ours (geometric weights)",
     "ours-geometric+no-temporal": "Ours, No Temporal Filtering",
 }
+METRIC_NOTES = metric_notes(REGISTERED)
 Painter = Callable[[str, str, int], Image8]
 
 
@@ -98,6 +103,7 @@ def _write_records(run: RunFolder, shape: RunShape, protocol: Protocol, not_comp
             "higher_is_better": name in HIGHER,
             "describe": f"{name} & more.",
             "reference": "somebody",
+            **{field: METRIC_NOTES[name][field] for field in ("group", "group_title", "decimals")},
         }
         for name in shape.metrics
     }
@@ -106,6 +112,7 @@ def _write_records(run: RunFolder, shape: RunShape, protocol: Protocol, not_comp
         "protocol": json.loads(json.dumps(dataclasses.asdict(protocol))),
         "protocol_sha256": protocol.sha256,
         "inputs": {"room/cam00": "ab12"},
+        "pooling": pooling_records(shape.metrics, MetricOptions()) | {"STED": MEAN.record()},  # without its parts
         "versions": {"ggvs-eval": "0.1.0"},
     }
     rows = [row for label in shape.labels for row in _values(shape, label) if row[6] not in not_computed]

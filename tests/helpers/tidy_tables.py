@@ -6,7 +6,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ggvs_eval.arrays import Array
+from ggvs_eval.metrics.metric import MetricOptions
+from ggvs_eval.metrics.registry import METRICS, pooling_records
 from ggvs_eval.results import Results, make_table
+from ggvs_eval.statistics.pooling import MEAN
 
 
 def make_rows(label: str, metric: str, values: ArrayLike, scene: str = "room", dataset: str = "Demo") -> list[tuple]:
@@ -41,9 +44,11 @@ def make_sted_rows(label: str, spatial: ArrayLike, temporal: ArrayLike, scene: s
     return rows + [(*head, f"cam{view:02}", -1, "STED", value) for view, value in enumerate(products)]
 
 
-def make_results(rows: list[tuple], provenance: Mapping[str, object] | None = None) -> Results:
-    """Results of these rows."""
-    return Results(make_table(rows), {"protocol_sha256": "a" * 64, "inputs": {}, **(provenance or {})})
+def make_results(rows: list[tuple], provenance: Mapping[str, object] | None = None, ddof: int = 1) -> Results:
+    """Results of these rows; metrics that nobody knows are means."""
+    known = pooling_records([row[6] for row in rows if row[6] in METRICS], MetricOptions(ddof=ddof))
+    pooling = {row[6]: MEAN.record() for row in rows} | known
+    return Results(make_table(rows), {"protocol_sha256": "a" * 64, "inputs": {}, "pooling": pooling, **(provenance or {})})
 
 
 def autoregressive(generator: np.random.Generator, series: int, frames: int, correlation: float) -> Array:

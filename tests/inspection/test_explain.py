@@ -7,9 +7,9 @@ from scipy import ndimage
 from skimage import data
 
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.fetch_lpips import NETS, weights_path
-from ggvs_eval.metrics.strred import luma, pool, strred
-from ggvs_eval.metrics.temporal import tcc
+from ggvs_eval.metrics.image.fetch_lpips import NETS, weights_path
+from ggvs_eval.metrics.time.strred import luma, pool, strred
+from ggvs_eval.metrics.time.tcc import tcc
 from ggvs_eval.pipelines.inspection.renders.explain import Convention, explain, explanation_table, printed
 from ggvs_eval.pipelines.inspection.renders.recompute import ALL_VIEWS
 from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames
@@ -94,7 +94,7 @@ def test_conventions_of_psnr(name):
 
 def test_colour_corrected_psnr_is_ours():
     """The colour-corrected convention equals the metric of that name."""
-    from ggvs_eval.metrics.image import psnr_colour_corrected
+    from ggvs_eval.metrics.image.corrected import psnr_colour_corrected
 
     value = mean_over_frames(psnr_colour_corrected)
     assert explained("psnr", value, 3) == {"RGB after the best affine colour map, mean of the frames' PSNR"}
@@ -269,7 +269,7 @@ def test_conventions_of_the_spreads(metric, name):
 @pytest.mark.skipif(not all(weights_path(net).is_file() for net in NETS), reason="no LPIPS weights here")
 def test_conventions_of_lpips():
     """Networks and input ranges are told apart; feeding [0, 1] equals halving the contrast about mid-grey in [-1, 1]."""
-    from ggvs_eval.metrics.lpips import lpips
+    from ggvs_eval.metrics.image.lpips import lpips
 
     rendered, truth = (frames[0] for frames in FRAMES[0])
     view = {"cam00": ViewFrames(lambda t: rendered, lambda t: truth, range(1))}

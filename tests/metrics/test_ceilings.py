@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.ceilings import CEILING_METRICS, ceilings
-from ggvs_eval.metrics.flicker import flicker
-from ggvs_eval.metrics.image import psnr, ssim
-from ggvs_eval.metrics.strred import strred
-from ggvs_eval.metrics.temporal import tcc
+from ggvs_eval.metrics.ceilings import ceilings
+from ggvs_eval.metrics.image.psnr import psnr
+from ggvs_eval.metrics.image.ssim import ssim
+from ggvs_eval.metrics.registry import ceiling_metrics
+from ggvs_eval.metrics.time.flicker import flicker
+from ggvs_eval.metrics.time.strred import strred
+from ggvs_eval.metrics.time.tcc import tcc
 from helpers.noise_scenes import clean_video, encoded, flickering, noisy, panned_video, shot_noise
 
 FRAMES = 30
@@ -30,10 +32,10 @@ def test_ceilings_are_the_scores_of_perfect_renderings(sigma):
     """
     clean = clean_video(FRAMES)
     captured, again = noisy(clean, sigma, seed=1), noisy(clean, sigma, seed=2)
-    found = ceilings(lambda: iter(captured))
+    found = ceilings(lambda: iter(captured), ceiling_metrics())
     for estimated, rendered in ((found.noise_free, clean), (found.second_recording, again)):
         actual = scores(rendered, captured)
-        assert set(estimated) >= set(CEILING_METRICS)
+        assert set(estimated) >= set(ceiling_metrics())
         assert estimated["TCC"] == pytest.approx(actual["TCC"], abs=0.02)
         assert estimated["STED"] == pytest.approx(actual["STED"], rel=0.2)
         assert estimated["PSNR"] == pytest.approx(actual["PSNR"], abs=0.25)
@@ -46,7 +48,7 @@ def test_ceilings_of_a_camera_that_stores_h264(tmp_path):
     """TCC within 0.03 and STED of a second recording within 35 % where a codec has smoothed and held the noise (crf 12)."""
     clean = clean_video(FRAMES)
     captured, again = (encoded(noisy(clean, 2.0, seed), tmp_path / f"{seed}.mp4", crf=12) for seed in (1, 2))
-    found = ceilings(lambda: iter(captured))
+    found = ceilings(lambda: iter(captured), ceiling_metrics())
     assert found.noise_free["TCC"] == pytest.approx(tcc(clean, captured), abs=0.03)
     assert found.second_recording["TCC"] == pytest.approx(tcc(again, captured), abs=0.03)
     assert found.second_recording["STED"] == pytest.approx(strred(again, captured).strred, rel=0.35)
@@ -83,21 +85,21 @@ def test_equal_seeds_give_equal_bits_in_two_passes():
 
 def test_a_capture_without_noise_can_be_matched():
     """Where nothing is noisy and nothing moves, both perfect renderings reach the best score of every metric."""
-    found = ceilings(lambda: iter([clean_video(1)[0]] * 5))
+    found = ceilings(lambda: iter([clean_video(1)[0]] * 5), ceiling_metrics())
     for perfect in (found.noise_free, found.second_recording):
-        assert {name: perfect[name] for name in CEILING_METRICS} == {"PSNR": 100.0, "SSIM": 1.0, "TCC": 1.0, "STED": 0.0}
+        assert {name: perfect[name] for name in ceiling_metrics()} == {"PSNR": 100.0, "SSIM": 1.0, "TCC": 1.0, "STED": 0.0}
 
 
 def test_what_cannot_be_computed_has_a_reason():
     """Frames too small for STED leave the other ceilings; a moving camera and a single frame are refused, with the reason."""
     small = noisy(clean_video(6)[:, :40, :88], 1.5, seed=1)
-    found = ceilings(lambda: iter(small))
+    found = ceilings(lambda: iter(small), ceiling_metrics())
     assert "48" in found.not_computed["STED"]
     assert set(found.noise_free) == {"PSNR", "SSIM", "TCC"}
     with pytest.raises(MetricError, match="to stand still"):
-        ceilings(lambda: iter(panned_video()))
+        ceilings(lambda: iter(panned_video()), ceiling_metrics())
     with pytest.raises(MetricError, match="1 frame; needs 2"):
-        ceilings(lambda: iter(clean_video(1)))
+        ceilings(lambda: iter(clean_video(1)), ceiling_metrics())
 
 
 def test_memory_does_not_grow_with_the_length_of_the_video():

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.epi_coherence import epi_coherence
-from ggvs_eval.metrics.epi_lines import find_lines
-from ggvs_eval.metrics.epi_slope import SlopeOptions, slope_agreement
-from ggvs_eval.metrics.horizontal_path import HorizontalPath, horizontal_path
+from ggvs_eval.metrics.path.epi_coherence import epi_coherence
+from ggvs_eval.metrics.path.epi_lines import find_lines
+from ggvs_eval.metrics.path.epi_slope import slope_agreement
+from ggvs_eval.metrics.path.horizontal_path import HorizontalPath, horizontal_path
+from ggvs_eval.metrics.path.rendered_path import SlopeOptions
 from helpers.epi_scenes import FOCAL, POSES, SPAN, WALL, exact, path, rendered
 
 STEP = SPAN / (POSES - 1)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.flicker import FlickerMeter, flicker
+from ggvs_eval.metrics.time.flicker import FlickerMeter, flicker
 from helpers.noise_scenes import (
     clean_video,
     encoded,

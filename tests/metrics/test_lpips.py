@@ -13,9 +13,9 @@ from skimage import data
 
 from ggvs_eval.errors import MetricError, WeightsError
 from ggvs_eval.files.images import read_image
-from ggvs_eval.metrics import fetch_lpips
-from ggvs_eval.metrics.fetch_lpips import NETS, fetch_weights, read_checkpoint, weights_path
-from ggvs_eval.metrics.lpips import load_weights, lpips, lpips_between, lpips_features
+from ggvs_eval.metrics.image import fetch_lpips
+from ggvs_eval.metrics.image.fetch_lpips import NETS, fetch_weights, read_checkpoint, weights_path
+from ggvs_eval.metrics.image.lpips import load_weights, lpips, lpips_between, lpips_features
 from helpers.places import SHARED
 
 OFFICIAL_IMAGES = SHARED / "oracles/lpips"
@@ -181,7 +181,7 @@ def test_unknown_network_is_refused():
 
 def test_absent_weights_name_the_command_that_brings_them(empty_cache):
     """Scoring without weights says where they are looked for and what to run; it downloads nothing by itself."""
-    with pytest.raises(WeightsError, match=r"LPIPS-vgg: no weights at .*; run `python -m ggvs_eval.metrics.fetch_lpips`"):
+    with pytest.raises(WeightsError, match=r"LPIPS-vgg: no weights at .*; run `python -m ggvs_eval.metrics.image.fetch_lpips`"):
         lpips(*photograph_pair())
     assert list(empty_cache.iterdir()) == []
 

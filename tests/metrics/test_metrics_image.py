@@ -12,8 +12,11 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from ggvs_eval import kernels
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.colour_correction import ColourMoments, apply_colour_map, fit_colour_map, unit_range
-from ggvs_eval.metrics.image import l1, psnr, psnr_colour_corrected, ssim, ssim_per_channel
+from ggvs_eval.metrics.image.colour_correction import ColourMoments, apply_colour_map, fit_colour_map, unit_range
+from ggvs_eval.metrics.image.corrected import psnr_colour_corrected
+from ggvs_eval.metrics.image.l1 import l1
+from ggvs_eval.metrics.image.psnr import psnr
+from ggvs_eval.metrics.image.ssim import ssim, ssim_per_channel
 from helpers.places import DATA_FOLDER
 
 DATA = DATA_FOLDER

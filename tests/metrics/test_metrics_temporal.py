@@ -11,16 +11,19 @@ from skimage import data
 from skimage.metrics import structural_similarity
 
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.colour_correction import apply_colour_map, fit_colour_map, unit_range
-from ggvs_eval.metrics.image import l1, psnr, psnr_colour_corrected, ssim
-from ggvs_eval.metrics.regions import masked_l1, masked_psnr, masked_ssim, moving_mask
+from ggvs_eval.metrics.image.colour_correction import apply_colour_map, fit_colour_map, unit_range
+from ggvs_eval.metrics.image.corrected import psnr_colour_corrected
+from ggvs_eval.metrics.image.l1 import l1
+from ggvs_eval.metrics.image.psnr import psnr
+from ggvs_eval.metrics.image.regions import masked_l1, masked_psnr, masked_ssim, moving_mask
+from ggvs_eval.metrics.image.ssim import ssim
+from ggvs_eval.metrics.image.ssim_variants import ssim_variant
+from ggvs_eval.metrics.metric import MetricOptions
 from ggvs_eval.metrics.registry import METRICS, select_metrics
-from ggvs_eval.metrics.scorers import MetricOptions
-from ggvs_eval.metrics.ssim_variants import ssim_variant
 from ggvs_eval.metrics.stream import fit_colour_maps, score_view, score_views
-from ggvs_eval.metrics.strred import strred
-from ggvs_eval.metrics.temporal import sdt, tcc, temporal_change_ssim
-from ggvs_eval.metrics.views import sdv
+from ggvs_eval.metrics.time.deviations import sdt, sdv
+from ggvs_eval.metrics.time.strred import strred
+from ggvs_eval.metrics.time.tcc import tcc, temporal_change_ssim
 from helpers.places import DATA_FOLDER
 
 DATA = DATA_FOLDER
@@ -243,7 +246,7 @@ def test_regions_without_a_pixel_have_a_reason():
 
 def test_what_the_truth_decides_is_computed_once_for_all_methods(monkeypatch):
     """Three methods cost three bands per frame and entropies per pair of their own and one of the truth, not six."""
-    from ggvs_eval.metrics import strred as module
+    from ggvs_eval.metrics.time import strred as module
 
     calls, pairs = [], []
     plain, plain_references = module.spatial_band, module.reduced_references
@@ -295,7 +298,7 @@ def test_frames_too_small_for_one_metric_keep_the_others():
 
 def test_lpips_without_weights_is_reported_once_and_never_nan(tmp_path, monkeypatch):
     """Without weights LPIPS has one reason and no value, and the other metrics are measured."""
-    from ggvs_eval.metrics.lpips import load_weights
+    from ggvs_eval.metrics.image.lpips import load_weights
 
     monkeypatch.setenv("GGVS_EVAL_CACHE", str(tmp_path))
     load_weights.cache_clear()

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.noise import LONG_LAG, estimate_noise
+from ggvs_eval.metrics.noise.estimate import LONG_LAG, estimate_noise
 from helpers.noise_scenes import clean_video, encoded, noisy, panned_video, shot_noise
 
 FRAMES = LONG_LAG + 6

@@ -8,8 +8,13 @@ import numpy as np
 import pytest
 
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.path_scores import COHERENCE, REPROJECTION, SLOPE, SWITCH, PathOptions, PathPose, score_path, spread_rows
-from ggvs_eval.metrics.view_switch import switch_steps
+from ggvs_eval.metrics.path.epi_coherence import NAMES as COHERENCE
+from ggvs_eval.metrics.path.epi_slope import NAMES as SLOPE
+from ggvs_eval.metrics.path.rendered_path import PathOptions, PathPose, spread_rows
+from ggvs_eval.metrics.path.reprojection import NAMES as REPROJECTION
+from ggvs_eval.metrics.path.view_switch import NAMES as SWITCH
+from ggvs_eval.metrics.path.view_switch import switch_steps
+from ggvs_eval.metrics.path_scores import score_path
 from helpers.epi_scenes import POSES, SCENES, changed, exact, path, rendered, sources_of
 
 SWITCHES = np.array(switch_steps([sources_of(camera) for camera in path()]))

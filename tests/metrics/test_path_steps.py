@@ -5,8 +5,9 @@ import pytest
 
 from ggvs_eval.errors import MetricError
 from ggvs_eval.files.images import quantise
-from ggvs_eval.metrics.reprojection import StepError, mean_reprojection, reprojection_steps
-from ggvs_eval.metrics.view_switch import switch_score, switch_steps
+from ggvs_eval.metrics.path.reprojection import mean_reprojection
+from ggvs_eval.metrics.path.steps import StepError, reprojection_steps
+from ggvs_eval.metrics.path.view_switch import switch_score, switch_steps
 from helpers.epi_scenes import FOCAL, SCENES, WALL, WIDTH, changed, exact, look, path, rendered
 
 

@@ -10,8 +10,8 @@ from skimage import data
 from skimage.metrics import structural_similarity
 
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.image import ssim
-from ggvs_eval.metrics.ssim_variants import SSIM_VARIANTS, ssim_map, ssim_variant
+from ggvs_eval.metrics.image.ssim import ssim
+from ggvs_eval.metrics.image.ssim_variants import SSIM_VARIANTS, ssim_map, ssim_variant
 from helpers.places import DATA_FOLDER
 
 DATA = DATA_FOLDER

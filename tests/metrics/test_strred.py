@@ -10,7 +10,7 @@ from scipy import ndimage
 from skimage import data
 
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.strred import (
+from ggvs_eval.metrics.time.strred import (
     PairDifference,
     block_entropies,
     luma,
@@ -47,7 +47,7 @@ def with_noise(frames, strength, seed=0):
 
 def test_pyramid_taps_equal_recorded_ones():
     """The filters that pyrtools holds are those of the recorded reference."""
-    from ggvs_eval.metrics.strred import _pyramid_kernels
+    from ggvs_eval.metrics.time.strred import _pyramid_kernels
 
     recorded = np.load(DATA / "sp5_filters.npz")
     wanted = (recorded["lo0"], recorded["lo"], recorded["bands_as_correlation_kernels"][0])

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ggvs_eval.files.images import read_image, write_image
-from ggvs_eval.metrics.image import psnr
+from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.reports.model.measured import read_run
 from ggvs_eval.reports.tables.error_budget import NOT_TOLD, budget_table, error_budget
 from ggvs_eval.run_folder import frame_path

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ggvs_eval.metrics.registry import METRICS
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.model.measured import read_run
 from ggvs_eval.reports.model.table import Cell, Column, Row, Table, format_half_width, format_value, rank, shade
@@ -49,7 +50,7 @@ def test_every_number_is_the_summary_rounded(run, report):
         method, _, variant = labels[row["method"]].partition("+")
         value = summary.loc[("Demo room", method, variant), row["column"]]
         assert float(row["value"]) == value
-        assert row["shown"] == format_value(row["column"], value)
+        assert row["shown"] == format_value(value, METRICS[row["column"]].decimals)
         assert row["shown"] in page.texts
         assert row["shown"] in (report / "tables.md").read_text(encoding="utf-8")
         assert row["shown"] in (report / "tables.tex").read_text(encoding="utf-8")
@@ -80,7 +81,7 @@ def test_views_have_their_own_numbers(run, report):
 )
 def test_values_are_rounded_as_the_paper_does(metric, value, text):
     """Decimals are fixed per metric; STED has four significant digits; a perfect picture has infinite PSNR."""
-    assert format_value(metric, value) == text
+    assert format_value(value, METRICS[metric].decimals) == text
 
 
 def test_missing_metric_says_why(tmp_path):
@@ -210,7 +211,7 @@ def test_empty_table_formats():
 )
 def test_intervals_have_the_digits_of_their_values(metric, value, half_width, text):
     """A half width has the decimals of its value, or its first digit where those would print zero."""
-    assert format_half_width(metric, value, half_width) == text
+    assert format_half_width(value, half_width, METRICS[metric].decimals) == text
 
 
 def test_intervals_stand_in_every_format(run, report):
@@ -224,7 +225,7 @@ def test_intervals_stand_in_every_format(run, report):
         interval = intervals(results, row["column"], "Demo room")[labels[row["method"]]]
         assert (float(row["lo"]), float(row["hi"])) == (interval.low, interval.high)
         assert row["note"] == interval.note == "given this scene, these 2 views"
-        half = format_half_width(row["column"], interval.value, interval.half_width)
+        half = format_half_width(interval.value, interval.half_width, METRICS[row["column"]].decimals)
         bold = row["best"] == "True"
         assert f"± {half}" in page.texts
         assert f"| {'**' if bold else ''}{row['shown']}{'**' if bold else ''} ± {half} |" in markdown

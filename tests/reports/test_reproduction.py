@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 
 from ggvs_eval.files.images import write_image
+from ggvs_eval.metrics.registry import METRICS, metric_notes
 from ggvs_eval.pipelines.methods.registry import METHODS
 from ggvs_eval.protocol import Frames, Measurement, Synthesis, load_protocol
-from ggvs_eval.reports.model.measured import MeasuredRun, MetricNote
+from ggvs_eval.reports.model.measured import MeasuredRun
+from ggvs_eval.reports.model.metric_note import MetricNote
 from ggvs_eval.reports.model.table import Cell
 from ggvs_eval.reports.report import write_report
 from ggvs_eval.reports.tables.published import read_published
@@ -20,6 +22,7 @@ from ggvs_eval.reports.tables.reproduction import STATUSES, Reproduction, evalua
 from ggvs_eval.reports.tables.reproduction_formats import reproduction_csv, reproduction_markdown
 from ggvs_eval.results import Results, make_table
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, write_json
+from ggvs_eval.statistics.pooling import MEAN
 from helpers.run_folders import RunShape, write_run
 
 ANY_FRAME = np.zeros((1014, 1352, 3), np.uint8)
@@ -46,9 +49,9 @@ def write_scored_run(root: Path, scene: str, protocol: str = "dynerf", **capture
         for at, view in enumerate(views)
         for frame in frames
     ]
-    provenance = {"protocol_sha256": terms.sha256, "inputs": {}}
+    provenance = {"protocol_sha256": terms.sha256, "inputs": {}, "pooling": {"PSNR": MEAN.record()}}
     results = Results(make_table(rows), provenance, {"LPIPS": "weights of VGG absent"})
-    notes = {"PSNR": MetricNote("PSNR", "dB", True, "", ""), "LPIPS": MetricNote("LPIPS", "", False, "", "")}
+    notes = {name: MetricNote(name, **note) for name, note in metric_notes(("PSNR", "LPIPS")).items()}
     names = {label: METHODS[label].title for label in PSNR_DB}
     return MeasuredRun(folder, terms, results, tuple(PSNR_DB), names, frozenset({"ours"}), notes)
 
@@ -188,7 +191,7 @@ def test_departures_from_the_terms_are_named(on_dynerf, changed, words):
 )
 def test_a_value_is_reproduced_by_interval_or_digits(paper, cell, metric, status, reason):
     """A published value stands for all that round to it; outside our interval it differs, and the reason says by how much."""
-    found, words = evaluate_value(paper, cell, metric)
+    found, words = evaluate_value(paper, cell, metric, METRICS[metric].decimals)
     assert found == status
     assert reason in words
 

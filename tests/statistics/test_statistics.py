@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from ggvs_eval.errors import ResultsError
-from ggvs_eval.metrics.scorers import MetricOptions
+from ggvs_eval.metrics.metric import MetricOptions
 from ggvs_eval.metrics.stream import score_view
-from ggvs_eval.metrics.temporal import sdt
-from ggvs_eval.metrics.views import sdv
+from ggvs_eval.metrics.time.deviations import sdt, sdv
 from ggvs_eval.statistics.blocks import block_length, block_weights
 from ggvs_eval.statistics.bootstrap import Interval, intervals, resample
 from ggvs_eval.statistics.decomposition import decompose, decompose_metric
-from ggvs_eval.statistics.pooled import Pool, PooledScene, pool_mean, pool_product, pool_sdt, pool_sdv
+from ggvs_eval.statistics.pooled import PooledScene
+from ggvs_eval.statistics.pooling import Pool, Pooling, pool_mean, pool_powers, pool_products, pool_sdt, pool_sdv, powers_of_means
 from helpers.tidy_tables import autoregressive, make_results, make_rows, make_spread_rows, make_sted_rows
 
 CORRELATION = 0.6
@@ -31,8 +31,8 @@ def coverage(make, truth: float, number=pool_mean, times: int = 250) -> float:
     return float(np.mean([abs(spread.value - truth) <= spread.half_width(0.95) for spread in spreads]))
 
 
-def table_interval(rows, metric: str, label: str = "ours", provenance=None) -> Interval:
-    return intervals(make_results(rows, provenance), metric, "Demo")[label]
+def table_interval(rows, metric: str, label: str = "ours", ddof: int = 1) -> Interval:
+    return intervals(make_results(rows, ddof=ddof), metric, "Demo")[label]
 
 
 @pytest.fixture
@@ -168,7 +168,10 @@ def test_numbers_under_weights_are_those_of_the_repeated_matrix(matrix, ddof):
     drawn, other = matrix[views][:, frames], np.square(matrix)
     expected = {
         pool_mean(matrix): drawn.mean(),
-        pool_product(matrix, other): (drawn.mean(axis=1) * other[views][:, frames].mean(axis=1)).mean(),
+        pool_powers(matrix, other, powers=(1, 1)): (drawn.mean(axis=1) * other[views][:, frames].mean(axis=1)).mean(),
+        pool_powers(matrix, other, powers=(1, -1)): (drawn.mean(axis=1) / other[views][:, frames].mean(axis=1)).mean(),
+        pool_powers(other, powers=(0.5,)): np.sqrt(other[views][:, frames].mean(axis=1)).mean(),
+        pool_products(matrix, other): (drawn * other[views][:, frames]).mean(),
         pool_sdt(matrix, ddof): sdt(drawn, ddof),
         pool_sdv(matrix, ddof): sdv(drawn, ddof),
     }
@@ -238,7 +241,8 @@ def test_views_and_scenes_widen_the_interval_once_there_are_enough():
         (make_spread_rows("ours", np.eye(3))[9:], "SDT", "no L1 per view and frame"),
         (make_rows("ours", "L1", np.eye(3)) + make_spread_rows("ours", 2 * np.eye(3))[9:], "SDV", "from its parts"),
         ([("Demo", "room", "ours", "", None, -1, "EPI", 1.0)], "EPI", "one value for the whole rig"),
-        ([("Demo", "room", "ours", "", f"cam{v}", -1, "STED_ssn", 1.0) for v in range(4)], "STED_ssn", "each of 4 views"),
+        ([("Demo", "room", "ours", "", f"cam{v}", -1, "Flicker", 1.0) for v in range(4)], "Flicker", "each of 4 views"),
+        (make_sted_rows("ours", np.eye(3), np.eye(3))[-3:], "STED", "no STED_spatial, STED_temporal per view and frame"),
     ],
 )
 def test_what_cannot_be_resampled_says_why(rows, metric, reason):
@@ -250,8 +254,8 @@ def test_what_cannot_be_resampled_says_why(rows, metric, reason):
 
 def test_numbers_without_frames_have_intervals_over_views_or_time():
     """A value per view is resampled over five views or more, a value per instant of the rig over time."""
-    per_view = [("Demo", "room", "ours", "", f"cam{view}", -1, "STED_ssn", float(view)) for view in range(6)]
-    assert table_interval(per_view, "STED_ssn").half_width > 1.0
+    per_view = [("Demo", "room", "ours", "", f"cam{view}", -1, "Flicker", float(view)) for view in range(6)]
+    assert table_interval(per_view, "Flicker").half_width > 1.0
     per_instant = [("Demo", "room", "ours", "", None, frame, "EPI", float(np.sin(frame**2))) for frame in range(30)]
     assert table_interval(per_instant, "EPI").note == "given this scene"
     assert 0.05 < table_interval(per_instant, "EPI").half_width < 1.0
@@ -260,9 +264,42 @@ def test_numbers_without_frames_have_intervals_over_views_or_time():
 def test_ddof_is_the_protocols(matrix):
     """Deviations are recomputed under the ddof that the protocol of the results names."""
     rows = make_spread_rows("ours", matrix, ddof=0)
-    plain = {"protocol": {"measurement": {"ddof": 0}}}
-    assert table_interval(rows, "SDT", provenance=plain).half_width > 0.0
+    assert table_interval(rows, "SDT", ddof=0).half_width > 0.0
     assert "from its parts" in table_interval(rows, "SDT").note
+
+
+def ratio_rows(above: np.ndarray, below: np.ndarray) -> list[tuple]:
+    """Rows of a ratio of sums, as its scorer writes them: the parts of each frame, and one number per view."""
+    rows = make_rows("ours", "Ratio_above", above) + make_rows("ours", "Ratio_below", below)
+    with np.errstate(divide="ignore"):
+        numbers = above.sum(axis=1) / below.sum(axis=1)
+    return rows + [("Demo", "room", "ours", "", f"cam{view:02}", -1, "Ratio", number) for view, number in enumerate(numbers)]
+
+
+def test_a_ratio_of_sums_is_resampled_as_one(matrix):
+    """The interval of a ratio comes from its parts: that of a constant ratio has no width, however much the parts vary."""
+    pooling = {"Ratio": powers_of_means({"Ratio_above": 1, "Ratio_below": -1}).record()}
+
+    def interval(above, below):
+        return intervals(make_results(ratio_rows(above, below), {"pooling": pooling}), "Ratio", "Demo")["ours"]
+
+    constant, varying = interval(3.0 * matrix, matrix), interval(matrix[:, ::-1], matrix)
+    assert (constant.value, constant.half_width) == pytest.approx((3.0, 0.0), abs=1e-9)
+    assert varying.half_width > 0.01
+    assert "not finite" in interval(matrix, 0.0 * matrix).note
+    seldom = np.zeros((4, 12))
+    seldom[:, 0] = 1.0
+    assert "a resample has no finite number" in interval(matrix, seldom).note
+
+
+def test_pooling_that_nobody_recorded_has_no_interval(matrix):
+    """Results that do not say how a metric is pooled keep its number and get no interval by a guess; no rule is made up."""
+    rows = make_rows("ours", "PSNR", matrix)
+    found = intervals(make_results(rows, {"pooling": {}}), "PSNR", "Demo")["ours"]
+    assert found.value == pytest.approx(matrix.mean())
+    assert (found.half_width, found.note) == (None, "the results do not say how PSNR is pooled; score again")
+    with pytest.raises(ResultsError, match="no rule of pooling 'median', there are mean, "):
+        Pooling("median")
 
 
 def test_what_never_varies_is_certain():

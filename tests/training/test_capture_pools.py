@@ -9,7 +9,7 @@ import pytest
 
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import TrainingError
-from ggvs_eval.metrics.image import psnr
+from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.training.samples.blend_pools import BlendSampleKind, CaptureSamples
 from ggvs_eval.pipelines.training.samples.capture_pool import MeasuredSampleMaker, make_samples

@@ -135,7 +135,7 @@ OUR_LPIPS = "VGG, inputs in [-1, 1]"
 
 def lpips_conventions(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskReader]) -> list[Recomputed]:
     """LPIPS v0.1 on either network, also with inputs left in [0, 1], which it was not trained on."""
-    from ggvs_eval.metrics.lpips import lpips
+    from ggvs_eval.metrics.image.lpips import lpips
 
     def unscaled(image: Image8) -> NDArray[np.float32]:
         return np.asarray(

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics import strred
+from ggvs_eval.metrics.metric import StedPairing
+from ggvs_eval.metrics.time import strred
 from ggvs_eval.pipelines.inspection.renders.frame_conventions import BT709
 from ggvs_eval.pipelines.inspection.renders.recompute import (
     ALL_VIEWS,
@@ -140,14 +141,14 @@ def _view_values(view: ViewFrames) -> dict[str, float]:
             bands[name].append((rendered, truth))
     for luma, of_frames in bands.items():
         for scale, factor in SCALES.items():
-            for pairing in get_args(strred.Pairing):
+            for pairing in get_args(StedPairing):
                 pairs = _pair_differences([(factor * a, factor * b) for a, b in of_frames], pairing)
                 for pooling, value in _pooled(pairs).items():
                     found[f"{PAIRINGS[pairing]}, {pooling}, {luma}, {scale}"] = value
     return found
 
 
-def _pair_differences(bands: list[tuple[NDArray[np.float64], NDArray[np.float64]]], pairing: strred.Pairing) -> strred.StRred:
+def _pair_differences(bands: list[tuple[NDArray[np.float64], NDArray[np.float64]]], pairing: StedPairing) -> strred.StRred:
     """Differences of the pairs, from bands instead of frames so that each frame is filtered once."""
     step = 2 if pairing == "disjoint" else 1
     differences = []

@@ -10,8 +10,8 @@ from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
-from ggvs_eval.pipelines.offline.depth.consistency import ConsistencyOptions, check_consistency
 from ggvs_eval.jobs.code_identity import code_identity
+from ggvs_eval.pipelines.offline.depth.consistency import ConsistencyOptions, check_consistency
 from ggvs_eval.pipelines.offline.plane_sweep.plane_sweep import PlaneSweepEstimator
 from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthOptions

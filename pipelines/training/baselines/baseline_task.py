@@ -10,7 +10,8 @@ from torch import Tensor, nn
 
 from ggvs_eval.files.images import quantise
 from ggvs_eval.method import Instant
-from ggvs_eval.metrics.image import psnr, ssim
+from ggvs_eval.metrics.image.psnr import psnr
+from ggvs_eval.metrics.image.ssim import ssim
 from ggvs_eval.pipelines.training.loop.task import Schedule
 from ggvs_eval.pipelines.training.samples.instant_samples import InstantSample
 from ggvs_eval.pipelines.training.samples.samples import Samples, require_room

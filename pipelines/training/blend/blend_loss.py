@@ -55,7 +55,7 @@ def blend_loss(
 
 
 def structural_loss(image: Tensor, truth: Tensor) -> Tensor:
-    """1 - SSIM, with the window and constants of the metric `ggvs_eval.metrics.image.ssim`.
+    """1 - SSIM, with the window and constants of the metric `ggvs_eval.metrics.image.ssim.ssim`.
 
     Args:
         image: (B, 3, H, W), at least 11 x 11.

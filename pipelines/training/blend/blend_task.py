@@ -12,7 +12,8 @@ from torch import Tensor, nn
 from ggvs_eval.arrays import Map
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.files.images import quantise
-from ggvs_eval.metrics.image import psnr, ssim
+from ggvs_eval.metrics.image.psnr import psnr
+from ggvs_eval.metrics.image.ssim import ssim
 from ggvs_eval.pipelines.online.blend_maps import RawViews
 from ggvs_eval.pipelines.online.blend_network import BlendNetwork, BlendNetworkOptions, compose_tensors, read_outputs
 from ggvs_eval.pipelines.online.blend_weights import weights_name

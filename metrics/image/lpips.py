@@ -1,14 +1,18 @@
 """LPIPS v0.1, learned perceptual similarity (Zhang et al. 2018), on VGG16 or AlexNet."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import MetricError, WeightsError
-from ggvs_eval.metrics.fetch_lpips import FETCH_COMMAND, LpipsNet, weights_path
+from ggvs_eval.metrics.image.fetch_lpips import FETCH_COMMAND, weights_path
 from ggvs_eval.metrics.inputs import Image, check_pair, require_finite, white_level
+from ggvs_eval.metrics.metric import QUALITY, ColourMap, LpipsNet, MetricOptions, TruthFrame, Value, ViewMetric
 
 if TYPE_CHECKING:
     import torch
@@ -64,6 +68,12 @@ def lpips(rendered: Image, truth: Image, net: LpipsNet = "vgg") -> float:
     Raises:
         MetricError: shapes or kinds differ, the frames are too small, or no such network.
         WeightsError: the weights have not been fetched, or the file is damaged.
+
+    Example:
+        >>> import numpy as np
+        >>> truth = np.full((16, 16, 3), 100, np.uint8)
+        >>> lpips(truth, truth)  # doctest: +SKIP
+        0.0
 
     Reading:
         The paper names no network. VGG is taken: the evaluators of its baselines use it, and 0.191 at 31 dB fits VGG, not
@@ -177,3 +187,45 @@ def _feature_distance(rendered: "torch.Tensor", truth: "torch.Tensor", channel_w
         squared = (ours - theirs).square_()  # (1, C, rows, W)
         total += float(torch.einsum("nchw,c->", squared, channel_weights))
     return total / (truth.shape[2] * truth.shape[3])
+
+
+def truth_features(truth: TruthFrame, net: LpipsNet) -> "list[torch.Tensor]":
+    """`lpips_features` of a captured frame, once for all methods and metrics."""
+    return truth.once((lpips_features, net), lambda: lpips_features(truth.image, net))
+
+
+class LpipsScorer:
+    """LPIPS; the truth's features are shared by all methods."""
+
+    names = ("LPIPS",)
+
+    def __init__(self, _names: Sequence[str], options: MetricOptions, _colour_map: ColourMap | None) -> None:
+        self._net = options.lpips_net
+
+    def add(self, index: int, rendered: Image8, truth: TruthFrame) -> list[Value]:
+        """See `Scorer`."""
+        features = truth_features(truth, self._net)
+        return [("LPIPS", index, lpips_between(lpips_features(rendered, self._net), features, self._net))]
+
+    def finish(self) -> list[Value]:
+        """See `Scorer`."""
+        return []
+
+
+def weights_file(options: MetricOptions) -> Path:
+    """The weights that a protocol's LPIPS needs."""
+    return weights_path(options.lpips_net)
+
+
+LPIPS = ViewMetric(
+    name="LPIPS",
+    kind="frame",
+    function=lpips,
+    higher_is_better=False,
+    group=QUALITY,
+    decimals=3,
+    describe="learned perceptual distance, v0.1",
+    reference="Zhang et al. 2018",
+    scorer=LpipsScorer,
+    weights=weights_file,
+)

@@ -6,8 +6,8 @@ from numpy.typing import NDArray
 
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.inputs import Image, check_pair, white_level
+from ggvs_eval.metrics.metric import ColourMap
 
-ColourMap = NDArray[np.float64]  # (3, 4): true colour is about map @ (r, g, b, 1), all in [0, 1]
 ROWS_AT_ONCE = 64  # so that float64 copies of pixels stay small
 SINGULAR_BELOW = 1e-12  # of the largest eigenvalue of the moments
 

@@ -1,6 +1,6 @@
 """Flicker of a rendering beyond the change of the captured video: signed, and with a companion that a frozen video cannot win."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.inputs import check_pair
-from ggvs_eval.metrics.noise_blocks import (
+from ggvs_eval.metrics.metric import CONSISTENCY, ColourMap, MetricOptions, TruthFrame, Value, ViewMetric
+from ggvs_eval.metrics.noise.blocks import (
     ENERGY_EDGES,
     N_ENERGIES,
     N_LEVELS,
@@ -138,6 +139,12 @@ def flicker(pairs: Iterable[tuple[Image8, Image8]]) -> Flicker:
 
     Raises:
         MetricError: see `FlickerMeter`.
+
+    Example:
+        >>> import numpy as np
+        >>> still = np.full((16, 16, 3), 100, np.uint8)
+        >>> flicker([(still, still), (still + 6, still)]).excess
+        6.0
     """
     meter = FlickerMeter()
     for rendered, truth in pairs:
@@ -157,3 +164,46 @@ def _energy(change: NDArray[np.int16]) -> Field:
 
 def _signed_root(energy: float) -> float:
     return float(np.sign(energy) * np.sqrt(abs(energy)))
+
+
+class FlickerScorer:
+    """Flicker beyond the captured change."""
+
+    def __init__(self, names: Sequence[str], _options: MetricOptions, _colour_map: ColourMap | None) -> None:
+        self.names = names
+        self._meter = FlickerMeter()
+
+    def add(self, index: int, rendered: Image8, truth: TruthFrame) -> list[Value]:
+        """See `Scorer`."""
+        self._meter.add(rendered, truth.image)
+        return []
+
+    def finish(self) -> list[Value]:
+        """See `Scorer`."""
+        measured = self._meter.finish()
+        scores = {"Flicker": measured.error, "Flicker_excess": measured.excess}
+        return [(name, None, scores[name]) for name in self.names]
+
+
+FLICKER = ViewMetric(
+    name="Flicker",
+    kind="view",
+    function=flicker,
+    unit="grey levels of 255",
+    higher_is_better=False,
+    group=CONSISTENCY,
+    describe="change over time that the scene does not have, and lack of it",
+    reference="docs/temporal_metrics.md",
+    scorer=FlickerScorer,
+)
+FLICKER_EXCESS = ViewMetric(
+    name="Flicker_excess",
+    kind="view",
+    function=flicker,
+    unit="grey levels of 255",
+    higher_is_better=False,
+    group=CONSISTENCY,
+    describe="the same, signed: below 0 is frozen or blurred",
+    reference="docs/temporal_metrics.md",
+    scorer=FlickerScorer,
+)

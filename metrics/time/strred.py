@@ -2,19 +2,27 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import product
-from typing import Literal, NamedTuple, get_args
+from typing import NamedTuple, get_args
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.arrays import Array
+from ggvs_eval.arrays import Array, Image8
 from ggvs_eval.errors import MetricError
-
-Pairing = Literal["disjoint", "consecutive"]
-Pooling = Literal["means", "products"]
+from ggvs_eval.metrics.metric import (
+    CONSISTENCY,
+    ColourMap,
+    MetricOptions,
+    StedPairing,
+    StedPooling,
+    TruthFrame,
+    Value,
+    ViewMetric,
+)
+from ggvs_eval.statistics.pooling import Pooling, powers_of_means
 
 MIN_SIDE_PX = 48  # two 3 x 3 blocks in a band of one eighth of the size; fewer have no statistics
 BLOCK = 3
@@ -56,7 +64,7 @@ class StRred:
 
 
 def strred(
-    rendered: Sequence[NDArray], truth: Sequence[NDArray], pairing: Pairing = "disjoint", pooling: Pooling = "means"
+    rendered: Sequence[NDArray], truth: Sequence[NDArray], pairing: StedPairing = "disjoint", pooling: StedPooling = "means"
 ) -> StRred:
     """Spatio-temporal reduced reference entropic difference of one view.
 
@@ -69,6 +77,12 @@ def strred(
 
     Raises:
         MetricError: shapes differ, fewer than 2 frames, frames too small, or values that are not finite.
+
+    Example:
+        >>> import numpy as np
+        >>> truth = np.random.default_rng(0).integers(0, 255, (2, 48, 48, 3), np.uint8)
+        >>> strred(truth, truth).strred, strred(truth // 2, truth).strred > 1.0
+        (0.0, True)
 
     Reading:
         The paper's STED is taken for the second value of scikit-video's ``strred`` on luma in 0..255, per view: disjoint pairs,
@@ -148,7 +162,7 @@ def block_entropies(band: Array) -> tuple[Array, Array]:
     return information.sum(axis=-1), scale
 
 
-def reduced_references(first_band: Array, second_band: Array, pairing: Pairing = "disjoint") -> Entropies:
+def reduced_references(first_band: Array, second_band: Array, pairing: StedPairing = "disjoint") -> Entropies:
     """Scaled entropies of a pair of neighbouring frames.
 
     Args:
@@ -176,7 +190,7 @@ def pair_difference(rendered: Entropies, truth: Entropies) -> PairDifference:
     )
 
 
-def pool(differences: Sequence[PairDifference], pooling: Pooling = "means") -> StRred:
+def pool(differences: Sequence[PairDifference], pooling: StedPooling = "means") -> StRred:
     """Scores of a view from the differences of its pairs.
 
     Args:
@@ -187,8 +201,8 @@ def pool(differences: Sequence[PairDifference], pooling: Pooling = "means") -> S
     Raises:
         MetricError: no pair, or no such pooling.
     """
-    if pooling not in get_args(Pooling):
-        raise MetricError(f"STED: no pooling {pooling!r}; there are {', '.join(get_args(Pooling))}")
+    if pooling not in get_args(StedPooling):
+        raise MetricError(f"STED: no pooling {pooling!r}; there are {', '.join(get_args(StedPooling))}")
     if len(differences) == 0:
         raise MetricError("STED: no pair of frames to pool; needs 2 frames")
     pairs = np.array(differences, dtype=np.float64).reshape(-1, 4)
@@ -235,3 +249,70 @@ def _pyramid_kernels() -> tuple[Array, Array, Array]:
 
     filters = steerable_filters("sp5_filters")
     return filters["lo0filt"], filters["lofilt"], np.ascontiguousarray(filters["bfilts"][::-1, 0].reshape(7, 7))
+
+
+class StredScorer:
+    """STED and STED_ssn; keeps the bands of the frame before."""
+
+    def __init__(self, names: Sequence[str], options: MetricOptions, _colour_map: ColourMap | None) -> None:
+        self.names = names
+        self._pairing = options.sted_pairing
+        self._pooling = options.sted_pooling
+        self._previous: tuple[Array, Array] | None = None
+        self._differences: list[PairDifference] = []
+
+    def add(self, index: int, rendered: Image8, truth: TruthFrame) -> list[Value]:
+        """See `Scorer`."""
+        bands = spatial_band(luma(rendered)), truth.once(spatial_band, lambda: spatial_band(luma(truth.image)))
+        previous, self._previous = self._previous, bands
+        if previous is None or (self._pairing == "disjoint" and index % 2 == 0):
+            return []
+        ours, theirs = (partial(reduced_references, *pair, self._pairing) for pair in zip(previous, bands, strict=True))
+        difference = pair_difference(ours(), truth.once(reduced_references, theirs))
+        self._differences.append(difference)
+        parts = (
+            ("STED", "_spatial", difference.spatial),
+            ("STED", "_temporal", difference.temporal),
+            ("STED_ssn", "_spatial", difference.spatial_single),
+            ("STED_ssn", "_temporal", difference.temporal_single),
+        )
+        return [(name + part, index - 1, value) for name, part, value in parts if name in self.names]
+
+    def finish(self) -> list[Value]:
+        """See `Scorer`."""
+        if not self._differences:
+            raise MetricError("1 frame; needs 2")
+        pooled = pool(self._differences, self._pooling)
+        scores = {"STED": pooled.strred, "STED_ssn": pooled.strred_ssn}
+        return [(name, None, scores[name]) for name in self.names]
+
+
+def _pooling(name: str, options: MetricOptions) -> Pooling:
+    """From the parts of each pair, as `pool` does; then the mean over views."""
+    parts = (f"{name}_spatial", f"{name}_temporal")
+    return powers_of_means(dict.fromkeys(parts, 1)) if options.sted_pooling == "means" else Pooling("mean of products", parts)
+
+
+STED = ViewMetric(
+    name="STED",
+    kind="view",
+    function=strred,
+    higher_is_better=False,
+    group=CONSISTENCY,
+    pooling=partial(_pooling, "STED"),
+    describe="ST-RRED, entropy differences over space and time",
+    reference="Soundararajan & Bovik 2013",
+    has_ceiling=True,
+    scorer=StredScorer,
+)
+STED_SSN = ViewMetric(
+    name="STED_ssn",
+    kind="view",
+    function=strred,
+    higher_is_better=False,
+    group=CONSISTENCY,
+    pooling=partial(_pooling, "STED_ssn"),
+    describe="ST-RRED from single-number differences",
+    reference="Soundararajan & Bovik 2013",
+    scorer=StredScorer,
+)

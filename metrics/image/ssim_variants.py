@@ -1,17 +1,18 @@
 """The SSIMs in use, by name: one formula, other windows, borders and ranges, and numbers up to 0.1 apart on the same frame."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from functools import partial
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.image import ssim
+from ggvs_eval.metrics.image.ssim import ssim
 from ggvs_eval.metrics.inputs import Image, check_pair, require_finite, white_level
+from ggvs_eval.metrics.metric import QUALITY, ColourMap, FrameScorer, MetricOptions, SsimName, ViewMetric
 
-SsimName = Literal["gaussian-valid", "gaussian-zero", "uniform7", "uniform7-range2"]
 Plane = NDArray[np.float32]
 SIGMA_PX = 1.5
 ROWS_AT_ONCE = 32  # so that the planes in between stay in cache
@@ -88,6 +89,12 @@ def ssim_variant(rendered: Image, truth: Image, name: SsimName) -> float:
 
     Raises:
         MetricError: as of `ssim_map`, or values that are not finite.
+
+    Example:
+        >>> import numpy as np
+        >>> truth = np.full((16, 16, 3), 100, np.uint8)
+        >>> round(ssim_variant(truth // 2, truth, "gaussian-zero"), 3)
+        0.688
     """
     if name == "gaussian-valid":
         return ssim(rendered, truth)
@@ -123,3 +130,21 @@ def _window_means(image: Plane, variant: SsimVariant) -> Plane:
     taps, radius = variant.taps(), variant.window_px // 2
     means = cv2.sepFilter2D(image, cv2.CV_32F, taps, taps, borderType=cv2.BORDER_CONSTANT)
     return np.asarray(means[radius:-radius, radius:-radius], dtype=np.float32)
+
+
+def _scorer(names: Sequence[str], options: MetricOptions, _colour_map: ColourMap | None) -> FrameScorer:
+    return FrameScorer(names[0], partial(ssim_variant, name=options.ssim))
+
+
+SSIM = ViewMetric(
+    name="SSIM",
+    kind="frame",
+    function=ssim,
+    higher_is_better=True,
+    group=QUALITY,
+    decimals=3,
+    describe="structural similarity, 11 x 11 Gaussian window, RGB mean",
+    reference="Wang et al. 2004",
+    has_ceiling=True,
+    scorer=_scorer,
+)

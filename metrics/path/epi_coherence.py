@@ -6,12 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.epi_lines import find_lines
-from ggvs_eval.metrics.horizontal_path import HorizontalPath
 from ggvs_eval.metrics.inputs import Image
+from ggvs_eval.metrics.metric import Value
+from ggvs_eval.metrics.path.epi_lines import find_lines
+from ggvs_eval.metrics.path.horizontal_path import HorizontalPath, horizontal_path
+from ggvs_eval.metrics.path.rendered_path import PathMetric, PathScorer, RenderedPath, whole_path
 
 LEAST_TEXTURE_255 = 0.25
 WIDER = 1.25
+NAMES = ("EPI_coherence", "EPI_line_texture")
 
 
 @dataclass(frozen=True)
@@ -69,3 +72,26 @@ def epi_coherence(epis: Iterable[Image], path: HorizontalPath) -> EpiCoherence:
             "without texture draws no lines"
         )
     return EpiCoherence((across - along) / (across + along), (max(across - along, 0.0) / pixels) ** 0.5)
+
+
+def _measure(path: RenderedPath) -> list[Value]:
+    measured = epi_coherence(path.epis(), horizontal_path(path.cameras))
+    return whole_path(NAMES, measured.coherence, measured.line_texture_255)
+
+
+_SCORER = PathScorer(NAMES, _measure)
+EPI_COHERENCE = PathMetric(
+    name="EPI_coherence",
+    function=epi_coherence,
+    higher_is_better=True,
+    describe="how straight the lines of epipolar plane images are",
+    scorer=_SCORER,
+)
+EPI_LINE_TEXTURE = PathMetric(
+    name="EPI_line_texture",
+    function=epi_coherence,
+    unit="grey levels per px",
+    higher_is_better=True,
+    describe="contrast across these lines; blur lowers it",
+    scorer=_SCORER,
+)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Array, Image8
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.noise_blocks import (
+from ggvs_eval.metrics.noise.blocks import (
     MIN_BLOCKS,
     ROUNDING_VARIANCE,
     SCALES_PX,

@@ -1,17 +1,20 @@
 """Metrics of a part of the image: what stands still, what moves, what no source camera sees."""
 
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Literal, get_args
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.arrays import Mask
+from ggvs_eval.arrays import Image8, Mask
 from ggvs_eval.errors import MetricError
 from ggvs_eval.geometry.difference_mask import difference_mask
-from ggvs_eval.metrics.image import decibels, same_kind
-from ggvs_eval.metrics.inputs import Image, check_pair, require_finite, white_level
-from ggvs_eval.metrics.ssim_variants import SSIM_VARIANTS, SsimName, ssim_map
+from ggvs_eval.metrics.image.psnr import decibels
+from ggvs_eval.metrics.image.ssim_variants import SSIM_VARIANTS, ssim_map
+from ggvs_eval.metrics.inputs import Image, check_pair, require_finite, same_kind, white_level
+from ggvs_eval.metrics.metric import REGION, ColourMap, MetricOptions, SsimName, TruthFrame, Value, ViewMetric
 
 Region = Literal["static", "moving", "disoccluded"]
 REGIONS: tuple[Region, ...] = get_args(Region)
@@ -54,13 +57,28 @@ def masked_psnr(rendered: Image, truth: Image, mask: Mask) -> float:
 
     Raises:
         MetricError: images or mask do not fit each other, or fewer than 64 pixels inside.
+
+    Example:
+        >>> import numpy as np
+        >>> truth = np.full((16, 16, 3), 100, np.uint8)
+        >>> rendered, left = truth.copy(), np.arange(16) < 8
+        >>> rendered[:, ~left] = 0
+        >>> masked_psnr(rendered, truth, np.tile(left, (16, 1)))
+        100.0
     """
     mean_squared_error = _norm_inside(rendered, truth, mask, cv2.NORM_L2SQR)
     return decibels(mean_squared_error, white_level(truth))
 
 
 def masked_l1(rendered: Image, truth: Image, mask: Mask) -> float:
-    """Mean absolute error of the pixels inside a mask on the scale 0..255; arguments as of `masked_psnr`."""
+    """Mean absolute error of the pixels inside a mask on the scale 0..255; arguments as of `masked_psnr`.
+
+    Example:
+        >>> import numpy as np
+        >>> truth = np.full((16, 16, 3), 100, np.uint8)
+        >>> masked_l1(truth + 5, truth, np.ones((16, 16), bool))
+        5.0
+    """
     return require_finite(_norm_inside(rendered, truth, mask, cv2.NORM_L1) * 255.0 / white_level(truth), "L1")
 
 
@@ -78,6 +96,14 @@ def masked_ssim(rendered: Image, truth: Image, mask: Mask, name: SsimName = "gau
 
     Raises:
         MetricError: images or mask do not fit each other, or no window inside.
+
+    Example:
+        >>> import numpy as np
+        >>> truth = np.full((32, 32, 3), 100, np.uint8)
+        >>> rendered, left = truth.copy(), np.arange(32) < 16
+        >>> rendered[:, ~left] = 0
+        >>> masked_ssim(rendered, truth, np.tile(left, (32, 1)))
+        1.0
     """
     check_pair(rendered, truth)
     _check_mask(mask, truth.shape[:2])
@@ -134,3 +160,81 @@ def _norm_inside(rendered: Image, truth: Image, mask: Mask, kind: int) -> float:
 def _check_mask(mask: Mask, shape: tuple[int, ...]) -> None:
     if mask.shape != shape or mask.dtype != np.bool_:
         raise MetricError(f"mask: wanted {shape} bool, got {mask.shape} {mask.dtype}")
+
+
+def region_mask(truth: TruthFrame, region: Region) -> Mask | None:
+    """Where a region lies; None in the first frame, of which nobody knows what moves, and where masks are not known."""
+    previous = truth.previous
+    if region == "disoccluded":
+        return truth.disoccluded
+    if previous is None:
+        return None
+    moving = truth.once(moving_mask, lambda: moving_mask(truth.image, previous))
+    return moving if region == "moving" else ~moving
+
+
+MEASURES: dict[str, Callable[[Image, Image, Mask], float]] = {"PSNR": masked_psnr, "SSIM": masked_ssim, "L1": masked_l1}
+UNITS = {"PSNR": "dB", "SSIM": "", "L1": "grey levels of 255"}
+WORDS: dict[Region, str] = {
+    "static": "what stands still",
+    "moving": "what moves",
+    "disoccluded": "what no source camera sees",
+}
+
+
+class RegionScorer:
+    """Metrics of one region; frames in which it is too small, or not known, have no value."""
+
+    def __init__(self, region: Region, measures: Sequence[str]) -> None:
+        self.names = [f"{measure}_{region}" for measure in measures]
+        self._region = region
+        self._measures = measures
+        self._reasons = {name: "no masks are known; run `ggvs-eval prepare`" for name in self.names}
+        self._measured: set[str] = set()
+
+    def add(self, index: int, rendered: Image8, truth: TruthFrame) -> list[Value]:
+        """See `Scorer`."""
+        mask = region_mask(truth, self._region)
+        if mask is None:
+            return []
+        values: list[Value] = []
+        for name, measure in zip(self.names, self._measures, strict=True):
+            try:
+                values.append((name, index, MEASURES[measure](rendered, truth.image, mask)))
+                self._measured.add(name)
+            except MetricError as error:
+                self._reasons[name] = str(error)
+        return values
+
+    def finish(self) -> list[Value]:
+        """See `Scorer`."""
+        absent = [name for name in self.names if name not in self._measured]
+        if absent:
+            raise MetricError(f"{', '.join(absent)}: in no frame, {self._reasons[absent[0]]}")
+        return []
+
+
+def _region_scorer(region: Region, names: Sequence[str], _options: MetricOptions, _colour_map: ColourMap | None) -> RegionScorer:
+    return RegionScorer(region, [measure for measure in MEASURES if f"{measure}_{region}" in names])
+
+
+def _metrics_of(region: Region) -> tuple[ViewMetric, ...]:
+    """The metrics of one region, which share its mask."""
+    scorer = partial(_region_scorer, region)
+    return tuple(
+        ViewMetric(
+            name=f"{measure}_{region}",
+            kind="frame",
+            function=function,
+            unit=UNITS[measure],
+            higher_is_better=measure != "L1",
+            group=REGION,
+            describe=f"{measure} of {WORDS[region]}{' in windows wholly inside it' if measure == 'SSIM' else ''}",
+            reference="regions by the masks of Eq. 1",
+            scorer=scorer,
+        )
+        for measure, function in MEASURES.items()
+    )
+
+
+REGION_METRICS = tuple(metric for region in REGIONS for metric in _metrics_of(region))

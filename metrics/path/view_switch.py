@@ -7,7 +7,10 @@ from itertools import pairwise
 import numpy as np
 
 from ggvs_eval.errors import MetricError
+from ggvs_eval.metrics.metric import Value
+from ggvs_eval.metrics.path.rendered_path import PathMetric, PathScorer, RenderedPath, whole_path
 
+NAMES = ("switch_ratio", "switch_excess")
 ROUNDING_255 = 1.0 / 3.0  # mean absolute difference of two images that differ by rounding to 8 bit alone
 
 
@@ -39,7 +42,7 @@ def switch_score(step_errors_255: Sequence[float | None], sources: Sequence[Coll
 
     Args:
         step_errors_255: change from each pose to the next after motion compensation by depth, grey levels of 255, V - 1 of
-            them: `reprojection.StepError.error_255`; steps that have none (None) do not count.
+            them: `steps.StepError.error_255`; steps that have none (None) do not count.
         sources: names of the source cameras of each pose, V of them, e.g. the K nearest.
 
     Raises:
@@ -63,3 +66,29 @@ def switch_score(step_errors_255: Sequence[float | None], sources: Sequence[Coll
         raise MetricError(f"no step {'with' if elsewhere else 'without'} a switch could be measured; check the depths")
     there, rest = float(np.mean(at_switches)), float(np.mean(elsewhere))
     return SwitchScore(max(there, ROUNDING_255) / max(rest, ROUNDING_255), there - rest, len(at_switches), len(measured))
+
+
+def _measure(path: RenderedPath) -> list[Value]:
+    if not any(path.sources):
+        raise MetricError("switch score: nobody says which cameras the images are made of; name the sources of each pose")
+    measured = switch_score([step.error_255 for step in path.steps], path.sources)
+    path.n_switches = measured.n_switches
+    return whole_path(NAMES, measured.ratio, measured.excess_255)
+
+
+_SCORER = PathScorer(NAMES, _measure)
+SWITCH_RATIO = PathMetric(
+    name="switch_ratio",
+    function=switch_score,
+    higher_is_better=False,
+    describe="change where the source cameras switch over change elsewhere",
+    scorer=_SCORER,
+)
+SWITCH_EXCESS = PathMetric(
+    name="switch_excess",
+    function=switch_score,
+    unit="grey levels of 255",
+    higher_is_better=False,
+    describe="change where the source cameras switch minus elsewhere",
+    scorer=_SCORER,
+)

@@ -7,27 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.epi_lines import Lines, find_lines
-from ggvs_eval.metrics.horizontal_path import HorizontalPath
 from ggvs_eval.metrics.inputs import Image
+from ggvs_eval.metrics.metric import Value
+from ggvs_eval.metrics.path.epi_lines import Lines, find_lines
+from ggvs_eval.metrics.path.horizontal_path import HorizontalPath, horizontal_path
+from ggvs_eval.metrics.path.rendered_path import PathMetric, PathScorer, RenderedPath, SlopeOptions, whole_path
 
 BIN_PX = 1.0 / 1024
 WIDER_PX = 1.0
-
-
-@dataclass(frozen=True)
-class SlopeOptions:
-    """Where the images show a slope, and when it agrees.
-
-    Attributes:
-        least_texture_255: least root mean square gradient across a line, grey levels of 255 per pixel.
-        least_coherence: least coherence of a line, see `epi_coherence`.
-        tolerance_px: slopes that differ by no more agree, px per pose step.
-    """
-
-    least_texture_255: float = 4.0
-    least_coherence: float = 0.5
-    tolerance_px: float = 0.1
+NAMES = ("EPI_slope_error", "EPI_slope_agreeing", "EPI_slope_measured")
+NO_SLOPE = "EPI slope: no pixel has texture and a coherent line; no slope to compare with depth's"
 
 
 @dataclass(frozen=True)
@@ -105,3 +94,33 @@ def _is_measured(lines: Lines, options: SlopeOptions) -> NDArray[np.bool_]:
     """Whether the texture and the coherence suffice to trust a slope."""
     coherent = lines.across - lines.along >= options.least_coherence * (lines.across + lines.along)
     return coherent & (lines.across >= options.least_texture_255**2)
+
+
+def _measure(path: RenderedPath) -> list[Value]:
+    depths = [depth for depth in path.depths if depth is not None]
+    if len(depths) < len(path.cameras):
+        raise MetricError(f"EPI slope: {len(depths)} of {len(path.cameras)} poses have a depth; give all of them one")
+    pairs = ((epi, np.stack([depth[row] for depth in depths])) for row, epi in enumerate(path.epis()))
+    measured = slope_agreement(pairs, horizontal_path(path.cameras), path.options.slope)
+    shares = whole_path(NAMES[1:], measured.agreeing_share, measured.measured_share)
+    if measured.median_error_px is None:
+        return shares
+    return [*whole_path(NAMES[:1], measured.median_error_px), *shares]
+
+
+_SCORER = PathScorer(NAMES, _measure, NO_SLOPE)
+EPI_SLOPE_ERROR = PathMetric(
+    name="EPI_slope_error",
+    function=slope_agreement,
+    unit="px per pose",
+    higher_is_better=False,
+    describe="their slope against that of the fused depth",
+    scorer=_SCORER,
+)
+EPI_SLOPE_AGREEING = PathMetric(
+    name="EPI_slope_agreeing",
+    function=slope_agreement,
+    higher_is_better=True,
+    describe="share of pixels whose slope agrees with the fused depth",
+    scorer=_SCORER,
+)

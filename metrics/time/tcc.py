@@ -1,14 +1,15 @@
-"""Steadiness of one view over time: temporal change consistency and the spread of the error over frames."""
+"""Temporal change consistency of a view."""
 
 from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike
 
+from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.image import same_kind, ssim_per_channel
-from ggvs_eval.metrics.inputs import Image, check_pair, require_finite
+from ggvs_eval.metrics.image.ssim import ssim_per_channel
+from ggvs_eval.metrics.inputs import Image, check_pair, require_finite, same_kind
+from ggvs_eval.metrics.metric import CONSISTENCY, ColourMap, MetricOptions, TruthFrame, Value, ViewMetric
 
 
 def tcc(rendered: Sequence[Image] | Image, truth: Sequence[Image] | Image) -> float:
@@ -23,6 +24,13 @@ def tcc(rendered: Sequence[Image] | Image, truth: Sequence[Image] | Image) -> fl
 
     Raises:
         MetricError: shapes or kinds differ, or fewer than 2 frames.
+
+    Example:
+        >>> import numpy as np
+        >>> truth = [np.full((16, 16, 3), level, np.uint8) for level in (100, 110, 120)]
+        >>> brighter = [frame + 5 for frame in truth]  # a constant error does not change
+        >>> tcc(brighter, truth), round(tcc(truth[:1] * 3, truth), 2)
+        (1.0, 0.06)
 
     Reading:
         The sensor noise of the truth is part of its change: a perfect but noise-free rendering does not reach 1, and flicker as
@@ -61,26 +69,44 @@ def temporal_change_ssim(rendered: Image, rendered_next: Image, truth: Image, tr
     return require_finite(float(np.maximum(ssim_per_channel(*changes), 0.0).mean()), "TCC")
 
 
-def sdt(l1_255: ArrayLike, ddof: int = 1) -> float:
-    """Standard deviation of the error over time, mean over the views; lower is steadier.
-
-    Args:
-        l1_255: L1 of each view and frame on the scale 0..255, (V, T), T >= 2.
-        ddof: 1 for the unbiased estimate, 0 for the plain one.
-
-    Raises:
-        MetricError: not a table of views and frames, or fewer than 2 frames.
-
-    Reading:
-        The paper defines SDT by words only. A standard deviation per view over its per-frame errors (not per pixel, not of the
-        error averaged over views) is what its sizes allow; ddof=1 is what its authors' earlier released code uses.
-    """
-    errors = np.asarray(l1_255, dtype=np.float64)
-    if errors.ndim != 2 or errors.shape[1] < 2:
-        raise MetricError(f"SDT wants errors of shape (views, frames) with at least 2 frames, got {errors.shape}")
-    return require_finite(float(errors.std(axis=1, ddof=ddof).mean()), "SDT")
-
-
 def _change(first: Image, second: Image) -> Image:
     """Absolute difference in the kind of the images; 8-bit ones do not wrap around."""
     return cv2.absdiff(*same_kind(first, second))
+
+
+class ChangeScorer:
+    """TCC; keeps the frame before."""
+
+    names = ("TCC",)
+
+    def __init__(self, _names: Sequence[str], _options: MetricOptions, _colour_map: ColourMap | None) -> None:
+        self._previous: tuple[Image8, Image8] | None = None
+        self._pairs = 0
+
+    def add(self, index: int, rendered: Image8, truth: TruthFrame) -> list[Value]:
+        """See `Scorer`."""
+        previous, self._previous = self._previous, (rendered, truth.image)
+        if previous is None:
+            return []
+        self._pairs += 1
+        return [("TCC", index - 1, temporal_change_ssim(previous[0], rendered, previous[1], truth.image))]
+
+    def finish(self) -> list[Value]:
+        """See `Scorer`."""
+        if self._pairs < 1:
+            raise MetricError("1 frame; needs 2")
+        return []
+
+
+TCC = ViewMetric(
+    name="TCC",
+    kind="pair",
+    function=tcc,
+    higher_is_better=True,
+    group=CONSISTENCY,
+    decimals=3,
+    describe="SSIM of the colour changes between neighbouring frames",
+    reference="Ha et al. 2025, Eq. 8",
+    has_ceiling=True,
+    scorer=ChangeScorer,
+)

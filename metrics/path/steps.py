@@ -1,6 +1,6 @@
-"""Reprojection between neighbouring novel views: what a pose shows, carried to the next pose by depth, and compared there."""
+"""From a pose of a camera path to the next: what a pose shows, carried there by depth, and compared."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -31,23 +31,6 @@ class StepError:
     error_255: float | None
     visible_share: float
     texture_255: float | None
-
-
-@dataclass(frozen=True)
-class Reprojection:
-    """Mean over the steps of a path.
-
-    Attributes:
-        error_255: mean absolute colour difference over co-visible pixels, grey levels of 255, mean over the steps that have any;
-            lower is better.
-        visible_share: co-visible pixels of all pixels, mean over all steps; an error over few of them says little.
-        shift_px: the error as the shift along the rows that would change the images as much, pixels. Blur lowers the error and
-            the texture alike, and this hardly.
-    """
-
-    error_255: float
-    visible_share: float
-    shift_px: float
 
 
 def reprojection_steps(poses: Iterable[Pose], depth_tolerance: float = DEPTH_TOLERANCE) -> list[StepError]:
@@ -105,21 +88,6 @@ def reprojection_step(before: Pose, after: Pose, depth_tolerance: float = DEPTH_
         float((carried.visibility[:, 1:] * texture).sum(dtype=np.float64)) / weight,
     )
     return StepError(255 * sums[0], weight / carried.visibility.size, 255 * sums[1])
-
-
-def mean_reprojection(steps: Sequence[StepError]) -> Reprojection:
-    """Mean over the steps of a path, each with equal weight.
-
-    Raises:
-        MetricError: no step whose poses see a surface in common, or images without any texture, whose error no shift explains.
-    """
-    measured = [(step.error_255, step.texture_255) for step in steps if step.error_255 is not None]
-    if not measured:
-        raise MetricError(f"reprojection: at none of {len(steps)} steps do the poses see a surface in common; check the depths")
-    error_255, texture_255 = np.array(measured, dtype=np.float64).mean(axis=0).tolist()
-    if not texture_255:
-        raise MetricError("reprojection: images without texture look the same from everywhere; nothing to compare")
-    return Reprojection(error_255, float(np.mean([step.visible_share for step in steps])), error_255 / texture_255)
 
 
 def _checked_image(camera: Camera, image: Image) -> NDArray[np.float32]:

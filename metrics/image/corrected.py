@@ -1,0 +1,110 @@
+"""PSNR, SSIM and LPIPS of the frame after an affine colour map."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ggvs_eval.arrays import Image8
+from ggvs_eval.metrics.image.colour_correction import ColourMoments, apply_colour_map, fit_colour_map, unit_range
+from ggvs_eval.metrics.image.lpips import lpips, lpips_between, lpips_features, truth_features, weights_file
+from ggvs_eval.metrics.image.psnr import psnr
+from ggvs_eval.metrics.image.ssim import ssim
+from ggvs_eval.metrics.inputs import Image, check_pair
+from ggvs_eval.metrics.metric import QUALITY, ColourMap, MetricOptions, TruthFrame, Value, ViewMetric
+
+
+def psnr_colour_corrected(rendered: Image, truth: Image) -> float:
+    """PSNR after the affine colour map (3 x 4) that fits the rendered pixels best to the truth.
+
+    Args:
+        rendered: one frame (H, W, 3) or the frames of one view (T, H, W, 3), uint8 in 0..255 or float in [0, 1].
+        truth: same shape and kind.
+
+    Returns:
+        PSNR in dB as in `psnr`; with a stack, one map for all frames and the mean over the frames.
+
+    Raises:
+        MetricError: shapes or kinds differ.
+
+    Example:
+        >>> import numpy as np
+        >>> truth = np.full((16, 16, 3), 100, np.uint8)
+        >>> truth[:, 8:] = 180
+        >>> psnr_colour_corrected(truth // 2, truth)  # half as bright: the map puts it right
+        100.0
+
+    Reading:
+        See `ColourMoments`; the corrected frame is clipped to black and white and not rounded.
+    """
+    check_pair(rendered, truth, ndim=4 if truth.ndim == 4 else 3)
+    rendered_frames, truth_frames = (image.reshape(-1, *truth.shape[-3:]) for image in (rendered, truth))
+    colour_map = fit_colour_map(rendered_frames, truth_frames)
+    frames = zip(rendered_frames, truth_frames, strict=True)
+    return float(np.mean([psnr(apply_colour_map(colour_map, frame), unit_range(target)) for frame, target in frames]))
+
+
+class CorrectedScorer:
+    """Metrics of the frame after an affine colour map; without a map of the view each frame has its own."""
+
+    def __init__(self, names: Sequence[str], options: MetricOptions, colour_map: ColourMap | None) -> None:
+        self.names = names
+        self._net = options.lpips_net
+        self._map = colour_map
+
+    def add(self, index: int, rendered: Image8, truth: TruthFrame) -> list[Value]:
+        """See `Scorer`."""
+        corrected = apply_colour_map(self._map_of(rendered, truth.image), rendered)
+        captured = unit_range(truth.image)
+        measures = {
+            "PSNR_cc": lambda: psnr(corrected, captured),
+            "SSIM_cc": lambda: ssim(corrected, captured),
+            "LPIPS_cc": lambda: lpips_between(lpips_features(corrected, self._net), truth_features(truth, self._net), self._net),
+        }
+        return [(name, index, measures[name]()) for name in self.names]
+
+    def finish(self) -> list[Value]:
+        """See `Scorer`."""
+        return []
+
+    def _map_of(self, rendered: Image8, truth: Image8) -> ColourMap:
+        if self._map is not None:
+            return self._map
+        moments = ColourMoments()
+        moments.add(rendered, truth)
+        return moments.map()
+
+
+PSNR_CC = ViewMetric(
+    name="PSNR_cc",
+    kind="frame",
+    function=psnr_colour_corrected,
+    unit="dB",
+    higher_is_better=True,
+    group=QUALITY,
+    decimals=2,
+    describe="PSNR after the best affine colour map of the view or frame",
+    reference="as gsplat's cc_psnr",
+    scorer=CorrectedScorer,
+    corrects_colours=True,
+)
+SSIM_CC = ViewMetric(
+    name="SSIM_cc",
+    kind="frame",
+    function=ssim,
+    higher_is_better=True,
+    describe="SSIM after an affine colour map",
+    reference="as gsplat's cc_ssim",
+    scorer=CorrectedScorer,
+    corrects_colours=True,
+)
+LPIPS_CC = ViewMetric(
+    name="LPIPS_cc",
+    kind="frame",
+    function=lpips,
+    higher_is_better=False,
+    describe="LPIPS after an affine colour map",
+    reference="as gsplat's cc_lpips",
+    scorer=CorrectedScorer,
+    weights=weights_file,
+    corrects_colours=True,
+)

@@ -1,0 +1,190 @@
+"""What a metric is: its definition, who scores a view with it, how its number is pooled, and where it stands in the tables."""
+
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.arrays import Image8, Mask
+from ggvs_eval.statistics.pooling import MEAN, Pooling
+
+Kind = Literal["frame", "pair", "view", "rig", "path"]
+SsimName = Literal["gaussian-valid", "gaussian-zero", "uniform7", "uniform7-range2"]
+LpipsNet = Literal["vgg", "alex"]
+StedPairing = Literal["disjoint", "consecutive"]
+StedPooling = Literal["means", "products"]
+ColourMap = NDArray[np.float64]  # (3, 4): true colour is about map @ (r, g, b, 1), all in [0, 1]
+Value = tuple[str, int | None, float]  # metric, frame or pose (None: the whole view or path), value
+Row = tuple[str | None, int, float]  # view (None: the whole rig), frame (-1: the whole sequence), value
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Group:
+    """A table of a report: metrics of one group are its columns, in the order in which a protocol names them."""
+
+    key: str
+    title: str
+
+
+QUALITY = Group("quality", "Image quality")
+CONSISTENCY = Group("consistency", "Temporal and view consistency")
+REGION = Group("regions", "Quality by region")
+ALONG_PATH = Group("path", "View consistency along the camera path, without truth")
+FURTHER = Group("further", "Further measures")
+
+
+@dataclass(frozen=True)
+class MetricOptions:
+    """What a protocol may choose about the metrics.
+
+    Attributes:
+        ssim: which SSIM, see `ssim_variants.SSIM_VARIANTS`; regions and colour-corrected frames take the default one.
+        lpips_net: network of LPIPS.
+        sted_pairing: which frames ST-RRED compares, see `strred.strred`.
+        sted_pooling: how its pairs become one number, see `strred.pool`.
+        colour_scope: one colour correction per view, or one per frame.
+        ddof: 1 for unbiased standard deviations, 0 for plain ones.
+    """
+
+    ssim: SsimName = "gaussian-valid"
+    lpips_net: LpipsNet = "vgg"
+    sted_pairing: StedPairing = "disjoint"
+    sted_pooling: StedPooling = "means"
+    colour_scope: Literal["view", "frame"] = "view"
+    ddof: int = 1
+
+
+class TruthFrame:
+    """A captured frame with what metrics derive from it alone, computed once for all methods.
+
+    SSIM's moments of the truth are not kept: the kernel filters four maps while they are in cache, and keeping one of them would
+    save at most a quarter of its 8.8 ms at 1352x1014, less than the 2.7 ms of reading 33 MB of moments back.
+
+    Attributes:
+        image: the frame, (H, W, 3).
+        previous: the captured frame before; None for the first.
+        disoccluded: where no source camera sees the view, (H, W); None where nobody knows.
+    """
+
+    def __init__(self, image: Image8, previous: Image8 | None = None, disoccluded: Mask | None = None) -> None:
+        self.image = image
+        self.previous = previous
+        self.disoccluded = disoccluded
+        self._derived: dict[Hashable, Any] = {}
+
+    def once(self, key: Hashable, compute: Callable[[], T]) -> T:
+        """The result of `compute`, which depends on the truth alone: the first one under this key."""
+        if key not in self._derived:
+            self._derived[key] = compute()
+        result: T = self._derived[key]
+        return result
+
+
+class Scorer(Protocol):
+    """One or several metrics of a view, fed frame by frame; what it raises as `MetricError` is the reason for their absence."""
+
+    @property
+    def names(self) -> Sequence[str]:
+        """The metrics it computes."""
+
+    def add(self, index: int, rendered: Image8, truth: TruthFrame) -> list[Value]:
+        """Take the next frame and return what it completes."""
+
+    def finish(self) -> list[Value]:
+        """Return what only the whole view has."""
+
+
+class FrameScorer:
+    """A metric of single frames."""
+
+    def __init__(self, name: str, function: Callable[[Image8, Image8], float]) -> None:
+        self.names = (name,)
+        self._function = function
+
+    def add(self, index: int, rendered: Image8, truth: TruthFrame) -> list[Value]:
+        """See `Scorer`."""
+        return [(self.names[0], index, self._function(rendered, truth.image))]
+
+    def finish(self) -> list[Value]:
+        """See `Scorer`."""
+        return []
+
+
+def mean_of_values(_: MetricOptions) -> Pooling:
+    """Pooling of most metrics: the mean over frames, then views, of the metric's own values."""
+    return MEAN
+
+
+@dataclass(frozen=True, kw_only=True)
+class Metric:
+    """One metric, whole; `registry.METRICS` collects them.
+
+    Attributes:
+        name: as in protocols and tables.
+        kind: what one value belongs to: a ``frame``, a ``pair`` of neighbouring frames, a ``view`` (all its frames), or the
+            ``rig`` (all views), or a camera ``path`` without truth.
+        function: its definition, images (or for deviations errors) in, numbers out.
+        unit: unit of a value, empty where it has none.
+        higher_is_better: direction of the arrow in tables.
+        group: table that it stands in.
+        decimals: digits after the point in tables; None for four significant ones.
+        pooling: how its number on a scene comes from values per view and frame. Where that is no mean of its own values it names
+            parts that stand in the table too: what its scorer returns beside it, or another metric.
+        describe: one line for a reader who meets the metric for the first time.
+        reference: where it is defined.
+        has_ceiling: whether perfect renderings are scored with it, see `ceilings`.
+    """
+
+    name: str
+    kind: Kind
+    function: Callable[..., Any]
+    unit: str = ""
+    higher_is_better: bool
+    group: Group = FURTHER
+    decimals: int | None = None
+    pooling: Callable[[MetricOptions], Pooling] = mean_of_values
+    describe: str
+    reference: str
+    has_ceiling: bool = False
+
+    @property
+    def modules(self) -> tuple[str, ...]:
+        """Names of the modules that define it; what these import, and nothing else, decides its values."""
+        functions = (getattr(each, "func", each) for each in vars(self).values() if callable(each))  # of partials
+        return tuple(sorted({function.__module__ for function in functions}))
+
+
+ScorerFactory = Callable[[Sequence[str], MetricOptions, ColourMap | None], Scorer]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewMetric(Metric):
+    """A metric of rendered frames against the captured ones of a view.
+
+    Attributes:
+        scorer: makes the scorer of a view from the names that are asked for, the options and the colour map of the view; metrics
+            with one factory share a scorer. None calls `function` on each frame.
+        corrects_colours: whether it wants that colour map.
+        weights: file of trained weights that it needs; None where it needs none.
+    """
+
+    scorer: ScorerFactory | None = None
+    corrects_colours: bool = False
+    weights: Callable[[MetricOptions], Path] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableMetric(Metric):
+    """A metric that comes from another metric's values of all frames, or of all views and frames, and sees no image.
+
+    Attributes:
+        part: name of that metric, one value per frame.
+        rows: (view -> frame -> value of the part, options) -> values; raises `MetricError` where there can be none.
+    """
+
+    part: str
+    rows: Callable[[Mapping[str, Mapping[int, float]], MetricOptions], list[Row]]

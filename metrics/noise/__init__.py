@@ -1,0 +1,1 @@
+"""Noise of sensor and codec in captured views."""

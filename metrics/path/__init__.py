@@ -1,0 +1,1 @@
+"""View consistency of images along a camera path, without truth."""

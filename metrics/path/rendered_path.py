@@ -1,0 +1,174 @@
+"""A rendered camera path as its metrics see it, gathered pose by pose, and what a metric of a path is."""
+
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.errors import MetricError
+from ggvs_eval.metrics.inputs import Image
+from ggvs_eval.metrics.metric import ALONG_PATH, Group, Kind, Metric, Value
+from ggvs_eval.metrics.path.steps import DEPTH_TOLERANCE, StepError, reprojection_step
+
+
+@dataclass(frozen=True, eq=False)
+class PathPose:
+    """One pose of a rendered camera path.
+
+    Attributes:
+        camera: the pose.
+        image: rendered image, (H, W, 3), uint8 in 0..255 or float in [0, 1].
+        depth: (H, W) float32, world units, 0 = unknown; None where nobody knows.
+        sources: names of the cameras that the image is made of, e.g. the K nearest; empty where nobody knows.
+    """
+
+    camera: Camera
+    image: Image
+    depth: NDArray[np.float32] | None = None
+    sources: Collection[str] = ()
+
+
+@dataclass(frozen=True)
+class SlopeOptions:
+    """Where the images show a slope, and when it agrees.
+
+    Attributes:
+        least_texture_255: least root mean square gradient across a line, grey levels of 255 per pixel.
+        least_coherence: least coherence of a line, see `epi_coherence`.
+        tolerance_px: slopes that differ by no more agree, px per pose step.
+    """
+
+    least_texture_255: float = 4.0
+    least_coherence: float = 0.5
+    tolerance_px: float = 0.1
+
+
+@dataclass(frozen=True)
+class PathOptions:
+    """Variants of the measures.
+
+    Attributes:
+        n_rows: rows of the image that EPIs are taken from, evenly spaced; all of them in a lower image.
+        slope: thresholds of the slope agreement.
+        depth_tolerance: of the visibility test, see `reprojection_step`.
+    """
+
+    n_rows: int = 128
+    slope: SlopeOptions = field(default_factory=SlopeOptions)
+    depth_tolerance: float = DEPTH_TOLERANCE
+
+
+def spread_rows(height: int, count: int) -> list[int]:
+    """At most `count` evenly spaced rows of an image, each in the middle of its part."""
+    count = min(count, height)
+    return [int((index + 0.5) * height / count) for index in range(count)]
+
+
+class RenderedPath:
+    """What the metrics need of the poses so far: chosen rows of the images, two whole poses at most, and the steps between.
+
+    Attributes:
+        options: variants of the measures.
+        cameras: the poses.
+        rows: image rows that EPIs are taken from.
+        depths: those rows of each pose's depth; None where nobody knows.
+        sources: names of the source cameras of each pose.
+        n_switches: steps at which the source cameras change; None where nobody has measured these.
+    """
+
+    def __init__(self, options: PathOptions) -> None:
+        self.options = options
+        self.cameras: list[Camera] = []
+        self.rows: list[int] = []
+        self.depths: list[NDArray[np.float32] | None] = []
+        self.sources: list[Collection[str]] = []
+        self.n_switches: int | None = None
+        self._images: list[Image] = []  # the chosen rows of every pose
+        self._steps: list[StepError] = []
+        self._no_steps = ""
+        self._before: PathPose | None = None
+
+    def add(self, pose: PathPose) -> None:
+        """Take the next pose.
+
+        Raises:
+            MetricError: an image that does not fit its camera, or another size than before.
+        """
+        if pose.image.shape != (pose.camera.height, pose.camera.width, 3):
+            wanted = f"{pose.camera.height} x {pose.camera.width} x 3"
+            raise MetricError(f"pose {pose.camera.name}: wanted an image {wanted}, got {pose.image.shape}; resize one of them")
+        self.rows = self.rows or spread_rows(pose.camera.height, self.options.n_rows)
+        if self.cameras and pose.camera.size != self.cameras[0].size:
+            raise MetricError(
+                f"pose {pose.camera.name}: {pose.camera.size}, before it {self.cameras[0].size}; a path has one size"
+            )
+        self.cameras.append(pose.camera)
+        self._images.append(pose.image[self.rows])
+        self.depths.append(None if pose.depth is None else pose.depth[self.rows])
+        self.sources.append(pose.sources)
+        before, self._before = self._before, pose
+        if before is not None and not self._no_steps:
+            self._add_step(before, pose)
+
+    @property
+    def steps(self) -> list[StepError]:
+        """Each pose against the one before it.
+
+        Raises:
+            MetricError: poses that cannot be compared.
+        """
+        if self._no_steps:
+            raise MetricError(self._no_steps)
+        return self._steps
+
+    def epis(self) -> Iterator[Image]:
+        """Epipolar plane images, one per chosen row, each (V, W, 3)."""
+        return (np.stack([rows[index] for rows in self._images]) for index in range(len(self.rows)))
+
+    def _add_step(self, *poses: PathPose) -> None:
+        before, after = ((pose.camera, pose.image, pose.depth) for pose in poses)
+        try:
+            self._steps.append(reprojection_step(before, after, self.options.depth_tolerance))
+        except MetricError as error:
+            self._no_steps = str(error)
+
+
+@dataclass(frozen=True)
+class PathScorer:
+    """Computes one or several metrics of a path at once.
+
+    Attributes:
+        names: of its values for the whole path; beside metrics these may be numbers that help to read them.
+        measure: the path -> values; raises `MetricError` where there can be none.
+        why_absent: the reason for a name that it leaves out.
+    """
+
+    names: tuple[str, ...]
+    measure: Callable[[RenderedPath], list[Value]]
+    why_absent: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PathMetric(Metric):
+    """A metric of images along a camera path, without truth.
+
+    Attributes:
+        scorer: computes it; metrics may share one.
+    """
+
+    kind: Kind = "path"
+    group: Group = ALONG_PATH
+    reference: str = "docs/view_consistency.md"
+    scorer: PathScorer
+
+    @property
+    def modules(self) -> tuple[str, ...]:
+        """See `Metric`."""
+        return tuple(sorted({*super().modules, self.scorer.measure.__module__}))
+
+
+def whole_path(names: tuple[str, ...], *values: float) -> list[Value]:
+    """Values of the whole path."""
+    return [(name, None, value) for name, value in zip(names, values, strict=True)]
