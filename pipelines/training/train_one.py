@@ -7,12 +7,12 @@ from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.pipelines.online.blend_network import WIDTHS, BlendNetworkOptions
 from ggvs_eval.pipelines.training.baselines.baseline_tasks import baseline_task
 from ggvs_eval.pipelines.training.blend.blend_task import BlendTask
-from ggvs_eval.pipelines.training.loop.card import write_card
-from ggvs_eval.pipelines.training.loop.loop import TrainingOptions, train
-from ggvs_eval.pipelines.training.loop.task import Task
 from ggvs_eval.pipelines.training.request import TrainingRequest
 from ggvs_eval.pipelines.training.samples.training_data import TrainingData, blend_samples, prepare_samples
 from ggvs_eval.pipelines.training.stereo.stereo_task import StereoTask
+from ggvs_eval.training.card import write_card
+from ggvs_eval.training.loop import TrainingOptions, train
+from ggvs_eval.training.task import Task
 
 CACHE = "blend-samples"  # beside the folders of the trainings
 

@@ -13,13 +13,13 @@ from ggvs_eval.pipelines.methods import baselines
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
 from ggvs_eval.pipelines.training.baselines.baseline_tasks import BASELINE_TASKS, TAKING_DEPTH, baseline_task
-from ggvs_eval.pipelines.training.loop.card import write_card
-from ggvs_eval.pipelines.training.loop.loop import TrainingOptions, train
 from ggvs_eval.pipelines.training.samples.blend_samples import SampleMaker
 from ggvs_eval.pipelines.training.samples.instant_pools import RoomInstants
-from ggvs_eval.pipelines.training.samples.instant_samples import read_instant
 from ggvs_eval.pipelines.training.samples.room_plan import RoomPlan, choose_views, validation_plan
 from ggvs_eval.pipelines.training.samples.training_data import TrainingData
+from ggvs_eval.training.card import write_card
+from ggvs_eval.training.instant_samples import read_instant
+from ggvs_eval.training.loop import TrainingOptions, train
 from helpers.stereo_scenes import write_capture
 
 WIDTH, HEIGHT = 100, 75

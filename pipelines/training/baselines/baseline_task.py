@@ -11,9 +11,9 @@ from torch import Tensor, nn
 from ggvs_eval.files.images import quantise
 from ggvs_eval.method import Instant
 from ggvs_eval.metrics.image import psnr, ssim
-from ggvs_eval.pipelines.training.loop.task import Schedule
-from ggvs_eval.pipelines.training.samples.instant_samples import InstantSample
 from ggvs_eval.pipelines.training.samples.samples import Samples, require_room
+from ggvs_eval.training.instant_samples import InstantSample
+from ggvs_eval.training.task import Schedule
 
 LEARNING_RATE = 1e-3  # ours has the same: what a rate for a GPU's day would learn in an hour of one core is little
 

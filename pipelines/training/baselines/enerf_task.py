@@ -6,20 +6,14 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from ggvs_eval.baselines.enerf.coarse_rendering import SCALE, coarse_views, render_coarsely
-from ggvs_eval.baselines.enerf.method import (
-    TRAINED_NEAR,
-    depth_range,
-    render_surface,
-    target_grid,
-)
-from ggvs_eval.baselines.enerf.networks import Networks
-from ggvs_eval.baselines.enerf.views import see, see_together
-from ggvs_eval.baselines.enerf.volumes import find_surface, refine_surface, search_coarsely
+from ggvs_eval.baselines.enerf.network import Networks
+from ggvs_eval.baselines.enerf.rendering import COARSE_FACTOR, coarse_views, render_coarsely, render_surface
+from ggvs_eval.baselines.enerf.views import TRAINED_NEAR, see, see_together
+from ggvs_eval.baselines.enerf.volumes import depth_range, find_surface, refine_surface, search_coarsely, target_grid
 from ggvs_eval.method import Instant
 from ggvs_eval.pipelines.training.baselines.baseline_task import BaselineTask, truth_of
-from ggvs_eval.pipelines.training.blend.blend_loss import structural_loss
-from ggvs_eval.pipelines.training.samples.instant_samples import InstantSample
+from ggvs_eval.training.instant_samples import InstantSample
+from ggvs_eval.training.losses import structural_loss
 
 COARSE_WEIGHT, STRUCTURE_WEIGHT = 0.1, 0.01
 
@@ -57,9 +51,9 @@ class EnerfTask(BaselineTask):
         fine = refine_surface(network, views, grid, coarse)
         image, _ = render_surface(network, views, fine, target, unit, target.width * target.height)
         centre = torch.as_tensor(target.centre * unit).float()
-        rays = torch.as_tensor(target.rays()[::SCALE, ::SCALE]).float()
+        rays = torch.as_tensor(target.rays()[::COARSE_FACTOR, ::COARSE_FACTOR]).float()
         rough, _ = render_coarsely(network, coarse_views(views), coarse, centre, rays)
-        wanted = functional.avg_pool2d(truth, SCALE).flatten(1).T
+        wanted = functional.avg_pool2d(truth, COARSE_FACTOR).flatten(1).T
         terms = {
             "squared_loss": (image - truth).square().mean(),
             "coarse_loss": (rough - wanted).square().mean(),

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 from torch import Tensor, nn
 
-from ggvs_eval.baselines.fwd.method import decode_views, warp_views
 from ggvs_eval.baselines.fwd.network import FwdNetwork
+from ggvs_eval.baselines.fwd.rendering import decode_views, warp_views
 from ggvs_eval.method import Instant
 from ggvs_eval.pipelines.training.baselines.baseline_task import BaselineTask, truth_of
-from ggvs_eval.pipelines.training.blend.blend_loss import structural_loss
-from ggvs_eval.pipelines.training.samples.instant_samples import InstantSample
+from ggvs_eval.training.instant_samples import InstantSample
+from ggvs_eval.training.losses import structural_loss
 
 SQUARED_WEIGHT, STRUCTURE_WEIGHT = 5.0, 0.2
 

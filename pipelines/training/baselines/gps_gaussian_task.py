@@ -8,12 +8,12 @@ from torch import Tensor, nn
 from ggvs_eval.baselines.gaussians import near_plane
 from ggvs_eval.baselines.gps_gaussian.method import instant_gaussians
 from ggvs_eval.baselines.gps_gaussian.network import CONFIGURATIONS, GpsGaussianNetwork
-from ggvs_eval.baselines.gps_gaussian.tile_renderer import blend_gaussians
+from ggvs_eval.baselines.gps_gaussian.rendering import blend_gaussians
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.method import Instant
 from ggvs_eval.pipelines.training.baselines.baseline_task import BaselineTask, truth_of
-from ggvs_eval.pipelines.training.blend.blend_loss import structural_loss
-from ggvs_eval.pipelines.training.samples.instant_samples import InstantSample
+from ggvs_eval.training.instant_samples import InstantSample
+from ggvs_eval.training.losses import structural_loss
 
 L1_WEIGHT, STRUCTURE_WEIGHT = 0.8, 0.2
 

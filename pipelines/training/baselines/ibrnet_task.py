@@ -7,12 +7,12 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from ggvs_eval.baselines.ibrnet.method import depth_range, see
-from ggvs_eval.baselines.ibrnet.networks import Networks
-from ggvs_eval.baselines.ibrnet.rendering import rays_at_once, render_passes, render_rays
+from ggvs_eval.baselines.ibrnet.network import Networks
+from ggvs_eval.baselines.ibrnet.rendering import depth_range, rays_at_once, render_passes, render_rays
+from ggvs_eval.baselines.ibrnet.views import see
 from ggvs_eval.method import Instant
 from ggvs_eval.pipelines.training.baselines.baseline_task import BaselineTask, truth_of
-from ggvs_eval.pipelines.training.samples.instant_samples import InstantSample
+from ggvs_eval.training.instant_samples import InstantSample
 
 JUDGED_STEP = 4  # pixels
 

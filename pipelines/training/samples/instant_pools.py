@@ -12,10 +12,10 @@ from ggvs_eval.method import Instant, SourceView
 from ggvs_eval.pipelines.training.samples.blend_samples import SampleMaker
 from ggvs_eval.pipelines.training.samples.capture_pool import CapturePool
 from ggvs_eval.pipelines.training.samples.capture_views import CapturePlan
-from ggvs_eval.pipelines.training.samples.instant_samples import InstantSample, read_instant, write_instant
 from ggvs_eval.pipelines.training.samples.room_plan import RoomPlan
 from ggvs_eval.pipelines.training.samples.room_pool import RoomPool
 from ggvs_eval.pipelines.training.samples.samples import SampleKind
+from ggvs_eval.training.instant_samples import InstantSample, read_instant, write_instant
 
 ROOM_VERSION, CAPTURE_VERSION = 1, 1  # each counts up whenever equal plans give other samples
 

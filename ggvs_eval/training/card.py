@@ -8,7 +8,7 @@ from pathlib import Path
 
 from safetensors import safe_open
 
-from ggvs_eval.pipelines.training.loop.task import Task
+from ggvs_eval.training.task import Task
 
 SHOWN_VALIDATIONS = 12
 
@@ -39,7 +39,7 @@ def write_card(task: Task, folder: Path, command: str, note: str = "", device: s
     lines = [
         f"# {task.name}",
         "",
-        *(line.strip() for line in (type(task).__doc__ or "").splitlines()[:1]),
+        task.summary,
         "",
         f"- Command: `{command}`",
         f"- Steps: {steps}, {hours:.1f} hours on {platform.machine()} ({platform.system()}){cost}",

@@ -1,4 +1,4 @@
-"""What the training loop is told of a network: its batches, its loss, its evaluate."""
+"""What the training loop is told of a network: its batches, its loss, its validation."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -39,6 +39,10 @@ class Task(Protocol):
     @property
     def name(self) -> str:
         """Names the weights."""
+
+    @property
+    def summary(self) -> str:
+        """One sentence for the model card: what is trained."""
 
     @property
     def data(self) -> str:

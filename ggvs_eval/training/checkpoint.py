@@ -1,14 +1,19 @@
-"""What a training needs to go on exactly where it was."""
+"""What a training leaves on disk: its state, to go on exactly where it was, and its weights as they ship."""
 
 import pickle
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import torch
+from safetensors.torch import save_file
 from torch import nn
 from torch.optim.swa_utils import AveragedModel
 
 from ggvs_eval.errors import TrainingError
+from ggvs_eval.files.weights_file import load_strict, read_tensors
+
+NETWORK = "the network to be trained"  # in messages
 
 
 @dataclass
@@ -66,3 +71,30 @@ def read_state(folder: Path, fresh: TrainingState, device: torch.device) -> Trai
         reason = str(error).splitlines()[0]
         raise TrainingError(f"{path}: not a state of this training ({reason}); choose another folder or delete it") from error
     return fresh
+
+
+def write_weights(path: Path, network: nn.Module, notes: Mapping[str, str]) -> None:
+    """Write a network's weights in half precision, under a temporary name first.
+
+    Args:
+        path: the .safetensors file.
+        network: whose weights.
+        notes: texts for the file's header.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    tensors = {
+        name: (tensor.half() if tensor.is_floating_point() else tensor).contiguous().cpu()
+        for name, tensor in network.state_dict().items()
+    }
+    temporary = path.with_suffix(".tmp")
+    save_file(tensors, temporary, dict(notes))
+    temporary.replace(path)
+
+
+def pour_weights(path: Path, network: nn.Module) -> None:
+    """Give a network the weights of such a file.
+
+    Raises:
+        WeightsError: absent, damaged, or of another network.
+    """
+    load_strict(read_tensors(path, of=NETWORK), network, path, NETWORK)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
 from ggvs_eval.method import Instant, SourceView
-from ggvs_eval.pipelines.training.samples.sample_file import camera_arrays, stored_arrays, stored_cameras, write_arrays
+from ggvs_eval.training.sample_file import camera_arrays, stored_arrays, stored_cameras, write_arrays
 
 FOCUS_MARGIN_PX = 8  # what a convolution sees around a pixel
 FOCUS_MULTIPLE = 32

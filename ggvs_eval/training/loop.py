@@ -10,15 +10,13 @@ from typing import Any, Literal
 import torch
 from torch import nn
 from torch.optim.swa_utils import AveragedModel
+from torch.utils.data import DataLoader, Dataset
 
 from ggvs_eval.compute_device import compute_device, computing_on
-from ggvs_eval.pipelines.training.loop.batches import batches
-from ggvs_eval.pipelines.training.loop.checkpoint import TrainingState, read_state, state_file, write_state
-from ggvs_eval.pipelines.training.loop.curves import draw_curves
-from ggvs_eval.pipelines.training.loop.log import TrainingLog
-from ggvs_eval.pipelines.training.loop.task import Task
-from ggvs_eval.pipelines.training.loop.weights import pour_weights, write_weights
 from ggvs_eval.progress import track
+from ggvs_eval.training.checkpoint import TrainingState, pour_weights, read_state, state_file, write_state, write_weights
+from ggvs_eval.training.log import TrainingLog, draw_curves
+from ggvs_eval.training.task import Task
 
 Precision = Literal["auto", "float32", "bfloat16"]
 
@@ -117,7 +115,7 @@ def _averaged(decay: float, average: torch.Tensor, current: torch.Tensor, count:
 def _remaining(task: Task, start: int, options: TrainingOptions) -> Iterator[tuple[int, Any]]:
     """Each step that is still to do, with its batch."""
     steps = range(start, options.steps)
-    numbered = zip(steps, batches(task, start, options.steps, options.workers), strict=True)
+    numbered = zip(steps, _batches(task, start, options.steps, options.workers), strict=True)
     yield from track(numbered, f"training {task.name}", len(steps))
 
 
@@ -150,3 +148,34 @@ def uses_bfloat16(precision: Precision, device: torch.device) -> bool:
 
 def _to(batch: Any, device: torch.device) -> Any:
     return {name: tensor.to(device, non_blocking=True) for name, tensor in batch.items()}
+
+
+class _Steps(Dataset[Any]):
+    """Step -> batch."""
+
+    def __init__(self, task: Task) -> None:
+        self.task = task
+
+    def __getitem__(self, step: int) -> Any:
+        return self.task.batch(step)
+
+
+def _batches(task: Task, start: int, stop: int, workers: int) -> Iterator[Any]:
+    """The batches of steps start..stop-1 in order; which worker process makes which does not change them."""
+    loader = DataLoader(
+        _Steps(task),
+        batch_size=None,
+        sampler=range(start, stop),
+        num_workers=workers,
+        worker_init_fn=_one_thread,
+        prefetch_factor=4 if workers else None,
+        multiprocessing_context="spawn" if workers else None,
+    )
+    return iter(loader)
+
+
+def _one_thread(_worker: int) -> None:
+    import cv2
+
+    cv2.setNumThreads(1)
+    torch.set_num_threads(1)

@@ -1,5 +1,7 @@
-"""A training drawn from its two logs: what it minimised, and what it scored on data that it never saw."""
+"""The log of a training: one CSV line per step, one per validation, and both drawn as curves."""
 
+import csv
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +15,47 @@ PANEL_IN = (3.4, 2.4)
 DOTS_PER_INCH = 150
 RAW, LINE, REFERENCE = "#c9d6e4", "#1f4e79", "#b45f06"
 REFERENCES = ("geometric_", "start_")  # before a figure's name: of what the network has to beat
+
+
+class TrainingLog:
+    """Two growing CSV files; lines of steps that will be done again are cut off first.
+
+    Args:
+        folder: of the training.
+        step: steps done so far.
+    """
+
+    def __init__(self, folder: Path, step: int) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self._steps, self._validations = folder / "log.csv", folder / "validation.csv"
+        _cut(self._steps, step - 1)
+        _cut(self._validations, step)
+
+    def step(self, step: int, figures: Mapping[str, float]) -> None:
+        """Write the figures of one step, numbered from 0."""
+        _append(self._steps, step, figures)
+
+    def validation(self, steps: int, figures: Mapping[str, float]) -> None:
+        """Write what a network scores after so many steps."""
+        _append(self._validations, steps, figures)
+
+
+def _append(path: Path, step: int, figures: Mapping[str, float]) -> None:
+    new = not path.is_file()
+    with path.open("a", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        if new:
+            writer.writerow(["step", *figures])
+        writer.writerow([step, *(f"{value:.6g}" for value in figures.values())])
+
+
+def _cut(path: Path, last: int) -> None:
+    """Drop lines of later steps than `last`, and a last line that a kill left unfinished."""
+    if not path.is_file():
+        return
+    header, *lines = path.read_text(encoding="utf-8").splitlines()
+    whole = [line for line in lines if line.count(",") == header.count(",") and int(line.split(",")[0]) <= last]
+    path.write_text("\n".join([header, *whole]) + "\n", encoding="utf-8")
 
 
 def draw_curves(folder: Path, name: str) -> Path:
