@@ -9,8 +9,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from ggvs_eval.baselines.configuration import FULL, configuration_of
-from ggvs_eval.files.weights_file import load_strict, read_tensors
+from ggvs_eval.baselines.learned import FULL
+from ggvs_eval.files.weights_file import configuration_of, load_strict, read_tensors
 
 VOXEL_WIDTH, POOLED_WIDTH, HIDDEN_WIDTH = 8, 16, 64
 # Planes of the coarse volume: 64 of the published training, 32 of the authors' runs on real scenes.

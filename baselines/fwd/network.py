@@ -8,9 +8,9 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from ggvs_eval.baselines.configuration import FULL, configuration_of
 from ggvs_eval.baselines.fwd.layers import VALUE_WIDTH, DepthCompletion, Resampling, ResidualBlock, ViewFusion
-from ggvs_eval.files.weights_file import load_strict, read_tensors
+from ggvs_eval.baselines.learned import FULL
+from ggvs_eval.files.weights_file import configuration_of, load_strict, read_tensors
 
 DECODER_SIZES: tuple[Resampling, ...] = ("same", "down", "same", "same", "up", "same", "up", "same")
 POINTS_PER_PIXEL = 24  # the nearest of those whose disc covers the pixel; the published code takes 16 where it learns depth

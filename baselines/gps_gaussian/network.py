@@ -9,11 +9,11 @@ import torch
 from torch import Tensor, nn
 from torch.serialization import safe_globals
 
-from ggvs_eval.baselines.configuration import FULL, configuration_of
 from ggvs_eval.baselines.gps_gaussian.stereo import Stereo
 from ggvs_eval.baselines.gps_gaussian.unet import GaussianMaps, GaussianRegressor, Pyramid, PyramidEncoder
+from ggvs_eval.baselines.learned import FULL
 from ggvs_eval.errors import WeightsError
-from ggvs_eval.files.weights_file import load_strict, read_tensors
+from ggvs_eval.files.weights_file import configuration_of, load_strict, read_tensors
 
 SIZE_MULTIPLE = 8  # sides of the images are multiples of it
 ITERATIONS = 3  # of the published network, in training and after

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from ggvs_eval.baselines.configuration import FULL, configuration_of
 from ggvs_eval.baselines.ibrnet.ray_network import RayNetwork
-from ggvs_eval.files.weights_file import load_strict, read_tensors
+from ggvs_eval.baselines.learned import FULL
+from ggvs_eval.files.weights_file import configuration_of, load_strict, read_tensors
 
 WIDTH_EACH = 32  # feature channels of each of the two passes
 SMALLEST_SIDE_PX = 33  # reflection at 1/16 of the size wants at least two cells

@@ -3,7 +3,7 @@
 import csv
 import hashlib
 import platform
-from dataclasses import asdict, is_dataclass
+from dataclasses import asdict, fields, is_dataclass
 from pathlib import Path
 
 from safetensors import safe_open
@@ -72,7 +72,11 @@ def _rows(path: Path) -> list[dict[str, str]]:
 
 
 def _options(task: Task) -> dict[str, object]:
-    return asdict(task) if is_dataclass(task) and not isinstance(task, type) else {}
+    """The fields of a task that its repr shows."""
+    if not is_dataclass(task) or isinstance(task, type):
+        return {}
+    values = asdict(task)
+    return {each.name: values[each.name] for each in fields(task) if each.repr}
 
 
 def _table(rows: list[dict[str, str]]) -> list[str]:

@@ -1,10 +1,12 @@
-"""A training sample of a baseline: what a method is shown of a target view, and what the target's camera saw."""
+"""A training sample of a learned baseline: what a method is shown of a target view, and what the target's camera saw."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
@@ -26,6 +28,11 @@ class InstantSample:
 
     instant: Instant
     truth: Image8
+
+    @property
+    def truth_tensor(self) -> Tensor:
+        """What the target's camera saw, (3, H, W) in [0, 1]."""
+        return torch.as_tensor(np.ascontiguousarray(np.moveaxis(self.truth, 2, 0))).float() / 255
 
     def cropped(self, left: int, top: int, width: int, height: int) -> "InstantSample":
         """The window of the target that starts at pixel (left, top); sources stay whole."""

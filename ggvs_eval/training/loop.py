@@ -13,6 +13,7 @@ from torch.optim.swa_utils import AveragedModel
 from torch.utils.data import DataLoader, Dataset
 
 from ggvs_eval.compute_device import compute_device, computing_on
+from ggvs_eval.files.weights_file import CONFIGURATION_NOTE
 from ggvs_eval.progress import track
 from ggvs_eval.training.checkpoint import TrainingState, pour_weights, read_state, state_file, write_state, write_weights
 from ggvs_eval.training.log import TrainingLog, draw_curves
@@ -102,7 +103,7 @@ def _start(task: Task, folder: Path, device: torch.device, start_from: Path | No
 def _notes(state: TrainingState) -> dict[str, str]:
     """What the header of the weights says: steps, and which configuration it is of a network that has several."""
     configuration = getattr(state.network, "configuration", None)
-    return {"steps": str(state.step)} | ({} if configuration is None else {"configuration": configuration})
+    return {"steps": str(state.step)} | ({} if configuration is None else {CONFIGURATION_NOTE: configuration})
 
 
 def _averaged(decay: float, average: torch.Tensor, current: torch.Tensor, count: torch.Tensor | int) -> torch.Tensor:

@@ -3,15 +3,15 @@
 from dataclasses import dataclass
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from ggvs_eval.baselines.gaussians import near_plane
 from ggvs_eval.baselines.gps_gaussian.method import instant_gaussians
 from ggvs_eval.baselines.gps_gaussian.network import CONFIGURATIONS, GpsGaussianNetwork
 from ggvs_eval.baselines.gps_gaussian.rendering import blend_gaussians
+from ggvs_eval.baselines.learned import TrainingRecipe
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.method import Instant
-from ggvs_eval.pipelines.training.baselines.baseline_task import BaselineTask, truth_of
 from ggvs_eval.training.instant_samples import InstantSample
 from ggvs_eval.training.losses import structural_loss
 
@@ -19,7 +19,7 @@ L1_WEIGHT, STRUCTURE_WEIGHT = 0.8, 0.2
 
 
 @dataclass(frozen=True)
-class GpsGaussianTask(BaselineTask):
+class GpsGaussianRecipe(TrainingRecipe[GpsGaussianNetwork]):
     """The training of GPS-Gaussian with given depth.
 
     Reading:
@@ -37,32 +37,25 @@ class GpsGaussianTask(BaselineTask):
             raise TrainingError(
                 f"gps-gaussian: {self.configuration} has a stereo network, which is not taught here; take compact"
             )
-        super().__post_init__()
 
-    @property
-    def name(self) -> str:
-        """Names the weights."""
-        return "gps-gaussian"
-
-    def fresh_network(self) -> nn.Module:
+    def network(self) -> GpsGaussianNetwork:
         """A network with random weights."""
         return GpsGaussianNetwork(self.configuration)
 
-    def sample_loss(self, network: nn.Module, sample: InstantSample, step: int) -> tuple[Tensor, dict[str, Tensor]]:
+    def sample_loss(self, network: GpsGaussianNetwork, sample: InstantSample, step: int) -> tuple[Tensor, dict[str, Tensor]]:
         """Mean absolute error and structure."""
-        image, truth = _render(network, sample.instant), truth_of(sample)
+        image, truth = _render(network, sample.instant), sample.truth_tensor
         absolute = (image - truth).abs().mean()
         structure = structural_loss(image[None], truth[None])
         return L1_WEIGHT * absolute + STRUCTURE_WEIGHT * structure, {"l1_loss": absolute, "ssim_loss": structure}
 
-    def whole_view(self, network: nn.Module, instant: Instant) -> Tensor:
+    def validated_view(self, network: GpsGaussianNetwork, instant: Instant) -> Tensor:
         """The target view."""
         return _render(network, instant).clamp(0, 1)
 
 
-def _render(network: nn.Module, instant: Instant) -> Tensor:
+def _render(network: GpsGaussianNetwork, instant: Instant) -> Tensor:
     """(3, H, W)."""
-    assert isinstance(network, GpsGaussianNetwork)
     config = network.config
     gaussians = instant_gaussians(network, instant, "given", config.pairs, config.rotations_in)
     with torch.autocast(next(network.parameters()).device.type, enabled=False):  # few bits of a distance would move Gaussians

@@ -3,15 +3,15 @@
 from dataclasses import dataclass
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn import functional
 
 from ggvs_eval.baselines.enerf.network import Networks
 from ggvs_eval.baselines.enerf.rendering import COARSE_FACTOR, coarse_views, render_coarsely, render_surface
 from ggvs_eval.baselines.enerf.views import TRAINED_NEAR, see, see_together
 from ggvs_eval.baselines.enerf.volumes import depth_range, find_surface, refine_surface, search_coarsely, target_grid
+from ggvs_eval.baselines.learned import TrainingRecipe
 from ggvs_eval.method import Instant
-from ggvs_eval.pipelines.training.baselines.baseline_task import BaselineTask, truth_of
 from ggvs_eval.training.instant_samples import InstantSample
 from ggvs_eval.training.losses import structural_loss
 
@@ -19,7 +19,7 @@ COARSE_WEIGHT, STRUCTURE_WEIGHT = 0.1, 0.01
 
 
 @dataclass(frozen=True)
-class EnerfTask(BaselineTask):
+class EnerfRecipe(TrainingRecipe[Networks]):
     """The training of ENeRF.
 
     Reading:
@@ -30,19 +30,13 @@ class EnerfTask(BaselineTask):
     crop_width: int = 160
     crop_height: int = 128
 
-    @property
-    def name(self) -> str:
-        """Names the weights."""
-        return "enerf"
-
-    def fresh_network(self) -> nn.Module:
+    def network(self) -> Networks:
         """Networks with random weights."""
         return Networks(self.configuration)
 
-    def sample_loss(self, network: nn.Module, sample: InstantSample, step: int) -> tuple[Tensor, dict[str, Tensor]]:
+    def sample_loss(self, network: Networks, sample: InstantSample, step: int) -> tuple[Tensor, dict[str, Tensor]]:
         """Squared error of both levels, and structure."""
-        assert isinstance(network, Networks)
-        target, truth = sample.instant.target, truth_of(sample)
+        target, truth = sample.instant.target, sample.truth_tensor
         near, far = depth_range(sample.instant)
         unit = TRAINED_NEAR / near
         views = see_together(network.feature_net, sample.instant.sources, unit)
@@ -62,9 +56,8 @@ class EnerfTask(BaselineTask):
         loss = terms["squared_loss"] + COARSE_WEIGHT * terms["coarse_loss"] + STRUCTURE_WEIGHT * terms["ssim_loss"]
         return loss, terms
 
-    def whole_view(self, network: nn.Module, instant: Instant) -> Tensor:
+    def validated_view(self, network: Networks, instant: Instant) -> Tensor:
         """The target view."""
-        assert isinstance(network, Networks)
         near, far = depth_range(instant)
         unit = TRAINED_NEAR / near
         views = [see(network.feature_net, source, unit) for source in instant.sources]

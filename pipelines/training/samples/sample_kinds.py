@@ -1,4 +1,4 @@
-"""What the baselines learn from: the blending network's targets and sources, as a method is shown them, kept on disk."""
+"""The two kinds of samples, of rooms and of captures: what the blending network sees, and what the baselines are shown."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ import numpy as np
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.method import Instant, SourceView
-from ggvs_eval.pipelines.training.samples.blend_samples import SampleMaker
+from ggvs_eval.pipelines.training.samples.blend_samples import BlendSample, SampleMaker, read_sample, write_sample
 from ggvs_eval.pipelines.training.samples.capture_pool import CapturePool
 from ggvs_eval.pipelines.training.samples.capture_views import CapturePlan
 from ggvs_eval.pipelines.training.samples.room_plan import RoomPlan
@@ -17,7 +17,60 @@ from ggvs_eval.pipelines.training.samples.room_pool import RoomPool
 from ggvs_eval.pipelines.training.samples.samples import SampleKind
 from ggvs_eval.training.instant_samples import InstantSample, read_instant, write_instant
 
-ROOM_VERSION, CAPTURE_VERSION = 1, 1  # each counts up whenever equal plans give other samples
+# Each counts up whenever equal plans give other samples.
+BLEND_ROOM_VERSION, BLEND_CAPTURE_VERSION = 4, 2
+INSTANT_ROOM_VERSION, INSTANT_CAPTURE_VERSION = 1, 1
+
+
+class BlendSampleKind(SampleKind[BlendSample]):
+    """The views of the sources in the target, and what the geometric blender makes of them."""
+
+    def make(self, maker: SampleMaker, target: Camera, sources: Sequence[Camera]) -> BlendSample:
+        """See `SampleMaker.sample`."""
+        return maker.sample(target, sources)
+
+    def cropped(self, sample: BlendSample, left: int, top: int, width: int, height: int) -> BlendSample:
+        """A window of all that belongs to the target view."""
+        return sample.cropped(left, top, width, height)
+
+    def read(self, path: Path) -> BlendSample:
+        """See `read_sample`."""
+        return read_sample(path)
+
+    def write(self, path: Path, sample: BlendSample) -> None:
+        """See `write_sample`."""
+        write_sample(path, sample)
+
+
+class RoomSamples(RoomPool[BlendSample]):
+    """The blending network's samples of a plan, see `RoomPool`.
+
+    Args:
+        folder: where rooms and samples are kept.
+        plan: which samples.
+
+    Raises:
+        TrainingError: seeds of neither training nor validation rooms, or a plan without samples.
+    """
+
+    def __init__(self, folder: Path, plan: RoomPlan) -> None:
+        super().__init__(folder, plan, BlendSampleKind(), "samples", BLEND_ROOM_VERSION)
+
+
+class CaptureSamples(CapturePool[BlendSample]):
+    """The blending network's samples of captures, see `CapturePool`.
+
+    Args:
+        folder: where samples are kept.
+        captures: what to learn from, at their own size.
+        plan: which samples.
+
+    Raises:
+        TrainingError: a capture that is for tests, too small, given twice, or has too few cameras.
+    """
+
+    def __init__(self, folder: Path, captures: Sequence[Capture], plan: CapturePlan) -> None:
+        super().__init__(folder, captures, plan, BlendSampleKind(), "captures", BLEND_CAPTURE_VERSION)
 
 
 @dataclass(frozen=True)
@@ -66,7 +119,7 @@ class RoomInstants(RoomPool[InstantSample]):
     """
 
     def __init__(self, folder: Path, plan: RoomPlan, depth: bool = True) -> None:
-        super().__init__(folder, plan, InstantKind(depth), "instants", ROOM_VERSION)
+        super().__init__(folder, plan, InstantKind(depth), "instants", INSTANT_ROOM_VERSION)
 
 
 class CaptureInstants(CapturePool[InstantSample]):
@@ -83,4 +136,4 @@ class CaptureInstants(CapturePool[InstantSample]):
     """
 
     def __init__(self, folder: Path, captures: Sequence[Capture], plan: CapturePlan, depth: bool = True) -> None:
-        super().__init__(folder, captures, plan, InstantKind(depth), "capture-instants", CAPTURE_VERSION)
+        super().__init__(folder, captures, plan, InstantKind(depth), "capture-instants", INSTANT_CAPTURE_VERSION)

@@ -1,4 +1,4 @@
-"""Distance-based blending: splatted views weighted by how far their cameras stand (after LLFF, Mildenhall et al. 2019)."""
+"""The paper's two ablations that blend splatted views by a rule: the nearest wins, or near cameras weigh more."""
 
 from collections.abc import Sequence
 from time import perf_counter
@@ -14,8 +14,23 @@ from ggvs_eval.method import Instant, Rendering
 DEPTH_PLANES = 32  # LLFF's number of planes of a multi-plane image
 
 
+class NoBlending:
+    """Ablation 'No Blending' of the paper.
+
+    Reading:
+        The background is black and colours stay premultiplied by coverage, as the reference rasteriser writes them.
+    """
+
+    def step(self, instant: Instant) -> Rendering:
+        """Synthesise one instant; nothing is remembered."""
+        started = perf_counter()
+        gaussians = [pixel_gaussians(source) for source in instant.sources]
+        result = splat(gaussians, instant.target, near=near_plane(instant), normalised=False)
+        return Rendering(result.features, None, {"splat": perf_counter() - started})
+
+
 class DistanceBased:
-    """Ablation 'Distance-based Blending' of the paper.
+    """Ablation 'Distance-based Blending' of the paper, after LLFF (Mildenhall et al. 2019).
 
     Reading:
         w_k = exp(-gamma |C_k - C_target|) with LLFF's gamma = f / (P z0), f in pixels, P planes (32), z0 the nearest depth.

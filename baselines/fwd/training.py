@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 
-from torch import Tensor, nn
+from torch import Tensor
 
 from ggvs_eval.baselines.fwd.network import FwdNetwork
 from ggvs_eval.baselines.fwd.rendering import decode_views, warp_views
+from ggvs_eval.baselines.learned import TrainingRecipe
 from ggvs_eval.method import Instant
-from ggvs_eval.pipelines.training.baselines.baseline_task import BaselineTask, truth_of
 from ggvs_eval.training.instant_samples import InstantSample
 from ggvs_eval.training.losses import structural_loss
 
@@ -15,7 +15,7 @@ SQUARED_WEIGHT, STRUCTURE_WEIGHT = 5.0, 0.2
 
 
 @dataclass(frozen=True)
-class FwdTask(BaselineTask):
+class FwdRecipe(TrainingRecipe[FwdNetwork]):
     """The training of FWD with given depth.
 
     Reading:
@@ -27,26 +27,19 @@ class FwdTask(BaselineTask):
     crop_width: int = 192
     crop_height: int = 160
 
-    @property
-    def name(self) -> str:
-        """Names the weights."""
-        return "fwd"
-
-    def fresh_network(self) -> nn.Module:
+    def network(self) -> FwdNetwork:
         """A network with random weights."""
         return FwdNetwork(configuration=self.configuration)
 
-    def sample_loss(self, network: nn.Module, sample: InstantSample, step: int) -> tuple[Tensor, dict[str, Tensor]]:
+    def sample_loss(self, network: FwdNetwork, sample: InstantSample, step: int) -> tuple[Tensor, dict[str, Tensor]]:
         """Squared error and structure."""
-        assert isinstance(network, FwdNetwork)
-        image, truth = _render(network, sample.instant), truth_of(sample)
+        image, truth = _render(network, sample.instant), sample.truth_tensor
         squared = (2 * image - 2 * truth).square().mean()
         structure = structural_loss(image[None], truth[None])
         return SQUARED_WEIGHT * squared + STRUCTURE_WEIGHT * structure, {"squared_loss": squared, "ssim_loss": structure}
 
-    def whole_view(self, network: nn.Module, instant: Instant) -> Tensor:
+    def validated_view(self, network: FwdNetwork, instant: Instant) -> Tensor:
         """The target view."""
-        assert isinstance(network, FwdNetwork)
         return _render(network, instant).clamp(0, 1)
 
 
