@@ -1,5 +1,6 @@
 """The methods that the paper compares itself with."""
 
+from collections.abc import Callable
 from functools import partial
 
 from ggvs_eval.baselines.learned import LearnedBaseline, Rendition
@@ -42,23 +43,26 @@ def baseline_methods() -> dict[str, MethodSpec]:
 def learned_method(baseline: LearnedBaseline, rendition: Rendition) -> MethodSpec:
     """A network that renders with the weights that ship, if any do, or with a checkpoint of its authors."""
     retrained = rendition.retrained
+    make_from = partial(baseline.make_method, **rendition.options)
     return MethodSpec(
         f"{rendition.title} (retrained, {retrained})" if retrained else rendition.title,
         rendition.describe,
-        partial(_with_shipped_weights, baseline, rendition),
+        partial(_with_shipped_weights, baseline, rendition, make_from),
         BASELINE_CODE,
         usual=False,
         weights=(shipped(baseline.weights),) if retrained else (),
         checkpoint=baseline.checkpoint,
-        make_from=partial(baseline.make_method, **rendition.options),
+        make_from=make_from,
         title_from=rendition.title,
     )
 
 
-def _with_shipped_weights(baseline: LearnedBaseline, rendition: Rendition, device: str = "cpu") -> Method:
+def _with_shipped_weights(
+    baseline: LearnedBaseline, rendition: Rendition, make_from: Callable[..., Method], device: str = "cpu"
+) -> Method:
     weights = shipped(baseline.weights)
     if not rendition.retrained or not weights.is_file():
         raise WeightsError(
             f"{rendition.title}: its weights do not ship; wanted {baseline.checkpoint}, give it by --weights {baseline.name}=FILE"
         )
-    return baseline.make_method(weights, device=device, **rendition.options)
+    return make_from(weights, device=device)
