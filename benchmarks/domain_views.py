@@ -19,15 +19,13 @@ from ggvs_eval.jobs.processes import finish_all, worker_pool
 from ggvs_eval.method import Instant, SourceView
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.training.samples.capture_pool import MeasuredSampleMaker
-from ggvs_eval.pipelines.training.samples.capture_views import draw_views
-from ggvs_eval.pipelines.training.samples.domain_samples import domain_validation_plan
-from ggvs_eval.pipelines.training.samples.held_back import held_back_halves
-from ggvs_eval.pipelines.training.samples.instant_samples import InstantSample
-from ggvs_eval.pipelines.training.samples.room_plan import choose_views, room_options
-from ggvs_eval.pipelines.training.samples.sample_file import camera_arrays, stored_arrays, stored_cameras, write_arrays
+from ggvs_eval.pipelines.training.samples.capture_views import draw_views, held_back_halves
+from ggvs_eval.pipelines.training.samples.room_plan import choose_views, domain_validation_plan, room_options
 from ggvs_eval.pipelines.training.samples.training_data import HELD_BACK
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.domains import VALIDATION_SEEDS, find_domain
+from ggvs_eval.training.instant_samples import InstantSample
+from ggvs_eval.training.sample_file import camera_arrays, stored_arrays, stored_cameras, write_arrays
 
 VERSION = 2  # counts up whenever equal plans give other views
 REAL, REAL_TITLE = "real", "real hand-held"

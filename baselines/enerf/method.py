@@ -3,20 +3,15 @@
 from pathlib import Path
 
 import numpy as np
-import torch
-from torch import Tensor
 
-from ggvs_eval.baselines.enerf.networks import Networks, load_enerf
-from ggvs_eval.baselines.enerf.rendering import render_pixels
-from ggvs_eval.baselines.enerf.views import SeenView, extrinsics, intrinsics, padded, see
-from ggvs_eval.baselines.enerf.volumes import Surface, TargetGrid, find_surface
-from ggvs_eval.camera import Camera
+from ggvs_eval.baselines.enerf.network import load_enerf
+from ggvs_eval.baselines.enerf.rendering import PIXELS_AT_ONCE, render_surface
+from ggvs_eval.baselines.enerf.views import TRAINED_NEAR, see
+from ggvs_eval.baselines.enerf.volumes import depth_range, find_surface, target_grid
 from ggvs_eval.compute_device import clock_s, compute_device, rendering_on
 from ggvs_eval.errors import RenderError
 from ggvs_eval.method import Instant, Rendering
 
-TRAINED_NEAR = 2.125  # nearest depth in training: DTU's 425 mm in units of 200 mm
-PIXELS_AT_ONCE = 2**14
 PIXELS_AT_ONCE_ON_GPU = 2**17  # some 2 GB; a few large pieces of work keep it busy
 FEWEST_VIEWS = 2  # disagreement of one view is nothing
 
@@ -77,33 +72,3 @@ class ENeRF:
         rendered = np.ascontiguousarray(image.permute(1, 2, 0).clamp(0, 1).numpy(force=True))
         seconds = {"features": seen - started, "volumes": found - seen, "rays": clock_s(self._device) - found}
         return Rendering(rendered, depth.numpy(force=True), seconds)
-
-
-def render_surface(
-    networks: Networks,
-    views: list[SeenView],
-    surface: Surface,
-    target: Camera,
-    unit: float,
-    pixels_per_chunk: int = PIXELS_AT_ONCE,
-) -> tuple[Tensor, Tensor]:
-    """RGB (3, H, W) and depth (H, W) in world units, by so many pixels at once; gradients reach the networks' parameters."""
-    centre = torch.as_tensor(target.centre * unit).float()
-    rays = torch.as_tensor(target.rays().reshape(-1, 3)).float()
-    parts = []
-    for chunk in torch.arange(len(rays)).split(pixels_per_chunk):
-        pixels = torch.div(chunk, target.width, rounding_mode="floor"), chunk % target.width
-        parts.append(render_pixels(networks, views, surface, centre, rays[chunk], pixels))
-    image = torch.cat([colours for colours, _ in parts]).T.reshape(3, target.height, target.width)
-    return image, torch.cat([depths for _, depths in parts]).view(target.height, target.width) / unit
-
-
-def depth_range(instant: Instant) -> tuple[float, float]:
-    """Depths between which surfaces are searched, world units."""
-    cameras = [instant.target, *(source.camera for source in instant.sources)]
-    return min(camera.near for camera in cameras), max(camera.far for camera in cameras)
-
-
-def target_grid(target: Camera, unit: float = 1.0) -> TargetGrid:
-    """The target's padded pixels; `unit` is the network's units of length per world unit."""
-    return TargetGrid(intrinsics(target), extrinsics(target, unit), padded(target.width), padded(target.height))

@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from ggvs_eval.baselines.enerf.feature_network import FeatureNetwork
+from ggvs_eval.baselines.enerf.network import FeatureNetwork
 from ggvs_eval.camera import Camera
 from ggvs_eval.method import SourceView
 
 SIZE_MULTIPLE = 32  # sides are padded to it: the volume is at 1/8 and is halved twice
 PIXEL_CENTRE = 0.5  # ours lie at halves, the network was trained with centres at whole numbers
 SMALLEST_DEPTH, EPSILON = 1e-6, 1e-6
+TRAINED_NEAR = 2.125  # nearest depth in training: DTU's 425 mm in units of 200 mm
 Matrix = NDArray[np.float64]
 
 

@@ -8,13 +8,15 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from ggvs_eval.baselines.enerf.cost_network import CostNetwork, expectation
-from ggvs_eval.baselines.enerf.networks import Networks
-from ggvs_eval.baselines.enerf.views import Matrix, SeenView, image_places, projection, sample
+from ggvs_eval.baselines.enerf.network import CostNetwork, Networks
+from ggvs_eval.baselines.enerf.views import Matrix, SeenView, extrinsics, image_places, intrinsics, padded, projection, sample
+from ggvs_eval.camera import Camera
+from ggvs_eval.method import Instant
 
 COARSE_SCALE, FINE_SCALE = 1 / 8, 1 / 2  # of the volumes' planes
 FEATURE_SCALES = 1 / 4, 1 / 2  # of the features that they are made of
 FINE_PLANES = 8
+SMALLEST_VARIANCE = 1e-10  # of an expected depth
 
 
 @dataclass(frozen=True)
@@ -151,3 +153,30 @@ def _regularised(
 def _enlarge(values: Tensor, factor: int) -> Tensor:
     """(h, w) to (factor h, factor w); the outermost pixels stay where they are."""
     return functional.interpolate(values[None, None], scale_factor=factor, mode="bilinear", align_corners=True)[0, 0]
+
+
+def expectation(scores: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean and standard deviation of values under the softmax of their scores.
+
+    Args:
+        scores: (D, H, W).
+        values: broadcastable to it.
+
+    Returns:
+        (H, W) twice; the deviation is at least 1e-5.
+    """
+    shares = torch.softmax(scores, dim=0)
+    mean = (shares * values).sum(dim=0)
+    variance = (shares * (values - mean) ** 2).sum(dim=0)
+    return mean, variance.clamp(min=SMALLEST_VARIANCE).sqrt()
+
+
+def depth_range(instant: Instant) -> tuple[float, float]:
+    """Depths between which surfaces are searched, world units."""
+    cameras = [instant.target, *(source.camera for source in instant.sources)]
+    return min(camera.near for camera in cameras), max(camera.far for camera in cameras)
+
+
+def target_grid(target: Camera, unit: float = 1.0) -> TargetGrid:
+    """The target's padded pixels; `unit` is the network's units of length per world unit."""
+    return TargetGrid(intrinsics(target), extrinsics(target, unit), padded(target.width), padded(target.height))

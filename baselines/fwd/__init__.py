@@ -1,1 +1,14 @@
 """FWD (Cao, Rockwell, Johnson, CVPR 2022): features of every view warped forward as points, fused by attention, decoded."""
+
+from ggvs_eval.baselines.learned import LearnedBaseline, Rendition
+
+BASELINE = LearnedBaseline(
+    name="fwd",
+    title="FWD",
+    source="Cao, Rockwell and Johnson, CVPR 2022",
+    checkpoint="a checkpoint of our network",
+    method="ggvs_eval.baselines.fwd.method:Fwd",
+    recipe="ggvs_eval.baselines.fwd.training:FwdRecipe",
+    renditions=(Rendition("FWD", "features splatted by the given depth, fused by attention", retrained="compact"),),
+    takes_depth=True,
+)

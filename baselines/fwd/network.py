@@ -1,18 +1,21 @@
-"""FWD as a whole: features of each view, adapted to the target's direction, fused and decoded at twice the size."""
+"""FWD as a whole: features of each view, adapted to the target's direction, fused and decoded at twice the size; its weights."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
+from pathlib import Path
 
 import torch
 from torch import Tensor, nn
 
-from ggvs_eval.baselines.fwd.blocks import Resampling, ResidualBlock
-from ggvs_eval.baselines.fwd.completion import DepthCompletion
-from ggvs_eval.baselines.fwd.fusion import VALUE_WIDTH, ViewFusion
-from ggvs_eval.baselines.fwd.point_splat import POINTS_PER_PIXEL
+from ggvs_eval.baselines.fwd.layers import VALUE_WIDTH, DepthCompletion, Resampling, ResidualBlock, ViewFusion
+from ggvs_eval.baselines.learned import FULL
+from ggvs_eval.files.weights_file import configuration_of, load_strict, read_tensors
 
 DECODER_SIZES: tuple[Resampling, ...] = ("same", "down", "same", "same", "up", "same", "up", "same")
+POINTS_PER_PIXEL = 24  # the nearest of those whose disc covers the pixel; the published code takes 16 where it learns depth
 DIRECTION_WIDTH = 4  # unit difference of two viewing directions, and their cosine
+OF = "FWD (this project's names)"
 
 
 @dataclass(frozen=True)
@@ -36,9 +39,10 @@ class FwdOptions:
     points_per_pixel: int = POINTS_PER_PIXEL
 
 
-FULL = FwdOptions()
-COMPACT = FwdOptions(32, (16, 24, 24), (8, 16), (32, 48, 64, 64, 48, 32, 16), 16, 8)
-CONFIGURATIONS = {"full": FULL, "compact": COMPACT}
+CONFIGURATIONS = {
+    "full": FwdOptions(),
+    "compact": FwdOptions(32, (16, 24, 24), (8, 16), (32, 48, 64, 64, 48, 32, 16), 16, 8),
+}
 
 
 class FwdNetwork(nn.Module):
@@ -111,3 +115,19 @@ def direction_change(to_source: Tensor, to_target: Tensor) -> Tensor:
     source, target = (torch.nn.functional.normalize(towards, dim=1) for towards in (to_source, to_target))
     difference = torch.nn.functional.normalize(source - target, dim=1, eps=1e-6)
     return torch.cat([difference, (source * target).sum(dim=1, keepdim=True)], dim=1)
+
+
+@lru_cache(maxsize=2)
+def load_network(path: Path, device: torch.device | str = "cpu") -> FwdNetwork:
+    """The network of a weights file, in evaluation mode, on a device.
+
+    Whether it completes depth is known from its tensors, which configuration it is from its header.
+
+    Raises:
+        WeightsError: absent, damaged, more than tensors inside, or tensors of another network.
+    """
+    tensors = read_tensors(path, of=OF)
+    configuration = configuration_of(path, CONFIGURATIONS, OF) or FULL
+    network = FwdNetwork(any(name.startswith("completion.") for name in tensors), configuration)
+    load_strict(tensors, network, path, OF)
+    return network.eval().to(device)

@@ -11,12 +11,10 @@ from torch import Tensor
 from ggvs_eval.arrays import Map
 from ggvs_eval.baselines.gaussians import near_plane
 from ggvs_eval.baselines.gps_gaussian.gaussians import Gaussians, join, rotation_matrices
-from ggvs_eval.baselines.gps_gaussian.network import GpsGaussianNetwork
-from ggvs_eval.baselines.gps_gaussian.pairing import choose_pairs
-from ggvs_eval.baselines.gps_gaussian.rectification import RectifiedPair, RectifiedView, rectify
-from ggvs_eval.baselines.gps_gaussian.regressor import GaussianMaps
-from ggvs_eval.baselines.gps_gaussian.tile_renderer import render_gaussians
-from ggvs_eval.baselines.gps_gaussian.weights import load_network
+from ggvs_eval.baselines.gps_gaussian.network import GpsGaussianNetwork, load_network
+from ggvs_eval.baselines.gps_gaussian.rectification import RectifiedPair, RectifiedView, choose_pairs, rectify
+from ggvs_eval.baselines.gps_gaussian.rendering import render_gaussians
+from ggvs_eval.baselines.gps_gaussian.unet import GaussianMaps
 from ggvs_eval.compute_device import clock_s, compute_device, rendering_on
 from ggvs_eval.errors import RenderError
 from ggvs_eval.method import Instant, Rendering, SourceView

@@ -1,18 +1,27 @@
-"""GPS-Gaussian as a whole: features of both images, stereo between them, Gaussians of every pixel."""
+"""GPS-Gaussian as a whole: features of both images, stereo between them, Gaussians of every pixel; and its weights."""
 
 from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
 from typing import Literal
 
+import torch
 from torch import Tensor, nn
+from torch.serialization import safe_globals
 
-from ggvs_eval.baselines.configuration import FULL
-from ggvs_eval.baselines.gps_gaussian.encoders import Pyramid, PyramidEncoder
-from ggvs_eval.baselines.gps_gaussian.regressor import GaussianMaps, GaussianRegressor
 from ggvs_eval.baselines.gps_gaussian.stereo import Stereo
+from ggvs_eval.baselines.gps_gaussian.unet import GaussianMaps, GaussianRegressor, Pyramid, PyramidEncoder
+from ggvs_eval.baselines.learned import FULL
 from ggvs_eval.errors import WeightsError
+from ggvs_eval.files.weights_file import configuration_of, load_strict, read_tensors
 
 SIZE_MULTIPLE = 8  # sides of the images are multiples of it
 ITERATIONS = 3  # of the published network, in training and after
+OF = "GPS-Gaussian (GPS-GS_stage2_final.pth)"
+
+# Until version 2.0 torch kept one of its own functions in the state of a OneCycleLR scheduler, as `getattr` of the class by name,
+# and the authors' checkpoint holds such a state. What is read in place of both calls is nothing at all.
+FORGOTTEN = ("builtins.getattr", "torch.optim.lr_scheduler.OneCycleLR")
 
 
 @dataclass(frozen=True)
@@ -81,3 +90,27 @@ class GpsGaussianNetwork(nn.Module):
         """The Gaussian of every pixel; inverse depth is per metre, (2, 1, H, W), 0 = unknown."""
         maps: GaussianMaps = self.gs_parm_regresser(images, inverse_depth, features)
         return maps
+
+
+@lru_cache(maxsize=2)
+def load_network(path: Path, device: torch.device | str = "cpu") -> GpsGaussianNetwork:
+    """The network of a weights file, in evaluation mode.
+
+    Args:
+        path: the authors' checkpoint (a dict with ``network`` beside ``total_steps``, ``optimizer`` and ``scheduler``), or
+            safetensors whose names begin with ``network.``, or what our training wrote.
+        device: where the network shall lie.
+
+    Raises:
+        WeightsError: absent, damaged, more than tensors and plain values inside, or tensors of another network.
+    """
+    configuration = configuration_of(path, CONFIGURATIONS, OF)
+    with safe_globals([(_nothing, name) for name in FORGOTTEN]):
+        tensors = read_tensors(path, *(() if configuration else ("network",)), of=OF)
+    network = GpsGaussianNetwork(configuration or FULL)
+    load_strict(tensors, network, path, OF)
+    return network.eval().to(device)
+
+
+def _nothing(*_: object) -> None:
+    """Stands in for what a checkpoint need not bring back."""

@@ -7,11 +7,12 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from ggvs_eval.baselines.gps_gaussian.correlation import RADIUS, SIMD_LEVELS, correlation_rows, look_up
-from ggvs_eval.baselines.gps_gaussian.encoders import residual_block
+from ggvs_eval.baselines.gps_gaussian.unet import residual_block
 
 HIDDEN, MOTION, FACTOR = 96, 128, 8  # channels of the state and of the motion features; pixels per cell
 FLOW_WIDTH, MASK_WIDTH = 256, 256
+LEVELS, RADIUS = 4, 4  # averages over 1, 2, 4, 8 cells; 4 cells looked up on either side
+MARGIN = 2 * RADIUS + 2  # zeros on either side of a row, so that a lookup outside the image finds them
 
 
 class Stereo(nn.Module):
@@ -84,7 +85,7 @@ class MotionEncoder(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.convc1 = nn.Conv2d(SIMD_LEVELS * (2 * RADIUS + 1), 64, 1)
+        self.convc1 = nn.Conv2d(LEVELS * (2 * RADIUS + 1), 64, 1)
         self.convc2 = nn.Conv2d(64, 64, 3, padding=1)
         self.convf1 = nn.Conv2d(2, 64, 7, padding=3)
         self.convf2 = nn.Conv2d(64, 64, 3, padding=1)
@@ -159,3 +160,45 @@ def upsample_convex(flow: Tensor, weights: Tensor) -> Tensor:
     cells = functional.unfold(FACTOR * flow, 3, padding=1).view(batch, 9, 1, 1, height, width)
     mixed = (shares * cells).sum(dim=1)  # (B, FACTOR, FACTOR, H, W)
     return mixed.permute(0, 3, 1, 4, 2).reshape(batch, 1, FACTOR * height, FACTOR * width)
+
+
+def correlation_rows(reference: Tensor, other: Tensor) -> list[Tensor]:
+    """Correlations of every cell with every cell of its row, at all levels.
+
+    Args:
+        reference: features, (B, C, H, W).
+        other: features of the other image, (B, C, H, W).
+
+    Returns:
+        (B, H, W, W_l + 2 * MARGIN) per level, the right cells averaged over 2**l columns.
+    """
+    per_row = reference.permute(0, 2, 3, 1)  # (B, H, W, C)
+    products = torch.matmul(per_row, other.permute(0, 2, 1, 3)) * reference.shape[1] ** -0.5  # (B, H, W, W)
+    rows = []
+    for level in range(LEVELS):
+        if level:
+            products = functional.avg_pool2d(products, (1, 2), (1, 2))
+        rows.append(functional.pad(products, (MARGIN, MARGIN)))
+    return rows
+
+
+def look_up(rows: list[Tensor], columns: Tensor) -> Tensor:
+    """Correlations around given columns of the other image.
+
+    Args:
+        rows: as of `correlation_rows`.
+        columns: where each cell is thought to lie in the other image, in cells, (B, H, W).
+
+    Returns:
+        (B, LEVELS * (2 * RADIUS + 1), H, W), linear between cells, 0 outside the image.
+    """
+    offsets = torch.arange(-RADIUS, RADIUS + 2)  # one more than is returned, for the interpolation
+    found = []
+    for level, products in enumerate(rows):
+        centre = columns / 2**level
+        below = torch.floor(centre)
+        share = (centre - below)[..., None]  # (B, H, W, 1)
+        index = below.clamp(RADIUS - MARGIN, products.shape[-1] - MARGIN - RADIUS - 2).long()
+        cells = torch.gather(products, -1, (index + MARGIN)[..., None] + offsets)  # (B, H, W, 2 * RADIUS + 2)
+        found.append(torch.lerp(cells[..., :-1], cells[..., 1:], share))
+    return torch.cat(found, dim=-1).permute(0, 3, 1, 2)

@@ -1,6 +1,5 @@
 """IBRNet as a method: each instant from its own source frames, by the network that its authors trained."""
 
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -8,15 +7,13 @@ import torch
 from torch import Tensor
 
 from ggvs_eval import kernels
-from ggvs_eval.baselines.ibrnet.feature_network import SMALLEST_SIDE_PX
-from ggvs_eval.baselines.ibrnet.networks import Networks, load_ibrnet
-from ggvs_eval.baselines.ibrnet.rendering import rays_at_once, render_rays
-from ggvs_eval.baselines.ibrnet.views import SeenView, projection_of
+from ggvs_eval.baselines.ibrnet.network import SMALLEST_SIDE_PX, load_ibrnet
+from ggvs_eval.baselines.ibrnet.rendering import depth_range, rays_at_once, render_rays
+from ggvs_eval.baselines.ibrnet.views import SeenView, see
 from ggvs_eval.compute_device import clock_s, compute_device, rendering_on
 from ggvs_eval.errors import RenderError
-from ggvs_eval.method import Instant, Rendering, SourceView
+from ggvs_eval.method import Instant, Rendering
 
-NEARER, FARTHER = 0.9, 1.6  # margins that the authors put around the depths of a real scene
 FEWEST_VIEWS = 2  # a sample that one view sees cannot be compared with anything
 
 
@@ -79,23 +76,6 @@ class IBRNet:
         image = torch.cat([colours for colours, _ in parts]).clamp(0, 1)
         depth = torch.cat([depths for _, depths in parts])
         return image.view(target.height, target.width, 3), depth.view(target.height, target.width)
-
-
-def see(networks: Networks, sources: Sequence[SourceView]) -> list[SeenView]:
-    """The source views, ready to be looked up."""
-    views = []
-    for source in sources:
-        image = torch.as_tensor(source.image).permute(2, 0, 1).float() / 255
-        coarse, fine = networks.feature_net(image[None])
-        centre = torch.as_tensor(source.camera.centre).float()
-        views.append(SeenView(image, coarse[0].float(), fine[0].float(), projection_of(source.camera), centre))
-    return views
-
-
-def depth_range(instant: Instant) -> tuple[float, float]:
-    """Depths between which surfaces are searched, world units."""
-    cameras = [instant.target, *(source.camera for source in instant.sources)]
-    return NEARER * min(camera.near for camera in cameras), FARTHER * max(camera.far for camera in cameras)
 
 
 def _check(instant: Instant) -> None:

@@ -1,19 +1,26 @@
-"""Rays of the target through the networks: a coarse pass, a fine pass where it found something, and what they add up to."""
+"""Rays of the target through the networks: where samples lie, a coarse pass, a fine pass where it found something."""
 
 from collections.abc import Sequence
 
+import numpy as np
 import torch
-from torch import Tensor
+from numpy.typing import NDArray
+from torch import Tensor, nn
 
-from ggvs_eval.baselines.ibrnet.networks import Networks
-from ggvs_eval.baselines.ibrnet.pooling_kernel import shade_by_kernel
-from ggvs_eval.baselines.ibrnet.ray_network import RayNetwork
-from ggvs_eval.baselines.ibrnet.samples import coarse_depths, finer_depths
+from ggvs_eval import kernels
+from ggvs_eval.baselines.ibrnet.network import Networks
+from ggvs_eval.baselines.ibrnet.ray_network import SEEN, RayNetwork, positions
 from ggvs_eval.baselines.ibrnet.views import Pass, SeenView, directions
+from ggvs_eval.method import Instant
 
-Shaded = tuple[Tensor, Tensor, Tensor]  # colours (R, 3), share of each sample in them (R, S), depths of the samples (R, S)
+NEARER, FARTHER = 0.9, 1.6  # margins that the authors put around the depths of a real scene
+SMALLEST_SHARE = 1e-5  # of an interval of depths in where the second samples lie
 # Samples times views that pass through the networks together: some 0.1 GB, and fast in the caches; on a GPU some 2 GB.
 ROWS_AT_ONCE = {"cpu": 2**16, "cuda": 2**20}
+OUTPUTS = 8  # of a layer that the kernel sums side by side
+
+Shaded = tuple[Tensor, Tensor, Tensor]  # colours (R, 3), share of each sample in them (R, S), depths of the samples (R, S)
+Packed = tuple[NDArray[np.float32], NDArray[np.float32]]  # weights (before, after) and bias (after) of a layer
 
 
 def render_rays(
@@ -79,3 +86,126 @@ def _shade(
     differences = torch.stack([directions(points_world, centre, view.centre) for view in views], dim=2)
     colours, density = network(seen, differences, visible)
     return colours.float(), density.float()
+
+
+def depth_range(instant: Instant) -> tuple[float, float]:
+    """Depths between which surfaces are searched, world units."""
+    cameras = [instant.target, *(source.camera for source in instant.sources)]
+    return NEARER * min(camera.near for camera in cameras), FARTHER * max(camera.far for camera in cameras)
+
+
+def coarse_depths(near: float, far: float, count: int) -> Tensor:
+    """Depths from near to far, evenly spaced in inverse depth, (count,)."""
+    step = (1 / far - 1 / near) / (count - 1)
+    return 1 / (1 / near + torch.arange(count) * step)
+
+
+def finer_depths(depths: Tensor, weights: Tensor, count: int) -> Tensor:
+    """The depths of the first pass and as many more as asked for, drawn evenly from what it saw.
+
+    Args:
+        depths: of the first pass, (R, S), increasing.
+        weights: share of each in its pixel's colour, (R, S).
+        count: how many to add.
+
+    Returns:
+        (R, S + count), increasing.
+
+    Reading:
+        The distribution is constant between the middles of neighbouring samples, in inverse depth; the weights of the first and
+        the last sample are left out.
+    """
+    inverse = 1 / depths
+    middles = (inverse[:, 1:] + inverse[:, :-1]) / 2
+    added = 1 / quantiles(middles.flip(1), weights[:, 1:-1].flip(1), count)
+    return torch.cat([depths, added], dim=1).sort(dim=1).values
+
+
+def quantiles(edges: Tensor, weights: Tensor, count: int) -> Tensor:
+    """Evenly spaced quantiles, 0 to 1, of a distribution that is constant between edges.
+
+    Args:
+        edges: (R, M + 1), increasing.
+        weights: of the M intervals, (R, M); a small constant is added to each.
+        count: number of quantiles.
+
+    Returns:
+        (R, count), increasing.
+    """
+    shares = weights + SMALLEST_SHARE
+    cumulative = torch.cumsum(shares / shares.sum(dim=1, keepdim=True), dim=1)
+    cumulative = torch.cat([torch.zeros_like(cumulative[:, :1]), cumulative], dim=1)  # (R, M + 1)
+    levels = torch.linspace(0, 1, count, device=edges.device).expand(edges.shape[0], count).contiguous()
+    above = torch.searchsorted(cumulative[:, :-1].contiguous(), levels, right=True)  # (R, count), 1..M
+    below = (above - 1).clamp(min=0)
+    height = cumulative.gather(1, above) - cumulative.gather(1, below)
+    height = torch.where(height < SMALLEST_SHARE, 1.0, height)
+    along = (levels - cumulative.gather(1, below)) / height
+    return edges.gather(1, below) + along * (edges.gather(1, above) - edges.gather(1, below))
+
+
+def shade_by_kernel(
+    network: RayNetwork, views: Sequence[SeenView], of_pass: Pass, centre: Tensor, rays: Tensor, depths: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Colour and density of samples, as `RayNetwork.forward` computes them from `SeenView.look_up` and `directions`.
+
+    Args:
+        network: of the pass.
+        views: at least two.
+        of_pass: whose features the views are looked up in.
+        centre: of the target camera, (3,).
+        rays: (R, 3).
+        depths: (R, S).
+
+    Returns:
+        RGB, (R, S, 3), and density, (R, S).
+    """
+    from ggvs_eval.kernels import _core
+
+    seen = [(view.pixels["image"], view.pixels[of_pass], view.projection.numpy(), view.centre.numpy()) for view in views]
+    norm = network.ray_attention.layer_norm
+    colours, density = _core.pool_views(
+        packed_layers(network),
+        np.stack([norm.weight.detach().numpy(), norm.bias.detach().numpy()]),
+        abs(float(network.s)),
+        seen,
+        centre.numpy(),
+        rays.contiguous().numpy(),
+        depths.contiguous().numpy(),
+        positions(depths.shape[1])[0].numpy().astype(np.float32),
+        kernels.SIMD_LEVELS.index(kernels.get_simd_level()),
+    )
+    return torch.as_tensor(colours), torch.as_tensor(density)
+
+
+def packed_layers(network: RayNetwork) -> list[Packed]:
+    """Weights (before, after) and bias (after) of the layers in the order of use, outputs filled up to a multiple of 8."""
+    attention = network.ray_attention
+    (first, bias), base = _linear(network.base_fc)
+    parts = (network.vis_fc, network.vis_fc2, network.geometry_fc, network.rgb_fc)
+    projections = (attention.w_qs, attention.w_ks, attention.w_vs, attention.fc)
+    in_order = (
+        *_linear(network.ray_dir_fc),
+        (first[:, : 2 * SEEN], bias),  # for what the views share
+        (first[:, 2 * SEEN :], None),  # for what is a view's own
+        base,
+        *(layer for part in parts for layer in _linear(part)),
+        *((each.weight, None) for each in projections),
+        *_linear(network.out_geometry_fc),
+    )
+    return [_packed(weights, bias) for weights, bias in in_order]
+
+
+def _linear(part: nn.Sequential) -> list[tuple[Tensor, Tensor]]:
+    """Weights and biases of its linear layers."""
+    return [(layer.weight, layer.bias) for layer in part if isinstance(layer, nn.Linear)]
+
+
+def _packed(weights: Tensor, bias: Tensor | None) -> Packed:
+    after, before = weights.shape
+    padded = -(-after // OUTPUTS) * OUTPUTS
+    packed = np.zeros((before + 1, padded), np.float32)
+    packed[:-1, :after] = weights.detach().T.numpy()
+    if bias is not None:
+        packed[-1, :after] = bias.detach().numpy()
+    return packed[:-1], packed[-1]

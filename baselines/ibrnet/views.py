@@ -1,5 +1,6 @@
 """What the source views show at points of the world."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -9,7 +10,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from ggvs_eval.baselines.ibrnet.network import Networks
 from ggvs_eval.camera import Camera
+from ggvs_eval.method import SourceView
 
 Pixels = NDArray[np.float32]
 Pass = Literal["coarse", "fine"]
@@ -90,3 +93,14 @@ def _sample(channels: Tensor, places: Tensor) -> Tensor:
     # The kernel behind `functional.grid_sample`, which on a GPU would take cuDNN's: that refuses some numbers of places.
     sampled = torch.grid_sampler_2d(channels[None], flat, BILINEAR, ZEROS, True)
     return sampled[0, :, 0].T.reshape(*places.shape[:-1], channels.shape[0])
+
+
+def see(networks: Networks, sources: Sequence[SourceView]) -> list[SeenView]:
+    """The source views, ready to be looked up."""
+    views = []
+    for source in sources:
+        image = torch.as_tensor(source.image).permute(2, 0, 1).float() / 255
+        coarse, fine = networks.feature_net(image[None])
+        centre = torch.as_tensor(source.camera.centre).float()
+        views.append(SeenView(image, coarse[0].float(), fine[0].float(), projection_of(source.camera), centre))
+    return views

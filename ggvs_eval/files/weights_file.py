@@ -1,16 +1,17 @@
-"""Reads trained weights: tensors by name, from safetensors or a torch checkpoint; nothing in a file is run."""
+"""Reads trained weights: tensors by name and their configuration, from safetensors or a checkpoint; nothing in it is run."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from ggvs_eval.errors import WeightsError
 
+CONFIGURATION_NOTE = "configuration"  # in the header of safetensors: which of a network's sizes they belong to
 PARALLEL_PREFIX = "module."  # torch's DataParallel puts it before every name
 
 
@@ -38,6 +39,32 @@ def read_tensors(path: Path, *keys: str, of: str = "a network") -> dict[str, Ten
     if not found:
         raise WeightsError(f"{path}: wanted tensors{_under(keys)}, got none; give weights of {of}")
     return {name.removeprefix(PARALLEL_PREFIX): tensor for name, tensor in found.items()}
+
+
+def configuration_of(path: Path, known: Collection[str], of: str) -> str | None:
+    """Name of the configuration that a weights file says it is.
+
+    Args:
+        path: safetensors, or a torch checkpoint.
+        known: names of the network's configurations.
+        of: whose weights are wanted, for messages.
+
+    Returns:
+        The name, None where the file says nothing: a checkpoint of the authors, or a copy of it, which is the full one.
+
+    Raises:
+        WeightsError: a name that is not known, or a damaged file.
+    """
+    if path.suffix != ".safetensors" or not path.is_file():
+        return None
+    try:
+        with safe_open(path, "pt") as file:
+            name: str | None = (file.metadata() or {}).get(CONFIGURATION_NOTE)
+    except (SafetensorError, OSError) as error:
+        raise WeightsError(f"{path}: damaged, or not safetensors ({error}); fetch it again") from error
+    if name is not None and name not in known:
+        raise WeightsError(f"{path}: wanted a configuration of {of} ({', '.join(known)}), got {name}; train it again")
+    return name
 
 
 def load_strict(tensors: Mapping[str, Tensor], network: nn.Module, path: Path, of: str) -> None:

@@ -10,16 +10,18 @@ from typing import Any
 
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.toml_tables import build_table
-from ggvs_eval.pipelines.methods.baselines import BASELINES
+from ggvs_eval.pipelines.methods.baselines import baseline_methods
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
 from ggvs_eval.pipelines.methods.ours import OURS
 from ggvs_eval.pipelines.methods.spec import MethodSpec
 
-# The label is `method` or `method+variant`; renders of a method lie in a folder of that name.
-METHODS: dict[str, MethodSpec] = {
-    **BASELINES,
-    **OURS,
-}
+
+def all_methods() -> dict[str, MethodSpec]:
+    """Every method by its label, `method` or `method+variant`; its renders lie in a folder of that name."""
+    return baseline_methods() | OURS
+
+
+METHODS = all_methods()
 
 
 def usual_methods() -> tuple[str, ...]:

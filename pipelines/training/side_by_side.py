@@ -6,20 +6,22 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from types import TracebackType
 from typing import IO
 
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.jobs.processes import default_workers
-from ggvs_eval.pipelines.training.loop.progress_lines import ProgressLines
+from ggvs_eval.progress import LOOK_BACK_S
 
 LOOK_S = 1.0  # between two looks at the trainings
 GRACE_S = 10.0  # that a stopped training has before it is killed
 TAIL_BYTES = 4096  # of a log: more than its last line
 CORES_PER_TRAINING = 2  # on a CPU: one computes steps, one makes batches
+TENTHS = 10  # lines of progress where there is no terminal
 
 
 @dataclass(frozen=True)
@@ -166,3 +168,54 @@ def _stopped_at_the_end(running: dict[Training, subprocess.Popen[bytes]]) -> Ite
 def _signal_group(process: subprocess.Popen[bytes], which: signal.Signals) -> None:
     with suppress(ProcessLookupError):  # it has just ended
         os.killpg(process.pid, which)
+
+
+class ProgressLines:
+    """A progress line per training, a context manager: bars on a terminal, a line at each tenth elsewhere.
+
+    Args:
+        steps: name -> steps of each.
+    """
+
+    def __init__(self, steps: Mapping[str, int]) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+        console = Console(stderr=True)
+        self._steps = dict(steps)
+        self._tenths = dict.fromkeys(steps, -1)
+        self._bars = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(),
+            console=console,
+            disable=not console.is_terminal,
+            speed_estimate_period=LOOK_BACK_S,
+        )
+        self._tasks = {name: self._bars.add_task(name, total=total) for name, total in steps.items()}
+
+    def __enter__(self) -> "ProgressLines":
+        self._bars.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._bars.stop()
+
+    def show(self, name: str, done: int) -> None:
+        """So many steps are done."""
+        self._bars.update(self._tasks[name], completed=done)
+        tenth = TENTHS * done // max(self._steps[name], 1)
+        if self._bars.disable and tenth > self._tenths[name]:
+            self._tenths[name] = tenth
+            print(f"{name}: {done} of {self._steps[name]} steps", file=sys.stderr, flush=True)
+
+    def end(self, name: str, failed: bool) -> None:
+        """Nothing more will be done."""
+        outcome = "failed" if failed else "done"
+        self._bars.update(self._tasks[name], description=f"{name}: {outcome}")
+        self._bars.stop_task(self._tasks[name])
+        if self._bars.disable:
+            print(f"{name}: {outcome}", file=sys.stderr, flush=True)

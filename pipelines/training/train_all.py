@@ -5,11 +5,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from ggvs_eval.baselines.registry import LEARNED_BASELINES
 from ggvs_eval.compute_device import compute_device
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.pipelines.online.blend_weights import weights_name
-from ggvs_eval.pipelines.training.baselines.baseline_tasks import BASELINE_TASKS, TAKING_DEPTH
 from ggvs_eval.pipelines.training.request import Guidance, TrainingRequest
 from ggvs_eval.pipelines.training.samples.training_data import baseline_samples, blend_samples, prepare_samples
 from ggvs_eval.pipelines.training.side_by_side import Training, default_jobs, run_trainings
@@ -20,7 +20,7 @@ NETWORKS: tuple[Network, ...] = (
     ("blend", "registered"),
     ("blend", "none"),
     ("blend", "naive"),
-    *((what, "registered") for what in BASELINE_TASKS),
+    *((what, "registered") for what in LEARNED_BASELINES),
 )
 
 
@@ -91,5 +91,5 @@ def prepare_all(cache: Path, request: TrainingRequest, networks: Sequence[Networ
     data = requested_data(request)
     if any(what == "blend" for what, _ in networks):
         prepare_samples(*blend_samples(cache, data), default_workers())
-    for depth in sorted({what in TAKING_DEPTH for what, _ in networks if what in BASELINE_TASKS}):
+    for depth in sorted({LEARNED_BASELINES[what].takes_depth for what, _ in networks if what in LEARNED_BASELINES}):
         prepare_samples(*baseline_samples(cache, data, depth), default_workers())

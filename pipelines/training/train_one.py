@@ -5,14 +5,14 @@ from pathlib import Path
 from ggvs_eval.compute_device import compute_device, describe_device
 from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.pipelines.online.blend_network import WIDTHS, BlendNetworkOptions
-from ggvs_eval.pipelines.training.baselines.baseline_tasks import baseline_task
+from ggvs_eval.pipelines.training.baseline_task import baseline_task
 from ggvs_eval.pipelines.training.blend.blend_task import BlendTask
-from ggvs_eval.pipelines.training.loop.card import write_card
-from ggvs_eval.pipelines.training.loop.loop import TrainingOptions, train
-from ggvs_eval.pipelines.training.loop.task import Task
 from ggvs_eval.pipelines.training.request import TrainingRequest
 from ggvs_eval.pipelines.training.samples.training_data import TrainingData, blend_samples, prepare_samples
 from ggvs_eval.pipelines.training.stereo.stereo_task import StereoTask
+from ggvs_eval.training.card import write_card
+from ggvs_eval.training.loop import TrainingOptions, train
+from ggvs_eval.training.task import Task
 
 CACHE = "blend-samples"  # beside the folders of the trainings
 
@@ -21,7 +21,7 @@ def train_one(what: str, folder: Path, request: TrainingRequest) -> tuple[Path, 
     """Train a network, or go on training it.
 
     Args:
-        what: stereo, blend, or one of `BASELINE_TASKS`.
+        what: stereo, blend, or one of `LEARNED_BASELINES`.
         folder: of the training; samples are kept beside it.
         request: what is asked for.
 

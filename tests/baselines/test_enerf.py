@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 import torch
 
-from ggvs_eval.baselines.enerf.cost_network import expectation
-from ggvs_eval.baselines.enerf.method import ENeRF, depth_range, target_grid
-from ggvs_eval.baselines.enerf.networks import Networks, load_enerf
+from ggvs_eval.baselines.enerf.method import ENeRF
+from ggvs_eval.baselines.enerf.network import Networks, load_enerf
 from ggvs_eval.baselines.enerf.rendering import composite, render_pixels
 from ggvs_eval.baselines.enerf.views import SeenView, extrinsics, intrinsics, see
-from ggvs_eval.baselines.enerf.volumes import disagreement, find_surface
+from ggvs_eval.baselines.enerf.volumes import depth_range, disagreement, expectation, find_surface, target_grid
 from ggvs_eval.compute_device import one_thread
 from ggvs_eval.errors import RenderError, WeightsError
 from helpers.hostile import Hostile

@@ -9,15 +9,10 @@ from safetensors.torch import save_file
 from scipy.spatial.transform import Rotation
 from torch.nn import functional
 
-from ggvs_eval.baselines.fwd.blocks import ResidualBlock
-from ggvs_eval.baselines.fwd.completion import DepthCompletion
-from ggvs_eval.baselines.fwd.fusion import HEADS, KEY_WIDTH, VALUE_WIDTH, ViewFusion
-from ggvs_eval.baselines.fwd.half_size import halve, halved_camera
+from ggvs_eval.baselines.fwd.layers import HEADS, KEY_WIDTH, VALUE_WIDTH, DepthCompletion, ResidualBlock, ViewFusion
 from ggvs_eval.baselines.fwd.method import Fwd
-from ggvs_eval.baselines.fwd.network import FwdNetwork, direction_change
-from ggvs_eval.baselines.fwd.point_splat import splat_points
-from ggvs_eval.baselines.fwd.warping import warp_view
-from ggvs_eval.baselines.fwd.weights import load_network
+from ggvs_eval.baselines.fwd.network import FwdNetwork, direction_change, load_network
+from ggvs_eval.baselines.fwd.rendering import halve, halved_camera, splat_points, warp_view
 from ggvs_eval.errors import RenderError, WeightsError
 from ggvs_eval.method import SourceView
 from helpers.geometry_scenes import random_camera

@@ -12,12 +12,10 @@ from torch.optim.lr_scheduler import OneCycleLR
 
 from ggvs_eval.baselines.gps_gaussian.gaussians import Gaussians, rotation_matrices
 from ggvs_eval.baselines.gps_gaussian.method import GpsGaussian
-from ggvs_eval.baselines.gps_gaussian.network import GpsGaussianNetwork
-from ggvs_eval.baselines.gps_gaussian.pairing import choose_pairs
-from ggvs_eval.baselines.gps_gaussian.rectification import rectify
-from ggvs_eval.baselines.gps_gaussian.regressor import MAX_SCALE_M
-from ggvs_eval.baselines.gps_gaussian.tile_renderer import blend_gaussians, render_gaussians
-from ggvs_eval.baselines.gps_gaussian.weights import load_network
+from ggvs_eval.baselines.gps_gaussian.network import GpsGaussianNetwork, load_network
+from ggvs_eval.baselines.gps_gaussian.rectification import choose_pairs, rectify
+from ggvs_eval.baselines.gps_gaussian.rendering import blend_gaussians, render_gaussians
+from ggvs_eval.baselines.gps_gaussian.unet import MAX_SCALE_M
 from ggvs_eval.compute_device import one_thread
 from ggvs_eval.errors import RenderError, WeightsError
 from ggvs_eval.files.images import quantise

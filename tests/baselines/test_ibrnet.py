@@ -9,11 +9,18 @@ import pytest
 import torch
 
 from ggvs_eval import kernels
-from ggvs_eval.baselines.ibrnet.method import IBRNet, depth_range
-from ggvs_eval.baselines.ibrnet.networks import PARTS, Networks, load_ibrnet
-from ggvs_eval.baselines.ibrnet.pooling_kernel import packed_layers
-from ggvs_eval.baselines.ibrnet.rendering import _shade, opacity_shares, render_rays
-from ggvs_eval.baselines.ibrnet.samples import coarse_depths, finer_depths, quantiles
+from ggvs_eval.baselines.ibrnet.method import IBRNet
+from ggvs_eval.baselines.ibrnet.network import PARTS, Networks, load_ibrnet
+from ggvs_eval.baselines.ibrnet.rendering import (
+    _shade,
+    coarse_depths,
+    depth_range,
+    finer_depths,
+    opacity_shares,
+    packed_layers,
+    quantiles,
+    render_rays,
+)
 from ggvs_eval.baselines.ibrnet.views import SeenView, projection_of
 from ggvs_eval.compute_device import one_thread
 from ggvs_eval.errors import RenderError, WeightsError

@@ -10,8 +10,7 @@ import pytest
 import torch
 
 from ggvs_eval.baselines.gps_gaussian.gaussians import Gaussians, footprints, rotation_matrices
-from ggvs_eval.baselines.gps_gaussian.tile_batches import TILE, blend_batches
-from ggvs_eval.baselines.gps_gaussian.tile_renderer import _tiles, blend_gaussians
+from ggvs_eval.baselines.gps_gaussian.rendering import TILE, _tiles, blend_batches, blend_gaussians
 from ggvs_eval.compute_device import clock_s, compute_device, computing_on, describe_device, rendering_on
 from ggvs_eval.errors import DeviceError
 from ggvs_eval.pipelines.commands.main import run_command

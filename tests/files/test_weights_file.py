@@ -8,7 +8,7 @@ from safetensors.torch import save_file
 from torch import nn
 
 from ggvs_eval.errors import WeightsError
-from ggvs_eval.files.weights_file import load_strict, read_tensors, require_shapes
+from ggvs_eval.files.weights_file import configuration_of, load_strict, read_tensors, require_shapes
 from helpers.hostile import Hostile
 
 NETWORK = "a network of one convolution"
@@ -158,3 +158,13 @@ def test_other_shapes_and_names_are_refused(change, message, tensors, tmp_path):
         with pytest.raises(WeightsError, match=rf"any\.pth: {message}; give weights of {NETWORK}"):
             refuse(stored, given, tmp_path / "any.pth", NETWORK)
     assert_equal(network.state_dict(), tensors)
+
+
+def test_weights_of_an_unknown_configuration_are_refused(tmp_path: Path) -> None:
+    """A name that this version does not have is refused in one line; a file that says nothing is the full configuration."""
+    save_file({"a": torch.zeros(1)}, tmp_path / "new.safetensors", {"configuration": "tiny"})
+    save_file({"a": torch.zeros(1)}, tmp_path / "old.safetensors")
+    with pytest.raises(WeightsError, match=r"new\.safetensors: wanted a configuration of FWD \(full, compact\), got tiny"):
+        configuration_of(tmp_path / "new.safetensors", ("full", "compact"), "FWD")
+    assert configuration_of(tmp_path / "old.safetensors", ("full",), "FWD") is None
+    assert configuration_of(tmp_path / "authors.pth", ("full",), "FWD") is None

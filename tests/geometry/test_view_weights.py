@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ggvs_eval.baselines.distance_based import DistanceBased
+from ggvs_eval.baselines.fixed_blending import DistanceBased
 from ggvs_eval.camera import Camera
 from ggvs_eval.geometry.per_pixel import FALL_OFF, LEAST_PARALLAX_RAD, view_weights, weighted_mean
 from ggvs_eval.method import Instant

@@ -20,7 +20,7 @@ from ggvs_eval.pipelines.online.blending import GeometricBlender
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
 from ggvs_eval.pipelines.online.network_blender import NetworkBlender, blend_by, blend_start
 from ggvs_eval.pipelines.online.network_inputs import input_channels
-from ggvs_eval.pipelines.training.loop.weights import write_weights
+from ggvs_eval.training.checkpoint import write_weights
 from helpers.blender_inputs import inputs_of
 from helpers.scenes import camera_at, instant
 

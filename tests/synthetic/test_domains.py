@@ -10,12 +10,16 @@ import pytest
 from ggvs_eval.camera import Camera
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError, TrainingError
-from ggvs_eval.pipelines.training.samples.blend_pools import RoomSamples
-from ggvs_eval.pipelines.training.samples.capture_views import overlap
-from ggvs_eval.pipelines.training.samples.domain_samples import domain_plans
-from ggvs_eval.pipelines.training.samples.held_back import held_back_halves
-from ggvs_eval.pipelines.training.samples.instant_pools import RoomInstants
-from ggvs_eval.pipelines.training.samples.room_plan import RoomPlan, choose_views, draw_window, film_room, room_options
+from ggvs_eval.pipelines.training.samples.capture_views import held_back_halves, overlap
+from ggvs_eval.pipelines.training.samples.room_plan import (
+    RoomPlan,
+    choose_views,
+    domain_plans,
+    draw_window,
+    film_room,
+    room_options,
+)
+from ggvs_eval.pipelines.training.samples.sample_kinds import RoomInstants, RoomSamples
 from ggvs_eval.pipelines.training.samples.samples import JoinedSamples
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.domains import DOMAINS, VALIDATION_SEEDS, domain_options

@@ -6,26 +6,26 @@ import numpy as np
 import pytest
 import torch
 
-from ggvs_eval.baselines.configuration import configuration_of
+from ggvs_eval.baselines.registry import LEARNED_BASELINES
 from ggvs_eval.compute_device import one_thread
 from ggvs_eval.errors import TrainingError, WeightsError
+from ggvs_eval.files.weights_file import configuration_of
 from ggvs_eval.pipelines.methods import baselines
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
-from ggvs_eval.pipelines.training.baselines.baseline_tasks import BASELINE_TASKS, TAKING_DEPTH, baseline_task
-from ggvs_eval.pipelines.training.loop.card import write_card
-from ggvs_eval.pipelines.training.loop.loop import TrainingOptions, train
+from ggvs_eval.pipelines.training.baseline_task import BaselineTask, baseline_task
 from ggvs_eval.pipelines.training.samples.blend_samples import SampleMaker
-from ggvs_eval.pipelines.training.samples.instant_pools import RoomInstants
-from ggvs_eval.pipelines.training.samples.instant_samples import read_instant
 from ggvs_eval.pipelines.training.samples.room_plan import RoomPlan, choose_views, validation_plan
+from ggvs_eval.pipelines.training.samples.sample_kinds import RoomInstants
 from ggvs_eval.pipelines.training.samples.training_data import TrainingData
+from ggvs_eval.training.card import write_card
+from ggvs_eval.training.instant_samples import read_instant
+from ggvs_eval.training.loop import TrainingOptions, train
 from helpers.stereo_scenes import write_capture
 
 WIDTH, HEIGHT = 100, 75
 PLAN = RoomPlan(rooms=1, targets=2, views=3, other_views=(), other_share=0.0, width=WIDTH, height=HEIGHT)
 VALIDATION = replace(validation_plan(3, "sgbm", targets=1), rooms=1, width=WIDTH, height=HEIGHT)
-LABELS = {"gps-gaussian": "gps-gaussian+given-depth"}
 
 
 @pytest.fixture(autouse=True)
@@ -53,8 +53,9 @@ def cache(tmp_path_factory, capture):
 
 def small_task(what, cache):
     """The task of a baseline with small crops on the small samples."""
-    training, validation = (RoomInstants(cache, plan, what in TAKING_DEPTH) for plan in (PLAN, VALIDATION))
-    return BASELINE_TASKS[what](training, validation, crop_width=64, crop_height=48)
+    baseline = LEARNED_BASELINES[what]
+    samples = (RoomInstants(cache, plan, baseline.takes_depth) for plan in (PLAN, VALIDATION))
+    return BaselineTask(*samples, baseline, replace(baseline.make_recipe(), crop_width=64, crop_height=48))
 
 
 def test_samples_are_those_of_the_blending_network_and_read_back(cache, capture):
@@ -119,7 +120,7 @@ def test_focused_sources_show_all_that_the_window_can(cache):
     assert cut.instant.sources[0].image.size < whole.instant.sources[0].image.size
 
 
-@pytest.mark.parametrize("what", BASELINE_TASKS)
+@pytest.mark.parametrize("what", LEARNED_BASELINES)
 def test_a_batch_is_learned(what, cache):
     """Some steps on one batch lower its loss; the same step draws the same crops, another one others."""
     task = small_task(what, cache)
@@ -139,7 +140,7 @@ def test_a_batch_is_learned(what, cache):
     assert all(np.isfinite(value) for value in figures.values())
 
 
-@pytest.mark.parametrize("what", BASELINE_TASKS)
+@pytest.mark.parametrize("what", LEARNED_BASELINES)
 def test_what_a_training_writes_renders(what, cache, tmp_path):
     """The file says its configuration and renders by the method's label; its picture is the one that was validated."""
     task = small_task(what, cache)
@@ -148,9 +149,10 @@ def test_what_a_training_writes_renders(what, cache, tmp_path):
     assert configuration_of(weights, ("compact",), what) == "compact"
     figures = dict(zip(*(line.split(",") for line in (tmp_path / "validation.csv").read_text().splitlines()), strict=True))
     sample = task.validation.read(0)
-    rendered = find_method(LABELS.get(what, what), NetworkOptions({what: weights})).make().step(sample.instant).image
+    label = next(task.baseline.label(each) for each in task.baseline.renditions if each.retrained)
+    rendered = find_method(label, NetworkOptions({what: weights})).make().step(sample.instant).image
     assert rendered.shape == sample.truth.shape
-    step = 4 if what == "ibrnet" else 1
+    step = task.recipe.validated_step
     error = np.square(rendered - sample.truth / np.float32(255))[::step, ::step].mean()
     assert -10 * np.log10(error) == pytest.approx(float(figures["psnr_db"]), abs=0.1)
     card = write_card(task, tmp_path, f"ggvs-eval train {what}").read_text()
@@ -158,16 +160,8 @@ def test_what_a_training_writes_renders(what, cache, tmp_path):
     assert str(tmp_path.parent) not in card
 
 
-def test_weights_of_an_unknown_configuration_are_refused(cache, tmp_path):
-    """A name that this version does not have is refused in one line; a file that says nothing is the full configuration."""
-    from safetensors.torch import save_file
-
-    save_file({"a": torch.zeros(1)}, tmp_path / "new.safetensors", {"configuration": "tiny"})
-    save_file({"a": torch.zeros(1)}, tmp_path / "old.safetensors")
-    with pytest.raises(WeightsError, match=r"new\.safetensors: wanted a configuration of FWD \(full, compact\), got tiny"):
-        configuration_of(tmp_path / "new.safetensors", ("full", "compact"), "FWD")
-    assert configuration_of(tmp_path / "old.safetensors", ("full",), "FWD") is None
-    assert configuration_of(tmp_path / "authors.pth", ("full",), "FWD") is None
+def test_a_configuration_that_is_not_taught_is_refused(cache):
+    """The full GPS-Gaussian finds depth itself, which nothing here would teach it."""
     with pytest.raises(TrainingError, match="stereo network, which is not taught here"):
         baseline_task("gps-gaussian", cache, TrainingData(rooms=1), "full")
 

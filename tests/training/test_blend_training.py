@@ -14,12 +14,12 @@ from ggvs_eval.pipelines.online.blend_weights import load_blend_network, shipped
 from ggvs_eval.pipelines.online.network_inputs import input_channels
 from ggvs_eval.pipelines.training.blend.blend_loss import BlendLossWeights, blend_loss, depth_loss, mask_loss, structural_loss
 from ggvs_eval.pipelines.training.blend.blend_task import BlendTask, crop_arrays, mirrored, recoloured
-from ggvs_eval.pipelines.training.loop.card import write_card
-from ggvs_eval.pipelines.training.loop.loop import TrainingOptions, train
-from ggvs_eval.pipelines.training.samples.blend_pools import RoomSamples
 from ggvs_eval.pipelines.training.samples.blend_samples import SampleMaker, read_sample
 from ggvs_eval.pipelines.training.samples.room_plan import RoomPlan, choose_views, room_options, validation_plan
+from ggvs_eval.pipelines.training.samples.sample_kinds import RoomSamples
 from ggvs_eval.pipelines.training.samples.samples import JoinedSamples
+from ggvs_eval.training.card import write_card
+from ggvs_eval.training.loop import TrainingOptions, train
 from helpers.stereo_scenes import HEIGHT, WIDTH, plane_depth, write_capture
 
 PLAN = RoomPlan(rooms=1, targets=2, views=2, other_views=(), other_share=0.0, width=WIDTH, height=HEIGHT)

@@ -11,10 +11,9 @@ from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
-from ggvs_eval.pipelines.training.samples.blend_pools import BlendSampleKind, CaptureSamples
 from ggvs_eval.pipelines.training.samples.capture_pool import MeasuredSampleMaker, make_samples
 from ggvs_eval.pipelines.training.samples.capture_views import CapturePlan, draw_views, overlap, possible_targets, within_rule
-from ggvs_eval.pipelines.training.samples.instant_pools import CaptureInstants
+from ggvs_eval.pipelines.training.samples.sample_kinds import BlendSampleKind, CaptureInstants, CaptureSamples
 from helpers.places import SHARED
 from helpers.stereo_scenes import HEIGHT, WIDTH, look_from, plane_depth, see_plane, write_capture
 

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ggvs_eval.baselines.registry import LEARNED_BASELINES
 from ggvs_eval.errors import TrainingError
-from ggvs_eval.pipelines.training.baselines.baseline_tasks import BASELINE_TASKS, baseline_task
+from ggvs_eval.pipelines.training.baseline_task import baseline_task
 from ggvs_eval.pipelines.training.request import TrainingRequest
 from ggvs_eval.pipelines.training.samples import training_data
 from ggvs_eval.pipelines.training.samples.training_data import TrainingData, baseline_samples, blend_samples
@@ -57,7 +58,7 @@ def test_every_network_learns_from_the_same_views(capture, tmp_path, monkeypatch
         baseline_samples(tmp_path, TrainingData(rooms=0), True)
 
 
-@pytest.mark.parametrize("what", BASELINE_TASKS)
+@pytest.mark.parametrize("what", LEARNED_BASELINES)
 def test_crops_lie_within_samples_of_any_size(what, cache):
     """Each sample's own size decides where windows may be: first and last place fit, whatever was drawn."""
     task = baseline_task(what, cache, requested_data(REQUEST))
@@ -65,10 +66,10 @@ def test_crops_lie_within_samples_of_any_size(what, cache):
     for index in range(len(task.training)):
         sample = task.training.read(index)
         sizes.add(sample.instant.target.size)
-        last = np.subtract(sample.instant.target.size, (task.crop_width, task.crop_height))
+        last = np.subtract(sample.instant.target.size, (task.recipe.crop_width, task.recipe.crop_height))
         for place, corner in (((0.0, 0.0), (0, 0)), ((1 - 2**-53,) * 2, last)):
             crop = task._crop(sample, place)
-            assert crop.truth.shape == (task.crop_height, task.crop_width, 3)
+            assert crop.truth.shape == (task.recipe.crop_height, task.recipe.crop_width, 3)
             np.testing.assert_array_equal(sample.instant.target.K[:2, 2] - crop.instant.target.K[:2, 2], corner)
     assert sizes == set(SIZES.values())
 
@@ -81,10 +82,7 @@ def test_each_network_has_its_command(tmp_path):
         "blend",
         "blend-no-tsdf",
         "blend-naive",
-        "fwd",
-        "gps-gaussian",
-        "ibrnet",
-        "enerf",
+        *LEARNED_BASELINES,
     ]
     assert len(NETWORKS) == 7
     for training in trainings:

@@ -12,12 +12,12 @@ from torch import nn
 from ggvs_eval.errors import TrainingError, WeightsError
 from ggvs_eval.files.images import read_image
 from ggvs_eval.pipelines.offline.stereo.raft_config import COMPACT
-from ggvs_eval.pipelines.training.loop.card import write_card
-from ggvs_eval.pipelines.training.loop.curves import draw_curves
-from ggvs_eval.pipelines.training.loop.loop import TrainingOptions, train
-from ggvs_eval.pipelines.training.loop.task import Schedule
 from ggvs_eval.pipelines.training.stereo.stereo_loss import matching_loss, sequence_loss
 from ggvs_eval.pipelines.training.stereo.stereo_task import StereoTask
+from ggvs_eval.training.card import write_card
+from ggvs_eval.training.log import draw_curves
+from ggvs_eval.training.loop import TrainingOptions, train
+from ggvs_eval.training.task import Schedule
 
 
 @dataclass(frozen=True)
@@ -26,6 +26,7 @@ class LineTask:
 
     schedule: Schedule = field(default_factory=lambda: Schedule(learning_rate=0.05, warm_up=2, average=0.5))
     name = "line"
+    summary = "The training of a line."
     data = "points on a line"
     evaluated_on = "Distance from the line."
 

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from ggvs_eval.geometry.splat import COVERED_ALPHA
 from ggvs_eval.pipelines.online.blend_network import BlendOutputs, weighted_mean_tensor
+from ggvs_eval.training.losses import structural_loss
 
 
 @dataclass(frozen=True)
@@ -52,18 +53,6 @@ def blend_loss(
         terms["depth"] = depth_loss(batch["depths"], batch["fused_depth"], outputs.weights * batch["alphas"])
     loss = torch.stack([getattr(weights, name) * term for name, term in terms.items()]).sum()
     return loss, {f"{name}_loss": float(term.detach()) for name, term in terms.items()}
-
-
-def structural_loss(image: Tensor, truth: Tensor) -> Tensor:
-    """1 - SSIM, with the window and constants of the metric `ggvs_eval.metrics.image.ssim.ssim`.
-
-    Args:
-        image: (B, 3, H, W), at least 11 x 11.
-        truth: same shape.
-    """
-    from kornia.metrics import ssim
-
-    return 1 - ssim(image, truth, window_size=11, max_val=1.0, eps=0.0, padding="valid").mean()
 
 
 def depth_loss(depths: Tensor, fused_depth: Tensor, weights: Tensor) -> Tensor:

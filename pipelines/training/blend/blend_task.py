@@ -21,9 +21,9 @@ from ggvs_eval.pipelines.online.network_blender import blend_by, blend_start
 from ggvs_eval.pipelines.online.network_inputs import GUIDED, guide_depth, input_channels, reference_depth
 from ggvs_eval.pipelines.training.blend.blend_augmentation import Augmentation, augment
 from ggvs_eval.pipelines.training.blend.blend_loss import BlendLossWeights, blend_loss
-from ggvs_eval.pipelines.training.loop.task import Schedule
 from ggvs_eval.pipelines.training.samples.blend_samples import BlendSample
 from ggvs_eval.pipelines.training.samples.samples import Samples, require_room
+from ggvs_eval.training.task import Schedule
 
 Change = Callable[[RawViews, Map], tuple[RawViews, Map]]
 
@@ -73,6 +73,11 @@ class BlendTask:
     def name(self) -> str:
         """Names the weights."""
         return weights_name(self.config.guidance)
+
+    @property
+    def summary(self) -> str:
+        """What is trained."""
+        return "The training of the blending network."
 
     @property
     def data(self) -> str:

@@ -19,7 +19,7 @@ from ggvs_eval.pipelines.online.blend_maps import RawViews, raw_views
 from ggvs_eval.pipelines.online.blending import Blended, Blender, BlendingInputs, GeometricBlender
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
 from ggvs_eval.pipelines.online.network_inputs import reference_depth
-from ggvs_eval.pipelines.training.samples.sample_file import camera_arrays, stored_arrays, stored_cameras, write_arrays
+from ggvs_eval.training.sample_file import camera_arrays, stored_arrays, stored_cameras, write_arrays
 
 IN_8_BIT = ("splats", "alphas", "warps", "visibilities")
 

@@ -8,16 +8,13 @@ from pathlib import Path
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import TrainingError
-from ggvs_eval.pipelines.training.samples.blend_pools import CaptureSamples, RoomSamples
 from ggvs_eval.pipelines.training.samples.blend_samples import BlendSample
-from ggvs_eval.pipelines.training.samples.capture_views import CapturePlan
-from ggvs_eval.pipelines.training.samples.domain_samples import domain_plans, domain_validation_plan
-from ggvs_eval.pipelines.training.samples.held_back import held_back_halves
-from ggvs_eval.pipelines.training.samples.instant_pools import CaptureInstants, RoomInstants
-from ggvs_eval.pipelines.training.samples.instant_samples import InstantSample
-from ggvs_eval.pipelines.training.samples.room_plan import RoomPlan
+from ggvs_eval.pipelines.training.samples.capture_views import CapturePlan, held_back_halves
+from ggvs_eval.pipelines.training.samples.room_plan import RoomPlan, domain_plans, domain_validation_plan
+from ggvs_eval.pipelines.training.samples.sample_kinds import CaptureInstants, CaptureSamples, RoomInstants, RoomSamples
 from ggvs_eval.pipelines.training.samples.samples import JoinedSamples, Sample, Samples
 from ggvs_eval.synthetic.domains import DOMAINS
+from ggvs_eval.training.instant_samples import InstantSample
 
 VALIDATION_TARGETS = 2  # per domain
 CAPTURE_TARGETS = 72  # per capture that is learned from

@@ -13,9 +13,9 @@ from ggvs_eval.arrays import Map
 from ggvs_eval.pipelines.offline.stereo.raft_config import COMPACT, RaftOptions
 from ggvs_eval.pipelines.offline.stereo.raft_matcher import start_from_matching
 from ggvs_eval.pipelines.offline.stereo.raft_stereo import RaftStereo
-from ggvs_eval.pipelines.training.loop.task import Schedule
 from ggvs_eval.pipelines.training.stereo.stereo_loss import matching_loss, sequence_loss
 from ggvs_eval.synthetic.stereo.stereo_scenes import StereoSample, stereo_sample
+from ggvs_eval.training.task import Schedule
 
 VALIDATION_SEED = 2**40  # and above; training seeds stay below
 
@@ -53,6 +53,11 @@ class StereoTask:
     def name(self) -> str:
         """Names the weights."""
         return "raft-compact"
+
+    @property
+    def summary(self) -> str:
+        """What is trained."""
+        return "The training of RAFT-Stereo."
 
     @property
     def data(self) -> str:

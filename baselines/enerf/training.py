@@ -1,0 +1,66 @@
+"""What ENeRF learns: where surfaces are and how views blend there, from pictures alone."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from ggvs_eval.baselines.enerf.network import Networks
+from ggvs_eval.baselines.enerf.rendering import COARSE_FACTOR, coarse_views, render_coarsely, render_surface
+from ggvs_eval.baselines.enerf.views import TRAINED_NEAR, see, see_together
+from ggvs_eval.baselines.enerf.volumes import depth_range, find_surface, refine_surface, search_coarsely, target_grid
+from ggvs_eval.baselines.learned import TrainingRecipe
+from ggvs_eval.method import Instant
+from ggvs_eval.training.instant_samples import InstantSample
+from ggvs_eval.training.losses import structural_loss
+
+COARSE_WEIGHT, STRUCTURE_WEIGHT = 0.1, 0.01
+
+
+@dataclass(frozen=True)
+class EnerfRecipe(TrainingRecipe[Networks]):
+    """The training of ENeRF.
+
+    Reading:
+        Its authors minimise the squared error of both levels, the coarse one weighted by 0.1, and 0.01 times a distance of
+        features of VGG16. No weights of VGG ship here: 1 - SSIM stands in for that. Depth is not used.
+    """
+
+    crop_width: int = 160
+    crop_height: int = 128
+
+    def network(self) -> Networks:
+        """Networks with random weights."""
+        return Networks(self.configuration)
+
+    def sample_loss(self, network: Networks, sample: InstantSample, step: int) -> tuple[Tensor, dict[str, Tensor]]:
+        """Squared error of both levels, and structure."""
+        target, truth = sample.instant.target, sample.truth_tensor
+        near, far = depth_range(sample.instant)
+        unit = TRAINED_NEAR / near
+        views = see_together(network.feature_net, sample.instant.sources, unit)
+        grid = target_grid(target, unit)
+        coarse = search_coarsely(network, views, grid, near * unit, far * unit, network.coarse_planes)
+        fine = refine_surface(network, views, grid, coarse)
+        image, _ = render_surface(network, views, fine, target, unit, target.width * target.height)
+        centre = torch.as_tensor(target.centre * unit).float()
+        rays = torch.as_tensor(target.rays()[::COARSE_FACTOR, ::COARSE_FACTOR]).float()
+        rough, _ = render_coarsely(network, coarse_views(views), coarse, centre, rays)
+        wanted = functional.avg_pool2d(truth, COARSE_FACTOR).flatten(1).T
+        terms = {
+            "squared_loss": (image - truth).square().mean(),
+            "coarse_loss": (rough - wanted).square().mean(),
+            "ssim_loss": structural_loss(image[None], truth[None]),
+        }
+        loss = terms["squared_loss"] + COARSE_WEIGHT * terms["coarse_loss"] + STRUCTURE_WEIGHT * terms["ssim_loss"]
+        return loss, terms
+
+    def validated_view(self, network: Networks, instant: Instant) -> Tensor:
+        """The target view."""
+        near, far = depth_range(instant)
+        unit = TRAINED_NEAR / near
+        views = [see(network.feature_net, source, unit) for source in instant.sources]
+        grid = target_grid(instant.target, unit)
+        surface = find_surface(network, views, grid, near * unit, far * unit, network.coarse_planes)
+        return render_surface(network, views, surface, instant.target, unit)[0].clamp(0, 1)

@@ -1,0 +1,165 @@
+"""Renders anisotropic Gaussians tile by tile, front to back, as 3D Gaussian splatting does (Kerbl et al. 2023)."""
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ggvs_eval.arrays import Map
+from ggvs_eval.baselines.gps_gaussian.gaussians import TILE, Footprints, Gaussians, footprints
+from ggvs_eval.camera import Camera
+
+CHUNK = 256  # Gaussians of a tile that are evaluated at once
+MAX_ALPHA, MIN_ALPHA, MIN_LIGHT = 0.99, 1 / 255, 1e-4
+NEGLIGIBLE = -6.0  # an exponent that stays below MIN_ALPHA; far smaller ones give denormal numbers, which are slow
+RANKS_AT_ONCE, TILES_AT_ONCE = 64, 2048  # Gaussians of a tile, and tiles: some 1 GB
+
+
+class GaussianImage(NamedTuple):
+    """What the Gaussians look like before black.
+
+    Attributes:
+        colour: premultiplied by coverage, (H, W, 3), float32.
+        alpha: coverage, (H, W), float32.
+        depth: mean depth of what covers the pixel, (H, W), world units, 0 where nothing does.
+    """
+
+    colour: Map
+    alpha: Map
+    depth: Map
+
+
+def render_gaussians(gaussians: Gaussians, target: Camera, near: float) -> GaussianImage:
+    """Render Gaussians of any shape in one pass; arguments as of `blend_gaussians`."""
+    image = blend_gaussians(gaussians, target, near).numpy(force=True)
+    alpha = image[..., 4]
+    depth = np.divide(image[..., 3], alpha, out=np.zeros_like(alpha), where=alpha > MIN_ALPHA)
+    return GaussianImage(np.ascontiguousarray(image[..., :3]), np.ascontiguousarray(alpha), depth)
+
+
+def blend_gaussians(gaussians: Gaussians, target: Camera, near: float) -> Tensor:
+    """Colour, depth and coverage, each the sum over Gaussians of its value times alpha times the light left for it.
+
+    Args:
+        gaussians: what is seen; gradients reach all of it.
+        target: the camera to render.
+        near: Gaussians at or before this depth are left out, world units.
+
+    Returns:
+        (H, W, 5): red, green, blue, depth, coverage.
+
+    Reading:
+        As the reference rasteriser: a Gaussian counts only in tiles of 16 x 16 pixels that the square of three standard
+        deviations around it touches, an alpha is at most 0.99 and ignored below 1/255, and a pixel is done before the Gaussian
+        that would leave less than 1e-4 of its light. Principal points need not be central.
+    """
+    seen = footprints(gaussians, target, near)
+    columns, rows = -(-target.width // TILE), -(-target.height // TILE)
+    members, starts = _tiles(seen, columns, rows)
+    features = torch.cat([seen.colours, seen.depths[:, None], torch.ones_like(seen.depths)[:, None]], dim=1)  # (N, 5)
+    if features.device.type == "cuda":
+        canvas = blend_batches(seen, features, members, starts, columns).view(rows, columns, TILE, TILE, -1)
+    else:
+        canvas = torch.zeros(rows, columns, TILE, TILE, features.shape[1])
+        for tile, (first, last) in enumerate(pairwise(starts.tolist())):
+            if first < last:
+                row, column = divmod(tile, columns)
+                canvas[row, column] = _blend_tile(seen, features, members[first:last], column * TILE, row * TILE)
+    image = canvas.permute(0, 2, 1, 3, 4).reshape(rows * TILE, columns * TILE, -1)
+    return image[: target.height, : target.width]
+
+
+def _tiles(seen: Footprints, columns: int, rows: int) -> tuple[Tensor, Tensor]:
+    """Indices of the Gaussians of each tile, nearest first, (M,), and where each tile's begin, (columns * rows + 1,)."""
+    most = torch.tensor([columns, rows])
+    low = torch.floor((seen.centres - seen.radii[:, None]) / TILE).clamp(min=0).long().minimum(most)  # (N, 2)
+    high = torch.floor((seen.centres + seen.radii[:, None] + TILE - 1) / TILE).clamp(min=0).long().minimum(most)
+    spans = (high - low).clamp(min=0)
+    counts = spans[:, 0] * spans[:, 1]
+    members = torch.repeat_interleave(torch.arange(len(counts)), counts)  # (M,), still nearest first
+    within = torch.arange(len(members)) - torch.repeat_interleave(counts.cumsum(0) - counts, counts)
+    width = spans[members, 0]
+    tiles = (low[members, 1] + within // width) * columns + low[members, 0] + within % width
+    order = torch.sort(tiles, stable=True).indices
+    starts = torch.zeros(columns * rows + 1, dtype=torch.long)
+    starts[1:] = torch.bincount(tiles, minlength=columns * rows).cumsum(0)
+    return members[order], starts
+
+
+def _blend_tile(seen: Footprints, features: Tensor, members: Tensor, left: int, top: int) -> Tensor:
+    """Features of one tile, (TILE, TILE, C), its Gaussians blended front to back."""
+    light = torch.ones(TILE * TILE)
+    blended = torch.zeros(TILE * TILE, features.shape[1])
+    for chunk in members.split(CHUNK):
+        alpha = _tile_alphas(seen, chunk, left, top)  # (TILE**2, n)
+        after = light[:, None] * torch.cumprod(1 - alpha, dim=1)
+        before = torch.cat([light[:, None], after[:, :-1]], dim=1)
+        weights = torch.where(after >= MIN_LIGHT, alpha * before, torch.zeros(()))  # once dark, a pixel stays dark
+        blended += weights @ features[chunk]
+        light = after[:, -1]
+        if not bool((light >= MIN_LIGHT).any()):
+            break
+    return blended.view(TILE, TILE, -1)
+
+
+def _tile_alphas(seen: Footprints, chunk: Tensor, left: int, top: int) -> Tensor:
+    """Alpha of some Gaussians at each pixel of a tile, (TILE**2, n)."""
+    centres, conics = seen.centres[chunk], seen.conics[chunk]
+    steps = torch.arange(TILE, dtype=torch.float32)[:, None]
+    across, down = left + steps - centres[:, 0], top + steps - centres[:, 1]  # (TILE, n) each
+    power = (-0.5 * conics[:, 0] * across**2)[None] + (-0.5 * conics[:, 2] * down**2)[:, None]  # (rows, columns, n)
+    power = power - (conics[:, 1] * across)[None] * down[:, None]
+    wrong = power > 0  # by rounding alone
+    alpha = (torch.exp(power.clamp(min=NEGLIGIBLE)) * seen.opacities[chunk]).clamp(max=MAX_ALPHA)
+    return alpha.masked_fill(wrong | (alpha < MIN_ALPHA), 0).view(TILE * TILE, -1)
+
+
+def blend_batches(seen: Footprints, features: Tensor, members: Tensor, starts: Tensor, columns: int) -> Tensor:
+    """Features of every tile, its Gaussians blended front to back: the nearest of all tiles first, then the next ones.
+
+    Args:
+        seen: Gaussians on the image.
+        features: of each, (N, C).
+        members: indices of the Gaussians of each tile, nearest first, (M,).
+        starts: where each tile's begin, (T + 1,), tiles row by row.
+        columns: tiles in a row.
+
+    Returns:
+        (T, TILE, TILE, C).
+    """
+    counts = starts[1:] - starts[:-1]
+    light = torch.ones(len(counts), TILE * TILE)
+    blended = torch.zeros(len(counts), TILE * TILE, features.shape[1])
+    for first in range(0, int(counts.max()), RANKS_AT_ONCE):
+        lit = torch.nonzero((counts > first) & (light >= MIN_LIGHT).any(dim=1))[:, 0]
+        if not len(lit):
+            break
+        ranks = first + torch.arange(RANKS_AT_ONCE)
+        for tiles in lit.split(TILES_AT_ONCE):
+            there = ranks < counts[tiles, None]  # (t, n)
+            chunk = members[torch.where(there, starts[tiles, None] + ranks, 0)]
+            alpha = (
+                _batch_alphas(seen, chunk, tiles % columns * TILE, tiles // columns * TILE) * there[:, None]
+            )  # (t, TILE**2, n)
+            before = light[tiles, :, None]
+            after = before * torch.cumprod(1 - alpha, dim=2)
+            before = torch.cat([before, after[..., :-1]], dim=2)
+            weights = torch.where(after >= MIN_LIGHT, alpha * before, 0.0)  # once dark, a pixel stays dark
+            blended[tiles] += weights @ features[chunk]
+            light[tiles] = after[..., -1]
+    return blended.view(len(counts), TILE, TILE, -1)
+
+
+def _batch_alphas(seen: Footprints, chunk: Tensor, left: Tensor, top: Tensor) -> Tensor:
+    """Alpha of Gaussians (t, n) at each pixel of their tiles, (t, TILE**2, n); tiles begin at pixels left, top, (t,)."""
+    centres, conics = seen.centres[chunk], seen.conics[chunk, None]  # (t, n, 2), (t, n, 1, 3)
+    xx, xy, yy = conics.transpose(1, 2).unbind(dim=-1)  # (t, 1, n) each
+    steps = torch.arange(TILE)
+    across = (left[:, None] + steps)[..., None] - centres[:, None, :, 0]  # (t, TILE, n)
+    down = (top[:, None] + steps)[..., None] - centres[:, None, :, 1]
+    power = (-0.5 * xx * across**2)[:, None] + (-0.5 * yy * down**2)[:, :, None]  # (t, rows, columns, n)
+    power = power - (xy * across)[:, None] * down[:, :, None]
+    alpha = (torch.exp(power.clamp(min=NEGLIGIBLE)) * seen.opacities[chunk][:, None, None]).clamp(max=MAX_ALPHA)
+    return alpha.masked_fill((power > 0) | (alpha < MIN_ALPHA), 0).flatten(1, 2)  # above 0 by rounding alone

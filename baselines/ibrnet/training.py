@@ -1,0 +1,61 @@
+"""What IBRNet learns: density along rays and how views blend there, from pictures alone."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ggvs_eval.baselines.ibrnet.network import Networks
+from ggvs_eval.baselines.ibrnet.rendering import depth_range, rays_at_once, render_passes, render_rays
+from ggvs_eval.baselines.ibrnet.views import see
+from ggvs_eval.baselines.learned import TrainingRecipe
+from ggvs_eval.method import Instant
+from ggvs_eval.training.instant_samples import InstantSample
+
+
+@dataclass(frozen=True)
+class IbrnetRecipe(TrainingRecipe[Networks]):
+    """The training of IBRNet.
+
+    Attributes:
+        rays: drawn from each crop.
+
+    Reading:
+        The authors' loss, the squared error of both passes, of rays drawn from a window instead of the whole view, so that the
+        sources need not be seen whole. Depth is not used.
+    """
+
+    crop_width: int = 160
+    crop_height: int = 120
+    rays: int = 320
+    validated_step: ClassVar[int] = 4
+
+    def network(self) -> Networks:
+        """Networks with random weights."""
+        return Networks(self.configuration)
+
+    def sample_loss(self, network: Networks, sample: InstantSample, step: int) -> tuple[Tensor, dict[str, Tensor]]:
+        """Squared error of both passes."""
+        target, truth = sample.instant.target, sample.truth_tensor.flatten(1).T  # (H * W, 3)
+        drawn = torch.as_tensor(np.random.default_rng([self.seed, step, 1]).choice(len(truth), self.rays, replace=False))
+        centre = torch.as_tensor(target.centre).float()
+        rays = torch.as_tensor(target.rays().reshape(-1, 3)).float()[drawn]
+        views = see(network, sample.instant.sources)
+        rough, (colours, _, _) = render_passes(network, views, centre, rays, *depth_range(sample.instant))
+        terms = {
+            "coarse_loss": (rough - truth[drawn]).square().mean(),
+            "fine_loss": (colours - truth[drawn]).square().mean(),
+        }
+        return terms["coarse_loss"] + terms["fine_loss"], terms
+
+    def validated_view(self, network: Networks, instant: Instant) -> Tensor:
+        """Pixels of the target view on a grid; whole views would take minutes."""
+        step = self.validated_step
+        rays = torch.as_tensor(np.ascontiguousarray(instant.target.rays()[::step, ::step])).float()  # (h, w, 3)
+        views = see(network, instant.sources)
+        centre = torch.as_tensor(instant.target.centre).float()
+        chunks = rays.view(-1, 3).split(rays_at_once(len(views), network.config.samples))
+        parts = [render_rays(network, views, centre, chunk, *depth_range(instant))[0] for chunk in chunks]
+        return torch.cat(parts).clamp(0, 1).view(rays.shape).permute(2, 0, 1)

@@ -1,0 +1,129 @@
+"""What a learned baseline is: its entry in the registry, and what it adds to the training that all of them share."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
+
+from ggvs_eval.method import Instant, Method
+
+if TYPE_CHECKING:
+    from torch import Tensor, nn
+
+    from ggvs_eval.training.instant_samples import InstantSample
+
+FULL = "full"  # the authors' configuration; a file of weights that names none is of it
+Network = TypeVar("Network", bound="nn.Module")
+
+
+@dataclass(frozen=True)
+class Rendition:
+    """One of the ways in which a learned baseline renders, each with a label of its own.
+
+    Attributes:
+        title: how tables call it.
+        describe: one line for the help and the report.
+        retrained: configuration of the weights that ship for it; empty where the user has to give a checkpoint.
+        variant: what its label has behind the baseline's name and a ``+``.
+        options: arguments of the baseline's method.
+    """
+
+    title: str
+    describe: str
+    retrained: str = ""
+    variant: str = ""
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class LearnedBaseline:
+    """A network that the paper's is compared with: all that the package knows of it outside its folder.
+
+    Classes are named by ``module:class``, so that a list of baselines loads no network.
+
+    Attributes:
+        name: of the baseline in labels, of its training and of its files of weights.
+        title: how its authors call it.
+        source: authors and venue of its paper.
+        checkpoint: the authors' file that it can render with.
+        method: class of its `Method`; takes the file of weights and ``device`` beside the options of a rendition.
+        recipe: class of its `TrainingRecipe`.
+        renditions: the ways in which it renders.
+        takes_depth: whether it learns from sources with depth; without, no sample waits for depth.
+    """
+
+    name: str
+    title: str
+    source: str
+    checkpoint: str
+    method: str
+    recipe: str
+    renditions: tuple[Rendition, ...]
+    takes_depth: bool = False
+
+    @property
+    def weights(self) -> str:
+        """Name of the file of weights that ships, if one does."""
+        return f"{self.name}.safetensors"
+
+    def label(self, rendition: Rendition) -> str:
+        """What the command line and the folders call one of its renditions."""
+        return f"{self.name}+{rendition.variant}" if rendition.variant else self.name
+
+    def make_method(self, weights: Path, **options: Any) -> Method:
+        """A fresh object that renders one sequence.
+
+        Args:
+            weights: the authors' checkpoint, or what our training wrote.
+            options: ``device``, and others of the method.
+        """
+        method: Callable[..., Method] = resolve_name(self.method)
+        return method(weights, **options)
+
+    def make_recipe(self, configuration: str = "compact", seed: int = 0) -> "TrainingRecipe[Any]":
+        """How a configuration of its network is trained.
+
+        Raises:
+            TrainingError: a configuration that cannot be trained here.
+        """
+        recipe: Callable[..., TrainingRecipe[Any]] = resolve_name(self.recipe)
+        return recipe(configuration, seed)
+
+
+@dataclass(frozen=True)
+class TrainingRecipe(ABC, Generic[Network]):
+    """The network that a baseline trains, its loss, and how its progress is seen; samples, crops and scores are everybody's.
+
+    Attributes:
+        configuration: of the network.
+        seed: of the weights and of what the loss draws.
+        crop_width: of the target's crops, pixels.
+        crop_height: of the crops.
+        validated_step: pixels between two that are validated, along rows and columns; 1 validates whole views.
+    """
+
+    configuration: str = "compact"
+    seed: int = 0
+    crop_width: int = 320
+    crop_height: int = 240
+    validated_step: ClassVar[int] = 1
+
+    @abstractmethod
+    def network(self) -> Network:
+        """A network with random weights, of the configuration."""
+
+    @abstractmethod
+    def sample_loss(self, network: Network, sample: "InstantSample", step: int) -> "tuple[Tensor, dict[str, Tensor]]":
+        """The loss of one crop, and its terms for the log.
+
+        Args:
+            network: in training mode.
+            sample: its target is the crop, its sources are what the crop can show of them.
+            step: number of the step, a seed for what the loss draws.
+        """
+
+    @abstractmethod
+    def validated_view(self, network: Network, instant: Instant) -> "Tensor":
+        """The target view by a network in evaluation mode, every `validated_step`-th pixel of it, (3, h, w) in [0, 1]."""

@@ -1,0 +1,99 @@
+"""What a training leaves on disk: its state, to go on exactly where it was, and its weights as they ship."""
+
+import pickle
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from safetensors.torch import save_file
+from torch import nn
+from torch.optim.swa_utils import AveragedModel
+
+from ggvs_eval.errors import TrainingError
+from ggvs_eval.files.atomic import atomic_file
+from ggvs_eval.files.weights_file import load_strict, read_tensors
+
+NETWORK = "the network to be trained"  # in messages
+
+
+@dataclass
+class TrainingState:
+    """Everything that changes while training.
+
+    Attributes:
+        step: steps done.
+        network: the weights that are moved.
+        average: their running average.
+        optimiser: with its moments.
+    """
+
+    step: int
+    network: nn.Module
+    average: AveragedModel
+    optimiser: torch.optim.Optimizer
+
+
+def state_file(folder: Path) -> Path:
+    """Where the state of a training lies."""
+    return folder / "state.pt"
+
+
+def write_state(folder: Path, state: TrainingState) -> None:
+    """Write it under a temporary name and rename it, so that a kill leaves the old one or the new one."""
+    values = {
+        "step": state.step,
+        "network": state.network.state_dict(),
+        "average": state.average.state_dict(),
+        "optimiser": state.optimiser.state_dict(),
+    }
+    with atomic_file(state_file(folder)) as temporary:
+        torch.save(values, temporary)
+
+
+def read_state(folder: Path, fresh: TrainingState, device: torch.device) -> TrainingState:
+    """The state of a folder poured into a fresh one; the fresh one itself where there is none.
+
+    Raises:
+        TrainingError: damaged, or of another network.
+    """
+    path = state_file(folder)
+    if not path.is_file():
+        return fresh
+    try:
+        values = torch.load(path, map_location=device, weights_only=True)
+        fresh.network.load_state_dict(values["network"])
+        fresh.average.load_state_dict(values["average"])
+        fresh.optimiser.load_state_dict(values["optimiser"])
+        fresh.step = int(values["step"])
+    except (RuntimeError, KeyError, ValueError, TypeError, EOFError, pickle.UnpicklingError) as error:
+        reason = str(error).splitlines()[0]
+        raise TrainingError(f"{path}: not a state of this training ({reason}); choose another folder or delete it") from error
+    return fresh
+
+
+def write_weights(path: Path, network: nn.Module, notes: Mapping[str, str]) -> None:
+    """Write a network's weights in half precision, under a temporary name first.
+
+    Args:
+        path: the .safetensors file.
+        network: whose weights.
+        notes: texts for the file's header.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    tensors = {
+        name: (tensor.half() if tensor.is_floating_point() else tensor).contiguous().cpu()
+        for name, tensor in network.state_dict().items()
+    }
+    temporary = path.with_suffix(".tmp")
+    save_file(tensors, temporary, dict(notes))
+    temporary.replace(path)
+
+
+def pour_weights(path: Path, network: nn.Module) -> None:
+    """Give a network the weights of such a file.
+
+    Raises:
+        WeightsError: absent, damaged, or of another network.
+    """
+    load_strict(read_tensors(path, of=NETWORK), network, path, NETWORK)

@@ -1,0 +1,154 @@
+"""The training of a learned baseline: its recipe on samples of this package, scored as evaluations are."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from ggvs_eval.arrays import Image8, Map
+from ggvs_eval.baselines.learned import LearnedBaseline, TrainingRecipe
+from ggvs_eval.baselines.registry import LEARNED_BASELINES
+from ggvs_eval.files.images import quantise
+from ggvs_eval.metrics.image.psnr import psnr
+from ggvs_eval.metrics.image.ssim import ssim
+from ggvs_eval.pipelines.training.samples.samples import Samples, require_room
+from ggvs_eval.pipelines.training.samples.training_data import TrainingData, baseline_samples
+from ggvs_eval.training.instant_samples import InstantSample
+from ggvs_eval.training.task import Schedule
+
+LEARNING_RATE = 1e-3  # ours has the same: what a rate for a GPU's day would learn in an hour of one core is little
+
+
+def baseline_task(name: str, cache: Path, data: TrainingData, configuration: str = "compact", seed: int = 0) -> "BaselineTask":
+    """The training of a baseline on the views that the blending network learns from.
+
+    Args:
+        name: one of `LEARNED_BASELINES`.
+        cache: where rooms and samples are kept.
+        data: what is learned from.
+        configuration: of the network.
+        seed: of the weights and the crops.
+
+    Raises:
+        TrainingError: nothing to learn from, or a configuration that cannot be trained here.
+    """
+    baseline = LEARNED_BASELINES[name]
+    samples = baseline_samples(cache, data, baseline.takes_depth)
+    return BaselineTask(*samples, baseline, baseline.make_recipe(configuration, seed))
+
+
+def compact_schedule() -> Schedule:
+    """The schedule of the blending network's training."""
+    return Schedule(LEARNING_RATE, weight_decay=1e-5, warm_up=100, cool_down=0.4)
+
+
+@dataclass(frozen=True)
+class BaselineTask:
+    """The training of a method that the paper compares itself with.
+
+    Attributes:
+        training: samples to learn from; their `prepare` makes them.
+        validation: samples that are never learned from.
+        baseline: which one.
+        recipe: its network, its loss and the size of its crops.
+        batch_size: crops per step.
+        schedule: see `Schedule`.
+    """
+
+    training: Samples[InstantSample]
+    validation: Samples[InstantSample]
+    baseline: LearnedBaseline = field(repr=False)
+    recipe: TrainingRecipe[Any]
+    batch_size: int = 1
+    schedule: Schedule = field(default_factory=compact_schedule)
+
+    def __post_init__(self) -> None:
+        """Refuse what does not fit together."""
+        require_room(self.training, self.recipe.crop_width, self.recipe.crop_height)
+
+    @property
+    def name(self) -> str:
+        """Names the weights."""
+        return self.baseline.name
+
+    @property
+    def summary(self) -> str:
+        """What is trained."""
+        return f"The training of {self.baseline.title} ({self.baseline.source})."
+
+    @property
+    def data(self) -> str:
+        """What it learns from."""
+        return f"{self.training.data}; the targets and sources of the blending network's training"
+
+    @property
+    def evaluated_on(self) -> str:
+        """What `validate` measures."""
+        step = self.recipe.validated_step
+        if step == 1:
+            return f"PSNR (dB) and SSIM, means of whole views, single instants: {self.validation.data}."
+        return f"PSNR (dB) of one pixel in {step} x {step}; means of single instants: {self.validation.data}."
+
+    def network(self) -> nn.Module:
+        """A fresh network."""
+        torch.manual_seed(self.recipe.seed)
+        network: nn.Module = self.recipe.network()
+        return network
+
+    def batch(self, step: int) -> dict[str, Tensor]:
+        """Which crops a step learns from.
+
+        Returns:
+            ``samples``: numbers, (B,). ``places``: of the windows, as shares of the room that each sample leaves to its right
+            and below, (B, 2), in [0, 1). ``colours``: their order, (B, 3). ``step``: its number, ().
+        """
+        rng = np.random.default_rng([self.recipe.seed, step])
+        drawn = {
+            "samples": rng.integers(len(self.training), size=self.batch_size),
+            "places": rng.random((self.batch_size, 2)),
+            "colours": np.stack([rng.permutation(3) for _ in range(self.batch_size)]),
+            "step": np.array(step),
+        }
+        return {name: torch.as_tensor(values) for name, values in drawn.items()}
+
+    def loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, Mapping[str, float]]:
+        """Mean over the crops."""
+        network.train()
+        losses, figures = [], []
+        for number, place, order in zip(*(batch[name].tolist() for name in ("samples", "places", "colours")), strict=True):
+            sample = self._crop(self.training.read(number), place)
+            loss, terms = self.recipe.sample_loss(network, sample.focused().recoloured(tuple(order)), int(batch["step"]))
+            losses.append(loss)
+            figures.append({name: float(term.detach()) for name, term in terms.items()})
+        means = {name: sum(each[name] for each in figures) / len(figures) for name in figures[0]}
+        return torch.stack(losses).mean(), means
+
+    def _crop(self, sample: InstantSample, place: Sequence[float]) -> InstantSample:
+        """The window at a place of a sample, whatever the sample's size."""
+        width, height = sample.instant.target.size
+        across, down = self.recipe.crop_width, self.recipe.crop_height
+        left, top = int(place[0] * (width - across + 1)), int(place[1] * (height - down + 1))
+        return sample.cropped(left, top, across, down)
+
+    def validate(self, network: nn.Module) -> Mapping[str, float]:
+        """Scores of the validation views, their means."""
+        network.eval()
+        scores = []
+        for index in range(len(self.validation)):
+            sample = self.validation.read(index)
+            with torch.inference_mode():
+                view = self.recipe.validated_view(network, sample.instant).float()
+            scores.append(self._scores(view.permute(1, 2, 0).numpy(force=True), sample.truth))
+        return {name: sum(each[name] for each in scores) / len(scores) for name in scores[0]}
+
+    def _scores(self, view: Map, truth: Image8) -> dict[str, float]:
+        """A whole view as an evaluation would measure it; pixels without their neighbours have no SSIM."""
+        step = self.recipe.validated_step
+        if step > 1:
+            return {"psnr_db": psnr(view, truth[::step, ::step] / np.float32(255))}
+        image = quantise(view)
+        return {"psnr_db": psnr(image, truth), "ssim": ssim(image, truth)}

@@ -1,1 +1,0 @@
-"""What every training shares: its task, loop, checkpoints, log, curves and card."""

@@ -1,0 +1,158 @@
+"""Learned baselines as entries of one registry: what is listed, what an entry names, and one that is added by a line."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from pkgutil import resolve_name
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from ggvs_eval import baselines
+from ggvs_eval.baselines.learned import LearnedBaseline, Rendition, TrainingRecipe
+from ggvs_eval.baselines.registry import FOLDERS, LEARNED_BASELINES
+from ggvs_eval.errors import WeightsError
+from ggvs_eval.files.weights_file import load_strict, read_tensors
+from ggvs_eval.method import Rendering
+from ggvs_eval.pipelines.methods import registry
+from ggvs_eval.pipelines.methods.network_options import NetworkOptions
+from ggvs_eval.pipelines.methods.registry import METHODS, find_method
+from ggvs_eval.pipelines.methods.spec import shipped
+from ggvs_eval.pipelines.training.request import TrainingRequest
+from ggvs_eval.pipelines.training.samples.training_data import baseline_samples
+from ggvs_eval.pipelines.training.train_one import CACHE, requested_data, train_one
+from ggvs_eval.training.losses import structural_loss
+from helpers.stereo_scenes import write_capture
+
+WIDTH, HEIGHT = 400, 300  # of domain plain
+START = torch.tensor([0.25, 0.5, 0.75])
+REQUEST = TrainingRequest(steps=1, views=2, rooms=1, targets=1, domains=("plain",), device="cpu", workers=0)
+
+
+class ToyNetwork(nn.Module):
+    """One colour, in which it paints every view."""
+
+    def __init__(self, configuration="compact"):
+        super().__init__()
+        self.configuration = configuration
+        self.colour = nn.Parameter(START.clone())
+
+    def forward(self, target):
+        """(3, H, W)."""
+        return self.colour[:, None, None].expand(3, target.height, target.width)
+
+
+class ToyMethod:
+    """Renders that colour, times a gain."""
+
+    def __init__(self, weights, gain=1.0, device="cpu"):
+        self.network, self.gain = ToyNetwork().to(device), gain
+        load_strict(read_tensors(weights), self.network, weights, "a toy")
+
+    def step(self, instant):
+        """One colour everywhere."""
+        with torch.inference_mode():
+            return Rendering(self.gain * self.network(instant.target).permute(1, 2, 0).numpy(force=True))
+
+
+@dataclass(frozen=True)
+class ToyRecipe(TrainingRecipe[ToyNetwork]):
+    """Squared error and structure of small crops."""
+
+    crop_width: int = 64
+    crop_height: int = 48
+
+    def network(self):
+        """The same colour at first, whatever the seed."""
+        return ToyNetwork(self.configuration)
+
+    def sample_loss(self, network, sample, step):
+        """Squared error and structure."""
+        image, truth = network(sample.instant.target), sample.truth_tensor
+        terms = {"squared_loss": (image - truth).square().mean(), "ssim_loss": structural_loss(image[None], truth[None])}
+        return sum(terms.values()), terms
+
+    def validated_view(self, network, instant):
+        """The whole view."""
+        return network(instant.target)
+
+
+TOY = LearnedBaseline(
+    name="toy",
+    title="Toy",
+    source="nobody, nowhere 2020",
+    checkpoint="toy.pth of nobody",
+    method=f"{__name__}:ToyMethod",
+    recipe=f"{__name__}:ToyRecipe",
+    renditions=(Rendition("Toy", "one colour"), Rendition("Dark Toy", "half of it", variant="dark", options={"gain": 0.5})),
+)
+
+
+@pytest.fixture
+def toy(monkeypatch):
+    """The toy in the registry, and the table of methods built as it is at import."""
+    monkeypatch.setitem(LEARNED_BASELINES, TOY.name, TOY)
+    monkeypatch.setattr(registry, "METHODS", registry.all_methods())
+    return TOY
+
+
+@pytest.fixture
+def cache(tmp_path):
+    """Samples of a slanted plane in place of rooms, where the toy's training looks for them."""
+    capture = write_capture(tmp_path / "plane", n_frames=1).resized(WIDTH, HEIGHT, "area")
+    folder = tmp_path / CACHE
+    for pool in (pool for samples in baseline_samples(folder, requested_data(REQUEST), depth=False) for pool in samples.pools):
+        pool.prepare_capture(pool.plan.first_room, capture)
+    return folder
+
+
+def test_a_new_baseline_is_listed_trained_and_renders(toy, cache):
+    """An entry alone: both its labels are methods, a step is trained, its weights render by either label, its card is written."""
+    assert [label for label in registry.METHODS if label not in METHODS] == ["toy", "toy+dark"]
+    assert (find_method("toy").title, find_method("toy+dark").title) == ("Toy", "Dark Toy")
+    with pytest.raises(WeightsError, match=r"^Toy: its weights do not ship; wanted toy.pth of nobody, .* --weights toy=FILE$"):
+        find_method("toy").make()
+
+    weights, card = train_one("toy", cache.parent / "toy", REQUEST)
+
+    sample = baseline_samples(cache, requested_data(REQUEST), depth=False)[1].read(0)
+    plain, dark = (
+        find_method(label, NetworkOptions({"toy": weights})).make().step(sample.instant).image for label in ("toy", "toy+dark")
+    )
+    trained = read_tensors(weights)["colour"].float().numpy()
+    assert plain.shape == sample.truth.shape
+    np.testing.assert_allclose(trained, START, atol=1e-3)
+    np.testing.assert_array_equal(plain, np.broadcast_to(trained, plain.shape))
+    np.testing.assert_array_equal(dark, plain / 2)
+    moved = torch.load(weights.parent / "state.pt", weights_only=True)["network"]["colour"] - START
+    assert (moved != 0).all()
+    told = card.read_text()
+    assert "The training of Toy (nobody, nowhere 2020)." in told
+    assert "- recipe: {'configuration': 'compact', 'seed': 0, 'crop_width': 64, 'crop_height': 48}" in told
+    assert "ToyMethod" not in told
+    assert (weights.parent / "validation.csv").read_text().startswith("step,psnr_db,ssim\n1,")
+
+
+def test_every_folder_is_registered():
+    """A folder that the registry forgets would be no method and no training."""
+    root = Path(baselines.__file__).parent
+
+    assert sorted(FOLDERS) == sorted(folder.parent.name for folder in root.glob("*/__init__.py"))
+
+
+@pytest.mark.parametrize("name", LEARNED_BASELINES)
+def test_entries_name_what_there_is(name):
+    """The classes exist and take what they are given; every label is a method; weights ship where they are said to."""
+    baseline = LEARNED_BASELINES[name]
+    recipe = baseline.make_recipe("compact", seed=3)
+
+    assert (type(recipe), recipe.seed) == (resolve_name(baseline.recipe), 3)
+    assert isinstance(recipe, TrainingRecipe)
+    assert recipe.network().configuration == "compact"
+    for rendition in baseline.renditions:
+        spec = METHODS[baseline.label(rendition)]
+        assert spec.checkpoint == baseline.checkpoint
+        if rendition.retrained:
+            assert spec.weights == (shipped(baseline.weights),)
+            assert isinstance(spec.make(), resolve_name(baseline.method))
