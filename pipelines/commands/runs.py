@@ -11,7 +11,7 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.errors import ProtocolError, WeightsError
 from ggvs_eval.jobs.engine import Engine
 from ggvs_eval.jobs.ledger import Failure
-from ggvs_eval.pipelines.commands.captures import BY_DEFAULT, FOUND_BY_DEFAULT, Finding, Folder, Reading, ReadingOptions
+from ggvs_eval.pipelines.commands.captures import BY_DEFAULT, FOUND_BY_DEFAULT, Finding, Output, Reading, ReadingOptions, Run
 from ggvs_eval.pipelines.commands.print_plan import print_plan
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions, found_device
 from ggvs_eval.pipelines.methods.registry import METHODS, usual_methods
@@ -28,7 +28,7 @@ USUAL_METHODS = usual_methods()
 
 
 def prepare(
-    run: Folder,
+    run: Run,
     capture: Path,
     protocol: str | None = None,
     fuse: bool = False,
@@ -71,7 +71,7 @@ def prepare(
 
 
 def render(
-    run: Folder, methods: Labels = USUAL_METHODS, weights: Weights = (), device: Device = "cpu", engine: Running = HERE
+    run: Run, methods: Labels = USUAL_METHODS, weights: Weights = (), device: Device = "cpu", engine: Running = HERE
 ) -> None:
     """Synthesise every test view of a prepared run by each method.
 
@@ -91,7 +91,7 @@ def render(
 
 
 def run(
-    run: Folder,
+    run: Run,
     capture: Path | None = None,
     protocol: str | None = None,
     methods: Labels = USUAL_METHODS,
@@ -147,8 +147,8 @@ def run(
 
 
 def sweep(
-    name: Annotated[str, tyro.conf.Positional],
-    out: Folder,
+    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SWEEP")],
+    out: Output,
     capture: tuple[Path, ...] = (),
     protocol: str | None = None,
     weights: Weights = (),
