@@ -18,6 +18,7 @@ from ggvs_eval.pipelines.offline.calibration.undistort import UndistortOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.synthetic.film.options import DemoOptions
 
+NONE = "(none by default)"
 Run = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
 CaptureFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE")]
 Frames = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FRAMES")]
@@ -30,7 +31,7 @@ class CaptureOptions:
     """How a capture is read.
 
     Attributes:
-        layout: how it lies on disk; found out by default.
+        layout: on disk; detected by default.
         units: world units per metre, or a TOML file with a known baseline or two marked points (docs/captures.md).
         keep_unsynced: keep cameras that are known to be out of step (cam13 of coffee_martini).
     """

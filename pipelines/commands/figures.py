@@ -7,7 +7,9 @@ import tyro
 
 from ggvs_eval.pipelines.commands.captures import Output, Run
 
-Runs = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN ...]")]
+Runs = Annotated[
+    tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN ...]", help_behavior_hint="(at least one)")
+]
 Kind = Annotated[Literal["crops", "failures", "epi", "time", "k"], tyro.conf.Positional]
 
 
@@ -33,7 +35,7 @@ def figure(
     view: str | None = None,
     frame: int | None = None,
     row: int | None = None,
-    metrics: tuple[str, ...] = (),
+    metrics: Annotated[tuple[str, ...], tyro.conf.arg(metavar="METRIC ...", help_behavior_hint="(default: PSNR LPIPS)")] = (),
 ) -> None:
     """Draw a figure for a paper, labelled, every method beside the truth.
 
@@ -48,7 +50,7 @@ def figure(
         view: test view of crops and time; the one with the largest score, and the first, by default.
         frame: frame of crops; the one with the largest score by default.
         row: image row of epi and time; the most telling one by default.
-        metrics: panels of k; PSNR and LPIPS by default.
+        metrics: panels of k.
     """
     from ggvs_eval.reports.figures.paper_figures import write_figure
 

@@ -1,6 +1,7 @@
 """The command line. Known errors are one line and exit code 1; anything else is our bug and keeps its traceback."""
 
 import os
+import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -12,6 +13,7 @@ from ggvs_eval.errors import CommandError, GgvsError, ProtocolError, did_you_mea
 from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.pipelines.commands.captures import (
     BY_DEFAULT,
+    NONE,
     Reading,
     calibrate,
     check,
@@ -28,7 +30,7 @@ from ggvs_eval.pipelines.commands.training import TRAININGS
 
 def score(
     folder: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = None,
-    renders: tuple[str, ...] = (),
+    renders: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=PATH ...", help_behavior_hint=NONE)] = (),
     capture: Path | None = None,
     protocol: str | None = None,
     run: Path | None = None,
@@ -91,6 +93,7 @@ COMMANDS: Commands = {
     "doctor": doctor,
     "explain": explain,
 }
+CONTINUED = re.compile(r"\n {12,}(?=\S)")  # the second and later lines of an argument in a docstring
 ABOUT = {
     "ggvs-eval": "How good and how steady, over views and over time, is a method on a multi-view capture - and why?",
     "ggvs-eval train": "Train a network of this package; a second call goes on where the first one stopped.",
@@ -132,6 +135,7 @@ def call_command(program: str, commands: Commands, words: Sequence[str]) -> None
     if isinstance(command, Mapping):
         call_command(f"{program} {name}", command, words[1:])
     else:
+        command.__doc__ = CONTINUED.sub(" ", command.__doc__ or "")  # tyro would break help where the source does
         tyro.cli(command, prog=f"{program} {name}", args=words[1:])
 
 

@@ -13,7 +13,9 @@ from ggvs_eval.pipelines.commands.captures import Output
 
 def merge(
     out: Output,
-    runs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN RUN [RUN ...]")],
+    runs: Annotated[
+        tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN RUN [RUN ...]", help_behavior_hint="(at least two)")
+    ],
     copy: bool = False,
     jobs: int = default_workers(),
 ) -> None:

@@ -3,11 +3,11 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import tyro
 
-from ggvs_eval.pipelines.commands.captures import Output
+from ggvs_eval.pipelines.commands.captures import NONE, Output
 from ggvs_eval.pipelines.training.request import Configuration, Guidance, Precision, Size, TrainingRequest
 
 BASELINES = ("fwd", "gps-gaussian", "ibrnet", "enerf")
@@ -42,7 +42,7 @@ class DataOptions:
         views: the most source views of a sample, K.
         rooms: rooms to render of each domain, one to four minutes and 50 MB each.
         targets: target views per room.
-        domains: kinds of captures to learn from and to choose by (plain, narrow, arc, ...); all of them unless named.
+        domains: kinds of captures to learn from and to choose by (plain, narrow, arc, ...).
         captures: folders of captures to learn from beside the rooms (RGB-D sequences by ScanNet's rule, Spaces, DyNeRF, rigs of
             your own), never those that you test on.
         hold_back: learn from the first half of each RGB-D sequence, and validate on what is new in the rest.
@@ -51,8 +51,8 @@ class DataOptions:
     views: int = TrainingRequest.views
     rooms: int = TrainingRequest.rooms
     targets: int = TrainingRequest.targets
-    domains: tuple[str, ...] = ()
-    captures: tuple[Path, ...] = ()
+    domains: Annotated[tuple[str, ...], tyro.conf.arg(metavar="DOMAIN ...", help_behavior_hint="(default: all)")] = ()
+    captures: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="CAPTURE ...", help_behavior_hint=NONE)] = ()
     hold_back: bool = TrainingRequest.hold_back
 
 

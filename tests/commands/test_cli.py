@@ -87,7 +87,7 @@ def all_commands():
             yield (name,), command
 
 
-@pytest.mark.parametrize(("words", "command"), all_commands())
+@pytest.mark.parametrize(("words", "command"), list(all_commands()))
 def test_every_command_explains_itself(words, command, capsys):
     """`--help` of each command exits cleanly, says what it does, and every box has a name of its own."""
     told = helped(capsys, *words)

@@ -58,7 +58,8 @@ class DepthRunOptions:
         matcher: sgbm, sweep, raft (compact, ships with the package) or raft:CHECKPOINT.
         stereo_weights: a checkpoint of RAFT-Stereo's authors, e.g. raftstereo-middlebury.pth; the same as raft:CHECKPOINT.
         sensor: take the depth that a sensor measured where the capture has it (RGB-D), filtered, instead of stereo.
-        registration: bring sensor depth to its colour as the images of a sequence tell, where significant; or leave it as given.
+        registration: estimated: align sensor depth with its colour where the images of a sequence show that it is clearly off;
+            given: leave it as it is.
         reuse_static: compute depth again only where the picture changes, everything again every 16 instants.
     """
 
