@@ -1,6 +1,6 @@
 # Every target makes the virtual environment it needs; nothing has to be installed by hand but Python 3.11 or 3.12, make and g++.
 # Folders bear some of these names too: without .PHONY `make reports` would say "up to date" and do nothing.
-.PHONY: reports test check bench validate wheel-test view clean
+.PHONY: reports test check bench validate docs wheel-test view clean
 
 PYTHON ?= $(shell for p in python3.11 python3.12 python3; do \
 	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 13))' 2>/dev/null && echo $$p && break; done)
@@ -32,6 +32,15 @@ bench: $(READY)
 validate: $(READY)
 	$(BIN)/python -m benchmarks.validate $(if $(DATA),--data $(DATA))
 	$(BIN)/python -m benchmarks.domain_validation $(if $(DATA),--data $(DATA))
+
+# The site in build/site: the pages of docs/ and the docstrings of the public interface; a warning is an error.
+docs: .venv/.docs view
+	$(BIN)/python -m mkdocs build --strict --clean
+	@echo $(CURDIR)/build/site/index.html
+
+.venv/.docs: $(READY)
+	$(BIN)/pip install --disable-pip-version-check -q -e '.[docs]'
+	touch $@
 
 # What users get: the wheel, with no checkout in sight; its dependencies are those of .venv.
 wheel-test: $(READY)

@@ -1,4 +1,4 @@
-"""Write measured figures into README.md and docs/measurements.md: ``python docs/fill_tables.py``.
+"""Write measured figures into README.md, docs/results.md and docs/measurements.md: ``python docs/fill_tables.py``.
 
 It follows `make reports bench validate`. Tables stand between ``<!-- name -->`` and ``<!-- /name -->``; nothing between
 them is typed by hand.
@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from result_tables import budget_rows, ceilings_table, k_table, results_table, sweep_table, views_table
+from result_tables import beside_paper_table, budget_rows, ceilings_table, k_table, results_table, sweep_table, views_table
 
 from ggvs_eval.errors import ResultsError
 
@@ -53,8 +53,9 @@ Tables = Mapping[str, Callable[[], str]]
 
 def main() -> None:
     """Fill every table whose figures have been computed."""
+    _fill(ROOT / "README.md", {"beside_paper": lambda: beside_paper_table(OUT / "real_frame")})
     _fill(
-        ROOT / "README.md",
+        ROOT / "docs" / "results.md",
         {
             "demo": lambda: results_table(OUT / "demo"),
             "ceilings": lambda: ceilings_table(OUT / "demo"),

@@ -9,12 +9,24 @@ from ggvs_eval.errors import ResultsError
 from ggvs_eval.reports.figures.k_figure import SECONDS, read_k_table
 from ggvs_eval.reports.model.measured import read_run
 from ggvs_eval.reports.tables.error_budget import budget_table
+from ggvs_eval.reports.tables.published import read_published
 from ggvs_eval.results import Results, merge_results
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
 from ggvs_eval.statistics.bootstrap import Interval, intervals
 
 DECIMALS = {"PSNR": 2, "PSNR_cc": 2, "SSIM": 3, "LPIPS": 3, "L1": 2, "TCC": 3, "STED": 2, "Flicker": 2, "SDT": 3, "SDV": 3}
 DECIMALS |= {"EPI_coherence": 3, "switch_ratio": 2}
+
+BESIDE_PAPER = ("PSNR", "SSIM", "LPIPS", "L1")
+PAPER_METHODS = {  # label -> name in the paper's tables
+    "no-blending": "No Blending",
+    "distance-based": "Distance-based Blending",
+    "fwd": "FWD",
+    "gps-gaussian+given-depth": "GPSG",
+    "ibrnet": "IBRNet",
+    "enerf": "ENeRF",
+    "ours": "Ours",
+}
 
 
 def results_table(run: Path) -> str:
@@ -27,6 +39,20 @@ def results_table(run: Path) -> str:
 def views_table(run: Path) -> str:
     """PSNR per test view as Markdown."""
     return _markdown(_named(Results.read(run).per_view("PSNR"), run))
+
+
+def beside_paper_table(run: Path) -> str:
+    """Fidelity of one run beside what the paper prints of DyNeRF, as Markdown; nothing where the paper has no value."""
+    measured = Results.read(run).summary().droplevel("dataset")
+    names = read_json(run / "methods.json")["names"]
+    heads = [*BESIDE_PAPER, *(f"paper: {metric}" for metric in BESIDE_PAPER)]
+    rows = ["| method | " + " | ".join(heads) + " |", "| --- |" + " ---: |" * len(heads)]
+    for label, title in PAPER_METHODS.items():
+        values = measured.loc[tuple(label.partition("+")[::2])]
+        printed = {**read_published("ablation")["DyNeRF"].get(title, {}), **read_published("quality")["DyNeRF"].get(title, {})}
+        cells = [f"{values[metric]:.{DECIMALS[metric]}f}" for metric in BESIDE_PAPER]
+        rows.append(f"| {names[label]} | " + " | ".join([*cells, *(printed.get(metric, "") for metric in BESIDE_PAPER)]) + " |")
+    return "\n".join(rows)
 
 
 def ceilings_table(run: Path) -> str:

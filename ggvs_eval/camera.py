@@ -26,6 +26,14 @@ class Camera:
         height: image height in pixels.
         near: smallest depth of the scene seen from here, world units.
         far: largest depth of the scene seen from here, world units.
+
+    Examples:
+        >>> K = np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]])
+        >>> camera = Camera("cam00", K, np.eye(4), width=8, height=6, near=1.0, far=9.0)
+        >>> camera.size, camera.focal_px
+        ((8, 6), 8.0)
+        >>> camera.resized(16, 12).focal_px
+        16.0
     """
 
     name: str
@@ -129,6 +137,13 @@ class Camera:
         Returns:
             Image coordinates (..., 2) in pixels (pixel centres at halves) and depth (...); points behind the camera have
             depth <= 0 and meaningless coordinates.
+
+        Examples:
+            >>> K = np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]])
+            >>> camera = Camera("cam00", K, np.eye(4), width=8, height=6, near=1.0, far=9.0)
+            >>> uv, depth = camera.project(np.array([[0.5, 0.0, 2.0]]))
+            >>> uv.tolist(), depth.tolist()
+            ([[6.0, 3.0]], [2.0])
         """
         points_camera = points_world @ self.rotation.T + self.translation
         depth = points_camera[..., 2]
@@ -145,13 +160,26 @@ class Camera:
 
         Returns:
             Points in the world, (..., 3).
+
+        Examples:
+            >>> K = np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]])
+            >>> camera = Camera("cam00", K, np.eye(4), width=8, height=6, near=1.0, far=9.0)
+            >>> camera.unproject(np.array([[6.0, 3.0]]), np.array([2.0])).tolist()
+            [[0.5, 0.0, 2.0]]
         """
         rays = (uv - self.K[:2, 2]) / self.K[[0, 1], [0, 1]]
         points_camera = np.concatenate([rays * depth[..., None], depth[..., None]], axis=-1)
         return (points_camera - self.translation) @ self.rotation
 
     def pixel_centres(self) -> Array:
-        """Image coordinates of every pixel, (H, W, 2)."""
+        """Image coordinates of every pixel, (H, W, 2).
+
+        Examples:
+            >>> K = np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]])
+            >>> camera = Camera("cam00", K, np.eye(4), width=8, height=6, near=1.0, far=9.0)
+            >>> camera.pixel_centres()[0, :2].tolist()
+            [[0.5, 0.5], [1.5, 0.5]]
+        """
         return np.stack(np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5), axis=-1)
 
     def shows_the_same_rays(self, other: "Camera") -> bool:
@@ -169,7 +197,14 @@ class Camera:
         return replace(self, K=K, width=width, height=height)
 
     def cropped(self, left: int, top: int, width: int, height: int) -> "Camera":
-        """The camera of the window that starts at pixel (left, top)."""
+        """The camera of the window that starts at pixel (left, top).
+
+        Examples:
+            >>> K = np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]])
+            >>> camera = Camera("cam00", K, np.eye(4), width=8, height=6, near=1.0, far=9.0)
+            >>> camera.cropped(left=2, top=1, width=4, height=4).K[:2, 2].tolist()
+            [2.0, 2.0]
+        """
         K = self.K.copy()
         K[:2, 2] -= (left, top)
         return replace(self, K=K, width=width, height=height)
@@ -182,6 +217,13 @@ def nearest_cameras(target: Camera, cameras: Iterable[Camera], count: int) -> li
 
     Raises:
         CameraError: fewer than `count` other cameras.
+
+    Examples:
+        >>> K = np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]])
+        >>> camera = Camera("cam00", K, np.eye(4), width=8, height=6, near=1.0, far=9.0)
+        >>> rig = translated_path(camera, span=1.0, count=5)
+        >>> [each.name for each in nearest_cameras(rig[0], rig, 2)]
+        ['path0001', 'path0002']
     """
     others = [camera for camera in cameras if camera.name != target.name]
     if len(others) < count:
@@ -196,6 +238,12 @@ def translated_path(camera: Camera, span: float, count: int) -> list[Camera]:
         camera: stands in the middle of the path.
         span: length of the path in world units.
         count: number of poses, from left to right; they are called ``path0000``, ...
+
+    Examples:
+        >>> K = np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]])
+        >>> camera = Camera("cam00", K, np.eye(4), width=8, height=6, near=1.0, far=9.0)
+        >>> [float(pose.centre[0]) for pose in translated_path(camera, span=1.0, count=3)]
+        [-0.5, 0.0, 0.5]
     """
     poses = []
     for index, shift in enumerate(np.linspace(-span / 2, span / 2, count)):

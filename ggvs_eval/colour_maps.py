@@ -40,6 +40,10 @@ def depth_colours(depth: Map, nearest: float, farthest: float) -> Image8:
         depth: (H, W), world units, 0 = invalid.
         nearest: depth of the brightest colour.
         farthest: depth of the darkest.
+
+    Examples:
+        >>> depth_colours(np.array([[1.0, 4.0]], np.float32), nearest=1.0, farthest=4.0).tolist()
+        [[[253, 231, 36], [68, 1, 84]]]
     """
     inverse = np.divide(1, depth, out=np.zeros_like(depth), where=depth > 0)
     return coloured(_share(inverse, 1 / farthest, 1 / nearest), "viridis", depth > 0)

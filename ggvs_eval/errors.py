@@ -3,6 +3,9 @@
 The command line prints these in one line and exits with 1. Anything else is our bug and keeps its traceback.
 """
 
+from collections.abc import Iterable
+from difflib import get_close_matches
+
 
 class GgvsError(Exception):
     """Base of every error that the user can mend."""
@@ -10,6 +13,10 @@ class GgvsError(Exception):
     def __str__(self) -> str:
         """The message in one line of printable text, whatever names a damaged file has put into it."""
         return "".join(sign if sign.isprintable() else " " for sign in super().__str__())
+
+
+class CommandError(GgvsError):
+    """The command line asks for something that there is not."""
 
 
 class CaptureError(GgvsError):
@@ -50,3 +57,25 @@ class TrainingError(GgvsError):
 
 class ResultsError(GgvsError):
     """Results are absent, or two results must not stand in one table."""
+
+
+def did_you_mean(name: str, known: Iterable[str], cutoff: float = 0.6, prefix: str = "") -> str:
+    """Suggest the known name that a mistyped one was meant to be, as the tail of a message.
+
+    Args:
+        name: as the user wrote it.
+        known: the names that there are.
+        cutoff: likeness from 0 to 1 below which nothing is suggested.
+        prefix: of the suggestion, such as the section of a file that the names belong to.
+
+    Returns:
+        ``; did you mean NAME?``, or the empty string where no known name comes close.
+
+    Examples:
+        >>> did_you_mean("dynref", ["dynerf", "d3dmv"])
+        '; did you mean dynerf?'
+        >>> did_you_mean("x", ["dynerf", "d3dmv"])
+        ''
+    """
+    nearest = get_close_matches(name, known, n=1, cutoff=cutoff)
+    return f"; did you mean {prefix}{nearest[0]}?" if nearest else ""

@@ -28,6 +28,11 @@ class Lens:
         coefficients: of the model, in OpenCV's order.
         width: of the distorted image, pixels.
         height: of the distorted image, pixels.
+
+    Examples:
+        >>> K = np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]])
+        >>> Lens(K, "opencv", (-0.1, 0.0, 0.0, 0.0), 8, 6).distort(np.array([[8.0, 3.0]]), K).tolist()
+        [[7.9, 3.0]]
     """
 
     K: Array

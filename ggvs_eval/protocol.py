@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import Any, Literal
 
-from ggvs_eval.errors import ProtocolError
+from ggvs_eval.errors import ProtocolError, did_you_mean
 from ggvs_eval.files.images import ResizeFilter
 from ggvs_eval.files.toml_tables import build_table, parse_toml
 from ggvs_eval.geometry.source_views import SourceChoice
@@ -147,6 +147,14 @@ def load_protocol(source: str | pathlib.Path) -> Protocol:
 
     Raises:
         ProtocolError: no such file, not TOML, or an unknown, missing or mistyped key; the message names the nearest known one.
+
+    Examples:
+        >>> protocol = load_protocol("dynerf")
+        >>> protocol.views.test[:3], protocol.synthesis.k
+        (('cam00', 'cam02', 'cam04'), 4)
+        >>> load_protocol("dinerf")
+        Traceback (most recent call last):
+        ggvs_eval.errors.ProtocolError: protocol 'dinerf' is not packaged; ...; did you mean dynerf?
     """
     path = pathlib.Path(source)
     if path.suffix == ".toml":
@@ -155,16 +163,21 @@ def load_protocol(source: str | pathlib.Path) -> Protocol:
         text = path.read_text(encoding="utf-8")
     else:
         if str(source) not in packaged_protocols():
-            raise ProtocolError(
-                f"protocol {str(source)!r} is not packaged; use a .toml file or one of {', '.join(packaged_protocols())}"
-            )
+            known = packaged_protocols()
+            wanted = f"a .toml file or one of {', '.join(known)}{did_you_mean(str(source), known)}"
+            raise ProtocolError(f"protocol {str(source)!r} is not packaged; use {wanted}")
         text = (resources.files("ggvs_eval") / "protocols" / f"{source}.toml").read_text(encoding="utf-8")
     values = parse_toml(text, str(source), ProtocolError)
     return _checked(build_table(Protocol, values, str(source), "", ProtocolError), str(source))
 
 
 def packaged_protocols() -> list[str]:
-    """Names of the protocols that ship with the package."""
+    """Names of the protocols that ship with the package.
+
+    Examples:
+        >>> "dynerf" in packaged_protocols()
+        True
+    """
     folder = resources.files("ggvs_eval") / "protocols"
     return sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml"))
 

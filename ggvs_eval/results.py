@@ -67,6 +67,12 @@ class Results:
 
         Returns:
             Rows (dataset, method, variant), one column per metric, in the order in which they were first measured.
+
+        Examples:
+            >>> rows = [("demo", "room", "ours", "", "cam00", frame, "PSNR", value) for frame, value in enumerate((30.0, 32.0))]
+            >>> results = Results(make_table(rows), {"protocol_sha256": "0123"})
+            >>> float(results.summary()["PSNR"].iloc[0])
+            31.0
         """
         keys = ["dataset", "method", "variant", "metric", "scene"]
         per_view = self.table.groupby([*keys, "view"], sort=False, dropna=False)["value"].mean()

@@ -128,7 +128,12 @@ class RunFolder:
 
 
 def frame_path(folder: Path, index: int) -> Path:
-    """Path of one frame in a folder of frames."""
+    """Path of one frame in a folder of frames.
+
+    Examples:
+        >>> frame_path(Path("cam00"), 12).as_posix()
+        'cam00/0012.png'
+    """
     return folder / f"{index:04d}.png"
 
 
@@ -160,7 +165,12 @@ def require_frames(folders: dict[str, Path], indices: range) -> None:
 
 
 def as_ranges(indices: list[int]) -> str:
-    """Write sorted indices briefly: 0-3, 7, 9-11."""
+    """Write sorted indices briefly: 0-3, 7, 9-11.
+
+    Examples:
+        >>> as_ranges([0, 1, 2, 3, 7, 9, 10, 11])
+        '0-3, 7, 9-11'
+    """
     parts: list[list[int]] = []
     for index in indices:
         if parts and index == parts[-1][-1] + 1:

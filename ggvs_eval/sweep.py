@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 
-from ggvs_eval.errors import ProtocolError
+from ggvs_eval.errors import ProtocolError, did_you_mean
 from ggvs_eval.files.toml_tables import build_table, parse_toml, read_toml
 from ggvs_eval.protocol import Protocol
 
@@ -93,6 +93,11 @@ def load_sweep(source: str) -> Sweep:
 
     Raises:
         ProtocolError: no such file, not TOML, or an unknown, missing or mistyped key.
+
+    Examples:
+        >>> sweep = load_sweep("k")
+        >>> sweep.k, [row.method for row in sweep.row]
+        ((2, 3, 4, 5, 6), ['distance-based', 'ours'])
     """
     if source.endswith(".toml"):
         values = read_toml(Path(source), ProtocolError)
@@ -100,7 +105,9 @@ def load_sweep(source: str) -> Sweep:
         file = resources.files("ggvs_eval") / "sweeps" / f"{source}.toml"
         values = parse_toml(file.read_text(encoding="utf-8"), source, ProtocolError)
     else:
-        raise ProtocolError(f"sweep {source!r} is not packaged; use a .toml file or one of {', '.join(packaged_sweeps())}")
+        known = packaged_sweeps()
+        wanted = f"a .toml file or one of {', '.join(known)}{did_you_mean(source, known)}"
+        raise ProtocolError(f"sweep {source!r} is not packaged; use {wanted}")
     sweep = build_table(Sweep, values, source, "", ProtocolError)
     if not sweep.row or any(k < 1 for k in sweep.k):
         raise ProtocolError(f"{source}: wanted at least one [[row]] and k of at least 1, got {len(sweep.row)} rows, k {sweep.k}")

@@ -1,11 +1,10 @@
 """The metrics by the names that stand in protocols, tables and figures."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from difflib import get_close_matches
 from functools import partial
 from typing import Any
 
-from ggvs_eval.errors import MetricError
+from ggvs_eval.errors import MetricError, did_you_mean
 from ggvs_eval.metrics.image.corrected import LPIPS_CC, PSNR_CC, SSIM_CC
 from ggvs_eval.metrics.image.l1 import L1
 from ggvs_eval.metrics.image.lpips import LPIPS
@@ -53,8 +52,7 @@ def select_metrics(names: Iterable[str]) -> tuple[Metric, ...]:
     names = tuple(names)
     for name in names:
         if name not in METRICS:
-            nearest = get_close_matches(name, METRICS, n=1, cutoff=0.0)[0]
-            raise MetricError(f"no metric {name!r}; nearest is {nearest!r}, all are {', '.join(METRICS)}")
+            raise MetricError(f"no metric {name!r}{did_you_mean(name, METRICS)}; all are {', '.join(METRICS)}")
     return tuple(METRICS[name] for name in names)
 
 

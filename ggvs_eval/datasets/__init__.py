@@ -2,13 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import capture_toml, colmap, d3dmv, dynerf, easymocap, multipleview, nerfstudio, rgbd, spaces
 from ggvs_eval.datasets.units import GivenUnits
-from ggvs_eval.errors import CaptureError
+from ggvs_eval.errors import CaptureError, did_you_mean
 
 # Streams known to be out of step with the rest of their capture, (scene, camera).
 UNSYNCED = {("coffee_martini", "cam13")}
@@ -44,7 +43,7 @@ DATASETS = {
 }
 
 
-def open_capture(path: Path, layout: str | None = None, *, units: GivenUnits = None, drop_unsynced: bool = True) -> Capture:
+def open_capture(path: str | Path, layout: str | None = None, *, units: GivenUnits = None, drop_unsynced: bool = True) -> Capture:
     """Open a capture.
 
     Args:
@@ -56,7 +55,23 @@ def open_capture(path: Path, layout: str | None = None, *, units: GivenUnits = N
 
     Raises:
         CaptureError: nothing there, no layout that fits (with the reason of each), or a capture that is damaged.
+
+    Examples:
+        >>> import json, tempfile
+        >>> import numpy as np
+        >>> from ggvs_eval.files.images import write_image
+        >>> transforms = {"fl_x": 8, "fl_y": 8, "cx": 4, "cy": 3, "w": 8, "h": 6, "frames": []}
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     for index in range(2):
+        ...         pose = {"file_path": f"images/cam{index}.png", "transform_matrix": np.eye(4).tolist()}
+        ...         transforms["frames"].append(pose)
+        ...         write_image(Path(folder) / pose["file_path"], np.full((6, 8, 3), index, np.uint8))
+        ...     _ = (Path(folder) / "transforms.json").write_text(json.dumps(transforms))
+        ...     capture = open_capture(folder)
+        ...     capture.layout, capture.camera_names, capture.frame("cam1", 0).shape
+        ('nerfstudio', ('cam0', 'cam1'), (6, 8, 3))
     """
+    path = Path(path)
     if not path.exists():
         raise CaptureError(f"{path}: wanted a folder with a capture, there is none; check the path")
     if path.is_dir() and not any(path.iterdir()):
@@ -69,9 +84,8 @@ def open_capture(path: Path, layout: str | None = None, *, units: GivenUnits = N
 
 def _detect_layout(path: Path, wanted: str | None) -> str:
     if wanted is not None and wanted not in DATASETS:
-        near = get_close_matches(wanted, DATASETS, n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise CaptureError(f"{path}: no layout {wanted!r}, there are {', '.join(DATASETS)}{hint}")
+        known = ", ".join(DATASETS)
+        raise CaptureError(f"{path}: no layout {wanted!r}, there are {known}{did_you_mean(wanted, DATASETS)}")
     refusals = {name: spec.refuse(path) for name, spec in DATASETS.items() if wanted in (None, name)}
     fitting = [name for name, refusal in refusals.items() if refusal is None]
     if not fitting:

@@ -39,5 +39,10 @@ def digest_files(paths: Iterable[Path]) -> str:
 
 
 def digest_values(*values: str) -> str:
-    """SHA-256 over some texts, for content that is made of other content."""
+    """SHA-256 over some texts, for content that is made of other content.
+
+    Examples:
+        >>> digest_values("a", "bc") == digest_values("ab", "c")
+        False
+    """
     return hashlib.sha256("\0".join(values).encode()).hexdigest()

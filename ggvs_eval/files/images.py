@@ -17,7 +17,12 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
 def quantise(image: NDArray[np.floating]) -> Image8:
-    """Round an image in [0, 1] to 8 bit, as it will be saved; what lies outside is clipped."""
+    """Round an image in [0, 1] to 8 bit, as it will be saved; what lies outside is clipped.
+
+    Examples:
+        >>> quantise(np.array([[-0.1, 0.0, 0.5, 1.0]])).tolist()
+        [[0, 0, 128, 255]]
+    """
     return np.rint(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)
 
 
@@ -55,7 +60,15 @@ def _is_cut_png(content: bytes) -> bool:
 
 
 def write_image(path: Path, image: Image8) -> None:
-    """Write an 8-bit RGB image as PNG so that a killed process leaves either the whole file or none."""
+    """Write an 8-bit RGB image as PNG so that a killed process leaves either the whole file or none.
+
+    Examples:
+        >>> import tempfile
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     write_image(Path(folder) / "0000.png", np.full((2, 3, 3), 7, np.uint8))
+        ...     read_image(Path(folder) / "0000.png").shape
+        (2, 3, 3)
+    """
     _, encoded = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_PNG_COMPRESSION, 3])
     write_bytes(path, encoded.tobytes())
 
@@ -69,6 +82,10 @@ def resize(image: Image8, width: int, height: int, resize_filter: ResizeFilter) 
         height: wanted height in pixels.
         resize_filter: ``area`` (box average), or ``lanczos``, ``bicubic``, ``bilinear`` with the filter's support scaled to the
             reduction (antialiased, as Pillow does and as the DyNeRF loaders use it).
+
+    Examples:
+        >>> resize(np.array([[0, 10], [20, 30]], np.uint8), 1, 1, "area").tolist()
+        [[15]]
     """
     if image.shape[1::-1] == (width, height):
         return image

@@ -1,7 +1,6 @@
 """TOML tables as frozen dataclasses: every surprise is an error that names file, key and mend."""
 
 import dataclasses
-import difflib
 import sys
 import tomllib
 import types
@@ -9,7 +8,7 @@ import typing
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
-from ggvs_eval.errors import GgvsError
+from ggvs_eval.errors import GgvsError, did_you_mean
 
 Table = TypeVar("Table")
 
@@ -48,13 +47,21 @@ def build_table(kind: type[Table], values: dict[str, Any], file: str, section: s
         file: named in errors.
         section: prefix of the keys in errors, "" or "name.".
         error: raised for an unknown, missing or mistyped key; the message names the nearest known one.
+
+    Examples:
+        >>> from ggvs_eval.errors import ProtocolError
+        >>> from ggvs_eval.protocol import Frames
+        >>> build_table(Frames, {"start": 3, "count": 2}, "mine.toml", "frames.", ProtocolError)
+        Frames(start=3, count=2)
+        >>> build_table(Frames, {"strat": 3}, "mine.toml", "frames.", ProtocolError)
+        Traceback (most recent call last):
+        ggvs_eval.errors.ProtocolError: mine.toml: unknown key frames.strat; did you mean frames.start?
     """
     fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
     hints = typing.get_type_hints(kind)
     for key in values:
         if key not in fields:
-            nearest = difflib.get_close_matches(key, fields, n=1, cutoff=0.0)[0]
-            raise error(f"{file}: unknown key {section}{key}; did you mean {section}{nearest}?")
+            raise error(f"{file}: unknown key {section}{key}{did_you_mean(key, fields, cutoff=0.0, prefix=section)}")
     defaults = (dataclasses.MISSING, dataclasses.MISSING)
     required = [name for name, field in fields.items() if (field.default, field.default_factory) == defaults]
     missing = [f"{section}{name}" for name in required if name not in values]

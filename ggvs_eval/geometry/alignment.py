@@ -42,6 +42,12 @@ def align_similarity(source: Array, target: Array) -> Similarity:
 
     Raises:
         CameraError: too few points, or points on a line, which leave a rotation around it open.
+
+    Examples:
+        >>> points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+        >>> found = align_similarity(points, 2 * points + (0, 0, 5))
+        >>> round(found.scale, 6), bool(np.allclose(found.apply(points), 2 * points + (0, 0, 5)))
+        (2.0, True)
     """
     source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
     covariance = (target - target_mean).T @ (source - source_mean) / len(source)  # (3, 3)

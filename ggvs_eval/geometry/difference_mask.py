@@ -32,6 +32,11 @@ def difference_mask(
     Returns:
         M^t, (H, W), float32 in [beta, 1].
 
+    Examples:
+        >>> black, white = np.zeros((8, 8, 3), np.uint8), np.full((8, 8, 3), 255, np.uint8)
+        >>> difference_mask(black, black)[0, :2], difference_mask(white, black)[0, :2]
+        (array([0.6, 0.6], dtype=float32), array([1., 1.], dtype=float32))
+
     Reading:
         The paper does not say how three channels become one: the largest difference counts, which is the most sensitive to
         motion. Both images are averaged down before they are subtracted, so that sensor noise is averaged too.

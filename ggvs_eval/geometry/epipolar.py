@@ -81,6 +81,15 @@ def epipolar_errors(one: Camera, other: Camera, uv_one: Array, uv_other: Array) 
     """Distance of matched points from each other's epipolar lines under a calibration, pixels, (M,).
 
     Root of the mean square of the distances in both images.
+
+    Examples:
+        >>> from ggvs_eval.camera import translated_path
+        >>> K = np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]])
+        >>> camera = Camera("cam00", K, np.eye(4), width=8, height=6, near=1.0, far=9.0)
+        >>> left, right = translated_path(camera, span=0.25, count=2)
+        >>> uv_left, uv_right = np.array([[4.0, 3.0], [4.0, 3.0]]), np.array([[3.0, 3.0], [3.0, 4.0]])
+        >>> epipolar_errors(left, right, uv_left, uv_right).round(6).tolist()  # the second match misses its row by a pixel
+        [0.0, 1.0]
     """
     points_one, points_other = _homogeneous(uv_one), _homogeneous(uv_other)
     lines_other = points_one @ fundamental_matrix(one, other).T  # (M, 3), in the other image

@@ -25,6 +25,14 @@ def view_weights(target: Camera, cameras: Sequence[Camera], shares: Sequence[flo
     Returns:
         (K,), positive; 1 for the nearest camera if its share is.
 
+    Examples:
+        >>> from ggvs_eval.camera import translated_path
+        >>> K = np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]])
+        >>> camera = Camera("cam00", K, np.eye(4), width=8, height=6, near=1.0, far=9.0)
+        >>> rig = translated_path(camera, span=1.0, count=3)
+        >>> view_weights(rig[0], rig[1:]).round(2)  # the second stands twice as far away
+        array([1.  , 0.36], dtype=float32)
+
     Reading:
         LLFF's weight exp(-f d / (P z)) counts pixels: the finer the images, the more one camera decides alone. Errors of a view,
         by wrong depth, by surfaces that shine, by light that changes while a camera is carried, grow with the angle between the
@@ -57,6 +65,12 @@ def weighted_mean(colours: Sequence[Map], weights: Sequence[Map], factors: Seque
 
     Raises:
         RenderError: no view, or not as many weights as colours.
+
+    Examples:
+        >>> red, blue = np.zeros((2, 1, 1, 3), np.float32)
+        >>> red[..., 0], blue[..., 2] = 1.0, 1.0
+        >>> weighted_mean([red, blue], [np.full((1, 1), 3.0, np.float32), np.ones((1, 1), np.float32)]).tolist()
+        [[[0.75, 0.0, 0.25]]]
     """
     from ggvs_eval.kernels import _core
 

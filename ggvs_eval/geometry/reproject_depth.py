@@ -29,6 +29,13 @@ def reproject_depth(source: Camera, depth: NDArray[np.floating], target: Camera)
     Raises:
         RenderError: depth of another size than the source.
 
+    Examples:
+        >>> K = np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]])
+        >>> camera = Camera("cam00", K, np.eye(4), width=8, height=6, near=1.0, far=9.0)
+        >>> depth = reproject_depth(camera, np.full((6, 8), 2.0), camera.resized(4, 3))
+        >>> depth.shape, float(depth[1, 1])
+        ((3, 4), 2.0)
+
     Reading:
         A pixel of the sensor stands for the piece of plane that it covers: its inverse depth goes on as that of its neighbours
         on the same surface does, so that planes stay planes and no gaps open where the target has more pixels. The target's

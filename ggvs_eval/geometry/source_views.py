@@ -62,6 +62,14 @@ def choose_sources(target: Camera, cameras: Sequence[Camera], k: int, how: Sourc
         CameraError: no such choice, or fewer than `k` other cameras; for ``coverage``, none that looks the target's way and sees
             any of it.
 
+    Examples:
+        >>> from ggvs_eval.camera import translated_path
+        >>> K = np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]])
+        >>> camera = Camera("cam00", K, np.eye(4), width=8, height=6, near=1.0, far=9.0)
+        >>> rig = translated_path(camera, span=1.0, count=5)
+        >>> [source.camera.name for source in choose_sources(rig[0], rig, k=2)]
+        ['path0001', 'path0002']
+
     Reading:
         The paper takes the K nearest. Constants are chosen on the validation rigs (seeds 101-103: rows, arc, grid, a walk,
         a walk with pans; 320x240, K = 4, geometric weights, PSNR): `HALF_ANGLE_RAD` of 3 to 20 degrees, `TRUST` of 0.6 to 0.95,
@@ -77,7 +85,14 @@ def choose_sources(target: Camera, cameras: Sequence[Camera], k: int, how: Sourc
 
 
 def turn_rad(one: Camera, other: Camera) -> float:
-    """Angle between the viewing directions of two cameras."""
+    """Angle between the viewing directions of two cameras.
+
+    Examples:
+        >>> K = np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]])
+        >>> camera = Camera("cam00", K, np.eye(4), width=8, height=6, near=1.0, far=9.0)
+        >>> turn_rad(camera, camera)
+        0.0
+    """
     return float(np.arccos(np.clip(one.axis @ other.axis, -1.0, 1.0)))
 
 

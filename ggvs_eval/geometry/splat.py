@@ -80,6 +80,18 @@ def splat(
     Raises:
         RenderError: no source, or features that fit neither the camera nor each other, or a near or scale that is not positive.
 
+    Examples:
+        >>> K = np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]])
+        >>> camera = Camera("cam00", K, np.eye(4), width=8, height=6, near=1.0, far=9.0)
+        >>> view = PixelGaussians(camera, np.full((6, 8), 2.0, np.float32), np.full((6, 8, 3), 128, np.uint8))
+        >>> picture = splat([view], camera, near=0.2)
+        >>> picture.features[3, 4].round(3)
+        array([0.502, 0.502, 0.502], dtype=float32)
+        >>> round(float(picture.depth[3, 4]), 3)
+        2.0
+        >>> bool(picture.alpha.min() > 0.9)
+        True
+
     Reading:
         The paper says that a Gaussian covers a pixel, not how large it is: 0.5 pixels standard deviation is sharp and still
         closes the gaps of a 1.6-fold magnification. The forward pass is 3D Gaussian splatting's (0.3 px^2 added to the variance,

@@ -83,6 +83,11 @@ def fusion_weights(depth: NDArray[np.float32], tau: float, depth_noise: float) -
 
     Returns:
         (H, W) float32 from depth_noise / tau to 1, 0 where the depth is invalid. Invalid and outside neighbours count tau.
+
+    Examples:
+        >>> plane = np.full((9, 9), 2.0, np.float32)
+        >>> float(fusion_weights(plane, tau=0.1, depth_noise=0.001)[4, 4])
+        1.0
     """
     from ggvs_eval.kernels import _core
 
@@ -118,6 +123,16 @@ def ray_march(
 
     Raises:
         DepthError: images that do not fit their cameras, too many views, or parameters for which the march would not end.
+
+    Examples:
+        >>> from ggvs_eval.camera import translated_path
+        >>> K = np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]])
+        >>> camera = Camera("cam00", K, np.eye(4), width=8, height=6, near=1.0, far=9.0)
+        >>> left, right = translated_path(camera, span=0.25, count=2)
+        >>> plane, ones = np.full((6, 8), 2.0, np.float32), np.ones((6, 8), np.float32)
+        >>> surface = ray_march(camera, [DepthView(left, plane, ones), DepthView(right, plane, ones)], tau=0.1)
+        >>> round(float(surface.depth[3, 4]), 2)
+        2.0
     """
     from ggvs_eval.kernels import _core
 

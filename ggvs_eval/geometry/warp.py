@@ -69,6 +69,19 @@ def warp(
 
     Raises:
         RenderError: images that do not fit their cameras, or a tolerance that is not positive.
+
+    Examples:
+        >>> from ggvs_eval.camera import translated_path
+        >>> K = np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]])
+        >>> camera = Camera("cam00", K, np.eye(4), width=8, height=6, near=1.0, far=9.0)
+        >>> left, right = translated_path(camera, span=0.25, count=2)
+        >>> ramp = np.repeat(np.linspace(0, 0.7, 8, dtype=np.float32)[None, :, None], 6, axis=0).repeat(3, axis=2)
+        >>> wall = np.full((6, 8), 2.0, np.float32)
+        >>> seen = warp(left, wall, right, ramp, wall, tolerance=0.1)
+        >>> seen.colour[0, :4, 0].round(2)  # a baseline of 0.25 at depth 2 shifts the picture by one pixel
+        array([0. , 0. , 0.1, 0.2], dtype=float32)
+        >>> seen.visibility[0, :3].tolist()
+        [0.0, 1.0, 1.0]
     """
     from ggvs_eval.kernels import _core
 

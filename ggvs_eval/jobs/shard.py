@@ -44,7 +44,12 @@ class Shard:
         return self.number == 0
 
     def pick(self, units: Sequence[Unit]) -> list[Unit]:
-        """This shard's share of what all shards list in the same order."""
+        """This shard's share of what all shards list in the same order.
+
+        Examples:
+            >>> Shard.parse("2/3").pick(["cam00", "cam01", "cam02", "cam03", "cam04"])
+            ['cam01', 'cam04']
+        """
         return [] if self.prepares_only else list(units[self.number - 1 :: self.of])
 
 

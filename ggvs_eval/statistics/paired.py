@@ -108,7 +108,12 @@ def rank_methods(
 
 
 def holm(p_values: Sequence[float]) -> list[float]:
-    """P values corrected for their number so that one false alarm among all is as rare as it was in one (Holm 1979)."""
+    """P values corrected for their number so that one false alarm among all is as rare as it was in one (Holm 1979).
+
+    Examples:
+        >>> holm([0.01, 0.04, 0.03])
+        [0.03, 0.06, 0.06]
+    """
     corrected = [0.0] * len(p_values)
     largest = 0.0
     for rank, at in enumerate(sorted(range(len(p_values)), key=lambda index: p_values[index])):

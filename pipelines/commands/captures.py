@@ -18,7 +18,11 @@ from ggvs_eval.pipelines.offline.calibration.undistort import UndistortOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.synthetic.film.options import DemoOptions
 
-Folder = Annotated[Path, tyro.conf.Positional]
+NONE = "(none by default)"
+Run = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+CaptureFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE")]
+Frames = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FRAMES")]
+Output = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
 Layout = Annotated[str | None, tyro.conf.arg(metavar=f"{{{','.join(DATASETS)}}}")]
 
 
@@ -27,7 +31,7 @@ class CaptureOptions:
     """How a capture is read.
 
     Attributes:
-        layout: how it lies on disk; found out by default.
+        layout: on disk; detected by default.
         units: world units per metre, or a TOML file with a known baseline or two marked points (docs/captures.md).
         keep_unsynced: keep cameras that are known to be out of step (cam13 of coffee_martini).
     """
@@ -81,25 +85,25 @@ FOUND_BY_DEFAULT = DepthRunOptions()
 
 
 def demo(
-    out: Folder,
-    options: tyro.conf.OmitArgPrefixes[DemoOptions] = DemoOptions(),  # noqa: B008 - frozen
+    out: Output,
+    room: tyro.conf.OmitArgPrefixes[DemoOptions] = DemoOptions(),  # noqa: B008 - frozen
     seconds: float | None = None,
 ) -> None:
     """Write the demo capture: a procedural dynamic room in the layout of a data set, with exact depth beside it.
 
     Args:
         out: folder to write; absent, or holding this very demo.
-        options: what the room, the rig and the sensors are like.
+        room: the room, the rig and the sensors.
         seconds: length of the videos, instead of --n-frames.
     """
     from ggvs_eval.synthetic.demo import write_demo
 
     if seconds is not None:
-        options = replace(options, n_frames=round(seconds * options.fps))
-    print(write_demo(out, options, default_workers()))
+        room = replace(room, n_frames=round(seconds * room.fps))
+    print(write_demo(out, room, default_workers()))
 
 
-def check(capture: Folder, reading: Taken = AS_TAKEN, out: Path | None = None, jobs: int = default_workers()) -> None:
+def check(capture: CaptureFolder, reading: Taken = AS_TAKEN, out: Path | None = None, jobs: int = default_workers()) -> None:
     """Look for what would spoil results: frames, poses, intrinsics, timing, colour, epipolar geometry, overlap.
 
     Prints a verdict per question, writes them as JSON, and ends with 1 where a verdict is bad.
@@ -120,17 +124,17 @@ def check(capture: Folder, reading: Taken = AS_TAKEN, out: Path | None = None, j
         sys.exit(1)
 
 
-def calibrate(frames: Folder, out: Folder, options: Calibrating = CalibrationOptions()) -> None:  # noqa: B008 - frozen
+def calibrate(frames: Frames, out: Output, calibration: Calibrating = CalibrationOptions()) -> None:  # noqa: B008 - frozen
     """Find the cameras of a fixed rig from one instant, with COLMAP, and write them as a capture that every verb reads.
 
     Args:
         frames: videos, folders of images or one image per camera.
         out: capture to write, absent or empty.
-        options: what is known and what is assumed.
+        calibration: what is known and what is assumed.
     """
     from ggvs_eval.pipelines.offline.calibration.calibrate import calibrate as find_cameras
 
-    found = find_cameras(frames, out, options)
+    found = find_cameras(frames, out, calibration)
     for name, reason in found.missing.items():
         print(f"{name} left out: {reason}", file=sys.stderr)
     error = f"mean reprojection error {found.mean_reprojection_error_px:.3f} px over {found.n_points} points"
@@ -138,10 +142,10 @@ def calibrate(frames: Folder, out: Folder, options: Calibrating = CalibrationOpt
 
 
 def undistort(
-    source: Folder,
-    out: Folder,
+    source: Frames,
+    out: Output,
     lenses: Path | None = None,
-    options: tyro.conf.OmitArgPrefixes[UndistortOptions] = UndistortOptions(),  # noqa: B008 - frozen
+    output: tyro.conf.OmitArgPrefixes[UndistortOptions] = UndistortOptions(),  # noqa: B008 - frozen
 ) -> None:
     """Write raw videos of known lenses as pinhole videos, with the new intrinsics beside them for `calibrate`.
 
@@ -149,9 +153,9 @@ def undistort(
         source: folder of raw videos, with --lenses; or any capture whose layout knows its lenses.
         out: folder to write, absent or empty.
         lenses: intri.yml (EasyMocap), calib_1080.pkl or calib_2k.pkl (D3DMV; read, never unpickled), or a TOML file.
-        options: how frames are written.
+        output: how frames are written.
     """
     from ggvs_eval.pipelines.offline.calibration.undistort import undistort_videos
 
-    written = undistort_videos(source, lenses, out, options)
+    written = undistort_videos(source, lenses, out, output)
     print(f"{written.path}: {len(written.cameras)} cameras of {written.n_frames} frames")

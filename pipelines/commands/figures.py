@@ -1,21 +1,23 @@
-"""The verbs of the command line that show what was measured: report, slice, figure, compare."""
+"""The verbs of the command line that show what was measured: report, figure, compare."""
 
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
-from ggvs_eval.pipelines.commands.captures import Folder
+from ggvs_eval.pipelines.commands.captures import Output, Run
 
+Runs = Annotated[
+    tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN ...]", help_behavior_hint="(at least one)")
+]
 Kind = Annotated[Literal["crops", "failures", "epi", "time", "k"], tyro.conf.Positional]
-Output = Annotated[Path, tyro.conf.Positional]
 
 
-def report(runs: Annotated[tuple[Path, ...], tyro.conf.Positional], out: Path | None = None) -> None:
+def report(runs: Runs, out: Path | None = None) -> None:
     """Write the page, the tables (Markdown, CSV, LaTeX, Excel), the paper's values beside ours, and the figures of scored runs.
 
     Args:
-        runs: run folders of one protocol.
+        runs: run folders; those of one protocol share a section of the page.
         out: folder to write; RUN/report of the first run by default.
     """
     from ggvs_eval.pipelines.run.evaluate import report as write
@@ -23,24 +25,9 @@ def report(runs: Annotated[tuple[Path, ...], tyro.conf.Positional], out: Path | 
     print(write(runs, out))
 
 
-def draw_slice(run: Folder, kind: Literal["epi", "time"], out: Path, row: int | None = None, view: str | None = None) -> None:
-    """Draw an epipolar plane image or an x-t slice of every method beside the truth.
-
-    Args:
-        run: run folder with renders.
-        kind: epi: one image row along a horizontal camera path; time: one image row of one view along time.
-        out: PNG, PDF or SVG to write.
-        row: image row; the most telling one by default.
-        view: test view of a time slice; the first by default.
-    """
-    from ggvs_eval.reports.figures.slices import write_slices
-
-    print(write_slices(run, kind, row, view, out))
-
-
 def figure(
     kind: Kind,
-    run: Folder,
+    run: Run,
     out: Output,
     rule: Literal["different", "worst"] = "different",
     method: str | None = None,
@@ -48,7 +35,7 @@ def figure(
     view: str | None = None,
     frame: int | None = None,
     row: int | None = None,
-    metrics: tuple[str, ...] = (),
+    metrics: Annotated[tuple[str, ...], tyro.conf.arg(metavar="METRIC ...", help_behavior_hint="(default: PSNR LPIPS)")] = (),
 ) -> None:
     """Draw a figure for a paper, labelled, every method beside the truth.
 
@@ -63,7 +50,7 @@ def figure(
         view: test view of crops and time; the one with the largest score, and the first, by default.
         frame: frame of crops; the one with the largest score by default.
         row: image row of epi and time; the most telling one by default.
-        metrics: panels of k; PSNR and LPIPS by default.
+        metrics: panels of k.
     """
     from ggvs_eval.reports.figures.paper_figures import write_figure
 

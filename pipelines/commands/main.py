@@ -1,34 +1,36 @@
 """The command line. Known errors are one line and exit code 1; anything else is our bug and keeps its traceback."""
 
 import os
+import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Union
 
 import tyro
 
-from ggvs_eval.errors import GgvsError, ProtocolError
+from ggvs_eval.errors import CommandError, GgvsError, ProtocolError, did_you_mean
 from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.pipelines.commands.captures import (
     BY_DEFAULT,
+    NONE,
     Reading,
     calibrate,
     check,
     demo,
     undistort,
 )
-from ggvs_eval.pipelines.commands.figures import compare, draw_slice, figure, report
+from ggvs_eval.pipelines.commands.figures import compare, figure, report
 from ggvs_eval.pipelines.commands.merge import merge
 from ggvs_eval.pipelines.commands.play import play
 from ggvs_eval.pipelines.commands.renders import doctor, explain
 from ggvs_eval.pipelines.commands.runs import prepare, render, run, status, sweep
-from ggvs_eval.pipelines.commands.training import train
+from ggvs_eval.pipelines.commands.training import TRAININGS
 
 
 def score(
-    folder: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")] = None,
-    renders: tuple[str, ...] = (),
+    folder: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = None,
+    renders: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=PATH ...", help_behavior_hint=NONE)] = (),
     capture: Path | None = None,
     protocol: str | None = None,
     run: Path | None = None,
@@ -67,7 +69,11 @@ def score(
         print(f"{metric} not computed: {reason}")
 
 
-COMMANDS: dict[str, Callable[..., Any]] = {
+Command = Callable[..., Any]
+Commands = Mapping[str, "Command | Commands"]
+
+# `train` has a subcommand for each network.
+COMMANDS: Commands = {
     "demo": demo,
     "check": check,
     "calibrate": calibrate,
@@ -77,30 +83,70 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "score": score,
     "merge": merge,
     "report": report,
-    "slice": draw_slice,
     "figure": figure,
     "compare": compare,
     "run": run,
     "sweep": sweep,
     "status": status,
     "play": play,
-    "train": train,
+    "train": TRAININGS,
     "doctor": doctor,
     "explain": explain,
+}
+CONTINUED = re.compile(r"\n {12,}(?=\S)")  # the second and later lines of an argument in a docstring
+ABOUT = {
+    "ggvs-eval": "How good and how steady, over views and over time, is a method on a multi-view capture - and why?",
+    "ggvs-eval train": "Train a network of this package; a second call goes on where the first one stopped.",
 }
 
 
 def run_command(arguments: list[str] | None = None) -> None:
     """Parse the command line and do what it says."""
     try:
-        tyro.extras.subcommand_cli_from_dict(
-            COMMANDS,
-            prog="ggvs-eval",
-            description="How good and how steady, over views and over time, is a method on a multi-view capture - and why?",
-            args=arguments,
-        )
+        call_command("ggvs-eval", COMMANDS, sys.argv[1:] if arguments is None else arguments)
     except GgvsError as error:
         sys.exit(f"ggvs-eval: {error}")
     except BrokenPipeError:  # `ggvs-eval ... | head`; what is still buffered must not fail at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
+
+
+def call_command(program: str, commands: Commands, words: Sequence[str]) -> None:
+    """Call the command that the first word names with the options that follow it.
+
+    Each command has a parser of its own, so that a mistyped option is compared with the options of that command alone.
+
+    Args:
+        program: the words before, for messages.
+        commands: what may be called.
+        words: the rest of the command line; without a command it is answered by the overview.
+
+    Raises:
+        CommandError: no command of that name; the message suggests the nearest one.
+    """
+    if not words or words[0].startswith("-"):
+        tyro.cli(_any_of(program, commands), prog=program, description=ABOUT[program], args=words)  # prints and exits
+        return
+    name = words[0]
+    if name not in commands:
+        suggestion = did_you_mean(name, commands)
+        raise CommandError(f"no command {name!r} of {program}; there are {', '.join(commands)}{suggestion}")
+    command = commands[name]
+    if isinstance(command, Mapping):
+        call_command(f"{program} {name}", command, words[1:])
+    else:
+        command.__doc__ = CONTINUED.sub(" ", command.__doc__ or "")  # tyro would break help where the source does
+        tyro.cli(command, prog=f"{program} {name}", args=words[1:])
+
+
+def _any_of(program: str, commands: Commands) -> Any:
+    """The type by which tyro lists commands, each with the first sentence of its docstring."""
+    choices = []
+    for name, command in commands.items():
+        if isinstance(command, Mapping):
+            inner = f"{program} {name}"
+            choices.append(Annotated[_any_of(inner, command), tyro.conf.subcommand(name=name, description=ABOUT[inner])])
+        else:
+            about = (command.__doc__ or "").partition("\n")[0]
+            choices.append(Annotated[Any, tyro.conf.subcommand(name=name, constructor=command, description=about)])
+    return Union[tuple(choices)]  # noqa: UP007 - the number of its members is known when it is made

@@ -8,12 +8,14 @@ import tyro
 
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.jobs.processes import default_workers
-from ggvs_eval.pipelines.commands.captures import Folder
+from ggvs_eval.pipelines.commands.captures import Output
 
 
 def merge(
-    out: Folder,
-    runs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN")],
+    out: Output,
+    runs: Annotated[
+        tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN RUN [RUN ...]", help_behavior_hint="(at least two)")
+    ],
     copy: bool = False,
     jobs: int = default_workers(),
 ) -> None:

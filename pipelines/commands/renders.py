@@ -2,21 +2,22 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 
 from ggvs_eval.errors import RenderError
 from ggvs_eval.jobs.processes import default_workers
-from ggvs_eval.pipelines.commands.captures import BY_DEFAULT, Folder, Reading, ReadingOptions
+from ggvs_eval.pipelines.commands.captures import BY_DEFAULT, Reading, ReadingOptions
 from ggvs_eval.run_folder import RunFolder
 
-Quoted = Annotated[str, tyro.conf.Positional]
-Metric = Annotated[Literal["psnr", "ssim", "lpips", "l1", "tcc", "sted", "sdt", "sdv"], tyro.conf.Positional]
+Renders = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RENDERS|RUN")]
+Quoted = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="VALUE")]
+Metric = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="{psnr,ssim,lpips,l1,tcc,sted,sdt,sdv}")]
 
 
 def doctor(
-    renders: Folder,
+    renders: Renders,
     capture: Path | None = None,
     protocol: str | None = None,
     run: Path | None = None,
@@ -50,7 +51,7 @@ def doctor(
 
 
 def explain(
-    renders: Folder,
+    renders: Renders,
     metric: Metric,
     quoted: Quoted,
     method: str | None = None,
@@ -74,9 +75,10 @@ def explain(
         jobs: processes.
     """
     from ggvs_eval.pipelines.inspection.renders.explain import explain as recompute
-    from ggvs_eval.pipelines.inspection.renders.explain import explanation_table
+    from ggvs_eval.pipelines.inspection.renders.explain import explanation_table, metric_family
     from ggvs_eval.pipelines.inspection.renders.view_frames import views_of_run
 
+    metric_family(metric)  # a mistyped name shows before anything is read
     folder, labels = _rendered(renders, capture, protocol, run, reading, jobs)
     if method is None and len(labels) != 1:
         raise RenderError(f"{folder.root}: has {', '.join(labels)}; say which with --method")

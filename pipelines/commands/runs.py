@@ -11,7 +11,16 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.errors import ProtocolError, WeightsError
 from ggvs_eval.jobs.engine import Engine
 from ggvs_eval.jobs.ledger import Failure
-from ggvs_eval.pipelines.commands.captures import BY_DEFAULT, FOUND_BY_DEFAULT, Finding, Folder, Reading, ReadingOptions
+from ggvs_eval.pipelines.commands.captures import (
+    BY_DEFAULT,
+    FOUND_BY_DEFAULT,
+    NONE,
+    Finding,
+    Output,
+    Reading,
+    ReadingOptions,
+    Run,
+)
 from ggvs_eval.pipelines.commands.print_plan import print_plan
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions, found_device
 from ggvs_eval.pipelines.methods.registry import METHODS, usual_methods
@@ -20,7 +29,7 @@ from ggvs_eval.protocol import Protocol
 from ggvs_eval.synthetic.film.options import DemoOptions
 
 Labels = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"{{{','.join(METHODS)}}}")]
-Weights = Annotated[tuple[str, ...], tyro.conf.arg(metavar="METHOD=FILE")]
+Weights = Annotated[tuple[str, ...], tyro.conf.arg(metavar="METHOD=FILE ...", help_behavior_hint=NONE)]
 Device = Annotated[str, tyro.conf.arg(metavar="{cpu,cuda,auto}")]
 Running = tyro.conf.OmitArgPrefixes[Engine]
 HERE = Engine()
@@ -28,7 +37,7 @@ USUAL_METHODS = usual_methods()
 
 
 def prepare(
-    run: Folder,
+    run: Run,
     capture: Path,
     protocol: str | None = None,
     fuse: bool = False,
@@ -49,7 +58,7 @@ def prepare(
         reading: how the capture is read.
         depth: how depth is found.
         engine: where jobs run.
-        dry_run: only tell how much there is to do, what it needs and how long it takes.
+        dry_run: only print the plan: the work that is left, the disk space that it needs, and the time where it is known.
     """
     from ggvs_eval.pipelines.run.depth_outputs import export_prepared, fuse_prepared, write_prepared_page
     from ggvs_eval.pipelines.run.prepare import prepare_run
@@ -71,7 +80,7 @@ def prepare(
 
 
 def render(
-    run: Folder, methods: Labels = USUAL_METHODS, weights: Weights = (), device: Device = "cpu", engine: Running = HERE
+    run: Run, methods: Labels = USUAL_METHODS, weights: Weights = (), device: Device = "cpu", engine: Running = HERE
 ) -> None:
     """Synthesise every test view of a prepared run by each method.
 
@@ -91,7 +100,7 @@ def render(
 
 
 def run(
-    run: Folder,
+    run: Run,
     capture: Path | None = None,
     protocol: str | None = None,
     methods: Labels = USUAL_METHODS,
@@ -116,7 +125,7 @@ def run(
         reading: how the capture is read.
         depth: how depth is found.
         engine: where jobs run.
-        dry_run: only tell how much there is to do, what it needs and how long it takes; nothing is rendered for it.
+        dry_run: only print the plan: the work that is left, the disk space that it needs, and the time where it is known.
     """
     from ggvs_eval.pipelines.run.evaluate import measure, report
     from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
@@ -147,9 +156,9 @@ def run(
 
 
 def sweep(
-    name: Annotated[str, tyro.conf.Positional],
-    out: Folder,
-    capture: tuple[Path, ...] = (),
+    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SWEEP")],
+    out: Output,
+    capture: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="CAPTURE ...", help_behavior_hint=NONE)] = (),
     protocol: str | None = None,
     weights: Weights = (),
     device: Device = "cpu",
@@ -176,7 +185,7 @@ def sweep(
         engine: where jobs run.
         shard: i/n, for the i-th of n machines: every n-th view; 0/n prepares for all. A last call without it makes the table.
         plan: JSON file to write instead of running: the commands of the sweep, and which waits for which.
-        dry_run: only tell how much there is to do, what it needs and how long it takes.
+        dry_run: only print the plan: the work that is left, the disk space that it needs, and the time where it is known.
     """
     from ggvs_eval.jobs.shard import Shard
     from ggvs_eval.pipelines.sweep.plan import flags, plan_sweep

@@ -1,40 +1,161 @@
-"""The verb of the command line that trains the networks of this package."""
+"""The verb of the command line that trains the networks of this package: a subcommand per network, and one for all."""
 
-from typing import Annotated, Literal
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
 
 import tyro
 
-from ggvs_eval.errors import TrainingError
-from ggvs_eval.pipelines.commands.captures import Folder
-from ggvs_eval.pipelines.training.request import TrainingRequest
-
-What = Literal["stereo", "blend", "fwd", "gps-gaussian", "ibrnet", "enerf", "all"]
+from ggvs_eval.baselines.registry import LEARNED_BASELINES
+from ggvs_eval.pipelines.commands.captures import NONE, Output
+from ggvs_eval.pipelines.training.request import Configuration, Guidance, Precision, Size, TrainingRequest
 
 
-def train(
-    what: Annotated[What, tyro.conf.Positional],
-    out: Folder,
-    request: tyro.conf.OmitArgPrefixes[TrainingRequest] = TrainingRequest(),  # noqa: B008 - frozen
-    jobs: int | None = None,
-) -> None:
-    """Train a network of this package; a second call goes on where the first one stopped.
+@dataclass(frozen=True)
+class LoopOptions:
+    """How a network is trained.
+
+    Attributes:
+        steps: of the whole training, those of earlier calls included.
+        seed: of the weights and the scenes.
+        device: cpu, cuda, or the better one by default.
+        precision: of convolutions; auto takes bfloat16 where the hardware multiplies it faster.
+        workers: processes that make batches.
+        compile_network: let torch compile it first: some minutes once, a fifth less per step.
+    """
+
+    steps: int = TrainingRequest.steps
+    seed: int = TrainingRequest.seed
+    device: str = TrainingRequest.device
+    precision: Precision = TrainingRequest.precision
+    workers: int = TrainingRequest.workers
+    compile_network: bool = TrainingRequest.compile_network
+
+
+@dataclass(frozen=True)
+class DataOptions:
+    """The views that a network learns from.
+
+    Attributes:
+        views: the most source views of a sample, K.
+        rooms: rooms to render of each domain, one to four minutes and 50 MB each.
+        targets: target views per room.
+        domains: kinds of captures to learn from and to choose by (plain, narrow, arc, ...).
+        captures: folders of captures to learn from beside the rooms (RGB-D sequences by ScanNet's rule, Spaces, DyNeRF, rigs of
+            your own), never those that you test on.
+        hold_back: learn from the first half of each RGB-D sequence, and validate on what is new in the rest.
+    """
+
+    views: int = TrainingRequest.views
+    rooms: int = TrainingRequest.rooms
+    targets: int = TrainingRequest.targets
+    domains: Annotated[tuple[str, ...], tyro.conf.arg(metavar="DOMAIN ...", help_behavior_hint="(default: all)")] = ()
+    captures: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="CAPTURE ...", help_behavior_hint=NONE)] = ()
+    hold_back: bool = TrainingRequest.hold_back
+
+
+Training = tyro.conf.OmitArgPrefixes[LoopOptions]
+Data = tyro.conf.OmitArgPrefixes[DataOptions]
+USUAL_LOOP, USUAL_DATA = LoopOptions(), DataOptions()
+
+
+def train_stereo(out: Output, training: Training = USUAL_LOOP, start_from: Path | None = None) -> None:
+    """Train the compact RAFT-Stereo on scenes that are made on the fly.
 
     Args:
-        what: stereo: the compact RAFT-Stereo, on scenes made on the fly. blend: the blending network, on rooms that are rendered,
-            and whose depth is estimated, before the first step (blend-samples beside the folder). fwd, gps-gaussian, ibrnet,
-            enerf: a baseline, on the same rooms, captures, targets and sources. all: blend with all, no and naive guidance and
-            the baselines, side by side, each into a folder of its own in the folder.
         out: folder for the state to go on from, the weights, the logs and the model card.
-        request: what is asked for.
-        jobs: all: trainings at a time; by default all of them on a GPU, and one per two cores without.
+        training: how the network is trained.
+        start_from: weights to begin with where the folder holds no state, such as those that ship.
     """
-    if what == "all":
-        from ggvs_eval.pipelines.training.train_all import train_all
+    _train("stereo", out, _request(training, start_from=start_from))
 
-        print(*train_all(out, request, jobs), sep="\n")
-        return
-    if jobs is not None:
-        raise TrainingError(f"train {what}: wanted one training, got --jobs {jobs}; leave it out, or train all")
+
+def train_blend(
+    out: Output,
+    training: Training = USUAL_LOOP,
+    data: Data = USUAL_DATA,
+    size: Size = TrainingRequest.size,
+    guidance: Guidance = TrainingRequest.guidance,
+    start_from: Path | None = None,
+) -> None:
+    """Train the blending network on procedural rooms and on captures; rooms and their depth are made before the first step.
+
+    It takes no more views than it is trained for, and learns from two views on. The samples are kept in blend-samples beside
+    the folder.
+
+    Args:
+        out: folder for the state to go on from, the weights, the logs and the model card.
+        training: how the network is trained.
+        data: the views that the network learns from.
+        size: of the U-Net; its first level has 8, 16 or 32 channels.
+        guidance: of the fused depth: views registered by it, its channels as the paper prints them, none of it (ablation), or no
+            depth at all (naive).
+        start_from: weights to begin with where the folder holds no state, such as those that ship.
+    """
+    _train("blend", out, _request(training, data, size=size, guidance=guidance, start_from=start_from))
+
+
+def _baseline(name: str) -> Callable[..., None]:
+    """The subcommand that trains one of the baselines."""
+
+    def train_baseline(
+        out: Output,
+        training: Training = USUAL_LOOP,
+        data: Data = USUAL_DATA,
+        configuration: Configuration = TrainingRequest.configuration,
+        start_from: Path | None = None,
+    ) -> None:
+        _train(name, out, _request(training, data, configuration=configuration, start_from=start_from))
+
+    train_baseline.__doc__ = f"""Train the baseline {name} on the rooms, captures, targets and sources of the blending network.
+
+    Args:
+        out: folder for the state to go on from, the weights, the logs and the model card.
+        training: how the network is trained.
+        data: the views that the network learns from.
+        configuration: compact, which an hour of one core trains, or full, as the authors publish it.
+        start_from: weights to begin with where the folder holds no state, such as those that ship.
+    """
+    return train_baseline
+
+
+def train_all(
+    out: Output,
+    training: Training = USUAL_LOOP,
+    data: Data = USUAL_DATA,
+    size: Size = TrainingRequest.size,
+    configuration: Configuration = TrainingRequest.configuration,
+    jobs: int | None = None,
+) -> None:
+    """Train the blending network with all, no and naive guidance and the baselines, side by side on the same views.
+
+    Args:
+        out: gets a folder per network, and the samples.
+        training: how each network is trained.
+        data: the views that all networks learn from.
+        size: of the blending networks; the first level of each has 8, 16 or 32 channels.
+        configuration: of the baselines: compact, which an hour of one core trains, or full, as the authors publish it.
+        jobs: trainings at a time; by default all of them on a GPU, and one per two cores without.
+    """
+    from ggvs_eval.pipelines.training.train_all import train_all as train_side_by_side
+
+    print(*train_side_by_side(out, _request(training, data, size=size, configuration=configuration), jobs), sep="\n")
+
+
+TRAININGS: dict[str, Callable[..., None]] = {
+    "blend": train_blend,
+    "stereo": train_stereo,
+    **{name: _baseline(name) for name in LEARNED_BASELINES},
+    "all": train_all,
+}
+
+
+def _request(training: LoopOptions, data: DataOptions = USUAL_DATA, **options: Any) -> TrainingRequest:
+    return TrainingRequest(**vars(training), **vars(data), **options)
+
+
+def _train(network: str, out: Path, request: TrainingRequest) -> None:
     from ggvs_eval.pipelines.training.train_one import train_one
 
-    print(*train_one(what, out, request), sep="\n")
+    print(*train_one(network, out, request), sep="\n")

@@ -1,6 +1,5 @@
 """Every method by the name that the command line and the folders use."""
 
-import difflib
 import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
@@ -8,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from ggvs_eval.errors import RenderError
+from ggvs_eval.errors import RenderError, did_you_mean
 from ggvs_eval.files.toml_tables import build_table
 from ggvs_eval.pipelines.methods.baselines import baseline_methods
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
@@ -51,8 +50,8 @@ def _found(label: str, checkpoints: Mapping[str, Path]) -> MethodSpec:
     if method in METHODS and "=" in variant:
         return _configured(label, METHODS[method], variant)
     if label not in METHODS:
-        nearest = difflib.get_close_matches(label, METHODS, n=1, cutoff=0.0)[0]
-        raise RenderError(f"unknown method {label!r}; did you mean {nearest}? Known are {', '.join(METHODS)}")
+        suggestion = did_you_mean(label, METHODS, cutoff=0.0)
+        raise RenderError(f"unknown method {label!r}{suggestion} Known are {', '.join(METHODS)}")
     spec = METHODS[label]
     return replace(spec, weights=tuple(file for file in spec.weights if file.is_file()))  # without them it cannot be made
 

@@ -36,6 +36,18 @@ class OnlineSynthesizer:
         DeviceError: no such device here.
         CameraError: two cameras of one name, or fewer than `k`.
         RenderError: unknown method, or one that is not online.
+
+    Examples:
+        >>> from ggvs_eval.camera import translated_path
+        >>> K = np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]])
+        >>> camera = Camera("cam00", K, np.eye(4), width=8, height=6, near=1.0, far=9.0)
+        >>> rig = translated_path(camera, span=0.5, count=3)
+        >>> synthesizer = OnlineSynthesizer(rig, k=2, method="ours-geometric")
+        >>> images = {each.name: np.full((6, 8, 3), 128, np.uint8) for each in rig}
+        >>> depths = {each.name: np.full((6, 8), 2.0, np.float32) for each in rig}
+        >>> rendering = synthesizer.step(images, depths, target=camera)
+        >>> rendering.image.shape, round(float(rendering.image[3, 4, 0]), 2)
+        ((6, 8, 3), 0.5)
     """
 
     def __init__(

@@ -1,5 +1,6 @@
 """The command line: what a user can mend is one line and exit code 1, and names the mend."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -7,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ggvs_eval.pipelines.commands.main import COMMANDS
+from ggvs_eval.pipelines.commands.main import COMMANDS, run_command
 from helpers.captures import write_dynerf
 from helpers.command_line import refusal
 
@@ -69,12 +70,70 @@ def test_a_folder_that_is_no_run_says_how_to_make_one(tmp_path):
     assert "ggvs-eval run" in refusal("score", tmp_path)
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_explains_itself(command):
-    """`--help` of each command exits cleanly and describes what it does."""
-    result = subprocess.run(
-        [sys.executable, "-m", "ggvs_eval", command, "--help"], capture_output=True, text=True, check=True, env=None
-    )
+def helped(capsys, *words: str) -> str:
+    """What `ggvs-eval WORDS --help` prints, spaces and frames taken out."""
+    with pytest.raises(SystemExit) as caught:
+        run_command([*words, "--help"])
+    assert caught.value.code == 0
+    return " ".join(capsys.readouterr().out.replace("│", " ").split())
 
-    assert len(result.stdout) > 200
-    assert (COMMANDS[command].__doc__ or "").split(".")[0].split()[0] in result.stdout
+
+def all_commands():
+    """The words that call each command, and the function that they call."""
+    for name, command in COMMANDS.items():
+        if isinstance(command, dict):
+            yield from (((name, inner), function) for inner, function in command.items())
+        else:
+            yield (name,), command
+
+
+@pytest.mark.parametrize(("words", "command"), list(all_commands()))
+def test_every_command_explains_itself(words, command, capsys):
+    """`--help` of each command exits cleanly, says what it does, and every box has a name of its own."""
+    told = helped(capsys, *words)
+
+    assert f"usage: ggvs-eval {' '.join(words)} " in told
+    assert command.__doc__.partition("\n")[0] in told
+    assert "options options" not in told
+
+
+def test_the_overview_names_every_command(capsys):
+    """`ggvs-eval --help` and `ggvs-eval train --help`: a line for each command and each network, by the installed program too."""
+    overview = subprocess.run([sys.executable, "-m", "ggvs_eval", "--help"], capture_output=True, text=True, check=True).stdout
+
+    assert all(f"• {name} " in overview for name in COMMANDS)
+    networks = helped(capsys, "train")
+    assert all(f"• {name} " in networks for name in ("blend", "stereo", "ibrnet", "all"))
+
+
+def test_options_are_those_of_the_network(capsys, tmp_path):
+    """A network's training offers its own options, and refuses those of another network."""
+    assert "--guidance" in helped(capsys, "train", "blend")
+    for network in ("stereo", "ibrnet", "all"):
+        assert "--guidance" not in helped(capsys, "train", network)
+    with pytest.raises(SystemExit, match="2"):
+        run_command(["train", "stereo", str(tmp_path), "--captures", str(tmp_path)])
+    assert "Unrecognized options: --captures" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "ends"),
+    [
+        (("trian",), "no command 'trian' of ggvs-eval; there are demo, .*; did you mean train?"),
+        (("train", "blnd", "out"), "no command 'blnd' of ggvs-eval train; there are blend, .*; did you mean blend?"),
+        (("explain", "run", "ssmi", "0.9"), "no conventions known of 'ssmi'; there are psnr, .*; did you mean ssim?"),
+    ],
+)
+def test_a_mistyped_name_suggests_the_nearest(arguments, ends):
+    """Commands, networks and metrics: the line lists what there is and ends with what was probably meant."""
+    assert re.search(ends.replace("?", r"\?") + "$", refusal(*arguments))
+
+
+def test_a_mistyped_option_suggests_that_of_its_own_command(capsys):
+    """`run --protcol` is told of `--protocol` once, not of the same option of every other command."""
+    with pytest.raises(SystemExit, match="2"):
+        run_command(["run", "out", "--protcol", "dynerf"])
+    told = capsys.readouterr().err
+
+    assert "Perhaps you meant" in told
+    assert told.count("--protocol") == 1

@@ -78,7 +78,7 @@ def test_poses_without_frames(tmp_path):
 
 def test_unknown_layout(dynerf):
     """An unknown layout is refused with the nearest known one."""
-    assert f"no layout 'dynerfs', there are {', '.join(DATASETS)}; did you mean 'dynerf'?" in refusal(dynerf, "dynerfs")
+    assert f"no layout 'dynerfs', there are {', '.join(DATASETS)}; did you mean dynerf?" in refusal(dynerf, "dynerfs")
     assert refusal(dynerf, "???").endswith(f"there are {', '.join(DATASETS)}")
 
 

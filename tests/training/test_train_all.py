@@ -17,7 +17,6 @@ from ggvs_eval.pipelines.training.side_by_side import Training, default_jobs, ru
 from ggvs_eval.pipelines.training.train_all import NETWORKS, planned_trainings, train_all
 from ggvs_eval.pipelines.training.train_one import CACHE, requested_data
 from ggvs_eval.synthetic.domains import DOMAINS
-from helpers.command_line import refusal
 from helpers.stereo_scenes import write_capture
 
 REQUEST = TrainingRequest(
@@ -116,10 +115,10 @@ def test_steps_are_read_from_the_log(tmp_path):
 
 
 def test_what_is_for_one_network_is_refused(tmp_path):
-    """Weights to begin with, a guidance, no job at all, and jobs of a single training: one line each."""
-    assert "got --start-from or --guidance" in refusal("train", "all", tmp_path, "--start-from", "x", "--device", "cpu")
-    assert "got --start-from or --guidance" in refusal("train", "all", tmp_path, "--guidance", "none", "--device", "cpu")
-    assert "train fwd: wanted one training, got --jobs 2" in refusal("train", "fwd", tmp_path, "--jobs", "2")
+    """Weights to begin with, a guidance, and no job at all: one line each."""
+    for request in (replace(REQUEST, start_from=tmp_path / "x"), replace(REQUEST, guidance="none")):
+        with pytest.raises(TrainingError, match="got --start-from or --guidance"):
+            train_all(tmp_path, request)
     with pytest.raises(TrainingError, match="at least one job at a time, got --jobs 0"):
         run_trainings([], 0)
 

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 
-from ggvs_eval.errors import MetricError
+from ggvs_eval.errors import MetricError, did_you_mean
 from ggvs_eval.pipelines.inspection.renders.frame_conventions import l1_conventions, lpips_conventions, psnr_conventions
 from ggvs_eval.pipelines.inspection.renders.recompute import ALL_VIEWS, MaskReader, Recomputed
 from ggvs_eval.pipelines.inspection.renders.ssim_conventions import ssim_conventions
@@ -67,9 +67,7 @@ def explain(metric: str, quoted: str, views: Mapping[str, ViewFrames], masks: Ma
         MetricError: an unknown metric, a quoted value that is no number, no views, or frames that the metric cannot have.
         WeightsError: LPIPS without its weights.
     """
-    family = metric.lower()
-    if family not in FAMILIES:
-        raise MetricError(f"no conventions known of {metric!r}; there are {', '.join(FAMILIES)}")
+    family = metric_family(metric)
     if not views:
         raise MetricError("no views to recompute the number from; name at least one")
     wanted, tolerance = printed(quoted)
@@ -81,6 +79,19 @@ def explain(metric: str, quoted: str, views: Mapping[str, ViewFrames], masks: Ma
         if len(views) > 1 or over == ALL_VIEWS
     ]
     return sorted(conventions, key=lambda one: not one.is_ours)
+
+
+def metric_family(metric: str) -> str:
+    """The key of a metric in `FAMILIES`, in whichever case it is written.
+
+    Raises:
+        MetricError: a metric of which no conventions are known; the message suggests the nearest one.
+    """
+    family = metric.lower()
+    if family not in FAMILIES:
+        known = ", ".join(FAMILIES)
+        raise MetricError(f"no conventions known of {metric!r}; there are {known}{did_you_mean(family, FAMILIES)}")
+    return family
 
 
 def printed(quoted: str) -> tuple[float, float]:

@@ -1,11 +1,10 @@
 """How depth is found: the matchers by name, and the few words that the command line takes and a run folder keeps."""
 
-import difflib
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from ggvs_eval.errors import DepthError
+from ggvs_eval.errors import DepthError, did_you_mean
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions, TimeOptions
 from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import RegistrationName, SensorDepthOptions
@@ -37,9 +36,7 @@ def find_matcher(name: str) -> StereoMatcher | PlaneSweep:
         return SgbmMatcher()
     if name == "sweep":
         return PlaneSweep()
-    nearest = difflib.get_close_matches(name, MATCHERS, n=1)
-    hint = f"; did you mean {nearest[0]}?" if nearest else ""
-    raise DepthError(f"no stereo matcher {name!r}; there are {', '.join(MATCHERS)}{hint}")
+    raise DepthError(f"no stereo matcher {name!r}; there are {', '.join(MATCHERS)}{did_you_mean(name, MATCHERS)}")
 
 
 def _raft(checkpoint: str) -> StereoMatcher:
@@ -61,7 +58,8 @@ class DepthRunOptions:
         matcher: sgbm, sweep, raft (compact, ships with the package) or raft:CHECKPOINT.
         stereo_weights: a checkpoint of RAFT-Stereo's authors, e.g. raftstereo-middlebury.pth; the same as raft:CHECKPOINT.
         sensor: take the depth that a sensor measured where the capture has it (RGB-D), filtered, instead of stereo.
-        registration: bring sensor depth to its colour as the images of a sequence tell, where significant; or leave it as given.
+        registration: estimated: align sensor depth with its colour where the images of a sequence show that it is clearly off;
+            given: leave it as it is.
         reuse_static: compute depth again only where the picture changes, everything again every 16 instants.
     """
 

@@ -1,0 +1,107 @@
+"""The pages: links of README and docs/ lead somewhere, what they name exists, and the README stays a front door."""
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+README_BYTES = 6000
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
+FILE = re.compile(r"(?<![\w./-])(?:ggvs_eval|baselines|metrics|pipelines|reports|tests|benchmarks|docs)/[\w./-]*\w")
+MODULE = re.compile(r"\bggvs_eval(?:\.\w+)+")
+
+pytestmark = pytest.mark.skipif(not (ROOT / "docs").is_dir(), reason="an installed wheel has no pages; a checkout has")
+
+
+def prose(page: Path) -> str:
+    """A page without its blocks of code."""
+    return re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+
+
+def anchors(page: Path) -> set[str]:
+    """The anchors of a page's headings, as GitHub and MkDocs make them."""
+    heads = re.findall(r"^#+ (.*)$", prose(page), flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", head.lower()).strip().replace(" ", "-") for head in heads}
+
+
+def dead_links(page: Path) -> Iterator[str]:
+    """Links of a page within the repository that lead nowhere."""
+    for target in LINK.findall(prose(page)):
+        path, _, anchor = target.partition("#")
+        if "://" in path:
+            continue
+        file = (page.parent / path).resolve() if path else page
+        if not file.exists() or (anchor and anchor not in anchors(file)):
+            yield target
+
+
+def source_of(module: str) -> Path | None:
+    """The file of a module or package of the checkout; None where there is none."""
+    parts = module.split(".")[1:]
+    folder = ROOT if parts and (ROOT / parts[0] / "__init__.py").is_file() else ROOT / "ggvs_eval"
+    stem = folder.joinpath(*parts)
+    return next((file for file in (stem.with_suffix(".py"), stem / "__init__.py") if file.is_file()), None)
+
+
+def is_defined(name: str) -> bool:
+    """Whether a dotted name is a module, or a word of one."""
+    module, _, word = name.rpartition(".")
+    return bool(source_of(name)) or bool((file := source_of(module)) and re.search(rf"\b{word}\b", file.read_text("utf-8")))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page):
+    """Every link to a file of the repository, and to a heading in it, resolves; pages of docs/ link within docs/ alone."""
+    assert list(dead_links(page)) == []
+    if page.parent.name == "docs":
+        assert [target for target in LINK.findall(prose(page)) if target.startswith("..")] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_files_that_a_page_names_exist(page):
+    """A path of the repository in a sentence or a block of code is one that is there, so that moves reach the pages."""
+    named = FILE.findall(page.read_text(encoding="utf-8"))
+
+    assert sorted({name for name in named if not (ROOT / name.replace("METHOD", "fwd")).exists()}) == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_modules_that_a_page_names_exist(page):
+    """`ggvs_eval.room.module.name`: all but the last word is a module, and the last one is one or stands in it."""
+    assert [name for name in sorted(set(MODULE.findall(page.read_text(encoding="utf-8")))) if not is_defined(name)] == []
+
+
+def test_the_readme_is_a_front_door():
+    """At most 6 kB and one table that scripts fill; the rest stands in docs/."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+
+    assert len(text.encode()) <= README_BYTES
+    assert re.findall(r"<!-- (\w+) -->", text) == ["beside_paper"]
+    assert (ROOT / "docs" / "images" / "demo.webp").stat().st_size <= 1.5e6
+
+
+def test_every_page_is_in_the_site():
+    """Each page of docs/ stands in the navigation of the site."""
+    listed = re.findall(r"^  - [^:]+: (\S+\.md)$", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"), flags=re.MULTILINE)
+
+    assert sorted(listed) == sorted(page.name for page in (ROOT / "docs").glob("*.md"))
+
+
+def test_the_architecture_is_that_of_the_tree():
+    """Its rooms and floors are those of the tree and of tests/test_layers.py; `python docs/describe_tree.py` writes them."""
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    floors = page.partition("<!-- floors -->")[2].partition("<!-- /floors -->")[0]
+    tree = ast.parse((ROOT / "tests" / "test_layers.py").read_text(encoding="utf-8"))
+    (known,) = (node.value for node in tree.body if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "FLOORS")
+
+    assert [re.findall(r"`([^`]+)`", line) for line in floors.strip().splitlines()] == [
+        list(rooms) for rooms in ast.literal_eval(known)
+    ]
+    for folder in ("ggvs_eval", "baselines", "metrics", "pipelines", "reports"):
+        for file in (ROOT / folder).rglob("__init__.py"):
+            about = (ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or "").partition("\n")[0]
+            assert f"| `{file.parent.relative_to(ROOT).as_posix()}/` | {about} |" in page
