@@ -6,6 +6,7 @@ Rooms are described by the first line of their docstring, floors are those of te
 import argparse
 import ast
 import re
+import runpy
 import statistics
 from pathlib import Path
 
@@ -129,12 +130,7 @@ def rooms_table(root: Path) -> str:
 
 def floors_list(root: Path) -> str:
     """The floors of tests/test_layers.py from the ground up, as a numbered list."""
-    tree = ast.parse((root / "tests" / "test_layers.py").read_text(encoding="utf-8"))
-    (floors,) = (
-        ast.literal_eval(node.value)
-        for node in tree.body
-        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "FLOORS"
-    )
+    floors = runpy.run_path(str(root / "tests" / "test_layers.py"))["FLOORS"]
     return "\n".join(f"{number}. {', '.join(f'`{room}`' for room in rooms)}" for number, rooms in enumerate(floors, start=1))
 
 

@@ -2,6 +2,7 @@
 
 import ast
 import re
+import runpy
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -95,12 +96,9 @@ def test_the_architecture_is_that_of_the_tree():
     """Its rooms and floors are those of the tree and of tests/test_layers.py; `python docs/describe_tree.py` writes them."""
     page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     floors = page.partition("<!-- floors -->")[2].partition("<!-- /floors -->")[0]
-    tree = ast.parse((ROOT / "tests" / "test_layers.py").read_text(encoding="utf-8"))
-    (known,) = (node.value for node in tree.body if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "FLOORS")
+    known = runpy.run_path(str(ROOT / "tests" / "test_layers.py"))["FLOORS"]
 
-    assert [re.findall(r"`([^`]+)`", line) for line in floors.strip().splitlines()] == [
-        list(rooms) for rooms in ast.literal_eval(known)
-    ]
+    assert [re.findall(r"`([^`]+)`", line) for line in floors.strip().splitlines()] == [list(rooms) for rooms in known]
     for folder in ("ggvs_eval", "baselines", "metrics", "pipelines", "reports"):
         for file in (ROOT / folder).rglob("__init__.py"):
             about = (ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or "").partition("\n")[0]

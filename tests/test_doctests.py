@@ -2,23 +2,18 @@
 
 import doctest
 import importlib
-import pkgutil
-from pathlib import Path
 
 import pytest
 
-import ggvs_eval
+from ggvs_eval.jobs.code_identity import installed_code
 
 
 def with_examples() -> list[str]:
     """Names of all modules of the package whose docstrings show an example."""
-    found = ["ggvs_eval"]
-    for module in pkgutil.walk_packages(ggvs_eval.__path__, "ggvs_eval."):
-        spec = module.module_finder.find_spec(module.name, None)  # type: ignore[call-arg]
-        source = Path(spec.origin) if spec and spec.origin else None
-        if source and source.suffix == ".py" and ">>> " in source.read_text(encoding="utf-8"):
-            found.append(module.name)
-    return found
+    tree = installed_code()
+    sources = {module: tree.file(module) for module in sorted(tree.modules())}
+    shown = {module: file for module, file in sources.items() if file and file.suffix == ".py"}
+    return [module for module, file in shown.items() if ">>> " in file.read_text(encoding="utf-8")]
 
 
 MODULES = with_examples()

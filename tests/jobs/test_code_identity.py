@@ -30,7 +30,7 @@ from ggvs_eval.pipelines.run.score_code import ceilings_code, metric_code, path_
 ROOT = Path(__file__).resolve().parents[2]
 checkout = pytest.mark.skipif(not (ROOT / "setup.py").exists(), reason="the kernels' sources are in the checkout alone")
 
-IBRNET = ("feature_network", "method", "networks", "pooling_kernel", "ray_network", "rendering", "samples", "views")
+IBRNET = ("method", "network", "ray_network", "rendering", "views")
 LEARNED = {"naive", "ours", "ours+no-tsdf", "ours+no-temporal"}
 OURS = LEARNED | {label for label in METHODS if label.startswith("ours-geometric")}
 GPS_GAUSSIAN = {"gps-gaussian", "gps-gaussian+given-depth"}
@@ -57,7 +57,7 @@ STALE: dict[str, set[str]] = {
     "kernels/_stereo": {"depth by sweep"},
     **{f"baselines/ibrnet/{name}.py": {"ibrnet"} for name in IBRNET},
     "baselines/enerf/volumes.py": {"enerf"},
-    "baselines/no_blending.py": {"no-blending"},
+    "baselines/fixed_blending.py": {"no-blending", "distance-based"},
     "baselines/gps_gaussian/stereo.py": GPS_GAUSSIAN,
     "pipelines/online/unet.py": LEARNED,
     "pipelines/online/depth_filter.py": OURS,
@@ -159,7 +159,7 @@ def test_a_new_metric_makes_no_other_stale(installed, tmp_path):
     """A metric in a file of its own and its line in the registry leave every score that is there."""
     tree = copy_package(tmp_path)
 
-    (tree.folder / "metrics/niqe.py").write_text("from ggvs_eval.metrics.image import psnr\n")
+    (tree.folder / "metrics/niqe.py").write_text("from ggvs_eval.metrics.image.psnr import psnr\n")
     registry = tree.folder / "metrics/registry.py"
     registry.write_text(registry.read_text() + "from ggvs_eval.metrics import niqe\n")
 

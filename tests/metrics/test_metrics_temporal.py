@@ -337,7 +337,7 @@ def test_views_that_cannot_be_scored_are_refused():
 
 def test_unknown_metric_names_the_nearest_known_one():
     """A misspelt metric is refused with the nearest known name."""
-    with pytest.raises(MetricError, match="no metric 'SIM'; nearest is 'SSIM'"):
+    with pytest.raises(MetricError, match="no metric 'SIM'; did you mean SSIM"):
         score_view([], ["PSNR", "SIM"])
 
 
