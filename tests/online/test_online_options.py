@@ -13,8 +13,7 @@ from ggvs_eval.geometry.splat import Splat, splat
 from ggvs_eval.geometry.tsdf import PreviousDepth, RayMarch
 from ggvs_eval.method import Instant, Rendering
 from ggvs_eval.pipelines.online import geometry_guided
-from ggvs_eval.pipelines.online.blending import Blended, BlendingInputs
-from ggvs_eval.pipelines.online.geometric_blender import GeometricBlender
+from ggvs_eval.pipelines.online.blending import Blended, BlendingInputs, GeometricBlender
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
 from helpers.scenes import WALL_Z, camera_at, instant, look
 

@@ -9,9 +9,9 @@ import numpy as np
 from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.synthetic.stereo.stereo_patterns import SIDE, coloured_pattern, grey_pattern
 
-SIMD_LEVELS = 7  # down to 4 x 4 texels
+LEVELS = 7  # down to 4 x 4 texels
 COLOURS, GREYS = 96, 24  # textures in the bank
-SIZES = np.array([SIDE >> level for level in range(SIMD_LEVELS + 1)], np.float32)  # sides of the levels, texels
+SIZES = np.array([SIDE >> level for level in range(LEVELS + 1)], np.float32)  # sides of the levels, texels
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ def sample(chain: Image8, u: Map, v: Map, footprint: Map) -> Map:
     u, v = _mirrored(u), _mirrored(v)
     if footprint.max() <= 1:
         return _at_level(chain, u, v, np.float32(SIDE))
-    level = np.minimum(np.log2(np.maximum(footprint, np.float32(1))), np.float32(SIMD_LEVELS - 1))
+    level = np.minimum(np.log2(np.maximum(footprint, np.float32(1))), np.float32(LEVELS - 1))
     finer = level.astype(np.int32)
     share = level - finer
     size = SIZES.take(finer)
@@ -82,7 +82,7 @@ def _at_level(chain: Image8, u: Map, v: Map, size: Map | np.float32) -> Map:
 def _chain(finest: Image8) -> Image8:
     chain = np.zeros((SIDE, SIDE + SIDE // 2, *finest.shape[2:]), np.uint8)
     chain[:, :SIDE] = image = finest
-    for level in range(1, SIMD_LEVELS + 1):
+    for level in range(1, LEVELS + 1):
         side, top = SIDE >> level, SIDE - 2 * (SIDE >> level)
         image = np.asarray(cv2.resize(image, (side, side), interpolation=cv2.INTER_AREA), np.uint8)
         chain[top : top + side, SIDE : SIDE + side] = image
