@@ -16,7 +16,7 @@ from ggvs_eval.synthetic.stereo.stereo_render import draw_view, visible_on_the_r
 from ggvs_eval.synthetic.stereo.stereo_scenes import StereoOptions, StereoSample, stereo_sample
 from ggvs_eval.synthetic.stereo.stereo_sensor import SensorOptions, expose_pair
 from ggvs_eval.synthetic.stereo.stereo_shapes import Ball, Sheet
-from ggvs_eval.synthetic.stereo.stereo_textures import SIDE, SIMD_LEVELS, sample, texture_bank
+from ggvs_eval.synthetic.stereo.stereo_textures import LEVELS, SIDE, sample, texture_bank
 from ggvs_eval.synthetic.stereo.stereo_tubes import Tubes
 
 WIDTH, HEIGHT = 224, 144
@@ -262,7 +262,7 @@ def test_coarse_levels_are_averages():
 
 
 @settings(max_examples=30, deadline=None, derandomize=True)
-@given(u=st.floats(-3000, 3000), v=st.floats(-3000, 3000), level=st.floats(0, SIMD_LEVELS))
+@given(u=st.floats(-3000, 3000), v=st.floats(-3000, 3000), level=st.floats(0, LEVELS))
 def test_textures_continue_mirrored(u, v, level):
     """A texture repeats after twice its side, and is its own mirror image at its border."""
     chain = texture_bank().greys[0]
