@@ -82,7 +82,8 @@ def explain(
     folder, labels = _rendered(renders, capture, protocol, run, reading, jobs)
     if method is None and len(labels) != 1:
         raise RenderError(f"{folder.root}: has {', '.join(labels)}; say which with --method")
-    print(explanation_table(metric, quoted, recompute(metric, quoted, views_of_run(folder, method or labels[0]))))
+    views = views_of_run(folder, method or labels[0], as_measured=True)
+    print(explanation_table(metric, quoted, recompute(metric, quoted, views)))
 
 
 def _rendered(

@@ -1,6 +1,7 @@
 """Faults planted in imperfect renders of the demo are found, each as what it is; in honest renders nothing is found."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import RenderError
-from ggvs_eval.files.images import read_image
+from ggvs_eval.files.images import read_image, resize
 from ggvs_eval.pipelines.inspection.finding import Finding
 from ggvs_eval.pipelines.inspection.renders.examine import examine, faults_table
 from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames, cameras_of_run, views_of_run
@@ -310,6 +311,19 @@ def test_a_run_folder_is_read(tmp_path):
     frame_path(run.renders("no-blending", "cam03"), 4).unlink()
     with pytest.raises(RenderError, match="no-blending in cam03 lacks 4"):
         views_of_run(run, "no-blending")
+
+
+def test_frames_are_read_at_the_size_at_which_they_are_measured(tmp_path):
+    """What a protocol measures at another size is recomputed at that size, and shown to the doctor as it lies there."""
+    run = RunFolder(write_run(tmp_path / "run"))
+    protocol = run.protocol()
+    measurement = replace(protocol.measurement, width=32, height=24, resize_filter="area")
+    run.protocol_file.write_text(replace(protocol, measurement=measurement).to_toml())
+
+    plain, measured = (views_of_run(run, "no-blending", as_measured=each)["cam00"].rendered(2) for each in (False, True))
+
+    assert measured.shape == (24, 32, 3)
+    np.testing.assert_array_equal(measured, resize(plain, 32, 24, "area"))
 
 
 def test_the_table_fits_a_screen_and_joins_views():

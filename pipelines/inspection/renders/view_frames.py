@@ -9,7 +9,8 @@ import numpy as np
 
 from ggvs_eval.arrays import Array32, Image8
 from ggvs_eval.errors import RenderError
-from ggvs_eval.files.images import read_image
+from ggvs_eval.files.images import read_image, resize
+from ggvs_eval.protocol import Measurement
 from ggvs_eval.run_folder import RunFolder, frame_path, missing_frames, require_frames
 
 FrameReader = Callable[[int], Image8]
@@ -115,12 +116,13 @@ def spread(indices: range, count: int) -> list[int]:
     return [indices[round(position)] for position in chosen]
 
 
-def views_of_run(run: RunFolder, label: str) -> dict[str, ViewFrames]:
+def views_of_run(run: RunFolder, label: str, as_measured: bool = False) -> dict[str, ViewFrames]:
     """Rendered and captured frames of one method in every test view.
 
     Args:
         run: a folder with truth and renders.
         label: ``method`` or ``method+variant``.
+        as_measured: at the size at which the protocol measures frames; else as they lie there.
 
     Raises:
         ResultsError: the folder is not a run.
@@ -132,7 +134,11 @@ def views_of_run(run: RunFolder, label: str) -> dict[str, ViewFrames]:
     frames = protocol.frames.numbers
     require_frames({f"{label} in {view}": run.renders(label, view) for view in protocol.views.test}, frames)
     require_frames({f"truth of {view}": run.truth(view) for view in protocol.views.test}, frames)
-    return {view: ViewFrames(_reader(run.renders(label, view)), _reader(run.truth(view)), frames) for view in protocol.views.test}
+    measurement = protocol.measurement if as_measured else None
+    return {
+        view: ViewFrames(_reader(run.renders(label, view), measurement), _reader(run.truth(view), measurement), frames)
+        for view in protocol.views.test
+    }
 
 
 def cameras_of_run(run: RunFolder) -> dict[str, FrameReader]:
@@ -144,5 +150,13 @@ def cameras_of_run(run: RunFolder) -> dict[str, FrameReader]:
     return {folder.name: _reader(folder) for folder in folders if not missing_frames(folder, frames)}
 
 
-def _reader(folder: Path) -> FrameReader:
-    return lambda index: read_image(frame_path(folder, index))
+def _reader(folder: Path, measurement: Measurement | None = None) -> FrameReader:
+    """Frames of a folder as they lie there, or at the size at which a protocol measures them."""
+
+    def read(index: int) -> Image8:
+        image = read_image(frame_path(folder, index))
+        if measurement is None or not measurement.width:
+            return image
+        return resize(image, measurement.width, measurement.height, measurement.resize_filter)
+
+    return read
