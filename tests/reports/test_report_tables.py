@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ggvs_eval.errors import ResultsError
 from ggvs_eval.metrics.registry import METRICS
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.model.measured import read_run
@@ -19,6 +20,7 @@ from ggvs_eval.reports.tables.report_tables import main_tables
 from ggvs_eval.reports.tables.table_formats import escape_latex, to_latex, to_markdown
 from ggvs_eval.reports.tables.timing import timing_table
 from ggvs_eval.results import Results
+from ggvs_eval.run_folder import read_json, write_json
 from ggvs_eval.statistics.bootstrap import intervals
 from helpers.page_reader import PageReader
 from helpers.run_folders import LABELS, NAMES, RunShape, write_run
@@ -82,6 +84,30 @@ def test_views_have_their_own_numbers(run, report):
 def test_values_are_rounded_as_the_paper_does(metric, value, text):
     """Decimals are fixed per metric; STED has four significant digits; a perfect picture has infinite PSNR."""
     assert format_value(value, METRICS[metric].decimals) == text
+
+
+def test_tables_follow_the_protocol_and_what_belongs_nowhere_comes_last(tmp_path):
+    """Columns stand in the protocol's order, tables in that of their first metric, and further measures behind all others."""
+    run = write_run(tmp_path / "run", RunShape(metrics=("SSIM_cc", "TCC", "SSIM", "PSNR"), poses=0))
+    tables = main_tables([read_run(run)], Results.read(run))
+    heads = [(table.key, table.title, [column.name for column in table.columns]) for table in tables]
+    assert heads == [
+        ("consistency", "Temporal and view consistency", ["TCC"]),
+        ("quality", "Image quality", ["SSIM", "PSNR"]),
+        ("further", "Further measures", ["SSIM_cc"]),
+    ]
+
+
+def test_a_run_that_says_too_little_of_its_metrics_is_scored_again(tmp_path):
+    """A run folder of an older version, whose metrics have no table and no digits, is refused with what to do."""
+    run = write_run(tmp_path / "run", SMALL)
+    notes = read_json(run / "metrics.json")
+    del notes["PSNR"]["group"]
+    write_json(run / "metrics.json", notes)
+    with pytest.raises(
+        ResultsError, match=r"metrics.json: wanted decimals, .*group.* of PSNR, got .*; run `ggvs-eval score .*` again"
+    ):
+        read_run(run)
 
 
 def test_missing_metric_says_why(tmp_path):
