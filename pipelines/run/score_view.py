@@ -75,7 +75,7 @@ def _score_view(
     alike: dict[tuple[tuple[range, ...], tuple[str, ...]], list[str]] = defaultdict(list)
     for label, identity in identities.items():
         fresh = fresh_metrics(records.get(label, {}).get("identity", {}), identity)
-        methods[label] = {"identity": identity} | _values_of(fresh, records.get(label, {}))
+        methods[label] = {"identity": identity} | _values_of(fresh, records.get(label, {}), metric_options(measurement))
         if stale := tuple(name for name in identity["metrics"] if name not in fresh):
             alike[stretches[label], stale].append(label)
     for (there, metrics), labels in alike.items():
@@ -92,16 +92,12 @@ def fresh_metrics(known: Mapping[str, Any], wanted: Mapping[str, Any]) -> set[st
     return {name for name, identity in wanted["metrics"].items() if known["metrics"].get(name) == identity}
 
 
-def _values_of(metrics: Collection[str], record: Mapping[str, Any]) -> dict[str, Any]:
-    """The part of a record that belongs to some metrics."""
-    values = [value for value in record.get("values", ()) if _metric_of(value[0]) in metrics]
+def _values_of(metrics: Collection[str], record: Mapping[str, Any], options: MetricOptions) -> dict[str, Any]:
+    """The part of a record that belongs to some metrics: their own values, and the parts that they are pooled from."""
+    names = {name for metric in metrics for name in (metric, *METRICS[metric].pooling(options).parts)}
+    values = [value for value in record.get("values", ()) if value[0] in names]
     reasons = record.get("not_computed", {})
     return {"values": values, "not_computed": {name: reason for name, reason in reasons.items() if name in metrics}}
-
-
-def _metric_of(value: str) -> str:
-    """The metric that a value belongs to, itself or as a part such as ``STED_spatial``."""
-    return value if value in METRICS else value.rpartition("_")[0]
 
 
 def _score_methods(

@@ -44,7 +44,7 @@ def measured(monkeypatch) -> list[tuple[str, ...]]:
 
 def change_code(monkeypatch, *names: str) -> None:
     original = score_view.metric_code
-    monkeypatch.setattr(score_view, "metric_code", lambda name: "changed" if name in names else original(name))
+    monkeypatch.setattr(score_view, "metric_code", lambda metric: "changed" if metric.name in names else original(metric))
 
 
 def records(run: RunFolder) -> dict[str, Any]:
