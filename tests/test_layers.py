@@ -63,12 +63,12 @@ def modules() -> dict[str, Path]:
     spec = importlib.util.find_spec("ggvs_eval")
     assert spec is not None
     assert spec.origin is not None
-    folders = {"": Path(spec.origin).parent}
+    folders = {"": Path(spec.origin).resolve().parent}
     for name in ("pipelines", "baselines", "metrics", "reports"):
         inner = importlib.util.find_spec(f"ggvs_eval.{name}")
         assert inner is not None
         assert inner.origin is not None
-        folders[name] = Path(inner.origin).parent
+        folders[name] = Path(inner.origin).resolve().parent
     found = {}
     for name, folder in folders.items():
         for file in folder.rglob("*.py"):
