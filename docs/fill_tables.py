@@ -61,6 +61,8 @@ def main() -> None:
             "ceilings": lambda: ceilings_table(OUT / "demo"),
             "real_frame": lambda: results_table(OUT / "real_frame"),
             "real_frame_views": lambda: views_table(OUT / "real_frame"),
+            "real_frame_coverage": lambda: results_table(OUT / "real_frame_coverage"),
+            "real_frame_coverage_views": lambda: views_table(OUT / "real_frame_coverage"),
             "baselines": lambda: sweep_table(OUT / "rooms_baselines", BASELINE_METRICS, OUT / "rooms_speed"),
             "depth": depth_table,
             "speed": speed_table,

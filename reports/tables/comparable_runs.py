@@ -135,7 +135,7 @@ class NotComparable:
     near: MeasuredRun | None = None
 
 
-def find_ground(dataset: str, runs: Sequence[MeasuredRun]) -> ComparableRuns | NotComparable:
+def find_comparable_runs(dataset: str, runs: Sequence[MeasuredRun]) -> ComparableRuns | NotComparable:
     """The runs that can be held against one of the paper's data sets.
 
     Reading:

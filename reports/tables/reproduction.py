@@ -10,7 +10,7 @@ from typing import Literal
 
 from ggvs_eval.reports.model.measured import MeasuredRun, label_of
 from ggvs_eval.reports.model.table import Cell, format_value, measured_cell
-from ggvs_eval.reports.tables.comparable_runs import ComparableRuns, NotComparable, find_ground
+from ggvs_eval.reports.tables.comparable_runs import ComparableRuns, NotComparable, find_comparable_runs
 from ggvs_eval.reports.tables.published import TIMING_WORDS, UNITS, is_higher_better, read_published
 from ggvs_eval.reports.tables.timing import TIMINGS, evaluate_time
 from ggvs_eval.statistics.bootstrap import LEVEL, intervals
@@ -78,26 +78,26 @@ def reproduce(runs: Sequence[MeasuredRun]) -> tuple[Reproduction, ...]:
     Returns:
         One entry per published value, in the order of the paper's tables; none is left out.
     """
-    grounds = {dataset: find_ground(dataset, runs) for dataset in read_published("quality")}
-    return tuple(entry for table in TABLES for entry in _evaluation_table(table, grounds))
+    comparable_runs = {dataset: find_comparable_runs(dataset, runs) for dataset in read_published("quality")}
+    return tuple(entry for table in TABLES for entry in _evaluation_table(table, comparable_runs))
 
 
-def _evaluation_table(table: str, grounds: dict[str, ComparableRuns | NotComparable]) -> Iterator[Reproduction]:
+def _evaluation_table(table: str, comparable_runs: dict[str, ComparableRuns | NotComparable]) -> Iterator[Reproduction]:
     for dataset, methods in read_published(table).items():
         for name, values in methods.items():
             for key, paper in values.items():
                 metric, unit = (TIMING_WORDS[key], "ms") if key in TIMINGS else (key, UNITS.get(key, ""))
-                ours, status, reason = _evaluate(grounds[dataset], dataset, paper_methods()[name], key, paper)
+                ours, status, reason = _evaluate(comparable_runs[dataset], dataset, paper_methods()[name], key, paper)
                 yield Reproduction(table, dataset, name, metric, unit, paper, ours, status, reason)
 
 
 def _evaluate(
-    ground: ComparableRuns | NotComparable, dataset: str, method: PaperMethod, metric: str, paper: str
+    comparable: ComparableRuns | NotComparable, dataset: str, method: PaperMethod, metric: str, paper: str
 ) -> tuple[Cell, Status, str]:
     """What was measured of a published value, its standing and why."""
-    if isinstance(ground, NotComparable):
-        return NOT_MEASURED, "data absent", _absence(ground, method, metric)
-    label = next(filter(None, map(method.find_label, ground.runs)), None)
+    if isinstance(comparable, NotComparable):
+        return NOT_MEASURED, "data absent", _reason_not_measured(comparable, method, metric)
+    label = next(filter(None, map(method.find_label, comparable.runs)), None)
     if label is None and method.weights:
         return (
             NOT_MEASURED,
@@ -105,31 +105,31 @@ def _evaluate(
             f"wanted {method.weights}, which does not ship; give it by --weights {method.label}=FILE",
         )
     if label is None:
-        root = ground.runs[0].folder.root.name
+        root = comparable.runs[0].folder.root.name
         return (
             NOT_MEASURED,
             "not run",
             f"not rendered here; run `ggvs-eval render {root} --methods {method.label}` and score again",
         )
     if metric in TIMINGS:
-        cell, reason = evaluate_time(ground.runs, label, metric, float(paper))
+        cell, reason = evaluate_time(comparable.runs, label, metric, float(paper))
         return (NOT_MEASURED, "not run", reason) if cell is None else (cell, "differs", reason)
-    return _evaluate_metric(ground, label, metric, paper)
+    return _evaluate_metric(comparable, label, metric, paper)
 
 
-def _evaluate_metric(ground: ComparableRuns, label: str, metric: str, paper: str) -> tuple[Cell, Status, str]:
-    name = str(ground.results.table["dataset"].iloc[0])
-    marked = next((run.partial[label] for run in ground.runs if label in run.partial), None)
-    interval = None if marked else intervals(ground.results, metric, name).get(label)
+def _evaluate_metric(comparable: ComparableRuns, label: str, metric: str, paper: str) -> tuple[Cell, Status, str]:
+    name = str(comparable.results.table["dataset"].iloc[0])
+    marked = next((run.partial[label] for run in comparable.runs if label in run.partial), None)
+    interval = None if marked else intervals(comparable.results, metric, name).get(label)
     if interval is None or math.isnan(interval.value):
-        reason = f"{label} is {marked}" if marked else ground.results.not_computed.get(metric, f"{metric} was not asked for")
+        reason = f"{label} is {marked}" if marked else comparable.results.not_computed.get(metric, f"{metric} was not asked for")
         return NOT_MEASURED, "not run", f"no value: {reason}"
-    digits = ground.runs[0].metrics[metric].decimals
+    digits = comparable.runs[0].metrics[metric].decimals
     cell = measured_cell(interval.value, "", interval, digits)
     status, reason = evaluate_value(paper, cell, metric, digits)
-    names = {run.name(label) for run in ground.runs}
+    names = {run.name(label) for run in comparable.runs}
     trained = "".join(f"; measured with {name}" for name in sorted(names) if RETRAINED in name)
-    return cell, status, f"{reason}; {ground.words}{trained}"
+    return cell, status, f"{reason}; {comparable.words}{trained}"
 
 
 def evaluate_value(paper: str, ours: Cell, metric: str, digits: int | None = None) -> tuple[Status, str]:
@@ -165,18 +165,18 @@ def _shown(value: float | None, digits: int | None) -> str:
     return "" if value is None else format_value(value, digits)
 
 
-def _absence(absence: NotComparable, method: PaperMethod, metric: str) -> str:
+def _reason_not_measured(missing: NotComparable, method: PaperMethod, metric: str) -> str:
     """Why there is nothing to compare, with the value of a run that comes near, which proves nothing."""
-    words = absence.words
-    if absence.near is not None and metric not in TIMINGS:
-        label = method.find_label(absence.near)
-        table = absence.near.results.summary()
+    words = missing.words
+    if missing.near is not None and metric not in TIMINGS:
+        label = method.find_label(missing.near)
+        table = missing.near.results.summary()
         named = [
             label_of(*names) == label for names in zip(*map(table.index.get_level_values, ("method", "variant")), strict=True)
         ]
         values = table[metric][named].dropna() if metric in table else table.iloc[:0, 0]
         if len(values):
-            note = absence.near.metrics.get(metric)
+            note = missing.near.metrics.get(metric)
             value = format_value(float(values.iloc[0]), note.decimals if note else None)
             words += f"; {method.name} has {value} there, which does not compare"
     return words + (f"; weights of {method.name} do not ship either" if method.weights else "")

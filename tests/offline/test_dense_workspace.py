@@ -1,4 +1,4 @@
-"""COLMAP's dense workspace: its own reader and its own fusion are the judges."""
+"""COLMAP's dense workspace: its own reader and its own fusion are the reference."""
 
 import json
 import subprocess

@@ -223,7 +223,7 @@ def test_too_few_matches_say_nothing(record):
     assert (errors.matches, errors.row_px, len(uv)) == (0, 0.0, 0)
     unknown = replace(record, pairs=tuple(replace(pair, matches=0, row_px=0.0) for pair in record.pairs))
     assert "Of cam00-cam01, cam00-cam03, cam00-cam02, cam02-cam01 too few features match" in find_notes(unknown)[0]
-    assert "Too few matches to judge the calibration" in render_depth_page(unknown)
+    assert "Too few matches to check the calibration" in render_depth_page(unknown)
 
 
 def test_wrong_depth_shows_in_the_image_made_again():
