@@ -6,7 +6,7 @@ from importlib import import_module
 from typing import Any, TypeVar
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.jobs.lost_job import LostJob
+from ggvs_eval.jobs.ledger import LostJob
 from ggvs_eval.jobs.processes import default_workers, share_cpus
 
 CONNECT_S = 30

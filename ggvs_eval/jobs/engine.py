@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal, TypeVar
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.jobs.lost_job import LostJob
+from ggvs_eval.jobs.ledger import LostJob
 from ggvs_eval.jobs.processes import default_workers
 
 Item = TypeVar("Item")

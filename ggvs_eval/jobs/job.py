@@ -19,8 +19,7 @@ from ggvs_eval.errors import GgvsError, RenderError
 from ggvs_eval.files.atomic import remove_leftovers, scratch_folder
 from ggvs_eval.jobs.code_identity import package_digest
 from ggvs_eval.jobs.engine import Workers, as_engine
-from ggvs_eval.jobs.ledger import Entry, Failure, Ledger
-from ggvs_eval.jobs.lost_job import LostJob
+from ggvs_eval.jobs.ledger import Entry, Failure, Ledger, LostJob
 from ggvs_eval.progress import track
 from ggvs_eval.run_folder import JOB_FILE, write_json
 

@@ -61,6 +61,17 @@ class Failure:
 
 
 @dataclass(frozen=True)
+class LostJob:
+    """A job that took its process with it as often as it was tried.
+
+    Attributes:
+        reason: how often, and what to do; one line.
+    """
+
+    reason: str
+
+
+@dataclass(frozen=True)
 class Ledger:
     """The jobs of one stage of a run or sweep.
 

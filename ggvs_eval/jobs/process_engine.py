@@ -8,7 +8,7 @@ from multiprocessing import active_children
 from typing import TypeVar
 
 from ggvs_eval.jobs.free_memory import has_room
-from ggvs_eval.jobs.lost_job import LostJob
+from ggvs_eval.jobs.ledger import LostJob
 from ggvs_eval.jobs.processes import worker_pool
 
 TRIES_ALONE = 2

@@ -8,7 +8,7 @@ from typing import TypeVar
 from ggvs_eval.errors import RenderError
 from ggvs_eval.jobs.code_identity import package_digest
 from ggvs_eval.jobs.engine import Workers, as_engine
-from ggvs_eval.jobs.lost_job import LostJob
+from ggvs_eval.jobs.ledger import LostJob
 from ggvs_eval.progress import track
 
 Item = TypeVar("Item")
