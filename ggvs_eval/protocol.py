@@ -61,14 +61,37 @@ class Synthesis:
 
 
 @dataclass(frozen=True)
+class PathCamera:
+    """One pose of a camera path, as `Camera.to_json` writes it.
+
+    Attributes:
+        K: intrinsics in pixels, (3, 3).
+        world_to_camera: rigid transform, (4, 4), OpenCV axes.
+        size: (width, height) in pixels; the path is rendered at the size of the first test view.
+        near: smallest depth of the scene, world units.
+        far: largest depth of the scene, world units.
+    """
+
+    K: tuple[tuple[float, ...], ...]
+    world_to_camera: tuple[tuple[float, ...], ...]
+    size: tuple[int, ...]
+    near: float
+    far: float
+
+
+@dataclass(frozen=True)
 class CameraPath:
     """A camera path that is synthesised at one instant, for epipolar plane images.
 
     Attributes:
         poses: number of virtual cameras; 0 for no path. A capture that carries a true path brings its own number.
+        cameras: the poses themselves where somebody chose them, e.g. by `ggvs-eval view`; they come before all others.
+        frame: the instant at which such poses are synthesised.
     """
 
     poses: int = 48
+    cameras: tuple[PathCamera, ...] = ()
+    frame: int = 0
 
 
 @dataclass(frozen=True)
@@ -130,6 +153,8 @@ class Protocol:
         values = dataclasses.asdict(self)
         if self.synthesis.sources == Synthesis.sources:
             del values["synthesis"]["sources"]
+        if not self.path.cameras:
+            values["path"] = {"poses": self.path.poses}
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
     def to_toml(self) -> str:
@@ -191,6 +216,7 @@ def _checked(protocol: Protocol, file: str) -> Protocol:
         "frames.start must be at least 0 and frames.count at least 1": protocol.frames.start >= 0 and protocol.frames.count >= 1,
         "synthesis.k must be at least 1": synthesis.k >= 1,
         "path.poses must be 0 or at least 2": protocol.path.poses == 0 or protocol.path.poses >= 2,
+        "path.poses must be the number of path.cameras": len(protocol.path.cameras) in (0, protocol.path.poses),
         "synthesis.width and height must both be positive, or both 0": _is_size(synthesis.width, synthesis.height),
         "measurement.width and height must both be positive, or both 0": _is_size(measurement.width, measurement.height),
         "measurement.metrics must name at least one metric": measurement.metrics,
@@ -207,4 +233,8 @@ def _is_size(width: int, height: int) -> bool:
 
 
 def _toml_value(value: Any) -> str:
-    return json.dumps(list(value) if isinstance(value, tuple) else value)
+    if isinstance(value, dict):
+        return f"{{ {', '.join(f'{key} = {_toml_value(each)}' for key, each in value.items())} }}"
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_toml_value, value))}]"
+    return json.dumps(value)

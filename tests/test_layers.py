@@ -41,6 +41,7 @@ FLOORS = (
     ("pipelines.inspection.capture", "pipelines.inspection.renders", "pipelines.training.samples"),
     ("pipelines.run", "pipelines.training.blend", "pipelines.training.stereo"),
     ("pipelines.play",),
+    ("pipelines.view",),
     ("pipelines.sweep.merging", "pipelines.sweep", "pipelines.training"),
     ("pipelines.commands",),
     ("__main__", "install"),

@@ -22,7 +22,7 @@ from ggvs_eval.pipelines.commands.captures import (
 )
 from ggvs_eval.pipelines.commands.figures import compare, figure, report
 from ggvs_eval.pipelines.commands.merge import merge
-from ggvs_eval.pipelines.commands.play import play
+from ggvs_eval.pipelines.commands.play import play, view
 from ggvs_eval.pipelines.commands.renders import doctor, explain
 from ggvs_eval.pipelines.commands.runs import prepare, render, run, status, sweep
 from ggvs_eval.pipelines.commands.training import TRAININGS
@@ -89,6 +89,7 @@ COMMANDS: Commands = {
     "sweep": sweep,
     "status": status,
     "play": play,
+    "view": view,
     "train": TRAININGS,
     "doctor": doctor,
     "explain": explain,
