@@ -1,6 +1,6 @@
 # Every target makes the virtual environment it needs; nothing has to be installed by hand but Python 3.11 or 3.12, make and g++.
 # Folders bear some of these names too: without .PHONY `make reports` would say "up to date" and do nothing.
-.PHONY: reports test check bench validate docs wheel-test view clean
+.PHONY: reports test check bench validate docs wheel-test view view-demo clean
 
 PYTHON ?= $(shell for p in python3.11 python3.12 python3; do \
 	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 13))' 2>/dev/null && echo $$p && break; done)
@@ -23,6 +23,16 @@ check: $(READY) view
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	cd build/view && ../../$(BIN)/python -m mypy --config-file ../../setup.cfg ggvs_eval
+
+# The live viewer on DATA=<capture or run folder>, or on a small demo capture: opens a port, not a browser.
+VIEWED := out/view-demo/capture
+view-demo: .venv/.view
+	$(if $(DATA),,$(BIN)/ggvs-eval demo $(VIEWED) --width 640 --n-frames 8 --cameras-per-row 6 --path-poses 0)
+	$(BIN)/ggvs-eval view $(or $(DATA),$(VIEWED)) --out out/view-demo
+
+.venv/.view: $(READY)
+	$(BIN)/pip install --disable-pip-version-check -q -e '.[view]'
+	touch $@
 
 # Heavier proofs: speed against peers (out/bench.json), quality on real captures (out/validate.json) and by domains of captures
 # (out/validate_domains.json).

@@ -119,7 +119,8 @@ class LiveView:
             running.synthesizer.restart()
         running.synthesizer.k, running.instant = request.k, request.instant
         frames = {camera.name: self.stock.read(camera.name, request.instant) for camera in running.synthesizer.sources(target)}
-        images, depths = ({name: each[part] for name, each in frames.items()} for part in (0, 1))
+        images = {name: image for name, (image, _) in frames.items()}
+        depths = {name: depth for name, (_, depth) in frames.items()}
         return running.synthesizer.step(images, depths, target)
 
 

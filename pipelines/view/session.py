@@ -3,6 +3,7 @@
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any
@@ -88,7 +89,7 @@ class Session:
         self._cloud: viser.PointCloudHandle | None = None
         self._frusta = Frusta(client.scene, small.cameras)
         for handle, camera in zip(self._frusta.handles, small.cameras, strict=True):
-            handle.on_click(lambda _, name=camera.name: self.stand_at(name))
+            handle.on_click(partial(self._stand_where, camera.name))
         self._add_controls(defaults)
         client.camera.on_update(lambda _: self.change())
 
@@ -104,10 +105,8 @@ class Session:
         if self._play.value and monotonic() >= self._next_instant_at:
             self._next_instant_at = max(self._next_instant_at + 1 / (self._playback.capture.fps or 30.0), monotonic() - 0.1)
             instants = sorted(set(self._playback.instants))
-            self._time.value = instants[(instants.index(int(self._time.value)) + 1) % len(instants)]
-            with self._lock:
-                self._version += 1
-                self._changed_at = monotonic()
+            following = instants[(instants.index(int(self._time.value)) + 1) % len(instants)]
+            self._time.value = following  # type: ignore[misc]  # its setter stands too far from its getter for mypy
         with self._lock:
             version = self._version
         if version == self._shown_version:
@@ -200,7 +199,7 @@ class Session:
         method = (self._method, self._label, self._k, self._layer, self._other, self._divider)
         for control in (*method, self._time, self._play, self._cameras):
             control.on_update(self.change)
-        self._go_to.on_update(lambda _: self.stand_at(self._go_to.value))
+        self._go_to.on_update(lambda _: self._stand_where(self._go_to.value))
         self._points.on_update(lambda _: self._show_points())
         self._time.on_update(lambda _: self._show_points())
 
@@ -225,7 +224,7 @@ class Session:
         video.on_click(lambda _: tell(self.recording.write_video))
         protocol.on_click(lambda _: tell(self.recording.write_protocol))
 
-    def stand_at(self, name: str) -> None:
+    def _stand_where(self, name: str, *_: Any) -> None:
         """Put the window's camera where a camera of the rig stands."""
         if name == NOTHING:
             return

@@ -69,7 +69,7 @@ class Viewer:
         self.server = open_server(options.host, options.port)
         set_camera(self.server, small_stock, playback.instants[0])
         self.server.on_client_connect(self._open_session)
-        self.server.on_client_disconnect(lambda client: self._sessions.pop(client.client_id, None) and None)
+        self.server.on_client_disconnect(self._close_session)
         self._threads = [threading.Thread(target=work, daemon=True) for work in (self._advance_all, self._refine_all)]
         for thread in self._threads:
             thread.start()
@@ -90,7 +90,8 @@ class Viewer:
         self._changed.set()
         for thread in self._threads:
             thread.join()
-        self.server.stop()
+        with contextlib.redirect_stdout(io.StringIO()):
+            self.server.stop()
 
     def __enter__(self) -> "Viewer":
         """The viewer itself."""
@@ -106,6 +107,9 @@ class Viewer:
         )
         self._sessions[client.client_id] = session
         session.change()
+
+    def _close_session(self, client: "viser.ClientHandle") -> None:
+        self._sessions.pop(client.client_id, None)
 
     def _advance_all(self) -> None:
         """Give each window its next small picture in turn; wait where no window wants one."""
@@ -138,7 +142,8 @@ def open_server(host: str, port: int) -> "viser.ViserServer":
 
     with contextlib.redirect_stdout(io.StringIO()):  # its banner; the command says the address in its own words
         server = viser.ViserServer(host=host, port=port, label="ggvs-eval", verbose=False)
-    server.gui.configure_theme(control_layout="collapsible", show_logo=False, show_share_button=False)
+    server.gui.configure_theme(show_logo=False, show_share_button=False)
+    server.gui.main_panel.dock_right()
     return server
 
 
@@ -171,4 +176,5 @@ def export_page(playback: Playback, instants: Sequence[int], file: Path, pixels:
             serializer.insert_sleep(1 / (playback.capture.fps or 30.0))
         write_text(file, serializer.as_html())
     finally:
-        server.stop()
+        with contextlib.redirect_stdout(io.StringIO()):
+            server.stop()

@@ -46,9 +46,16 @@ def open_browser(profile: Path) -> Iterator["Browser"]:
     options = Options()
     options.binary_location = binary
     # Containers run as root, where Chromium's sandbox cannot start; the page under test is our own.
-    for argument in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu", f"--user-data-dir={profile}"):
+    arguments = (
+        "--headless=new",
+        "--no-sandbox",
+        "--disable-dev-shm-usage",
+        "--enable-unsafe-swiftshader",
+    )  # WebGL without a GPU
+    for argument in (*arguments, f"--user-data-dir={profile}"):
         options.add_argument(argument)
-    options.add_argument("--host-resolver-rules=MAP * ~NOTFOUND")  # whatever the page asks of a network, it does not get
+    # Whatever the page asks of a network, it does not get.
+    options.add_argument("--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1")
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
     driven = webdriver.Chrome(options=options, service=Service(driver))
     try:
