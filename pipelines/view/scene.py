@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 MOST_POINTS = 120_000
 FRUSTUM_SHARE = 0.2  # of the distance between neighbouring cameras
-POINT_SHARE = 0.004  # of the depth that the rig looks at
+POINT_SHARE = 0.0025  # of the depth that the rig looks at
 FRUSTUM_COLOUR = (230, 159, 0)
 
 
