@@ -81,7 +81,7 @@ def splat(
     """
     from ggvs_eval.kernels import _core
 
-    beside = [*extras] or [None] * len(sources)
+    beside: list[Map | None] = [*extras] or [None] * len(sources)
     channels = _common_channels(sources, beside)
     if not (near > 0 and scale > 0):
         raise RenderError(f"splat: near and scale must be positive, got near {near:g}, scale {scale:g}")
