@@ -10,7 +10,9 @@ told by the classes that its annotation names, so that a list of captures is a c
 
 import ast
 import sys
+from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import groupby
 from pathlib import Path
 
@@ -92,8 +94,9 @@ class Code:
             return NONE
         found = set()
         for node in ast.walk(annotation):
-            if isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value.isidentifier():
-                found |= self.named(module, ast.Name(node.value))
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                with suppress(SyntaxError):  # words of a Literal
+                    found |= self.named(module, ast.parse(node.value, mode="eval").body)
             dotted = self.resolve(module, node.id) if isinstance(node, ast.Name) else ""
             if self.find_class(dotted):
                 found.add(dotted)
@@ -102,7 +105,7 @@ class Code:
     def member(self, owners: Types, name: str) -> tuple[Types, list[str]]:
         """What an attribute of objects of these classes is, and the methods or properties behind it."""
         types, methods = set(), []
-        for dotted in owners:
+        for dotted in sorted(owners):
             module, definition = self.find_class(dotted) or (None, None)
             while module and definition:
                 method = module.functions.get(f"{definition.name}.{name}")
@@ -123,32 +126,29 @@ class Code:
         for node in definition.body:
             if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name) and node.target.id == name:
                 return node.annotation
-        maker = module.functions.get(f"{definition.name}.__init__")
-        return (
-            next((each.annotation for each in _parameters(maker) if each.arg == name.removeprefix("_")), None) if maker else None
-        )
+        parameters = _parameters(module.functions.get(f"{definition.name}.__init__"))
+        return next((each.annotation for each in parameters if each.arg == name.removeprefix("_")), None)
 
     def holders(self, name: str) -> Types:
         """The class of that name and all that hold one, directly or in what they hold."""
         held = {f"{module.name}.{name}" for module in self.modules.values() if name in module.classes}
         while True:
-            more = {dotted for dotted in self._fields_of() if self._fields_of()[dotted] & held} - held
+            more = {dotted for dotted, types in self._fields.items() if types & held} - held
             if not more:
                 return frozenset(held)
             held |= more
 
-    def _fields_of(self) -> dict[str, Types]:
+    @cached_property
+    def _fields(self) -> dict[str, Types]:
         """Class -> classes of its fields."""
-        if not hasattr(self, "_fields"):
-            self._fields = {
-                f"{module.name}.{name}": frozenset().union(
-                    *(self.named(module, node.annotation) for node in definition.body if isinstance(node, ast.AnnAssign)),
-                    *(self.named(module, each.annotation) for each in _parameters(module.functions.get(f"{name}.__init__"))),
-                )
-                for module in self.modules.values()
-                for name, definition in module.classes.items()
-            }
-        return self._fields
+        return {
+            f"{module.name}.{name}": frozenset().union(
+                *(self.named(module, node.annotation) for node in definition.body if isinstance(node, ast.AnnAssign)),
+                *(self.named(module, each.annotation) for each in _parameters(module.functions.get(f"{name}.__init__"))),
+            )
+            for module in self.modules.values()
+            for name, definition in module.classes.items()
+        }
 
 
 class Walk(ast.NodeVisitor):
@@ -243,12 +243,10 @@ class Walk(ast.NodeVisitor):
             return self._code.member(self._types(node.value), node.attr)[0]
         if isinstance(node, ast.Call):
             return self._returned(node)
-        if isinstance(node, ast.Compare | ast.BoolOp | ast.Constant | ast.JoinedStr):
+        if isinstance(node, ast.Compare | ast.Constant | ast.JoinedStr | ast.Lambda):
             return NONE
         if isinstance(node, ast.Subscript):
             return self._types(node.value)
-        if isinstance(node, ast.Lambda):
-            return NONE
         parts = [each for each in ast.iter_child_nodes(node) if isinstance(each, ast.expr)]
         return frozenset().union(*(self._types(each) for each in parts))
 
