@@ -34,8 +34,8 @@ IBRNET = ("method", "network", "ray_network", "rendering", "views")
 LEARNED = {"naive", "ours", "ours+no-tsdf", "ours+no-temporal"}
 OURS = LEARNED | {label for label in METHODS if label.startswith("ours-geometric")}
 GPS_GAUSSIAN = {"gps-gaussian", "gps-gaussian+given-depth"}
-GAUSSIANS = OURS | GPS_GAUSSIAN | {"no-blending", "distance-based", "fwd"}
-ALL_METHODS = GAUSSIANS | {"ibrnet", "enerf"}
+SPLATTED = OURS | {"no-blending", "distance-based"}
+ALL_METHODS = SPLATTED | GPS_GAUSSIAN | {"fwd", "ibrnet", "enerf"}
 REGIONS = {f"{measure}_{region}" for measure in ("PSNR", "SSIM", "L1") for region in ("static", "moving", "disoccluded")}
 CORRECTED = {"PSNR_cc", "SSIM_cc", "LPIPS_cc"}  # one scorer: a frame is corrected once for all of them
 WITH_SSIM = {"SSIM", "TCC", "ceilings"} | REGIONS | CORRECTED
@@ -51,8 +51,9 @@ STALE: dict[str, set[str]] = {
     "files/images.py": ALL_METHODS | ALL_SCORES | {"sensor depth"},
     "geometry/difference_mask.py": OURS | REGIONS,
     "geometry/warp.py": OURS | {"path"},
-    "geometry/splat.py": GAUSSIANS | {"path"},
-    "kernels/_core": ALL_METHODS - {"enerf"} | REGIONS | {"path"},
+    "geometry/splat.py": SPLATTED | {"path"},
+    "method.py": ALL_METHODS | {"path"},
+    "kernels/_core": SPLATTED | {"ibrnet"} | REGIONS | {"path"},
     "kernels/_ssim": WITH_SSIM,
     "kernels/_stereo": {"depth by sweep"},
     **{f"baselines/ibrnet/{name}.py": {"ibrnet"} for name in IBRNET},
