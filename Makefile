@@ -52,9 +52,10 @@ docs: .venv/.docs view
 	$(BIN)/pip install --disable-pip-version-check -q -e '.[docs]'
 	touch $@
 
-# What users get: the wheel, with no checkout in sight; its dependencies are those of .venv.
+# What users get: the wheel, built from the source distribution, with no checkout in sight; its dependencies are those of .venv.
 wheel-test: $(READY)
-	rm -rf build/wheel && $(BIN)/pip wheel -q --no-deps -w build/wheel .
+	rm -rf build/wheel && $(BIN)/python -m build --outdir build/wheel . > build.log 2>&1 || { tail -20 build.log; exit 1; }
+	rm build.log
 	$(BIN)/python -m venv build/wheel/venv && build/wheel/venv/bin/pip install -q --no-deps build/wheel/*.whl
 	$(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))' \
 		> "$$(echo build/wheel/venv/lib/python3*/site-packages)/dependencies.pth"

@@ -159,4 +159,5 @@ def _write_shown_names(run: RunFolder, protocol: Protocol, labels: Sequence[str]
     titles = {label: METHODS[label].title if label in METHODS else label for label in labels}
     ours = [label for label in labels if label in METHODS and METHODS[label].ours]
     write_json(run.root / "methods.json", {"labels": list(labels), "names": titles, "ours": ours})
-    write_json(run.root / "metrics.json", metric_notes(protocol.measurement.metrics))
+    notes = metric_notes(protocol.measurement.metrics, metric_options(protocol.measurement))
+    write_json(run.root / "metrics.json", notes)

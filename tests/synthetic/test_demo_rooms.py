@@ -139,11 +139,14 @@ def test_all_rooms_stand_on_one_page(tmp_path, small_protocols, monkeypatch):
     """Each room is rendered and evaluated beside the main one, one page shows all, and a second call computes nothing."""
     monkeypatch.setattr(demo_runs, "load_protocol", small_protocols)
     rooms = {MAIN: TINY, "demo-d3dmv": replace(TINY, layout="d3dmv", cameras_per_row=2)}
-    root, told = tmp_path / "out", []
+    root, told, shown = tmp_path / "out", [], []
 
     def run() -> Path:
         labels = {MAIN: ["no-blending", "distance-based"], "demo-d3dmv": ["no-blending"]}
-        return evaluate_demos(root, labels, 1, open_capture, rooms=rooms, announce=told.append)
+        return evaluate_demos(root, labels, 1, open_capture, rooms=rooms, announce=told.append, show=keep)
+
+    def keep(page: Path) -> None:
+        shown.append(page.read_text())
 
     page = run()
 
@@ -158,8 +161,11 @@ def test_all_rooms_stand_on_one_page(tmp_path, small_protocols, monkeypatch):
     assert all(folder.joinpath("depth").resolve() == root / "depth" for folder in over_k)
     assert text.index('id="group1"') < text.index("Quality and time over K <") < text.index('id="paper"')
     assert 'class="group-name">Demo room <span class="on">demo-k' not in text  # the runs over K lie beside, in out-k
+    datasets = [load_protocol(name).dataset.replace("'", "&#39;") for name in rooms]
+    assert [[dataset in text for dataset in datasets] for text in shown] == [[True, False], [True, True]]  # one after the other
     before = {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.png") if "report" not in file.parts}
     run()
+    assert len(shown) == len(rooms)
     assert {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.png") if "report" not in file.parts} == before
 
 
