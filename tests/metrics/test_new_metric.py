@@ -18,7 +18,7 @@ from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.pipelines.run.score import score
 from ggvs_eval.reports.report import write_report
 from ggvs_eval.run_folder import RunFolder
-from ggvs_eval.statistics.bootstrap import intervals, resample
+from ggvs_eval.statistics.intervals import intervals, resample
 from ggvs_eval.statistics.paired import rank_methods
 from ggvs_eval.statistics.pooled import PooledScene
 from ggvs_eval.statistics.pooling import powers_of_means

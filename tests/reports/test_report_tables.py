@@ -21,7 +21,7 @@ from ggvs_eval.reports.tables.table_formats import escape_latex, to_latex, to_ma
 from ggvs_eval.reports.tables.timing import timing_table
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import read_json, write_json
-from ggvs_eval.statistics.bootstrap import intervals
+from ggvs_eval.statistics.intervals import intervals
 from helpers.page_reader import PageReader
 from helpers.run_folders import LABELS, NAMES, RunShape, write_run
 

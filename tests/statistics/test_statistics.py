@@ -8,7 +8,7 @@ from ggvs_eval.metrics.metric import MetricOptions
 from ggvs_eval.metrics.stream import score_view
 from ggvs_eval.metrics.time.deviations import sdt, sdv
 from ggvs_eval.statistics.blocks import block_length, block_weights
-from ggvs_eval.statistics.bootstrap import Interval, intervals, resample
+from ggvs_eval.statistics.intervals import Interval, intervals, resample
 from ggvs_eval.statistics.decomposition import decompose, decompose_metric
 from ggvs_eval.statistics.pooled import PooledScene
 from ggvs_eval.statistics.pooling import Pool, Pooling, pool_mean, pool_powers, pool_products, pool_sdt, pool_sdv, powers_of_means

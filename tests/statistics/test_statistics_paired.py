@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ggvs_eval.errors import ResultsError
-from ggvs_eval.statistics.bootstrap import intervals
+from ggvs_eval.statistics.intervals import intervals
 from ggvs_eval.statistics.paired import compare, holm, rank_methods
 from helpers.tidy_tables import autoregressive, make_results, make_rows, make_spread_rows, make_sted_rows
 
