@@ -216,8 +216,8 @@ def check_package(repetitions: int) -> Iterator[str]:
             pairs = [(scene(one, pool(one)), scene(other, pool(other))) for pool in (pool_mean, pool_sdt)]
             mean, deviation = (measure_spread([ours.minus(theirs)]) for ours, theirs in pairs)
             short.append(bool(mean.short))
-            alarms.append(mean.p_value() < 1.0 - LEVEL and not mean.short)
-            of_sdt.append(deviation.p_value() < 1.0 - LEVEL and not deviation.short)
+            alarms.append(mean.p_value() < 1.0 - LEVEL and not mean.undecided())
+            of_sdt.append(deviation.p_value() < 1.0 - LEVEL and not deviation.undecided())
         shares = [100 * float(np.mean(each)) for each in (held, alarms, of_sdt, short)]
         head = f"{frames:6}  {views:5}  {'heavy ' if tails else 'normal'}  {correlation:.1f}"
         yield head + "".join(f"{share:{width}.1f}" for share, width in zip(shares, (10, 14, 13, 11), strict=True))

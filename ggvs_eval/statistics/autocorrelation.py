@@ -82,7 +82,7 @@ class ErrorOfMean:
         """Error of the mean of a series, less a variance (under each model) that is counted elsewhere, over `count`."""
         posterior = correlation_posterior(series)
         scales = np.sqrt(np.maximum(np.square(posterior.scales) - known, 0.0)) / count
-        short = f"clip too short for its correlation: {len(series)} frames are worth ~{posterior.worth:.0f}"
+        short = f"clip too short for its correlation: {len(series)} frames are worth ~{posterior.worth:.1f}"
         return cls(posterior.weights, scales, posterior.freedom, short if posterior.worth < FEWEST_WORTH else "")
 
     def tail(self, size: float) -> float:
@@ -91,10 +91,14 @@ class ErrorOfMean:
 
     def half_width(self, tail: float) -> float:
         """Error that is reached, up or down, with probability `tail`."""
-        widest = float(self.scales.max()) * -float(stdtrit(self.freedom, tail / 2.0))
+        widest = self.greatest_half_width(tail)
         if widest <= 0.0 or self.tail(widest) >= tail:
-            return max(widest, 0.0)
+            return widest
         return float(brentq(lambda size: self.tail(size) - tail, 0.0, widest, xtol=1e-13 * widest, rtol=1e-13))
+
+    def greatest_half_width(self, tail: float) -> float:
+        """The same under the strongest correlation that is thought of, however unlikely."""
+        return max(float(self.scales.max()) * -float(stdtrit(self.freedom, tail / 2.0)), 0.0)
 
 
 def correlation_posterior(series: ArrayLike) -> Posterior:

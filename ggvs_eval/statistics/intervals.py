@@ -1,5 +1,6 @@
 """Confidence intervals of the numbers in a table, from what varies over time, views and scenes."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -15,6 +16,7 @@ from ggvs_eval.statistics.pooled_table import pool_table
 
 LEVEL = 0.95
 FEWEST = 5  # views or scenes from which others can be concluded; fewer are taken as given
+CLEAR = 2.0  # intervals of the strongest correlation beyond which even a short clip tells
 NUDGE = 1e-4
 ROUNDING = 1e-12
 
@@ -70,6 +72,17 @@ class Spread:
     def half_width(self, level: float) -> float:
         """Deviation that is exceeded, up or down, with probability 1 - level."""
         return total_half_width(self.parts, 1.0 - level)
+
+    def undecided(self, level: float = LEVEL) -> str:
+        """Why the sign is open though the p value may be small: the clip is too short; empty where it is not.
+
+        Reading:
+            A clip that seems to be worth fewer than 4 independent frames may as well be worth 2, and then intervals cover 85 % or
+            less. So its number counts as other than 0 only beyond twice the interval of the strongest correlation thought of, half
+            a frame: a drift of a tenth of a decibel does not hide a difference of two.
+        """
+        greatest = math.hypot(*(part.greatest_half_width(1.0 - level) for part in self.parts))
+        return self.short if CLEAR * greatest >= abs(self.value) else ""
 
     def p_value(self) -> float:
         """Two-sided p value of the number being 0."""

@@ -89,9 +89,8 @@ def rank_methods(results: Results, metric: str, higher_is_better: bool, dataset:
 
     Reading:
         A method ties with the best unless Holm's corrected p value is below 1 - level: the more methods, the harder to be told
-        from the best. So does one whose difference to the best is correlated for longer than the clip can show: where a clip is
-        worth about 3 independent frames or fewer, p values are too small (`benchmarks/interval_coverage.py`), so nobody is named
-        from 4 down. Methods that could not be compared are ties only where their number is the same.
+        from the best. So does one whose difference to the best is undecided because the clip is too short for its correlation
+        (`intervals.Spread.undecided`). Methods that could not be compared are ties only where their number is the same.
     """
     table = pool_table(results, metric, dataset)
     values = {label: value for label, value in table.values.items() if not np.isnan(value)}
@@ -135,4 +134,4 @@ def _compare(table: PooledTable, first: str, second: str, level: float) -> Compa
     except ResultsError as refusal:
         return Comparison(difference, None, None, None, str(refusal))
     half = spread.half_width(level)
-    return Comparison(difference, difference - half, difference + half, spread.p_value(), spread.note, spread.short)
+    return Comparison(difference, difference - half, difference + half, spread.p_value(), spread.note, spread.undecided(level))
