@@ -202,25 +202,30 @@ def rig(generator: Generator, views: int, frames: int, correlation: float, heavy
 
 
 def check_package(repetitions: int) -> Iterator[str]:
-    """Coverage of means, and false alarms of paired comparisons of means and of SDT, all in %."""
-    yield "\nfrom `measure_spread`, in %: coverage of the mean; false alarms of pairs, mean and SDT; pairs called too short"
-    yield "frames  views  tails   rho  coverage  alarms, mean  alarms, SDT  too short"
+    """Coverage of means and of SDT, which is shown to nobody, and false alarms of paired comparisons of both, all in %."""
+    yield "\nfrom `measure_spread`, in %: coverage of the mean and of SDT; false alarms of pairs of both; pairs called too short"
+    yield "frames  views  tails   rho      mean       SDT  alarms, mean  alarms, SDT  too short"
     cases = [(t, v, h, c) for t in FRAMES for v in (1, 3, 9) for h in (False, True) for c in (0.0, 0.7, 0.9) if not h or v == 3]
     for frames, views, tails, correlation in cases:
         generator = np.random.default_rng([frames, views, tails, int(10 * correlation)])
         held, alarms, of_sdt, short = [], [], [], []
+        deviations, halves = [], []
         for _ in range(repetitions):
             shared, first, second = (rig(generator, views, frames, correlation, tails) for _ in range(3))
             held.append(measure_spread([scene(first, pool_mean(first))]).p_value() >= 1.0 - LEVEL)
+            own = measure_spread([scene(first, pool_sdt(first))])
+            deviations.append(own.value)
+            halves.append(own.half_width(LEVEL))
             one, other = shared + first, shared + second
             pairs = [(scene(one, pool(one)), scene(other, pool(other))) for pool in (pool_mean, pool_sdt)]
             mean, deviation = (measure_spread([ours.minus(theirs)]) for ours, theirs in pairs)
             short.append(bool(mean.short))
             alarms.append(mean.p_value() < 1.0 - LEVEL and not mean.undecided())
             of_sdt.append(deviation.p_value() < 1.0 - LEVEL and not deviation.undecided())
-        shares = [100 * float(np.mean(each)) for each in (held, alarms, of_sdt, short)]
+        sdt_held = np.abs(np.array(deviations) - np.mean(deviations)) <= halves
+        shares = [100 * float(np.mean(each)) for each in (held, sdt_held, alarms, of_sdt, short)]
         head = f"{frames:6}  {views:5}  {'heavy ' if tails else 'normal'}  {correlation:.1f}"
-        yield head + "".join(f"{share:{width}.1f}" for share, width in zip(shares, (10, 14, 13, 11), strict=True))
+        yield head + "".join(f"{share:{width}.1f}" for share, width in zip(shares, (10, 10, 14, 13, 11), strict=True))
 
 
 def main(options: Options) -> None:

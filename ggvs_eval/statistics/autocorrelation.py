@@ -115,8 +115,8 @@ def correlation_posterior(series: ArrayLike) -> Posterior:
         own beside (30 or 60 % of the variance). Given a model, the cosine coefficients of the clip (those of Lazarus, Lewis,
         Stock & Watson 2018) are independent with known ratios of variances, Student's t with T - 1 degrees of freedom follows,
         and their average is the posterior under a flat prior of mean and log variance (Zellner & Tiao 1964). Of the methods in
-        `benchmarks/interval_coverage.py` this one alone covers 92 to 97 %
-        up to 0.7 at 24 frames and 0.9 at 100, and it is the narrowest of those that come near.
+        `benchmarks/interval_coverage.py` it is the narrowest that covers 92 to 97 % up to 0.7 at 24 frames and 0.9 at 100;
+        prewhitened cosines cover about as well and are up to 1.9 times as wide.
     """
     values = np.asarray(series, dtype=np.float64)
     frames = values.shape[-1]

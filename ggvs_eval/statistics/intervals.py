@@ -78,8 +78,8 @@ class Spread:
 
         Reading:
             A clip that seems to be worth fewer than 4 independent frames may as well be worth 2, and then intervals cover 85 % or
-            less. So its number counts as other than 0 only beyond twice the interval of the strongest correlation thought of, half
-            a frame: a drift of a tenth of a decibel does not hide a difference of two.
+            less. So its number counts as other than 0 only beyond twice the interval of the strongest correlation thought of,
+            half a frame: a drift of a tenth of a decibel does not hide a difference of two.
         """
         greatest = math.hypot(*(part.greatest_half_width(1.0 - level) for part in self.parts))
         return self.short if CLEAR * greatest >= abs(self.value) else ""
@@ -180,7 +180,7 @@ def _rest(scene: PooledScene) -> Array:
 
 
 def _check_enough(scene: PooledScene, by_view: bool, by_time: bool) -> None:
-    """Refuse what cannot be resampled in a meaningful way."""
+    """Refuse what does not vary over anything that counts as a sample."""
     if len(scene.views) == 1 and scene.views[0] is not None:
         raise ResultsError("1 view; an interval needs 2")
     if by_time or (by_view and scene.frames[0] < 0):

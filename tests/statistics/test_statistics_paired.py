@@ -87,7 +87,7 @@ def make_slow_pair(better_db: float):
 
 
 def test_a_clip_too_short_for_its_correlation_names_no_winner():
-    """A difference that drifts through the clip keeps its numbers; where the drift may be all of it the two tie, and it is said."""
+    """A difference that drifts through the clip keeps its numbers; where the drift may be all of it the two tie, as is said."""
     slow = make_slow_pair(0.3)
     found = compare(slow, "PSNR", "a", "b", "Demo")
     assert found.difference == pytest.approx(0.3, abs=0.01)
