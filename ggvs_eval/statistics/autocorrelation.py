@@ -136,8 +136,8 @@ def correlation_posterior(series: ArrayLike) -> Posterior:
 def correlation_models(frames: int) -> Models:
     """The models of a series of this many frames: autoregressive ones, and some with noise of each frame beside."""
     longest = frames / LEAST_WORTH
-    ends = np.arctanh([LEAST_CORRELATION, (longest - 1.0) / (longest + 1.0)])
-    grid = np.tanh(np.linspace(*ends, CORRELATIONS))
+    strongest = (longest - 1.0) / (longest + 1.0)
+    grid = np.tanh(np.linspace(math.atanh(LEAST_CORRELATION), math.atanh(strongest), CORRELATIONS))
     noisy = grid[grid > NOISE_FROM]
     correlations, shares = np.concatenate([grid, *[noisy] * len(NOISE_SHARES)]), [0.0] * len(grid)
     prior = [(1.0 - NOISE_PRIOR) * _even(grid) if len(noisy) else _even(grid)]

@@ -160,7 +160,7 @@ def test_one_method_leads_alone_and_grey_rows_never():
 
 
 def test_the_first_screen_has_the_best_with_its_interval(report):
-    """Above the sections of each group stand the best value of each headline metric and its method; short clips name no winner."""
+    """Above the sections of a group stand the best value of each headline metric and its method; short clips name no winner."""
     text = (report / "index.html").read_text(encoding="utf-8")
     bold = [row for row in rows_of(report) if row["table"] in ("quality", "consistency") and row["best"] == "True"]
     best = [row for row in bold if row["method"] == NAMES[LABELS[2]]]
