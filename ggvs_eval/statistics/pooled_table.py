@@ -20,11 +20,13 @@ class PooledTable:
         values: label -> mean over frames, then views, then scenes, as `ggvs_eval.results.Results.summary` has it.
         scenes: label -> its number on each scene, scenes in alphabetical order.
         refusals: label -> why its number cannot be made of views and frames.
+        no_interval: why no number has an interval of its own; empty where they have.
     """
 
     values: Mapping[str, float]
     scenes: Mapping[str, tuple[PooledScene, ...]]
     refusals: Mapping[str, str]
+    no_interval: str = ""
 
     def scenes_of(self, label: str) -> tuple[PooledScene, ...]:
         """The scenes of one method.
@@ -60,7 +62,7 @@ def pool_table(results: Results, metric: str, dataset: str) -> PooledTable:
             )
         except ResultsError as refusal:
             refusals[label] = str(refusal)
-    return PooledTable(values, scenes, refusals)
+    return PooledTable(values, scenes, refusals, pooling.no_interval)
 
 
 def _cells(results: Results, metric: str, parts: Sequence[str], dataset: str) -> dict[str, dict[str, dict[str, pd.DataFrame]]]:
