@@ -7,6 +7,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Array32, Image8
 from ggvs_eval.files.images import quantise
+from ggvs_eval.kernels.portable import blur, power
 from ggvs_eval.synthetic.film.options import DemoOptions
 
 # A telephone indoors, at processing 1: electrons of a white pixel, and the noise of reading one, electrons.
@@ -28,7 +29,7 @@ def defocus(linear: Array32, radius_px: float) -> Array32:
         return linear
     reach = int(np.ceil(radius_px + 0.5))
     y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
-    disc = np.clip(radius_px + 0.5 - np.hypot(x, y), 0, 1).astype(np.float32)
+    disc = np.clip(radius_px + 0.5 - np.sqrt(x * x + y * y), 0, 1).astype(np.float32)
     return np.asarray(cv2.filter2D(linear, -1, disc / disc.sum(), borderType=cv2.BORDER_REFLECT_101), np.float32)
 
 
@@ -67,7 +68,7 @@ def denoise(image: Array32, strength: float) -> Array32:
 def sharpen(image: Array32, strength: float) -> Array32:
     """Unsharp mask on the brightness of an sRGB picture, (H, W, 3), with its halos."""
     brightness = cv2.cvtColor(np.clip(image, 0, 1), cv2.COLOR_RGB2GRAY)
-    detail = brightness - cv2.GaussianBlur(brightness, (0, 0), SHARPENED_PX)
+    detail = brightness - blur(brightness, SHARPENED_PX)
     return np.asarray(image + (SHARPENING * strength) * detail[..., None], np.float32)
 
 
@@ -81,13 +82,13 @@ def compress(image: Image8, quality: int) -> Image8:
 
 def to_linear(image: Array32) -> Array32:
     """Linear light of sRGB in [0, 1], any shape."""
-    return np.where(image <= 0.04045, image / 12.92, ((image + 0.055) / 1.055) ** 2.4).astype(np.float32)
+    return np.where(image <= 0.04045, image / 12.92, power((image + 0.055) / 1.055, 2.4)).astype(np.float32)
 
 
 def to_srgb(linear: Array32) -> Array32:
     """SRGB of linear light, any shape; what is below black or above white is cut off."""
     linear = np.clip(linear, 0, 1)
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055).astype(np.float32)
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * power(linear, 1 / 2.4) - 0.055).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
