@@ -31,6 +31,8 @@ inline double polynomial(const double* coefficients, int count, double x) {
     return sum;
 }
 
+// With terms enough for a double, or for results that are rounded to single precision.
+template <bool kSingle = false>
 inline double exponential(double x) {
     static constexpr double kTaylor[] = {1.0,         1.0,          1.0 / 2,       1.0 / 6,        1.0 / 24,
                                          1.0 / 120,   1.0 / 720,    1.0 / 5040,    1.0 / 40320,    1.0 / 362880,
@@ -39,22 +41,24 @@ inline double exponential(double x) {
     if (x > 709) return from_bits(0x7ff0000000000000);
     const int64_t power = nearest_whole(x * 0x1.71547652b82fep0);
     const double rest = (x - double(power) * kLn2High) - double(power) * kLn2Low;
-    return polynomial(kTaylor, 14, rest) * from_bits((power + 1023) << 52);
+    return polynomial(kTaylor, kSingle ? 9 : 14, rest) * from_bits((power + 1023) << 52);
 }
 
 // Of a positive normal number.
+template <bool kSingle>
 inline double logarithm(double x) {
     static constexpr double kSeries[] = {1.0,      1.0 / 3,  1.0 / 5,  1.0 / 7,  1.0 / 9,  1.0 / 11,
                                          1.0 / 13, 1.0 / 15, 1.0 / 17, 1.0 / 19, 1.0 / 21, 1.0 / 23};
     const int64_t bits = bits_of(x), power = (bits - 0x3fe6a09e667f3bcd) >> 52;  // the mantissa between the roots of 1/2 and 2
     const double mantissa = from_bits(bits - power * (int64_t(1) << 52)), share = (mantissa - 1.0) / (mantissa + 1.0);
-    const double of_mantissa = 2.0 * share * polynomial(kSeries, 12, share * share);
+    const double of_mantissa = 2.0 * share * polynomial(kSeries, kSingle ? 6 : 12, share * share);
     return double(power) * kLn2High + (of_mantissa + double(power) * kLn2Low);
 }
 
 // Of a base that is not negative, and a positive exponent.
+template <bool kSingle>
 inline double power(double base, double exponent) {
-    return base < 0x1p-1022 ? 0.0 : exponential(exponent * logarithm(base));
+    return base < 0x1p-1022 ? 0.0 : exponential<kSingle>(exponent * logarithm<kSingle>(base));
 }
 
 inline double sine_of_quadrant(double x, int64_t quadrant) {

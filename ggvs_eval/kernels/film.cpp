@@ -105,7 +105,7 @@ py::array_t<T> powers(const py::array_t<T, py::array::c_style>& bases, const py:
     T* to = results.mutable_data();
     const py::ssize_t count = bases.size(), step = exponents.size() == 1 ? 0 : 1;
     py::gil_scoped_release released;
-    for (py::ssize_t n = 0; n < count; ++n) to[n] = T(ggvs::power(double(from[n]), exponent[n * step]));
+    for (py::ssize_t n = 0; n < count; ++n) to[n] = T(ggvs::power<sizeof(T) == 4>(double(from[n]), exponent[n * step]));
     return results;
 }
 
@@ -115,7 +115,7 @@ PYBIND11_MODULE(_film, module) {
     module.doc() = "What films captures, with the same bits on every processor; ggvs_eval.kernels.portable is the face of it.";
     bind<&ggvs::sine>(module, "sin");
     bind<&ggvs::cosine>(module, "cos");
-    bind<&ggvs::exponential>(module, "exp");
+    bind<&ggvs::exponential<>>(module, "exp");
     module.def("power", &powers<float>, py::arg("bases").noconvert(), "exponents"_a);
     module.def("power", &powers<double>, "bases"_a, "exponents"_a);
     py::class_<ggvs::RayTree>(module, "RayTree")

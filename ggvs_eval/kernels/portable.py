@@ -1,6 +1,6 @@
 """Arithmetic with the same bits on every processor, for what is filmed and for cameras.
 
-BLAS sums in an order that depends on the processor, and so do OpenCV's filters; elementary functions of NumPy and of the C library
+BLAS sums in an order that depends on the processor, and so do OpenCV's filters; elementary functions of NumPy and the C library
 differ in their last bit. Here every sum has one order, and functions are made of operations that IEEE 754 rounds one way.
 """
 
@@ -47,9 +47,9 @@ def unit(vectors: NDArray[Any]) -> NDArray[Any]:
 
 def inverse(matrix: Array) -> Array:
     """Inverse of a matrix (3, 3), by its cofactors."""
-    first, second, third = matrix.T
-    adjugate = np.stack([np.cross(second, third), np.cross(third, first), np.cross(first, second)])
-    return adjugate / transformed(adjugate[:1], first)
+    after, before = [1, 2, 0], [2, 0, 1]
+    cofactors = matrix[after][:, after] * matrix[before][:, before] - matrix[after][:, before] * matrix[before][:, after]
+    return cofactors.T / (cofactors[0] * matrix[0]).sum()
 
 
 def sin(angle_rad: ArrayLike) -> Any:

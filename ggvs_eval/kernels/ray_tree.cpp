@@ -228,10 +228,11 @@ RayHit RayTree::walk(const Ray& ray) const {
     const Corner origin{all(ray.origin[0]), all(ray.origin[1]), all(ray.origin[2])};
     const Corner direction{all(ray.direction[0]), all(ray.direction[1]), all(ray.direction[2])};
     const Four from[3] = {origin.x, origin.y, origin.z};
-    Four inverse[3];
+    Four inverse[3], late[3];
     bool backwards[3];
     for (int axis = 0; axis < 3; ++axis) {
         inverse[axis] = all(1.0f / ray.direction[axis]);
+        late[axis] = inverse[axis] * all(kLate);
         backwards[axis] = std::signbit(ray.direction[axis]);
     }
     struct Waiting {
@@ -255,7 +256,7 @@ RayHit RayTree::walk(const Ray& ray) const {
             const Four high = backwards[axis] ? node.low[axis] : node.high[axis];
             // 0 / 0, where a ray runs within a side of a box, is passed over.
             enter = larger((low - from[axis]) * inverse[axis], enter);
-            leave = smaller((high - from[axis]) * inverse[axis] * all(kLate), leave);
+            leave = smaller((high - from[axis]) * late[axis], leave);
         }
         const int first = height;
         for (int entered = bits(enter <= leave); entered; entered &= entered - 1) {

@@ -178,8 +178,10 @@ def around(normals: Array32, directions: Array32) -> Array32:
     helper = np.where(np.abs(normals[:, 2:]) < 0.9, np.array([[0, 0, 1]], np.float32), np.array([[1, 0, 0]], np.float32))
     first = unit(np.cross(helper, normals))
     frame = np.stack([first, np.cross(normals, first), normals], axis=1)  # (V, 3, 3), rows are the axes
-    x, y, z = (directions[:, axis, None] * frame[:, None, axis] for axis in range(3))  # (V, A, 3) each
-    return x + y + z
+    turned = directions[:, 0, None] * frame[:, None, 0]  # (V, A, 3)
+    for axis in (1, 2):
+        turned += directions[:, axis, None] * frame[:, None, axis]
+    return turned
 
 
 def mean_albedo(material: Material) -> Array32:

@@ -137,6 +137,6 @@ def _mirrored(
 
 
 def expose(linear: Array32) -> Array32:
-    """Picture of linear light as a camera gives it: a soft shoulder, then the sRGB curve; (H, W, 3) in [0, 1]."""
+    """Picture of linear light as a camera gives it: a soft shoulder, then the sRGB curve; any shape, in [0, 1]."""
     exposed = 1 - exp(-EXPOSURE * linear)
     return np.where(exposed <= 0.0031308, 12.92 * exposed, 1.055 * power(exposed, 1 / 2.4) - 0.055).astype(np.float32)
