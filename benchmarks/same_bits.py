@@ -55,13 +55,13 @@ SETTINGS: dict[str, dict[str, str]] = {
     },
 }
 CAPTURES = {
-    "dynerf": ["--cameras-per-row", "3", "--n-frames", "4", "--path-poses", "2"],
+    "dynerf": ["--cameras-per-row", "2", "--n-frames", "2", "--path-poses", "0"],
     "enerf-outdoor": ["--layout", "enerf-outdoor", "--rig", "arc", "--seed", "1", "--cameras-per-row", "2", "--n-frames", "2"],
     "d3dmv": ["--layout", "d3dmv", "--rig", "grid", "--seed", "2", "--cameras-per-row", "2", "--n-frames", "2"],
 }
 SIZE = ["--width", "128", "--height", "96"]
-METHODS = ("no-blending", "distance-based", "ours-geometric", "ours", "enerf", "ibrnet", "gps-gaussian")
-SHORT = {'["cam00", "cam03", "cam07"]': '["cam00", "cam01"]', "count = 24": "count = 4", "k = 4": "k = 2"}
+METHODS = ("no-blending", "distance-based", "ours-geometric", "ours", "enerf", "ibrnet")
+SHORT = {'["cam00", "cam03", "cam07"]': '["cam00", "cam01"]', "count = 24": "count = 2", "k = 4": "k = 2"}
 KEY = ["method", "view", "metric", "frame"]
 
 
