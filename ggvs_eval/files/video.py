@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 MEND = "copy or encode this video again"
 KEY_FRAME_INTERVAL = 30
-# x264's macroblock tree gives other bytes once in some dozens of runs, with one thread too (seen at 64 x 48), and its assembly other
-# ones than its plain code unless it is told not to.
+# x264's macroblock tree gives other bytes once in some dozens of runs, with one thread too (seen at 64 x 48), and its assembly
+# others than its plain code unless it is told not to.
 X264 = "mbtree=0:cpu-independent=1"
 
 

@@ -7,9 +7,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 import ggvs_eval.synthetic
+from ggvs_eval.files import video
 from helpers import tiny_films
 
 # Each library is made to believe in the instruction sets of an older processor, by variables of its own.
