@@ -159,9 +159,11 @@ def _short_protocol() -> str:
 
 
 def _ggvs_eval(setting: dict[str, str], *words: str | Path) -> None:
+    ruled = {name for variables in SETTINGS.values() for name in variables}
+    environment = {name: value for name, value in os.environ.items() if name not in ruled} | setting
     result = subprocess.run(
         [sys.executable, "-m", "ggvs_eval", *map(str, words)],
-        env=os.environ | setting,
+        env=environment,
         capture_output=True,
         text=True,
         check=False,

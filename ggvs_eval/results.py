@@ -35,7 +35,7 @@ class Results:
         provenance: ``protocol`` (values), ``protocol_sha256``, ``inputs`` (digest per camera), ``renders`` (digest per method and
             view), ``partial`` (method -> what its row stands on, where that is not everything), ``devices`` (method and view ->
             where its networks computed, there alone where that is not the CPU), ``pooling`` (metric -> how its number is made of
-            views and frames, see `ggvs_eval.statistics.pooling.Pooling`), ``versions``.
+            views and frames, see `ggvs_eval.statistics.pooling.Pooling`), ``versions``, ``machine`` (see `describe_machine`).
         not_computed: metric -> reason, for what was asked for and could not be had.
     """
 
