@@ -117,7 +117,7 @@ class Camera:
     @property
     def centre(self) -> Array:
         """Camera centre in the world, (3,)."""
-        return -transformed(self.rotation.T, self.translation)
+        return transformed(-self.rotation.T, self.translation)
 
     @property
     def axis(self) -> Array:

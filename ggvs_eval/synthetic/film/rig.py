@@ -100,7 +100,7 @@ def _pose(along: float, below: float, radius: float, rng: np.random.Generator, c
     about_y, about_x, about_z = (rotation_about(angles[n], np.eye(3)[axis]) for n, axis in enumerate((1, 0, 2)))
     camera_to_world = product(about_y, product(about_x, about_z))
     world_to_camera = np.eye(4)
-    world_to_camera[:3, :3], world_to_camera[:3, 3] = camera_to_world.T, -transformed(camera_to_world.T, centre)
+    world_to_camera[:3, :3], world_to_camera[:3, 3] = camera_to_world.T, transformed(-camera_to_world.T, centre)
     return world_to_camera
 
 
@@ -203,5 +203,5 @@ def _look_at(centre: Array, target: Array, roll_rad: float) -> Array:
     cosine, sine = cos(roll_rad), sin(roll_rad)
     pose = np.eye(4)
     pose[:3, :3] = [cosine * right + sine * down, cosine * down - sine * right, forward]
-    pose[:3, 3] = -transformed(pose[:3, :3], centre)
+    pose[:3, 3] = transformed(-pose[:3, :3], centre)
     return pose
