@@ -54,7 +54,7 @@ def screen_colour(time_s: float, phase_rad: float) -> Array:
 
 def screen(name: str, corner: tuple[float, float, float], width: float, height: float, phase_rad: float) -> Mover:
     """A flat screen facing -y that shows a panning photograph in changing colours; its lower left corner is given."""
-    photo = picture(name, (512, 288))
+    photo = picture(name, 512, 288)
 
     def at(time_s: float) -> list[Surface]:
         panned = np.roll(np.concatenate([photo, photo[:, ::-1]], axis=1), -round(160 * time_s), axis=1)[:, :512]

@@ -9,21 +9,19 @@ from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.kernels.portable import blur, cos, enlarge, shrink, sin
 
 PICTURES = ("astronaut", "chelsea", "coffee", "rocket", "hubble_deep_field", "moon", "camera", "retina")
-PICTURE_WIDTH = 320
 TEXELS_PER_METRE = 400
 Colour = tuple[float, float, float]
 Size = tuple[float, float]
 
 
-def picture(name: str, size: tuple[int, int] | None = None) -> Image8:
-    """One of `PICTURES`, RGB uint8 (H, W, 3), at a size (width, height), or at its own proportions `PICTURE_WIDTH` wide."""
+def picture(name: str, width: int = 320, height: int | None = None) -> Image8:
+    """One of `PICTURES` at a width and a height in pixels, by default that of its proportions, RGB uint8 (H, W, 3)."""
     from skimage import data
 
     image = np.asarray(getattr(data, name)())
     if image.ndim == 2:
         image = np.repeat(image[..., None], 3, axis=2)
-    width, height = size or (PICTURE_WIDTH, round(image.shape[0] * PICTURE_WIDTH / image.shape[1]))
-    return np.rint(shrink(image, height, width)).astype(np.uint8)
+    return np.rint(shrink(image, height or round(image.shape[0] * width / image.shape[1]), width)).astype(np.uint8)
 
 
 def fractal_noise(rng: np.random.Generator, shape: tuple[int, int], cell: Size, octaves: int = 4) -> Map:
