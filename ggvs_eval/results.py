@@ -1,17 +1,25 @@
 """Results: one tidy table of every measured value, with the provenance that makes it quotable."""
 
 import json
+import os
+import platform
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.files.atomic import atomic_file, write_text
 
+# By these variables libraries are told to use fewer instruction sets than the processor has.
+INSTRUCTION_SETS = (
+    *("OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES", "OPENCV_CPU_DISABLE", "OPENCV_IPP", "ONEDNN_MAX_CPU_ISA"),
+    *("ATEN_CPU_CAPABILITY", "MKL_ENABLE_INSTRUCTIONS", "MKL_CBWR", "GLIBC_TUNABLES"),
+)
 COLUMNS = ("dataset", "scene", "method", "variant", "view", "frame", "metric", "value")
 TABLE_FILE = "results.parquet"
 PROVENANCE_FILE = "results.json"
@@ -27,7 +35,7 @@ class Results:
         provenance: ``protocol`` (values), ``protocol_sha256``, ``inputs`` (digest per camera), ``renders`` (digest per method and
             view), ``partial`` (method -> what its row stands on, where that is not everything), ``devices`` (method and view ->
             where its networks computed, there alone where that is not the CPU), ``pooling`` (metric -> how its number is made of
-            views and frames, see `ggvs_eval.statistics.pooling.Pooling`), ``versions``.
+            views and frames, see `ggvs_eval.statistics.pooling.Pooling`), ``versions``, ``machine`` (see `describe_machine`).
         not_computed: metric -> reason, for what was asked for and could not be had.
     """
 
@@ -129,3 +137,27 @@ def installed_versions() -> dict[str, str]:
     """Versions of everything that can move a number."""
     packages = ("ggvs-eval", "numpy", "opencv-python-headless", "torch", "scipy", "pyrtools", "av", "pandas")
     return {name: metadata.version(name) for name in packages}
+
+
+def describe_machine() -> dict[str, str]:
+    """The processor, and the instruction sets by which each library chooses its code; results may depend on them in places."""
+    import cv2
+    import torch
+
+    from ggvs_eval import kernels
+
+    numpy_sets = np.show_config(mode="dicts")["SIMD Extensions"]
+    return {
+        "processor": _processor_name(),
+        "kernels of ggvs-eval": kernels.get_simd_level(),
+        "NumPy": ", ".join(numpy_sets.get("found", [])) or "baseline",
+        "OpenCV": cv2.getCPUFeaturesLine(),
+        "torch": torch.backends.cpu.get_cpu_capability(),
+        **{name: os.environ[name] for name in INSTRUCTION_SETS if name in os.environ},
+    }
+
+
+def _processor_name() -> str:
+    described = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").is_file() else []
+    names = [line.split(":", 1)[1].strip() for line in described if line.startswith("model name")]
+    return names[0] if names else platform.processor() or platform.machine()

@@ -19,7 +19,7 @@ from ggvs_eval.pipelines.run.references import score_ceilings, write_references
 from ggvs_eval.pipelines.run.score_path import PATH_VIEW, score_paths
 from ggvs_eval.pipelines.run.score_view import metric_options, view_job
 from ggvs_eval.protocol import Protocol
-from ggvs_eval.results import Results, installed_versions, make_table
+from ggvs_eval.results import Results, describe_machine, installed_versions, make_table
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
 
 
@@ -144,6 +144,7 @@ def _provenance(protocol: Protocol, capture: dict[str, Any], renders: dict[str, 
         "renders": renders,
         "pooling": pooling_records(protocol.measurement.metrics, metric_options(protocol.measurement)),
         "versions": installed_versions(),
+        "machine": describe_machine(),
     }
 
 

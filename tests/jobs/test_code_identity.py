@@ -48,6 +48,7 @@ ALL_DEPTH = STEREO | {"checked depth", "sensor depth"}
 # A file of the package, and the jobs that are stale when one byte of it changes.
 STALE: dict[str, set[str]] = {
     "camera.py": ALL_METHODS | ALL_DEPTH | {"path"},
+    "kernels/_film": ALL_METHODS | ALL_DEPTH | {"path"},
     "files/images.py": ALL_METHODS | ALL_SCORES | {"sensor depth"},
     "geometry/difference_mask.py": OURS | REGIONS,
     "geometry/warp.py": OURS | {"path"},
