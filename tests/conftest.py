@@ -4,6 +4,7 @@ Folders mirror those of the package; what tests build on is the package `helpers
 installed wheel.
 """
 
+import os
 import shutil
 import sys
 from collections.abc import Iterator
@@ -12,6 +13,26 @@ from pathlib import Path
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
+
+
+@pytest.fixture(scope="session")
+def shared_folder(tmp_path_factory) -> Path:
+    """A folder that all processes of this session share."""
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "shared"
+    folder.mkdir(exist_ok=True)
+    return folder
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _rooms_lit_once(shared_folder) -> Iterator[None]:
+    """Procedural rooms are lit once in a session, not once in every process that films them."""
+    from ggvs_eval.synthetic.film import film
+    from helpers.lit_rooms import stored_rooms
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(film, "_lit_room", stored_rooms(shared_folder))
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -33,7 +33,7 @@ ALONG_PATH = ("EPI_coherence", "EPI_slope_error", "reprojection", "switch_ratio"
 @pytest.fixture(scope="module")
 def capture(tmp_path_factory) -> Capture:
     options = DemoOptions(width=128, height=96, n_frames=4, cameras_per_row=3, path_poses=5, supersampling=1)
-    return open_capture(write_demo(tmp_path_factory.mktemp("capture") / "demo", options))
+    return open_capture(write_demo(tmp_path_factory.mktemp("capture") / "demo", options, workers=1))
 
 
 @pytest.fixture(scope="module")

@@ -140,7 +140,7 @@ def test_a_demo_that_lost_a_file_is_not_taken_for_whole(quick, tmp_path, layout)
     (damaged / lost).unlink()
 
     with pytest.raises(CaptureError, match=f"lost {lost}"):
-        write_demo(damaged, quick_options(layout))
+        write_demo(damaged, quick_options(layout), workers=1)
 
 
 def read_yaml(path, names):

@@ -110,7 +110,7 @@ def test_the_grid_looks_almost_straight_ahead():
 def test_cameras_stand_in_the_free(name):
     """No camera of a demo room stands within 15 cm of furniture or of what moves."""
     options, room = DEMO_ROOMS[name], build_room(DEMO_ROOMS[name].seed)
-    points = np.concatenate([surface.mesh.vertices for surface in [*room.static, *room.at(0.0)]])
+    points = np.concatenate([surface.vertices for surface in [*room.static, *room.at(0.0)]])
 
     for shot in rig_shots(options):
         assert np.linalg.norm(points - eye_in_room(shot.camera), axis=1).min() > 0.15

@@ -47,15 +47,15 @@ class Geometry:
     def __init__(self, surfaces: Sequence[Surface]) -> None:
         sizes = [len(surface.uv) for surface in surfaces]
         self.first_vertex = np.cumsum([0, *sizes[:-1]])
-        self.vertices: Array32 = np.concatenate([s.mesh.vertices for s in surfaces]).astype(np.float32)
-        self.normals: Array32 = np.concatenate([s.mesh.vertex_normals for s in surfaces]).astype(np.float32)
+        self.vertices: Array32 = np.concatenate([s.vertices for s in surfaces]).astype(np.float32)
+        self.normals: Array32 = np.concatenate([s.normals for s in surfaces]).astype(np.float32)
         self.uv: Array32 = np.concatenate([s.uv for s in surfaces]).astype(np.float32)
-        faces = [s.mesh.faces + first for s, first in zip(surfaces, self.first_vertex, strict=True)]
+        faces = [s.faces + first for s, first in zip(surfaces, self.first_vertex, strict=True)]
         self.faces = np.concatenate(faces).astype(np.int32)
         kinds = {id(surface.material): surface.material for surface in surfaces}
         order = {key: index for index, key in enumerate(kinds)}
         self.materials: list[Material] = list(kinds.values())
-        self.material = np.repeat([order[id(s.material)] for s in surfaces], [len(s.mesh.faces) for s in surfaces])
+        self.material = np.repeat([order[id(s.material)] for s in surfaces], [len(s.faces) for s in surfaces])
 
     @cached_property
     def bounds(self) -> tuple[Array32, Array32]:

@@ -1,4 +1,4 @@
-"""Textured surfaces made of grids: panels, boxes, turned bodies and tubes, as trimesh meshes with texture coordinates.
+"""Textured surfaces made of grids: panels, boxes, turned bodies and tubes, as meshes with texture coordinates.
 
 Room frame: metres, x right, y into the room, z up. Texture coordinates are metres on the surface, the second one upwards.
 """
@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import trimesh
+from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Array, Image8
 
@@ -39,21 +40,25 @@ class Surface:
     """One mesh of one material.
 
     Attributes:
-        mesh: vertices with smooth normals, room frame, metres.
+        vertices: room frame, metres, (V, 3).
+        normals: of the vertices, smooth, (V, 3).
+        faces: triangles, indices of vertices, (F, 3).
         uv: texture coordinates of the vertices, metres, (V, 2).
         material: how it answers light.
     """
 
-    mesh: trimesh.Trimesh
+    vertices: Array
+    normals: Array
+    faces: NDArray[np.int64]
     uv: Array
     material: Material
 
     def moved(self, transform: Array) -> "Surface":
         """The same surface after a rigid or scaling transform, (4, 4)."""
-        vertices = self.mesh.vertices @ transform[:3, :3].T + transform[:3, 3]
-        normals = self.mesh.vertex_normals @ np.linalg.inv(transform[:3, :3])
+        vertices = self.vertices @ transform[:3, :3].T + transform[:3, 3]
+        normals = self.normals @ np.linalg.inv(transform[:3, :3])
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        return replace(self, mesh=_mesh(vertices, self.mesh.faces, normals))
+        return replace(self, vertices=vertices, normals=normals)
 
 
 def moved(surfaces: Sequence[Surface], transform: Array) -> list[Surface]:
@@ -88,7 +93,7 @@ def sheet(points: Array, uv: Array, material: Material, closed: bool = False) ->
     index = np.arange(points.shape[0] * points.shape[1]).reshape(points.shape[:2])
     a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
     faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
-    return Surface(_mesh(points.reshape(-1, 3), faces, normals.reshape(-1, 3)), uv.reshape(-1, 2), material)
+    return Surface(points.reshape(-1, 3), normals.reshape(-1, 3), faces, uv.reshape(-1, 2), material)
 
 
 def blades(points: Array, uv: Array, material: Material, thickness_m: float = 0.001) -> Surface:
@@ -108,8 +113,8 @@ def blades(points: Array, uv: Array, material: Material, thickness_m: float = 0.
     a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
     faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
     faces = (size * np.arange(count)[:, None, None] + faces).reshape(-1, 3)
-    mesh = _mesh(both, faces, np.stack([normals, -normals]).reshape(-1, 3))
-    return Surface(mesh, np.tile(uv.reshape(-1, 2), (count, 1)), material)
+    two_sided = np.stack([normals, -normals]).reshape(-1, 3)
+    return Surface(both, two_sided, faces, np.tile(uv.reshape(-1, 2), (count, 1)), material)
 
 
 def panel(corner: Vector, edge_u: Vector, edge_v: Vector, material: Material, cell_m: float = 0.05) -> Surface:
@@ -178,7 +183,3 @@ def _z_towards(origin: Array, direction: Array) -> Array:
     """Rigid transform that takes the z axis to a direction and the origin to a point."""
     transform = np.asarray(trimesh.geometry.align_vectors((0.0, 0.0, 1.0), direction))
     return translation(*origin) @ transform
-
-
-def _mesh(vertices: Array, faces: Array, normals: Array) -> trimesh.Trimesh:
-    return trimesh.Trimesh(vertices, faces, vertex_normals=normals, process=False, validate=False)
