@@ -14,6 +14,12 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
+if "PYTEST_XDIST_WORKER_COUNT" in os.environ:
+    from ggvs_eval.jobs.processes import default_workers, share_cpus
+
+    # More threads than cores wait for one another at full speed: a network's step took ten times as long.
+    share_cpus(max(default_workers() // int(os.environ["PYTEST_XDIST_WORKER_COUNT"]), 1))
+
 
 @pytest.fixture(scope="session")
 def shared_folder(tmp_path_factory) -> Path:
