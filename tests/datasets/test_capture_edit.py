@@ -20,6 +20,8 @@ from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.film.options import DemoOptions
 from helpers.captures import N_FRAMES, NAMES, make_image, make_rig, write_folders, write_poses
 
+pytestmark = pytest.mark.slow
+
 HELD = CaptureEdit(hold_frames=6, hold_frame=2, sensor_noise_255=1.5, noise_seed=7)
 
 

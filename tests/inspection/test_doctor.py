@@ -18,6 +18,8 @@ from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.film.options import DemoOptions
 from helpers.run_folders import write_run
 
+pytestmark = pytest.mark.slow
+
 N_FRAMES = 9
 SIZE = 192, 144
 VIEW, OTHER = "cam00", "cam03"

@@ -18,6 +18,8 @@ from ggvs_eval.metrics.image.fetch_lpips import NETS, fetch_weights, read_checkp
 from ggvs_eval.metrics.image.lpips import load_weights, lpips, lpips_between, lpips_features
 from helpers.places import SHARED
 
+pytestmark = pytest.mark.slow
+
 OFFICIAL_IMAGES = SHARED / "oracles/lpips"
 needs_weights = pytest.mark.skipif(
     not all(weights_path(net).is_file() for net in NETS), reason=f"no LPIPS weights here; run `{fetch_lpips.FETCH_COMMAND}`"

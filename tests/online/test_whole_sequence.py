@@ -19,6 +19,8 @@ from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.film.options import DemoOptions
 from helpers.scenes import SQUARE_Z, camera_at, instant
 
+pytestmark = pytest.mark.slow
+
 TARGET = camera_at(0.0, name="target")
 SOURCES = [camera_at(-0.15), camera_at(0.15)]
 OFFLINE = "ours-geometric+offline"

@@ -25,6 +25,8 @@ from ggvs_eval.run_folder import RunFolder, frame_path, read_json
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.film.options import DemoOptions
 
+pytestmark = pytest.mark.slow
+
 LABELS = ("no-blending", "ours-geometric")
 REGIONAL = ("PSNR_static", "PSNR_disoccluded")
 ALONG_PATH = ("EPI_coherence", "EPI_slope_error", "reprojection", "switch_ratio")

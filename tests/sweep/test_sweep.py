@@ -19,6 +19,8 @@ from ggvs_eval.sweep import Sweep, SweepRow, load_sweep, packaged_sweeps
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.film.options import DemoOptions
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def capture(tmp_path_factory):

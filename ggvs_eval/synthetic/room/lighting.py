@@ -76,7 +76,7 @@ class LitRoom:
         return Instant(self.static, moving, static_light, moving_light, highlights)
 
     def _bake(self) -> tuple[Array32, Array32, Array32]:
-        """Light of what stands still: transfer to its vertices (V, S), what each face sends out (F + 1, 3), what bounces (V, 3)."""
+        """Light what stands still: transfer to vertices (V, S), what each face sends out (F + 1, 3), what bounces (V, 3)."""
         transfer = self._direct_transfer(self.static, self.static)
         faces = self._seen_faces(self.static, self.static.vertices, self.static.normals)  # (V, A)
         return transfer, *self._bounce(_sum_over_points(transfer, self._power(0.0)), faces)
