@@ -118,6 +118,16 @@ def kernel_settings() -> Iterator[None]:
     kernels.set_simd_level(level)
 
 
+@pytest.fixture
+def torch_threads() -> Iterator[None]:
+    """Puts back torch's number of threads that a test changes; two on one core would slow all that follow."""
+    import torch
+
+    threads = torch.get_num_threads()
+    yield
+    torch.set_num_threads(threads)
+
+
 @pytest.fixture(scope="session")
 def started(tmp_path_factory):
     """One real browser for all tests that share a process."""
