@@ -1,6 +1,6 @@
 # Every target makes the virtual environment it needs; nothing has to be installed by hand but Python 3.11 or 3.12, make and g++.
 # Folders bear some of these names too: without .PHONY `make reports` would say "up to date" and do nothing.
-.PHONY: reports test check bench validate docs wheel-test view view-demo clean
+.PHONY: reports test test-quick check bench validate docs wheel-test view view-demo clean
 
 PYTHON ?= $(shell for p in python3.11 python3.12 python3; do \
 	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 13))' 2>/dev/null && echo $$p && break; done)
@@ -13,11 +13,15 @@ OUT ?= out/demo
 reports: $(READY)
 	$(BIN)/ggvs-eval run $(OUT) $(if $(DATA),--capture $(DATA)) $(if $(PROTOCOL),--protocol $(PROTOCOL))
 
-# One process per core; the tests of a file stay together, as they share what takes long to make.
-PYTEST := -m pytest -n auto --dist loadfile
+# One process per core. Neighbours stay together, as the tests of a file share what takes long to make; who is done early helps.
+PYTEST := -m pytest -n auto --dist worksteal
 
 test: $(READY)
 	$(BIN)/python $(PYTEST)
+
+# Without what takes seconds, a browser or hundreds of damaged files.
+test-quick: $(READY)
+	$(BIN)/python $(PYTEST) -m quick
 
 check: $(READY) view
 	$(BIN)/ruff check .

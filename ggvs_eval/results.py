@@ -7,13 +7,15 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.files.atomic import atomic_file, write_text
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 # By these variables libraries are told to use fewer instruction sets than the processor has.
 INSTRUCTION_SETS = (
@@ -39,7 +41,7 @@ class Results:
         not_computed: metric -> reason, for what was asked for and could not be had.
     """
 
-    table: pd.DataFrame
+    table: "pd.DataFrame"
     provenance: dict[str, Any]
     not_computed: dict[str, str] = field(default_factory=dict)
 
@@ -63,6 +65,8 @@ class Results:
         Raises:
             ResultsError: no results in that folder, or damaged ones.
         """
+        import pandas as pd
+
         try:
             table = pd.read_parquet(folder / TABLE_FILE)
             sidecar = json.loads((folder / PROVENANCE_FILE).read_text(encoding="utf-8"))
@@ -70,7 +74,7 @@ class Results:
         except (OSError, ValueError, KeyError) as error:
             raise ResultsError(f"{folder}: wanted {TABLE_FILE} and {PROVENANCE_FILE} ({error}); run `ggvs-eval score`") from None
 
-    def summary(self) -> pd.DataFrame:
+    def summary(self) -> "pd.DataFrame":
         """Mean of every metric per dataset, method and variant: over frames, then views, then scenes.
 
         Returns:
@@ -88,12 +92,12 @@ class Results:
         per_dataset = per_scene.groupby(keys[:4], sort=False).mean()
         return per_dataset.unstack("metric", sort=False)
 
-    def per_view(self, metric: str) -> pd.DataFrame:
+    def per_view(self, metric: str) -> "pd.DataFrame":
         """Mean over frames of one metric: rows (method, variant), one column per view."""
         rows = self.table[(self.table["metric"] == metric) & self.table["view"].notna()]
         return rows.groupby(["method", "variant", "view"], sort=False)["value"].mean().unstack("view", sort=False)
 
-    def per_frame(self, metric: str, view: str) -> pd.DataFrame:
+    def per_frame(self, metric: str, view: str) -> "pd.DataFrame":
         """One metric along time in one view: rows are frames, one column per (method, variant)."""
         rows = self.table[(self.table["metric"] == metric) & (self.table["view"] == view) & (self.table["frame"] >= 0)]
         return rows.pivot_table(index="frame", columns=["method", "variant"], values="value", sort=False)
@@ -105,6 +109,8 @@ def merge_results(parts: Sequence[Results]) -> Results:
     Raises:
         ResultsError: they were measured under different protocols; the message names both hashes.
     """
+    import pandas as pd
+
     hashes = {part.provenance["protocol_sha256"] for part in parts}
     if len(hashes) != 1:
         raise ResultsError(
@@ -127,8 +133,10 @@ def _merge_marks(parts: Sequence[dict[str, str]]) -> dict[str, str]:
     return {label: "; ".join(dict.fromkeys(part[label] for part in parts if label in part)) for label in labels}
 
 
-def make_table(rows: Iterable[Sequence[Any]]) -> pd.DataFrame:
+def make_table(rows: Iterable[Sequence[Any]]) -> "pd.DataFrame":
     """Build the tidy table from rows in the order of `COLUMNS`."""
+    import pandas as pd
+
     table = pd.DataFrame(list(rows), columns=list(COLUMNS))
     return table.astype({"frame": "int64", "value": "float64"})
 

@@ -2,14 +2,17 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.statistics.panels import Panel, make_panel
 from ggvs_eval.statistics.pooling import Pool, Pooling
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 SAME = 1e-6  # largest relative difference between a number in the table and the same from its parts
 
@@ -54,7 +57,7 @@ class PooledScene:
         return PooledScene(self.scene, self.views, self.frames, lambda v, f: self.pool(v, f) - other.pool(v, f), self.views_given)
 
 
-def pool_scene(cells: Mapping[str, pd.DataFrame], metric: str, pooling: Pooling, scene: str, what: str) -> PooledScene:
+def pool_scene(cells: "Mapping[str, pd.DataFrame]", metric: str, pooling: Pooling, scene: str, what: str) -> PooledScene:
     """Find out how a metric's number on a scene is made of views and frames.
 
     Args:

@@ -27,6 +27,8 @@ from helpers.places import DATA_FOLDER
 from helpers.scenes import WALL_Z, camera_at, instant, look, texture
 from helpers.seeded_networks import seeded_pair, seeded_state
 
+pytestmark = pytest.mark.slow
+
 GOLDEN = DATA_FOLDER
 SCALES = "gs_parm_regresser.scale_head.2.weight"
 

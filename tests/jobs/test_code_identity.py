@@ -27,6 +27,8 @@ from ggvs_eval.pipelines.offline.stereo.raft_matcher import RaftMatcher
 from ggvs_eval.pipelines.run.render import method_code
 from ggvs_eval.pipelines.run.score_code import ceilings_code, metric_code, path_code
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[2]
 checkout = pytest.mark.skipif(not (ROOT / "setup.py").exists(), reason="the kernels' sources are in the checkout alone")
 

@@ -21,6 +21,8 @@ from ggvs_eval.metrics.registry import metric_notes
 from ggvs_eval.metrics.stream import score_views
 from helpers.places import SHARED
 
+pytestmark = pytest.mark.slow
+
 OFFICIAL_IMAGES = SHARED / "oracles/lpips"
 needs_weights = pytest.mark.skipif(
     not all(weights_path(net).is_file() for net in NETS), reason=f"no LPIPS weights here; run `{fetch_lpips.FETCH_COMMAND}`"

@@ -24,6 +24,8 @@ from ggvs_eval.statistics.pooled import PooledScene
 from ggvs_eval.statistics.pooling import powers_of_means
 from helpers.render_folders import FRAMES, VIEWS, make_run, rendered, truth, write_folders
 
+pytestmark = pytest.mark.slow
+
 PARTS = ("sum_of_errors", "sum_of_values")  # what a part is called is up to the metric
 SORTED_VIEWS = tuple(sorted(VIEWS))
 

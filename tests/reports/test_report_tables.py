@@ -25,6 +25,8 @@ from ggvs_eval.statistics.intervals import intervals
 from helpers.page_reader import PageReader
 from helpers.run_folders import LABELS, NAMES, RunShape, write_run
 
+pytestmark = pytest.mark.slow
+
 SMALL = RunShape(views=("cam00",), metrics=("PSNR", "LPIPS"), poses=0)
 
 

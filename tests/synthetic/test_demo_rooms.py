@@ -25,6 +25,8 @@ from ggvs_eval.synthetic.film.shots import rig_shots
 from ggvs_eval.synthetic.room.room import build_room
 from helpers.captures import make_rig
 
+pytestmark = pytest.mark.slow
+
 SMALL_ROOMS = [name for name in DEMO_ROOMS if name != MAIN]
 TINY = DemoOptions(width=64, height=48, n_frames=2, cameras_per_row=3, path_poses=0, supersampling=1, depth_stride=0)
 

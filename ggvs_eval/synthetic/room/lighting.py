@@ -53,12 +53,9 @@ class LitRoom:
         self._points = np.concatenate([light.points for light in room.lights]).astype(np.float32)  # (S, 3)
         self._light_of_point = np.repeat(np.arange(len(room.lights)), [len(light.points) for light in room.lights])
         self._directions = hemisphere(AMBIENT_DIRECTIONS)
-        self._transfer = self._direct_transfer(self.static, self.static)  # (V, S)
-        seen = self._seen_faces(self.static, self.static.vertices, self.static.normals)  # (V, A)
         self._albedo = np.stack([mean_albedo(material) for material in self.static.materials])[self.static.material]  # (F, 3)
-        direct = _sum_over_points(self._transfer, self._power(0.0))
-        self._radiosity, self._ambient = self._bounce(direct, seen)
-        self._resting_light = direct + self._ambient
+        self._transfer, self._radiosity, self._ambient = self._bake()  # (V, S), (F + 1, 3), (V, 3)
+        self._resting_light = _sum_over_points(self._transfer, self._power(0.0)) + self._ambient
 
     def at(self, time_s: float) -> Instant:
         """The lit room at an instant."""
@@ -78,6 +75,12 @@ class LitRoom:
         """The instant of which `at` gave these two, without computing them again."""
         moving, highlights = Geometry(self.room.at(time_s)), self._highlights(self._power(time_s))
         return Instant(self.static, moving, static_light, moving_light, highlights)
+
+    def _bake(self) -> tuple[Array32, Array32, Array32]:
+        """Light what stands still: transfer to vertices (V, S), what each face sends out (F + 1, 3), what bounces (V, 3)."""
+        transfer = self._direct_transfer(self.static, self.static)
+        faces = self._seen_faces(self.static, self.static.vertices, self.static.normals)  # (V, A)
+        return transfer, *self._bounce(_sum_over_points(transfer, self._power(0.0)), faces)
 
     def _power(self, time_s: float) -> Array32:
         """Power of each sample point, (S, 3)."""
