@@ -12,8 +12,9 @@ LONGEST_WORD = 1000  # of a message: longer than most paths, shorter than what a
 LONGEST_NAME = 100  # for which another is suggested: likeness takes time
 MENDS = {
     (errno.ENOSPC, errno.EDQUOT, errno.EFBIG): "make room",
-    (errno.EROFS,): "it can only be read; choose a folder that can be written",
+    (errno.EROFS,): "choose a folder that can be written",
     (errno.EACCES, errno.EPERM): "get the right to it or choose another place",
+    (errno.EEXIST, errno.ENOTDIR, errno.EISDIR): "choose another path",
     (errno.EMFILE, errno.ENFILE): "raise the limit of open files (ulimit -n) or use fewer --jobs",
     (errno.ECONNREFUSED, errno.ECONNRESET, errno.EPIPE, errno.ETIMEDOUT): "see whether the other side still runs",
 }
@@ -73,10 +74,10 @@ class ResultsError(GgvsError):
 
 
 def one_line(text: str) -> str:
-    """A text without line breaks, signs that cannot be printed and words beyond all measure.
+    r"""A text without line breaks, signs that cannot be printed and words beyond all measure.
 
     Examples:
-        >>> one_line("a\\n  b" + 2000 * "x")[:12]
+        >>> one_line("a\n  b" + 2000 * "x")[:12]
         'a   bxxxxxxx'
         >>> len(one_line(60_000 * "x"))
         1003

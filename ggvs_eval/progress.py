@@ -37,9 +37,10 @@ def _with_lines(items: Iterable[Item], description: str, total: int | None) -> I
     """Yield the items; a line says every minute how far they are, and one at their end how long they took."""
     begun_s, done, ended = time.monotonic(), 0, threading.Event()
 
-    def tell(is_over: bool = False) -> None:
+    def tell() -> None:
         taken_s = time.monotonic() - begun_s
-        left = f", about {duration(taken_s / done * (total - done))} left" if done and total and not is_over else ""
+        is_left = done and total and not ended.is_set()
+        left = f", about {duration(taken_s / done * (total - done))} left" if is_left else ""
         of = "" if total is None else f" of {total}"
         print(f"{description}: {done}{of} in {duration(taken_s)}{left}", file=sys.stderr, flush=True)
 
@@ -54,7 +55,7 @@ def _with_lines(items: Iterable[Item], description: str, total: int | None) -> I
             done += 1
     finally:
         ended.set()
-        tell(is_over=True)
+    tell()
 
 
 def duration(seconds: float) -> str:

@@ -14,6 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from ggvs_eval.files.plain import read_plain
+
+LARGEST_MODEL_FILE = 512 << 20
 FILES = ("cameras", "images", "points3D")
 PERCENTILES = (1, 50, 99)
 
@@ -75,14 +78,14 @@ def _describe_image(reconstruction: Any, image: Any) -> dict[str, Any]:
 
 def _check_count(file: Path) -> None:
     """Refuse a number of cameras, at least 48 bytes each, that the file cannot hold: pycolmap would count up to it."""
-    content = file.read_bytes()
+    content = read_plain(file, LARGEST_MODEL_FILE)
     if len(content) < 8 or 8 + 48 * unpack_from("<Q", content)[0] > len(content):
         raise ValueError(f"{file.name} is cut or damaged, its {len(content)} bytes do not fit the cameras it claims")
 
 
 def _check_length(file: Path, find_end: Callable[[bytes], int]) -> None:
     """Refuse a binary file that is cut: pycolmap reads on past the end and invents the rest, or takes minutes to notice."""
-    content = file.read_bytes()
+    content = read_plain(file, LARGEST_MODEL_FILE)
     try:
         whole = find_end(content) == len(content)
     except (StructError, ValueError):

@@ -40,15 +40,23 @@ def atomic_file(path: Path, ending: str = "") -> Iterator[Path]:
     owner = f"{_host()}.{os.getpid()}"
     temporary = path.with_name(f".{path.name[:KEPT_OF_NAME]}.{token_hex(4)}.{owner}.tmp{ending}")
     try:
-        yield temporary
-        temporary.replace(path)
-    except OSError as error:
-        if error.errno is None or error.filename not in (None, str(temporary), temporary):
-            raise
-        raise OSError(error.errno, error.strerror, str(path)) from error  # a full disk names no file, others the temporary one
+        with _named(path, temporary):
+            yield temporary
+            temporary.replace(path)
     finally:
         with suppress(OSError):  # it is in place, was never made, or its folder is gone
             temporary.unlink()
+
+
+@contextmanager
+def _named(path: Path, temporary: Path) -> Iterator[None]:
+    """Let errors name what a user knows: a full disk names no file, others the temporary one."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno is None or error.filename not in (None, str(temporary), temporary):
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from error
 
 
 def write_bytes(path: Path, content: bytes) -> None:
@@ -75,9 +83,10 @@ def scratch_folder(beside: Path) -> Iterator[Path]:
     """
     folder = beside.absolute().with_name(f".{beside.absolute().name}.{_host()}.{os.getpid()}.tmp")
     shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
     try:
-        yield folder
+        with _named(beside, folder):
+            folder.mkdir(parents=True)
+            yield folder
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 

@@ -4,6 +4,8 @@ import hashlib
 from collections.abc import Iterable
 from pathlib import Path
 
+from ggvs_eval.files.plain import check_plain
+
 EDGE_BYTES = 1 << 20
 BLOCK_BYTES = 1 << 16
 BLOCKS = 16
@@ -23,7 +25,7 @@ def digest_files(paths: Iterable[Path]) -> str:
     """
     total = hashlib.sha256()
     for path in paths:
-        size = path.stat().st_size
+        size = check_plain(path)
         total.update(f"{path.name}\0{size}\0".encode())
         with path.open("rb") as file:
             if size <= 2 * EDGE_BYTES + BLOCKS * BLOCK_BYTES:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 from ggvs_eval.errors import GgvsError, did_you_mean
+from ggvs_eval.files.plain import LARGEST_TOML, read_plain_text
 
 Table = TypeVar("Table")
 
@@ -32,7 +33,7 @@ def read_toml(path: Path, error: type[GgvsError]) -> dict[str, Any]:
         error: absent, not text, or not TOML.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_plain_text(path, LARGEST_TOML)
     except (OSError, UnicodeDecodeError) as reason:
         raise error(f"{path}: wanted a TOML file, got: {reason}; restore or write it") from reason
     return parse_toml(text, str(path), error)

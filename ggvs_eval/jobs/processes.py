@@ -38,9 +38,7 @@ class _WorkerPool(ProcessPoolExecutor):
         with _without_interrupts():
             return super().submit(work, *arguments, **named)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> bool | None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> bool | None:
         """Wait for what runs; after Ctrl-C end it."""
         if kind is not None and not issubclass(kind, Exception):
             for child in active_children():

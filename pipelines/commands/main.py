@@ -1,4 +1,4 @@
-"""The command line. Errors of the user and of the machine are one line and exit code 1; the rest is our bug and keeps its traceback."""
+"""The command line. Errors of the user and of the machine are one line and exit code 1; our bugs keep their traceback."""
 
 import os
 import re

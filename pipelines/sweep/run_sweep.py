@@ -201,10 +201,12 @@ def _with_lines(before: pd.DataFrame, lines: pd.DataFrame) -> pd.DataFrame:
     """A table with more lines, which take the places of those of the same name.
 
     Reading:
-        Where only one of the two names captures, the other's lines have an empty one: their runs lie beside the captures' folders.
+        Where only one of the two names captures, the other's lines have an empty one: their runs lie beside those folders.
     """
     names = [name for name in LINE_NAMES if name in before or name in lines]
-    named = (part.assign(**{name: part.get(name, "") for name in names}).fillna(dict.fromkeys(names, "")) for part in (before, lines))
+    named = (
+        part.assign(**{name: part.get(name, "") for name in names}).fillna(dict.fromkeys(names, "")) for part in (before, lines)
+    )
     old, new = (part.set_index(names) for part in named)
     order = [*old.index, *(name for name in new.index if name not in old.index)]
     return pd.concat([old[~old.index.isin(new.index)], new]).loc[order].reset_index()
