@@ -66,16 +66,16 @@ class Camera:
                 )
             matrix.setflags(write=False)
             object.__setattr__(self, name, matrix)
-        self._check_values()
-        if not np.allclose(self.rotation @ self.rotation.T, np.eye(3), atol=ROUNDING):
-            self._straighten()
+        with np.errstate(over="ignore", invalid="ignore"):  # of numbers that are no rotation by far
+            self._check_values()
+            if not np.allclose(self.rotation @ self.rotation.T, np.eye(3), atol=ROUNDING):
+                self._straighten()
 
     def _check_values(self) -> None:
         if not np.allclose(self.world_to_camera[3], (0, 0, 0, 1)):
             found = self.world_to_camera[3].tolist()
             raise CameraError(f"camera {self.name}: world_to_camera must end with the row 0 0 0 1, got {found}; transpose it")
-        with np.errstate(over="ignore", invalid="ignore"):  # of numbers that are no rotation by far
-            determinant = np.linalg.det(self.rotation)
+        determinant = np.linalg.det(self.rotation)
         if not determinant > 0:
             raise CameraError(
                 f"camera {self.name}: the rotation must be orthonormal with determinant +1, got determinant "

@@ -182,7 +182,7 @@ def _source(file: Path, relative: str) -> SizedSource:
     path = file.parent / relative
     if not relative or not _exists(path):
         raise CaptureError(f"{file}: wanted frames in {relative!r:.200}, there is no such file or folder; correct the path")
-    return VideoFrames(path) if path.is_file() and path.suffix.lower() in (".mp4", ".mov", ".m4v") else ImageFrames(path)
+    return VideoFrames(path) if not path.is_dir() and path.suffix.lower() in (".mp4", ".mov", ".m4v") else ImageFrames(path)
 
 
 def _exists(path: Path) -> bool:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.files.plain import read_plain_text
+from ggvs_eval.files.plain import read_plain_text, why_unread
 
 LARGEST_FILE_BYTES = 1 << 22
 # OpenCV's letters of element types; two or more channels per element do not occur in camera files.
@@ -125,8 +125,7 @@ def _read_text(path: Path) -> str:
     try:
         text = read_plain_text(path, LARGEST_FILE_BYTES)
     except OSError as error:
-        found = "no such file" if isinstance(error, FileNotFoundError) else str(error)
-        raise CaptureError(f"{path}: wanted a camera file, got {found}; restore it") from error
+        raise CaptureError(f"{path}: wanted a camera file, got {why_unread(error)}; restore it") from error
     except UnicodeDecodeError as error:
         raise CaptureError(f"{path}: wanted a text file, got bytes that are no UTF-8 ({error.reason}); restore it") from error
     if not text:

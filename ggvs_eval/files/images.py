@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.atomic import write_bytes
-from ggvs_eval.files.plain import LARGEST_PICTURE, check_plain, read_plain
+from ggvs_eval.files.plain import LARGEST_PICTURE, check_plain, read_plain, why_unread
 
 ResizeFilter = Literal["area", "lanczos", "bicubic", "bilinear"]
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -66,8 +66,7 @@ def read_encoded(path: Path) -> NDArray[np.uint8]:
     try:
         encoded = np.frombuffer(read_plain(path, LARGEST_PICTURE), np.uint8)
     except OSError as error:
-        found = "no such file" if isinstance(error, FileNotFoundError) else str(error)
-        raise CaptureError(f"{path}: wanted a picture, got {found}; restore or render this frame again") from error
+        raise CaptureError(f"{path}: wanted a picture, got {why_unread(error)}; restore or render this frame again") from error
     if not encoded.size:
         raise CaptureError(f"{path}: wanted a picture, got an empty file; restore or render this frame again")
     return encoded

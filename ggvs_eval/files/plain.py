@@ -1,5 +1,6 @@
 """Plain files: what is no regular file, or larger than such a file can be, is refused before it is read."""
 
+import errno
 import os
 import stat
 from pathlib import Path
@@ -11,16 +12,11 @@ LARGEST_PICTURE = 256 << 20
 
 
 class NotPlainError(OSError):
-    """A pipe, a device, a folder, or more bytes than were asked for.
+    """A pipe, a device, a folder, or more bytes than were asked for."""
 
-    Args:
-        path: of the file.
-        found: what it is.
-    """
-
-    def __init__(self, path: Path, found: str) -> None:
-        super().__init__(found)
-        self.filename = str(path)
+    def __str__(self) -> str:
+        """What it is; whoever tells names the file."""
+        return str(self.strerror)
 
 
 def check_plain(path: Path, most_bytes: int | None = None) -> int:
@@ -40,9 +36,9 @@ def check_plain(path: Path, most_bytes: int | None = None) -> int:
     status = path.stat()
     if not stat.S_ISREG(status.st_mode):
         kind = next((kind for is_kind, kind in KINDS if is_kind(status.st_mode)), "a device")
-        raise NotPlainError(path, f"{kind} instead of a regular file")
+        raise _refused(path, f"{kind} instead of a regular file")
     if most_bytes is not None and status.st_size > most_bytes:
-        raise NotPlainError(path, f"{status.st_size / 1e6:.0f} MB, where {most_bytes / 1e6:.0f} MB are the most that makes sense")
+        raise _refused(path, f"{status.st_size / 1e6:.0f} MB, where {most_bytes / 1e6:.0f} MB are the most that makes sense")
     return status.st_size
 
 
@@ -53,7 +49,7 @@ def read_plain(path: Path, most_bytes: int) -> bytes:
     with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as file:
         content = file.read(most_bytes + 1)
     if len(content) > most_bytes:  # files below /proc have no size
-        raise NotPlainError(path, f"more than the {most_bytes / 1e6:.0f} MB that make sense")
+        raise _refused(path, f"more than the {most_bytes / 1e6:.0f} MB that make sense")
     return content
 
 
@@ -65,3 +61,12 @@ def read_plain_text(path: Path, most_bytes: int = LARGEST_TEXT) -> str:
         UnicodeDecodeError: no text.
     """
     return read_plain(path, most_bytes).decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
+
+
+def why_unread(error: OSError) -> str:
+    """Why a file could not be read, in a few words."""
+    return "no such file" if isinstance(error, FileNotFoundError) else str(error.strerror or error)
+
+
+def _refused(path: Path, found: str) -> NotPlainError:
+    return NotPlainError(errno.EINVAL, found, str(path))

@@ -14,6 +14,7 @@ from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.files.digest import digest_files
+from ggvs_eval.files.plain import check_plain, why_unread
 
 if TYPE_CHECKING:
     from av import VideoFrame
@@ -259,16 +260,18 @@ class VideoFrames:
         except av.error.FFmpegError:  # damaged: whoever reads frames says so better
             return 0
         if angle_deg % 90:
-            found = f"a turn of {angle_deg} degrees"
-            raise CaptureError(f"{self.path}: wanted frames that stand upright or on a side, got {found}; {MEND} without it")
+            wanted = "frames that are shown upright or turned by right angles"
+            raise CaptureError(f"{self.path}: wanted {wanted}, got {angle_deg} degrees; {MEND} without a turn")
         return angle_deg // 90 % 4
 
     def _open(self) -> "InputContainer":
         """Open the container, with its first stream a video."""
         import av
 
-        if not self.path.is_file():
-            raise CaptureError(f"{self.path}: wanted a video, there is no such file; restore it or drop its camera")
+        try:
+            check_plain(self.path)
+        except OSError as error:
+            raise CaptureError(f"{self.path}: wanted a video, got {why_unread(error)}; restore it or drop its camera") from error
         try:
             container = av.open(str(self.path), metadata_errors="replace")
         except av.error.FFmpegError as error:

@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import PNG_SIGNATURE, picture_size, read_image, write_image
-from ggvs_eval.files.plain import LARGEST_PICTURE, check_plain
+from ggvs_eval.files.plain import LARGEST_PICTURE, check_plain, why_unread
 from ggvs_eval.run_folder import frame_path
 
 JPEG_SIGNATURE = b"\xff\xd8\xff"
@@ -45,7 +45,7 @@ def read_header(path: Path) -> Header:
         with path.open("rb") as file:
             start = file.read(IHDR_END)
     except OSError as error:
-        raise RenderError(f"{path}: wanted a picture, it cannot be read ({error.strerror or error}); restore it") from error
+        raise RenderError(f"{path}: wanted a picture, it cannot be read ({why_unread(error)}); restore it") from error
     if start.startswith(PNG_SIGNATURE) and len(start) == IHDR_END:
         fault = "16 bits per channel instead of 8" if start[24] == 16 else ""
         return _header(path, "PNG", fault, start[25] in ALPHA_TYPES)
