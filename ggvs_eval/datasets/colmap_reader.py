@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ggvs_eval.files.plain import read_plain
+from ggvs_eval.files.plain import check_plain
 
 LARGEST_MODEL_FILE = 512 << 20
 FILES = ("cameras", "images", "points3D")
@@ -33,6 +33,7 @@ def read_reconstruction(folder: Path) -> list[dict[str, Any]]:
 
     Raises:
         ValueError: a file is absent, ends early or contradicts another.
+        NotPlainError: a file is larger than that of any model.
     """
     import pycolmap
 
@@ -41,6 +42,8 @@ def read_reconstruction(folder: Path) -> list[dict[str, Any]]:
     missing = [file.name for file in files if not file.is_file()]
     if missing:
         raise ValueError(f"no {', '.join(missing)}")
+    for file in files:
+        check_plain(file, LARGEST_MODEL_FILE)
     if suffix == ".bin":
         _check_count(files[0])
         _check_length(files[1], _images_end)
@@ -78,14 +81,14 @@ def _describe_image(reconstruction: Any, image: Any) -> dict[str, Any]:
 
 def _check_count(file: Path) -> None:
     """Refuse a number of cameras, at least 48 bytes each, that the file cannot hold: pycolmap would count up to it."""
-    content = read_plain(file, LARGEST_MODEL_FILE)
+    content = file.read_bytes()
     if len(content) < 8 or 8 + 48 * unpack_from("<Q", content)[0] > len(content):
         raise ValueError(f"{file.name} is cut or damaged, its {len(content)} bytes do not fit the cameras it claims")
 
 
 def _check_length(file: Path, find_end: Callable[[bytes], int]) -> None:
     """Refuse a binary file that is cut: pycolmap reads on past the end and invents the rest, or takes minutes to notice."""
-    content = read_plain(file, LARGEST_MODEL_FILE)
+    content = file.read_bytes()
     try:
         whole = find_end(content) == len(content)
     except (StructError, ValueError):
