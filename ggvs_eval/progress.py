@@ -39,8 +39,8 @@ def _with_lines(items: Iterable[Item], description: str, total: int | None) -> I
 
     def tell() -> None:
         taken_s = time.monotonic() - begun_s
-        is_left = done and total and not ended.is_set()
-        left = f", about {duration(taken_s / done * (total - done))} left" if is_left else ""
+        left_s = taken_s / done * (total - done) if done and total and not ended.is_set() else None
+        left = "" if left_s is None else f", about {duration(left_s)} left"
         of = "" if total is None else f" of {total}"
         print(f"{description}: {done}{of} in {duration(taken_s)}{left}", file=sys.stderr, flush=True)
 
