@@ -40,7 +40,7 @@ class _WorkerPool(ProcessPoolExecutor):
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> bool | None:
         """Wait for what runs; after Ctrl-C end it."""
-        if kind is not None and not issubclass(kind, Exception):
+        if kind in (KeyboardInterrupt, SystemExit):
             for child in active_children():
                 child.terminate()
         return super().__exit__(kind, error, trace)

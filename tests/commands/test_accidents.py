@@ -11,10 +11,14 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+import torch
+from torch.optim.swa_utils import AveragedModel
 
 from ggvs_eval import progress
+from ggvs_eval.errors import mendable
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.protocol import load_protocol
+from ggvs_eval.training.checkpoint import TrainingState, write_state, write_weights
 from helpers.captures import write_dynerf
 from helpers.command_line import refusal
 from helpers.small_runs import small_protocol
@@ -134,6 +138,19 @@ def test_a_disk_that_fills_while_a_demo_is_filmed(small_disk):
     assert re.fullmatch(rf"ggvs-eval: {small_disk}.*No space left on device; make room; {GO_ON}", lines[-1])
     assert not any("Traceback" in line for line in lines)
     assert sorted(item.name for item in small_disk.iterdir()) == ["other"]
+
+
+def test_weights_and_states_name_a_full_disk(small_disk):
+    """The libraries that write them would say that something failed."""
+    network = torch.nn.Linear(200, 200)
+    state = TrainingState(1, network, AveragedModel(network), torch.optim.Adam(network.parameters()))
+
+    for write in (lambda: write_weights(small_disk / "a.safetensors", network, {}), lambda: write_state(small_disk, state)):
+        (small_disk / "other").write_bytes(bytes(70_000))
+        with pytest.raises(OSError, match="No space left on device") as refused:
+            write()
+        assert mendable(refused.value).startswith(f"{small_disk}/")
+        assert [item.name for item in small_disk.iterdir()] == ["other"]
 
 
 def test_output_onto_a_full_disk_is_one_line(words, tmp_path):
