@@ -4,6 +4,7 @@ A kill leaves the old file or the new one. What a killed process was filling sta
 or, in a folder of many files, `sweep_files`.
 """
 
+import errno
 import fcntl
 import glob
 import os
@@ -18,6 +19,7 @@ from secrets import token_hex
 
 # .<name>.<host>.<pid>.tmp; of a file what libraries go by may follow.
 TEMPORARY = re.compile(r"\..*\.(?P<host>[^.]+)\.(?P<pid>\d+)\.tmp(\.\w+)?")
+FULL = re.compile(r"\d+ requested and \d+ written|No space left")  # how numpy and HDF5 tell of a full disk, without its number
 KEPT_OF_NAME = 40  # signs, so that a temporary name is not too long where the name is not
 SILENT_S = 3600.0  # after that without a new file, what another machine began is taken for given up
 
@@ -54,6 +56,8 @@ def _named(path: Path, temporary: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
+        if error.errno is None and FULL.search(str(error)):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path)) from error
         if error.errno is None or error.filename not in (None, str(temporary), temporary):
             raise
         raise OSError(error.errno, error.strerror, str(path)) from error
