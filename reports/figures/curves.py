@@ -34,8 +34,10 @@ def save_figure(figure: "Figure", out: Path) -> Path:
         raise ResultsError(f"{out}: a figure's name must end in {', '.join(VOLATILE)}, got {out.suffix or 'no suffix'}")
     import matplotlib
 
-    style = {"svg.hashsalt": "ggvs-eval", "savefig.dpi": DOTS_PER_INCH}
-    with atomic_file(out) as temporary, matplotlib.rc_context(style):
+    with (
+        atomic_file(out) as temporary,
+        matplotlib.rc_context({"svg.hashsalt": "ggvs-eval", "savefig.dpi": DOTS_PER_INCH}),
+    ):
         figure.savefig(temporary, format=out.suffix[1:], metadata=dict.fromkeys(VOLATILE[out.suffix]))
     return out
 

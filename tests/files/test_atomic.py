@@ -115,8 +115,11 @@ def test_errors_name_the_file_that_was_wanted(tmp_path):
         write_text(tmp_path / "taken", "text")
     with pytest.raises(OSError, match=r"full\.csv'$"), atomic_file(tmp_path / "full.csv"):
         raise OSError(errno.ENOSPC, "No space left on device")
-    full, told = Path("/dev/full").open("wb", buffering=0), r"No space left on device: '.*full\.npy'$"
-    with full, pytest.raises(OSError, match=told), atomic_file(tmp_path / "full.npy"):
+    with (
+        pytest.raises(OSError, match=r"No space left on device: '.*full\.npy'$"),
+        atomic_file(tmp_path / "full.npy"),
+        Path("/dev/full").open("wb", buffering=0) as full,
+    ):
         np.save(full, np.zeros(100_000))
     with pytest.raises(FileNotFoundError, match=r"frame\.png'$"), atomic_file(tmp_path / "copy.png"):
         (tmp_path / "frame.png").read_bytes()
