@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from ggvs_eval.errors import ProtocolError, did_you_mean
 from ggvs_eval.files.images import ResizeFilter
-from ggvs_eval.files.toml_tables import build_table, parse_toml
+from ggvs_eval.files.toml_tables import build_table, parse_toml, read_toml
 from ggvs_eval.geometry.source_views import SourceChoice
 
 
@@ -189,14 +189,14 @@ def load_protocol(source: str | pathlib.Path) -> Protocol:
     if path.suffix == ".toml":
         if not path.is_file():
             raise ProtocolError(f"{path}: no such protocol file; packaged ones are {', '.join(packaged_protocols())}")
-        text = path.read_text(encoding="utf-8")
+        values = read_toml(path, ProtocolError)
     else:
         if str(source) not in packaged_protocols():
             known = packaged_protocols()
             wanted = f"a .toml file or one of {', '.join(known)}{did_you_mean(str(source), known)}"
             raise ProtocolError(f"protocol {str(source)!r} is not packaged; use {wanted}")
         text = (resources.files("ggvs_eval") / "protocols" / f"{source}.toml").read_text(encoding="utf-8")
-    values = parse_toml(text, str(source), ProtocolError)
+        values = parse_toml(text, str(source), ProtocolError)
     return _checked(build_table(Protocol, values, str(source), "", ProtocolError), str(source))
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
-from ggvs_eval.datasets.assemble import SizedSource
+from ggvs_eval.datasets.assemble import SizedSource, check_rig_size
 from ggvs_eval.datasets.undistort import UndistortedFrames
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.lens import Lens
@@ -90,6 +90,7 @@ def read_model(folder: Path) -> list[CalibratedView]:
         reason = (done.stderr.strip().splitlines() or [f"the reader ended with {done.returncode}"])[-1]
         raise CaptureError(f"{folder}: damaged COLMAP model, pycolmap says '{reason:.200}'; copy or export the model again")
     images = json.loads(done.stdout)
+    check_rig_size(folder, len(images))
     if not images:
         raise CaptureError(f"{folder}: wanted one registered image per fixed camera, got none; calibrate again")
     return [_view(folder, image) for image in images]

@@ -9,11 +9,11 @@ import numpy as np
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.datasets.array_file import map_array
+from ggvs_eval.datasets.assemble import check_rig_size
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.kernels.portable import transformed
 
-LARGEST_RIG = 10_000
 # What is beyond is damage, and no square of it is finite.
 LARGEST_NUMBER = 1e100
 
@@ -81,9 +81,10 @@ def _load_rows(path: Path) -> Array:
         raise CaptureError(
             f"{path}: wanted an N x 17 array of numbers saved by numpy.save, got: {error}; write it again"
         ) from error
-    if rows.ndim != 2 or rows.shape[1] != 17 or rows.dtype.kind not in "fiu" or len(rows) > LARGEST_RIG:
+    if rows.ndim != 2 or rows.shape[1] != 17 or rows.dtype.kind not in "fiu":
         found = f"{rows.shape} {rows.dtype}"
         raise CaptureError(f"{path}: wanted an N x 17 array of numbers (LLFF), got {found}; write 15 pose numbers, near and far")
+    check_rig_size(path, len(rows))
     return rows.astype(np.float64)
 
 
