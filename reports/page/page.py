@@ -237,6 +237,7 @@ def _facts(capture: dict[str, Any]) -> dict[str, str | int | float]:
     """What is said of the capture, notes about what was left out included."""
     plain = {key: value for key, value in capture.items() if key != "path" and isinstance(value, str | int | float)}
     facts = {FACT_NAMES.get(key, key.replace("_", " ")): value for key, value in plain.items()}
+    facts |= {"cameras": len(capture["cameras"])} if capture.get("cameras") else {}
     notes = "; ".join(capture.get("notes", ()))
     return facts | ({"notes": notes} if notes else {})
 

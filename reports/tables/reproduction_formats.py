@@ -54,10 +54,12 @@ class Line:
 def _line(entries: Sequence[Reproduction]) -> Line:
     first, *others = entries
     methods = tuple(dict.fromkeys(entry.method for entry in entries))
-    metrics = dict.fromkeys(f"{entry.metric} ({entry.unit})" if entry.unit else entry.metric for entry in entries)
     method = ", ".join(methods) if len(methods) < METHODS_NAMED else f"{len(methods)} methods"
-    paper, why = (f"{len(entries)} values", first.reason) if others else (first.paper, first.why)
-    return Line(method, ", ".join(metrics), paper, first.ours, first.status, why)
+    if not others:
+        metric = f"{first.metric} ({first.unit})" if first.unit else first.metric
+        return Line(method, metric, first.paper, first.ours, first.status, first.why)
+    metrics = ", ".join(dict.fromkeys(entry.metric for entry in entries))
+    return Line(method, metrics, f"{len(entries)} values", first.ours, first.status, first.reason)
 
 
 def blocks(entries: Sequence[Reproduction]) -> tuple[Block, ...]:

@@ -56,8 +56,8 @@ function start() {
   /** Show the run and the sheets that an element belongs to. */
   function reveal(element) {
     const article = element.closest("article");
-    const isOthers = article && !article.contains(current?.root);
-    const part = element.closest("[data-of]") ?? (element === article || isOthers ? article.querySelector("[data-of]") : null);
+    const shown = article?.querySelector(element === article ? "[data-of]" : "[data-of]:not([hidden])"); // its first run, or its last shown
+    const part = element.closest("[data-of]") ?? shown;
     if (part) showRun(part.dataset.of);
     for (const show of navs) show(element, (link) => !link.dataset.room || link.dataset.room === current?.root.dataset.viewer);
   }
@@ -81,7 +81,7 @@ function start() {
   reveal(document.querySelector(".sheet"));
   go();
   addEventListener("hashchange", go);
-  document.addEventListener("beforematch", (event) => reveal(event.target));
+  document.addEventListener("beforematch", (event) => reveal(event.target.firstElementChild));
   document.addEventListener("keydown", (event) => {
     const onStage = event.target.closest(".stage");
     const isFree = event.target === document.body || onStage;
