@@ -137,7 +137,7 @@ def _words(first: Leader, contenders: Sequence[Contender], runs: Sequence[Measur
         )
     if comparison.p_value is None:
         return f"{best.name} leads", f"{by} ahead of {second}; whether by chance cannot be told ({comparison.note})"
-    return f"{best.name} is best", f"{by} ahead of {second}, the runner-up{interval}"
+    return f"{best.name} is best", f"{by} ahead of {second}, the next best{interval}"
 
 
 def _interval(comparison: Comparison, higher_is_better: bool, decimals: int | None, unit: str) -> str:

@@ -66,14 +66,23 @@ def test_theme_needs_no_storage(started, painted):
     assert started.complaints() == []
 
 
+# Pixels that the strips of a row leave free to the right, and that pictures leave free in their strips.
+FREE = """(strips => Math.max(...[...document.querySelectorAll('.cuts canvas')].map(canvas => {
+    const cell = canvas.closest('.cut').getBoundingClientRect(), box = canvas.getBoundingClientRect();
+    return Math.max(cell.width - box.width, cell.height - box.height);
+}), strips.getBoundingClientRect().right - Math.max(...[...strips.children].map(one => one.getBoundingClientRect().right))))(
+    document.querySelector('.cuts'))"""
+
+
 @pytest.mark.parametrize(
     "shape",
     [
         RunShape(frames=Frames(0, 1), metrics=("PSNR", "TCC"), poses=0),
+        RunShape(frames=Frames(0, 1), metrics=("PSNR",)),
         RunShape(metrics=("STED",), path_truth=False),
         RunShape(labels=LABELS[:1], views=("cam00",), metrics=("PSNR",)),
     ],
-    ids=["one frame, no path", "no value per frame, virtual path", "one method, one view"],
+    ids=["one frame, no path", "one frame", "no value per frame, virtual path", "one method, one view"],
 )
 def test_poor_runs_have_a_working_page(started, tmp_path, shape):
     """Whatever a run lacks, its page works without a complaint, and says what there is not."""
@@ -85,6 +94,7 @@ def test_poor_runs_have_a_working_page(started, tmp_path, shape):
     ]
     if follows_rows:
         wait_for_slices(started)
+        assert started.run(FREE) < 2
         assert ("no truth on a virtual path" in started.text(".cuts")) == (not shape.path_truth)
     if has_time:
         assert ("No metric of this run has a value per frame" in started.text("#heat")) == (shape.metrics == ("STED",))

@@ -116,8 +116,8 @@ def test_one_room_and_one_part_at_a_time(started, rooms):
 def test_the_first_screen_answers_and_shows(started, painted, size):
     """Without scrolling: who is best, by how much, what was recorded beside the best and the runner-up, and the button."""
     started.visit(painted, size)
-    bottoms = "[...document.querySelectorAll('.headline, .margin, .opening img, .player')].map(one => one.getBoundingClientRect().bottom)"
-    assert max(started.run(bottoms)) <= size[1]
+    parts = "[...document.querySelectorAll('.headline, .margin, .opening img, .player')]"
+    assert max(started.run(f"{parts}.map(one => one.getBoundingClientRect().bottom)")) <= size[1]
     assert started.run("document.querySelector('.headline').textContent").startswith("Ours, No Temporal Filtering")
     assert started.run("[...document.querySelectorAll('.opening figure')].map(one => one.dataset.key)") == [
         "truth",

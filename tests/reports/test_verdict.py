@@ -51,7 +51,7 @@ def test_the_best_and_its_lead_with_the_paired_interval(run):
     numbers = [float(number) for number in re.findall(r"\d+\.\d+", verdict.margin)]
     assert numbers == pytest.approx([difference.difference, difference.low, difference.high], abs=0.005)
     assert verdict.margin.startswith(
-        f"{difference.difference:.2f} dB ahead of {NAMES[MIDDLE]}, the runner-up (95\N{NO-BREAK SPACE}% "
+        f"{difference.difference:.2f} dB ahead of {NAMES[MIDDLE]}, the next best (95\N{NO-BREAK SPACE}% "
     )
     assert verdict.others == {NAMES[BEST]: ["SSIM", "LPIPS"]}
     assert [one.label for one in verdict.contenders] == [BEST, MIDDLE, WORST]
