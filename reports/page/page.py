@@ -38,8 +38,9 @@ SCRIPTS = (
 )
 CONTEXT_WIDTH = 480
 FACT_NAMES = {"n_frames": "frames captured", "fps": "frames per second", "units_origin": "scale known from"}
+Part = tuple[str, str, tuple[str, ...]]
 # Behind the first screen of a group: place, title and templates of each part.
-PARTS = (
+PARTS: tuple[Part, ...] = (
     ("compare", "Compare", ("comparison", "linked_slices", "errors")),
     ("results", "Scores", ("results",)),
     ("heat", "Where and when", ("heat_map", "views", "curves")),
@@ -48,7 +49,7 @@ PARTS = (
     ("timing", "Timing", ("timing",)),
     ("measured", "What was measured", ("measured",)),
 )
-OF_ONE_FRAME = {"heat": ("views", "Views", ("views",)), "videos": None}  # nothing is drawn over time
+OF_ONE_FRAME: dict[str, Part | None] = {"heat": ("views", "Views", ("views",)), "videos": None}  # nothing is drawn over time
 PLOT = {"size": SIZE, "margin": MARGIN, "dashes": DASHES, "colours": len(COLOURS)}
 
 
@@ -139,7 +140,8 @@ def render_page(groups: Sequence[RunGroup], reproduced: Sequence[Reproduction] =
 def _groups(groups: Sequence[RunGroup]) -> list[dict[str, Any]]:
     """What the templates need of each group; places in the page have the same names in all groups, behind the group's own."""
     rooms = enumerate(share_room([section.run for group in groups for section in group.sections]))
-    tabs = iter(_tab_names(groups))
+    names = _tab_names(groups)
+    tabs = zip(names, _addresses(names), strict=True)
     verdicts = [evaluate_verdict([section.run for section in group.sections], group.results, group.tables) for group in groups]
     return [
         {
@@ -158,13 +160,13 @@ def _groups(groups: Sequence[RunGroup]) -> list[dict[str, Any]]:
             "parts": _parts(group),
             "several_datasets": len({table.dataset for table in group.tables}) > 1,
             "has_published_rows": any(row.kind == "published" for table in group.tables for row in table.rows),
-            "sections": [_section(*next(rooms), next(tabs), section, verdicts[at]) for section in group.sections],
+            "sections": [_section(*next(rooms), *next(tabs), section, verdicts[at]) for section in group.sections],
         }
         for at, group in enumerate(groups)
     ]
 
 
-def _parts(group: RunGroup) -> list[tuple[str, str, tuple[str, ...]]]:
+def _parts(group: RunGroup) -> list[Part]:
     """Parts that have something to show."""
     parts = [OF_ONE_FRAME.get(part[0], part) if group.protocol.frames.count == 1 else part for part in PARTS]
     empty = set() if any(section.slices for section in group.sections) else {"slices"}
@@ -174,10 +176,19 @@ def _parts(group: RunGroup) -> list[tuple[str, str, tuple[str, ...]]]:
 def _tab_names(groups: Sequence[RunGroup]) -> list[str]:
     """What each run is called where one is chosen: its title, with as much more as it takes to tell all runs apart."""
     runs = [(group, section.run) for group in groups for section in group.sections]
-    names = [run.title for _, run in runs]
-    for further in ([f"{run.title}, {run.scene}" for _, run in runs], [f"{group.heading}, {run.scene}" for group, run in runs]):
-        names = names if len(set(names)) == len(runs) else further
-    return names
+    names = [
+        [run.title for _, run in runs],
+        [f"{run.title}, {run.scene}" for _, run in runs],
+        [group.heading for group, _ in runs],
+        [f"{group.heading}, {run.scene}" for group, run in runs],
+    ]
+    return next((each for each in names if len(set(each)) == len(runs)), names[-1])
+
+
+def _addresses(names: Sequence[str]) -> list[str]:
+    """The same in words of an address, no two alike."""
+    slugs = [re.sub(r"[^\w.-]+", "-", name.lower()).strip("-") for name in names]
+    return [slug if slug and slugs.count(slug) == 1 else f"{slug}-{at}".strip("-") for at, slug in enumerate(slugs)]
 
 
 def _without_empty_rows(table: Table) -> Table:
@@ -201,7 +212,9 @@ def reproduce(run: MeasuredRun, capture: str) -> list[str]:
     return [shlex.join(["ggvs-eval", *command]) for command in commands]
 
 
-def _section(index: int, room: PictureRoom, tab: str, section: RunSection, verdict: Verdict | None) -> dict[str, Any]:
+def _section(
+    index: int, room: PictureRoom, title: str, address: str, section: RunSection, verdict: Verdict | None
+) -> dict[str, Any]:
     """What the templates need of one run, pictures as data addresses."""
     run, maps = section.run, heat_maps(section.run)
     comparison = compare_frames(run, room.frames)
@@ -213,8 +226,8 @@ def _section(index: int, room: PictureRoom, tab: str, section: RunSection, verdi
         "id": f"run{index}",
         "run": run,
         "capture": _facts(capture),
-        "title": tab,
-        "address": re.sub(r"[^\w.-]+", "-", tab.lower()).strip("-") or f"run{index}",
+        "title": title,
+        "address": address,
         "opening": ("truth", *(verdict.shown(run) if verdict else run.ours_first[:2])),
         "view_tables": section.view_tables,
         "timing": section.timing,

@@ -95,6 +95,7 @@ def _evaluation_table(table: str, comparable_runs: dict[str, ComparableRuns | No
             for key, paper in values.items():
                 metric, unit = (TIMING_WORDS[key], "ms") if key in TIMINGS else (key, UNITS.get(key, ""))
                 comparable, method = comparable_runs[dataset], paper_methods()[name]
+                standing: tuple[Cell, Status, str, str]
                 if isinstance(comparable, NotComparable):
                     standing = (NOT_MEASURED, "data absent", comparable.words, _remark(comparable, method, key))
                 else:

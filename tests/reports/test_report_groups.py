@@ -102,6 +102,17 @@ def test_page_has_a_part_for_each_protocol_and_the_papers_values_once(report):
     assert re.findall(r'data-address="([^"]*)"', text) == ["room", "kitchen", "street"]
 
 
+def test_captures_of_one_name_have_an_address_each(tmp_path):
+    """Names that are alike, or alike in an address, are told apart by scene, by protocol, and at last by their number."""
+    shapes = (replace(SMALL, scene="a b"), replace(SMALL, scene="a-b"), replace(SMALL, scene="a b", k=3))
+    text = render_page(read_groups([write_run(tmp_path / str(at), shape) for at, shape in enumerate(shapes)]))
+    names = re.findall(r'data-room="run\d">([^<]*)<', text)
+    assert names == ["a b, tiny, K = 2, a b", "a b, tiny, K = 2, a-b", "a b, tiny, K = 3, a b"]
+    addresses = re.findall(r'data-address="([^"]*)"', text)
+    assert len(set(addresses)) == 3
+    assert addresses[2] == "a-b-tiny-k-3-a-b"
+
+
 def test_headings_go_down_one_level_at_a_time(report, runs):
     """Of one protocol or several: one first heading, and none that is more than one level below the one before it."""
     alone = write_report([runs["street"]], report.parent / "alone")
