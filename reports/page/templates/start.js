@@ -39,6 +39,7 @@ function showBeginning(video, data) {
 /** Tabs, and one run at a time, which is put together when it is first shown; addresses and links lead to all of them. */
 function start() {
   document.documentElement.classList.remove("loading");
+  for (const name of document.querySelectorAll(".group-name")) name.classList.add("hidden"); // tabs say it
   const runs = new Map();
   const navs = [...document.querySelectorAll(".tabs")].map(makeTabs);
   const write = makeAddressWriter();
