@@ -12,6 +12,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.errors import CameraError
+from ggvs_eval.kernels.portable import length, transformed
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +117,7 @@ class Camera:
     @property
     def centre(self) -> Array:
         """Camera centre in the world, (3,)."""
-        return -self.rotation.T @ self.translation
+        return transformed(-self.rotation.T, self.translation)
 
     @property
     def axis(self) -> Array:
@@ -145,7 +146,7 @@ class Camera:
             >>> uv.tolist(), depth.tolist()
             ([[6.0, 3.0]], [2.0])
         """
-        points_camera = points_world @ self.rotation.T + self.translation
+        points_camera = transformed(self.rotation, points_world) + self.translation
         depth = points_camera[..., 2]
         with np.errstate(divide="ignore", invalid="ignore"):
             uv = points_camera[..., :2] / depth[..., None]
@@ -169,7 +170,7 @@ class Camera:
         """
         rays = (uv - self.K[:2, 2]) / self.K[[0, 1], [0, 1]]
         points_camera = np.concatenate([rays * depth[..., None], depth[..., None]], axis=-1)
-        return (points_camera - self.translation) @ self.rotation
+        return transformed(self.rotation.T, points_camera - self.translation)
 
     def pixel_centres(self) -> Array:
         """Image coordinates of every pixel, (H, W, 2).
@@ -193,7 +194,7 @@ class Camera:
 
     def resized(self, width: int, height: int) -> "Camera":
         """The camera of the same image resampled to width x height."""
-        K = np.diag([width / self.width, height / self.height, 1.0]) @ self.K
+        K = self.K * np.array([[width / self.width], [height / self.height], [1.0]])
         return replace(self, K=K, width=width, height=height)
 
     def cropped(self, left: int, top: int, width: int, height: int) -> "Camera":
@@ -228,7 +229,7 @@ def nearest_cameras(target: Camera, cameras: Iterable[Camera], count: int) -> li
     others = [camera for camera in cameras if camera.name != target.name]
     if len(others) < count:
         raise CameraError(f"camera {target.name}: wanted {count} source cameras, the capture has {len(others)} others")
-    return sorted(others, key=lambda camera: (float(np.linalg.norm(camera.centre - target.centre)), camera.name))[:count]
+    return sorted(others, key=lambda camera: (float(length(camera.centre - target.centre)), camera.name))[:count]
 
 
 def translated_path(camera: Camera, span: float, count: int) -> list[Camera]:

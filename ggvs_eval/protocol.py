@@ -105,6 +105,7 @@ class Measurement:
         resize_filter: how they are resized.
         ssim: which SSIM, see `ggvs_eval.metrics.image.ssim_variants.SSIM_VARIANTS`.
         lpips_net: backbone of LPIPS v0.1.
+        lpips_every: LPIPS looks at every so many frames, the first among them; it costs as much as all other metrics.
         sted_pairing: frame pairs of ST-RRED: ``disjoint`` (0-1, 2-3, ...) or ``consecutive``.
         sted_pooling: ``means`` (mean spatial times mean temporal difference) or ``products`` (mean of the pairs' products).
         colour_scope: one affine map per ``view`` or per ``frame`` for the colour-corrected metrics.
@@ -119,6 +120,7 @@ class Measurement:
     resize_filter: ResizeFilter = "area"
     ssim: Literal["gaussian-valid", "gaussian-zero", "uniform7", "uniform7-range2"] = "gaussian-valid"
     lpips_net: Literal["vgg", "alex"] = "vgg"
+    lpips_every: int = 1
     sted_pairing: Literal["disjoint", "consecutive"] = "disjoint"
     sted_pooling: Literal["means", "products"] = "means"
     colour_scope: Literal["view", "frame"] = "view"
@@ -153,6 +155,8 @@ class Protocol:
         values = dataclasses.asdict(self)
         if self.synthesis.sources == Synthesis.sources:
             del values["synthesis"]["sources"]
+        if self.measurement.lpips_every == Measurement.lpips_every:
+            del values["measurement"]["lpips_every"]
         if not self.path.cameras:
             values["path"] = {"poses": self.path.poses}
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
@@ -221,6 +225,7 @@ def _checked(protocol: Protocol, file: str) -> Protocol:
         "measurement.width and height must both be positive, or both 0": _is_size(measurement.width, measurement.height),
         "measurement.metrics must name at least one metric": measurement.metrics,
         "measurement.ddof must be 0 or 1": measurement.ddof in (0, 1),
+        "measurement.lpips_every must be at least 1": measurement.lpips_every >= 1,
     }
     for rule, holds in rules.items():
         if not holds:

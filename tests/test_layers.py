@@ -17,9 +17,9 @@ LEARNED = tuple(f"baselines.{folder.name}" for folder in sorted(BASELINES.iterdi
 FLOORS = (
     ("arrays", "errors", "kernels", "residual_block"),
     ("camera", "progress"),
-    ("files", "lens", "compute_device"),
+    ("files", "lens", "compute_device", "method"),
     ("geometry", "capture", "colour_maps"),
-    ("method", "depth_store", "protocol"),
+    ("depth_store", "protocol"),
     ("run_folder", "results", "sweep"),
     ("statistics", "datasets", "jobs", "synthetic.room", "training"),
     ("synthetic.film", "renders"),

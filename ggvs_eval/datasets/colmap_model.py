@@ -76,7 +76,8 @@ def read_model(folder: Path) -> list[CalibratedView]:
     Raises:
         CaptureError: damaged, empty, a camera model without an OpenCV equivalent, or an image that sees no point.
     """
-    command = [sys.executable, "-m", "ggvs_eval.datasets.colmap_reader", str(folder)]
+    # By its file: by its name it would first import every other reader.
+    command = [sys.executable, "-P", str(Path(__file__).with_name("colmap_reader.py")), str(folder)]
     try:
         done = subprocess.run(
             command, capture_output=True, encoding="utf-8", errors="replace", check=False, timeout=READER_TIMEOUT_S

@@ -1,6 +1,6 @@
 """Reads a COLMAP model in a process of its own and prints it as JSON: pycolmap, once loaded, breaks the writing of PNG files.
 
-Command: ``python -m ggvs_eval.datasets.colmap_reader MODEL_DIR``
+Command: ``python -P ggvs_eval/datasets/colmap_reader.py MODEL_DIR``; it imports nothing of the package.
 """
 
 import json

@@ -11,6 +11,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.datasets.array_file import map_array
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.atomic import atomic_file
+from ggvs_eval.kernels.portable import transformed
 
 LARGEST_RIG = 10_000
 # What is beyond is damage, and no square of it is finite.
@@ -91,12 +92,12 @@ def _from_row(row: Array) -> LlffPose:
     rotation = np.stack([right, down, -backwards])  # (3, 3), rows are the camera's axes in the world
     world_to_camera = np.eye(4)
     world_to_camera[:3, :3] = rotation
-    world_to_camera[:3, 3] = -rotation @ centre
+    world_to_camera[:3, 3] = transformed(-rotation, centre)
     return LlffPose(world_to_camera, (float(hwf[0]), float(hwf[1]), float(hwf[2])), float(row[15]), float(row[16]))
 
 
 def _to_row(pose: LlffPose) -> Array:
     right, down, forwards = pose.world_to_camera[:3, :3]
-    centre = -pose.world_to_camera[:3, :3].T @ pose.world_to_camera[:3, 3]
+    centre = transformed(-pose.world_to_camera[:3, :3].T, pose.world_to_camera[:3, 3])
     matrix = np.stack([down, right, -forwards, centre, np.asarray(pose.hwf)], axis=1)  # (3, 5)
     return np.concatenate([matrix.ravel(), [pose.near, pose.far]])

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 
 MEND = "copy or encode this video again"
 KEY_FRAME_INTERVAL = 30
+# x264's macroblock tree gives other bytes once in some dozens of runs, with one thread too (seen at 64 x 48), and its assembly
+# others than its plain code unless it is told not to.
+X264 = "mbtree=0:cpu-independent=1"
 
 
 def write_video(path: Path, frames: Iterable[Image8], fps: float, crf: float = 12) -> None:
@@ -75,13 +78,12 @@ def _add_stream(container: "OutputContainer", path: Path, size: tuple[int, int],
     stream.codec_context.color_range = ColorRange.MPEG
     stream.codec_context.color_primaries = ColorPrimaries.BT709
     stream.codec_context.color_trc = ColorTrc.BT709
-    # x264's macroblock tree gives other bytes once in some dozens of runs, with one thread too (seen at 64 x 48).
     stream.options = {
         "crf": f"{crf:g}",
         "preset": "medium",
         "threads": "1",
         "g": str(KEY_FRAME_INTERVAL),
-        "x264-params": "mbtree=0",
+        "x264-params": X264,
     }
     return stream
 

@@ -1,6 +1,7 @@
 """The tables of a report: quality, consistency, each view by itself, time per stage."""
 
 import math
+from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
@@ -12,7 +13,7 @@ from ggvs_eval.reports.model.metric_note import MetricNote, note_groups
 from ggvs_eval.reports.model.table import Cell, Column, Row, RowKind, Table, measured_cell, rank
 from ggvs_eval.reports.tables.published import published_rows
 from ggvs_eval.results import Results
-from ggvs_eval.statistics.bootstrap import LEVEL, Interval, intervals
+from ggvs_eval.statistics.intervals import LEVEL, Interval, intervals
 from ggvs_eval.statistics.paired import Standing, rank_methods
 
 CHOSEN_FOR = {"nearest": "", "coverage": ", chosen for what they see of the target"}  # words after the number of sources
@@ -37,6 +38,11 @@ class Certainty:
         if self.standing is None or (self.standing.comparisons and not self.standing.p_values):
             return None
         return self.standing.ties
+
+    @property
+    def undecided(self) -> str:
+        """Why nobody is named as the best; empty where somebody is."""
+        return "" if self.standing is None else self.standing.short
 
     @property
     def refusal(self) -> str:
@@ -92,7 +98,8 @@ def _main_table(
         means = f"Over the whole camera path, at one instant; {sources}."
     marks = [f"{label} is {mark}; it is not ranked." for label, mark in partial.items()]
     caption = " ".join([means, *marks, *_certainty_captions(certain), *reference_remarks(references, key, notes)])
-    return Table(key, title, caption, columns, rank(columns, rows, told) + grey, dataset)
+    undecided = {metric: certainty.undecided for metric, certainty in certain.items()}
+    return Table(key, title, caption, columns, rank(columns, rows, told) + grey, dataset, undecided)
 
 
 def _certainty(note: MetricNote, results: Results, dataset: str, partial: Collection[str]) -> Certainty:
@@ -120,16 +127,18 @@ def _certainty_captions(certain: Mapping[str, Certainty]) -> list[str]:
     level = f"{100 * LEVEL:.0f} %"
     known = [one for certainty in certain.values() for one in certainty.intervals.values() if one.low is not None]
     given = "".join(f", {note}" for note in dict.fromkeys(interval.note.partition(";")[0] for interval in known) if note)
-    captions = [f"±: {level} interval, block bootstrap{given}."] if known else []
+    captions = [f"±: {level} interval, by the correlation over time that each clip allows{given}."] if known else []
     ranked = [certainty for certainty in certain.values() if certainty.standing]
     if any(certainty.told for certainty in ranked):
-        captions.append(f"Bold: best, and what cannot be told from it (paired block bootstrap, {level}).")
+        captions.append(f"Bold: best, and what cannot be told from it (paired, {level}).")
     by_digits = [metric for metric, certainty in certain.items() if certainty.standing and certainty.told is None]
     if by_digits:
         captions.append(f"Bold in {', '.join(by_digits)}: best to the printed digits, nothing could be compared.")
-    reasons: dict[str, list[str]] = {}
+    short, reasons = defaultdict(list), defaultdict(list)
     for metric, certainty in certain.items():
-        reasons.setdefault(certainty.refusal, []).append(metric)
+        short[certainty.undecided].append(metric)
+        reasons[certainty.refusal].append(metric)
+    captions += [f"No winner in {', '.join(names)}: {reason}." for reason, names in short.items() if reason]
     return captions + [f"No interval for {', '.join(names)}: {reason}." for reason, names in reasons.items() if reason]
 
 

@@ -13,7 +13,7 @@ from ggvs_eval.reports.model.table import Cell, format_value, measured_cell
 from ggvs_eval.reports.tables.comparable_runs import ComparableRuns, NotComparable, find_comparable_runs
 from ggvs_eval.reports.tables.published import TIMING_WORDS, UNITS, is_higher_better, read_published
 from ggvs_eval.reports.tables.timing import TIMINGS, evaluate_time
-from ggvs_eval.statistics.bootstrap import LEVEL, intervals
+from ggvs_eval.statistics.intervals import LEVEL, intervals
 
 Status = Literal["reproduced", "differs", "data absent", "weights absent", "not run"]
 STATUSES: tuple[Status, ...] = ("reproduced", "differs", "data absent", "weights absent", "not run")

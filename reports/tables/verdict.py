@@ -12,7 +12,8 @@ from ggvs_eval.reports.model.table import Cell, Column, Table, format_value
 from ggvs_eval.reports.tables.leaders import HEADLINES, Leader, leaders
 from ggvs_eval.reports.tables.report_tables import row_labels, without_partial
 from ggvs_eval.results import Results
-from ggvs_eval.statistics.paired import LEVEL, Comparison, rank_methods
+from ggvs_eval.statistics.intervals import LEVEL
+from ggvs_eval.statistics.paired import Comparison, rank_methods
 
 PLAIN = {
     "PSNR": "how close each picture comes to the recorded one",
@@ -104,7 +105,8 @@ def evaluate_verdict(runs: Sequence[MeasuredRun], results: Results, tables: Sequ
     others: dict[str, list[str]] = {}
     for leader in found:
         if leader is not first:
-            others.setdefault(leader.name, []).append(leader.column.name + (" (tie)" if leader.ties else ""))
+            standing = " (no winner)" if leader.undecided else " (tie)" if leader.ties else ""
+            others.setdefault(leader.name, []).append(f"{leader.column.name}{standing}")
     meaning = PLAIN.get(first.column.name, first.column.describe)
     return Verdict(headline, margin, first.column, meaning, contenders, others)
 
@@ -129,6 +131,8 @@ def _words(first: Leader, contenders: Sequence[Contender], runs: Sequence[Measur
     second = f"“{rival.name}”" if "," in rival.name else rival.name
     by = f"{format_value(abs(comparison.difference), decimals)}{unit}"
     interval = _interval(comparison, bool(column.higher_is_better), decimals, unit)
+    if first.undecided:
+        return "No winner can be named", f"{best.name} is {by} ahead of {second}, but: {first.undecided}"
     if first.ties:
         rivals = rival.name if len(first.ties) == 1 else f"{len(first.ties)} others"
         return (

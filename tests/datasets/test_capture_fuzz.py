@@ -28,6 +28,8 @@ from ggvs_eval.files.images import write_image
 from helpers.captures import make_binary, make_image, make_rig, write_colmap, write_dynerf
 from helpers.small_layouts import NUMBERS, write_capture_toml, write_easymocap, write_frames, write_multipleview, write_nerfstudio
 
+pytestmark = pytest.mark.fuzz
+
 LONGEST_S = 20
 PAIR = ("cam00", "cam01")
 

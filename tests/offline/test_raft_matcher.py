@@ -23,6 +23,8 @@ from ggvs_eval.synthetic.stereo.stereo_scenes import stereo_sample
 from helpers.seeded_networks import seeded_state
 from helpers.stereo_scenes import random_texture
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def standing(tmp_path_factory):

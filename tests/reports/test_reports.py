@@ -21,6 +21,8 @@ from ggvs_eval.run_folder import frame_path
 from helpers.page_reader import PageReader
 from helpers.run_folders import LABELS, NAMES, RunShape, write_run
 
+pytestmark = pytest.mark.slow
+
 SMALL = RunShape(views=("cam00",), metrics=("PSNR", "LPIPS"), poses=0)
 NASTY = '<script>alert("x")</script> & | _100%_ $x^2$ {y} \\z #1 ~'
 

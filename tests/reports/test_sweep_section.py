@@ -46,7 +46,7 @@ def test_table_and_curves_hold_what_was_swept(sweep, page):
     ]
     assert psnr.y(30.5) < psnr.y(30.2) < psnr.y(20.2)
     assert (seconds.bounds[2], seconds.unit) == (0.0, "s")
-    drawn = page[page.index('id="sweep0"') : page.index('<article')]
+    drawn = page[page.index('id="sweep0"') : page.index("<article")]
     assert drawn.count("<circle") == 2 * 2 * len(KS)
     assert "Ours, K = 5: 30.5 dB" in drawn
 

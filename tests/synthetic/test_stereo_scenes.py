@@ -19,6 +19,8 @@ from ggvs_eval.synthetic.stereo.stereo_shapes import Ball, Sheet
 from ggvs_eval.synthetic.stereo.stereo_textures import LEVELS, SIDE, sample, texture_bank
 from ggvs_eval.synthetic.stereo.stereo_tubes import Tubes
 
+pytestmark = pytest.mark.slow
+
 WIDTH, HEIGHT = 224, 144
 PLAIN = StereoOptions(gloss=False, sensor=False)
 PERFECT = SensorOptions(exposure=1, hard_exposure=1, blur_px=0, noise=0, row_shift_px=0, jpeg_share=0)
