@@ -132,7 +132,7 @@ def _words(first: Leader, contenders: Sequence[Contender], runs: Sequence[Measur
     by = f"{format_value(abs(comparison.difference), decimals)}{unit}"
     interval = _interval(comparison, bool(column.higher_is_better), decimals, unit)
     if first.undecided:
-        return "No winner can be named", f"{best.name} is {by} ahead of {second}, but: {first.undecided}"
+        return "No winner can be named", f"{best.name} is {by} ahead of {second}; {first.undecided}"
     if first.ties:
         rivals = rival.name if len(first.ties) == 1 else f"{len(first.ties)} others"
         return (
