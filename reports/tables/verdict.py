@@ -54,7 +54,8 @@ class Verdict:
         column: the metric that this is in.
         meaning: what it measures, in plain words.
         contenders: every method that competes, the best first.
-        others: name of a method -> the other metrics that it is best in.
+        others: name of a method -> the other metrics that it alone is best in.
+        tied: the other metrics that nobody alone is best in.
     """
 
     headline: str
@@ -63,6 +64,7 @@ class Verdict:
     meaning: str
     contenders: tuple[Contender, ...]
     others: dict[str, list[str]]
+    tied: tuple[str, ...]
 
     def shown(self, run: MeasuredRun) -> tuple[str, ...]:
         """Whose pictures say most of a run: the best, and ours beside it, or the runner-up where ours is the best."""
@@ -105,10 +107,10 @@ def evaluate_verdict(runs: Sequence[MeasuredRun], results: Results, tables: Sequ
     others: dict[str, list[str]] = {}
     for leader in found:
         if leader is not first:
-            standing = " (no winner)" if leader.undecided else " (tie)" if leader.ties else ""
-            others.setdefault(leader.name, []).append(f"{leader.column.name}{standing}")
+            others.setdefault("" if leader.undecided or leader.ties else leader.name, []).append(leader.column.name)
+    tied = tuple(others.pop("", ()))
     meaning = PLAIN.get(first.column.name, first.column.describe)
-    return Verdict(headline, margin, first.column, meaning, contenders, others)
+    return Verdict(headline, margin, first.column, meaning, contenders, others, tied)
 
 
 def _labels(runs: Sequence[MeasuredRun], results: Results, dataset: str) -> list[str]:

@@ -53,7 +53,7 @@ def test_the_best_and_its_lead_with_the_paired_interval(run):
     assert verdict.margin.startswith(
         f"{difference.difference:.2f} dB ahead of {NAMES[MIDDLE]}, the next best (95\N{NO-BREAK SPACE}% "
     )
-    assert verdict.others == {NAMES[BEST]: ["SSIM", "LPIPS"]}
+    assert (verdict.others, verdict.tied) == ({NAMES[BEST]: ["SSIM", "LPIPS"]}, ())
     assert [one.label for one in verdict.contenders] == [BEST, MIDDLE, WORST]
 
 
@@ -69,6 +69,22 @@ def test_a_tie_is_called_a_tie(run):
     assert verdict.headline == f"{NAMES[MIDDLE]} and {NAMES[BEST]} tie"
     assert verdict.margin.startswith(f"0.00 dB between {NAMES[MIDDLE]} and “{NAMES[BEST]}” is too little to tell them apart")
     assert "interval −0." in verdict.margin
+    assert verdict.others == {NAMES[BEST]: ["SSIM", "LPIPS"]}
+
+
+def test_a_clip_too_short_for_its_correlation_has_no_winner(run):
+    """Where tables name nobody as the best, the verdict names nobody, and says why; metrics without a winner are told apart."""
+    tables = [
+        replace(table, undecided={"PSNR": "clip too short", "LPIPS": "clip too short"})
+        for table in main_tables([run], run.results)
+    ]
+    rows = [replace(row, cells=tuple(replace(cell, best=True) for cell in row.cells)) for row in tables[0].rows[1:]]
+    tables[0] = replace(tables[0], rows=(tables[0].rows[0], *rows))
+    verdict = evaluate_verdict([run], run.results, tables)
+    assert verdict is not None
+    assert verdict.headline == "No winner can be named"
+    assert verdict.margin.endswith("dB ahead of Ours (geometric weights); clip too short")
+    assert (verdict.others, verdict.tied) == ({}, ("SSIM", "LPIPS"))
 
 
 def test_equal_numbers_are_equal(run):
