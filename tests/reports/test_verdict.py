@@ -74,13 +74,10 @@ def test_a_tie_is_called_a_tie(run):
 
 def test_a_clip_too_short_for_its_correlation_has_no_winner(run):
     """Where tables name nobody as the best, the verdict names nobody, and says why; metrics without a winner are told apart."""
-    tables = [
-        replace(table, undecided={"PSNR": "clip too short", "LPIPS": "clip too short"})
-        for table in main_tables([run], run.results)
-    ]
-    rows = [replace(row, cells=tuple(replace(cell, best=True) for cell in row.cells)) for row in tables[0].rows[1:]]
-    tables[0] = replace(tables[0], rows=(tables[0].rows[0], *rows))
-    verdict = evaluate_verdict([run], run.results, tables)
+    (table,) = main_tables([run], run.results)
+    rows = [replace(row, cells=tuple(replace(cell, best=True) for cell in row.cells)) for row in table.rows[1:]]
+    table = replace(table, rows=(table.rows[0], *rows), undecided={"PSNR": "clip too short", "LPIPS": "clip too short"})
+    verdict = evaluate_verdict([run], run.results, [table])
     assert verdict is not None
     assert verdict.headline == "No winner can be named"
     assert verdict.margin.endswith("dB ahead of Ours (geometric weights); clip too short")
