@@ -60,7 +60,9 @@ class Cell:
 
     @property
     def hint(self) -> str:
-        """One line about the interval for who asks; empty where nothing is known of one."""
+        """One line about the interval, or why there is no value, for who asks; empty where nothing is known of either."""
+        if self.value is None:
+            return self.note
         if self.low is None or self.high is None:
             return f"no interval: {self.note}" if self.note else ""
         return f"{100 * LEVEL:.0f} % interval {self.low:.6g} to {self.high:.6g}{', ' if self.note else ''}{self.note}"

@@ -8,7 +8,7 @@ from typing import cast
 
 import pandas as pd
 
-from ggvs_eval.reports.model.measured import MeasuredRun, label_of, reference_rows
+from ggvs_eval.reports.model.measured import MeasuredRun, label_of, reference_remarks, reference_rows
 from ggvs_eval.reports.model.metric_note import MetricNote, note_groups
 from ggvs_eval.reports.model.table import Cell, Column, Row, RowKind, Table, measured_cell, rank
 from ggvs_eval.reports.tables.published import published_rows
@@ -96,22 +96,21 @@ def _main_table(
     means = f"Mean over {frames}, then {views}, then scenes; {sources}."
     if key == "path":
         means = f"Over the whole camera path, at one instant; {sources}."
-    remarks = [f"{reference.name}: {reference.note}" for reference in references if reference.group == key]
     marks = [f"{label} is {mark}; it is not ranked." for label, mark in partial.items()]
-    caption = " ".join([means, *marks, *_certainty_captions(certain), *dict.fromkeys(remarks)])
+    caption = " ".join([means, *marks, *_certainty_captions(certain), *reference_remarks(references, key, notes)])
     undecided = {metric: certainty.undecided for metric, certainty in certain.items()}
     return Table(key, title, caption, columns, rank(columns, rows, told) + grey, dataset, undecided)
 
 
 def _certainty(note: MetricNote, results: Results, dataset: str, partial: Collection[str]) -> Certainty:
-    whole = _whole(results, partial)
+    whole = without_partial(results, partial)
     found = intervals(whole, note.name, dataset)
     several = sum(not math.isnan(one.value) for one in found.values()) > 1
     standing = rank_methods(whole, note.name, note.higher_is_better, dataset) if several else None
     return Certainty(found, standing)
 
 
-def _whole(results: Results, partial: Collection[str]) -> Results:
+def without_partial(results: Results, partial: Collection[str]) -> Results:
     """The results without the methods that lack views or frames."""
     labels = [label_of(*names) for names in zip(results.table["method"], results.table["variant"], strict=True)]
     return replace(results, table=results.table[[label not in partial for label in labels]])

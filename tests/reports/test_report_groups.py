@@ -64,19 +64,20 @@ def test_groups_alike_in_name_are_told_apart_by_hash(tmp_path):
 
 
 def test_a_demo_is_called_by_its_data_set(tmp_path):
-    """A demo whose scene is named like a file is headed by its data set; the file's name stands small beside it, once."""
+    """A demo whose scene is named like a file is headed by its data set; the file's name heads its files alone."""
     demo = write_run(tmp_path / "demo", replace(SMALL, scene="scene000", dataset="Demo room, D3DMV's layout"))
     record = json.loads((demo / "capture.json").read_text())
     (demo / "capture.json").write_text(json.dumps(record | {"units_origin": "demo.json"}))
     other = write_run(tmp_path / "other", replace(SMALL, scene="street", dataset="DyNeRF"))
     text = render_page(read_groups([demo, other]))
-    head = html.unescape(text[text.index("<h1>") : text.index("</table>")])
-    assert "<h1>Demo room, D3DMV's layout · street</h1>" in head
-    assert re.search(r"Demo room, D3DMV's layout</a> <span class=\"on\">scene000</span></th>", head)
-    assert re.search(r'href="#group1">street</a></th>', head)
+    head = html.unescape(text[text.index("<h1") : text.index("</header>")])
+    assert ">Demo room, D3DMV's layout · street</h1>" in head
+    assert re.findall(r'data-room="run\d">([^<]*)<', head) == ["Demo room, D3DMV's layout", "street"]
+    assert text.count(">scene000</h") == 1
     assert "Demo room, D3DMV's layout</h1>" in html.unescape(render_page(read_groups([demo])))
 
 
+@pytest.mark.slow  # draws every figure of two reports
 def test_no_value_of_one_protocol_stands_among_anothers(report, runs):
     """Each group's main table is what a report of its runs alone holds; the CSV names protocol, K and hash in every line."""
     together = rows_of(report)
@@ -89,7 +90,7 @@ def test_no_value_of_one_protocol_stands_among_anothers(report, runs):
 
 
 def test_page_has_a_part_for_each_protocol_and_the_papers_values_once(report):
-    """Every link leads somewhere, no place is there twice, each group has all sections; contents name what was measured."""
+    """Every link leads somewhere, no place is there twice, each group has all sections; tabs name the captures in their order."""
     text = (report / "index.html").read_text(encoding="utf-8")
     places = re.findall(r'\bid="([^"]+)"', text)
     assert len(places) == len(set(places))
@@ -97,10 +98,20 @@ def test_page_has_a_part_for_each_protocol_and_the_papers_values_once(report):
     sections = ("results", "heat", "compare", "through", "errors", "slices", "curves", "videos", "views", "timing", "measured")
     assert {f"group{at}-{name}" for at in range(2) for name in sections} <= set(places)
     assert (places.count("reproduction"), places.count("paper")) == (1, 1)
-    contents = text[text.index('class="contents"') : text.index("</table>")]
-    assert [PageReader(part).texts[1] for part in contents.split("<tr>")[2:]] == ["room", "kitchen", "street"]
-    cells = re.findall(r"<td data-name=[^>]*>([^<]*)</td>", contents)
-    assert cells == ["dynerf", "tiny", "–", "2", "4", "2"] * 2 + ["dynerf", "tiny", "–", "1", "3", "2"]
+    rooms = re.findall(r'<a href="#(\w+)" data-room="(\w+)">([^<]*)</a>', text)
+    assert rooms == [("group0", "run0", "room"), ("run1", "run1", "kitchen"), ("group1", "run2", "street")]
+    assert re.findall(r'data-address="([^"]*)"', text) == ["room", "kitchen", "street"]
+
+
+def test_captures_of_one_name_have_an_address_each(tmp_path):
+    """Names that are alike, or alike in an address, are told apart by scene, by protocol, and at last by their number."""
+    shapes = (replace(SMALL, scene="a b"), replace(SMALL, scene="a-b"), replace(SMALL, scene="a b", k=3))
+    text = render_page(read_groups([write_run(tmp_path / str(at), shape) for at, shape in enumerate(shapes)]))
+    names = re.findall(r'data-room="run\d">([^<]*)<', text)
+    assert names == ["a b, tiny, K = 2, a b", "a b, tiny, K = 2, a-b", "a b, tiny, K = 3, a b"]
+    addresses = re.findall(r'data-address="([^"]*)"', text)
+    assert len(set(addresses)) == 3
+    assert addresses[2] == "a-b-tiny-k-3-a-b"
 
 
 def test_headings_go_down_one_level_at_a_time(report, runs):
