@@ -4,7 +4,8 @@ Folders mirror those of the package; what tests build on is the package `helpers
 installed wheel.
 
 Files or tests that take long say ``pytestmark = pytest.mark.slow``, those that throw damaged files ``pytest.mark.fuzz``; what
-opens a browser is `page` by itself, and all others are `quick`, for ``make test-quick``. A quick test that is slow fails.
+opens a browser is `page` by itself, and all others are `quick`, for ``make test-quick``. A quick test that is slow is named among the
+warnings; it does not fail, since another machine may be slower than ours.
 """
 
 import os
@@ -30,7 +31,7 @@ MARKERS = {
     "fuzz": "reads hundreds of damaged files",
     "gpu": "wants a GPU",
 }
-# Of processor time, so that a busy machine fails no test.
+# Of processor time, so that a busy machine names no test.
 QUICK_S = 5.0
 STARTED_S = pytest.StashKey[float]()
 
@@ -60,11 +61,13 @@ def pytest_runtest_setup(item: pytest.Item) -> Iterator[None]:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
-    """Fail a quick test that is slow."""
+    """Name a quick test that is slow."""
     result = yield
     used_s = _used_s() - item.stash[STARTED_S]
     if item.get_closest_marker("quick") and used_s > QUICK_S:
-        pytest.fail(f"took {used_s:.1f} s of a core, quick tests {QUICK_S:g} s at most; make it faster or mark it slow", False)
+        item.warn(
+            pytest.PytestWarning(f"took {used_s:.1f} s of a core, wanted {QUICK_S:g} at most; make it faster or mark it slow")
+        )
     return result
 
 
