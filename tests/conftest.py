@@ -4,8 +4,8 @@ Folders mirror those of the package; what tests build on is the package `helpers
 installed wheel.
 
 Files or tests that take long say ``pytestmark = pytest.mark.slow``, those that throw damaged files ``pytest.mark.fuzz``; what
-opens a browser is `page` by itself, and all others are `quick`, for ``make test-quick``. A quick test that is slow is named among the
-warnings; it does not fail, since another machine may be slower than ours.
+opens a browser is `page` by itself, and all others are `quick`, for ``make test-quick``. A quick test that is slow is named among
+the warnings; it does not fail, since another machine may be slower than ours.
 """
 
 import os
