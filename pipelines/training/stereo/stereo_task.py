@@ -1,4 +1,4 @@
-"""What the compact RAFT-Stereo learns: procedural scenes, from nothing or from what semi-global matching says."""
+"""What the compact RAFT-Stereo learns: pairs of procedural rooms, from nothing or from what semi-global matching says."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -14,10 +14,11 @@ from ggvs_eval.pipelines.offline.stereo.raft_config import COMPACT, RaftOptions
 from ggvs_eval.pipelines.offline.stereo.raft_matcher import start_from_matching
 from ggvs_eval.pipelines.offline.stereo.raft_stereo import RaftStereo
 from ggvs_eval.pipelines.training.stereo.stereo_loss import matching_loss, sequence_loss
-from ggvs_eval.synthetic.stereo.stereo_scenes import StereoSample, stereo_sample
+from ggvs_eval.synthetic.stereo.pairs import StereoSample, stereo_sample
 from ggvs_eval.training.task import Schedule
 
 VALIDATION_SEED = 2**40  # and above; training seeds stay below
+FINE_TUNING = Schedule(learning_rate=1.5e-4, warm_up=30, cool_down=0.5)  # of weights that have learned already
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ class StereoTask:
     @property
     def data(self) -> str:
         """What it learns from."""
-        return "procedural stereo scenes made on the fly (stereo_scenes.py), each seen once; no captured stereo pair"
+        return "pairs of procedural rooms and gardens, taken on the fly (ggvs_eval/synthetic/stereo), each seen once; no captured pair"
 
     @property
     def evaluated_on(self) -> str:
