@@ -13,8 +13,9 @@ from ggvs_eval.errors import DepthError
 from ggvs_eval.files.images import quantise
 from ggvs_eval.synthetic.film.sensor import Sensor
 from ggvs_eval.synthetic.room.geometry import Geometry
+from ggvs_eval.synthetic.room.lighting import Instant
 from ggvs_eval.synthetic.room.shading import expose, radiance, read_finish
-from ggvs_eval.synthetic.stereo.world import StereoScene, build_scene, repainted
+from ggvs_eval.synthetic.stereo.scenes import build_scene, repainted
 
 PAIRS_PER_SCENE, SCENES_AT_A_TIME = 64, 4
 LARGEST_SHARE = 0.42  # of the width: no disparity is larger
@@ -105,7 +106,7 @@ def stereo_sample(seed: int, width: int, height: int, sensor: bool = True) -> St
     rng = np.random.default_rng([seed, 93])
     scene = _painted(_scene_of(seed), rng)
     rig, depth = place_rig(scene, rng, width, height)
-    visible = visible_from_the_right(scene.geometry, rig, depth)
+    visible = visible_from_the_right(scene.static, rig, depth)
     row_error = _row_error(rng, rig) if sensor else 0.0
     x, y = rig.positions()
     pictures = [_picture(scene, rig, eye, x, rows) for eye, rows in ((rig.eye, y), (rig.right_eye, y + row_error))]
@@ -113,7 +114,7 @@ def stereo_sample(seed: int, width: int, height: int, sensor: bool = True) -> St
     return StereoSample(left, right, (rig.focal_px * rig.baseline_m / depth).astype(np.float32), visible)
 
 
-def _scene_of(seed: int) -> StereoScene:
+def _scene_of(seed: int) -> Instant:
     """The scene of a seed: so many are in use at a time, one seed each in turn."""
     turn, lane = divmod(seed, SCENES_AT_A_TIME)
     return _kept_scene(turn // PAIRS_PER_SCENE * SCENES_AT_A_TIME + lane)
@@ -122,19 +123,19 @@ def _scene_of(seed: int) -> StereoScene:
 _kept_scene = lru_cache(maxsize=SCENES_AT_A_TIME)(build_scene)
 
 
-def _painted(scene: StereoScene, rng: np.random.Generator) -> StereoScene:
+def _painted(scene: Instant, rng: np.random.Generator) -> Instant:
     """The scene with other paint, and one more lamp whose light falls without shadows."""
-    geometry = copy(scene.geometry)  # shares vertices and the tree of rays
+    geometry = copy(scene.static)  # shares vertices and the tree of rays
     geometry.materials = repainted(geometry, rng, float(rng.choice([0.0, 0.5, 1.0])))
     towards = rng.standard_normal(3)
-    lamp = np.maximum(geometry.normals @ (towards / np.linalg.norm(towards)).astype(np.float32), 0)[:, None]
+    cosine = np.einsum("vc,c->v", geometry.normals, (towards / np.linalg.norm(towards)).astype(np.float32))
     tint = np.exp(rng.normal(0, 0.1, 3))
-    strength = float(rng.uniform(0, 1)) * float(np.median(scene.light))
-    light = (scene.light * tint + strength * lamp).astype(np.float32)
-    return StereoScene(geometry, light, scene.highlights, scene.outdoors)
+    strength = float(rng.uniform(0, 1)) * float(np.median(scene.static_light))
+    light = (scene.static_light * tint + strength * np.maximum(cosine, 0)[:, None]).astype(np.float32)
+    return replace(scene, static=geometry, static_light=light)
 
 
-def place_rig(scene: StereoScene, rng: np.random.Generator, width: int, height: int) -> tuple[StereoRig, Map]:
+def place_rig(scene: Instant, rng: np.random.Generator, width: int, height: int) -> tuple[StereoRig, Map]:
     """Choose where the cameras stand so that near things have a disparity drawn from a wide range.
 
     Nothing in the left picture is closer than `NEAREST_M`, nothing stands between the cameras.
@@ -147,23 +148,22 @@ def place_rig(scene: StereoScene, rng: np.random.Generator, width: int, height: 
     for _ in range(ATTEMPTS):
         focal = float(rng.uniform(0.7, 1.6)) * width
         centre = (width / 2 + rng.normal(0, 0.03) * width, height / 2 + rng.normal(0, 0.05) * height)
-        rig = StereoRig(*_pose(rng, scene.outdoors), focal, centre, 0.0, (width, height))
-        coarse = rig.depth(scene.geometry, step=8)
+        rig = StereoRig(*_pose(rng), focal, centre, 0.0, (width, height))
+        coarse = rig.depth(scene.static, step=8)
         near_m = float(np.percentile(coarse, 10))
         if coarse.min() < NEAREST_M or np.median(coarse) < 1.15 * near_m:
             continue
-        depth = rig.depth(scene.geometry)
+        depth = rig.depth(scene.static)
         baseline_m = min(near_px * near_m, most_px * float(depth.min())) / focal
         reach = (1.5 * baseline_m * rig.axes[:1]).astype(np.float32)
-        if depth.min() >= NEAREST_M and not scene.geometry.blocks(rig.eye.astype(np.float32), reach)[0]:
+        if depth.min() >= NEAREST_M and not scene.static.blocks(rig.eye.astype(np.float32), reach)[0]:
             return replace(rig, baseline_m=baseline_m), depth
     raise DepthError(f"stereo sample: no place for two cameras of {width} x {height} pixels after {ATTEMPTS} attempts")
 
 
-def _pose(rng: np.random.Generator, outdoors: bool) -> tuple[Array, Array]:
+def _pose(rng: np.random.Generator) -> tuple[Array, Array]:
     """Eye and axes of a camera that looks at the middle of the scene or past it."""
-    low, high = ((-1.6, -1.0, 0.4), (1.6, 0.8, 2.0)) if outdoors else ((-1.7, -1.3, 0.3), (1.7, 1.2, 2.2))
-    eye = rng.uniform(low, high)
+    eye = rng.uniform((-1.6, -1.2, 0.4), (1.6, 1.0, 2.1))
     aim = rng.uniform((-1.2, 1.2, 0.4), (1.2, 3.0, 1.7))
     forward = (aim - eye) / np.linalg.norm(aim - eye)
     right = np.cross(forward, (0, 0, 1))
@@ -191,7 +191,7 @@ def _row_error(rng: np.random.Generator, rig: StereoRig) -> Array:
     return np.asarray(shift + turn * x + stretch * y + bend * x * x)
 
 
-def _picture(scene: StereoScene, rig: StereoRig, eye: Array, x: Array, y: Array) -> Array32:
+def _picture(scene: Instant, rig: StereoRig, eye: Array, x: Array, y: Array) -> Array32:
     """Linear light at image positions, (H, W, 3): one ray each, four where surfaces end."""
     light, depth = _shaded(scene, rig, eye, x, y)
     edges = _edges(depth.reshape(x.shape))
@@ -212,13 +212,13 @@ def _edges(depth: Map) -> Mask:
     return np.asarray(np.maximum(across, down) > EDGE * middle)
 
 
-def _shaded(scene: StereoScene, rig: StereoRig, eye: Array, x: Array, y: Array) -> tuple[Array32, Array32]:
+def _shaded(scene: Instant, rig: StereoRig, eye: Array, x: Array, y: Array) -> tuple[Array32, Array32]:
     """Linear light, (N, 3), and depth, (N,), along the rays through image positions."""
-    rays, geometry = rig.rays(x, y), scene.geometry
+    rays, geometry = rig.rays(x, y), scene.static
     hits = geometry.cast(eye.astype(np.float32), rays)
     finish = read_finish(geometry, hits, 1 / rig.focal_px)
     light, depth = np.zeros_like(rays), np.full(len(rays), FARTHEST_M, np.float32)
-    light[hits.ray] = radiance(geometry, hits, finish, scene.light, scene.highlights, rays[hits.ray])
+    light[hits.ray] = radiance(geometry, hits, finish, scene.static_light, scene.highlights, rays[hits.ray])
     depth[hits.ray] = hits.distance
     return light, depth
 

@@ -4,18 +4,17 @@ Room frame, metres. What stands still and what moves are one mesh here: a pair s
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
 
-from ggvs_eval.arrays import Array32
 from ggvs_eval.synthetic.room import clutter, foliage, furniture, textures
 from ggvs_eval.synthetic.room.figure import random_figure
 from ggvs_eval.synthetic.room.garden import build_garden
 from ggvs_eval.synthetic.room.geometry import Geometry
-from ggvs_eval.synthetic.room.lighting import Highlight, LitRoom
+from ggvs_eval.synthetic.room.lighting import Instant, LitRoom
 from ggvs_eval.synthetic.room.room import Room, build_room
 from ggvs_eval.synthetic.room.surfaces import Material, Surface, ellipsoid, moved, panel, rod, rotation, translation
 
@@ -27,34 +26,15 @@ SKIN_M = 0.6  # side of a skin's pattern before it is scaled
 SKINS = 96
 
 
-@dataclass(frozen=True, eq=False)
-class StereoScene:
-    """A lit scene.
-
-    Attributes:
-        geometry: everything that is seen.
-        light: irradiance of its vertices, RGB, (V, 3).
-        highlights: lights that are mirrored.
-        outdoors: whether it is a garden.
-    """
-
-    geometry: Geometry
-    light: Array32
-    highlights: list[Highlight]
-    outdoors: bool
-
-
-def build_scene(number: int) -> StereoScene:
-    """Lay a scene out and light it, which takes seconds; equal numbers give equal scenes."""
+def build_scene(number: int) -> Instant:
+    """Lay a scene out and light it, which takes seconds; equal numbers give equal scenes, all of whose surfaces are static."""
     rng = np.random.default_rng([number, 91])
-    outdoors = bool(rng.random() < GARDENS)
-    room = (build_garden if outdoors else build_room)(FIRST_SEED + number)
+    build = build_garden if rng.random() < GARDENS else build_room
+    room = build(FIRST_SEED + number)
     parts = [*room.static, *room.at(float(rng.uniform(0, 10)))]
     for _ in range(int(rng.integers(8, 40))):
         parts += _strewn(rng)
-    lit = LitRoom(Room(parts, room.lights, []))
-    resting = lit.empty()
-    return StereoScene(lit.static, resting.static_light, resting.highlights, outdoors)
+    return LitRoom(Room(parts, room.lights, [])).empty()
 
 
 def repainted(geometry: Geometry, rng: np.random.Generator, share: float) -> list[Material]:
