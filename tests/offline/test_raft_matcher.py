@@ -19,7 +19,7 @@ from ggvs_eval.pipelines.offline.stereo.raft_matcher import (
 )
 from ggvs_eval.pipelines.offline.stereo.raft_stereo import RaftStereo
 from ggvs_eval.pipelines.training.stereo.stereo_task import VALIDATION_SEED
-from ggvs_eval.synthetic.stereo.stereo_scenes import stereo_sample
+from ggvs_eval.synthetic.stereo.pairs import stereo_sample
 from helpers.seeded_networks import seeded_state
 from helpers.stereo_scenes import random_texture
 

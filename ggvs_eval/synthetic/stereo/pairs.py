@@ -104,20 +104,25 @@ def stereo_sample(seed: int, width: int, height: int, sensor: bool = True) -> St
     if width < 64 or height < 48 or seed < 0:
         raise DepthError(f"a stereo sample needs at least 64 x 48 pixels and a seed >= 0, not {width} x {height}, seed {seed}")
     rng = np.random.default_rng([seed, 93])
-    scene = _painted(_scene_of(seed), rng)
+    scene = _painted(scene_of(seed), rng)
     rig, depth = place_rig(scene, rng, width, height)
-    visible = visible_from_the_right(scene.static, rig, depth)
-    row_error = _row_error(rng, rig) if sensor else 0.0
+    visible = find_visible(scene.static, rig, depth)
     x, y = rig.positions()
-    pictures = [_picture(scene, rig, eye, x, rows) for eye, rows in ((rig.eye, y), (rig.right_eye, y + row_error))]
-    left, right = _taken(pictures, rng, sensor)
+    row_error = _row_error(rng, rig) if sensor else 0.0
+    pictures = [render(scene, rig, eye, x, rows) for eye, rows in ((rig.eye, y), (rig.right_eye, y + row_error))]
+    left, right = expose_pair(pictures, rng, sensor)
     return StereoSample(left, right, (rig.focal_px * rig.baseline_m / depth).astype(np.float32), visible)
 
 
-def _scene_of(seed: int) -> Instant:
-    """The scene of a seed: so many are in use at a time, one seed each in turn."""
+def scene_of(seed: int) -> Instant:
+    """The scene that the pair of a seed is taken of."""
+    return _kept_scene(scene_number(seed))
+
+
+def scene_number(seed: int) -> int:
+    """Its number: neighbouring seeds take turns among a few scenes, until each of these has served its pairs."""
     turn, lane = divmod(seed, SCENES_AT_A_TIME)
-    return _kept_scene(turn // PAIRS_PER_SCENE * SCENES_AT_A_TIME + lane)
+    return turn // PAIRS_PER_SCENE * SCENES_AT_A_TIME + lane
 
 
 _kept_scene = lru_cache(maxsize=SCENES_AT_A_TIME)(build_scene)
@@ -174,7 +179,7 @@ def _pose(rng: np.random.Generator) -> tuple[Array, Array]:
     return eye, np.stack([right, down, forward])
 
 
-def visible_from_the_right(geometry: Geometry, rig: StereoRig, depth: Map) -> Mask:
+def find_visible(geometry: Geometry, rig: StereoRig, depth: Map) -> Mask:
     """Which points of the left picture lie within the right one and are not hidden from its eye, (H, W)."""
     x, y = rig.positions()
     towards = depth.reshape(-1, 1) * rig.rays(x, y).astype(np.float64) - rig.baseline_m * rig.axes[0]
@@ -191,7 +196,7 @@ def _row_error(rng: np.random.Generator, rig: StereoRig) -> Array:
     return np.asarray(shift + turn * x + stretch * y + bend * x * x)
 
 
-def _picture(scene: Instant, rig: StereoRig, eye: Array, x: Array, y: Array) -> Array32:
+def render(scene: Instant, rig: StereoRig, eye: Array, x: Array, y: Array) -> Array32:
     """Linear light at image positions, (H, W, 3): one ray each, four where surfaces end."""
     light, depth = _shaded(scene, rig, eye, x, y)
     edges = _edges(depth.reshape(x.shape))
@@ -223,7 +228,7 @@ def _shaded(scene: Instant, rig: StereoRig, eye: Array, x: Array, y: Array) -> t
     return light, depth
 
 
-def _taken(pictures: list[Array32], rng: np.random.Generator, sensor: bool) -> tuple[Image8, Image8]:
+def expose_pair(pictures: list[Array32], rng: np.random.Generator, sensor: bool) -> tuple[Image8, Image8]:
     """Two pictures as two cameras take them that share a style but not their settings."""
     exposure = float(np.exp(rng.normal(np.log(0.35), 0.45))) / max(float(np.median(pictures[0])), 1e-3)
     left, right = (expose(exposure * light) for light in pictures)

@@ -63,7 +63,7 @@ class StereoTask:
     @property
     def data(self) -> str:
         """What it learns from."""
-        return "pairs of procedural rooms and gardens, taken on the fly (ggvs_eval/synthetic/stereo), each seen once; no captured pair"
+        return "pairs of procedural rooms and gardens taken on the fly (synthetic/stereo), each seen once; no captured pair"
 
     @property
     def evaluated_on(self) -> str:
