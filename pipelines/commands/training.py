@@ -61,7 +61,7 @@ USUAL_LOOP, USUAL_DATA = LoopOptions(), DataOptions()
 
 
 def train_stereo(out: Output, training: Training = USUAL_LOOP, start_from: Path | None = None) -> None:
-    """Train the compact RAFT-Stereo on scenes that are made on the fly.
+    """Train the compact RAFT-Stereo on pairs of procedural rooms, taken on the fly.
 
     Args:
         out: folder for the state to go on from, the weights, the logs and the model card.

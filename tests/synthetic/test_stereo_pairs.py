@@ -17,9 +17,7 @@ from ggvs_eval.synthetic.stereo import pairs, scenes
 from ggvs_eval.synthetic.stereo.pairs import StereoRig, StereoSample, expose_pair, find_visible, place_rig, render, stereo_sample
 
 WIDTH, HEIGHT = 224, 144
-SEEDS = [
-    pairs.SCENES_AT_A_TIME * turn + lane for turn in range(6) for lane in (1, 3)
-]  # of two scenes
+SEEDS = [pairs.SCENES_AT_A_TIME * turn + lane for turn in range(6) for lane in (1, 3)]  # of two scenes
 WHITE, GREY, BLACK = (Material(plain((tone,) * 3)) for tone in (0.9, 0.5, 0.02))
 
 
