@@ -6,7 +6,6 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Array, Array32, Image8, Map, Mask
 from ggvs_eval.errors import DepthError
@@ -38,8 +37,8 @@ class StereoSample:
 
     left: Image8
     right: Image8
-    disparity: NDArray[np.float32]
-    visible: NDArray[np.bool_]
+    disparity: Map
+    visible: Mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +179,10 @@ def _pose(rng: np.random.Generator) -> tuple[Array, Array]:
 
 
 def find_visible(geometry: Geometry, rig: StereoRig, depth: Map) -> Mask:
-    """Which points of the left picture lie within the right one and are not hidden from its eye, (H, W)."""
+    """Which points of the left picture lie within the right one and are not hidden from its eye, (H, W).
+
+    What lies within the last hundredth of the way to a point does not hide it, so that no surface hides itself.
+    """
     x, y = rig.positions()
     towards = depth.reshape(-1, 1) * rig.rays(x, y).astype(np.float64) - rig.baseline_m * rig.axes[0]
     hidden = geometry.blocks(rig.right_eye.astype(np.float32), towards.astype(np.float32))
