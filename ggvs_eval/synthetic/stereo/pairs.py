@@ -170,7 +170,7 @@ def _pose(rng: np.random.Generator) -> tuple[Array, Array]:
     eye = rng.uniform((-1.6, -1.2, 0.4), (1.6, 1.0, 2.1))
     aim = rng.uniform((-1.2, 1.2, 0.4), (1.2, 3.0, 1.7))
     forward = (aim - eye) / np.linalg.norm(aim - eye)
-    right = np.cross(forward, (0, 0, 1))
+    right = np.cross(forward, np.array([0.0, 0.0, 1.0]))
     right /= np.linalg.norm(right)
     down = np.cross(forward, right)
     roll = float(rng.normal(0, 0.1))
@@ -239,7 +239,7 @@ def expose_pair(pictures: list[Array32], rng: np.random.Generator, sensor: bool)
     limit = np.log(1.65 if rng.random() < 0.125 else 1.25)
     noise, blur = float(rng.uniform(0, 5) * rng.uniform(0.2, 1)), float(rng.choice([0.0, rng.uniform(0, 1.2)]))
     processing = float(rng.choice([0.0, 0.0, rng.uniform(0.2, 1)]))
-    jpeg = int(rng.choice([0, 0, rng.integers(70, 98)]))
+    jpeg = int(rng.choice([0, 0, int(rng.integers(70, 98))]))
     taken = []
     for image in (left, right):
         gain = (np.exp(0.6 * rng.uniform(-limit, limit)) * np.exp(rng.normal(0, 0.025, 3))).astype(np.float32)
