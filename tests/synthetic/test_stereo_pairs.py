@@ -54,10 +54,10 @@ def test_equal_seeds_give_equal_bits_on_any_number_of_threads():
     threads = cv2.getNumThreads()
     try:
         cv2.setNumThreads(1)
-        first = stereo_sample(1, 160, 96)
+        first = stereo_sample(3, 160, 96)
         pairs._kept_scene.cache_clear()
         cv2.setNumThreads(4)
-        second = stereo_sample(1, 160, 96)
+        second = stereo_sample(3, 160, 96)
     finally:
         cv2.setNumThreads(threads)
     for name in ("left", "right", "disparity", "visible"):
