@@ -33,7 +33,7 @@ def train_one(what: str, folder: Path, request: TrainingRequest) -> tuple[Path, 
         TrainingError: nothing to learn from, or the folder's state belongs to another network.
     """
     hardware = describe_device(compute_device(request.device))  # what is missing shows before anything is rendered
-    task = _task(what, folder.parent / CACHE, request)
+    task = planned_task(what, folder.parent / CACHE, request)
     options = TrainingOptions(
         steps=request.steps,
         device=request.device,
@@ -54,8 +54,8 @@ def requested_data(request: TrainingRequest) -> TrainingData:
     )
 
 
-def _task(what: str, cache: Path, request: TrainingRequest) -> Task:
-    """The task with its samples in place."""
+def planned_task(what: str, cache: Path, request: TrainingRequest) -> Task:
+    """The task that is asked for, its samples in place."""
     if what == "stereo":
         return StereoTask(seed=request.seed, schedule=Schedule() if request.start_from is None else FINE_TUNING)
     data = requested_data(request)
