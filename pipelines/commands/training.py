@@ -66,7 +66,7 @@ def train_stereo(out: Output, training: Training = USUAL_LOOP, start_from: Path 
     Args:
         out: folder for the state to go on from, the weights, the logs and the model card.
         training: how the network is trained.
-        start_from: weights to begin with where the folder holds no state, such as those that ship; they are moved at a lower rate.
+        start_from: weights to begin with where the folder holds no state, such as those that ship; a lower rate moves them.
     """
     _train("stereo", out, _request(training, start_from=start_from))
 
