@@ -1,6 +1,6 @@
 # Every target makes the virtual environment it needs; nothing has to be installed by hand but Python 3.11 or 3.12, make and g++.
 # Folders bear some of these names too: without .PHONY `make reports` would say "up to date" and do nothing.
-.PHONY: reports test check bench validate docs wheel-test view clean
+.PHONY: reports test test-quick check bench validate docs wheel-test view view-demo clean
 
 PYTHON ?= $(shell for p in python3.11 python3.12 python3; do \
 	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 13))' 2>/dev/null && echo $$p && break; done)
@@ -13,16 +13,30 @@ OUT ?= out/demo
 reports: $(READY)
 	$(BIN)/ggvs-eval run $(OUT) $(if $(DATA),--capture $(DATA)) $(if $(PROTOCOL),--protocol $(PROTOCOL))
 
-# One process per core; the tests of a file stay together, as they share what takes long to make.
-PYTEST := -m pytest -n auto --dist loadfile
+# One process per core. Neighbours stay together, as the tests of a file share what takes long to make; who is done early helps.
+PYTEST := -m pytest -n auto --dist worksteal
 
 test: $(READY)
 	$(BIN)/python $(PYTEST)
+
+# Without what takes seconds, a browser or hundreds of damaged files.
+test-quick: $(READY)
+	$(BIN)/python $(PYTEST) -m quick
 
 check: $(READY) view
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	cd build/view && ../../$(BIN)/python -m mypy --config-file ../../setup.cfg ggvs_eval
+
+# The live viewer on DATA=<capture or run folder>, or on a small demo capture: opens a port, not a browser.
+VIEWED := out/view-demo/capture
+view-demo: .venv/.view
+	$(if $(DATA),,$(BIN)/ggvs-eval demo $(VIEWED) --width 640 --n-frames 8 --cameras-per-row 6 --path-poses 0)
+	$(BIN)/ggvs-eval view $(or $(DATA),$(VIEWED)) --out out/view-demo
+
+.venv/.view: $(READY)
+	$(BIN)/pip install --disable-pip-version-check -q -e '.[view]'
+	touch $@
 
 # Heavier proofs: speed against peers (out/bench.json), quality on real captures (out/validate.json) and by domains of captures
 # (out/validate_domains.json).
@@ -42,9 +56,10 @@ docs: .venv/.docs view
 	$(BIN)/pip install --disable-pip-version-check -q -e '.[docs]'
 	touch $@
 
-# What users get: the wheel, with no checkout in sight; its dependencies are those of .venv.
+# What users get: the wheel, built from the source distribution, with no checkout in sight; its dependencies are those of .venv.
 wheel-test: $(READY)
-	rm -rf build/wheel && $(BIN)/pip wheel -q --no-deps -w build/wheel .
+	rm -rf build/wheel && $(BIN)/python -m build --outdir build/wheel . > build.log 2>&1 || { tail -20 build.log; exit 1; }
+	rm build.log
 	$(BIN)/python -m venv build/wheel/venv && build/wheel/venv/bin/pip install -q --no-deps build/wheel/*.whl
 	$(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))' \
 		> "$$(echo build/wheel/venv/lib/python3*/site-packages)/dependencies.pth"

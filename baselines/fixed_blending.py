@@ -5,7 +5,6 @@ from time import perf_counter
 
 import numpy as np
 
-from ggvs_eval.baselines.gaussians import near_plane, pixel_gaussians
 from ggvs_eval.camera import Camera
 from ggvs_eval.geometry.per_pixel import weighted_mean
 from ggvs_eval.geometry.splat import splat
@@ -24,8 +23,7 @@ class NoBlending:
     def step(self, instant: Instant) -> Rendering:
         """Synthesise one instant; nothing is remembered."""
         started = perf_counter()
-        gaussians = [pixel_gaussians(source) for source in instant.sources]
-        result = splat(gaussians, instant.target, near=near_plane(instant), normalised=False)
+        result = splat(instant.sources, instant.target, near=instant.near_plane, normalised=False)
         return Rendering(result.features, None, {"splat": perf_counter() - started})
 
 
@@ -41,8 +39,7 @@ class DistanceBased:
     def step(self, instant: Instant) -> Rendering:
         """Synthesise one instant; nothing is remembered."""
         started = perf_counter()
-        near = near_plane(instant)
-        splats = [splat([pixel_gaussians(source)], instant.target, near=near) for source in instant.sources]
+        splats = [splat([source], instant.target, near=instant.near_plane) for source in instant.sources]
         splatted = perf_counter()
         weights = distance_weights(instant.target, [source.camera for source in instant.sources])
         image = weighted_mean([view.features for view in splats], [view.alpha for view in splats], weights)

@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.geometry import DepthView, PixelGaussians, fusion_weights, ray_march, splat
+from ggvs_eval.geometry import fusion_weights, ray_march, splat
+from ggvs_eval.method import SourceView
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the twins live beside the tests they define
 
@@ -42,15 +43,19 @@ class Scene:
     depths: list[NDArray[np.float32]]
     image: NDArray[np.float32]
 
+    def source(self, view: int) -> SourceView:
+        """One source, its image left in floats."""
+        depth = self.depths[view]
+        return SourceView(self.cameras[view], self.image, depth, np.ones_like(depth))  # type: ignore[arg-type]
+
     def splat(self, view: int) -> None:
         """Forward rendering of one source."""
-        splat([PixelGaussians(self.cameras[view], self.depths[view], self.image)], self.target, near=NEAR)
+        splat([self.source(view)], self.target, near=NEAR)
 
     def fuse(self) -> NDArray[np.float32]:
         """TSDF depth of the target: weights of all sources, then the march."""
         weights = [fusion_weights(depth, TAU, DEPTH_NOISE) for depth in self.depths]
-        views = [DepthView(*view) for view in zip(self.cameras, self.depths, weights, strict=True)]
-        return ray_march(self.target, views, tau=TAU).depth
+        return ray_march(self.target, self.cameras, self.depths, weights, tau=TAU).depth
 
     def step(self) -> None:
         """The whole geometric step of a frame."""
@@ -141,14 +146,13 @@ def _median_error_mm(depth: NDArray, truth: NDArray) -> float:
 
 def _twins_ms() -> tuple[float, float]:
     """What the twins would take for one splat and one TSDF depth at full size, from a 64 x 48 run."""
-    splat_twin, tsdf_twin = (importlib.import_module(f"twins.{name}") for name in ("splat", "tsdf"))
+    splat_twin, tsdf_twin = (importlib.import_module(f"helpers.twins.{name}") for name in ("splat", "tsdf"))
     scene = make_scene(64)
-    source = PixelGaussians(scene.cameras[0], scene.depths[0], scene.image)
+    source = scene.source(0)
 
     def fuse() -> None:
         weights = [tsdf_twin.fusion_weights_twin(depth, TAU, DEPTH_NOISE) for depth in scene.depths]
-        views = [DepthView(*view) for view in zip(scene.cameras, scene.depths, weights, strict=True)]
-        tsdf_twin.ray_march_twin(scene.target, views, tau=TAU)
+        tsdf_twin.ray_march_twin(scene.target, scene.cameras, scene.depths, weights, tau=TAU)
 
     count = source.depth.size
     enlargement = WIDTH * HEIGHT / count

@@ -13,6 +13,12 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 FOLDERS = ("ggvs_eval", "baselines", "metrics", "pipelines", "reports")
 SHORT_LINES = 60
+# Classes that hold pixels of a source view on its way from the decoder to the blender, by the names they have had.
+VIEW_CLASSES = (
+    *("SourceView", "FilteredDepth", "PixelGaussians", "DepthView", "CapturedView"),
+    *("Lattice", "Splat", "Registered", "RawViews", "BlendMaps"),
+)
+ON_THE_WAY = ("ggvs_eval.method", "ggvs_eval.geometry.", "ggvs_eval.baselines.", "ggvs_eval.pipelines.online.")
 # Private words that the field's words replaced, as they stood in code and messages.
 OLD_WORDS = re.compile(
     r"\b(Wish|wishes_of|Retake|retake|Reel|unfilmed|judge\w*|_judge|told_label|Absence|strangers|RoomLot|ColourHarmony|harmonised"
@@ -53,6 +59,12 @@ def tree_figures(root: Path) -> dict[str, str]:
     aliases = [name for name, text in modules.items() for _ in array_aliases(text) if not name.endswith(".arrays")]
     loose = [name for name in modules if room_of(name) == "ggvs_eval.pipelines"]
     documents = [root / "README.md", *(root / "docs").glob("*.md")]
+    views = [
+        name
+        for module, text in modules.items()
+        for name in re.findall(r"(?m)^class (\w+)", text)
+        if name in VIEW_CLASSES and f"{module}.".startswith(ON_THE_WAY)
+    ]
     words = sum(len(OLD_WORDS.findall(text)) for text in [*texts.values(), *(page.read_text("utf-8") for page in documents)])
     return {
         "modules": str(len(modules)),
@@ -63,7 +75,19 @@ def tree_figures(root: Path) -> dict[str, str]:
         "loose files in `pipelines/`": str(len(loose)),
         "old private words left": str(words),
         "bytes of the README": f"{(root / 'README.md').stat().st_size:,}",
-    }
+        "classes that hold pixels of a source view, decoder to blender": str(len(views)),
+    } | walk_figures(root)
+
+
+def walk_figures(root: Path) -> dict[str, str]:
+    """How far capture and protocol are handed on, by row: stays in modules and, of these, returns to one; see value_walk.py."""
+    follow = runpy.run_path(str(ROOT / "docs" / "value_walk.py"))
+    code, figures = follow["Code"](root), {}
+    for value in follow["FOLLOWED"]:
+        path = follow["walk"](code, value)
+        for how, steps in (("each function once", follow["once"](path)), ("call by call", path)):
+            figures[f"walk of `{value}` from `evaluate`, {how}: stays (returns)"] = "{} ({})".format(*follow["stays"](steps))
+    return figures
 
 
 def module_name(root: Path, file: Path) -> str:

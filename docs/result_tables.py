@@ -12,7 +12,7 @@ from ggvs_eval.reports.tables.error_budget import budget_table
 from ggvs_eval.reports.tables.published import read_published
 from ggvs_eval.results import Results, merge_results
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
-from ggvs_eval.statistics.bootstrap import Interval, intervals
+from ggvs_eval.statistics.intervals import Interval, intervals
 
 DECIMALS = {"PSNR": 2, "PSNR_cc": 2, "SSIM": 3, "LPIPS": 3, "L1": 2, "TCC": 3, "STED": 2, "Flicker": 2, "SDT": 3, "SDV": 3}
 DECIMALS |= {"EPI_coherence": 3, "switch_ratio": 2}

@@ -5,13 +5,17 @@ depth is z in the camera's frame, in world units.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.errors import CameraError
+from ggvs_eval.kernels.portable import length, transformed
+
+ROUNDING = 1e-4  # of a rotation's products of axes: numbers as files keep them
+LARGEST_DEVIATION = 1e-2  # of a rotation's entries from the nearest rotation's, for one that is still meant to be a rotation
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +30,13 @@ class Camera:
         height: image height in pixels.
         near: smallest depth of the scene seen from here, world units.
         far: largest depth of the scene seen from here, world units.
+        deviation: by how much, at most, the entries of the rotation that was given differ from those of the nearest one, which
+            took its place; 0 where it is kept as it was given.
+
+    Reading:
+        Poses of public captures are orthonormal to 2e-4, some to less. What is within `ROUNDING` is kept bit by bit; up to
+        `LARGEST_DEVIATION` the nearest rotation is taken (singular value decomposition), about the camera's centre -R^-1 t, which
+        files of camera-to-world poses state exactly.
 
     Examples:
         >>> K = np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]])
@@ -43,6 +54,7 @@ class Camera:
     height: int
     near: float
     far: float
+    deviation: float = field(default=0.0, kw_only=True, repr=False)
 
     def __post_init__(self) -> None:
         """Refuse what no later step could use, naming the camera."""
@@ -55,17 +67,20 @@ class Camera:
                 )
             matrix.setflags(write=False)
             object.__setattr__(self, name, matrix)
-        self._check_values()
+        with np.errstate(over="ignore", invalid="ignore"):  # of numbers that are no rotation by far
+            self._check_values()
+            if not np.allclose(self.rotation @ self.rotation.T, np.eye(3), atol=ROUNDING):
+                self._straighten()
 
     def _check_values(self) -> None:
-        rotation = self.rotation
         if not np.allclose(self.world_to_camera[3], (0, 0, 0, 1)):
             found = self.world_to_camera[3].tolist()
             raise CameraError(f"camera {self.name}: world_to_camera must end with the row 0 0 0 1, got {found}; transpose it")
-        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) or np.linalg.det(rotation) < 0:
+        determinant = np.linalg.det(self.rotation)
+        if not determinant > 0:
             raise CameraError(
                 f"camera {self.name}: the rotation must be orthonormal with determinant +1, got determinant "
-                f"{np.linalg.det(rotation):.4f}; check axis order and handedness of the pose file"
+                f"{determinant:.4f}; check axis order and handedness of the pose file"
             )
         if self.width < 1 or self.height < 1 or self.K[0, 0] <= 0 or self.K[1, 1] <= 0:
             raise CameraError(
@@ -74,6 +89,25 @@ class Camera:
             )
         if not 0 < self.near < self.far < np.inf:
             raise CameraError(f"camera {self.name}: depth range must satisfy 0 < near < far, got {self.near:g} .. {self.far:g}")
+
+    def _straighten(self) -> None:
+        """Put the nearest rotation in the place of one that is off by a little.
+
+        Raises:
+            CameraError: off by more.
+        """
+        rotation, deviation = nearest_rotation(self.rotation)
+        if deviation > LARGEST_DEVIATION:
+            raise CameraError(
+                f"camera {self.name}: the rotation must be orthonormal, got entries {deviation:.2g} off the nearest rotation's, "
+                f"where {LARGEST_DEVIATION:g} can be mended; scaled or rounded? export the pose again"
+            )
+        world_to_camera = np.eye(4)
+        world_to_camera[:3, :3] = rotation
+        world_to_camera[:3, 3] = rotation @ np.linalg.solve(self.rotation, self.translation)
+        world_to_camera.setflags(write=False)
+        object.__setattr__(self, "world_to_camera", world_to_camera)
+        object.__setattr__(self, "deviation", deviation)
 
     def to_json(self) -> dict[str, Any]:
         """All but the name as values for a JSON file; `from_json` gives back the same camera, bit by bit."""
@@ -116,7 +150,7 @@ class Camera:
     @property
     def centre(self) -> Array:
         """Camera centre in the world, (3,)."""
-        return -self.rotation.T @ self.translation
+        return transformed(-self.rotation.T, self.translation)
 
     @property
     def axis(self) -> Array:
@@ -145,7 +179,7 @@ class Camera:
             >>> uv.tolist(), depth.tolist()
             ([[6.0, 3.0]], [2.0])
         """
-        points_camera = points_world @ self.rotation.T + self.translation
+        points_camera = transformed(self.rotation, points_world) + self.translation
         depth = points_camera[..., 2]
         with np.errstate(divide="ignore", invalid="ignore"):
             uv = points_camera[..., :2] / depth[..., None]
@@ -169,7 +203,7 @@ class Camera:
         """
         rays = (uv - self.K[:2, 2]) / self.K[[0, 1], [0, 1]]
         points_camera = np.concatenate([rays * depth[..., None], depth[..., None]], axis=-1)
-        return (points_camera - self.translation) @ self.rotation
+        return transformed(self.rotation.T, points_camera - self.translation)
 
     def pixel_centres(self) -> Array:
         """Image coordinates of every pixel, (H, W, 2).
@@ -193,7 +227,7 @@ class Camera:
 
     def resized(self, width: int, height: int) -> "Camera":
         """The camera of the same image resampled to width x height."""
-        K = np.diag([width / self.width, height / self.height, 1.0]) @ self.K
+        K = self.K * np.array([[width / self.width], [height / self.height], [1.0]])
         return replace(self, K=K, width=width, height=height)
 
     def cropped(self, left: int, top: int, width: int, height: int) -> "Camera":
@@ -208,6 +242,27 @@ class Camera:
         K = self.K.copy()
         K[:2, 2] -= (left, top)
         return replace(self, K=K, width=width, height=height)
+
+
+def nearest_rotation(matrix: Array) -> tuple[Array, float]:
+    """The rotation nearest to a matrix, by the sum of squared differences of their entries.
+
+    Args:
+        matrix: (3, 3), finite.
+
+    Returns:
+        The rotation, (3, 3), and the largest difference of an entry.
+
+    Examples:
+        >>> rotation, deviation = nearest_rotation(1.001 * np.eye(3))
+        >>> rotation.tolist(), round(deviation, 6)
+        ([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], 0.001)
+    """
+    if np.abs(matrix).max() > 2:  # no rotation by far, and maybe too large to be squared
+        return np.eye(3), float(np.abs(matrix).max())
+    left, _, right = np.linalg.svd(matrix)
+    rotation = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+    return rotation, float(np.abs(rotation - matrix).max())
 
 
 def nearest_cameras(target: Camera, cameras: Iterable[Camera], count: int) -> list[Camera]:
@@ -228,7 +283,7 @@ def nearest_cameras(target: Camera, cameras: Iterable[Camera], count: int) -> li
     others = [camera for camera in cameras if camera.name != target.name]
     if len(others) < count:
         raise CameraError(f"camera {target.name}: wanted {count} source cameras, the capture has {len(others)} others")
-    return sorted(others, key=lambda camera: (float(np.linalg.norm(camera.centre - target.centre)), camera.name))[:count]
+    return sorted(others, key=lambda camera: (float(length(camera.centre - target.centre)), camera.name))[:count]
 
 
 def translated_path(camera: Camera, span: float, count: int) -> list[Camera]:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ggvs_eval.arrays import Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import DepthError
-from ggvs_eval.files.atomic import atomic_file, write_text
+from ggvs_eval.files.atomic import atomic_file, sweep_files, write_text
 
 CHECK_ENTRIES = ("checked_with", "check")  # what a spec says beside that of depth as it was found
 CONFIDENCE_STEPS = 255  # confidence is kept in 8 bit
@@ -118,8 +118,9 @@ class DepthStore:
         return self.path(key, frame).is_file()
 
     def write_spec(self, spec: Mapping[str, object]) -> str:
-        """Open the folder of a spec, with a `spec.json` for its readers, and return its key."""
+        """Open the folder of a spec, with a `spec.json` for its readers, sweep it, and return its key."""
         key = self.key(spec)
+        sweep_files(self.folder(key))
         path = self.folder(key) / "spec.json"
         if not path.is_file():
             write_text(path, json.dumps({"key": key, **spec}, indent=1) + "\n")

@@ -1,10 +1,24 @@
-"""What a user can mend: one family, each with a one-line message that says how.
+"""What a user can mend: one family, each with a one-line message that says how; and accidents of the machine.
 
 The command line prints these in one line and exits with 1. Anything else is our bug and keeps its traceback.
 """
 
+import errno
+import os
 from collections.abc import Iterable
 from difflib import get_close_matches
+
+LONGEST_WORD = 1000  # of a message: longer than most paths, shorter than what a hostile file calls a name
+LONGEST_NAME = 100  # for which another is suggested: likeness takes time
+MENDS = {
+    (errno.ENOSPC, errno.EDQUOT, errno.EFBIG): "make room",
+    (errno.EROFS,): "choose a folder that can be written",
+    (errno.EACCES, errno.EPERM): "get the right to it or choose another place",
+    (errno.EEXIST, errno.ENOTDIR, errno.EISDIR): "choose another path",
+    (errno.EMFILE, errno.ENFILE): "raise the limit of open files (ulimit -n) or use fewer --jobs",
+    (errno.ECONNREFUSED, errno.ECONNRESET, errno.EPIPE, errno.ETIMEDOUT): "see whether the other side still runs",
+}
+GO_ON = "what is done stays, the same command goes on from there"
 
 
 class GgvsError(Exception):
@@ -12,7 +26,7 @@ class GgvsError(Exception):
 
     def __str__(self) -> str:
         """The message in one line of printable text, whatever names a damaged file has put into it."""
-        return "".join(sign if sign.isprintable() else " " for sign in super().__str__())
+        return one_line(super().__str__())
 
 
 class CommandError(GgvsError):
@@ -59,6 +73,42 @@ class ResultsError(GgvsError):
     """Results are absent, or two results must not stand in one table."""
 
 
+def one_line(text: str) -> str:
+    r"""A text without line breaks, signs that cannot be printed and words beyond all measure.
+
+    Examples:
+        >>> one_line("a\n  b" + 2000 * "x")[:12]
+        'a   bxxxxxxx'
+        >>> len(one_line(60_000 * "x"))
+        1003
+    """
+    printable = "".join(sign if sign.isprintable() else " " for sign in text)
+    words = (word if len(word) <= LONGEST_WORD else f"{word[:LONGEST_WORD]}..." for word in printable.split(" "))
+    return " ".join(words)
+
+
+def mendable(error: BaseException) -> str | None:
+    """The one line by which a user can mend an error; None where it is our bug.
+
+    Args:
+        error: one of ours, or what the operating system refused: a full disk, a folder that cannot be written, ...
+
+    Examples:
+        >>> mendable(OSError(errno.ENOSPC, "No space left on device", "run/a.png"))
+        'run/a.png: No space left on device; make room; what is done stays, the same command goes on from there'
+        >>> mendable(ZeroDivisionError()) is None
+        True
+    """
+    if isinstance(error, GgvsError):
+        return str(error)
+    if not isinstance(error, OSError):
+        return None
+    mend = "".join(f"; {mend}" for numbers, mend in MENDS.items() if error.errno in numbers)
+    files = [str(name) for name in (error.filename, error.filename2) if isinstance(name, str | os.PathLike)]
+    reason = error.strerror or str(error) or type(error).__name__
+    return one_line(f"{' -> '.join(files)}{': ' * bool(files)}{reason}{mend}; {GO_ON}")
+
+
 def did_you_mean(name: str, known: Iterable[str], cutoff: float = 0.6, prefix: str = "") -> str:
     """Suggest the known name that a mistyped one was meant to be, as the tail of a message.
 
@@ -77,5 +127,5 @@ def did_you_mean(name: str, known: Iterable[str], cutoff: float = 0.6, prefix: s
         >>> did_you_mean("x", ["dynerf", "d3dmv"])
         ''
     """
-    nearest = get_close_matches(name, known, n=1, cutoff=cutoff)
+    nearest = get_close_matches(name, known, n=1, cutoff=cutoff) if len(name) <= LONGEST_NAME else []
     return f"; did you mean {prefix}{nearest[0]}?" if nearest else ""

@@ -4,9 +4,13 @@ import os
 import shutil
 import subprocess
 import sys
+import time
 
 # Debian's names of what Open3D's wheel links against and does not carry.
 SYSTEM_LIBRARIES = ("libusb-1.0-0", "libgl1", "libx11-6", "libudev1", "libgomp1")
+# A fresh machine may still be installing its own packages.
+LOCK_WAIT_S, LOCK_POLL_S = 300.0, 2.0
+LOCKED = "Could not get lock"
 
 
 def main() -> None:
@@ -22,14 +26,36 @@ def _imports_open3d() -> bool:
 
 def _install_system_libraries() -> None:
     """Install them where we may, else stop with the one line to run."""
-    command = ["apt-get", "install", "-y", "--no-install-recommends", *SYSTEM_LIBRARIES]
-    if shutil.which("apt-get") and os.geteuid() == 0:
-        environment = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
-        if subprocess.run(command, env=environment, stdout=subprocess.DEVNULL, check=False).returncode != 0:
-            subprocess.run(["apt-get", "update", "-q"], stdout=subprocess.DEVNULL, check=False)
-            subprocess.run(command, env=environment, stdout=subprocess.DEVNULL, check=False)
+    words = ("install", "-y", "--no-install-recommends", *SYSTEM_LIBRARIES)
+    if shutil.which("apt-get") and os.geteuid() == 0 and run_apt(*words) != 0:
+        run_apt("update", "-q")
+        run_apt(*words)
     if not _imports_open3d():
-        sys.exit(f"Open3D needs system libraries; on Debian or Ubuntu run: sudo {' '.join(command)}")
+        sys.exit(f"Open3D needs system libraries; on Debian or Ubuntu run: sudo apt-get {' '.join(words)}")
+
+
+def run_apt(*words: str, wait_s: float = LOCK_WAIT_S) -> int:
+    """Run apt-get; where another process holds one of its locks, wait for it.
+
+    Args:
+        words: arguments of apt-get.
+        wait_s: how long to wait, seconds.
+
+    Returns:
+        Its exit status; what it complains of goes to standard error.
+
+    Reading:
+        apt-get's own ``DPkg::Lock::Timeout`` waits for dpkg alone, and not for the lists of packages, which another ``update``
+        locks. So it is asked again, in English.
+    """
+    environment = {**os.environ, "DEBIAN_FRONTEND": "noninteractive", "LC_ALL": "C"}
+    deadline = time.monotonic() + wait_s
+    while True:
+        done = subprocess.run(["apt-get", *words], env=environment, capture_output=True, text=True, check=False)
+        if done.returncode == 0 or LOCKED not in done.stderr or time.monotonic() > deadline:
+            sys.stderr.write(done.stderr)
+            return done.returncode
+        time.sleep(LOCK_POLL_S)
 
 
 def _fetch_lpips() -> None:

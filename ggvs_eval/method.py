@@ -7,10 +7,14 @@ from typing import Protocol, runtime_checkable
 from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera
 
+NEAR_M = 0.2  # what is closer to the target camera is not splatted, as the reference rasteriser leaves it out
+
 
 @dataclass(frozen=True)
 class SourceView:
-    """One source camera at one instant.
+    """One source camera at one instant: what carries its pixels from the decoder to the kernels.
+
+    A step that changes some of it - a filter its depth, exposure compensation its image - hands on a view with that replaced.
 
     Attributes:
         camera: its calibration.
@@ -43,6 +47,11 @@ class Instant:
     target: Camera
     sources: tuple[SourceView, ...]
     units_per_metre: float
+
+    @property
+    def near_plane(self) -> float:
+        """Depth in the target camera from which on sources are splatted, world units."""
+        return NEAR_M * self.units_per_metre
 
 
 @dataclass(frozen=True)

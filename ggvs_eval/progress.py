@@ -1,14 +1,18 @@
-"""One progress bar for everything that takes longer than a blink."""
+"""Progress of everything that takes longer than a blink: a bar on a terminal, lines elsewhere."""
 
-from collections.abc import Iterable, Iterator
+import sys
+import threading
+import time
+from collections.abc import Iterable, Iterator, Sized
 from typing import TypeVar
 
 Item = TypeVar("Item")
 LOOK_BACK_S = 3600.0  # over which speed is estimated
+LINE_EVERY_S = 60.0  # where the output is no terminal
 
 
 def track(items: Iterable[Item], description: str, total: int | None = None) -> Iterator[Item]:
-    """Yield the items with a bar, the elapsed time and the time left; silent where the output is not a terminal.
+    """Yield the items with a bar, the elapsed time and the time left; where the output is no terminal, with a line per minute.
 
     Args:
         items: what is worked on; consumed lazily.
@@ -20,12 +24,38 @@ def track(items: Iterable[Item], description: str, total: int | None = None) -> 
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left"))
     console = Console(stderr=True)
+    if not console.is_terminal:
+        yield from _with_lines(items, description, len(items) if total is None and isinstance(items, Sized) else total)
+        return
     # The default looks back 30 s and shows no time left for jobs that take longer.
-    bar = Progress(
-        *columns, TimeRemainingColumn(), console=console, disable=not console.is_terminal, speed_estimate_period=LOOK_BACK_S
-    )
+    bar = Progress(*columns, TimeRemainingColumn(), console=console, speed_estimate_period=LOOK_BACK_S)
     with bar as progress:
         yield from progress.track(items, description=description, total=total)
+
+
+def _with_lines(items: Iterable[Item], description: str, total: int | None) -> Iterator[Item]:
+    """Yield the items; a line says every minute how far they are, and one at their end how long they took."""
+    begun_s, done, ended = time.monotonic(), 0, threading.Event()
+
+    def tell() -> None:
+        taken_s = time.monotonic() - begun_s
+        left_s = taken_s / done * (total - done) if done and total and not ended.is_set() else None
+        left = "" if left_s is None else f", about {duration(left_s)} left"
+        of = "" if total is None else f" of {total}"
+        print(f"{description}: {done}{of} in {duration(taken_s)}{left}", file=sys.stderr, flush=True)
+
+    def tell_every_minute() -> None:
+        while not ended.wait(LINE_EVERY_S):
+            tell()
+
+    threading.Thread(target=tell_every_minute, daemon=True).start()
+    try:
+        for item in items:
+            yield item
+            done += 1
+    finally:
+        ended.set()
+    tell()
 
 
 def duration(seconds: float) -> str:

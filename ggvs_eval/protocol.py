@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from ggvs_eval.errors import ProtocolError, did_you_mean
 from ggvs_eval.files.images import ResizeFilter
-from ggvs_eval.files.toml_tables import build_table, parse_toml
+from ggvs_eval.files.toml_tables import build_table, parse_toml, read_toml
 from ggvs_eval.geometry.source_views import SourceChoice
 
 
@@ -61,14 +61,37 @@ class Synthesis:
 
 
 @dataclass(frozen=True)
+class PathCamera:
+    """One pose of a camera path, as `Camera.to_json` writes it.
+
+    Attributes:
+        K: intrinsics in pixels, (3, 3).
+        world_to_camera: rigid transform, (4, 4), OpenCV axes.
+        size: (width, height) in pixels; the path is rendered at the size of the first test view.
+        near: smallest depth of the scene, world units.
+        far: largest depth of the scene, world units.
+    """
+
+    K: tuple[tuple[float, ...], ...]
+    world_to_camera: tuple[tuple[float, ...], ...]
+    size: tuple[int, ...]
+    near: float
+    far: float
+
+
+@dataclass(frozen=True)
 class CameraPath:
     """A camera path that is synthesised at one instant, for epipolar plane images.
 
     Attributes:
         poses: number of virtual cameras; 0 for no path. A capture that carries a true path brings its own number.
+        cameras: the poses themselves where somebody chose them, e.g. by `ggvs-eval view`; they come before all others.
+        frame: the instant at which such poses are synthesised.
     """
 
     poses: int = 48
+    cameras: tuple[PathCamera, ...] = ()
+    frame: int = 0
 
 
 @dataclass(frozen=True)
@@ -82,6 +105,7 @@ class Measurement:
         resize_filter: how they are resized.
         ssim: which SSIM, see `ggvs_eval.metrics.image.ssim_variants.SSIM_VARIANTS`.
         lpips_net: backbone of LPIPS v0.1.
+        lpips_every: LPIPS looks at every so many frames, the first among them; it costs as much as all other metrics.
         sted_pairing: frame pairs of ST-RRED: ``disjoint`` (0-1, 2-3, ...) or ``consecutive``.
         sted_pooling: ``means`` (mean spatial times mean temporal difference) or ``products`` (mean of the pairs' products).
         colour_scope: one affine map per ``view`` or per ``frame`` for the colour-corrected metrics.
@@ -96,6 +120,7 @@ class Measurement:
     resize_filter: ResizeFilter = "area"
     ssim: Literal["gaussian-valid", "gaussian-zero", "uniform7", "uniform7-range2"] = "gaussian-valid"
     lpips_net: Literal["vgg", "alex"] = "vgg"
+    lpips_every: int = 1
     sted_pairing: Literal["disjoint", "consecutive"] = "disjoint"
     sted_pooling: Literal["means", "products"] = "means"
     colour_scope: Literal["view", "frame"] = "view"
@@ -130,6 +155,10 @@ class Protocol:
         values = dataclasses.asdict(self)
         if self.synthesis.sources == Synthesis.sources:
             del values["synthesis"]["sources"]
+        if self.measurement.lpips_every == Measurement.lpips_every:
+            del values["measurement"]["lpips_every"]
+        if not self.path.cameras:
+            values["path"] = {"poses": self.path.poses}
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
     def to_toml(self) -> str:
@@ -160,14 +189,14 @@ def load_protocol(source: str | pathlib.Path) -> Protocol:
     if path.suffix == ".toml":
         if not path.is_file():
             raise ProtocolError(f"{path}: no such protocol file; packaged ones are {', '.join(packaged_protocols())}")
-        text = path.read_text(encoding="utf-8")
+        values = read_toml(path, ProtocolError)
     else:
         if str(source) not in packaged_protocols():
             known = packaged_protocols()
             wanted = f"a .toml file or one of {', '.join(known)}{did_you_mean(str(source), known)}"
             raise ProtocolError(f"protocol {str(source)!r} is not packaged; use {wanted}")
         text = (resources.files("ggvs_eval") / "protocols" / f"{source}.toml").read_text(encoding="utf-8")
-    values = parse_toml(text, str(source), ProtocolError)
+        values = parse_toml(text, str(source), ProtocolError)
     return _checked(build_table(Protocol, values, str(source), "", ProtocolError), str(source))
 
 
@@ -191,10 +220,12 @@ def _checked(protocol: Protocol, file: str) -> Protocol:
         "frames.start must be at least 0 and frames.count at least 1": protocol.frames.start >= 0 and protocol.frames.count >= 1,
         "synthesis.k must be at least 1": synthesis.k >= 1,
         "path.poses must be 0 or at least 2": protocol.path.poses == 0 or protocol.path.poses >= 2,
+        "path.poses must be the number of path.cameras": len(protocol.path.cameras) in (0, protocol.path.poses),
         "synthesis.width and height must both be positive, or both 0": _is_size(synthesis.width, synthesis.height),
         "measurement.width and height must both be positive, or both 0": _is_size(measurement.width, measurement.height),
         "measurement.metrics must name at least one metric": measurement.metrics,
         "measurement.ddof must be 0 or 1": measurement.ddof in (0, 1),
+        "measurement.lpips_every must be at least 1": measurement.lpips_every >= 1,
     }
     for rule, holds in rules.items():
         if not holds:
@@ -207,4 +238,8 @@ def _is_size(width: int, height: int) -> bool:
 
 
 def _toml_value(value: Any) -> str:
-    return json.dumps(list(value) if isinstance(value, tuple) else value)
+    if isinstance(value, dict):
+        return f"{{ {', '.join(f'{key} = {_toml_value(each)}' for key, each in value.items())} }}"
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_toml_value, value))}]"
+    return json.dumps(value)

@@ -1,17 +1,27 @@
 """Results: one tidy table of every measured value, with the provenance that makes it quotable."""
 
 import json
+import os
+import platform
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import pandas as pd
+import numpy as np
 
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.files.atomic import atomic_file, write_text
 
+if TYPE_CHECKING:
+    import pandas as pd
+
+# By these variables libraries are told to use fewer instruction sets than the processor has.
+INSTRUCTION_SETS = (
+    *("OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES", "OPENCV_CPU_DISABLE", "OPENCV_IPP", "ONEDNN_MAX_CPU_ISA"),
+    *("ATEN_CPU_CAPABILITY", "MKL_ENABLE_INSTRUCTIONS", "MKL_CBWR", "GLIBC_TUNABLES"),
+)
 COLUMNS = ("dataset", "scene", "method", "variant", "view", "frame", "metric", "value")
 TABLE_FILE = "results.parquet"
 PROVENANCE_FILE = "results.json"
@@ -27,11 +37,11 @@ class Results:
         provenance: ``protocol`` (values), ``protocol_sha256``, ``inputs`` (digest per camera), ``renders`` (digest per method and
             view), ``partial`` (method -> what its row stands on, where that is not everything), ``devices`` (method and view ->
             where its networks computed, there alone where that is not the CPU), ``pooling`` (metric -> how its number is made of
-            views and frames, see `ggvs_eval.statistics.pooling.Pooling`), ``versions``.
+            views and frames, see `ggvs_eval.statistics.pooling.Pooling`), ``versions``, ``machine`` (see `describe_machine`).
         not_computed: metric -> reason, for what was asked for and could not be had.
     """
 
-    table: pd.DataFrame
+    table: "pd.DataFrame"
     provenance: dict[str, Any]
     not_computed: dict[str, str] = field(default_factory=dict)
 
@@ -55,6 +65,8 @@ class Results:
         Raises:
             ResultsError: no results in that folder, or damaged ones.
         """
+        import pandas as pd
+
         try:
             table = pd.read_parquet(folder / TABLE_FILE)
             sidecar = json.loads((folder / PROVENANCE_FILE).read_text(encoding="utf-8"))
@@ -62,7 +74,7 @@ class Results:
         except (OSError, ValueError, KeyError) as error:
             raise ResultsError(f"{folder}: wanted {TABLE_FILE} and {PROVENANCE_FILE} ({error}); run `ggvs-eval score`") from None
 
-    def summary(self) -> pd.DataFrame:
+    def summary(self) -> "pd.DataFrame":
         """Mean of every metric per dataset, method and variant: over frames, then views, then scenes.
 
         Returns:
@@ -80,12 +92,12 @@ class Results:
         per_dataset = per_scene.groupby(keys[:4], sort=False).mean()
         return per_dataset.unstack("metric", sort=False)
 
-    def per_view(self, metric: str) -> pd.DataFrame:
+    def per_view(self, metric: str) -> "pd.DataFrame":
         """Mean over frames of one metric: rows (method, variant), one column per view."""
         rows = self.table[(self.table["metric"] == metric) & self.table["view"].notna()]
         return rows.groupby(["method", "variant", "view"], sort=False)["value"].mean().unstack("view", sort=False)
 
-    def per_frame(self, metric: str, view: str) -> pd.DataFrame:
+    def per_frame(self, metric: str, view: str) -> "pd.DataFrame":
         """One metric along time in one view: rows are frames, one column per (method, variant)."""
         rows = self.table[(self.table["metric"] == metric) & (self.table["view"] == view) & (self.table["frame"] >= 0)]
         return rows.pivot_table(index="frame", columns=["method", "variant"], values="value", sort=False)
@@ -97,6 +109,8 @@ def merge_results(parts: Sequence[Results]) -> Results:
     Raises:
         ResultsError: they were measured under different protocols; the message names both hashes.
     """
+    import pandas as pd
+
     hashes = {part.provenance["protocol_sha256"] for part in parts}
     if len(hashes) != 1:
         raise ResultsError(
@@ -119,8 +133,10 @@ def _merge_marks(parts: Sequence[dict[str, str]]) -> dict[str, str]:
     return {label: "; ".join(dict.fromkeys(part[label] for part in parts if label in part)) for label in labels}
 
 
-def make_table(rows: Iterable[Sequence[Any]]) -> pd.DataFrame:
+def make_table(rows: Iterable[Sequence[Any]]) -> "pd.DataFrame":
     """Build the tidy table from rows in the order of `COLUMNS`."""
+    import pandas as pd
+
     table = pd.DataFrame(list(rows), columns=list(COLUMNS))
     return table.astype({"frame": "int64", "value": "float64"})
 
@@ -129,3 +145,27 @@ def installed_versions() -> dict[str, str]:
     """Versions of everything that can move a number."""
     packages = ("ggvs-eval", "numpy", "opencv-python-headless", "torch", "scipy", "pyrtools", "av", "pandas")
     return {name: metadata.version(name) for name in packages}
+
+
+def describe_machine() -> dict[str, str]:
+    """The processor, and the instruction sets by which each library chooses its code; results may depend on them in places."""
+    import cv2
+    import torch
+
+    from ggvs_eval import kernels
+
+    numpy_sets = np.show_config(mode="dicts")["SIMD Extensions"]
+    return {
+        "processor": _processor_name(),
+        "kernels of ggvs-eval": kernels.get_simd_level(),
+        "NumPy": ", ".join(numpy_sets.get("found", [])) or "baseline",
+        "OpenCV": cv2.getCPUFeaturesLine(),
+        "torch": torch.backends.cpu.get_cpu_capability(),
+        **{name: os.environ[name] for name in INSTRUCTION_SETS if name in os.environ},
+    }
+
+
+def _processor_name() -> str:
+    described = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").is_file() else []
+    names = [line.split(":", 1)[1].strip() for line in described if line.startswith("model name")]
+    return names[0] if names else platform.processor() or platform.machine()

@@ -44,18 +44,22 @@ class MetricOptions:
     Attributes:
         ssim: which SSIM, see `ssim_variants.SSIM_VARIANTS`; regions and colour-corrected frames take the default one.
         lpips_net: network of LPIPS.
+        lpips_every: LPIPS looks at every so many frames, from the protocol's first one on.
         sted_pairing: which frames ST-RRED compares, see `strred.strred`.
         sted_pooling: how its pairs become one number, see `strred.pool`.
         colour_scope: one colour correction per view, or one per frame.
         ddof: 1 for unbiased standard deviations, 0 for plain ones.
+        first_frame: number, counted from the protocol's first one, of the frame that is measured first.
     """
 
     ssim: SsimName = "gaussian-valid"
     lpips_net: LpipsNet = "vgg"
+    lpips_every: int = 1
     sted_pairing: StedPairing = "disjoint"
     sted_pooling: StedPooling = "means"
     colour_scope: Literal["view", "frame"] = "view"
     ddof: int = 1
+    first_frame: int = 0
 
 
 class TruthFrame:
@@ -119,6 +123,11 @@ def mean_of_values(_: MetricOptions) -> Pooling:
     return MEAN
 
 
+def as_described(_: MetricOptions) -> str:
+    """Note of most metrics: none."""
+    return ""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Metric:
     """One metric, whole; `registry.METRICS` collects them.
@@ -135,6 +144,7 @@ class Metric:
         pooling: how its number on a scene comes from values per view and frame. Where that is no mean of its own values it names
             parts that stand in the table too: what its scorer returns beside it, or another metric.
         describe: one line for a reader who meets the metric for the first time.
+        note: what a protocol's options add to that line.
         reference: where it is defined.
         has_ceiling: whether perfect renderings are scored with it, see `ceilings`.
     """
@@ -148,13 +158,15 @@ class Metric:
     decimals: int | None = None
     pooling: Callable[[MetricOptions], Pooling] = mean_of_values
     describe: str
+    note: Callable[[MetricOptions], str] = as_described
     reference: str
     has_ceiling: bool = False
 
     @property
     def modules(self) -> tuple[str, ...]:
         """Names of the modules that define it; what these import, and nothing else, decides its values."""
-        functions = (getattr(each, "func", each) for each in vars(self).values() if callable(each))  # of partials
+        decisive = (each for name, each in vars(self).items() if callable(each) and name != "note")
+        functions = (getattr(each, "func", each) for each in decisive)  # of partials
         return tuple(sorted({function.__module__ for function in functions}))
 
 

@@ -107,13 +107,14 @@ def derived_rows(
     return rows, reasons
 
 
-def metric_notes(names: Iterable[str]) -> dict[str, dict[str, Any]]:
+def metric_notes(names: Iterable[str], options: MetricOptions | None = None) -> dict[str, dict[str, Any]]:
     """What a report says about metrics, as JSON values: reports read run folders and import no metric."""
+    options = options or MetricOptions()
     return {
         metric.name: {
             "unit": metric.unit,
             "higher_is_better": metric.higher_is_better,
-            "describe": metric.describe,
+            "describe": f"{metric.describe}{metric.note(options)}",
             "reference": metric.reference,
             "group": metric.group.key,
             "group_title": metric.group.title,

@@ -2,8 +2,13 @@
 
 Folders mirror those of the package; what tests build on is the package `helpers`. Both work in the checkout and beside an
 installed wheel.
+
+Files or tests that take long say ``pytestmark = pytest.mark.slow``, those that throw damaged files ``pytest.mark.fuzz``; what
+opens a browser is `page` by itself, and all others are `quick`, for ``make test-quick``. A quick test that is slow is named among
+the warnings; it does not fail, since another machine may be slower than ours.
 """
 
+import os
 import shutil
 import sys
 from collections.abc import Iterator
@@ -12,6 +17,83 @@ from pathlib import Path
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
+
+if "PYTEST_XDIST_WORKER_COUNT" in os.environ:
+    from ggvs_eval.jobs.processes import default_workers, share_cpus
+
+    # More threads than cores wait for one another at full speed: a network's step took ten times as long.
+    share_cpus(max(default_workers() // int(os.environ["PYTEST_XDIST_WORKER_COUNT"]), 1))
+
+MARKERS = {
+    "quick": "none of the others; `make test-quick` runs these",
+    "slow": "takes seconds of a core: whole runs, rooms, networks, other processes",
+    "page": "opens a page in a real browser",
+    "fuzz": "reads hundreds of damaged files",
+    "gpu": "wants a GPU",
+}
+# Of processor time, so that a busy machine names no test.
+QUICK_S = 5.0
+STARTED_S = pytest.StashKey[float]()
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Make the markers known; here and not in setup.cfg, which lies in the checkout alone."""
+    for name, meaning in MARKERS.items():
+        config.addinivalue_line("markers", f"{name}: {meaning}")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark what opens a browser, and as quick what bears no other marker."""
+    for item in items:
+        if "started" in getattr(item, "fixturenames", ()):
+            item.add_marker("page")
+        if not any(item.get_closest_marker(name) for name in MARKERS):
+            item.add_marker("quick")
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> Iterator[None]:
+    """Note when a test, or a fixture that it needs first, begins."""
+    item.stash[STARTED_S] = _used_s()
+    return (yield)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
+    """Name a quick test that is slow."""
+    result = yield
+    used_s = _used_s() - item.stash[STARTED_S]
+    if item.get_closest_marker("quick") and used_s > QUICK_S:
+        item.warn(
+            pytest.PytestWarning(f"took {used_s:.1f} s of a core, wanted {QUICK_S:g} at most; make it faster or mark it slow")
+        )
+    return result
+
+
+def _used_s() -> float:
+    """Processor time of this process and of those that it waited for."""
+    return sum(os.times()[:4])
+
+
+@pytest.fixture(scope="session")
+def shared_folder(tmp_path_factory) -> Path:
+    """A folder that all processes of this session share."""
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "shared"
+    folder.mkdir(exist_ok=True)
+    return folder
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _rooms_lit_once(shared_folder) -> Iterator[None]:
+    """Procedural rooms are lit once in a session, not once in every process that films them."""
+    from ggvs_eval.synthetic.film import film
+    from helpers.lit_rooms import stored_rooms
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(film, "_lit_room", stored_rooms(shared_folder))
+        yield
 
 
 @pytest.fixture(scope="session")
@@ -37,6 +119,16 @@ def kernel_settings() -> Iterator[None]:
     yield
     kernels.set_threads(threads)
     kernels.set_simd_level(level)
+
+
+@pytest.fixture
+def torch_threads() -> Iterator[None]:
+    """Puts back torch's number of threads that a test changes; two on one core would slow all that follow."""
+    import torch
+
+    threads = torch.get_num_threads()
+    yield
+    torch.set_num_threads(threads)
 
 
 @pytest.fixture(scope="session")

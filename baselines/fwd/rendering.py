@@ -12,7 +12,6 @@ from torch import Tensor
 
 from ggvs_eval.arrays import Map
 from ggvs_eval.baselines.fwd.network import POINTS_PER_PIXEL, FwdNetwork, direction_change
-from ggvs_eval.baselines.gaussians import near_plane
 from ggvs_eval.camera import Camera
 from ggvs_eval.method import Instant, SourceView
 
@@ -171,7 +170,7 @@ def _rays(camera: Camera, target: Camera) -> tuple[Tensor, Tensor]:
 def warp_views(network: FwdNetwork, instant: Instant, points_per_pixel: int | None = None) -> list[PointSplat]:
     """Features of each source as the target sees them at half its size; gradients reach the network's parameters."""
     target = halved_camera(instant.target, SIZE_MULTIPLE)
-    near = near_plane(instant)
+    near = instant.near_plane
     smallest = min(source.camera.near for source in instant.sources)
     count = points_per_pixel or network.config.points_per_pixel
     return [warp_view(network, halve(source), target, near, smallest, count) for source in instant.sources]

@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 
 from ggvs_eval.arrays import Map
-from ggvs_eval.baselines.gaussians import near_plane
 from ggvs_eval.baselines.gps_gaussian.gaussians import Gaussians, join, rotation_matrices
 from ggvs_eval.baselines.gps_gaussian.network import GpsGaussianNetwork, load_network
 from ggvs_eval.baselines.gps_gaussian.rectification import RectifiedPair, RectifiedView, choose_pairs, rectify
@@ -69,7 +68,7 @@ class GpsGaussian:
                 network, instant, self.depth, self.pairs or config.pairs, self.rotations_in or config.rotations_in
             )
             regressed = clock_s(device)
-            image = render_gaussians(gaussians, instant.target, near_plane(instant))
+            image = render_gaussians(gaussians, instant.target, instant.near_plane)
         seconds = {"network": regressed - started, "splat": clock_s(device) - regressed}
         return Rendering(np.minimum(image.colour, np.float32(1)), image.depth, seconds)
 

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from ggvs_eval.baselines.gaussians import near_plane
 from ggvs_eval.baselines.gps_gaussian.method import instant_gaussians
 from ggvs_eval.baselines.gps_gaussian.network import CONFIGURATIONS, GpsGaussianNetwork
 from ggvs_eval.baselines.gps_gaussian.rendering import blend_gaussians
@@ -59,4 +58,4 @@ def _render(network: GpsGaussianNetwork, instant: Instant) -> Tensor:
     config = network.config
     gaussians = instant_gaussians(network, instant, "given", config.pairs, config.rotations_in)
     with torch.autocast(next(network.parameters()).device.type, enabled=False):  # few bits of a distance would move Gaussians
-        return blend_gaussians(gaussians, instant.target, near_plane(instant))[..., :3].permute(2, 0, 1)
+        return blend_gaussians(gaussians, instant.target, instant.near_plane)[..., :3].permute(2, 0, 1)

@@ -91,7 +91,7 @@ def measure_spread(views: Sequence[SourceView], static: Mask) -> dict[str, float
         static: pixels that stand still, (H, W).
     """
     temporal_filter = TemporalDepthFilter()
-    filtered = [temporal_filter.step(index, view).depth for index, view in enumerate(views)]
+    filtered = [temporal_filter.step(index, view)[0].depth for index, view in enumerate(views)]
     before, after = (temporal_spread(np.stack(depths), static) for depths in ([view.depth for view in views], filtered))
     values = (100 * before, 100 * after, after / before if before else float("nan"))
     return {measure.name: value for measure, value in zip(MEASURES, values, strict=True)}

@@ -5,6 +5,8 @@ from tokenize import TokenError
 
 import numpy as np
 
+from ggvs_eval.files.plain import check_plain
+
 # What numpy raises on damaged headers, as flipping bytes in thousands of them has shown.
 HEADER_ERRORS = (OSError, ValueError, TypeError, ArithmeticError, EOFError, SyntaxError, TokenError, RecursionError, MemoryError)
 
@@ -18,10 +20,11 @@ def map_array(path: Path) -> np.ndarray:
         ValueError: absent or damaged; the message is one line.
     """
     try:
+        check_plain(path)
         with np.errstate(over="ignore"):
             return np.lib.format.open_memmap(path, mode="r")
     except HEADER_ERRORS as error:
         reason = " ".join(str(error).split())[:120] or type(error).__name__
         if "Python objects" in reason:
             reason = "Object arrays cannot be loaded when allow_pickle=False"
-        raise ValueError(reason if path.is_file() else "no such file") from error
+        raise ValueError("no such file" if isinstance(error, FileNotFoundError) else reason) from error

@@ -16,6 +16,7 @@ from ggvs_eval.files.video import VideoFrames
 FOLDER_FPS = 30.0
 ARRANGEMENTS = "CAM.mp4, videos/CAM.mp4, images/CAM/, CAM/images/, CAM/ or one image per camera in images/"
 LISTED = 24
+LARGEST_RIG = 10_000  # poses of a hand-held sequence, each of which is a camera, are some thousands
 # File systems take no longer ones.
 LONGEST_NAME_BYTES, LONGEST_PATH = 200, 1000
 
@@ -57,6 +58,7 @@ def assemble_capture(
         CaptureError: cameras that differ in frame count or rate, frames of another shape than the calibration, or two cameras of
             one name.
     """
+    check_rig_size(path, len(cameras))
     names = [camera.name for camera in cameras]
     twice = sorted(name for name, count in Counter(names).items() if count > 1)
     if twice or not names:
@@ -79,8 +81,33 @@ def assemble_capture(
         units_per_metre=units.per_metre,
         units_origin=units.origin,
         extras=tuple(extras),
-        notes=tuple(notes),
+        notes=(*notes, *_notes(cameras, sources)),
     )
+
+
+def check_rig_size(path: Path, n_cameras: int) -> None:
+    """Refuse a rig that nobody has, before anything is computed of it.
+
+    Raises:
+        CaptureError: more than `LARGEST_RIG` cameras.
+    """
+    if n_cameras > LARGEST_RIG:
+        raise CaptureError(f"{path}: wanted at most {LARGEST_RIG} cameras, got {n_cameras}; leave some out")
+
+
+def _notes(cameras: Sequence[Camera], sources: Sequence[SizedSource]) -> list[str]:
+    """What was mended, and what nobody can mend here."""
+    notes = []
+    slanted = [camera for camera in cameras if camera.deviation]
+    if slanted:
+        largest = max(camera.deviation for camera in slanted)
+        of = listed([camera.name for camera in slanted])
+        notes.append(f"rotations of {of} are off by up to {largest:.1e}: the nearest ones are taken")
+    videos = {camera.name: _video(source) for camera, source in zip(cameras, sources, strict=True)}
+    steps = [f"{name} ({video.uneven})" for name, video in videos.items() if video and video.uneven]
+    if steps:
+        notes.append(f"variable frame rate in {listed(steps)}: frame t of each camera is taken as one instant, whatever its time")
+    return notes
 
 
 def _is_file_name(name: str) -> bool:
@@ -89,9 +116,15 @@ def _is_file_name(name: str) -> bool:
 
 
 def _rate(source: FrameSource) -> float:
-    """Frames per second, of a video that may lie behind an undistortion."""
+    """Frames per second."""
+    video = _video(source)
+    return round(video.fps, 2) if video else FOLDER_FPS
+
+
+def _video(source: FrameSource) -> VideoFrames | None:
+    """The video that frames come from, which may lie behind an undistortion; None where they are images."""
     inner = getattr(source, "source", source)
-    return round(inner.fps, 2) if isinstance(inner, VideoFrames) else FOLDER_FPS
+    return inner if isinstance(inner, VideoFrames) else None
 
 
 def _common(values: Sequence[float], names: Sequence[str], path: Path, quantity: str, mend: str) -> float:

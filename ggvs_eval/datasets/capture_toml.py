@@ -9,7 +9,7 @@ import numpy as np
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture, Extras
-from ggvs_eval.datasets.assemble import SizedSource, assemble_capture
+from ggvs_eval.datasets.assemble import SizedSource, assemble_capture, check_rig_size
 from ggvs_eval.datasets.colmap_model import undistorted
 from ggvs_eval.datasets.depth_range import rig_depth_range
 from ggvs_eval.datasets.frames import ImageFrames
@@ -110,6 +110,7 @@ def load(path: Path, units: GivenUnits) -> Capture:
     """
     file = _file(path)
     table = build_table(CaptureTable, read_toml(file, CaptureError), str(file), "", CaptureError)
+    check_rig_size(file, len(table.camera))
     poses = [_pose(camera, file) for camera in table.camera]
     if not poses:
         raise CaptureError(f"{file}: wanted at least one [[camera]], got none; describe the rig, see docs/captures.md")
@@ -181,7 +182,7 @@ def _source(file: Path, relative: str) -> SizedSource:
     path = file.parent / relative
     if not relative or not _exists(path):
         raise CaptureError(f"{file}: wanted frames in {relative!r:.200}, there is no such file or folder; correct the path")
-    return VideoFrames(path) if path.is_file() and path.suffix.lower() in (".mp4", ".mov", ".m4v") else ImageFrames(path)
+    return VideoFrames(path) if not path.is_dir() and path.suffix.lower() in (".mp4", ".mov", ".m4v") else ImageFrames(path)
 
 
 def _exists(path: Path) -> bool:

@@ -12,7 +12,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
-from ggvs_eval.datasets.assemble import SizedSource
+from ggvs_eval.datasets.assemble import SizedSource, check_rig_size
 from ggvs_eval.datasets.undistort import UndistortedFrames
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.lens import Lens
@@ -76,7 +76,8 @@ def read_model(folder: Path) -> list[CalibratedView]:
     Raises:
         CaptureError: damaged, empty, a camera model without an OpenCV equivalent, or an image that sees no point.
     """
-    command = [sys.executable, "-m", "ggvs_eval.datasets.colmap_reader", str(folder)]
+    # By its file: by its name it would first import every other reader.
+    command = [sys.executable, "-P", str(Path(__file__).with_name("colmap_reader.py")), str(folder)]
     try:
         done = subprocess.run(
             command, capture_output=True, encoding="utf-8", errors="replace", check=False, timeout=READER_TIMEOUT_S
@@ -89,6 +90,7 @@ def read_model(folder: Path) -> list[CalibratedView]:
         reason = (done.stderr.strip().splitlines() or [f"the reader ended with {done.returncode}"])[-1]
         raise CaptureError(f"{folder}: damaged COLMAP model, pycolmap says '{reason:.200}'; copy or export the model again")
     images = json.loads(done.stdout)
+    check_rig_size(folder, len(images))
     if not images:
         raise CaptureError(f"{folder}: wanted one registered image per fixed camera, got none; calibrate again")
     return [_view(folder, image) for image in images]

@@ -1,6 +1,6 @@
 """Reads a COLMAP model in a process of its own and prints it as JSON: pycolmap, once loaded, breaks the writing of PNG files.
 
-Command: ``python -m ggvs_eval.datasets.colmap_reader MODEL_DIR``
+Command: ``python -P ggvs_eval/datasets/colmap_reader.py MODEL_DIR``; it imports nothing of the package.
 """
 
 import json
@@ -14,6 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from ggvs_eval.files.plain import check_plain
+
+LARGEST_MODEL_FILE = 512 << 20
 FILES = ("cameras", "images", "points3D")
 PERCENTILES = (1, 50, 99)
 
@@ -30,6 +33,7 @@ def read_reconstruction(folder: Path) -> list[dict[str, Any]]:
 
     Raises:
         ValueError: a file is absent, ends early or contradicts another.
+        NotPlainError: a file is larger than that of any model.
     """
     import pycolmap
 
@@ -38,6 +42,8 @@ def read_reconstruction(folder: Path) -> list[dict[str, Any]]:
     missing = [file.name for file in files if not file.is_file()]
     if missing:
         raise ValueError(f"no {', '.join(missing)}")
+    for file in files:
+        check_plain(file, LARGEST_MODEL_FILE)
     if suffix == ".bin":
         _check_count(files[0])
         _check_length(files[1], _images_end)

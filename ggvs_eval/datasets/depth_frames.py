@@ -14,7 +14,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.digest import digest_values
-from ggvs_eval.files.images import decode_image
+from ggvs_eval.files.images import decode_image, read_encoded
 from ggvs_eval.geometry.reproject_depth import reproject_depth
 
 ANY_DEPTH = (1e-6, 1e6)  # near and far of cameras that only say where pixels look
@@ -111,14 +111,15 @@ def read_depth_png(path: Path) -> NDArray[np.uint16]:
     """Read a 16-bit PNG as it is, (H, W) uint16.
 
     Raises:
-        CaptureError: absent, damaged, or no image of one 16-bit channel.
+        CaptureError: absent, damaged, no image of one 16-bit channel, or nothing measured in it.
     """
-    encoded = np.fromfile(path, dtype=np.uint8) if path.is_file() else np.empty(0, np.uint8)
-    steps = decode_image(encoded, cv2.IMREAD_UNCHANGED)
+    steps = decode_image(read_encoded(path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
     if steps is None:
-        found = f"{encoded.size} bytes that do not decode" if encoded.size else "no such file, or an empty one"
+        found = f"{path.stat().st_size} bytes that do not decode"
         raise CaptureError(f"{path}: wanted a depth map, got {found}; export this frame again")
     if steps.dtype != np.uint16 or steps.ndim != 2:
         found = f"{steps.dtype} {steps.shape}"
         raise CaptureError(f"{path}: wanted a depth map of one 16-bit channel, got {found}; export it without conversion")
+    if not steps.any():
+        raise CaptureError(f"{path}: wanted measured depth, got zeros alone; leave this frame out or export it again")
     return steps.astype(np.uint16, copy=False)

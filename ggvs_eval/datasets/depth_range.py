@@ -7,6 +7,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.errors import CaptureError
+from ggvs_eval.files.plain import check_plain
 
 # The scene is assumed to lie between these multiples of the distance to the point that the rig looks at.
 NEAR_FACTOR, FAR_FACTOR = 0.25, 4.0
@@ -14,6 +15,7 @@ NEAR_FACTOR, FAR_FACTOR = 0.25, 4.0
 NEAR_SPACINGS, FAR_SPACINGS = 5.0, 500.0
 LEAST_CONVERGENCE_RAD = 0.02
 LARGEST_NUMBER = 1e100
+LARGEST_CLOUD = 256 << 20  # bytes
 # Cameras around a scene are at most twice as far apart as the middle is far, and that if they are two that face each other.
 LEAST_DEPTH_SPACINGS = 0.4
 LARGEST_MISS = 0.5
@@ -62,9 +64,18 @@ def _looked_at(centres: Array, axes: Array) -> Array:
 def _median_spacing(centres: Array) -> float:
     if len(centres) < 2:
         return 0.0
-    distances = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
-    np.fill_diagonal(distances, np.inf)
-    return float(np.median(distances.min(axis=1)))
+    return float(np.median(neighbour_distances(centres)))
+
+
+def neighbour_distances(centres: Array) -> Array:
+    """Distance of each of at least two points to its nearest neighbour, (N,).
+
+    Args:
+        centres: (N, 3).
+    """
+    from scipy.spatial import KDTree
+
+    return np.asarray(KDTree(centres).query(centres, k=2)[0][:, 1])
 
 
 def _convergence_rad(axes: Array) -> float:
@@ -103,6 +114,7 @@ def read_points(path: Path) -> Array:
     import trimesh
 
     try:
+        check_plain(path, LARGEST_CLOUD)
         # Without materials: a texture that the file names may lie anywhere.
         cloud = trimesh.load(path, process=False, skip_materials=True)
         points = np.asarray(getattr(cloud, "vertices", ()), dtype=np.float64)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
-from ggvs_eval.datasets.assemble import SizedSource, assemble_capture
+from ggvs_eval.datasets.assemble import SizedSource, assemble_capture, check_rig_size
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.llff import llff_camera, read_llff_poses
 from ggvs_eval.datasets.units import GivenUnits, choose_units, read_note
@@ -41,6 +41,7 @@ def load(path: Path, units: GivenUnits) -> Capture:
         length, principal point in the image centre, both scaled from the size in the file to the size of the frames.
     """
     sources = _find_sources(path)
+    check_rig_size(path, len(sources))
     poses = read_llff_poses(path / POSES)
     if len(poses) != len(sources):
         raise CaptureError(

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from ggvs_eval.arrays import Array
+from ggvs_eval.datasets.assemble import check_rig_size
 from ggvs_eval.datasets.filestorage_yaml import FileStorageYaml, refused
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.lens import Lens
@@ -59,6 +60,7 @@ def read_views(intrinsics: Path, extrinsics: Path) -> list[EasyMocapView]:
     """
     intri, extri = FileStorageYaml(intrinsics), FileStorageYaml(extrinsics)
     names = _names(intri, intrinsics)
+    check_rig_size(intrinsics, len(names))
     views = []
     for name in names:
         K = intri.matrix(f"K_{name}", (3, 3))
@@ -97,9 +99,9 @@ def _coefficients(intri: FileStorageYaml, name: str) -> tuple[float, ...]:
 
 def _pose(extri: FileStorageYaml, name: str) -> Array:
     world_to_camera = np.eye(4)
+    if not extri.has(f"R_{name}") or extri.has(f"Rot_{name}"):  # what is not used must make sense too
+        world_to_camera[:3, :3] = extri.matrix(f"Rot_{name}", (3, 3))
     if extri.has(f"R_{name}"):
         world_to_camera[:3, :3] = cv2.Rodrigues(extri.matrix(f"R_{name}", (3, 1)))[0]
-    else:
-        world_to_camera[:3, :3] = extri.matrix(f"Rot_{name}", (3, 3))
     world_to_camera[:3, 3] = extri.matrix(f"T_{name}", (3, 1)).ravel()
     return world_to_camera

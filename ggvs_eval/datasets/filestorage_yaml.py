@@ -11,6 +11,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.errors import CaptureError
+from ggvs_eval.files.plain import read_plain_text, why_unread
 
 LARGEST_FILE_BYTES = 1 << 22
 # OpenCV's letters of element types; two or more channels per element do not occur in camera files.
@@ -121,11 +122,12 @@ def _unquoted(text: str) -> str:
 
 
 def _read_text(path: Path) -> str:
-    size = path.stat().st_size if path.is_file() else -1
-    if not 0 < size <= LARGEST_FILE_BYTES:
-        found = "no such file" if size < 0 else f"{size} bytes"
-        raise CaptureError(f"{path}: wanted a camera file below {LARGEST_FILE_BYTES >> 20} MiB, got {found}; restore it")
     try:
-        return path.read_text(encoding="utf-8")
+        text = read_plain_text(path, LARGEST_FILE_BYTES)
+    except OSError as error:
+        raise CaptureError(f"{path}: wanted a camera file, got {why_unread(error)}; restore it") from error
     except UnicodeDecodeError as error:
         raise CaptureError(f"{path}: wanted a text file, got bytes that are no UTF-8 ({error.reason}); restore it") from error
+    if not text:
+        raise CaptureError(f"{path}: wanted a camera file, got an empty one; restore it")
+    return text

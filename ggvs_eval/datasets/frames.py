@@ -11,7 +11,8 @@ from pathlib import Path
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.digest import digest_files
-from ggvs_eval.files.images import IMAGE_SUFFIXES, read_image
+from ggvs_eval.files.images import IMAGE_SUFFIXES, picture_size, read_image
+from ggvs_eval.files.plain import NotPlainError
 
 LISTED = 5
 
@@ -87,7 +88,7 @@ class ImageFrames:
             if image.shape[1::-1] != self.size:
                 found = f"{image.shape[1]} x {image.shape[0]}"
                 raise CaptureError(
-                    f"{file}: wanted {self.size[0]} x {self.size[1]} as its header says, got {found}; remove its EXIF rotation"
+                    f"{file}: wanted {self.size[0]} x {self.size[1]} as its header says, got {found}; restore this frame"
                 )
             yield image
 
@@ -118,14 +119,15 @@ def _last_number(file: Path) -> int:
 
 
 def _image_size(file: Path) -> tuple[int, int]:
-    """(width, height) without decoding the image."""
-    from PIL import Image
+    """(width, height) as the image is read, without decoding it."""
+    from PIL.Image import DecompressionBombError
 
     try:
-        with Image.open(file, formats=("PNG", "JPEG")) as image:
-            return image.size
+        return picture_size(file)
+    except NotPlainError as error:
+        raise CaptureError(f"{file}: wanted an image, got {error}; restore this frame") from error
     except Exception as error:  # the parsers raise whatever a damaged header makes them stumble over
-        is_large = isinstance(error, Image.DecompressionBombError)
+        is_large = isinstance(error, DecompressionBombError)
         reason = "whose header claims more pixels than any camera has" if is_large else "that do not open"
         found = f"{file.stat().st_size} bytes {reason}" if file.is_file() else "no such file"
         raise CaptureError(f"{file}: wanted an image, got {found}; restore this frame") from error

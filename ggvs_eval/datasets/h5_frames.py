@@ -13,6 +13,7 @@ import numpy as np
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.digest import digest_files, digest_values
+from ggvs_eval.files.plain import check_plain
 
 LISTED = 8
 # What a file claims is believed up to here; one frame of 16k x 5k, or one chunk of several smaller ones.
@@ -117,6 +118,7 @@ def _opened_file(path: Path) -> Iterator[Any]:
 
     try:
         # Half-read chunks of several frames stay in the cache, so that nothing is unpacked twice.
+        check_plain(path)
         with h5py.File(path, "r", locking=False, rdcc_nbytes=LARGEST_BLOCK_BYTES // 4) as file:
             yield file
     except H5_ERRORS as error:

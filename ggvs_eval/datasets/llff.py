@@ -9,10 +9,11 @@ import numpy as np
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.datasets.array_file import map_array
+from ggvs_eval.datasets.assemble import check_rig_size
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.atomic import atomic_file
+from ggvs_eval.kernels.portable import transformed
 
-LARGEST_RIG = 10_000
 # What is beyond is damage, and no square of it is finite.
 LARGEST_NUMBER = 1e100
 
@@ -80,9 +81,10 @@ def _load_rows(path: Path) -> Array:
         raise CaptureError(
             f"{path}: wanted an N x 17 array of numbers saved by numpy.save, got: {error}; write it again"
         ) from error
-    if rows.ndim != 2 or rows.shape[1] != 17 or rows.dtype.kind not in "fiu" or len(rows) > LARGEST_RIG:
+    if rows.ndim != 2 or rows.shape[1] != 17 or rows.dtype.kind not in "fiu":
         found = f"{rows.shape} {rows.dtype}"
         raise CaptureError(f"{path}: wanted an N x 17 array of numbers (LLFF), got {found}; write 15 pose numbers, near and far")
+    check_rig_size(path, len(rows))
     return rows.astype(np.float64)
 
 
@@ -91,12 +93,12 @@ def _from_row(row: Array) -> LlffPose:
     rotation = np.stack([right, down, -backwards])  # (3, 3), rows are the camera's axes in the world
     world_to_camera = np.eye(4)
     world_to_camera[:3, :3] = rotation
-    world_to_camera[:3, 3] = -rotation @ centre
+    world_to_camera[:3, 3] = transformed(-rotation, centre)
     return LlffPose(world_to_camera, (float(hwf[0]), float(hwf[1]), float(hwf[2])), float(row[15]), float(row[16]))
 
 
 def _to_row(pose: LlffPose) -> Array:
     right, down, forwards = pose.world_to_camera[:3, :3]
-    centre = -pose.world_to_camera[:3, :3].T @ pose.world_to_camera[:3, 3]
+    centre = transformed(-pose.world_to_camera[:3, :3].T, pose.world_to_camera[:3, 3])
     matrix = np.stack([down, right, -forwards, centre, np.asarray(pose.hwf)], axis=1)  # (3, 5)
     return np.concatenate([matrix.ravel(), [pose.near, pose.far]])

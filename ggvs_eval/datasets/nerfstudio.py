@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 
 from ggvs_eval.arrays import Array
-from ggvs_eval.camera import Camera
+from ggvs_eval.camera import LARGEST_DEVIATION, Camera
 from ggvs_eval.capture import Capture
-from ggvs_eval.datasets.assemble import assemble_capture, find_sources
+from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size, find_sources
 from ggvs_eval.datasets.colmap_model import undistorted_sources
 from ggvs_eval.datasets.depth_range import rig_depth_range
 from ggvs_eval.datasets.units import GivenUnits, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.files.plain import read_plain_text
 from ggvs_eval.lens import Lens
 
 TRANSFORMS = "transforms.json"
@@ -46,7 +47,8 @@ def load(path: Path, units: GivenUnits) -> Capture:
     """
     file = path / TRANSFORMS
     try:
-        values = dict(json.loads(file.read_text(encoding="utf-8")))
+        values = dict(json.loads(read_plain_text(file)))
+        check_rig_size(path, len(values["frames"]))
         frames = {_camera_name(frame["file_path"]): (frame["file_path"], {**values, **frame}) for frame in values["frames"]}
         if len(frames) != len(values["frames"]) or not frames:
             raise ValueError(f"{len(values['frames'])} frames of {len(frames)} cameras")
@@ -84,7 +86,7 @@ def _world_to_camera(frame: Mapping[str, Any]) -> Array:
     if camera_to_world.shape != (4, 4) or not np.isfinite(camera_to_world).all():
         raise ValueError(f"the transform_matrix of {frame['file_path']} is not 4 x 4 finite numbers")
     scale = np.linalg.norm(camera_to_world[:3, :3], axis=0)
-    if not np.allclose(scale, 1.0, atol=1e-3) or not np.array_equal(camera_to_world[3], (0, 0, 0, 1)):
+    if not np.allclose(scale, 1.0, atol=2 * LARGEST_DEVIATION) or not np.array_equal(camera_to_world[3], (0, 0, 0, 1)):
         found = f"axes of length {', '.join(f'{length:.4g}' for length in scale)}, last row {camera_to_world[3].tolist()}"
         raise ValueError(f"the transform_matrix of {frame['file_path']} is not rigid ({found})")
     return np.asarray(np.linalg.inv(camera_to_world @ OPENGL_TO_OPENCV), dtype=np.float64)

@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from ggvs_eval.arrays import Array
-from ggvs_eval.camera import Camera
+from ggvs_eval.camera import LARGEST_DEVIATION, ROUNDING, Camera, nearest_rotation
 from ggvs_eval.capture import Capture, Extras
-from ggvs_eval.datasets.assemble import assemble_capture
+from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size
 from ggvs_eval.datasets.depth_frames import DepthFrames, read_depth_png
 from ggvs_eval.datasets.frames import ImageFrames, list_images
 from ggvs_eval.datasets.units import METRIC, GivenUnits, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.files.plain import read_plain_text
 
 SCANNET = ("color", "depth", "pose", "intrinsic")
 HOLOLENS = ("images", "depth", "poses.txt", "K.txt")
@@ -24,6 +25,8 @@ NEAR_FACTOR, FAR_FACTOR = 0.8, 1.2
 SAMPLED_FRAMES = 32
 # A principal point farther off the middle, in widths of the image, belongs to images of another size.
 LARGEST_OFFSET = 0.15
+# Where depth has another shape than colour, its intrinsics must fit it this well; within the stretch it has the same shape.
+LEAST_OFFSET, LARGEST_STRETCH = 0.05, 0.02
 # A sensor less far off the camera, in metres or radians, shifts depth by less than a pixel and is taken to stand in its place.
 LEAST_EXTRINSIC = 1e-3
 # Farther off than this, metres, two sensors are no RGB-D camera: the numbers are millimetres or belong to another device.
@@ -86,9 +89,8 @@ def load(path: Path, units: GivenUnits) -> Capture:
     sources = [ImageFrames(sequence.images[number]) for number in kept]
     size = _common_size(sources)
     _check_intrinsics(*sequence.K, size)
-    if sequence.K_depth:
-        _check_intrinsics(*sequence.K_depth, ImageFrames(sequence.depths[kept[0]]).size)
-    limits = _depth_range(path, [sequence.depths[number] for number in kept])
+    limits = _depth_range([sequence.depths[number] for number in kept])
+    _check_depth_size(sequence, kept, size)
     cameras = [_make_camera(path, number, sequence, size, limits) for number in kept]
     extras = [Extras(depth=_depth_source(sequence, number, size)) for number in kept]
     return assemble_capture(path, "rgbd", cameras, sources, choose_units(path, units, cameras, known=METRIC), extras=extras)
@@ -111,6 +113,7 @@ def _read_sequence(path: Path) -> _Sequence:
     scannet = _fits(path, SCANNET)
     colour, depth, *_ = SCANNET if scannet else HOLOLENS
     images = _numbered(path / colour, list_images(path / colour))
+    check_rig_size(path, len(images))
     depths = _numbered(path / depth, sorted((path / depth).glob("*.png")))
     _check_complete(images, depths, path / depth, "depth map")
     if not scannet:
@@ -185,10 +188,13 @@ def _read_extrinsic(file: Path) -> Array:
     """A rigid transform, (4, 4); the identity where there is no file."""
     matrix = _read_matrix(file, (4,)) if file.is_file() else np.eye(4)
     rotation = matrix[:3, :3]
-    is_rigid = np.isfinite(matrix).all() and np.allclose(matrix[3], [0, 0, 0, 1]) and np.linalg.det(rotation) > 0
-    if not is_rigid or not np.allclose(rotation @ rotation.T, np.eye(3), atol=LEAST_EXTRINSIC):
+    is_transform = np.isfinite(matrix).all() and np.allclose(matrix[3], [0, 0, 0, 1])
+    nearest, deviation = nearest_rotation(rotation) if is_transform else (rotation, np.inf)
+    if deviation > LARGEST_DEVIATION:
         found = f"{matrix.round(4).tolist()}"
         raise CaptureError(f"{file}: wanted a rotation and a translation, 4 x 4, got {found}; export the calibration again")
+    if deviation > ROUNDING:
+        matrix[:3, :3] = nearest
     return matrix
 
 
@@ -202,7 +208,7 @@ def _read_matrix(file: Path, sides: tuple[int, ...]) -> Array:
 
 def _read_values(file: Path) -> Array:
     try:
-        return np.array([float(word) for word in file.read_text(encoding="utf-8").split()], dtype=np.float64)
+        return np.array([float(word) for word in read_plain_text(file).split()], dtype=np.float64)
     except (OSError, ValueError) as error:
         reason = "no such file" if isinstance(error, FileNotFoundError) else str(error)
         raise CaptureError(f"{file}: wanted a text file of numbers, got: {reason:.120}; export it again") from error
@@ -217,20 +223,30 @@ def _common_size(sources: Sequence[ImageFrames]) -> tuple[int, int]:
     return size
 
 
-def _check_intrinsics(K: Array, file: Path, size: tuple[int, int]) -> None:
+def _check_depth_size(sequence: _Sequence, kept: Sequence[int], size: tuple[int, int]) -> None:
+    """Depth maps have one size, of the shape of the images or one that their own intrinsics bear out."""
+    depth_size = _common_size([ImageFrames(sequence.depths[number]) for number in kept])
+    same_shape = abs(depth_size[0] * size[1] / (depth_size[1] * size[0]) - 1) < LARGEST_STRETCH
+    if sequence.K_depth:
+        _check_intrinsics(*sequence.K_depth, depth_size, LARGEST_OFFSET if same_shape else LEAST_OFFSET)
+    elif not same_shape:
+        wanted, found = (f"{width} x {height}" for width, height in (size, depth_size))
+        file = sequence.depths[kept[0]]
+        raise CaptureError(f"{file}: wanted depth of the shape of its {wanted} image, got {found}; export it without cropping")
+
+
+def _check_intrinsics(K: Array, file: Path, size: tuple[int, int], largest_offset: float = LARGEST_OFFSET) -> None:
     """Text files of intrinsics do not say for which size they are; resized images show by the principal point."""
     offsets = [abs(K[axis, 2] - size[axis] / 2) / size[axis] for axis in (0, 1)]
-    if max(offsets) > LARGEST_OFFSET:
+    if max(offsets) > largest_offset:
         wanted, found = f"a principal point near the middle of {size[0]} x {size[1]} images", f"({K[0, 2]:g}, {K[1, 2]:g})"
         raise CaptureError(f"{file}: wanted {wanted}, got {found}; scale the intrinsics as the images were scaled")
 
 
-def _depth_range(path: Path, files: Sequence[Path]) -> tuple[float, float]:
+def _depth_range(files: Sequence[Path]) -> tuple[float, float]:
     chosen = np.unique(np.linspace(0, len(files) - 1, SAMPLED_FRAMES).round().astype(int))
-    known = [steps[steps > 0] for steps in (read_depth_png(files[index]) for index in chosen)]
-    percentiles = [np.percentile(steps, (1, 99)) for steps in known if steps.size]
-    if not percentiles:
-        raise CaptureError(f"{path / 'depth'}: wanted measured depth, got none in {len(chosen)} maps; export the depth again")
+    maps = (read_depth_png(files[index]) for index in chosen)
+    percentiles = [np.percentile(steps[steps > 0], (1, 99)) for steps in maps]
     nearest, farthest = np.min(percentiles, axis=0)[0], np.max(percentiles, axis=0)[1]
     return float(NEAR_FACTOR * METRES_PER_STEP * nearest), float(FAR_FACTOR * METRES_PER_STEP * farthest)
 

@@ -11,11 +11,12 @@ import numpy as np
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
-from ggvs_eval.datasets.assemble import assemble_capture
+from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size
 from ggvs_eval.datasets.depth_range import rig_depth_range
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.units import METRIC, GivenUnits, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.files.plain import read_plain_text
 
 MODELS = "models.json"
 # What every camera of the file must say, and how many numbers each is.
@@ -97,7 +98,7 @@ def _read_views(path: Path) -> list[list[_View]]:
     """The views of each position of the rig."""
     file = path / MODELS
     try:
-        models = json.loads(file.read_text(encoding="utf-8"))
+        models = json.loads(read_plain_text(file))
     except (OSError, ValueError, RecursionError) as error:
         reason = "lists nested too deep" if isinstance(error, RecursionError) else str(error)
         raise CaptureError(f"{file}: wanted JSON, got: {reason}; copy the scene again") from error
@@ -105,6 +106,7 @@ def _read_views(path: Path) -> list[list[_View]]:
         raise CaptureError(
             f"{file}: wanted a list over rig positions of lists of cameras, got something else; copy the scene again"
         )
+    check_rig_size(file, sum(map(len, models)))
     return [[_read_view(path, index, camera, model) for camera, model in enumerate(at)] for index, at in enumerate(models)]
 
 

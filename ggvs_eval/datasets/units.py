@@ -2,7 +2,6 @@
 
 import json
 import sys
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,8 @@ import numpy as np
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.files.plain import LARGEST_TOML, read_plain_text
+from ggvs_eval.files.toml_tables import load_toml
 
 DEMO_NOTES = "demo.json"
 UNITS_FILE = "units.toml"
@@ -90,7 +91,7 @@ def read_note(path: Path, key: str) -> float | None:
     if not file.is_file():
         return None
     try:
-        note = dict(json.loads(file.read_text(encoding="utf-8"))).get(key)
+        note = dict(json.loads(read_plain_text(file))).get(key)
         return None if note is None else float(note)
     except (OSError, ValueError, TypeError, OverflowError, RecursionError) as error:
         raise CaptureError(f"{file}: wanted a number {key}, got: {error}; write the demo capture again") from error
@@ -118,7 +119,7 @@ def triangulate(cameras: Sequence[Camera], uv: Array) -> tuple[Array, float]:
 def _measured_units(file: Path, cameras: Sequence[Camera]) -> Units:
     """What a TOML file says in one of its three ways."""
     try:
-        values = tomllib.loads(file.read_text(encoding="utf-8"))
+        values = load_toml(read_plain_text(file, LARGEST_TOML))
     except (OSError, ValueError, RecursionError) as error:
         reason = "no such file" if isinstance(error, FileNotFoundError) else str(error)
         raise CaptureError(f"{file}: wanted TOML with {WAYS}, got: {reason}; write it") from error

@@ -1,10 +1,14 @@
 """Write files and folders whole or not at all: under a temporary name beside the target, which is renamed when it is complete.
 
-A kill leaves the old file or the new one. What a killed process was filling stays beside the target until `remove_leftovers`.
+A kill leaves the old file or the new one. What a killed process was filling stays beside the target until `remove_leftovers`
+or, in a folder of many files, `sweep_files`.
 """
 
+import errno
+import fcntl
 import glob
 import os
+import re
 import shutil
 import socket
 import time
@@ -13,16 +17,20 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from secrets import token_hex
 
+# .<name>.<host>.<pid>.tmp; of a file what libraries go by may follow.
+TEMPORARY = re.compile(r"\..*\.(?P<host>[^.]+)\.(?P<pid>\d+)\.tmp(\.\w+)?")
+FULL = re.compile(r"\d+ requested and \d+ written|No space left")  # how numpy and HDF5 tell of a full disk, without its number
+KEPT_OF_NAME = 40  # signs, so that a temporary name is not too long where the name is not
 SILENT_S = 3600.0  # after that without a new file, what another machine began is taken for given up
 
 
 @contextmanager
-def atomic_file(path: Path, ending: str = ".tmp") -> Iterator[Path]:
+def atomic_file(path: Path, ending: str = "") -> Iterator[Path]:
     """Give a path to write to, which takes the place of `path` when the block ends; after an error nothing is left of it.
 
     Args:
         path: the file to write; its folder is made.
-        ending: of the temporary name, for libraries that go by it.
+        ending: of the temporary name, for libraries that go by it: ``.ply``.
 
     Yields:
         A name in the same folder that nobody else uses.
@@ -31,17 +39,28 @@ def atomic_file(path: Path, ending: str = ".tmp") -> Iterator[Path]:
         OSError: the file cannot be written. The error names it, where it would name no file or the temporary one.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{token_hex(6)}{ending}")
+    owner = f"{_host()}.{os.getpid()}"
+    temporary = path.with_name(f".{path.name[:KEPT_OF_NAME]}.{token_hex(4)}.{owner}.tmp{ending}")
     try:
-        yield temporary
-        temporary.replace(path)
-    except OSError as error:
-        if error.errno is None or error.filename not in (None, str(temporary), temporary):
-            raise
-        raise OSError(error.errno, error.strerror, str(path)) from error  # a full disk names no file, others the temporary one
+        with _named(path, temporary):
+            yield temporary
+            temporary.replace(path)
     finally:
         with suppress(OSError):  # it is in place, was never made, or its folder is gone
             temporary.unlink()
+
+
+@contextmanager
+def _named(path: Path, temporary: Path) -> Iterator[None]:
+    """Let errors name what a user knows: a full disk names no file, others the temporary one."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno is None and FULL.search(str(error)):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path)) from error
+        if error.errno is None or error.filename not in (None, str(temporary), temporary):
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from error
 
 
 def write_bytes(path: Path, content: bytes) -> None:
@@ -68,9 +87,10 @@ def scratch_folder(beside: Path) -> Iterator[Path]:
     """
     folder = beside.absolute().with_name(f".{beside.absolute().name}.{_host()}.{os.getpid()}.tmp")
     shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
     try:
-        yield folder
+        with _named(beside, folder):
+            folder.mkdir(parents=True)
+            yield folder
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
@@ -92,14 +112,16 @@ def atomic_folder(folder: Path) -> Iterator[Path]:
 
 
 def is_in_hand(temporary: Path) -> bool:
-    """Whether the process that fills a scratch folder still does.
+    """Whether the process that fills a scratch folder or a temporary file still does.
 
     Args:
         temporary: ``.<name>.<host>.<pid>.tmp``.
     """
-    *_, host, pid = temporary.name.removesuffix(".tmp").rsplit(".", 2)
-    if host == _host():
-        return is_running(int(pid))
+    owner = TEMPORARY.fullmatch(temporary.name)
+    if owner is None:
+        return True  # not ours
+    if owner["host"] == _host():
+        return is_running(int(owner["pid"]))
     try:
         return time.time() - temporary.stat().st_mtime < SILENT_S
     except OSError:  # it has just been put in place
@@ -117,6 +139,26 @@ def remove_leftovers(beside: Path) -> None:
     for leftover in scratch_folders(beside):
         if not is_in_hand(leftover):
             shutil.rmtree(leftover, ignore_errors=True)
+
+
+def sweep_files(folder: Path) -> None:
+    """Remove from a folder the temporary files of killed processes; not those that another process is writing."""
+    for item in folder.iterdir() if folder.is_dir() else ():
+        if TEMPORARY.fullmatch(item.name) and not is_in_hand(item):
+            with suppress(OSError):  # another sweeps too
+                item.unlink()
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Keep others who lock the folder, on this machine or on those that share its disk, out of the block."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        with suppress(OSError):  # a file system without locks
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
 
 
 def is_running(pid: int) -> bool:

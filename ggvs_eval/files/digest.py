@@ -4,6 +4,9 @@ import hashlib
 from collections.abc import Iterable
 from pathlib import Path
 
+from ggvs_eval.errors import CaptureError
+from ggvs_eval.files.plain import check_plain, why_unread
+
 EDGE_BYTES = 1 << 20
 BLOCK_BYTES = 1 << 16
 BLOCKS = 16
@@ -18,12 +21,18 @@ def digest_files(paths: Iterable[Path]) -> str:
     Args:
         paths: files; only their names enter, not their folders, so that a moved capture keeps its digest.
 
+    Raises:
+        CaptureError: no such file, or no regular one.
+
     Returns:
         64 hexadecimal digits.
     """
     total = hashlib.sha256()
     for path in paths:
-        size = path.stat().st_size
+        try:
+            size = check_plain(path)
+        except OSError as error:
+            raise CaptureError(f"{path}: wanted a file, got {why_unread(error)}; restore it or remove it") from error
         total.update(f"{path.name}\0{size}\0".encode())
         with path.open("rb") as file:
             if size <= 2 * EDGE_BYTES + BLOCKS * BLOCK_BYTES:

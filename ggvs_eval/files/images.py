@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.atomic import write_bytes
+from ggvs_eval.files.plain import LARGEST_PICTURE, check_plain, read_plain, why_unread
 
 ResizeFilter = Literal["area", "lanczos", "bicubic", "bilinear"]
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+EXIF_ORIENTATION, LYING = 0x0112, (5, 6, 7, 8)  # these are shown with width and height exchanged
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
@@ -27,17 +29,47 @@ def quantise(image: NDArray[np.floating]) -> Image8:
 
 
 def read_image(path: Path) -> Image8:
-    """Read an 8-bit RGB image, (H, W, 3).
+    """Read an 8-bit RGB image, (H, W, 3), turned as its EXIF tag says.
 
     Raises:
         CaptureError: absent, damaged or not an image.
     """
-    encoded = np.fromfile(path, dtype=np.uint8) if path.is_file() else np.empty(0, np.uint8)
-    image = decode_image(encoded, cv2.IMREAD_COLOR)
+    image = decode_image(read_encoded(path), cv2.IMREAD_COLOR)
     if image is None:
-        found = f"{encoded.size} bytes that do not decode" if encoded.size else "no such file, or an empty one"
+        found = f"{path.stat().st_size} bytes that do not decode"
         raise CaptureError(f"{path}: wanted an image, got {found}; restore or render this frame again")
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+
+
+def picture_size(path: Path) -> tuple[int, int]:
+    """(width, height) of a PNG or JPEG picture as `read_image` gives it, turned as its EXIF tag says; nothing is decoded.
+
+    Raises:
+        OSError: no regular file, or larger than a picture is.
+        Exception: whatever a damaged header makes its parser stumble over.
+    """
+    from PIL import Image
+
+    check_plain(path, LARGEST_PICTURE)
+    with Image.open(path, formats=("PNG", "JPEG")) as image:
+        width, height = image.size
+        tags = image.getexif() if "exif" in image.info else {}  # asked without, Pillow decodes a PNG to look for them
+        return (height, width) if tags.get(EXIF_ORIENTATION) in LYING else (width, height)
+
+
+def read_encoded(path: Path) -> NDArray[np.uint8]:
+    """The bytes of a picture's file.
+
+    Raises:
+        CaptureError: absent, empty, no regular file, or larger than a picture is.
+    """
+    try:
+        encoded = np.frombuffer(read_plain(path, LARGEST_PICTURE), np.uint8)
+    except OSError as error:
+        raise CaptureError(f"{path}: wanted a picture, got {why_unread(error)}; restore or render this frame again") from error
+    if not encoded.size:
+        raise CaptureError(f"{path}: wanted a picture, got an empty file; restore or render this frame again")
+    return encoded
 
 
 def decode_image(encoded: NDArray[np.uint8], flags: int) -> NDArray[np.generic] | None:

@@ -1,6 +1,7 @@
 """TOML tables as frozen dataclasses: every surprise is an error that names file, key and mend."""
 
 import dataclasses
+import re
 import sys
 import tomllib
 import types
@@ -9,8 +10,10 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 from ggvs_eval.errors import GgvsError, did_you_mean
+from ggvs_eval.files.plain import LARGEST_TOML, read_plain_text
 
 Table = TypeVar("Table")
+LONG_KEY = re.compile(r"""(?<![\w"'-])(?:[\w"'-]+[ \t]*\.[ \t]*){64}""")
 
 
 def parse_toml(text: str, file: str, error: type[GgvsError]) -> dict[str, Any]:
@@ -20,9 +23,21 @@ def parse_toml(text: str, file: str, error: type[GgvsError]) -> dict[str, Any]:
         error: not TOML.
     """
     try:
-        return tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as reason:
+        return load_toml(text)
+    except (ValueError, RecursionError) as reason:
         raise error(f"{file}: not valid TOML: {reason}") from None
+
+
+def load_toml(text: str) -> dict[str, Any]:
+    """`tomllib.loads` for texts that nobody vouches for.
+
+    Raises:
+        ValueError: not TOML, or keys of so many parts that the parser, quadratic in them, would take hours.
+        RecursionError: nested too deep.
+    """
+    if LONG_KEY.search(text):
+        raise ValueError("a key of more than 64 parts")
+    return tomllib.loads(text)
 
 
 def read_toml(path: Path, error: type[GgvsError]) -> dict[str, Any]:
@@ -32,7 +47,7 @@ def read_toml(path: Path, error: type[GgvsError]) -> dict[str, Any]:
         error: absent, not text, or not TOML.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_plain_text(path, LARGEST_TOML)
     except (OSError, UnicodeDecodeError) as reason:
         raise error(f"{path}: wanted a TOML file, got: {reason}; restore or write it") from reason
     return parse_toml(text, str(path), error)

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
-from itertools import islice
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -14,6 +14,7 @@ from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.files.digest import digest_files
+from ggvs_eval.files.plain import check_plain, why_unread
 
 if TYPE_CHECKING:
     from av import VideoFrame
@@ -22,6 +23,10 @@ if TYPE_CHECKING:
 
 MEND = "copy or encode this video again"
 KEY_FRAME_INTERVAL = 30
+# x264's macroblock tree gives other bytes once in some dozens of runs, with one thread too (seen at 64 x 48), and its assembly
+# others than its plain code unless it is told not to.
+X264 = "mbtree=0:cpu-independent=1"
+LARGEST_JITTER = 0.01  # of the longest step between frames, for a rate that is taken as constant
 
 
 def write_video(path: Path, frames: Iterable[Image8], fps: float, crf: float = 12) -> None:
@@ -75,13 +80,12 @@ def _add_stream(container: "OutputContainer", path: Path, size: tuple[int, int],
     stream.codec_context.color_range = ColorRange.MPEG
     stream.codec_context.color_primaries = ColorPrimaries.BT709
     stream.codec_context.color_trc = ColorTrc.BT709
-    # x264's macroblock tree gives other bytes once in some dozens of runs, with one thread too (seen at 64 x 48).
     stream.options = {
         "crf": f"{crf:g}",
         "preset": "medium",
         "threads": "1",
         "g": str(KEY_FRAME_INTERVAL),
-        "x264-params": "mbtree=0",
+        "x264-params": X264,
     }
     return stream
 
@@ -116,6 +120,7 @@ class VideoFrames:
     """The frames of a video file, a `FrameSource`. Frames are numbered in the order of presentation, from 0.
 
     Colour range and matrix (BT.601, BT.709, ...) follow the file's tags; BT.601 limited range where it has none, as swscale does.
+    Frames are turned as the file says they are to be shown, as pictures are by their EXIF tag.
 
     Attributes:
         path: MP4 or MOV file.
@@ -134,8 +139,22 @@ class VideoFrames:
 
     @property
     def size(self) -> tuple[int, int]:
-        """(width, height) in pixels."""
-        return self._header[1]
+        """(width, height) in pixels, as the frames are shown."""
+        width, height = self._header[1]
+        return (height, width) if self._quarter_turns % 2 else (width, height)
+
+    @cached_property
+    def uneven(self) -> str:
+        """How far frames are apart where their rate varies; empty where it does not."""
+        with self._open() as container:
+            stream = container.streams.video[0]
+            times = sorted(sample.timestamp for sample in stream.index_entries if not sample.is_discard)
+            tick_ms = 1000 * float(stream.time_base or 0)
+        steps = [later - earlier for earlier, later in pairwise(times)] or [0]
+        shortest, longest = min(steps), max(steps)
+        if longest - shortest <= max(1, LARGEST_JITTER * longest):  # time stamps are rounded to ticks
+            return ""
+        return f"{shortest * tick_ms:.1f} to {longest * tick_ms:.1f} ms"
 
     @property
     def fps(self) -> float:
@@ -174,7 +193,8 @@ class VideoFrames:
                     # A frame that is missing or concealed must not shift or spoil those after it.
                     if frame.pts != self._timestamps[index].presented or frame.is_corrupt:
                         break
-                    yield frame.to_ndarray(format="rgb24", interpolation=_exact_conversion()).astype(np.uint8, copy=False)
+                    image = frame.to_ndarray(format="rgb24", interpolation=_exact_conversion()).astype(np.uint8, copy=False)
+                    yield np.ascontiguousarray(np.rot90(image, self._quarter_turns)) if self._quarter_turns else image
                     index += 1
             except av.error.FFmpegError as error:
                 reason = str(error.strerror)
@@ -231,12 +251,29 @@ class VideoFrames:
                 raise self._damaged(whole, f"the file ends after {n_bytes} bytes", len(samples))
             return len(samples), (stream.width, stream.height), float(stream.average_rate or 0)
 
+    @cached_property
+    def _quarter_turns(self) -> int:
+        """By how many right angles, against the clock, frames are turned before they are shown; the first one says so."""
+        import av
+
+        try:
+            with self._open() as container:
+                angle_deg = next((frame.rotation for frame in container.decode(video=0)), 0)
+        except av.error.FFmpegError:  # damaged: whoever reads frames says so better
+            return 0
+        if angle_deg % 90:
+            wanted = "frames that are shown upright or turned by right angles"
+            raise CaptureError(f"{self.path}: wanted {wanted}, got {angle_deg} degrees; {MEND} without a turn")
+        return angle_deg // 90 % 4
+
     def _open(self) -> "InputContainer":
         """Open the container, with its first stream a video."""
         import av
 
-        if not self.path.is_file():
-            raise CaptureError(f"{self.path}: wanted a video, there is no such file; restore it or drop its camera")
+        try:
+            check_plain(self.path)
+        except OSError as error:
+            raise CaptureError(f"{self.path}: wanted a video, got {why_unread(error)}; restore it or drop its camera") from error
         try:
             container = av.open(str(self.path), metadata_errors="replace")
         except av.error.FFmpegError as error:

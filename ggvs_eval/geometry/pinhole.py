@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import GgvsError
+from ggvs_eval.kernels.portable import product, transformed
 
 Pinhole = tuple[float, float, float, float, int, int]
 
@@ -18,8 +19,8 @@ def pinhole(camera: Camera) -> Pinhole:
 def rigid_between(first: Camera, second: Camera) -> NDArray[np.float64]:
     """Rigid transform from the first camera's frame to the second's, (4, 4); float64, as the world's origin may be far away."""
     transform = np.eye(4)
-    transform[:3, :3] = second.rotation @ first.rotation.T
-    transform[:3, 3] = second.translation - transform[:3, :3] @ first.translation
+    transform[:3, :3] = product(second.rotation, first.rotation.T)
+    transform[:3, 3] = second.translation - transformed(transform[:3, :3], first.translation)
     return transform
 
 

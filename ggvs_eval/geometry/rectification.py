@@ -14,6 +14,7 @@ import numpy as np
 from ggvs_eval.arrays import Array, Image8, Map, Mask
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import DepthError
+from ggvs_eval.kernels.portable import length, product, transformed, unit
 
 MIN_RAY_Z = 0.1  # of a rectified ray; smaller ones would need a canvas more than ten focal lengths wide
 SAME_SURFACE_PX = 0.75  # neighbouring disparities that differ by less are one surface
@@ -80,10 +81,10 @@ def rectify(reference: Camera, partner: Camera) -> RectifiedPair:
         DepthError: the cameras share a centre, or look apart so far that no plane holds both images.
     """
     world_to_rectified, baseline = _rectifying_rotation(reference, partner)
-    rotation = world_to_rectified @ reference.rotation.T
-    rotation_partner = world_to_rectified @ partner.rotation.T
-    rays = _rays(reference) @ rotation.T  # (H, W, 3)
-    rays_partner = _rays(partner) @ rotation_partner.T
+    rotation = product(world_to_rectified, reference.rotation.T)
+    rotation_partner = product(world_to_rectified, partner.rotation.T)
+    rays = transformed(rotation, _rays(reference))  # (H, W, 3)
+    rays_partner = transformed(rotation_partner, _rays(partner))
     if min(rays[..., 2].min(), rays_partner[..., 2].min()) < MIN_RAY_Z:
         raise DepthError(f"cameras {reference.name} and {partner.name} look too far apart to be matched; choose another partner")
     focal_px = reference.focal_px
@@ -134,15 +135,14 @@ def depth_from_disparity(pair: RectifiedPair, disparity: Map, confidence: Map) -
 def _rectifying_rotation(reference: Camera, partner: Camera) -> tuple[Array, float]:
     """World to rectified axes: x towards the partner, z as near as can be to both viewing directions."""
     towards = partner.centre - reference.centre
-    baseline = float(np.linalg.norm(towards))
+    baseline = float(length(towards))
     forward = reference.axis + partner.axis
-    if baseline < 1e-9 * reference.near or np.linalg.norm(np.cross(towards, forward)) < 1e-3 * baseline:
+    if baseline < 1e-9 * reference.near or length(np.cross(towards, forward)) < 1e-3 * baseline:
         raise DepthError(
             f"cameras {reference.name} and {partner.name} have no parallax (distance {baseline:g}); choose another partner"
         )
     x = towards / baseline
-    y = np.cross(forward, x)
-    y /= np.linalg.norm(y)
+    y = unit(np.cross(forward, x))
     return np.stack([x, y, np.cross(x, y)]), baseline
 
 

@@ -7,6 +7,7 @@ from ggvs_eval.arrays import Array, Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.pinhole import as_image, rigid_between
+from ggvs_eval.kernels.portable import transformed
 
 # Neighbours whose depths differ by more than this share lie on two surfaces, unless the surface is as steep as this.
 STEP, STEEPEST_SLOPE = 0.02, 6.0
@@ -81,7 +82,7 @@ def _footprints(
     for across, down in CORNERS:
         shift = np.array([[across / source.K[0, 0]], [down / source.K[1, 1]]])
         z = 1 / np.maximum(inverse + (shift * slopes).sum(axis=0), 0.5 * inverse)
-        points = np.concatenate([(rays + shift) * z, z[None]]).T @ transform[:3, :3].T + transform[:3, 3]
+        points = transformed(transform[:3, :3], np.concatenate([(rays + shift) * z, z[None]]).T) + transform[:3, 3]
         with np.errstate(divide="ignore", invalid="ignore"):
             uv = points[:, :2] / points[:, 2:] * target.K[[0, 1], [0, 1]] + target.K[:2, 2]
         corners.append(np.where(points[:, 2:] > 0, uv, np.nan).T)

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.arrays import Image8
+from ggvs_eval.arrays import Array32, Image8, Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.pinhole import as_image, pinhole, rigid_between
 from ggvs_eval.kernels import SIMD_LEVELS, get_simd_level, get_threads
+from ggvs_eval.method import SourceView
 
 MAX_FEATURES = 4
 COVERED_ALPHA = 0.5  # from this coverage on a splatted view shows something
@@ -19,38 +20,8 @@ Projected = tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]
 
 
 @dataclass(frozen=True, eq=False)
-class PixelGaussians:
-    """One isotropic opaque Gaussian per valid pixel of a source view.
-
-    Attributes:
-        camera: the source camera.
-        depth: z in the source camera, (H, W) float32, world units, 0 = no Gaussian here.
-        features: what is blended, (H, W, C) float32 with C from 1 to 4; or an 8-bit image, (H, W, 3) uint8, whose levels count
-            as shares of 255.
-        extra: one more feature beside an 8-bit image, (H, W) float32, e.g. a motion mask.
-    """
-
-    camera: Camera
-    depth: NDArray[np.float32]
-    features: NDArray[np.float32] | Image8
-    extra: NDArray[np.float32] | None = None
-
-    @property
-    def channels(self) -> int:
-        """C, the extra one included; 0 if the features are no image."""
-        return (self.features.shape[2] if self.features.ndim == 3 else 0) + (self.extra is not None)
-
-    def float_features(self) -> NDArray[np.float32]:
-        """All features, (H, W, C) float32; a copy unless they are so already."""
-        if self.features.dtype != np.uint8:
-            return self.features.astype(np.float32, copy=False)
-        shares = self.features.astype(np.float32) / np.float32(255)
-        return shares if self.extra is None else np.concatenate([shares, self.extra[..., None]], axis=-1, dtype=np.float32)
-
-
-@dataclass(frozen=True, eq=False)
 class Splat:
-    """What the Gaussians look like from the target camera.
+    """A source view in the target view, or several together: what its Gaussians look like from the target camera.
 
     Attributes:
         features: (H', W', C) float32.
@@ -64,16 +35,24 @@ class Splat:
 
 
 def splat(
-    sources: Sequence[PixelGaussians], target: Camera, *, near: float, scale: float = 0.5, normalised: bool = True
+    sources: Sequence[SourceView],
+    target: Camera,
+    *,
+    near: float,
+    extras: Sequence[Map] = (),
+    scale: float = 0.5,
+    normalised: bool = True,
 ) -> Splat:
-    """Render the Gaussians of all sources together, sorted by depth and blended front to back.
+    """Render every pixel of known depth as a Gaussian, those of all sources together, blended front to back.
 
     One source gives that view's forward rendering; several give the paper's No Blending baseline.
 
     Args:
-        sources: views with the same number of feature channels; sizes may differ.
+        sources: views whose images have the same number of channels; sizes may differ. Levels of an 8-bit image count as shares
+            of 255; other features, (H, W, C) float32 with C from 1 to 4, are blended as they are.
         target: the camera to render.
         near: Gaussians at or before this depth in the target camera are left out, world units.
+        extras: of each source one more feature beside its 8-bit image, (H, W) float32, e.g. a difference mask; or none.
         scale: standard deviation of a Gaussian in source pixels.
         normalised: divide features and depth by alpha where alpha > 1/255, set them to 0 elsewhere; False keeps the plain sums.
 
@@ -83,7 +62,8 @@ def splat(
     Examples:
         >>> K = np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]])
         >>> camera = Camera("cam00", K, np.eye(4), width=8, height=6, near=1.0, far=9.0)
-        >>> view = PixelGaussians(camera, np.full((6, 8), 2.0, np.float32), np.full((6, 8, 3), 128, np.uint8))
+        >>> depth, grey = np.full((6, 8), 2.0, np.float32), np.full((6, 8, 3), 128, np.uint8)
+        >>> view = SourceView(camera, grey, depth, confidence=np.ones_like(depth))
         >>> picture = splat([view], camera, near=0.2)
         >>> picture.features[3, 4].round(3)
         array([0.502, 0.502, 0.502], dtype=float32)
@@ -101,7 +81,8 @@ def splat(
     """
     from ggvs_eval.kernels import _core
 
-    channels = _common_channels(sources)
+    beside: list[Map | None] = [*extras] or [None] * len(sources)
+    channels = _common_channels(sources, beside)
     if not (near > 0 and scale > 0):
         raise RenderError(f"splat: near and scale must be positive, got near {near:g}, scale {scale:g}")
     views = [
@@ -109,46 +90,68 @@ def splat(
             pinhole(source.camera),
             rigid_between(source.camera, target),
             as_image(source.depth, source.camera, "depth", RenderError),
-            *_features(source),
+            *_features(source, extra),
         )
-        for source in sources
+        for source, extra in zip(sources, beside, strict=True)
     ]
     level = SIMD_LEVELS.index(get_simd_level())
     return Splat(*_core.splat(views, pinhole(target), near, scale, channels, normalised, get_threads(), level))
 
 
-def _features(source: PixelGaussians) -> tuple[NDArray[np.float32] | Image8, NDArray[np.float32] | None]:
+def splat_depth(camera: Camera, depth: Map, target: Camera, *, near: float) -> Splat:
+    """Render the Gaussians of a depth map alone: coverage and depth in the target camera, no colours.
+
+    Args:
+        camera: of the depth map.
+        depth: (H, W), world units, 0 = no Gaussian here.
+        target: the camera to render.
+        near: as in `splat`, world units.
+
+    Raises:
+        RenderError: a depth map that does not fit its camera, or a near that is not positive.
+    """
+    black = np.zeros((*depth.shape, 3), np.uint8)
+    return splat([SourceView(camera, black, depth, confidence=depth)], target, near=near)
+
+
+def _features(source: SourceView, extra: Map | None) -> tuple[Array32 | Image8, Map | None]:
     """Features and the extra one as the kernel takes them, without a copy where they lie as it wants them."""
-    if source.features.dtype != np.uint8:
-        return as_image(source.features, source.camera, "features", RenderError), None
-    if source.features.shape[:2] != (source.camera.height, source.camera.width):
-        as_image(source.features, source.camera, "features", RenderError)  # raises
-    extra = None if source.extra is None else as_image(source.extra, source.camera, "extra feature", RenderError)
-    return np.ascontiguousarray(source.features, np.uint8), extra
+    if source.image.dtype != np.uint8:
+        return as_image(source.image, source.camera, "features", RenderError), None
+    if source.image.shape[:2] != (source.camera.height, source.camera.width):
+        as_image(source.image, source.camera, "features", RenderError)  # raises
+    extra = None if extra is None else as_image(extra, source.camera, "extra feature", RenderError)
+    return np.ascontiguousarray(source.image), extra
 
 
-def _common_channels(sources: Sequence[PixelGaussians]) -> int:
-    for source in sources:
-        if source.extra is not None and source.features.dtype != np.uint8:
-            raise RenderError(f"splat: an extra feature goes with an 8-bit image, got features of {source.features.dtype}")
-        if source.features.dtype == np.uint8 and source.features.shape[2:] != (3,):
-            raise RenderError(f"splat: wanted an 8-bit image (H, W, 3), got {source.features.shape}")
-    channels = {source.channels for source in sources}
+def _common_channels(sources: Sequence[SourceView], extras: Sequence[Map | None]) -> int:
+    """Number of features of every source, the extra one included."""
+    if len(sources) != len(extras):
+        raise RenderError(f"splat: wanted an extra feature of every source or of none, got {len(extras)} of {len(sources)}")
+    channels = set()
+    for source, extra in zip(sources, extras, strict=True):
+        image = source.image
+        if extra is not None and image.dtype != np.uint8:
+            raise RenderError(f"splat: an extra feature goes with an 8-bit image, got features of {image.dtype}")
+        if image.dtype == np.uint8 and image.shape[2:] != (3,):
+            raise RenderError(f"splat: wanted an 8-bit image (H, W, 3), got {image.shape}")
+        channels.add((image.shape[2] if image.ndim == 3 else 0) + (extra is not None))
     if len(channels) != 1 or not 1 <= min(channels) <= MAX_FEATURES:
-        shapes = ", ".join(str(source.features.shape) for source in sources) or "no source"
+        shapes = ", ".join(str(source.image.shape) for source in sources) or "no source"
         raise RenderError(f"splat: wanted features (H, W, C) with one C from 1 to {MAX_FEATURES} in all sources, got {shapes}")
     return min(channels)
 
 
-def splat_points(source: PixelGaussians, target: Camera, *, near: float) -> Splat:
+def splat_points(source: SourceView, target: Camera, *, near: float, extra: Map | None = None) -> Splat:
     """Render the pixels of one source as points: each falls into one pixel of the target, where the nearest is seen.
 
     The limit of `splat` for Gaussians that shrink to nothing and are still opaque in the middle; magnification opens holes.
 
     Args:
-        source: the view.
+        source: the view, its image as in `splat`.
         target: the camera to render.
         near: points at or before this depth in the target camera are left out, world units.
+        extra: one more feature beside the image, (H, W) float32.
 
     Raises:
         RenderError: features that do not fit the camera, or a near that is not positive.
@@ -159,7 +162,7 @@ def splat_points(source: PixelGaussians, target: Camera, *, near: float) -> Spla
     if not near > 0:
         raise RenderError(f"point splat: near must be positive, got {near:g}")
     depth = as_image(source.depth, source.camera, "depth", RenderError)
-    features = as_image(source.float_features(), source.camera, "features", RenderError)
+    features = as_image(float_features(source.image, extra), source.camera, "features", RenderError)
     place, z, chosen = _project(source.camera, depth, target, near)
     order = np.lexsort((z, place))  # by pixel, within it by depth, within that as they were
     first = order[np.r_[True, np.diff(place[order]) > 0]] if order.size else order
@@ -169,6 +172,12 @@ def splat_points(source: PixelGaussians, target: Camera, *, near: float) -> Spla
     alpha.reshape(-1)[place[first]] = OPAQUE
     seen.reshape(-1)[place[first]] = z[first]
     return Splat(colour, alpha, seen)
+
+
+def float_features(image: Array32 | Image8, extra: Map | None = None) -> Array32:
+    """An image, levels of 8 bit as shares of 255, and one more feature beside it, (H, W, C); a copy unless it is that already."""
+    shares = image.astype(np.float32) / np.float32(255) if image.dtype == np.uint8 else image.astype(np.float32, copy=False)
+    return shares if extra is None else np.concatenate([shares, extra[..., None]], axis=-1, dtype=np.float32)
 
 
 def _project(camera: Camera, depth: NDArray[np.float32], target: Camera, near: float) -> Projected:

@@ -27,21 +27,6 @@ MAX_VIEWS = 32
 
 
 @dataclass(frozen=True, eq=False)
-class DepthView:
-    """A source's depth in the fused field.
-
-    Attributes:
-        camera: the source camera.
-        depth: (H, W) float32, world units, 0 = invalid.
-        weight: omega_k of Eqs. 11-12, (H, W) float32, 0 = this pixel says nothing.
-    """
-
-    camera: Camera
-    depth: NDArray[np.float32]
-    weight: NDArray[np.float32]
-
-
-@dataclass(frozen=True, eq=False)
 class PreviousDepth:
     """The previous frame's result in the fused field (Eqs. 13-14): its weight is min(gain * accumulated_weight, limit).
 
@@ -100,7 +85,9 @@ def fusion_weights(depth: NDArray[np.float32], tau: float, depth_noise: float) -
 
 def ray_march(
     target: Camera,
-    views: Sequence[DepthView],
+    cameras: Sequence[Camera],
+    depths: Sequence[NDArray[np.float32]],
+    weights: Sequence[NDArray[np.float32]],
     *,
     tau: float,
     previous: PreviousDepth | None = None,
@@ -113,7 +100,9 @@ def ray_march(
 
     Args:
         target: the camera to render, at its current pose.
-        views: the K sources; sizes may differ.
+        cameras: the K source cameras; sizes may differ.
+        depths: of each, (H, W) float32, world units, 0 = invalid.
+        weights: omega_k of Eqs. 11-12, see `fusion_weights`: (H, W) float32 each, 0 = this pixel says nothing.
         tau: truncation distance, world units.
         previous: the previous frame's result, if it shall hold the surface steady.
         skip_empty: pass whole steps that no view can influence without sampling them; the result is the same, bit for bit.
@@ -122,7 +111,7 @@ def ray_march(
         bisections: of the interval around the zero crossing; its middle is the depth.
 
     Raises:
-        DepthError: images that do not fit their cameras, too many views, or parameters for which the march would not end.
+        DepthError: images that do not fit their cameras, too many of them, or parameters for which the march would not end.
 
     Examples:
         >>> from ggvs_eval.camera import translated_path
@@ -130,7 +119,7 @@ def ray_march(
         >>> camera = Camera("cam00", K, np.eye(4), width=8, height=6, near=1.0, far=9.0)
         >>> left, right = translated_path(camera, span=0.25, count=2)
         >>> plane, ones = np.full((6, 8), 2.0, np.float32), np.ones((6, 8), np.float32)
-        >>> surface = ray_march(camera, [DepthView(left, plane, ones), DepthView(right, plane, ones)], tau=0.1)
+        >>> surface = ray_march(camera, [left, right], [plane, plane], [ones, ones], tau=0.1)
         >>> round(float(surface.depth[3, 4]), 2)
         2.0
     """
@@ -141,9 +130,11 @@ def ray_march(
         raise DepthError(f"ray march: min_step must not exceed step_fraction, got {min_step:g} and {step_fraction:g}")
     if tau * min_step < 1e-6 * target.far:
         raise DepthError(f"ray march: steps of {min_step:g} tau = {tau * min_step:g} vanish beside the far depth {target.far:g}")
-    if len(views) + (previous is not None) > MAX_VIEWS:
-        raise DepthError(f"ray march: wanted at most {MAX_VIEWS} depth views, got {len(views)} and the previous depth")
-    fields = [_field(target, view.camera, view.depth, view.weight) for view in views]
+    if not len(cameras) == len(depths) == len(weights):
+        raise DepthError(f"ray march: wanted depth and weights per camera, got {len(cameras)}, {len(depths)}, {len(weights)}")
+    if len(cameras) + (previous is not None) > MAX_VIEWS:
+        raise DepthError(f"ray march: wanted at most {MAX_VIEWS} depth views, got {len(cameras)} and the previous depth")
+    fields = [_field(target, *view) for view in zip(cameras, depths, weights, strict=True)]
     if previous is not None:
         gain = as_image(previous.gain, target, "gain", DepthError)
         fields.append(_field(target, previous.camera, previous.depth, previous.accumulated_weight, gain, previous.limit))

@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.arrays import Image8
+from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.per_pixel import evenly_spaced
 from ggvs_eval.geometry.pinhole import as_image, pinhole, rigid_between
 from ggvs_eval.geometry.splat import Splat
 from ggvs_eval.kernels import SIMD_LEVELS, get_simd_level, get_threads
+from ggvs_eval.method import SourceView
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,23 +28,6 @@ class Warp:
 
     colour: NDArray[np.float32]
     visibility: NDArray[np.float32]
-
-
-@dataclass(frozen=True, eq=False)
-class CapturedView:
-    """A source view that `look_up` samples.
-
-    Attributes:
-        camera: the source camera.
-        image: (Hs, Ws, 3) uint8.
-        depth: the source's own depth, (Hs, Ws) float32, world units, 0 = invalid.
-        weight: how far the view counts beside the others that see the surface, positive.
-    """
-
-    camera: Camera
-    image: Image8
-    depth: NDArray[np.float32]
-    weight: float
 
 
 def warp(
@@ -103,7 +87,8 @@ def warp(
 def look_up(
     target: Camera,
     target_depth: NDArray[np.float32],
-    views: Sequence[CapturedView],
+    sources: Sequence[SourceView],
+    weights: Sequence[float],
     background: NDArray[np.float32],
     tolerance: float,
 ) -> NDArray[np.float32]:
@@ -115,7 +100,8 @@ def look_up(
     Args:
         target: the camera to render.
         target_depth: its depth, (H, W) float32, world units, 0 = unknown.
-        views: the source views, at least one; sizes may differ.
+        sources: the source views, at least one; sizes may differ.
+        weights: how far each view counts beside the others that see the surface, positive.
         background: (H, W, 3) float32.
         tolerance: as in `warp`, world units.
 
@@ -124,41 +110,33 @@ def look_up(
 
     Raises:
         RenderError: images that do not fit their cameras or are not 8-bit RGB, a tolerance or a weight that is not positive,
-            or no view.
+            no view, or not as many weights as views.
     """
     from ggvs_eval.kernels import _core
 
-    least, largest = min((view.weight for view in views), default=0.0), max((view.weight for view in views), default=0.0)
+    if len(sources) != len(weights):
+        raise RenderError(f"look-up: wanted a weight per view, got {len(weights)} for {len(sources)} views")
+    least, largest = min(weights, default=0.0), max(weights, default=0.0)
     if not (0 < tolerance < np.inf and 0 < least <= largest < np.inf):
         raise RenderError(f"look-up: tolerance and weights must be positive, got {tolerance:g} and {least:g} .. {largest:g}")
     if background.shape[2:] != (3,):
         raise RenderError(f"look-up: wanted a background (H, W, 3), got {background.shape}")
-    fields = [
-        (
-            *captured_fields(target, view),
-            view.weight,
-        )
-        for view in views
-    ]
+    fields = [(*_source_fields(target, source), weight) for source, weight in zip(sources, weights, strict=True)]
     depth = as_image(target_depth, target, "target depth", RenderError)
     under = as_image(background, target, "background", RenderError)
     level = SIMD_LEVELS.index(get_simd_level())
     return _core.look_up(pinhole(target), depth, fields, under, tolerance, get_threads(), level)
 
 
-def captured_fields(target: Camera, view: CapturedView) -> tuple[Any, ...]:
+def _source_fields(target: Camera, source: SourceView) -> tuple[Any, ...]:
     """What kernels are told of a source view: its pinhole, its pose beside the target's, its checked image and depth."""
-    depth = as_image(view.depth, view.camera, "source depth", RenderError)
-    return pinhole(view.camera), rigid_between(target, view.camera), as_image8(view), depth
+    depth = as_image(source.depth, source.camera, "source depth", RenderError)
+    return pinhole(source.camera), rigid_between(target, source.camera), _image8(source), depth
 
 
-def as_image8(view: CapturedView) -> Image8:
-    """The image of a view, C-contiguous, as the kernels that look it up want it.
-
-    Raises:
-        RenderError: it does not fit its camera, is not 8-bit RGB, or has but one pixel.
-    """
-    camera, image = view.camera, view.image
+def _image8(source: SourceView) -> Image8:
+    """The image of a view, C-contiguous, as the kernels that look it up want it."""
+    camera, image = source.camera, source.image
     if image.shape != (camera.height, camera.width, 3) or image.dtype != np.uint8 or image.size < 6:
         raise RenderError(
             f"camera {camera.name}: wanted a uint8 image ({camera.height}, {camera.width}, 3) of at least two pixels, "
@@ -167,42 +145,28 @@ def as_image8(view: CapturedView) -> Image8:
     return np.ascontiguousarray(image)
 
 
-@dataclass(frozen=True, eq=False)
-class Registered:
-    """K views in the target view.
-
-    Attributes:
-        colours: (K, H, W, 3), float32: the splat's, and as far as the view is visible its image's at the fused surface.
-        coverage: (K, H, W), float32: the visibility, or the faint coverage of the splat if that is more.
-        visibilities: (K, H, W), float32 in [0, 1], as in `warp`.
-        alphas: (K, H, W), float32: the splats' coverages side by side.
-        depths: (K, H, W), float32: the splats' depths.
-    """
-
-    colours: NDArray[np.float32]
-    coverage: NDArray[np.float32]
-    visibilities: NDArray[np.float32]
-    alphas: NDArray[np.float32]
-    depths: NDArray[np.float32]
-
-
 def register_views(
     target: Camera,
     target_depth: NDArray[np.float32],
-    views: Sequence[CapturedView],
+    sources: Sequence[SourceView],
     splats: Sequence[Splat],
     tolerance: float,
     faint: float,
-) -> Registered:
+) -> tuple[Map, Map, Map, Map, Map]:
     """Register views in one pass, without images in between: what `warp` gives for each (bicubic), mixed with its splat.
 
     Args:
         target: the camera to render.
         target_depth: its depth, (H, W) float32, world units, 0 = unknown.
-        views: the source views; sizes may differ, their weights do not count.
+        sources: the source views; sizes may differ.
         splats: the same views splatted into the target view, at least three features: their colours.
         tolerance: as in `warp`, world units.
         faint: coverage of a pixel that only the splat shows, per coverage of the splat.
+
+    Returns:
+        Stacks of the K views, float32: colours (K, H, W, 3), the splat's, and as far as the view is visible its image's at the
+        fused surface; coverage (K, H, W), the visibility, or the faint coverage of the splat if that is more; visibilities
+        (K, H, W) in [0, 1], as in `warp`; coverages and depths of the splats side by side, (K, H, W).
 
     Raises:
         RenderError: no view, not as many splats as views, images that do not fit their cameras or are not 8-bit RGB, or a
@@ -210,19 +174,19 @@ def register_views(
     """
     from ggvs_eval.kernels import _core
 
-    if not len(views) == len(splats) > 0:
-        raise RenderError(f"registration: wanted a splat per view, got {len(views)} views and {len(splats)} splats")
+    if not len(sources) == len(splats) > 0:
+        raise RenderError(f"registration: wanted a splat per view, got {len(sources)} views and {len(splats)} splats")
     if not 0 < tolerance < np.inf:
         raise RenderError(f"registration: tolerance must be positive and finite, got {tolerance:g}")
     fields = [
         (
-            *captured_fields(target, view),
+            *_source_fields(target, source),
             evenly_spaced(splat.features),
             as_image(splat.alpha, target, "coverage of the splat", RenderError),
             as_image(splat.depth, target, "depth of the splat", RenderError),
         )
-        for view, splat in zip(views, splats, strict=True)
+        for source, splat in zip(sources, splats, strict=True)
     ]
     depth = as_image(target_depth, target, "target depth", RenderError)
     level = SIMD_LEVELS.index(get_simd_level())
-    return Registered(*_core.register_views(pinhole(target), depth, fields, tolerance, faint, get_threads(), level))
+    return _core.register_views(pinhole(target), depth, fields, tolerance, faint, get_threads(), level)

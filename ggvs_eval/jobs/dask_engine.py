@@ -1,6 +1,8 @@
 """Run jobs on dask: a cluster of processes on this machine, or the workers of the user's scheduler (Slurm, Kubernetes, SSH)."""
 
+import logging
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from importlib import import_module
 from typing import Any, TypeVar
@@ -41,17 +43,18 @@ def run_on_dask(
         futures = [client.submit(_work_on, work, item, threads, pure=False) for item in items]
         index_of = {future.key: index for index, future in enumerate(futures)}
         suspects = []
-        for future in distributed.as_completed(futures):
-            if future.cancelled():
-                raise RenderError(f"{scheduler or 'dask'}: the scheduler has gone; what is done stays, run this again")
-            outcome, index = _outcome(distributed, future), index_of[future.key]
-            if isinstance(outcome, LostJob):
-                suspects.append(index)
-            else:
-                yield index, outcome
-        for index in suspects:
-            alone = client.submit(_work_on, work, items[index], threads, pure=False)
-            yield index, _outcome(distributed, alone)
+        try:
+            for future in distributed.as_completed(futures):
+                outcome, index = _outcome(distributed, future), index_of[future.key]
+                if isinstance(outcome, LostJob):
+                    suspects.append(index)
+                else:
+                    yield index, outcome
+            for index in suspects:
+                alone = client.submit(_work_on, work, items[index], threads, pure=False)
+                yield index, _outcome(distributed, alone)
+        except (CancelledError, distributed.comm.CommClosedError) as error:
+            raise RenderError(f"{scheduler or 'dask'}: the scheduler has gone; what is done stays, run this again") from error
 
 
 def _work_on(work: Callable[[Item], Result], item: Item, threads: int | None) -> Result:
@@ -73,6 +76,7 @@ def _outcome(distributed: Any, future: Any) -> Any:
 def _connect(distributed: Any, workers: int, scheduler: str | None) -> Iterator[Any]:
     """A client of the user's scheduler, or of a cluster that ends with it."""
     if scheduler:
+        logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # what is lost is told in one line, here
         try:
             client = distributed.Client(scheduler, timeout=CONNECT_S)
         except (OSError, ValueError) as error:

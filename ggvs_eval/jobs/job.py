@@ -8,14 +8,13 @@ import hashlib
 import json
 import shutil
 import socket
-import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from ggvs_eval.errors import GgvsError, RenderError
+from ggvs_eval.errors import RenderError
 from ggvs_eval.files.atomic import remove_leftovers, scratch_folder
 from ggvs_eval.jobs.code_identity import package_digest
 from ggvs_eval.jobs.engine import Workers, as_engine
@@ -143,10 +142,8 @@ def _run_one(job: Job, code: str | None) -> Failure | None:
         if code not in (None, package_digest()):
             return Failure(job.name, f"the worker on {socket.gethostname()} has another version of ggvs-eval; install the same")
         job.run()
-    except GgvsError as error:
-        return Failure(job.name, str(error))
     except Exception as error:
-        return Failure(job.name, f"{type(error).__name__}: {error}", traceback.format_exc())
+        return Failure.of(job.name, error)
     return None
 
 

@@ -8,11 +8,12 @@
 
 import hashlib
 import time
+import traceback
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ggvs_eval.errors import ResultsError
+from ggvs_eval.errors import ResultsError, mendable
 from ggvs_eval.run_folder import JOB_FILE, read_json, write_json
 
 JOBS_FOLDER = "jobs"
@@ -58,6 +59,17 @@ class Failure:
     def __str__(self) -> str:
         """What failed and why, in one line."""
         return f"{self.name}: {' '.join(self.message.split())}"
+
+    @classmethod
+    def of(cls, name: str, error: Exception) -> "Failure":
+        """What an error says of a job; call it while the error is handled.
+
+        Args:
+            name: of the job.
+            error: raised by the job.
+        """
+        line = mendable(error)
+        return cls(name, line) if line else cls(name, f"{type(error).__name__}: {error}", traceback.format_exc())
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,13 @@
 """Worker processes that share the CPUs evenly and do not outlive whoever started them."""
 
 import os
+import signal
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
-from multiprocessing import connection, get_context, parent_process
+from contextlib import contextmanager
+from multiprocessing import active_children, connection, get_context, parent_process
+from types import TracebackType
 from typing import Any
 
 from ggvs_eval.progress import track
@@ -24,7 +27,33 @@ def worker_pool(workers: int) -> ProcessPoolExecutor:
         workers: number of processes.
     """
     threads = max(default_workers() // workers, 1)
-    return ProcessPoolExecutor(workers, get_context("spawn"), initializer=_start_worker, initargs=(threads,))
+    return _WorkerPool(workers, get_context("spawn"), initializer=_start_worker, initargs=(threads,))
+
+
+class _WorkerPool(ProcessPoolExecutor):
+    """A pool that ends at once when its user is interrupted; what its workers were filling is swept by the next call."""
+
+    def submit(self, work: Callable[..., Any], /, *arguments: Any, **named: Any) -> Future[Any]:
+        """Submit work; workers, which may be started here, never see Ctrl-C: it is the parent that ends them."""
+        with _without_interrupts():
+            return super().submit(work, *arguments, **named)
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> bool | None:
+        """Wait for what runs; after Ctrl-C end it."""
+        if kind in (KeyboardInterrupt, SystemExit):
+            for child in active_children():
+                child.terminate()
+        return super().__exit__(kind, error, trace)
+
+
+@contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Put Ctrl-C off; a process that is started meanwhile never gets it."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def finish_all(pool: Executor, running: Sequence[Future[Any]], description: str) -> None:
@@ -42,7 +71,7 @@ def finish_all(pool: Executor, running: Sequence[Future[Any]], description: str)
         for done in track(as_completed(running), description, total=len(running)):
             done.result()
     except BaseException:
-        pool.shutdown(cancel_futures=True)
+        pool.shutdown(wait=False, cancel_futures=True)
         raise
 
 

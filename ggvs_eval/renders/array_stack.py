@@ -14,6 +14,7 @@ from ggvs_eval.arrays import Image8
 from ggvs_eval.datasets.array_file import HEADER_ERRORS, map_array
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import quantise
+from ggvs_eval.files.plain import check_plain
 
 # Renderers overshoot a little; what lies farther out was never meant to be [0, 1].
 OVERSHOOT = 0.1
@@ -104,6 +105,7 @@ class ArrayStack:
 
     def _open_member(self) -> IO[bytes]:
         try:
+            check_plain(self.path)
             archive = zipfile.ZipFile(self.path)
             if archive.getinfo(f"{self.member}.npy").compress_type not in SAFE_CODINGS:
                 raise NotImplementedError("a coding that numpy does not write")
@@ -140,6 +142,7 @@ def npz_members(path: Path) -> list[str]:
         RenderError: not a zip archive.
     """
     try:
+        check_plain(path)
         with zipfile.ZipFile(path) as archive:
             return [name.removesuffix(".npy") for name in archive.namelist() if name.endswith(".npy")]
     except ZIP_ERRORS as error:

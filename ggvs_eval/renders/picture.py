@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.files.images import PNG_SIGNATURE, read_image, write_image
+from ggvs_eval.files.images import PNG_SIGNATURE, picture_size, read_image, write_image
+from ggvs_eval.files.plain import LARGEST_PICTURE, check_plain, why_unread
 from ggvs_eval.run_folder import frame_path
 
 JPEG_SIGNATURE = b"\xff\xd8\xff"
 IHDR_END = 29
 ALPHA_TYPES = (4, 6)
-EXIF_ORIENTATION = 0x0112
 
 
 class Header(NamedTuple):
@@ -21,8 +21,8 @@ class Header(NamedTuple):
 
     Attributes:
         form: how it is coded.
-        width: in pixels.
-        height: in pixels.
+        width: in pixels, turned as its EXIF tag says.
+        height: likewise.
         fault: why its pixels would not be measured as they were written; empty where they would.
         has_alpha: whether it carries transparency, which is not measured.
     """
@@ -41,28 +41,25 @@ def read_header(path: Path) -> Header:
         RenderError: neither PNG nor JPEG, or cut before its size.
     """
     try:
+        check_plain(path, LARGEST_PICTURE)
         with path.open("rb") as file:
             start = file.read(IHDR_END)
     except OSError as error:
-        raise RenderError(f"{path}: wanted a picture, it cannot be read ({error.strerror}); restore it") from error
+        raise RenderError(f"{path}: wanted a picture, it cannot be read ({why_unread(error)}); restore it") from error
     if start.startswith(PNG_SIGNATURE) and len(start) == IHDR_END:
-        width, height = int.from_bytes(start[16:20], "big"), int.from_bytes(start[20:24], "big")
         fault = "16 bits per channel instead of 8" if start[24] == 16 else ""
-        return Header("PNG", width, height, fault, start[25] in ALPHA_TYPES)
+        return _header(path, "PNG", fault, start[25] in ALPHA_TYPES)
     if start.startswith(JPEG_SIGNATURE):
-        return _jpeg_header(path)
+        return _header(path, "JPEG")
     raise RenderError(f"{path}: wanted a PNG or JPEG picture, got other bytes; render this frame again")
 
 
-def _jpeg_header(path: Path) -> Header:
-    from PIL import Image
-
+def _header(path: Path, form: Literal["PNG", "JPEG"], fault: str = "", has_alpha: bool = False) -> Header:
+    """The header of a picture that begins as its form does."""
     try:
-        with Image.open(path, formats=("JPEG",)) as image:
-            turned = image.getexif().get(EXIF_ORIENTATION, 1) != 1
-            return Header("JPEG", *image.size, "turned by its EXIF tag" if turned else "")
+        return Header(form, *picture_size(path), fault, has_alpha)
     except Exception as error:  # the parser raises whatever a damaged header makes it stumble over
-        raise RenderError(f"{path}: wanted a picture, got a damaged JPEG header; render this frame again") from error
+        raise RenderError(f"{path}: wanted a picture, got a damaged {form} header; render this frame again") from error
 
 
 @dataclass(frozen=True)

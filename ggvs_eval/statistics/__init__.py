@@ -1,1 +1,1 @@
-"""How sure a number is: variance over views and time, bootstrap intervals, paired comparisons, ties."""
+"""How sure a number is: variance over views and time, intervals, paired comparisons, ties."""

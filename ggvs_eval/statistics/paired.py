@@ -7,7 +7,7 @@ import numpy as np
 
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.results import Results
-from ggvs_eval.statistics.bootstrap import LEVEL, RESAMPLES, resample
+from ggvs_eval.statistics.intervals import LEVEL, measure_spread
 from ggvs_eval.statistics.pooled_table import PooledTable, pool_table
 
 
@@ -19,8 +19,9 @@ class Comparison:
         difference: of their numbers.
         low: lower bound of its interval; None where there is none.
         high: upper bound; None likewise.
-        p_value: two-sided bootstrap p value of no difference; None likewise.
+        p_value: two-sided p value of no difference; None likewise.
         note: what is taken as given (``given this scene, these 3 views``), or why there is no interval.
+        short: why the clip is too short to tell who is better, whatever the p value; empty where it is not.
     """
 
     difference: float
@@ -28,6 +29,7 @@ class Comparison:
     high: float | None
     p_value: float | None
     note: str
+    short: str = ""
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,7 @@ class Standing:
         comparisons: label -> its difference to the best, for every other method.
         p_values: label -> its p value after Holm's correction for the number of comparisons, where there is one.
         untested: label -> why it could not be compared.
+        short: why the clip is too short to name a winner over some method; empty where it is not.
     """
 
     best: frozenset[str]
@@ -47,12 +50,11 @@ class Standing:
     comparisons: Mapping[str, Comparison]
     p_values: Mapping[str, float]
     untested: Mapping[str, str]
+    short: str = ""
 
 
-def compare(
-    results: Results, metric: str, first: str, second: str, dataset: str, level: float = LEVEL, resamples: int = RESAMPLES
-) -> Comparison:
-    """Compare two methods on the same views and frames, both under the same resamples.
+def compare(results: Results, metric: str, first: str, second: str, dataset: str, level: float = LEVEL) -> Comparison:
+    """Compare two methods on the same views and frames.
 
     Args:
         results: every measured value.
@@ -61,7 +63,6 @@ def compare(
         second: label of the other.
         dataset: which data set of the table.
         level: confidence.
-        resamples: of the bootstrap.
 
     Raises:
         ResultsError: one of them has no values.
@@ -70,12 +71,10 @@ def compare(
     for label in (first, second):
         if label not in table.values:
             raise ResultsError(f"{metric} of {label}: no values on {dataset}; there are {', '.join(table.values) or 'none'}")
-    return _compare(table, first, second, level, resamples)
+    return _compare(table, first, second, level)
 
 
-def rank_methods(
-    results: Results, metric: str, higher_is_better: bool, dataset: str, level: float = LEVEL, resamples: int = RESAMPLES
-) -> Standing:
+def rank_methods(results: Results, metric: str, higher_is_better: bool, dataset: str, level: float = LEVEL) -> Standing:
     """Find the best method of a table and compare every other one with it.
 
     Args:
@@ -84,14 +83,14 @@ def rank_methods(
         higher_is_better: direction.
         dataset: which data set of the table.
         level: confidence, of all comparisons together.
-        resamples: of the bootstrap.
 
     Raises:
         ResultsError: nobody has a value.
 
     Reading:
         A method ties with the best unless Holm's corrected p value is below 1 - level: the more methods, the harder to be told
-        from the best. Methods that could not be compared are ties only where their number is the same.
+        from the best. So does one whose difference to the best is undecided because the clip is too short for its correlation
+        (`intervals.Spread.undecided`). Methods that could not be compared are ties only where their number is the same.
     """
     table = pool_table(results, metric, dataset)
     values = {label: value for label, value in table.values.items() if not np.isnan(value)}
@@ -99,12 +98,13 @@ def rank_methods(
         raise ResultsError(f"{metric}: no values on {dataset}; score it")
     top = (max if higher_is_better else min)(values.values())
     best = [label for label, value in values.items() if value == top]
-    comparisons = {label: _compare(table, label, best[0], level, resamples) for label in values if label not in best}
+    comparisons = {label: _compare(table, label, best[0], level) for label in values if label not in best}
     tested = {label: one.p_value for label, one in comparisons.items() if one.p_value is not None}
     p_values = dict(zip(tested, holm(list(tested.values())), strict=True))
-    tied = [label for label, p_value in p_values.items() if p_value >= 1.0 - level]
+    short = {label: one.short for label, one in comparisons.items() if one.short}
+    tied = [label for label, p_value in p_values.items() if p_value >= 1.0 - level or label in short]
     untested = {label: one.note for label, one in comparisons.items() if one.p_value is None}
-    return Standing(frozenset(best), frozenset(best + tied), comparisons, p_values, untested)
+    return Standing(frozenset(best), frozenset(best + tied), comparisons, p_values, untested, next(iter(short.values()), ""))
 
 
 def holm(p_values: Sequence[float]) -> list[float]:
@@ -122,18 +122,16 @@ def holm(p_values: Sequence[float]) -> list[float]:
     return corrected
 
 
-def _compare(table: PooledTable, first: str, second: str, level: float, resamples: int) -> Comparison:
-    """Bootstrap the difference: what moves both methods alike cancels before anything is drawn."""
+def _compare(table: PooledTable, first: str, second: str, level: float) -> Comparison:
+    """Take the difference first, so that what moves both methods alike cancels."""
     values = table.values[first], table.values[second]
     difference = 0.0 if values[0] == values[1] else values[0] - values[1]  # two infinite numbers are equal too
     try:
         ours, theirs = table.scenes_of(first), table.scenes_of(second)
         if [one.scene for one in ours] != [one.scene for one in theirs]:
             raise ResultsError(f"{first} and {second} were not measured on the same scenes; score both on each")
-        spread = resample([one.minus(other) for one, other in zip(ours, theirs, strict=True)], resamples)
+        spread = measure_spread([one.minus(other) for one, other in zip(ours, theirs, strict=True)])
     except ResultsError as refusal:
         return Comparison(difference, None, None, None, str(refusal))
     half = spread.half_width(level)
-    exceeded = int((np.abs(spread.deviations) >= abs(difference)).sum())
-    p_value = (1 + exceeded) / (1 + len(spread.deviations))
-    return Comparison(difference, difference - half, difference + half, p_value, spread.note)
+    return Comparison(difference, difference - half, difference + half, spread.p_value(), spread.note, spread.undecided(level))

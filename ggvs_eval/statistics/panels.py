@@ -1,13 +1,16 @@
 """The values of one metric, method and scene as a matrix of views and frames, cut from the tidy table of results."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.results import Results
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 NAMED = 4  # missing cells that a message names before it counts the rest
 
@@ -51,7 +54,7 @@ def read_panel(results: Results, metric: str, scene: str, method: str, variant: 
     return make_panel(table, f"{metric} of {label_of(method, variant)} in {scene}")
 
 
-def make_panel(cells: pd.DataFrame, what: str) -> Panel:
+def make_panel(cells: "pd.DataFrame", what: str) -> Panel:
     """Arrange the rows of one metric, method and scene as views x frames; the order of the rows does not matter.
 
     Args:
@@ -64,9 +67,10 @@ def make_panel(cells: pd.DataFrame, what: str) -> Panel:
     if cells.empty:
         raise ResultsError(f"{what}: no values in the results; score it")
     views = cells["view"].astype(object).where(cells["view"].notna(), "")  # one key for "the whole rig"
-    if pd.DataFrame({"view": views, "frame": cells["frame"]}).duplicated().any():
+    cells = cells.assign(view=views)
+    if cells.duplicated(["view", "frame"]).any():
         raise ResultsError(f"{what}: two values for one view and frame; score again into an empty folder")
-    matrix = cells.assign(view=views).pivot(index="view", columns="frame", values="value").sort_index().sort_index(axis=1)
+    matrix = cells.pivot(index="view", columns="frame", values="value").sort_index().sort_index(axis=1)
     _check_cells(matrix, {(view, frame) for view, frame in zip(views, cells["frame"], strict=True)}, what)
     names = tuple(None if view == "" else str(view) for view in matrix.index)
     return Panel(names, tuple(int(frame) for frame in matrix.columns), matrix.to_numpy(dtype=np.float64))
@@ -77,7 +81,7 @@ def label_of(method: str, variant: str) -> str:
     return f"{method}+{variant}" if variant else method
 
 
-def _check_cells(matrix: pd.DataFrame, present: set[tuple[str, int]], what: str) -> None:
+def _check_cells(matrix: "pd.DataFrame", present: set[tuple[str, int]], what: str) -> None:
     """Refuse a matrix with holes, naming the first ones."""
     holes = ~np.isfinite(matrix.to_numpy(dtype=np.float64))
     if not holes.any():

@@ -2,14 +2,17 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.statistics.panels import Panel, make_panel
 from ggvs_eval.statistics.pooling import Pool, Pooling
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 SAME = 1e-6  # largest relative difference between a number in the table and the same from its parts
 
@@ -23,12 +26,14 @@ class PooledScene:
         views: names of the views; None alone where values belong to the whole rig.
         frames: numbers of the frames, -1 alone where values belong to the whole sequence.
         pool: (weights of the views (R, V) or (1, V), weights of the frames (R, T) or (1, T), rows sum to 1) -> numbers (R,).
+        views_given: whether its views are no sample of others, however many there are.
     """
 
     scene: str
     views: tuple[str | None, ...]
     frames: tuple[int, ...]
     pool: Pool
+    views_given: bool = False
 
     @property
     def value(self) -> float:
@@ -49,10 +54,10 @@ class PooledScene:
         if (self.views, self.frames) != (other.views, other.frames):
             sizes = " and ".join(f"{len(scene.views)} x {len(scene.frames)}" for scene in (self, other))
             raise ResultsError(f"{self.scene}: not the same views and frames ({sizes}); score both methods alike")
-        return PooledScene(self.scene, self.views, self.frames, lambda v, f: self.pool(v, f) - other.pool(v, f))
+        return PooledScene(self.scene, self.views, self.frames, lambda v, f: self.pool(v, f) - other.pool(v, f), self.views_given)
 
 
-def pool_scene(cells: Mapping[str, pd.DataFrame], metric: str, pooling: Pooling, scene: str, what: str) -> PooledScene:
+def pool_scene(cells: "Mapping[str, pd.DataFrame]", metric: str, pooling: Pooling, scene: str, what: str) -> PooledScene:
     """Find out how a metric's number on a scene is made of views and frames.
 
     Args:
@@ -73,7 +78,8 @@ def pool_scene(cells: Mapping[str, pd.DataFrame], metric: str, pooling: Pooling,
     first = panels[0]
     if any((panel.views, panel.frames) != (first.views, first.frames) for panel in panels):
         raise ResultsError(f"{metric} of {what}: its parts are of different views or frames; score again")
-    pooled = PooledScene(scene, first.views, first.frames, pooling.pool(*(panel.values for panel in panels)))
+    pool = pooling.pool(*(panel.values for panel in panels))
+    pooled = PooledScene(scene, first.views, first.frames, pool, pooling.takes_views_as_given)
     if pooling.parts:
         _check_same(pooled, make_panel(cells[metric], f"{metric} of {what}"), f"{metric} of {what}")
     return pooled

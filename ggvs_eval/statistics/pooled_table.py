@@ -2,14 +2,16 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-
-import pandas as pd
+from typing import TYPE_CHECKING
 
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.results import Results
 from ggvs_eval.statistics.panels import label_of
 from ggvs_eval.statistics.pooled import PooledScene, pool_scene
 from ggvs_eval.statistics.pooling import Pooling
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True)
@@ -20,11 +22,13 @@ class PooledTable:
         values: label -> mean over frames, then views, then scenes, as `ggvs_eval.results.Results.summary` has it.
         scenes: label -> its number on each scene, scenes in alphabetical order.
         refusals: label -> why its number cannot be made of views and frames.
+        no_interval: why no number has an interval of its own; empty where they have.
     """
 
     values: Mapping[str, float]
     scenes: Mapping[str, tuple[PooledScene, ...]]
     refusals: Mapping[str, str]
+    no_interval: str = ""
 
     def scenes_of(self, label: str) -> tuple[PooledScene, ...]:
         """The scenes of one method.
@@ -60,10 +64,10 @@ def pool_table(results: Results, metric: str, dataset: str) -> PooledTable:
             )
         except ResultsError as refusal:
             refusals[label] = str(refusal)
-    return PooledTable(values, scenes, refusals)
+    return PooledTable(values, scenes, refusals, pooling.no_interval)
 
 
-def _cells(results: Results, metric: str, parts: Sequence[str], dataset: str) -> dict[str, dict[str, dict[str, pd.DataFrame]]]:
+def _cells(results: Results, metric: str, parts: Sequence[str], dataset: str) -> "dict[str, dict[str, dict[str, pd.DataFrame]]]":
     """Rows of the metric and of what it is made of: label -> scene -> metric -> rows; methods in the order of the table."""
     table = results.table
     table = table[table["metric"].isin({metric, *parts}) & (table["dataset"] == dataset)]
@@ -74,7 +78,7 @@ def _cells(results: Results, metric: str, parts: Sequence[str], dataset: str) ->
     return {label: scenes for label, scenes in measured.items() if scenes}
 
 
-def _mean(by_scene: Mapping[str, Mapping[str, pd.DataFrame]], metric: str) -> float:
+def _mean(by_scene: "Mapping[str, Mapping[str, pd.DataFrame]]", metric: str) -> float:
     """Mean over frames, then views, then scenes, as in the summary."""
     per_scene = [rows[metric].groupby("view", dropna=False)["value"].mean().mean() for rows in by_scene.values()]
     return float(sum(per_scene) / len(per_scene))

@@ -11,6 +11,8 @@ from ggvs_eval.errors import ResultsError
 
 Pool = Callable[[Array, Array], Array]  # weights of the views (R, V) or (1, V), of the frames (R, T) or (1, T) -> numbers (R,)
 
+OVER_FRAMES, OVER_VIEWS = "deviation over frames", "deviation over views"
+
 
 @dataclass(frozen=True)
 class Pooling:
@@ -30,6 +32,22 @@ class Pooling:
         """Refuse a rule that nobody knows."""
         if self.rule not in RULES:
             raise ResultsError(f"no rule of pooling {self.rule!r}, there are {', '.join(RULES)}; read it with what scored it")
+
+    @property
+    def no_interval(self) -> str:
+        """Why a number by this rule has no interval of its own, though two of them can be compared; empty where it has one.
+
+        Reading:
+            The deviation of a short correlated clip is too small on average and its square has a long tail: intervals of it cover
+            85 to 95 % for normal errors and 80 to 85 % for heavy-tailed ones at any length. In the difference of two methods both
+            cancel: 4 to 8 % of false alarms (`benchmarks/interval_coverage.py`).
+        """
+        return "a deviation of correlated frames, whose intervals cover too seldom" if self.rule == OVER_FRAMES else ""
+
+    @property
+    def takes_views_as_given(self) -> bool:
+        """Whether its views are no sample of others: of a deviation over few views nobody knows how far it may be off."""
+        return self.rule == OVER_VIEWS
 
     @classmethod
     def read(cls, record: Mapping[str, Any]) -> "Pooling":
@@ -109,7 +127,7 @@ RULES: dict[str, Callable[..., Pool]] = {
     "mean": pool_mean,
     "powers of means": pool_powers,
     "mean of products": pool_products,
-    "deviation over frames": pool_sdt,
-    "deviation over views": pool_sdv,
+    OVER_FRAMES: pool_sdt,
+    OVER_VIEWS: pool_sdv,
 }
 MEAN = Pooling("mean")

@@ -1,17 +1,18 @@
 """What a training leaves on disk: its state, to go on exactly where it was, and its weights as they ship."""
 
+import io
 import pickle
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import torch
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import nn
 from torch.optim.swa_utils import AveragedModel
 
 from ggvs_eval.errors import TrainingError
-from ggvs_eval.files.atomic import atomic_file
+from ggvs_eval.files.atomic import write_bytes
 from ggvs_eval.files.weights_file import load_strict, read_tensors
 
 NETWORK = "the network to be trained"  # in messages
@@ -47,8 +48,9 @@ def write_state(folder: Path, state: TrainingState) -> None:
         "average": state.average.state_dict(),
         "optimiser": state.optimiser.state_dict(),
     }
-    with atomic_file(state_file(folder)) as temporary:
-        torch.save(values, temporary)
+    buffer = io.BytesIO()  # torch says of a full disk that something failed, not what
+    torch.save(values, buffer)
+    write_bytes(state_file(folder), buffer.getvalue())
 
 
 def read_state(folder: Path, fresh: TrainingState, device: torch.device) -> TrainingState:
@@ -80,14 +82,11 @@ def write_weights(path: Path, network: nn.Module, notes: Mapping[str, str]) -> N
         network: whose weights.
         notes: texts for the file's header.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
     tensors = {
         name: (tensor.half() if tensor.is_floating_point() else tensor).contiguous().cpu()
         for name, tensor in network.state_dict().items()
     }
-    temporary = path.with_suffix(".tmp")
-    save_file(tensors, temporary, dict(notes))
-    temporary.replace(path)
+    write_bytes(path, save(tensors, dict(notes)))
 
 
 def pour_weights(path: Path, network: nn.Module) -> None:

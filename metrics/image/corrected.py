@@ -6,7 +6,15 @@ import numpy as np
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.metrics.image.colour_correction import ColourMoments, apply_colour_map, fit_colour_map, unit_range
-from ggvs_eval.metrics.image.lpips import lpips, lpips_between, lpips_features, truth_features, weights_file
+from ggvs_eval.metrics.image.lpips import (
+    frames_note,
+    is_looked_at,
+    lpips,
+    lpips_between,
+    lpips_features,
+    truth_features,
+    weights_file,
+)
 from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.metrics.image.ssim import ssim
 from ggvs_eval.metrics.inputs import Image, check_pair
@@ -48,19 +56,20 @@ class CorrectedScorer:
 
     def __init__(self, names: Sequence[str], options: MetricOptions, colour_map: ColourMap | None) -> None:
         self.names = names
-        self._net = options.lpips_net
+        self._options = options
         self._map = colour_map
 
     def add(self, index: int, rendered: Image8, truth: TruthFrame) -> list[Value]:
         """See `Scorer`."""
         corrected = apply_colour_map(self._map_of(rendered, truth.image), rendered)
-        captured = unit_range(truth.image)
+        captured, net = unit_range(truth.image), self._options.lpips_net
         measures = {
             "PSNR_cc": lambda: psnr(corrected, captured),
             "SSIM_cc": lambda: ssim(corrected, captured),
-            "LPIPS_cc": lambda: lpips_between(lpips_features(corrected, self._net), truth_features(truth, self._net), self._net),
+            "LPIPS_cc": lambda: lpips_between(lpips_features(corrected, net), truth_features(truth, net), net),
         }
-        return [(name, index, measures[name]()) for name in self.names]
+        names = [name for name in self.names if name != "LPIPS_cc" or is_looked_at(index, self._options)]
+        return [(name, index, measures[name]()) for name in names]
 
     def finish(self) -> list[Value]:
         """See `Scorer`."""
@@ -103,6 +112,7 @@ LPIPS_CC = ViewMetric(
     function=lpips,
     higher_is_better=False,
     describe="LPIPS after an affine colour map",
+    note=frames_note,
     reference="as gsplat's cc_lpips",
     scorer=CorrectedScorer,
     weights=weights_file,

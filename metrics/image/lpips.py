@@ -194,18 +194,30 @@ def truth_features(truth: TruthFrame, net: LpipsNet) -> "list[torch.Tensor]":
     return truth.once((lpips_features, net), lambda: lpips_features(truth.image, net))
 
 
+def is_looked_at(index: int, options: MetricOptions) -> bool:
+    """Whether LPIPS looks at the frame of this place: one costs as much as all other metrics of many."""
+    return (options.first_frame + index) % options.lpips_every == 0
+
+
+def frames_note(options: MetricOptions) -> str:
+    """Which frames LPIPS looks at, where these are not all."""
+    return f", of one frame in {options.lpips_every}" if options.lpips_every > 1 else ""
+
+
 class LpipsScorer:
     """LPIPS; the truth's features are shared by all methods."""
 
     names = ("LPIPS",)
 
     def __init__(self, _names: Sequence[str], options: MetricOptions, _colour_map: ColourMap | None) -> None:
-        self._net = options.lpips_net
+        self._options = options
 
     def add(self, index: int, rendered: Image8, truth: TruthFrame) -> list[Value]:
         """See `Scorer`."""
-        features = truth_features(truth, self._net)
-        return [("LPIPS", index, lpips_between(lpips_features(rendered, self._net), features, self._net))]
+        if not is_looked_at(index, self._options):
+            return []
+        net = self._options.lpips_net
+        return [("LPIPS", index, lpips_between(lpips_features(rendered, net), truth_features(truth, net), net))]
 
     def finish(self) -> list[Value]:
         """See `Scorer`."""
@@ -225,6 +237,7 @@ LPIPS = ViewMetric(
     group=QUALITY,
     decimals=3,
     describe="learned perceptual distance, v0.1",
+    note=frames_note,
     reference="Zhang et al. 2018",
     scorer=LpipsScorer,
     weights=weights_file,

@@ -1,4 +1,4 @@
-"""The command line. Known errors are one line and exit code 1; anything else is our bug and keeps its traceback."""
+"""The command line. Errors of the user and of the machine are one line and exit code 1; our bugs keep their traceback."""
 
 import os
 import re
@@ -9,7 +9,7 @@ from typing import Annotated, Any, Union
 
 import tyro
 
-from ggvs_eval.errors import CommandError, GgvsError, ProtocolError, did_you_mean
+from ggvs_eval.errors import CommandError, GgvsError, ProtocolError, did_you_mean, mendable
 from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.pipelines.commands.captures import (
     BY_DEFAULT,
@@ -22,7 +22,7 @@ from ggvs_eval.pipelines.commands.captures import (
 )
 from ggvs_eval.pipelines.commands.figures import compare, figure, report
 from ggvs_eval.pipelines.commands.merge import merge
-from ggvs_eval.pipelines.commands.play import play
+from ggvs_eval.pipelines.commands.play import play, view
 from ggvs_eval.pipelines.commands.renders import doctor, explain
 from ggvs_eval.pipelines.commands.runs import prepare, render, run, status, sweep
 from ggvs_eval.pipelines.commands.training import TRAININGS
@@ -89,6 +89,7 @@ COMMANDS: Commands = {
     "sweep": sweep,
     "status": status,
     "play": play,
+    "view": view,
     "train": TRAININGS,
     "doctor": doctor,
     "explain": explain,
@@ -104,11 +105,21 @@ def run_command(arguments: list[str] | None = None) -> None:
     """Parse the command line and do what it says."""
     try:
         call_command("ggvs-eval", COMMANDS, sys.argv[1:] if arguments is None else arguments)
-    except GgvsError as error:
-        sys.exit(f"ggvs-eval: {error}")
-    except BrokenPipeError:  # `ggvs-eval ... | head`; what is still buffered must not fail at exit
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.stdout.flush()
+    except BrokenPipeError:  # `ggvs-eval ... | head`
+        _forget_output()
         sys.exit(1)
+    except (GgvsError, OSError) as error:
+        try:
+            sys.stdout.flush()
+        except OSError:  # the full disk is that of our output
+            _forget_output()
+        sys.exit(f"ggvs-eval: {mendable(error)}")
+
+
+def _forget_output() -> None:
+    """What is still buffered must not fail again at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def call_command(program: str, commands: Commands, words: Sequence[str]) -> None:

@@ -1,4 +1,4 @@
-"""The verb of the command line that synthesises live."""
+"""The verbs of the command line that synthesise live: play into a video, view in a browser."""
 
 from pathlib import Path
 from typing import Annotated
@@ -13,11 +13,14 @@ from ggvs_eval.pipelines.methods.network_options import found_device
 from ggvs_eval.pipelines.methods.registry import METHODS
 from ggvs_eval.pipelines.play.synthesizer import DEFAULT_METHOD, online_method
 
+Source = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE|RUN")]
+Label = Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(METHODS)}}}")]
+
 
 def play(
-    source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE|RUN")],
+    source: Source,
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT.mp4")],
-    method: Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(METHODS)}}}")] = DEFAULT_METHOD,
+    method: Label = DEFAULT_METHOD,
     k: int | None = None,
     frames: int | None = None,
     width: int | None = None,
@@ -59,3 +62,64 @@ def play(
     timing = record(playback, out, method, device)
     size = "{} x {}".format(*playback.poses[0].size)
     print(f"{out}: {len(playback.poses)} frames of {size} by {method}, K = {playback.k}", timing.table(), sep="\n")
+
+
+def view(
+    source: Source,
+    method: Label = DEFAULT_METHOD,
+    k: int = 2,
+    frames: int | None = None,
+    sources: SourceChoice | None = None,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    out: Path = Path("view"),
+    export: Path | None = None,
+    device: Device = "cpu",
+    reading: Reading = BY_DEFAULT,
+    depth: Finding = FOUND_BY_DEFAULT,
+    jobs: int = default_workers(),
+) -> None:
+    """Look at a scene in the browser: drag the camera, and a method renders what it sees while time plays or stands.
+
+    Needs the package viser: pip install 'ggvs-eval[view]'.
+
+    Args:
+        source: a capture, whose frames and depth are kept in OUT/cache; or a run folder, which has both.
+        method: by which method; may be changed in the page.
+        k: source views; may be changed in the page.
+        frames: instants from the first on; all by default.
+        sources: which cameras are source views: the nearest, or those that see most of the view (coverage); as the run's protocol
+            says, or the nearest, by default.
+        host: address to listen at; 0.0.0.0 lets other machines in.
+        port: the next free one is taken where it is in use.
+        out: folder of recorded paths, and of a capture's frames and depth.
+        export: write a page with the cameras and the points of every instant, which needs no server, and stop.
+        device: where networks of the method compute.
+        reading: how a capture is read.
+        depth: how depth of a capture is found.
+        jobs: processes that prepare a capture.
+    """
+    from ggvs_eval.pipelines.play.playback import PlayOptions, playback_of_run, viewing_of_capture
+    from ggvs_eval.pipelines.run.evaluate import reopen
+    from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
+    from ggvs_eval.pipelines.view.session import ViewDefaults
+    from ggvs_eval.pipelines.view.viewer import ServerOptions, Viewer, export_page, require_viser
+
+    require_viser()
+    device = found_device(device)
+    online_method(method, device)
+    wanted = PlayOptions(k, frames, None, sources)
+    if (source / "protocol.toml").is_file():
+        run = reopen(source, jobs)
+        playback, protocol = playback_of_run(run, wanted), run.protocol
+    else:
+        capture = reading.open(source)
+        playback, protocol = viewing_of_capture(capture, wanted, depth.options(), out / "cache", jobs), suggest_protocol(capture)
+    if export is not None:
+        export_page(playback, sorted(set(playback.instants)), export)
+        print(export)
+        return
+    online = tuple(label for label, spec in METHODS.items() if spec.online)
+    with Viewer(playback, ViewDefaults(method, online, k, protocol, out), ServerOptions(host, port), device) as viewer:
+        print(f"{viewer.address} - open it in a browser; Ctrl-C ends it", flush=True)
+        viewer.wait()

@@ -130,7 +130,7 @@ def run(
     from ggvs_eval.pipelines.run.evaluate import measure, report
     from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
     from ggvs_eval.pipelines.sweep.demo_plan import plan_demos
-    from ggvs_eval.pipelines.sweep.demo_runs import evaluate_demos, room_labels
+    from ggvs_eval.pipelines.sweep.demo_runs import describe_outlook, evaluate_demos, room_labels
 
     root, networks = engine.place(run), _networks(weights, device)
     if capture is None and protocol is None:
@@ -143,7 +143,12 @@ def run(
         def announce(plans: Sequence[RunPlan]) -> None:
             print_plan(plans, engine.jobs, _home(plans))
 
-        print(evaluate_demos(root, labels, engine, reading.open, depth, networks, announce=announce))
+        def show(page: Path) -> None:
+            print(f"{page} can be opened; it grows with each further run", file=sys.stderr, flush=True)
+
+        if outlook := describe_outlook(root, labels, engine.jobs):
+            print(outlook, file=sys.stderr, flush=True)
+        print(evaluate_demos(root, labels, engine, reading.open, depth, networks, announce=announce, show=show))
         return
     opened = reading.open(engine.place(capture)) if capture else _demo_beside(root, engine.jobs, reading, dry_run)
     chosen = _protocol(protocol, opened)

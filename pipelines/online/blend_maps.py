@@ -11,62 +11,11 @@ from ggvs_eval.arrays import Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.per_pixel import view_weights
-from ggvs_eval.geometry.warp import CapturedView, Warp, register_views, warp
+from ggvs_eval.geometry.warp import register_views
 from ggvs_eval.pipelines.online.blending import BlendingInputs
 
 Guidance = Literal["registered", "channels", "none", "naive"]
-MAPS_OF_VIEWS = ("splats", "depths", "alphas", "warps", "visibilities")
 FAINT = np.float32(0.02)  # coverage of a fully splatted pixel whose view does not see the fused surface
-
-
-@dataclass(frozen=True, eq=False)
-class RawViews:
-    """The K views in the target view as splatting and warping give them, nearest camera first.
-
-    Attributes:
-        target: camera of the maps.
-        sources: cameras of the views.
-        splats: splatted colour, (K, H, W, 3), float32 in [0, 1].
-        depths: splatted depth, (K, H, W), float32, world units, 0 where the view shows nothing.
-        alphas: coverage of the splats, (K, H, W), float32 in [0, 1).
-        warps: colour of the source image at the fused surface, (K, H, W, 3).
-        visibilities: whether the view sees the fused surface, (K, H, W), in [0, 1].
-        fused_depth: of the ray march, (H, W), float32, world units, 0 where it met nothing.
-        shares: of the views, see `SourceView.share`, (K,); 1 unless given.
-    """
-
-    target: Camera
-    sources: tuple[Camera, ...]
-    splats: Map
-    depths: Map
-    alphas: Map
-    warps: Map
-    visibilities: Map
-    fused_depth: Map
-    shares: tuple[float, ...] | None = None
-
-    def cropped(self, left: int, top: int, width: int, height: int) -> "RawViews":
-        """The window that starts at pixel (left, top)."""
-        rows, columns = slice(top, top + height), slice(left, left + width)
-        windows = {name: getattr(self, name)[:, rows, columns] for name in MAPS_OF_VIEWS}
-        target = self.target.cropped(left, top, width, height)
-        return replace(self, target=target, fused_depth=self.fused_depth[rows, columns], **windows)
-
-    def maps(self, guidance: Guidance) -> "BlendMaps":
-        """What a network of that guidance works on.
-
-        Reading:
-            The paper blends the splats. Splats are blurred by the Gaussians' footprint; with ``registered`` guidance each source
-            image is sampled at the fused surface instead wherever its view sees that, and splats only stand in elsewhere.
-        """
-        registered = guidance == "registered"
-        colours = self.splats
-        if registered:
-            colours = self.splats + self.visibilities[..., None] * (self.warps - self.splats)
-        coverage = np.maximum(self.visibilities, FAINT * self.alphas) if registered else self.alphas
-        seen = self.visibilities if registered else self.alphas
-        stacks = (colours, coverage, seen, self.alphas, self.depths)
-        return BlendMaps(self.target, self.sources, *stacks, self.fused_depth, self.shares)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,16 +77,18 @@ class BlendMaps:
 def blend_maps(inputs: BlendingInputs, guidance: Guidance) -> BlendMaps:
     """The maps of one instant, views ordered by the distance of their cameras from the target, ties by name.
 
-    With ``registered`` guidance what `RawViews.maps` says, in one pass and without the images in between.
+    Reading:
+        The paper blends the splats. Splats are blurred by the Gaussians' footprint; with ``registered`` guidance each source
+        image is sampled at the fused surface instead wherever its view sees that, and splats only stand in elsewhere.
     """
-    if guidance != "registered":
-        return raw_views(inputs, warped=False).maps(guidance)
-    sources, target, order = inputs.instant.sources, inputs.instant.target, nearest_first(inputs)
-    views = [CapturedView(sources[k].camera, sources[k].image, inputs.filtered_depths[k], 1.0) for k in order]
-    splats = [inputs.splats[k] for k in order]
-    found = register_views(target, inputs.depth, views, splats, inputs.tau, float(FAINT))
-    cameras, shares = tuple(sources[k].camera for k in order), tuple(sources[k].share for k in order)
-    stacks = (found.colours, found.coverage, found.visibilities, found.alphas, found.depths)
+    target, order = inputs.instant.target, nearest_first(inputs)
+    sources, splats = [inputs.instant.sources[k] for k in order], [inputs.splats[k] for k in order]
+    if guidance == "registered":
+        stacks = register_views(target, inputs.depth, sources, splats, inputs.tau, float(FAINT))
+    else:
+        alphas, depths = np.stack([view.alpha for view in splats]), np.stack([view.depth for view in splats])
+        stacks = np.stack([view.features[..., :3] for view in splats]), alphas, alphas, alphas, depths
+    cameras, shares = tuple(source.camera for source in sources), tuple(source.share for source in sources)
     return BlendMaps(target, cameras, *stacks, inputs.depth, shares)
 
 
@@ -147,30 +98,6 @@ def nearest_first(inputs: BlendingInputs) -> list[int]:
     if len(cameras) != len(inputs.splats):
         raise RenderError(f"blending network: wanted one splat per source view, got {len(inputs.splats)} for {len(cameras)}")
     return sorted(range(len(cameras)), key=lambda k: (float(np.linalg.norm(cameras[k].centre - target.centre)), cameras[k].name))
-
-
-def raw_views(inputs: BlendingInputs, warped: bool = True) -> RawViews:
-    """The views of one instant in the target view; without warps where they are not wanted."""
-    order, target = nearest_first(inputs), inputs.instant.target
-    splats = [inputs.splats[k] for k in order]
-    colours = np.stack([view.features[..., :3] for view in splats])
-    alphas = np.stack([view.alpha for view in splats])
-    warps, visibilities = colours, np.zeros_like(alphas)
-    if warped:
-        found = [_warped(inputs, k) for k in order]
-        warps = np.stack([each.colour for each in found])
-        visibilities = np.stack([each.visibility for each in found])
-    depths = np.stack([view.depth for view in splats])
-    cameras = tuple(inputs.instant.sources[k].camera for k in order)
-    shares = tuple(inputs.instant.sources[k].share for k in order)
-    return RawViews(target, cameras, colours, depths, alphas, warps, visibilities, inputs.depth, shares)
-
-
-def _warped(inputs: BlendingInputs, k: int) -> Warp:
-    """What a source image shows at the fused surface."""
-    source = inputs.instant.sources[k]
-    image = source.image.astype(np.float32) / np.float32(255)
-    return warp(inputs.instant.target, inputs.depth, source.camera, image, inputs.filtered_depths[k], inputs.tau, bicubic=True)
 
 
 def _averaged(maps: Map, scale: int) -> Map:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ggvs_eval.arrays import Map
 from ggvs_eval.geometry.per_pixel import view_weights, weighted_mean
 from ggvs_eval.geometry.splat import COVERED_ALPHA, Splat
-from ggvs_eval.geometry.warp import CapturedView, look_up
+from ggvs_eval.geometry.warp import look_up
 from ggvs_eval.kernels import get_threads
 from ggvs_eval.method import Instant
 
@@ -20,15 +20,13 @@ class BlendingInputs:
     """All that blending may look at; the blending network sees the splats and the fused depth of it.
 
     Attributes:
-        instant: source views and cameras, target camera.
-        filtered_depths: temporally filtered depth of each source view, in its own image.
+        instant: target camera and source views, their depth temporally filtered.
         splats: forward rendering of each view in the target view: colour, coverage, depth.
         depth: fused depth of the ray march in the target view, (H, W), world units, zero where unknown.
         tau: truncation distance of the fusion, world units.
     """
 
     instant: Instant
-    filtered_depths: Sequence[Map]
     splats: Sequence[Splat]
     depth: Map
     tau: float
@@ -96,13 +94,9 @@ class GeometricBlender:
         sources = inputs.instant.sources
         cameras, shares = [source.camera for source in sources], [source.share for source in sources]
         weights = view_weights(inputs.instant.target, cameras, shares).tolist()
-        views = [
-            CapturedView(source.camera, source.image, depth, weight)
-            for source, depth, weight in zip(sources, inputs.filtered_depths, weights, strict=True)
-        ]
         tolerance = self.tolerance_tau * inputs.tau
         background = self._background(inputs.splats, weights)
-        return Blended(look_up(inputs.instant.target, inputs.depth, views, background, tolerance))
+        return Blended(look_up(inputs.instant.target, inputs.depth, sources, weights, background, tolerance))
 
     def _background(self, splats: Sequence[Splat], weights: Sequence[float]) -> Map:
         """The splatted views' weighted mean, holes filled or black."""

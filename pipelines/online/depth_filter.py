@@ -1,6 +1,6 @@
 """Temporally filtered depth of the source cameras (Eq. 2)."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -9,14 +9,6 @@ from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.geometry.difference_mask import difference_mask
 from ggvs_eval.kernels import get_threads
 from ggvs_eval.method import SourceView
-
-
-@dataclass(frozen=True)
-class FilteredDepth:
-    """What the filter says of one source view: depth, and the mask it was filtered with, both (H, W)."""
-
-    depth: Map
-    mask: Map
 
 
 @dataclass
@@ -38,19 +30,22 @@ class TemporalDepthFilter:
     channels: Literal["largest", "mean"] = "largest"
     _history: dict[str, tuple[int, Image8, Map]] = field(default_factory=dict)
 
-    def step(self, index: int, source: SourceView) -> FilteredDepth:
+    def step(self, index: int, source: SourceView) -> tuple[SourceView, Map]:
         """Filter one source view of instant ``index``.
 
         A camera that was not among the sources at the instant before starts anew: its history is stale.
+
+        Returns:
+            The view with filtered depth, and the mask it was filtered with, (H, W).
         """
         known = self._history.get(source.camera.name)
         if not self.enabled or known is None or known[0] != index - 1 or known[1].shape != source.image.shape:
-            filtered = FilteredDepth(source.depth, np.ones_like(source.depth))
+            filtered, mask = source, np.ones_like(source.depth)
         else:
             mask = difference_mask(source.image, known[1], lambda_t=self.lambda_t, beta=self.beta, channels=self.channels)
-            filtered = FilteredDepth(filter_depth(source.depth, known[2], mask, self.tolerance), mask)
+            filtered = replace(source, depth=filter_depth(source.depth, known[2], mask, self.tolerance))
         self._history[source.camera.name] = (index, source.image, filtered.depth)
-        return filtered
+        return filtered, mask
 
 
 def filter_depth(depth: Map, history: Map, mask: Map, tolerance: float) -> Map:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Array, Image8, Map
+from ggvs_eval.camera import Camera
 from ggvs_eval.geometry.per_pixel import view_weights
 from ggvs_eval.geometry.pinhole import rigid_between
 from ggvs_eval.method import Instant, SourceView
@@ -46,42 +47,46 @@ class ExposureCompensation:
         self._ratios: dict[tuple[str, str], tuple[int, Array]] = {}
         self._index: int | None = None
 
-    def step(self, instant: Instant, depths: Sequence[Map], tolerance: float) -> Instant:
+    def step(self, instant: Instant, tolerance: float) -> Instant:
         """The instant with its source images multiplied by `gains`; they stay in 8 bit, and nobody else need know."""
-        gains = self.gains(instant, depths, tolerance)
+        gains = self.gains(instant, tolerance)
         gained = (
             replace(source, image=gained_image(source.image, gain)) for source, gain in zip(instant.sources, gains, strict=True)
         )
         return replace(instant, sources=tuple(gained))
 
-    def gains(self, instant: Instant, depths: Sequence[Map], tolerance: float) -> Map:
+    def gains(self, instant: Instant, tolerance: float) -> Map:
         """Factors that turn the colours of each source into those of the target, (K, 3).
 
         Args:
-            instant: source views and cameras, target camera.
-            depths: of each source view, in its own image, world units, 0 where unknown.
+            instant: source views, target camera.
             tolerance: depths that differ by less are the same surface, world units.
         """
         if self._index is not None and instant.index != self._index + 1:
             self._ratios.clear()  # stale history is worse than none
         self._index = instant.index
-        views = [Lattice(source, depth) for source, depth in zip(instant.sources, depths, strict=True)]
-        log_gains = self._solve(views, tolerance)
+        log_gains = self._solve(instant.sources, tolerance)
         cameras, shares = [source.camera for source in instant.sources], [source.share for source in instant.sources]
         weights = view_weights(instant.target, cameras, shares).astype(np.float64) ** GAUGE_POWER
         log_gains -= weights @ log_gains / weights.sum()
         return np.exp(-np.clip(log_gains, -LARGEST_LOG_GAIN, LARGEST_LOG_GAIN)).astype(np.float32)
 
-    def _solve(self, views: Sequence["Lattice"], tolerance: float) -> Array:
+    def _solve(self, sources: Sequence[SourceView], tolerance: float) -> Array:
         """Logarithm of every source's gain, (K, 3), whose mean is about 0: weighted least squares over all pairs."""
-        normal, right = PRIOR * np.eye(len(views)), np.zeros((len(views), 3))
-        for j, k in combinations(range(len(views)), 2):
-            first, second = views[j], views[k]
-            shared = np.concatenate([first.less(second, tolerance), -second.less(first, tolerance)])
+        pictures = [reduced(source.image) for source in sources]
+        lattices = [lattice(source, picture) for source, picture in zip(sources, pictures, strict=True)]
+        normal, right = PRIOR * np.eye(len(sources)), np.zeros((len(sources), 3))
+        for j, k in combinations(range(len(sources)), 2):
+            shared = np.concatenate(
+                [
+                    log_ratios(lattices[j], sources[j].camera, sources[k], pictures[k], tolerance),
+                    -log_ratios(lattices[k], sources[k].camera, sources[j], pictures[j], tolerance),
+                ]
+            )
             if len(shared) < FEWEST:
                 continue
-            ratio = self._remembered(first.camera.name, second.camera.name, np.median(shared, axis=0))
-            weight = len(shared) / (len(first.points) + len(second.points))
+            ratio = self._remembered(sources[j].camera.name, sources[k].camera.name, np.median(shared, axis=0))
+            weight = len(shared) / (len(lattices[j][0]) + len(lattices[k][0]))
             normal[[j, k], [j, k]] += weight
             normal[[j, k], [k, j]] -= weight
             right[j] += weight * ratio
@@ -99,48 +104,51 @@ class ExposureCompensation:
         return -mean if swapped else mean
 
 
-class Lattice:
-    """A source reduced to a quarter of its size, and points of its surface at a lattice of the reduced pixels.
+def lattice(source: SourceView, picture: Map) -> tuple[Map, Map]:
+    """Points of a source's surface at a lattice of its reduced pixels, in the camera's frame, and their colours' logarithms.
 
     Args:
         source: the view.
-        depth: its depth, (H, W), world units, 0 where unknown.
+        picture: its `reduced` image, (h, w, 3).
 
-    Attributes:
-        camera: of the view.
-        points: in the camera's frame, (N, 3), float32; where depth is unknown there is none.
-        logarithms: of the points' colours, (N, 3); colours that are too dark or too bright have none either.
+    Returns:
+        Both (N, 3), float32; there is no point where depth is unknown, or the colour too dark or too bright.
     """
+    K, step = source.camera.K, max(len(picture) // LATTICE_ROWS, 1)
+    colours = picture[step // 2 :: step, step // 2 :: step]
+    rows, columns = (np.arange(count) * step + step // 2 for count in colours.shape[:2])
+    v, u = (
+        np.minimum(REDUCTION * cells + REDUCTION // 2, size - 1)
+        for cells, size in zip((rows, columns), source.depth.shape, strict=True)
+    )
+    z = source.depth[np.ix_(v, u)]
+    usable = (z > 0) & linear(colours)
+    x, y = np.broadcast_arrays(z * ((u - K[0, 2]) / K[0, 0]), z * ((v - K[1, 2]) / K[1, 1])[:, None])
+    return np.stack([x[usable], y[usable], z[usable]], axis=-1).astype(np.float32), np.log(colours[usable])
 
-    def __init__(self, source: SourceView, depth: Map) -> None:
-        self.camera, self._depth = source.camera, depth
-        self._reduced = reduced(source.image)  # (h, w, 3)
-        K, step = source.camera.K, max(len(self._reduced) // LATTICE_ROWS, 1)
-        colours = self._reduced[step // 2 :: step, step // 2 :: step]
-        rows, columns = (np.arange(count) * step + step // 2 for count in colours.shape[:2])
-        v, u = (
-            np.minimum(REDUCTION * cells + REDUCTION // 2, size - 1)
-            for cells, size in zip((rows, columns), depth.shape, strict=True)
-        )
-        z = depth[np.ix_(v, u)]
-        usable = (z > 0) & linear(colours)
-        x, y = np.broadcast_arrays(z * ((u - K[0, 2]) / K[0, 0]), z * ((v - K[1, 2]) / K[1, 1])[:, None])
-        self.points = np.stack([x[usable], y[usable], z[usable]], axis=-1).astype(np.float32)
-        self.logarithms = np.log(colours[usable])
 
-    def less(self, other: "Lattice", tolerance: float) -> Map:
-        """Logarithms of this source's colours less those of another one, (M, 3), at the points that both see."""
-        camera, to_other = other.camera, rigid_between(self.camera, other.camera).astype(np.float32)
-        x, y, z = (self.points @ to_other[:3, :3].T + to_other[:3, 3]).T
-        z = np.where(z > 0, z, np.float32(np.inf))  # behind the other camera: depths never agree
-        u = (camera.K[0, 0] * x / z + camera.K[0, 2]).astype(np.float32)
-        v = (camera.K[1, 1] * y / z + camera.K[1, 2]).astype(np.float32)
-        chosen = np.flatnonzero((u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height))
-        u, v, z = u[chosen], v[chosen], z[chosen]
-        agrees = np.abs(other._depth[v.astype(np.intp), u.astype(np.intp)] - z) < tolerance
-        colours = sampled(other._reduced, u[agrees] / REDUCTION - 0.5, v[agrees] / REDUCTION - 0.5)
-        counts = linear(colours)
-        return np.asarray(self.logarithms[chosen[agrees][counts]] - np.log(colours[counts]), np.float32)
+def log_ratios(points_of: tuple[Map, Map], camera: Camera, other: SourceView, picture: Map, tolerance: float) -> Map:
+    """Logarithms of one source's colours less those of another one, (M, 3), at the points that both see.
+
+    Args:
+        points_of: the first source's `lattice`.
+        camera: of the first source.
+        other: the second source.
+        picture: its `reduced` image.
+        tolerance: depths that differ by less are the same surface, world units.
+    """
+    points, logarithms = points_of
+    K, size, to_other = other.camera.K, other.camera.size, rigid_between(camera, other.camera).astype(np.float32)
+    x, y, z = (points @ to_other[:3, :3].T + to_other[:3, 3]).T
+    z = np.where(z > 0, z, np.float32(np.inf))  # behind the other camera: depths never agree
+    u = (K[0, 0] * x / z + K[0, 2]).astype(np.float32)
+    v = (K[1, 1] * y / z + K[1, 2]).astype(np.float32)
+    chosen = np.flatnonzero((u >= 0) & (u < size[0]) & (v >= 0) & (v < size[1]))
+    u, v, z = u[chosen], v[chosen], z[chosen]
+    agrees = np.abs(other.depth[v.astype(np.intp), u.astype(np.intp)] - z) < tolerance
+    colours = sampled(picture, u[agrees] / REDUCTION - 0.5, v[agrees] / REDUCTION - 0.5)
+    counts = linear(colours)
+    return np.asarray(logarithms[chosen[agrees][counts]] - np.log(colours[counts]), np.float32)
 
 
 def linear(colours: Map) -> NDArray[np.bool_]:

@@ -9,15 +9,14 @@ from typing import Literal
 import numpy as np
 
 from ggvs_eval.arrays import Map
-from ggvs_eval.baselines.gaussians import near_plane, pixel_gaussians
 from ggvs_eval.camera import Camera
 from ggvs_eval.geometry.per_pixel import largest_feature
 from ggvs_eval.geometry.splat import COVERED_ALPHA, Splat, splat, splat_points
-from ggvs_eval.geometry.tsdf import DepthView, PreviousDepth, RayMarch, fusion_weights, ray_march
+from ggvs_eval.geometry.tsdf import PreviousDepth, RayMarch, fusion_weights, ray_march
 from ggvs_eval.kernels import side_by_side
 from ggvs_eval.method import Instant, Rendering
 from ggvs_eval.pipelines.online.blending import Blender, BlendingInputs, GeometricBlender
-from ggvs_eval.pipelines.online.depth_filter import FilteredDepth, TemporalDepthFilter
+from ggvs_eval.pipelines.online.depth_filter import TemporalDepthFilter
 from ggvs_eval.pipelines.online.exposure_compensation import ExposureCompensation
 from ggvs_eval.pipelines.online.printed_march import FieldReading, printed_march
 from ggvs_eval.pipelines.online.recurrent_output import REDUCTION, RecurrentOutput, splatted_change, stillness
@@ -134,73 +133,72 @@ class GeometryGuided:
     def step(self, instant: Instant) -> Rendering:
         """Synthesise one instant and remember its fused depth for the next."""
         marks = [perf_counter()]
-        filtered = [self._filter.step(instant.index, source) for source in instant.sources]
+        views, masks = zip(*(self._filter.step(instant.index, source) for source in instant.sources), strict=True)
+        filtered = replace(instant, sources=views)
         # Gains are looked up by a single thread; the weights need no colours.
-        instant, weights = side_by_side(partial(self._compensated, instant, filtered), partial(self._weights, instant, filtered))
+        filtered, weights = side_by_side(partial(self._compensated, filtered), partial(self._weights, filtered))
         marks.append(perf_counter())
-        splats = self._splat(instant, filtered)
+        splats = self._splat(instant, filtered, masks)
         marks.append(perf_counter())
-        depth = self._march(instant, filtered, weights, splats).depth if self.options.fused else None
+        depth = self._march(filtered, weights, splats).depth if self.options.fused else None
         marks.append(perf_counter())
-        image, inside = self._blend(instant, filtered, splats, depth)
+        image, inside = self._blend(filtered, splats, depth)
         marks.append(perf_counter())
         seconds = dict(zip(("filter", "splat", "tsdf", "blend"), np.diff(marks).tolist(), strict=True))
         if depth is None:
             del seconds["tsdf"]
         return Rendering(image, depth, seconds, inside)
 
-    def _compensated(self, instant: Instant, filtered: list[FilteredDepth]) -> Instant:
+    def _compensated(self, filtered: Instant) -> Instant:
         """The instant with its sources brought to one colour, if that is wanted."""
-        if not self.options.compensated:
-            return instant
-        return self._compensation.step(instant, [view.depth for view in filtered], self._tau(instant))
+        return self._compensation.step(filtered, self._tau(filtered)) if self.options.compensated else filtered
 
-    def _weights(self, instant: Instant, filtered: list[FilteredDepth]) -> list[Map]:
+    def _weights(self, filtered: Instant) -> list[Map]:
         """How far the filtered depths are trusted (Eqs. 11-12); none where they are not fused."""
         if not self.options.fused:
             return []
-        noise = self.options.depth_noise_m * instant.units_per_metre
-        return [fusion_weights(view.depth, self._tau(instant), noise) for view in filtered]
+        noise = self.options.depth_noise_m * filtered.units_per_metre
+        return [fusion_weights(view.depth, self._tau(filtered), noise) for view in filtered.sources]
 
-    def _blend(
-        self, instant: Instant, filtered: list[FilteredDepth], splats: list[Splat], depth: Map | None
-    ) -> tuple[Map, dict[str, Map]]:
+    def _blend(self, filtered: Instant, splats: list[Splat], depth: Map | None) -> tuple[Map, dict[str, Map]]:
         """Blend the views and mix the output with the one before where nothing moves; and what was decided for it."""
         chosen = self.options
         still = stillness(splatted_change(splats, chosen.beta_mask, chosen.lambda_t))
-        known = np.zeros((instant.target.height, instant.target.width), np.float32) if depth is None else depth
-        depths = [view.depth for view in filtered]
-        blended = self.blender.blend(BlendingInputs(instant, depths, splats, known, self._tau(instant)))
+        index, target = filtered.index, filtered.target
+        known = np.zeros((target.height, target.width), np.float32) if depth is None else depth
+        blended = self.blender.blend(BlendingInputs(filtered, splats, known, self._tau(filtered)))
         inside = diagnostics_maps(depth, splats, still, blended.weights)
         image = blended.image
         if self._background is not None:
-            image = self._background.step(instant.index, instant.target, image, known, splats, still)
-        return self._output.step(instant.index, instant.target, image, still), inside
+            image = self._background.step(index, target, image, known, splats, still)
+        return self._output.step(index, target, image, still), inside
 
-    def _splat(self, instant: Instant, filtered: list[FilteredDepth]) -> list[Splat]:
+    def _splat(self, instant: Instant, filtered: Instant, masks: Sequence[Map]) -> list[Splat]:
         """Render each view forward: colour, difference mask, coverage and depth (Sec. 3.1)."""
-        near = near_plane(instant)
-        chosen, splats = self.options, []
-        for source, view in zip(instant.sources, filtered, strict=True):
-            shown = replace(source, depth=view.depth) if chosen.splatted_depth == "filtered" else source
-            gaussians = pixel_gaussians(shown, view.mask)
+        target, near, chosen, splats = instant.target, instant.near_plane, self.options, []
+        for source, view, mask in zip(instant.sources, filtered.sources, masks, strict=True):
+            shown = view if chosen.splatted_depth == "filtered" else replace(view, depth=source.depth)
             if chosen.splatted_as == "points":
-                splats.append(splat_points(gaussians, instant.target, near=near))
+                splats.append(splat_points(shown, target, near=near, extra=mask))
             else:
-                splats.append(splat([gaussians], instant.target, near=near, scale=chosen.gaussian_scale_px))
+                splats.append(splat([shown], target, near=near, extras=[mask], scale=chosen.gaussian_scale_px))
         return splats
 
-    def _march(self, instant: Instant, filtered: list[FilteredDepth], weights: list[Map], splats: list[Splat]) -> RayMarch:
+    def _march(self, filtered: Instant, weights: list[Map], splats: list[Splat]) -> RayMarch:
         """Fuse the filtered depths, and the previous fused depth, in the target view (Eqs. 3, 9-14)."""
-        views = [
-            DepthView(source.camera, view.depth, weight)
-            for source, view, weight in zip(instant.sources, filtered, weights, strict=True)
-        ]
-        previous = self._previous_depth(instant, splats)
+        cameras, depths = [view.camera for view in filtered.sources], [view.depth for view in filtered.sources]
         reading = FieldReading(self.options.signed_distance, self.options.normalised_field)
         march_by = ray_march if reading == FieldReading() else partial(printed_march, reading=reading)
-        march = march_by(instant.target, views, tau=self._tau(instant), previous=previous, min_step=self.options.min_step)
-        self._previous = _Fused(instant.index, instant.target, march)
+        march = march_by(
+            filtered.target,
+            cameras,
+            depths,
+            weights,
+            tau=self._tau(filtered),
+            previous=self._previous_depth(filtered, splats),
+            min_step=self.options.min_step,
+        )
+        self._previous = _Fused(filtered.index, filtered.target, march)
         return march
 
     def _tau(self, instant: Instant) -> float:

@@ -10,7 +10,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.geometry.pinhole import rigid_between
 from ggvs_eval.geometry.splat import COVERED_ALPHA
 from ggvs_eval.kernels import get_threads
-from ggvs_eval.pipelines.online.blend_maps import BlendMaps, Guidance, RawViews
+from ggvs_eval.pipelines.online.blend_maps import BlendMaps, Guidance
 
 GUIDED = ("registered", "channels")  # by the fused depth
 
@@ -20,7 +20,7 @@ def channel_count(views: int, guidance: Guidance) -> int:
     return {"registered": 10 * views + 1, "channels": 9 * views + 1, "none": 8 * views, "naive": 6 * views}[guidance]
 
 
-def guide_depth(maps: BlendMaps | RawViews, guidance: Guidance) -> Map:
+def guide_depth(maps: BlendMaps, guidance: Guidance) -> Map:
     """The depth of the surface that angles are measured at, (H, W), world units, 0 where unknown.
 
     Reading:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.geometry.pinhole import rigid_between
-from ggvs_eval.geometry.tsdf import DepthView, PreviousDepth, RayMarch
+from ggvs_eval.geometry.tsdf import PreviousDepth, RayMarch
 
 Values = NDArray[np.float64]
 Rays = NDArray[np.int64]
@@ -58,7 +58,9 @@ class _View:
 
 def printed_march(
     target: Camera,
-    views: Sequence[DepthView],
+    cameras: Sequence[Camera],
+    depths: Sequence[NDArray[np.float32]],
+    weights: Sequence[NDArray[np.float32]],
     *,
     tau: float,
     previous: PreviousDepth | None = None,
@@ -70,26 +72,28 @@ def printed_march(
 
     Args:
         target: the camera to render.
-        views: the K sources.
+        cameras: the K source cameras.
+        depths: of each.
+        weights: of each pixel of them.
         tau: truncation distance, world units.
         previous: the previous frame's result.
         min_step: smallest step, in tau.
         bisections: of the interval around the zero crossing.
         reading: of the fused field.
     """
-    cameras = [_view(target, each.camera, each.depth, each.weight) for each in views]
+    views = [_view(target, *each) for each in zip(cameras, depths, weights, strict=True)]
     if previous is not None:
         gain = previous.gain.reshape(-1).astype(np.float64)
-        cameras.append(_view(target, previous.camera, previous.depth, previous.accumulated_weight, gain, previous.limit))
-    front, behind, hit = _crossings(cameras, target, tau, min_step, reading)
+        views.append(_view(target, previous.camera, previous.depth, previous.accumulated_weight, gain, previous.limit))
+    front, behind, hit = _crossings(views, target, tau, min_step, reading)
     for _ in range(bisections):
         middle = (front + behind) / 2
-        s, total = _field(cameras, hit, middle, tau, reading)
+        s, total = _field(views, hit, middle, tau, reading)
         positive = (s > 0) & (total > 0)
         front, behind = np.where(positive, middle, front), np.where(positive, behind, middle)
     depth, weight = (np.zeros(target.height * target.width, np.float32) for _ in range(2))
     depth[hit] = (front + behind) / 2
-    weight[hit] = _field(cameras, hit, (front + behind) / 2, tau, reading)[1]
+    weight[hit] = _field(views, hit, (front + behind) / 2, tau, reading)[1]
     return RayMarch(depth.reshape(target.height, target.width), weight.reshape(target.height, target.width))
 
 

@@ -45,7 +45,7 @@ class WholeSequence:
         for instant in instants:
             started = perf_counter()
             for source in instant.sources:
-                filtered = backward.step(-instant.index, source)
+                filtered, _ = backward.step(-instant.index, source)
                 np.save(self._file(instant.index, source), filtered.depth)
             self._seconds[instant.index] = perf_counter() - started
 

@@ -167,13 +167,52 @@ def playback_of_capture(capture: Capture, options: PlayOptions, depth: DepthOpti
     sources = options.sources or "nearest"
     needed = _needed(capture, poses, instants, k, sources)
     jobs = _jobs(capture, poses, k, alone, sources)
-    root = cache / _digest(capture)
-    store, blocks = DepthStore(root / "depth"), list(blocks_of(needed, 2 * k))
-    capture = cache_frames(capture, _wanted(blocks, jobs, alone), root / "frames", workers)
-    for block, names in blocks:
-        prepare_depth(capture, [jobs[name] for name in sorted(names)], block, store, alone, workers)
+    capture, store = _filled(capture, needed, jobs, alone, cache, workers)
     keys = {name: job.key for name, job in jobs.items()}
     return Playback(capture, poses, instants, k, store, keys, sources)
+
+
+def viewing_of_capture(capture: Capture, options: PlayOptions, depth: DepthOptions, cache: Path, workers: int = 1) -> Playback:
+    """Make ready what any camera of a capture sees, for a target that may stand anywhere; as `playback_of_capture`.
+
+    Args:
+        capture: what is looked at.
+        options: ``frames``, ``k`` and ``sources`` of it.
+        depth: how depth is computed.
+        cache: folder for frames and depth; what is there, and belongs to these frames, is kept.
+        workers: processes.
+
+    Raises:
+        CaptureError: frames that cannot be read.
+        DepthError: depth that cannot be computed.
+        RenderError: more frames or sources than there are.
+    """
+    instants = sorted(set(_instants(capture, range(capture.n_frames), options.frames)))
+    k = _checked_k(capture, min(4, len(capture.cameras) - 1) if options.k is None else options.k)
+    alone = replace(depth, consistency=None)
+    stands = [replace(camera, name=f"at {camera.name}") for camera in capture.cameras]  # whose first source is the camera itself
+    jobs = _jobs(capture, stands, k, alone, "nearest")
+    needed = {instant: set(capture.camera_names) for instant in instants}
+    capture, store = _filled(capture, needed, jobs, alone, cache, workers)
+    keys = {name: job.key for name, job in jobs.items()}
+    return Playback(capture, stands, instants, k, store, keys, options.sources or "nearest")
+
+
+def _filled(
+    capture: Capture,
+    needed: Mapping[int, set[str]],
+    jobs: Mapping[str, DepthJob],
+    depth: DepthOptions,
+    cache: Path,
+    workers: int,
+) -> tuple[Capture, DepthStore]:
+    """The capture with its frames in the cache, and the store with the depth of the cameras that each instant needs."""
+    root = cache / _digest(capture)
+    store, blocks = DepthStore(root / "depth"), list(blocks_of(needed, 2 * max(len(names) for names in needed.values())))
+    capture = cache_frames(capture, _wanted(blocks, jobs, depth), root / "frames", workers)
+    for block, names in blocks:
+        prepare_depth(capture, [jobs[name] for name in sorted(names)], block, store, depth, workers)
+    return capture, store
 
 
 def blocks_of(needed: Mapping[int, set[str]], most: int) -> Iterator[tuple[range, set[str]]]:

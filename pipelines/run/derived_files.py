@@ -20,7 +20,7 @@ def seen_from(target: Camera, keys: Mapping[str, str]) -> dict[str, Any]:
         keys: source camera -> key of its depth in the depth store.
     """
     return {
-        "target": [*target.K.ravel().tolist(), *target.world_to_camera.ravel().tolist(), *target.size, target.near, target.far],
+        "target": target.to_json(),
         "depth": dict(keys),
     }
 

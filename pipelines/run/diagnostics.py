@@ -27,7 +27,12 @@ def write_diagnostics(folder: Path, index: int, inside: Mapping[str, Map], targe
         target: camera of the image, for the scale of depth.
     """
     for name, values in inside.items():
-        write_image(diagnostics_path(folder, name, index), _PICTURES[name](values, target))
+        write_image(diagnostics_path(folder, name, index), diagnostics_picture(name, values, target))
+
+
+def diagnostics_picture(name: str, values: Map, target: Camera) -> Image8:
+    """One map of `Rendering.inside` in the colours of its kind, (h, w, 3)."""
+    return _PICTURES[name](values, target)
 
 
 def view_colours(weights: Map) -> Image8:

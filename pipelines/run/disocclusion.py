@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from ggvs_eval.baselines.gaussians import NEAR_M
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.files.images import write_image
-from ggvs_eval.geometry.splat import COVERED_ALPHA, PixelGaussians, splat
+from ggvs_eval.geometry.splat import COVERED_ALPHA, splat_depth
 from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.jobs.run_all import run_all
+from ggvs_eval.method import NEAR_M
 from ggvs_eval.pipelines.run.derived_files import drop_stale, seen_from
 from ggvs_eval.run_folder import frame_path, missing_frames
 
@@ -45,7 +45,7 @@ def write_disocclusions(
 
 def made_from(capture: Capture, target: Camera, keys: Mapping[str, str]) -> dict[str, Any]:
     """All that the masks of one view depend on; arguments as of `write_disocclusions`."""
-    code = code_identity(__name__, splat.__module__, unfollowed=(__name__,))
+    code = code_identity(__name__, splat_depth.__module__, unfollowed=(__name__,))
     return seen_from(target, keys) | {"units_per_metre": capture.units_per_metre, "code": code}
 
 
@@ -56,7 +56,6 @@ def _write(capture: Capture, frames: range, store: Path, view: tuple[Path, Camer
         covered = np.zeros((target.height, target.width), np.float32)
         for name, key in keys.items():
             depth = depths.read(key, index).depth
-            gaussians = PixelGaussians(capture.camera(name), depth, np.ones((*depth.shape, 1), np.float32))
-            covered = np.maximum(covered, splat([gaussians], target, near=near).alpha)
+            covered = np.maximum(covered, splat_depth(capture.camera(name), depth, target, near=near).alpha)
         mask = np.where(covered < COVERED_ALPHA, 255, 0).astype(np.uint8)
         write_image(frame_path(folder, index), np.repeat(mask[..., None], 3, axis=-1))

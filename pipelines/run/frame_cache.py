@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.capture import Capture, FrameSource
+from ggvs_eval.files.atomic import sweep_files
 from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.jobs.run_all import run_all
@@ -70,6 +71,7 @@ def _write(capture: Capture, root: Path, camera: tuple[str, Sequence[int]]) -> N
     """Decode one camera from its first missing frame to its last; runs in a worker."""
     name, frames = camera
     folder, start = root / name, frames[0]
+    sweep_files(folder)
     for index, image in enumerate(capture.frames(name, start, frames[-1] + 1), start):
         if missing_frames(folder, range(index, index + 1)):
             write_image(frame_path(folder, index), image)

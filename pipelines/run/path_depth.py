@@ -12,7 +12,7 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import DepthError
 from ggvs_eval.files.atomic import atomic_file
-from ggvs_eval.geometry.tsdf import DepthView, fusion_weights, ray_march
+from ggvs_eval.geometry.tsdf import fusion_weights, ray_march
 from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.pipelines.online.geometry_guided import OnlineOptions
 from ggvs_eval.pipelines.run.derived_files import drop_stale, seen_from
@@ -77,8 +77,6 @@ def pose_file(folder: Path, pose: int) -> Path:
 def _fused_depth(capture: Capture, target: Camera, keys: dict[str, str], frame: int, store: DepthStore) -> NDArray[np.float32]:
     options = OnlineOptions()
     tau, noise = (length * capture.units_per_metre for length in (options.tau_m, options.depth_noise_m))
-    views = []
-    for name, key in keys.items():
-        depth = store.read(key, frame).depth
-        views.append(DepthView(capture.camera(name), depth, fusion_weights(depth, tau, noise)))
-    return ray_march(target, views, tau=tau).depth
+    depths = [store.read(key, frame).depth for key in keys.values()]
+    weights = [fusion_weights(depth, tau, noise) for depth in depths]
+    return ray_march(target, [capture.camera(name) for name in keys], depths, weights, tau=tau).depth

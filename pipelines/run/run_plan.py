@@ -4,7 +4,7 @@ A plan is made once. What is left to do is counted on it, and prepare, render an
 """
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +21,7 @@ from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptio
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import plan_depth
-from ggvs_eval.protocol import Protocol
+from ggvs_eval.protocol import PathCamera, Protocol
 from ggvs_eval.run_folder import RunFolder, read_json
 
 
@@ -171,7 +171,8 @@ def plan_run(request: RunRequest) -> RunPlan:
         for target in targets
     }
     views = {view: replace(plans[view], shares=dict.fromkeys(plans[view].shares, 1.0)) for view in protocol.views.test}
-    frame = min(max(round(path.time_s * capture.fps), protocol.frames.start), capture.n_frames - 1)
+    chosen_frame = protocol.path.frame if protocol.path.cameras else round(path.time_s * capture.fps)
+    frame = min(max(chosen_frame, protocol.frames.start), capture.n_frames - 1)
     poses = tuple(plans[pose.name] for pose in path.cameras)
     return RunPlan(request, run, depth, capture, views, poses, frame, path.images)
 
@@ -214,7 +215,7 @@ def _depth_of(run: RunFolder, asked: DepthRunOptions | None) -> DepthRunOptions:
 
 
 def _camera_path(capture: Capture, protocol: Protocol) -> CameraPath:
-    """The capture's own path where it has one, else a horizontal translation around the first test view.
+    """The protocol's poses, else the capture's own path where it has one, else a translation around the first test view.
 
     Reading:
         The paper moves the camera horizontally and does not say from where to where; ours spans the nearest cameras on both
@@ -223,12 +224,24 @@ def _camera_path(capture: Capture, protocol: Protocol) -> CameraPath:
     middle = capture.camera(protocol.views.test[0])
     if protocol.path.poses == 0:
         return CameraPath((), None, 0.0)
+    if protocol.path.cameras:
+        return CameraPath(_chosen_poses(protocol.path.cameras, middle), None, 0.0)
     known = open_path(capture.path)
     if known is not None and _shows_its_instant(capture, known):
         return replace(known, cameras=tuple(pose.resized(*middle.size) for pose in known.cameras))
     neighbour = nearest_cameras(middle, capture.cameras, 2)[-1]
     span = 2 * float(np.linalg.norm(neighbour.centre - middle.centre))
     return CameraPath(tuple(translated_path(middle, span, protocol.path.poses)), None, 0.0)
+
+
+def _chosen_poses(poses: Sequence[PathCamera], view: Camera) -> tuple[Camera, ...]:
+    """Poses that the protocol lists, at the size of a test view.
+
+    Raises:
+        CameraError: a pose that is no camera; it is called by its number.
+    """
+    cameras = (Camera.from_json(f"path{index:04d}", asdict(pose)) for index, pose in enumerate(poses))
+    return tuple(camera.resized(*view.size) for camera in cameras)
 
 
 def _shows_its_instant(capture: Capture, known: CameraPath) -> bool:

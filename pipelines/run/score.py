@@ -19,7 +19,7 @@ from ggvs_eval.pipelines.run.references import score_ceilings, write_references
 from ggvs_eval.pipelines.run.score_path import PATH_VIEW, score_paths
 from ggvs_eval.pipelines.run.score_view import metric_options, view_job
 from ggvs_eval.protocol import Protocol
-from ggvs_eval.results import Results, installed_versions, make_table
+from ggvs_eval.results import Results, describe_machine, installed_versions, make_table
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
 
 
@@ -144,6 +144,7 @@ def _provenance(protocol: Protocol, capture: dict[str, Any], renders: dict[str, 
         "renders": renders,
         "pooling": pooling_records(protocol.measurement.metrics, metric_options(protocol.measurement)),
         "versions": installed_versions(),
+        "machine": describe_machine(),
     }
 
 
@@ -159,4 +160,5 @@ def _write_shown_names(run: RunFolder, protocol: Protocol, labels: Sequence[str]
     titles = {label: METHODS[label].title if label in METHODS else label for label in labels}
     ours = [label for label in labels if label in METHODS and METHODS[label].ours]
     write_json(run.root / "methods.json", {"labels": list(labels), "names": titles, "ours": ours})
-    write_json(run.root / "metrics.json", metric_notes(protocol.measurement.metrics))
+    notes = metric_notes(protocol.measurement.metrics, metric_options(protocol.measurement))
+    write_json(run.root / "metrics.json", notes)

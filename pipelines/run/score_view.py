@@ -3,6 +3,7 @@
 import hashlib
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -38,7 +39,7 @@ def view_job(run: RunFolder, protocol: Protocol, coverage: Coverage, labels: Seq
         | coverage.identity(label, view)
         for label in stretches
     }
-    work = partial(_score_view, run, view, tuple(labels), identities, stretches, measurement)
+    work = partial(_score_view, run, view, tuple(labels), identities, stretches, protocol)
     return Job(f"scores of {view}", run.scores(view), identities, work)
 
 
@@ -65,7 +66,7 @@ def _score_view(
     asked: Sequence[str],
     identities: dict[str, Any],
     stretches: dict[str, tuple[range, ...]],
-    measurement: Measurement,
+    protocol: Protocol,
     _folder: Path,
 ) -> dict[str, Any]:
     """Measure what is stale, methods with the same frames and stale metrics side by side; all other values stay."""
@@ -75,11 +76,11 @@ def _score_view(
     alike: dict[tuple[tuple[range, ...], tuple[str, ...]], list[str]] = defaultdict(list)
     for label, identity in identities.items():
         fresh = fresh_metrics(records.get(label, {}).get("identity", {}), identity)
-        methods[label] = {"identity": identity} | _values_of(fresh, records.get(label, {}), metric_options(measurement))
+        methods[label] = {"identity": identity} | _values_of(fresh, records.get(label, {}), metric_options(protocol.measurement))
         if stale := tuple(name for name in identity["metrics"] if name not in fresh):
             alike[stretches[label], stale].append(label)
     for (there, metrics), labels in alike.items():
-        for label, measured in zip(labels, _score_methods(run, view, labels, there, metrics, measurement), strict=True):
+        for label, measured in zip(labels, _score_methods(run, view, labels, there, metrics, protocol), strict=True):
             methods[label]["values"] += measured["values"]
             methods[label]["not_computed"] |= measured["not_computed"]
     return {"methods": methods}
@@ -106,7 +107,7 @@ def _score_methods(
     labels: Sequence[str],
     stretches: tuple[range, ...],
     metrics: Sequence[str],
-    measurement: Measurement,
+    protocol: Protocol,
 ) -> list[dict[str, Any]]:
     """Some metrics of methods that have the same frames; frames are streamed, two instants in memory.
 
@@ -115,7 +116,8 @@ def _score_methods(
     """
     from ggvs_eval.metrics.stream import fit_colour_maps, score_views
 
-    folders, options = [run.renders(label, view) for label in labels], metric_options(measurement)
+    measurement, folders = protocol.measurement, [run.renders(label, view) for label in labels]
+    options = metric_options(measurement)
     records: list[dict[str, Any]] = [{"values": [], "not_computed": {}} for _ in labels]
     maps, corrected = None, any(metric.corrects_colours for metric in scored_by_view(metrics))
     if options.colour_scope == "view" and corrected:
@@ -123,7 +125,8 @@ def _score_methods(
     for frames in stretches:
         instants = _instants(folders, run.truth(view), frames, measurement)
         masks = _disoccluded(run.disoccluded(view), frames, measurement)
-        scored = score_views(instants, metrics, options, colour_maps=maps, disoccluded=masks)
+        placed = replace(options, first_frame=frames.start - protocol.frames.start)
+        scored = score_views(instants, metrics, placed, colour_maps=maps, disoccluded=masks)
         for record, scores in zip(records, scored, strict=True):
             values = [(name, -1 if index is None else frames[index], value) for name, index, value in scores.values]
             record["values"] += [value for value in values if value[1] >= 0 or len(stretches) == 1]
@@ -136,6 +139,7 @@ def metric_options(measurement: Measurement) -> MetricOptions:
     return MetricOptions(
         ssim=measurement.ssim,
         lpips_net=measurement.lpips_net,
+        lpips_every=measurement.lpips_every,
         sted_pairing=measurement.sted_pairing,
         sted_pooling=measurement.sted_pooling,
         colour_scope=measurement.colour_scope,

@@ -12,15 +12,20 @@ from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptio
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.run.evaluate import measure, report
 from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
+from ggvs_eval.pipelines.run.work_left import count_work
 from ggvs_eval.pipelines.sweep.cells import SHARED_FOLDERS
 from ggvs_eval.pipelines.sweep.run_sweep import Announce, run_sweep
+from ggvs_eval.progress import duration
 from ggvs_eval.protocol import load_protocol
+from ggvs_eval.run_folder import RunFolder
 from ggvs_eval.sweep import Sweep, load_sweep
 from ggvs_eval.synthetic.demo import DEMO_ROOMS, MAIN, write_demo
 from ggvs_eval.synthetic.film.options import DemoOptions
 
 K_PROTOCOL = "demo-k"
 FEW = ("no-blending", "distance-based", "ours")
+# Core-seconds of filming and evaluating each room by the usual methods, and over K, as of docs/measurements.md.
+CORE_SECONDS = {MAIN: 360.0, "demo-enerf-outdoor": 120.0, "demo-d3dmv": 240.0, K_PROTOCOL: 120.0}
 # What the small rooms are evaluated by where nobody names methods: the smaller one by all that the paper compares itself with.
 SMALL_ROOMS_METHODS = {
     "demo-enerf-outdoor": FEW,
@@ -37,8 +42,11 @@ def evaluate_demos(
     networks: NetworkOptions = AS_SHIPPED,
     rooms: Mapping[str, DemoOptions] = MappingProxyType(DEMO_ROOMS),
     announce: Announce = lambda _: None,
+    show: Callable[[Path], None] = lambda _: None,
 ) -> Path:
     """Film and evaluate every demo room, the main one also over K; a second call does only what is missing.
+
+    The page is there as soon as the first room is evaluated, and grows with every further one.
 
     Args:
         root: run folder of the main room; the others' lie beside it, and each capture beside its run.
@@ -49,6 +57,7 @@ def evaluate_demos(
         networks: with which weights and where networks compute.
         rooms: name of the protocol -> what is rendered.
         announce: is called before each evaluation, with the plans of its runs.
+        show: is called with the page whenever it has grown, but for the last time.
 
     Returns:
         The page of all rooms, in the main room's run folder.
@@ -57,11 +66,15 @@ def evaluate_demos(
         RenderError: a run over K failed; the page is there without it.
     """
     roots = {name: demo_root(root, name) for name in rooms}
-    for name, options in rooms.items():
-        capture = open_demo(write_demo(capture_beside(roots[name]), options, as_engine(workers).jobs))
+    jobs = as_engine(workers).jobs
+    for number, (name, options) in enumerate(rooms.items(), 1):
+        capture = open_demo(write_demo(capture_beside(roots[name]), options, jobs))
         plan = plan_run(RunRequest(roots[name], capture, load_protocol(name), labels[name], depth, networks))
         announce([plan])
+        is_new = not count_work([plan], root, jobs).is_nothing()
         measure(plan, workers)
+        if is_new:
+            show(report([*roots.values()][:number]))
     if not (sweep := k_sweep(labels[MAIN])).row:
         return report([*roots.values()])
     swept, protocol, capture = k_root(root), load_protocol(K_PROTOCOL), open_demo(capture_beside(root))
@@ -71,6 +84,17 @@ def evaluate_demos(
     if result.failures:
         raise RenderError(f"{swept}: {len(result.failures)} failed, first {result.failures[0]}; the same call tries again")
     return page
+
+
+def describe_outlook(root: Path, labels: Mapping[str, Sequence[str]], jobs: int) -> str:
+    """How long the demo takes and when its first page can be opened, in one line; empty where the rooms are evaluated already."""
+    page = RunFolder(root).report / "index.html"
+    if page.is_file() or any(name not in CORE_SECONDS for name in labels):
+        return ""
+    whole, first = sum(CORE_SECONDS.values()) / jobs, CORE_SECONDS[MAIN] / jobs
+    return (
+        f"demo: about {duration(whole)} in all on {jobs} cores; in about {duration(first)} open {page}, which grows with each run"
+    )
 
 
 def room_labels(labels: Sequence[str], usual: Sequence[str]) -> dict[str, Sequence[str]]:

@@ -10,7 +10,7 @@ import pandas as pd
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import ProtocolError
-from ggvs_eval.files.atomic import atomic_file
+from ggvs_eval.files.atomic import atomic_file, locked
 from ggvs_eval.jobs.engine import Engine, Workers, as_engine
 from ggvs_eval.jobs.ledger import Failure
 from ggvs_eval.jobs.shard import WHOLE, Shard
@@ -26,6 +26,8 @@ from ggvs_eval.protocol import Protocol
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
 from ggvs_eval.sweep import Sweep, SweepRow
+
+LINE_NAMES = ("capture", "variant", "method")  # of a line of the table, as far as it needs them
 
 Announce = Callable[[Sequence[RunPlan]], None]
 
@@ -186,9 +188,28 @@ def _shard_cells(cells: list[Cell], shard: Shard) -> tuple[list[Cell], dict[str,
 
 
 def _write_table(table: pd.DataFrame, root: Path) -> None:
-    """Whole or not at all."""
-    with atomic_file(root / "sweep.csv") as temporary:
-        table.to_csv(temporary)
+    """Write the table whole or not at all; lines of other sweeps into the same folder stay."""
+    file, lines = root / "sweep.csv", table.reset_index()
+    with locked(root):
+        if file.is_file():
+            lines = _with_lines(pd.read_csv(file, dtype=str), lines)  # as text, so that no digit changes
+        with atomic_file(file) as temporary:
+            lines.to_csv(temporary, index=False)
+
+
+def _with_lines(before: pd.DataFrame, lines: pd.DataFrame) -> pd.DataFrame:
+    """A table with more lines, which take the places of those of the same name.
+
+    Reading:
+        Where only one of the two names captures, the other's lines have an empty one: their runs lie beside those folders.
+    """
+    names = [name for name in LINE_NAMES if name in before or name in lines]
+    named = (
+        part.assign(**{name: part.get(name, "") for name in names}).fillna(dict.fromkeys(names, "")) for part in (before, lines)
+    )
+    old, new = (part.set_index(names) for part in named)
+    order = [*old.index, *(name for name in new.index if name not in old.index)]
+    return pd.concat([old[~old.index.isin(new.index)], new]).loc[order].reset_index()
 
 
 def _score_lines(cell: Cell, labels: Sequence[str], engine: Engine) -> pd.DataFrame:
@@ -202,8 +223,7 @@ def _lines(cell: Cell, results: Results, rows: list[SweepRow]) -> pd.DataFrame:
     summary = results.summary().droplevel("dataset")
     lines = pd.DataFrame([summary.loc[split_label(row.label)] for row in rows], index=[row.title for row in rows])
     lines["s/frame"] = [_seconds_per_frame(cell.run, row.label) for row in rows]
-    names = ["capture", "variant", "method"]
-    lines.index = pd.MultiIndex.from_product([[cell.folder], [cell.variant], lines.index], names=names)
+    lines.index = pd.MultiIndex.from_product([[cell.folder], [cell.variant], lines.index], names=LINE_NAMES)
     return lines
 
 

@@ -1,12 +1,10 @@
 """The stages of a sweep, each over all of its runs at once: one bar, one pool, and what fails stops nothing else."""
 
-import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TypeVar
 
-from ggvs_eval.errors import GgvsError
 from ggvs_eval.jobs.engine import Engine
 from ggvs_eval.jobs.job import Attempt, Job, attempt_jobs
 from ggvs_eval.jobs.ledger import Failure, Ledger
@@ -27,10 +25,8 @@ def attempt(name: str, work: Callable[[], Value]) -> tuple[Value | None, list[Fa
     """Do something, and take its failure for a result."""
     try:
         return work(), []
-    except GgvsError as error:
-        return None, [Failure(name, str(error))]
     except Exception as error:
-        return None, [Failure(name, f"{type(error).__name__}: {error}", traceback.format_exc())]
+        return None, [Failure.of(name, error)]
 
 
 def plan_cells(

@@ -147,11 +147,6 @@ def _failure(training: Training, code: int) -> dict[str, str]:
 @contextmanager
 def _stopped_at_the_end(running: dict[Training, subprocess.Popen[bytes]]) -> Iterator[None]:
     """Stop what still runs when the block is left early: by an error, Ctrl-C or a request to terminate."""
-
-    def leave(*_: object) -> None:
-        raise SystemExit(128 + signal.SIGTERM)
-
-    before = signal.signal(signal.SIGTERM, leave)
     try:
         yield
     finally:
@@ -162,7 +157,6 @@ def _stopped_at_the_end(running: dict[Training, subprocess.Popen[bytes]]) -> Ite
                 process.wait(GRACE_S)
             except subprocess.TimeoutExpired:
                 _signal_group(process, signal.SIGKILL)
-        signal.signal(signal.SIGTERM, before)
 
 
 def _signal_group(process: subprocess.Popen[bytes], which: signal.Signals) -> None:

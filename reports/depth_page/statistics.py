@@ -9,7 +9,7 @@ from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import CONFIDENCE_STEPS, DepthMap
 from ggvs_eval.files.images import quantise
-from ggvs_eval.geometry.splat import COVERED_ALPHA, PixelGaussians, splat
+from ggvs_eval.geometry.splat import COVERED_ALPHA, splat_depth
 from ggvs_eval.geometry.warp import warp
 
 SAME_SURFACE = 0.03  # of the median depth: what lies deeper behind another pixel is hidden by it
@@ -119,8 +119,7 @@ def resynthesise(camera: Camera, depth: Map, image: Image8, other: Camera, other
 
 def _depth_from(camera: Camera, depth: Map, other: Camera) -> Map:
     """The depth map as the other camera sees it, (H', W'); 0 where it does not reach."""
-    gaussians = PixelGaussians(camera, depth, np.ones((*depth.shape, 1), np.float32))
-    view = splat([gaussians], other, near=0.1 * min(camera.near, other.near))
+    view = splat_depth(camera, depth, other, near=0.1 * min(camera.near, other.near))
     return np.where(view.alpha > COVERED_ALPHA, view.depth, np.float32(0))
 
 

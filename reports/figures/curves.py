@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from ggvs_eval.errors import ResultsError
+from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.reports.model.measured import MeasuredRun, label_of
 
 if TYPE_CHECKING:
@@ -33,9 +34,11 @@ def save_figure(figure: "Figure", out: Path) -> Path:
         raise ResultsError(f"{out}: a figure's name must end in {', '.join(VOLATILE)}, got {out.suffix or 'no suffix'}")
     import matplotlib
 
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with matplotlib.rc_context({"svg.hashsalt": "ggvs-eval", "savefig.dpi": DOTS_PER_INCH}):
-        figure.savefig(out, format=out.suffix[1:], metadata=dict.fromkeys(VOLATILE[out.suffix]))
+    with (
+        atomic_file(out) as temporary,
+        matplotlib.rc_context({"svg.hashsalt": "ggvs-eval", "savefig.dpi": DOTS_PER_INCH}),
+    ):
+        figure.savefig(temporary, format=out.suffix[1:], metadata=dict.fromkeys(VOLATILE[out.suffix]))
     return out
 
 

@@ -40,18 +40,36 @@ def read_references(folder: RunFolder) -> tuple[Reference, ...]:
 
 
 def reference_rows(references: Sequence[Reference], group: str, notes: Sequence[MetricNote]) -> tuple[Row, ...]:
-    """The rows of one table; a reference that knows none of its metrics is left out."""
+    """The rows of one table; a reference without a number in it is left out, see `reference_remarks`."""
     return tuple(
         Row(reference.name, tuple(_cell(note, reference.values.get(note.name)) for note in notes), "reference")
         for reference in references
-        if reference.group == group and any(note.name in reference.values for note in notes)
+        if reference.group == group and any(isinstance(reference.values.get(note.name), float | int) for note in notes)
     )
+
+
+def reference_remarks(references: Sequence[Reference], group: str, notes: Sequence[MetricNote]) -> list[str]:
+    """What belongs below the rows of one table: what each is, and once for all that lack the same why they have no number."""
+    mine, remarks = [reference for reference in references if reference.group == group], []
+    absent: dict[str, tuple[list[str], list[str]]] = {}
+    for reference in mine:
+        values = {note.name: reference.values.get(note.name) for note in notes}
+        if any(isinstance(value, float | int) for value in values.values()):
+            remarks.append(f"{reference.name}: {reference.note}")
+        for metric, reason in values.items():
+            if isinstance(reason, str):
+                names, metrics = absent.setdefault(reason, ([], []))
+                names.append(reference.name)
+                metrics.append(metric)
+    for reason, (names, metrics) in absent.items():
+        remarks.append(f"Not computed for {', '.join(dict.fromkeys(metrics))}: {', '.join(dict.fromkeys(names))} ({reason}).")
+    return list(dict.fromkeys(remarks))
 
 
 def _cell(note: MetricNote, value: float | str | None) -> Cell:
     if value is None:
         return Cell("no such reference")
-    return Cell(f"not computed: {value}") if isinstance(value, str) else Cell(format_value(value, note.decimals), value)
+    return Cell("not computed", note=value) if isinstance(value, str) else Cell(format_value(value, note.decimals), value)
 
 
 @dataclass(frozen=True)

@@ -1,11 +1,11 @@
 """A table before it has a format: every cell is a value with its text and standing, or the reason why there is none."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from ggvs_eval.statistics.bootstrap import LEVEL, Interval
+from ggvs_eval.statistics.intervals import LEVEL, Interval
 
 SIGNIFICANT = 4
 
@@ -60,7 +60,9 @@ class Cell:
 
     @property
     def hint(self) -> str:
-        """One line about the interval for who asks; empty where nothing is known of one."""
+        """One line about the interval, or why there is no value, for who asks; empty where nothing is known of either."""
+        if self.value is None:
+            return self.note
         if self.low is None or self.high is None:
             return f"no interval: {self.note}" if self.note else ""
         return f"{100 * LEVEL:.0f} % interval {self.low:.6g} to {self.high:.6g}{', ' if self.note else ''}{self.note}"
@@ -91,6 +93,7 @@ class Table:
         columns: heads, without the column of names.
         rows: measured rows first, published ones last.
         dataset: what was measured on.
+        undecided: name of a column -> why nobody is named as its best, where somebody is not.
     """
 
     key: str
@@ -99,6 +102,7 @@ class Table:
     columns: tuple[Column, ...]
     rows: tuple[Row, ...]
     dataset: str = ""
+    undecided: Mapping[str, str] = field(default_factory=dict)
 
 
 def measured_cell(value: float | None, reason: str, interval: Interval | None = None, decimals: int | None = None) -> Cell:

@@ -2,9 +2,10 @@
 
 import base64
 import hashlib
+import re
 import shlex
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from ggvs_eval.reports.figures.curves import COLOURS, DASHES, MARGIN, SIZE
 from ggvs_eval.reports.figures.regions import ERROR_FULL_SCALE
 from ggvs_eval.reports.figures.slices import NO_TRUTH, Slices
 from ggvs_eval.reports.model.measured import MeasuredRun
+from ggvs_eval.reports.model.table import Table
 from ggvs_eval.reports.page.comparison import Comparison, compare_frames, diagnostics_legend, error_scale
 from ggvs_eval.reports.page.data_uri import png_uri, shrink, webp_uri
 from ggvs_eval.reports.page.heat_map import HeatMap, heat_colours, heat_maps
@@ -22,19 +24,32 @@ from ggvs_eval.reports.page.sequences import PathPictures, PictureRoom, method_v
 from ggvs_eval.reports.page.sweep_section import SweepSection
 from ggvs_eval.reports.run_groups import RunGroup, RunSection
 from ggvs_eval.reports.tables.leaders import leaders
-from ggvs_eval.reports.tables.published import CAVEATS, published_tables
+from ggvs_eval.reports.tables.published import CAVEATS
 from ggvs_eval.reports.tables.reproduction import MEANING, Reproduction
-from ggvs_eval.reports.tables.reproduction_formats import blocks, count_words
+from ggvs_eval.reports.tables.reproduction_formats import HEADS, blocks, count_words, paper_tables
+from ggvs_eval.reports.tables.verdict import Verdict, evaluate_verdict
 from ggvs_eval.run_folder import JOB_FILE
 
 TEMPLATES = Path(__file__).parent / "templates"
-FIRST_SCRIPTS = ("theme",)  # run before anything is drawn, so that no page flashes in the wrong colours
+FIRST_SCRIPTS = ("theme", "loading")  # run before anything is drawn, so that no page flashes in the wrong colours
 SCRIPTS = (
     *("zoom_window", "pointer_gestures", "picture_grid", "curve_cursor", "row_cutter", "linked_slices"),
-    *("heat_map", "sortable_table", "viewer", "start"),
+    *("heat_map", "sortable_table", "player", "viewer", "opening", "tabs", "place", "start"),
 )
 CONTEXT_WIDTH = 480
 FACT_NAMES = {"n_frames": "frames captured", "fps": "frames per second", "units_origin": "scale known from"}
+Part = tuple[str, str, tuple[str, ...]]
+# Behind the first screen of a group: place, title and templates of each part.
+PARTS: tuple[Part, ...] = (
+    ("compare", "Compare", ("comparison", "linked_slices", "errors")),
+    ("results", "Scores", ("results",)),
+    ("heat", "Where and when", ("heat_map", "views", "curves")),
+    ("slices", "Slices", ("slices",)),
+    ("videos", "Videos", ("videos",)),
+    ("timing", "Timing", ("timing",)),
+    ("measured", "What was measured", ("measured",)),
+)
+OF_ONE_FRAME: dict[str, Part | None] = {"heat": ("views", "Views", ("views",)), "videos": None}  # nothing is drawn over time
 PLOT = {"size": SIZE, "margin": MARGIN, "dashes": DASHES, "colours": len(COLOURS)}
 
 
@@ -107,9 +122,10 @@ def render_page(groups: Sequence[RunGroup], reproduced: Sequence[Reproduction] =
         groups=_groups(groups),
         sweeps=[{"id": f"sweep{at}", "title": sweep.title, **vars(sweep)} for at, sweep in enumerate(sweeps)],
         plot=PLOT,
-        published=published_tables(),
         caveats=CAVEATS,
         reproduction={
+            "heads": HEADS,
+            "tables": [_without_empty_rows(table) for table in paper_tables(reproduced)],
             "blocks": blocks(reproduced),
             "counts": count_words(reproduced),
             "meaning": MEANING,
@@ -124,6 +140,9 @@ def render_page(groups: Sequence[RunGroup], reproduced: Sequence[Reproduction] =
 def _groups(groups: Sequence[RunGroup]) -> list[dict[str, Any]]:
     """What the templates need of each group; places in the page have the same names in all groups, behind the group's own."""
     rooms = enumerate(share_room([section.run for group in groups for section in group.sections]))
+    names = _tab_names(groups)
+    tabs = zip(names, _addresses(names), strict=True)
+    verdicts = [evaluate_verdict([section.run for section in group.sections], group.results, group.tables) for group in groups]
     return [
         {
             "id": f"group{at}",
@@ -137,12 +156,46 @@ def _groups(groups: Sequence[RunGroup]) -> list[dict[str, Any]]:
             "n_methods": len({label for section in group.sections for label in section.run.labels}),
             "tables": group.tables,
             "leaders": leaders(group.tables),
+            "verdict": verdicts[at],
+            "parts": _parts(group),
             "several_datasets": len({table.dataset for table in group.tables}) > 1,
             "has_published_rows": any(row.kind == "published" for table in group.tables for row in table.rows),
-            "sections": [_section(*next(rooms), section) for section in group.sections],
+            "sections": [_section(*next(rooms), *next(tabs), section, verdicts[at]) for section in group.sections],
         }
         for at, group in enumerate(groups)
     ]
+
+
+def _parts(group: RunGroup) -> list[Part]:
+    """Parts that have something to show."""
+    parts = [OF_ONE_FRAME.get(part[0], part) if group.protocol.frames.count == 1 else part for part in PARTS]
+    empty = set() if any(section.slices for section in group.sections) else {"slices"}
+    return [part for part in parts if part and part[0] not in empty]
+
+
+def _tab_names(groups: Sequence[RunGroup]) -> list[str]:
+    """What each run is called where one is chosen: its title, with as much more as it takes to tell all runs apart."""
+    runs = [(group, section.run) for group in groups for section in group.sections]
+    names = [
+        [run.title for _, run in runs],
+        [f"{run.title}, {run.scene}" for _, run in runs],
+        [group.heading for group, _ in runs],
+        [f"{group.heading}, {run.scene}" for group, run in runs],
+    ]
+    return next((each for each in names if len(set(each)) == len(runs)), names[-1])
+
+
+def _addresses(names: Sequence[str]) -> list[str]:
+    """The same in words of an address, no two alike."""
+    slugs = [re.sub(r"[^\w.-]+", "-", name.lower()).strip("-") for name in names]
+    return [slug if slug and slugs.count(slug) == 1 else f"{slug}-{at}".strip("-") for at, slug in enumerate(slugs)]
+
+
+def _without_empty_rows(table: Table) -> Table:
+    """The paper's rows, and those of ours that hold a number."""
+    return replace(
+        table, rows=tuple(row for row in table.rows if row.is_grey or any(cell.value is not None for cell in row.cells))
+    )
 
 
 def reproduce(run: MeasuredRun, capture: str) -> list[str]:
@@ -159,7 +212,9 @@ def reproduce(run: MeasuredRun, capture: str) -> list[str]:
     return [shlex.join(["ggvs-eval", *command]) for command in commands]
 
 
-def _section(index: int, room: PictureRoom, section: RunSection) -> dict[str, Any]:
+def _section(
+    index: int, room: PictureRoom, title: str, address: str, section: RunSection, verdict: Verdict | None
+) -> dict[str, Any]:
     """What the templates need of one run, pictures as data addresses."""
     run, maps = section.run, heat_maps(section.run)
     comparison = compare_frames(run, room.frames)
@@ -171,7 +226,9 @@ def _section(index: int, room: PictureRoom, section: RunSection) -> dict[str, An
         "id": f"run{index}",
         "run": run,
         "capture": _facts(capture),
-        "n_cameras": len(capture.get("cameras", ())),
+        "title": title,
+        "address": address,
+        "opening": ("truth", *(verdict.shown(run) if verdict else run.ours_first[:2])),
         "view_tables": section.view_tables,
         "timing": section.timing,
         "comparison": comparison,
@@ -182,6 +239,7 @@ def _section(index: int, room: PictureRoom, section: RunSection) -> dict[str, An
         "videos": method_videos(run, fps, room.videos),
         "slices": [_slice_pictures(slices) for slices in section.slices],
         "commands": reproduce(run, str(capture.get("path", "CAPTURE"))),
+        "follows_rows": path is not None or len(run.frames) > 1,
         "has_path": any(slices.kind == "epi" for slices in section.slices),
         "panels": section.panels,
         "plot": PLOT,
@@ -192,6 +250,7 @@ def _facts(capture: dict[str, Any]) -> dict[str, str | int | float]:
     """What is said of the capture, notes about what was left out included."""
     plain = {key: value for key, value in capture.items() if key != "path" and isinstance(value, str | int | float)}
     facts = {FACT_NAMES.get(key, key.replace("_", " ")): value for key, value in plain.items()}
+    facts |= {"cameras": len(capture["cameras"])} if capture.get("cameras") else {}
     notes = "; ".join(capture.get("notes", ()))
     return facts | ({"notes": notes} if notes else {})
 
@@ -207,7 +266,7 @@ def _slice_pictures(slices: Slices) -> dict[str, Any]:
         "context": webp_uri(shrink(slices.context, CONTEXT_WIDTH)),
         "size": (width, height),
         "strips": [(strip.name, None if strip.image is None else png_uri(_tall(strip.image))) for strip in slices.strips],
-        "no_truth": NO_TRUTH,
+        "no_truth": NO_TRUTH if any(strip.image is None for strip in slices.strips) else "",
     }
 
 

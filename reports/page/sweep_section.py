@@ -53,7 +53,7 @@ def is_sweep(root: Path) -> bool:
 
 def sweep_runs(sweep: Path) -> list[Path]:
     """The run folders of a sweep that its table has lines of, in their order there."""
-    table = pd.read_csv(sweep / SWEEP_FILE, dtype={"capture": str, "variant": str})
+    table = pd.read_csv(sweep / SWEEP_FILE, dtype={"capture": str, "variant": str}).fillna({"capture": ""})
     if "capture" not in table:
         return [sweep / variant for variant in dict.fromkeys(table["variant"])]
     names = dict.fromkeys(zip(table["capture"], table["variant"], strict=True))
@@ -88,13 +88,13 @@ def _measured_on(sweep: Path) -> str:
 
 
 def _table(sweep: Path, notes: Mapping[str, MetricNote], caption: str) -> Table:
-    lines = pd.read_csv(sweep / SWEEP_FILE)
+    lines = pd.read_csv(sweep / SWEEP_FILE).fillna({"capture": ""})
     levels = [name for name in ("method", "variant", "capture") if name in lines]
     metrics = [name for name in lines.columns if name not in levels]
     columns = tuple(_column(metric, notes) for metric in metrics)
     rows = [
         Row(
-            ", ".join(str(line[level]) for level in levels),
+            ", ".join(str(line[level]) for level in levels if line[level] != ""),
             tuple(_cell(line[metric], notes.get(metric)) for metric in metrics),
         )
         for _, line in lines.iterrows()

@@ -12,7 +12,7 @@ from ggvs_eval.reports.model.measured import METHODS_FILE, label_of
 from ggvs_eval.reports.model.metric_note import MetricNote, read_metric_notes
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder, read_json
-from ggvs_eval.statistics.bootstrap import LEVEL
+from ggvs_eval.statistics.intervals import LEVEL
 from ggvs_eval.statistics.paired import Comparison, compare, holm
 
 SIDES = ("first", "second")
@@ -60,8 +60,8 @@ class Difference:
 
     @property
     def is_significant(self) -> bool:
-        """Whether the difference is told from chance at the level of the intervals."""
-        return self.p_value is not None and self.p_value < 1.0 - LEVEL
+        """Whether the difference is told from chance at the level of the intervals, by a clip that is long enough for that."""
+        return not self.comparison.short and self.p_value is not None and self.p_value < 1.0 - LEVEL
 
     @property
     def verdict(self) -> str:
@@ -72,6 +72,8 @@ class Difference:
         better = SIDES[0] if (difference > 0) == self.note.higher_is_better else SIDES[1]
         if self.p_value is None:
             return f"{better} better, not tested: {self.comparison.note}"
+        if self.comparison.short:
+            return f"no winner: {self.comparison.short}"
         return f"{better} better" if self.is_significant else "not to be told apart"
 
 

@@ -18,6 +18,7 @@ class Leader:
         name: of the best method.
         cell: its value and interval.
         ties: other methods that cannot be told from it.
+        undecided: why nobody is named as the best; empty where the first is.
     """
 
     column: Column
@@ -25,6 +26,7 @@ class Leader:
     name: str
     cell: Cell
     ties: tuple[str, ...]
+    undecided: str = ""
 
 
 def leaders(tables: Sequence[Table], wanted: Sequence[str] = HEADLINES) -> tuple[Leader, ...]:
@@ -48,7 +50,8 @@ def _leaders_of(table: Table) -> list[Leader]:
         if best:
             first = max(best, key=lambda row: _goodness(row, at, column))  # stable: of equals the upper one
             ties = tuple(row.name for row in best if row is not first)
-            found.append(Leader(column, table.dataset, first.name, first.cells[at], ties))
+            undecided = table.undecided.get(column.name, "") if ties else ""
+            found.append(Leader(column, table.dataset, first.name, first.cells[at], ties, undecided))
     return found
 
 

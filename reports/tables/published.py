@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from functools import cache
 from importlib import resources
 
-from ggvs_eval.reports.model.table import Cell, Column, Row, Table
+from ggvs_eval.reports.model.table import Cell, Row
 
 SOURCE = "Ha et al., Geometry-guided Online 3D Video Synthesis with Multi-View Temporal Consistency, CVPR 2025"
 CAVEATS = (
@@ -55,23 +55,6 @@ def published_rows(name: str, dataset: str, metrics: Sequence[str]) -> tuple[Row
         Row(f"{method} (paper)", tuple(_cell(values.get(metric)) for metric in metrics), "published")
         for method, values in methods.items()
     )
-
-
-def published_tables(dataset: str = "DyNeRF") -> tuple[Table, ...]:
-    """The paper's tables on one dataset by themselves, for a page whose own numbers come from another capture."""
-    titles = {"quality": "Quality", "consistency": "Consistency", "ablation": "Ablation"}
-    tables = [_table(name, title, dataset) for name, title in titles.items()]
-    seconds = read_published("timing")[dataset]["Ours"]
-    columns = tuple(Column(TIMING_WORDS[key], "ms") for key in seconds)
-    row = Row("Ours (paper)", tuple(map(_cell, seconds.values())), "published")
-    caption = f"Time per frame at 1352 × 1014, GPU not stated. {SOURCE}."
-    return (*tables, Table("paper-timing", "Time per stage", caption, columns, (row,), dataset))
-
-
-def _table(name: str, title: str, dataset: str) -> Table:
-    metrics = tuple(dict.fromkeys(metric for values in read_published(name)[dataset].values() for metric in values))
-    columns = tuple(Column(metric, UNITS.get(metric, ""), metric in HIGHER_IS_BETTER) for metric in metrics)
-    return Table(f"paper-{name}", title, f"{SOURCE}.", columns, published_rows(name, dataset, metrics), dataset)
 
 
 def _cell(text: str | None) -> Cell:

@@ -1,18 +1,19 @@
 """The tables of a report: quality, consistency, each view by itself, time per stage."""
 
 import math
+from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
 import pandas as pd
 
-from ggvs_eval.reports.model.measured import MeasuredRun, label_of, reference_rows
+from ggvs_eval.reports.model.measured import MeasuredRun, label_of, reference_remarks, reference_rows
 from ggvs_eval.reports.model.metric_note import MetricNote, note_groups
 from ggvs_eval.reports.model.table import Cell, Column, Row, RowKind, Table, measured_cell, rank
 from ggvs_eval.reports.tables.published import published_rows
 from ggvs_eval.results import Results
-from ggvs_eval.statistics.bootstrap import LEVEL, Interval, intervals
+from ggvs_eval.statistics.intervals import LEVEL, Interval, intervals
 from ggvs_eval.statistics.paired import Standing, rank_methods
 
 CHOSEN_FOR = {"nearest": "", "coverage": ", chosen for what they see of the target"}  # words after the number of sources
@@ -37,6 +38,11 @@ class Certainty:
         if self.standing is None or (self.standing.comparisons and not self.standing.p_values):
             return None
         return self.standing.ties
+
+    @property
+    def undecided(self) -> str:
+        """Why nobody is named as the best; empty where somebody is."""
+        return "" if self.standing is None else self.standing.short
 
     @property
     def refusal(self) -> str:
@@ -90,21 +96,21 @@ def _main_table(
     means = f"Mean over {frames}, then {views}, then scenes; {sources}."
     if key == "path":
         means = f"Over the whole camera path, at one instant; {sources}."
-    remarks = [f"{reference.name}: {reference.note}" for reference in references if reference.group == key]
     marks = [f"{label} is {mark}; it is not ranked." for label, mark in partial.items()]
-    caption = " ".join([means, *marks, *_certainty_captions(certain), *dict.fromkeys(remarks)])
-    return Table(key, title, caption, columns, rank(columns, rows, told) + grey, dataset)
+    caption = " ".join([means, *marks, *_certainty_captions(certain), *reference_remarks(references, key, notes)])
+    undecided = {metric: certainty.undecided for metric, certainty in certain.items()}
+    return Table(key, title, caption, columns, rank(columns, rows, told) + grey, dataset, undecided)
 
 
 def _certainty(note: MetricNote, results: Results, dataset: str, partial: Collection[str]) -> Certainty:
-    whole = _whole(results, partial)
+    whole = without_partial(results, partial)
     found = intervals(whole, note.name, dataset)
     several = sum(not math.isnan(one.value) for one in found.values()) > 1
     standing = rank_methods(whole, note.name, note.higher_is_better, dataset) if several else None
     return Certainty(found, standing)
 
 
-def _whole(results: Results, partial: Collection[str]) -> Results:
+def without_partial(results: Results, partial: Collection[str]) -> Results:
     """The results without the methods that lack views or frames."""
     labels = [label_of(*names) for names in zip(results.table["method"], results.table["variant"], strict=True)]
     return replace(results, table=results.table[[label not in partial for label in labels]])
@@ -121,16 +127,18 @@ def _certainty_captions(certain: Mapping[str, Certainty]) -> list[str]:
     level = f"{100 * LEVEL:.0f} %"
     known = [one for certainty in certain.values() for one in certainty.intervals.values() if one.low is not None]
     given = "".join(f", {note}" for note in dict.fromkeys(interval.note.partition(";")[0] for interval in known) if note)
-    captions = [f"±: {level} interval, block bootstrap{given}."] if known else []
+    captions = [f"±: {level} interval, by the correlation over time that each clip allows{given}."] if known else []
     ranked = [certainty for certainty in certain.values() if certainty.standing]
     if any(certainty.told for certainty in ranked):
-        captions.append(f"Bold: best, and what cannot be told from it (paired block bootstrap, {level}).")
+        captions.append(f"Bold: best, and what cannot be told from it (paired, {level}).")
     by_digits = [metric for metric, certainty in certain.items() if certainty.standing and certainty.told is None]
     if by_digits:
         captions.append(f"Bold in {', '.join(by_digits)}: best to the printed digits, nothing could be compared.")
-    reasons: dict[str, list[str]] = {}
+    short, reasons = defaultdict(list), defaultdict(list)
     for metric, certainty in certain.items():
-        reasons.setdefault(certainty.refusal, []).append(metric)
+        short[certainty.undecided].append(metric)
+        reasons[certainty.refusal].append(metric)
+    captions += [f"No winner in {', '.join(names)}: {reason}." for reason, names in short.items() if reason]
     return captions + [f"No interval for {', '.join(names)}: {reason}." for reason, names in reasons.items() if reason]
 
 

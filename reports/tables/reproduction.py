@@ -13,7 +13,7 @@ from ggvs_eval.reports.model.table import Cell, format_value, measured_cell
 from ggvs_eval.reports.tables.comparable_runs import ComparableRuns, NotComparable, find_comparable_runs
 from ggvs_eval.reports.tables.published import TIMING_WORDS, UNITS, is_higher_better, read_published
 from ggvs_eval.reports.tables.timing import TIMINGS, evaluate_time
-from ggvs_eval.statistics.bootstrap import LEVEL, intervals
+from ggvs_eval.statistics.intervals import LEVEL, intervals
 
 Status = Literal["reproduced", "differs", "data absent", "weights absent", "not run"]
 STATUSES: tuple[Status, ...] = ("reproduced", "differs", "data absent", "weights absent", "not run")
@@ -40,7 +40,8 @@ class Reproduction:
         paper: value with the digits that the paper prints.
         ours: what was measured on the same data and terms, or that nothing was.
         status: see `MEANING`.
-        reason: why, in words; never empty.
+        reason: why, in words; never empty, and the same for all values that lack the same thing.
+        remark: what else is known of this value alone; empty where nothing is.
     """
 
     table: str
@@ -52,6 +53,12 @@ class Reproduction:
     ours: Cell
     status: Status
     reason: str
+    remark: str = ""
+
+    @property
+    def why(self) -> str:
+        """Reason and remark."""
+        return f"{self.reason}; {self.remark}" if self.remark else self.reason
 
 
 @dataclass(frozen=True)
@@ -87,16 +94,17 @@ def _evaluation_table(table: str, comparable_runs: dict[str, ComparableRuns | No
         for name, values in methods.items():
             for key, paper in values.items():
                 metric, unit = (TIMING_WORDS[key], "ms") if key in TIMINGS else (key, UNITS.get(key, ""))
-                ours, status, reason = _evaluate(comparable_runs[dataset], dataset, paper_methods()[name], key, paper)
-                yield Reproduction(table, dataset, name, metric, unit, paper, ours, status, reason)
+                comparable, method = comparable_runs[dataset], paper_methods()[name]
+                standing: tuple[Cell, Status, str, str]
+                if isinstance(comparable, NotComparable):
+                    standing = (NOT_MEASURED, "data absent", comparable.words, _remark(comparable, method, key))
+                else:
+                    standing = (*_evaluate(comparable, method, key, paper), "")
+                yield Reproduction(table, dataset, name, metric, unit, paper, *standing)
 
 
-def _evaluate(
-    comparable: ComparableRuns | NotComparable, dataset: str, method: PaperMethod, metric: str, paper: str
-) -> tuple[Cell, Status, str]:
+def _evaluate(comparable: ComparableRuns, method: PaperMethod, metric: str, paper: str) -> tuple[Cell, Status, str]:
     """What was measured of a published value, its standing and why."""
-    if isinstance(comparable, NotComparable):
-        return NOT_MEASURED, "data absent", _reason_not_measured(comparable, method, metric)
     label = next(filter(None, map(method.find_label, comparable.runs)), None)
     if label is None and method.weights:
         return (
@@ -165,9 +173,9 @@ def _shown(value: float | None, digits: int | None) -> str:
     return "" if value is None else format_value(value, digits)
 
 
-def _reason_not_measured(missing: NotComparable, method: PaperMethod, metric: str) -> str:
-    """Why there is nothing to compare, with the value of a run that comes near, which proves nothing."""
-    words = missing.words
+def _remark(missing: NotComparable, method: PaperMethod, metric: str) -> str:
+    """The value of a run that comes near, which proves nothing, and whether there are weights."""
+    remarks = [f"weights of {method.name} do not ship either"] if method.weights else []
     if missing.near is not None and metric not in TIMINGS:
         label = method.find_label(missing.near)
         table = missing.near.results.summary()
@@ -178,8 +186,8 @@ def _reason_not_measured(missing: NotComparable, method: PaperMethod, metric: st
         if len(values):
             note = missing.near.metrics.get(metric)
             value = format_value(float(values.iloc[0]), note.decimals if note else None)
-            words += f"; {method.name} has {value} there, which does not compare"
-    return words + (f"; weights of {method.name} do not ship either" if method.weights else "")
+            remarks.insert(0, f"{method.name} has {value} there, which does not compare")
+    return "; ".join(remarks)
 
 
 @cache

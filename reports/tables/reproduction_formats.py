@@ -11,10 +11,11 @@ from ggvs_eval.reports.tables.published import CAVEATS, SOURCE, is_higher_better
 from ggvs_eval.reports.tables.reproduction import MEANING, STATUSES, TABLES, Reproduction
 from ggvs_eval.reports.tables.table_formats import escape_markdown, markdown_table
 
-HEADS = ("Method", "Metric", "Paper", "Ours here", "Status", "Why")
-WORDS = (0, 1, 4, 5)  # columns without numbers
+HEADS = ("Paper's table", "Method", "Metric", "Paper", "Ours here", "Status", "Why")
+WORDS = (0, 1, 2, 5, 6)  # columns without numbers
 CSV_HEAD = ("table", "dataset", "method", "metric", "unit", "paper", "ours", "lo", "hi", "difference", "status", "reason")
 TIMING = "timing"
+METHODS_NAMED = 4  # from so many on a line counts methods
 
 
 @dataclass(frozen=True)
@@ -24,22 +25,49 @@ class Block:
     Attributes:
         title: table and data set.
         entries: its values.
-        summary: how many have which status.
     """
 
     title: str
     entries: tuple[Reproduction, ...]
-    summary: str
+
+    @property
+    def lines(self) -> tuple["Line", ...]:
+        """A line per measured value, and one for all values that are not measured for the same reason, where the first stands."""
+        alike: dict[object, list[Reproduction]] = {}
+        for number, entry in enumerate(self.entries):
+            alike.setdefault(number if entry.ours.value is not None else (entry.status, entry.reason), []).append(entry)
+        return tuple(_line(entries) for entries in alike.values())
+
+
+@dataclass(frozen=True)
+class Line:
+    """What a reader is told of one published value, or of several that lack the same: words for each of `HEADS` but the first."""
+
+    method: str
+    metric: str
+    paper: str
+    ours: Cell
+    status: str
+    why: str
+
+
+def _line(entries: Sequence[Reproduction]) -> Line:
+    first, *others = entries
+    methods = tuple(dict.fromkeys(entry.method for entry in entries))
+    method = ", ".join(methods) if len(methods) < METHODS_NAMED else f"{len(methods)} methods"
+    if not others:
+        metric = f"{first.metric} ({first.unit})" if first.unit else first.metric
+        return Line(method, metric, first.paper, first.ours, first.status, first.why)
+    metrics = ", ".join(dict.fromkeys(entry.metric for entry in entries))
+    return Line(method, metrics, f"{len(entries)} values", first.ours, first.status, first.reason)
 
 
 def blocks(entries: Sequence[Reproduction]) -> tuple[Block, ...]:
     """The values by table and data set, in the order of the paper."""
-    keys = dict.fromkeys((entry.table, entry.dataset) for entry in entries)
-    found = []
-    for table, dataset in keys:
-        own = tuple(entry for entry in entries if (entry.table, entry.dataset) == (table, dataset))
-        found.append(Block(f"{TABLES[table]} on {dataset}", own, count_words(own)))
-    return tuple(found)
+    by_table: dict[tuple[str, str], list[Reproduction]] = {}
+    for entry in entries:
+        by_table.setdefault((entry.table, entry.dataset), []).append(entry)
+    return tuple(Block(f"{TABLES[table]} on {dataset}", tuple(own)) for (table, dataset), own in by_table.items())
 
 
 def count_words(entries: Sequence[Reproduction]) -> str:
@@ -49,13 +77,12 @@ def count_words(entries: Sequence[Reproduction]) -> str:
 
 
 def reproduction_markdown(entries: Sequence[Reproduction]) -> str:
-    """One table per table of the paper and data set, one line per value, what the words mean at the end."""
-    parts = [f"# The paper's values and ours\n\n{len(entries)} published values: {count_words(entries)}."]
-    for block in blocks(entries):
-        table = markdown_table(HEADS, map(_words, block.entries), words=WORDS)
-        parts.append(f"## {block.title}\n\n{block.summary}.\n\n{table}")
-    notes = "\n".join(f"- {escape_markdown(note)}" for note in (MEANING, f"Published values: {SOURCE}", *CAVEATS))
-    return "\n\n".join([*parts, notes]) + "\n"
+    """One table of the paper's values, those grouped that are not measured for one reason; what the words mean at the end."""
+    head = f"# The paper's values and ours\n\n{len(entries)} published values: {count_words(entries)}."
+    rows = [_words(block.title, line) for block in blocks(entries) for line in block.lines]
+    notes = (MEANING, "Every value by itself: reproduction.csv", f"Published values: {SOURCE}", *CAVEATS)
+    closing = "\n".join(f"- {escape_markdown(note)}" for note in notes)
+    return "\n\n".join([head, markdown_table(HEADS, rows, words=WORDS), closing]) + "\n"
 
 
 def reproduction_csv(entries: Sequence[Reproduction]) -> str:
@@ -68,14 +95,13 @@ def reproduction_csv(entries: Sequence[Reproduction]) -> str:
         difference = None if ours.value is None else ours.value - float(entry.paper)
         numbers = ["" if number is None else repr(number) for number in (ours.value, ours.low, ours.high, difference)]
         head = (entry.table, entry.dataset, entry.method, entry.metric, entry.unit, entry.paper)
-        writer.writerow([*head, *numbers, entry.status, entry.reason])
+        writer.writerow([*head, *numbers, entry.status, entry.why])
     return text.getvalue()
 
 
-def _words(entry: Reproduction) -> tuple[str, ...]:
-    metric = f"{entry.metric} ({entry.unit})" if entry.unit else entry.metric
-    ours = f"{entry.ours.text} {entry.ours.spread}".strip()
-    return tuple(map(escape_markdown, (entry.method, metric, entry.paper, ours, entry.status, entry.reason)))
+def _words(title: str, line: Line) -> tuple[str, ...]:
+    ours = f"{line.ours.text} {line.ours.spread}".strip()
+    return tuple(map(escape_markdown, (title, line.method, line.metric, line.paper, ours, line.status, line.why)))
 
 
 def paper_tables(entries: Sequence[Reproduction]) -> tuple[Table, ...]:
@@ -88,10 +114,10 @@ def paper_tables(entries: Sequence[Reproduction]) -> tuple[Table, ...]:
         Grey rows with the paper's values, ranked and shaded among themselves, each followed by a row of ours, which says the
         status where nothing was measured.
     """
-    return tuple(_table(block.title, block.summary, block.entries) for block in blocks(entries))
+    return tuple(_table(block.entries) for block in blocks(entries))
 
 
-def _table(title: str, summary: str, entries: Sequence[Reproduction]) -> Table:
+def _table(entries: Sequence[Reproduction]) -> Table:
     table, dataset = entries[0].table, entries[0].dataset
     columns = tuple(_column(entry) for entry in {entry.metric: entry for entry in entries}.values())
     methods = dict.fromkeys(entry.method for entry in entries)
@@ -101,7 +127,8 @@ def _table(title: str, summary: str, entries: Sequence[Reproduction]) -> Table:
     for name, row in zip(methods, rank(columns, published), strict=True):
         here = tuple(_our_cell(found.get((name, column.name))) for column in columns)
         rows += [replace(row, name=f"{name} (paper)", kind="published"), Row(f"{name}, here", here)]
-    caption = f"{summary[0].upper()}{summary[1:]}; reproduction.md says why. Paper: {SOURCE}."
+    summary = count_words(entries)
+    caption = f"{summary[0].upper()}{summary[1:]}; reproduction.csv says why. Paper: {SOURCE}."
     return Table(f"reproduction-{table}", f"{TABLES[table]}, the paper's and ours", caption, columns, tuple(rows), dataset)
 
 

@@ -90,7 +90,7 @@ def to_csv(groups: Sequence[tuple[Protocol, Sequence[Table]]]) -> str:
 def _csv_cell(cell: Cell) -> list[object]:
     """Value, bounds, what is shown, whether it is best, and what the bounds take as given or why something is absent."""
     if cell.value is None:
-        return ["", "", "", "", False, cell.text]
+        return ["", "", "", "", False, cell.note or cell.text]
     bounds = ["" if bound is None else repr(bound) for bound in (cell.low, cell.high)]
     return [repr(cell.value), *bounds, cell.text, cell.best, cell.note if cell.low is not None else cell.hint]
 

@@ -19,6 +19,8 @@ from helpers.geometry_scenes import random_camera
 from helpers.hostile import Hostile
 from helpers.scenes import camera_at, instant, look
 
+pytestmark = pytest.mark.slow
+
 
 def seeded(completes_depth=False):
     """A network with seeded weights in evaluation mode."""

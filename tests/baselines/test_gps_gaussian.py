@@ -21,11 +21,13 @@ from ggvs_eval.errors import RenderError, WeightsError
 from ggvs_eval.files.images import quantise
 from ggvs_eval.geometry import splat
 from ggvs_eval.method import SourceView
-from helpers.geometry_scenes import random_camera, random_gaussians
+from helpers.geometry_scenes import random_camera, random_source
 from helpers.hostile import Hostile
 from helpers.places import DATA_FOLDER
 from helpers.scenes import WALL_Z, camera_at, instant, look, texture
 from helpers.seeded_networks import seeded_pair, seeded_state
+
+pytestmark = pytest.mark.slow
 
 GOLDEN = DATA_FOLDER
 SCALES = "gs_parm_regresser.scale_head.2.weight"
@@ -292,7 +294,7 @@ def test_round_opaque_gaussians_are_those_of_the_kernel():
     """Pixel-sized Gaussians look as the kernel that every other method splats with makes them look."""
     random = np.random.default_rng(3)
     source, target = random_camera(random, 40, 30), random_camera(random, 50, 36)
-    views = random_gaussians(random, source, 3)
+    views = random_source(random, source, 3)
     expected = splat([views], target, near=0.2, normalised=False)
     rows, columns = np.nonzero(views.depth)
     depth = views.depth[rows, columns]
@@ -302,7 +304,7 @@ def test_round_opaque_gaussians_are_those_of_the_kernel():
         torch.eye(3).expand(count, 3, 3),
         torch.from_numpy(0.5 * depth / source.focal_px).float()[:, None].expand(count, 3),
         torch.ones(count),
-        torch.from_numpy(views.features[rows, columns]),
+        torch.from_numpy(views.image[rows, columns]),
     )
     found = render_gaussians(gaussians, target, 0.2)
     off = np.abs(found.colour - expected.features).max(axis=-1)

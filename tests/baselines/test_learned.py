@@ -25,6 +25,8 @@ from ggvs_eval.pipelines.training.train_one import CACHE, requested_data, train_
 from ggvs_eval.training.losses import structural_loss
 from helpers.stereo_scenes import write_capture
 
+pytestmark = pytest.mark.slow
+
 WIDTH, HEIGHT = 400, 300  # of domain plain
 START = torch.tensor([0.25, 0.5, 0.75])
 REQUEST = TrainingRequest(steps=1, views=2, rooms=1, targets=1, domains=("plain",), device="cpu", workers=0)

@@ -20,6 +20,8 @@ from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.film.options import DemoOptions
 from helpers.captures import N_FRAMES, NAMES, make_image, make_rig, write_folders, write_poses
 
+pytestmark = pytest.mark.slow
+
 HELD = CaptureEdit(hold_frames=6, hold_frame=2, sensor_noise_255=1.5, noise_seed=7)
 
 
@@ -157,7 +159,7 @@ def test_the_command_line_says_what_it_did(folder, capsys):
 @pytest.fixture(scope="module")
 def room(tmp_path_factory):
     options = DemoOptions(width=96, height=72, n_frames=3, cameras_per_row=3, path_poses=5, supersampling=1)
-    return write_demo(tmp_path_factory.mktemp("room") / "demo", options)
+    return write_demo(tmp_path_factory.mktemp("room") / "demo", options, workers=1)
 
 
 @pytest.fixture

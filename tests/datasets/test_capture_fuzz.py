@@ -21,88 +21,15 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from ggvs_eval.datasets import DATASETS, open_capture
-from ggvs_eval.datasets.llff import llff_pose, write_llff_poses
-from ggvs_eval.errors import CaptureError
-from ggvs_eval.files.images import write_image
-from helpers.captures import make_binary, make_image, make_rig, write_colmap, write_dynerf
-from helpers.small_layouts import NUMBERS, write_capture_toml, write_easymocap, write_frames, write_multipleview, write_nerfstudio
+from ggvs_eval.datasets import DATASETS
+from helpers.captures import make_image
+from helpers.fuzz import CAPTURES, TOKENS, damaged, read_everything
+
+pytestmark = pytest.mark.fuzz
 
 LONGEST_S = 20
-PAIR = ("cam00", "cam01")
 
 
-def write_outdoor(folder: Path) -> Path:
-    """EasyMocap with all that may lie beside it."""
-    write_easymocap(folder, (-0.1, 0.02, 0.0, 0.0, 0.0))
-    (folder / "vhull").mkdir()
-    np.save(folder / "vhull" / "000000.npy", np.array([[-0.5, -0.5, 4.0], [0.5, 0.5, 5.0]]))
-    for name in NUMBERS:
-        write_frames(folder / "mask" / name, 0)
-        write_image(folder / "bkgd" / f"{name}.png", make_image(0, 0))
-    header = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
-    (folder / "background.ply").write_text(header + "0 0 3\n0 0 7\n0.1 0 9\n")
-    return folder
-
-
-def write_d3dmv(folder: Path) -> Path:
-    """A compressed scene of two cameras."""
-    folder.mkdir()
-    frames = np.stack([[make_image(camera, frame) for frame in range(2)] for camera in range(2)])
-    with h5py.File(folder / "scene000.h5", "w") as file:
-        chunks = (1, 1, *frames.shape[2:])
-        file.create_dataset("rgb", data=frames, chunks=chunks, compression="lzf", shuffle=True)
-        file.create_dataset("bg_rgb", data=frames[:, 0])
-    write_llff_poses(folder / "scene000_pb.npy", [llff_pose(camera) for camera in make_rig(PAIR)])
-    return folder
-
-
-def write_spaces(folder: Path) -> Path:
-    """One position of a rig of two cameras."""
-    at = []
-    for index, camera in enumerate(make_rig(("cam_00", "cam_01"))):
-        write_image(folder / camera.name / "image_000.png", make_image(index, 0))
-        view = {"principal_point": [32.0, 24.0], "pixel_aspect_ratio": 1.0, "focal_length": 57.6, "width": 64.0, "height": 48.0}
-        pose = {"position": camera.centre.tolist(), "orientation": cv2.Rodrigues(camera.rotation)[0].ravel().tolist()}
-        at.append({**view, **pose, "relative_path": f"{camera.name}/image_000.png"})
-    (folder / "models.json").write_text(json.dumps([at]))
-    return folder
-
-
-def write_rgbd(folder: Path) -> Path:
-    """ScanNet's export of two frames."""
-    for index, camera in enumerate(make_rig(PAIR)):
-        write_image(folder / "color" / f"{index}.png", make_image(index, 0))
-        (folder / "depth").mkdir(exist_ok=True)
-        cv2.imwrite(str(folder / "depth" / f"{index}.png"), np.full((24, 32), 3000 + index, np.uint16))
-        (folder / "pose").mkdir(exist_ok=True)
-        np.savetxt(folder / "pose" / f"{index}.txt", np.linalg.inv(camera.world_to_camera), "%f")
-    (folder / "intrinsic").mkdir()
-    for kind, scale in (("color", 1.0), ("depth", 0.5)):
-        K = np.eye(4)
-        K[:3, :3] = np.diag([scale, scale, 1.0]) @ make_rig(PAIR)[0].K
-        np.savetxt(folder / "intrinsic" / f"intrinsic_{kind}.txt", K, "%f")
-        np.savetxt(folder / "intrinsic" / f"extrinsic_{kind}.txt", np.eye(4), "%f")
-    return folder
-
-
-def write_binary_colmap(folder: Path) -> Path:
-    write_colmap(folder, PAIR)
-    make_binary(folder / "sparse" / "0")
-    return folder
-
-
-WRITERS: dict[str, Callable[[Path], Path]] = {
-    "capture.toml": write_capture_toml,
-    "d3dmv": write_d3dmv,
-    "spaces": write_spaces,
-    "rgbd": write_rgbd,
-    "multipleview": write_multipleview,
-    "dynerf": lambda folder: write_dynerf(folder, PAIR),
-    "enerf-outdoor": write_outdoor,
-    "colmap": write_binary_colmap,
-    "nerfstudio": write_nerfstudio,
-}
 # A COLMAP model is read in a process of its own, which takes half a second.
 EXAMPLES = {"colmap": 10, "multipleview": 4}
 
@@ -111,29 +38,11 @@ EXAMPLES = {"colmap": 10, "multipleview": 4}
 def intact(tmp_path_factory) -> dict[str, Path]:
     """A valid capture of every layout; nobody changes them."""
     folder = tmp_path_factory.mktemp("intact")
-    return {name: write(folder / name.replace(".", "_")) for name, write in WRITERS.items()}
+    return {name: write(folder / name.replace(".", "_")) for name, write in CAPTURES.items()}
 
 
-def read_everything(path: Path) -> str:
-    """Open a capture and read all that is in it; its layout, or the line with which it was refused."""
-    try:
-        capture = open_capture(path)
-        for name in capture.camera_names:
-            frames = list(capture.frames(name))
-            assert len(frames) == capture.n_frames
-            capture.background(name)
-            extras = capture.extras_of(name)
-            if extras.mask is not None:
-                list(extras.mask.frames(0, extras.mask.n_frames))
-            if extras.depth is not None:
-                list(extras.depth.depths(0, extras.depth.n_frames))
-            assert len(capture.digest(name)) == 64
-        return capture.layout
-    except CaptureError as error:
-        message = str(error)
-        assert message.isprintable()
-        assert 20 < len(message) < 4000
-        return message
+class HangError(BaseException):
+    """No reader takes this for what a damaged file makes it stumble over, as it would an `OSError`."""
 
 
 @contextmanager
@@ -141,7 +50,7 @@ def wall_clock() -> Iterator[None]:
     """Whatever takes longer than a damaged file may take ends with an error."""
 
     def stop(*_: object) -> None:
-        raise TimeoutError(f"reading took over {LONGEST_S} s")
+        raise HangError(f"reading took over {LONGEST_S} s")
 
     before = signal.signal(signal.SIGALRM, stop)
     signal.alarm(LONGEST_S)
@@ -154,21 +63,15 @@ def wall_clock() -> Iterator[None]:
 
 def test_every_layout_is_fuzzed():
     """A new layout needs a line here."""
-    assert set(WRITERS) == set(DATASETS)
+    assert set(CAPTURES) == set(DATASETS)
 
 
-@pytest.mark.parametrize("layout", WRITERS)
+@pytest.mark.parametrize("layout", CAPTURES)
 def test_intact_captures_are_read(intact, layout):
     """What is damaged below is valid before."""
     assert read_everything(intact[layout]) == layout
 
 
-TOKENS = [
-    b"\0", b"\n", b"\xff", b"-", b"nan", b"inf", b"1e999", b"-1", b"0", b"9" * 400, b"[" * 3000, b"{", b"]", b'"', b"'", b"null",
-    b"true", b"!!python/object/apply:os.system ['id']", b"&a *a", b"../..", b"/dev/zero", b"\xef\xbb\xbf", b"\xed\xa0\x80", b"\r",
-    b": ", b"#", b"\x80\x04\x95", b"PK\x03\x04", b"\x89PNG\r\n\x1a\n", b"\x89HDF\r\n\x1a\n", b"\\u0000", b"\\ud800",
-    b"%YAML:1.0\n",
-]  # fmt: skip
 PLACES = st.floats(0, 1, exclude_max=True)
 EDITS = st.one_of(
     st.tuples(st.just("flip"), st.lists(st.tuples(PLACES, st.integers(1, 255)), min_size=1, max_size=6)),
@@ -181,31 +84,7 @@ EDITS = st.one_of(
 )
 
 
-def damaged(content: bytes, edit: tuple[str, object]) -> bytes:
-    """The content after one edit."""
-    kind, how = edit
-    at = int(how[0] * len(content)) if isinstance(how, tuple) else 0
-    match kind:
-        case "flip":
-            changed = bytearray(content)
-            for place, value in how if content else ():  # type: ignore[attr-defined]
-                changed[int(place * len(content))] ^= value
-            return bytes(changed)
-        case "cut":
-            return content[: int(how * len(content))]  # type: ignore[operator]
-        case "replace":
-            return bytes(how)  # type: ignore[call-overload]
-        case "insert":
-            return content[:at] + how[1] + content[at:]  # type: ignore[index]
-        case "overwrite":
-            return content[:at] + how[1] + content[at + len(how[1]) :]  # type: ignore[index]
-        case "repeat":
-            return content[:at] + content[int(how[1] * len(content)) :]  # type: ignore[index]
-        case _:
-            return content[:at] + content[at + how[1] :]  # type: ignore[index]
-
-
-@pytest.mark.parametrize("layout", WRITERS)
+@pytest.mark.parametrize("layout", CAPTURES)
 def test_one_damaged_file(intact, layout, tmp_path):
     """Flipped, cut, replaced, inserted and repeated bytes in any file of any layout: success or one line."""
     files = sorted(file.relative_to(intact[layout]) for file in intact[layout].rglob("*") if file.is_file())
@@ -402,7 +281,7 @@ def peak_kib():  # of this program alone: ru_maxrss would start from what the te
     return next(int(line.split()[1]) for line in open("/proc/self/status") if line.startswith("VmHWM"))
 
 from pathlib import Path
-from test_capture_fuzz import read_everything
+from helpers.fuzz import read_everything
 told = {{}}
 for folder in sys.argv[1:]:
     begun = time.monotonic()

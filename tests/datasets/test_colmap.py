@@ -31,6 +31,8 @@ from helpers.captures import (
 from helpers.lens_pictures import psnr, straight, through_lens
 from helpers.places import SHARED
 
+pytestmark = pytest.mark.slow
+
 FLAME_STEAK = SHARED / "data" / "n3v_flame_steak"
 
 

@@ -212,7 +212,7 @@ def cut(file: Path, kept: float) -> None:
         (lambda folder: cut(folder / "depth" / "2.png", 0.7), "depth/2.png: wanted a depth map, got"),
         (
             lambda folder: cut(folder / "depth" / "2.png", 0.0),
-            "depth/2.png: wanted a depth map, got no such file, or an empty one",
+            "depth/2.png: wanted a picture, got an empty file",
         ),
         (lambda folder: shutil.copy(folder / "color" / "1.jpg", folder / "depth" / "1.png"), "channel, got uint8 (48, 64, 3)"),
         (lambda folder: cv2.imwrite(str(folder / "color" / "2.jpg"), np.zeros((24, 32, 3), np.uint8)), "got 32 x 24; export"),
@@ -299,7 +299,7 @@ def test_depth_that_is_nowhere_known(scannet):
     """A sequence without any measured depth has no depth range and is refused."""
     for file in (scannet / "depth").iterdir():
         cv2.imwrite(str(file), np.zeros((DEPTH_HEIGHT, DEPTH_WIDTH), np.uint16))
-    assert "depth: wanted measured depth, got none in 5 maps" in refusal(scannet)
+    assert "depth/0.png: wanted measured depth, got zeros alone; leave this frame out" in refusal(scannet)
 
 
 @pytest.mark.parametrize(("rows", "found"), [(4, "4 rows of 16"), (6, "6 rows of 16")])

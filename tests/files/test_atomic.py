@@ -8,11 +8,21 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from ggvs_eval.files.atomic import atomic_file, atomic_folder, remove_leftovers, scratch_folder, write_bytes, write_text
+from ggvs_eval.files.atomic import (
+    atomic_file,
+    atomic_folder,
+    locked,
+    remove_leftovers,
+    scratch_folder,
+    sweep_files,
+    write_bytes,
+    write_text,
+)
 from ggvs_eval.files.video import write_video
 
 STOP_IN_THE_MIDDLE = """
@@ -105,6 +115,12 @@ def test_errors_name_the_file_that_was_wanted(tmp_path):
         write_text(tmp_path / "taken", "text")
     with pytest.raises(OSError, match=r"full\.csv'$"), atomic_file(tmp_path / "full.csv"):
         raise OSError(errno.ENOSPC, "No space left on device")
+    with (
+        pytest.raises(OSError, match=r"No space left on device: '.*full\.npy'$"),
+        atomic_file(tmp_path / "full.npy"),
+        Path("/dev/full").open("wb", buffering=0) as full,
+    ):
+        np.save(full, np.zeros(100_000))
     with pytest.raises(FileNotFoundError, match=r"frame\.png'$"), atomic_file(tmp_path / "copy.png"):
         (tmp_path / "frame.png").read_bytes()
 
@@ -177,3 +193,42 @@ def test_a_scratch_folder_goes_whatever_happens(tmp_path):
         fail_half_way()
 
     assert list(tmp_path.iterdir()) == []
+
+
+def test_files_that_killed_processes_left_are_swept(tmp_path):
+    """Those of the dead go, of this machine and of silent others; what is being written, and what is nobody's, stays."""
+    kill_in_the_middle("atomic_file", tmp_path / "000001.npz")
+    (left,) = tmp_path.iterdir()
+    silent, theirs = (tmp_path / f".000002.npz.0a1b2c3d.{host}.77.tmp.ply" for host in ("gone", "elsewhere"))
+    for name in (silent, theirs, tmp_path / ".hidden", tmp_path / ".notes.tmp", tmp_path / "000003.npz"):
+        name.touch()
+    os.utime(silent, (time.time() - 4000,) * 2)
+
+    with atomic_file(tmp_path / "000004.npz") as temporary:
+        temporary.touch()
+        sweep_files(tmp_path)
+        assert not left.exists()
+        assert sorted(item.name for item in tmp_path.iterdir()) == sorted(
+            [temporary.name, theirs.name, ".hidden", ".notes.tmp", "000003.npz"]
+        )
+
+    sweep_files(tmp_path / "absent")
+
+
+def test_a_locked_folder_is_one_writers(tmp_path):
+    """Threads that add to one file behind the lock lose nothing of each other's."""
+    file = tmp_path / "count"
+    file.write_text("0")
+
+    def add():
+        for _ in range(50):
+            with locked(tmp_path):
+                write_text(file, str(int(file.read_text()) + 1))
+
+    writers = [threading.Thread(target=add) for _ in range(4)]
+    for writer in writers:
+        writer.start()
+    for writer in writers:
+        writer.join()
+
+    assert file.read_text() == "200"

@@ -1,6 +1,7 @@
 """Cameras: projection and its inverse, resizing, cropping, refusal of nonsense."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from ggvs_eval.camera import Camera, nearest_cameras, translated_path
 from ggvs_eval.errors import CameraError
+from ggvs_eval.jobs.code_identity import installed_code
 
 
 def make_camera(name="cam", seed=0, centre=None, width=64, height=48) -> Camera:
@@ -108,6 +110,16 @@ def test_nonsense_is_refused_with_the_cameras_name(changes, message):
         Camera("cam00", **(values | changes))
 
     assert "\n" not in str(caught.value)
+
+
+def test_a_camera_is_written_in_one_way():
+    """Matrices of a `Camera` become lists in `to_json` alone; COLMAP's cameras, which have a lens, are told to its process."""
+    colmap = {"datasets.colmap_reader", "pipelines.offline.calibration.calibration_job"}
+    writing = re.compile(r"(world_to_camera|\bK)(\[[^]]*\]|\.ravel\(\)|\.flatten\(\))?\.tolist\(\)")
+    files = {module: installed_code().file(module) for module in installed_code().modules()}
+    texts = {module: file.read_text(encoding="utf-8") for module, file in files.items() if file and file.suffix == ".py"}
+
+    assert {module.removeprefix("ggvs_eval.") for module, text in texts.items() if writing.search(text)} == {"camera", *colmap}
 
 
 def test_a_camera_goes_through_json_and_back():

@@ -1,5 +1,7 @@
 """The registration of views in one pass, against warps mixed with splats, which define it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,11 +11,12 @@ from ggvs_eval import kernels
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.splat import Splat
-from ggvs_eval.geometry.warp import CapturedView, register_views
+from ggvs_eval.geometry.warp import register_views
 from ggvs_eval.method import Instant, SourceView
-from ggvs_eval.pipelines.online.blend_maps import FAINT, blend_maps, raw_views
+from ggvs_eval.pipelines.online.blend_maps import FAINT, blend_maps
 from ggvs_eval.pipelines.online.blending import BlendingInputs
-from helpers.geometry_scenes import TAU, random_camera, random_depth, seeds, sizes
+from ggvs_eval.pipelines.training.samples.blend_samples import raw_views
+from helpers.geometry_scenes import TAU, random_camera, random_depth, seeds, sizes, view_of
 
 pytestmark = pytest.mark.usefixtures("kernel_settings")
 
@@ -21,8 +24,7 @@ pytestmark = pytest.mark.usefixtures("kernel_settings")
 def source_view(random: np.random.Generator, width: int, height: int, name: str) -> SourceView:
     camera = random_camera(random, width, height, name)
     image = random.integers(0, 256, (height, width, 3)).astype(np.uint8)
-    depth = random_depth(random, camera)
-    return SourceView(camera, image, depth, np.ones_like(depth))
+    return view_of(camera, random_depth(random, camera), image)
 
 
 def random_splat(random: np.random.Generator, camera: Camera, features: int) -> Splat:
@@ -35,10 +37,10 @@ def random_inputs(seed: int, size: tuple[int, int], views: int, features: int) -
     """Views of different sizes around a rough surface, their splats of so many features, one source not seen at all."""
     random = np.random.default_rng(seed)
     target = random_camera(random, *size, "target")
-    sources = tuple(source_view(random, 5 + 9 * k, 7 + 5 * k, f"source {k}") for k in range(views))
+    sources = [source_view(random, 5 + 9 * k, 7 + 5 * k, f"source {k}") for k in range(views)]
     splats = [random_splat(random, target, features) for _ in sources]
-    filtered = [source.depth for source in sources[:-1]] + [np.zeros_like(sources[-1].depth)]
-    return BlendingInputs(Instant(0, target, sources, 1.0), filtered, splats, random_depth(random, target), TAU)
+    sources[-1] = replace(sources[-1], depth=np.zeros_like(sources[-1].depth))
+    return BlendingInputs(Instant(0, target, tuple(sources), 1.0), splats, random_depth(random, target), TAU)
 
 
 @settings(deadline=None, max_examples=25)
@@ -73,15 +75,14 @@ def test_what_does_not_fit_is_refused():
     """Splats of another number or size, images of another kind, no tolerance: named."""
     inputs = random_inputs(1, (12, 9), 2, 3)
     target, sources, splats = inputs.instant.target, inputs.instant.sources, list(inputs.splats)
-    views = [CapturedView(each.camera, each.image, each.depth, 1.0) for each in sources]
     arguments = (target, inputs.depth)
     with pytest.raises(RenderError, match="wanted a splat per view, got 2 views and 1 splats"):
-        register_views(*arguments, views, splats[:1], TAU, float(FAINT))
+        register_views(*arguments, sources, splats[:1], TAU, float(FAINT))
     with pytest.raises(RenderError, match="tolerance must be positive"):
-        register_views(*arguments, views, splats, 0.0, float(FAINT))
+        register_views(*arguments, sources, splats, 0.0, float(FAINT))
     small = Splat(splats[0].features[:4], splats[0].alpha[:4], splats[0].depth[:4])
     with pytest.raises(RenderError, match="coverage of the splat must be 9 x 12"):
-        register_views(*arguments, views, [small, splats[1]], TAU, float(FAINT))
-    grey = CapturedView(sources[0].camera, sources[0].image[..., 0], sources[0].depth, 1.0)
+        register_views(*arguments, sources, [small, splats[1]], TAU, float(FAINT))
+    grey = replace(sources[0], image=sources[0].image[..., 0])
     with pytest.raises(RenderError, match="wanted a uint8 image"):
-        register_views(*arguments, [grey, views[1]], splats, TAU, float(FAINT))
+        register_views(*arguments, [grey, sources[1]], splats, TAU, float(FAINT))

@@ -86,6 +86,7 @@ def test_the_foreground_wins_and_what_the_sensor_does_not_see_is_unknown():
     np.testing.assert_allclose(depth, expected, rtol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [(240, 180), (320, 240)])
 def test_a_room_seen_by_a_sensor_beside_the_camera(size):
     """Within 0.5 % of the true depth on 95 % of what both see, with the sensor's own focal length, pose and resolution."""

@@ -15,6 +15,8 @@ from ggvs_eval.geometry.source_views import LEAST_SHARE, choose_sources, sample_
 from ggvs_eval.pipelines.play.playback import camera_loop
 from ggvs_eval.synthetic.film.rig import GRID_YAW_RAD, OUTERMOST_YAW_RAD, arc_rig, hand_held_poses, rig
 
+pytestmark = pytest.mark.slow
+
 CHOICES = ("nearest", "coverage")
 SIZE, NEAR, FAR = (64, 48), 10.0, 32.0
 

@@ -6,9 +6,10 @@ from hypothesis import strategies as st
 from ggvs_eval import kernels
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
-from ggvs_eval.geometry import PixelGaussians, Splat, splat
+from ggvs_eval.geometry import Splat, splat
+from ggvs_eval.geometry.splat import float_features, splat_depth
 from ggvs_eval.kernels import _core
-from helpers.geometry_scenes import random_camera, random_depth, random_gaussians, seeds, sizes
+from helpers.geometry_scenes import random_camera, random_depth, random_source, seeds, sizes, view_of
 from helpers.places import DATA_FOLDER
 from helpers.twins.splat import splat_twin
 
@@ -40,7 +41,7 @@ def assert_close(ours: Splat, theirs: Splat) -> None:
 def test_agrees_with_its_twin(seed, source_size, target_size, channels, count, normalised):
     """Any sizes, channels and number of sources give the twin's images."""
     random = np.random.default_rng(seed)
-    sources = [random_gaussians(random, random_camera(random, *source_size), channels) for _ in range(count)]
+    sources = [random_source(random, random_camera(random, *source_size), channels) for _ in range(count)]
     target = random_camera(random, *target_size)
     assert_close(
         splat(sources, target, near=0.2, normalised=normalised), splat_twin(sources, target, near=0.2, normalised=normalised)
@@ -50,7 +51,7 @@ def test_agrees_with_its_twin(seed, source_size, target_size, channels, count, n
 def test_large_gaussians_agree_with_their_twin():
     """Gaussians that cover several tiles are blended in all of them."""
     random = np.random.default_rng(5)
-    source = random_gaussians(random, random_camera(random, 20, 15), 3)
+    source = random_source(random, random_camera(random, 20, 15), 3)
     target = random_camera(random, 20, 15).resized(150, 100)
     assert_close(splat([source], target, near=0.2, scale=1.5), splat_twin([source], target, near=0.2, scale=1.5))
 
@@ -62,7 +63,7 @@ def test_oracle(prefix):
     height, width = case["depth"].shape
     source = Camera("source", case["K"], case["src_w2c"], width, height, 0.1, 100.0)
     target = Camera("target", case["K"], case["src_w2c" if prefix else "tgt_w2c"], width, height, 0.1, 100.0)
-    gaussians = PixelGaussians(source, case["depth"].astype(np.float32), case["image"].astype(np.float32))
+    gaussians = view_of(source, case["depth"].astype(np.float32), case["image"].astype(np.float32))
     ours = splat([gaussians], target, near=0.2, scale=float(case["sigma_factor"]), normalised=False)
     oracle = Splat(*(case[prefix + key].astype(np.float32) for key in ("color_premult", "alpha", "depth_premult")))
     rows, columns = (np.arange(size) % 16 != 0 for size in (height, width))
@@ -76,7 +77,7 @@ def test_single_gaussian():
     camera = flat_camera()
     depth = np.zeros((21, 21), dtype=np.float32)
     depth[10, 10] = 2.0
-    alpha = splat([PixelGaussians(camera, depth, depth[..., None])], camera, near=0.2, scale=1.0).alpha
+    alpha = splat([view_of(camera, depth, depth[..., None])], camera, near=0.2, scale=1.0).alpha
     np.testing.assert_allclose(alpha[10, 10:13], [0.99, 0.68071, 0.21471], atol=5e-6)  # five printed digits
     np.testing.assert_array_equal(alpha, alpha.T)
 
@@ -85,7 +86,7 @@ def test_constant_plane_stays_constant():
     """A plane seen from its own camera keeps its depth and its colour once normalised."""
     camera = flat_camera(70, 40)
     depth = np.full((40, 70), 3.0, dtype=np.float32)
-    result = splat([PixelGaussians(camera, depth, np.full((40, 70, 3), 0.25, dtype=np.float32))], camera, near=0.2)
+    result = splat([view_of(camera, depth, np.full((40, 70, 3), 0.25, dtype=np.float32))], camera, near=0.2)
     np.testing.assert_allclose(result.depth, 3.0, rtol=1e-5)
     np.testing.assert_allclose(result.features, 0.25, rtol=1e-5)
     assert result.alpha.min() > 0.99
@@ -94,9 +95,7 @@ def test_constant_plane_stays_constant():
 def test_nearer_surface_hides_the_other():
     """Of two planes in one pass only the nearer one is seen, whatever their order."""
     camera = flat_camera(30, 30)
-    planes = [
-        PixelGaussians(camera, np.full((30, 30), z, dtype=np.float32), np.full((30, 30, 1), z, dtype=np.float32)) for z in (2, 4)
-    ]
+    planes = [view_of(camera, np.full((30, 30), z, dtype=np.float32), np.full((30, 30, 1), z, dtype=np.float32)) for z in (2, 4)]
     for order in (planes, planes[::-1]):
         assert np.abs(splat(order, camera, near=0.2).features - 2.0).max() < 0.02
 
@@ -104,7 +103,7 @@ def test_nearer_surface_hides_the_other():
 def test_before_near_is_left_out():
     """A Gaussian at or before `near` is not drawn."""
     camera = flat_camera()
-    plane = PixelGaussians(camera, np.full((21, 21), 1.0, dtype=np.float32), np.ones((21, 21, 1), dtype=np.float32))
+    plane = view_of(camera, np.full((21, 21), 1.0, dtype=np.float32), np.ones((21, 21, 1), dtype=np.float32))
     assert splat([plane], camera, near=1.0).alpha.max() == 0
     assert splat([plane], camera, near=0.99).alpha.min() > 0.9
 
@@ -113,14 +112,14 @@ def test_before_near_is_left_out():
 def test_invalid_depth_draws_nothing(invalid):
     """Where no pixel is valid, everything is exactly 0."""
     camera = flat_camera()
-    nothing = PixelGaussians(camera, np.full((21, 21), invalid, dtype=np.float32), np.ones((21, 21, 3), dtype=np.float32))
+    nothing = view_of(camera, np.full((21, 21), invalid, dtype=np.float32), np.ones((21, 21, 3), dtype=np.float32))
     assert not images(splat([nothing], camera, near=0.2)).any()
 
 
 def test_threads_and_instruction_sets_give_the_same_bits():
     """Neither the number of threads nor the instruction set changes a single bit."""
     random = np.random.default_rng(3)
-    sources = [random_gaussians(random, random_camera(random, 150, 110), 4) for _ in range(2)]
+    sources = [random_source(random, random_camera(random, 150, 110), 4) for _ in range(2)]
     target = random_camera(random, 170, 130)
     results = []
     for level in kernels.available_levels():
@@ -136,8 +135,8 @@ def test_layouts_are_accepted_by_the_face():
     """Float64 and strided inputs give what their contiguous float32 copies give."""
     random = np.random.default_rng(4)
     camera = random_camera(random, 33, 22)
-    tidy = random_gaussians(random, camera, 3)
-    untidy = PixelGaussians(camera, np.asfortranarray(tidy.depth, dtype=np.float64), tidy.features[..., ::-1][..., ::-1])
+    tidy = random_source(random, camera, 3)
+    untidy = view_of(camera, np.asfortranarray(tidy.depth, dtype=np.float64), tidy.image[..., ::-1][..., ::-1])
     np.testing.assert_array_equal(images(splat([untidy], camera, near=0.2)), images(splat([tidy], camera, near=0.2)))
 
 
@@ -153,7 +152,7 @@ def test_layouts_are_accepted_by_the_face():
 )
 def test_shapes_that_do_not_fit_are_refused(features, depth, message):
     """The error names what was wanted."""
-    source = PixelGaussians(flat_camera(), np.ones(depth, dtype=np.float32), np.ones(features, dtype=np.float32))
+    source = view_of(flat_camera(), np.ones(depth, dtype=np.float32), np.ones(features, dtype=np.float32))
     with pytest.raises(RenderError, match=message):
         splat([source], flat_camera(), near=0.2)
 
@@ -201,9 +200,9 @@ def test_depth_noise_does_not_open_holes():
     """A rough surface magnified 1.5 times stays covered."""
     random = np.random.default_rng(6)
     camera = flat_camera(60, 40)
-    source = PixelGaussians(camera, random_depth(random, camera, noise=0.0), np.ones((40, 60, 1), dtype=np.float32))
+    source = view_of(camera, random_depth(random, camera, noise=0.0), np.ones((40, 60, 1), dtype=np.float32))
     target = camera.resized(90, 60)
-    covered = splat([PixelGaussians(camera, np.full((40, 60), 2, np.float32), source.features)], target, near=0.2).alpha
+    covered = splat([view_of(camera, np.full((40, 60), 2, np.float32), source.image)], target, near=0.2).alpha
     assert covered.min() > 0.9
 
 
@@ -215,14 +214,26 @@ def test_an_8_bit_image_splats_as_its_float_copy(channels):
     depth = random_depth(random, source)
     image = random.integers(0, 256, (38, 50, 3)).astype(np.uint8)
     extra = random.random((38, 50), dtype=np.float32) if channels == 4 else None
-    bytes_in = PixelGaussians(source, depth, image, extra)
+    extras = () if extra is None else [extra]
 
-    ours = splat([bytes_in], target, near=0.2)
-    floats = splat([PixelGaussians(source, depth, bytes_in.float_features())], target, near=0.2)
+    ours = splat([view_of(source, depth, image)], target, near=0.2, extras=extras)
+    floats = splat([view_of(source, depth, float_features(image, extra))], target, near=0.2)
 
-    assert bytes_in.channels == channels
+    assert ours.features.shape[2] == channels
     for name in ("features", "alpha", "depth"):
         np.testing.assert_array_equal(getattr(ours, name), getattr(floats, name))
+
+
+def test_the_splat_of_a_depth_map_is_that_of_its_view():
+    """Coverage and depth do not depend on what is blended: those of a depth map alone are the view's, bit by bit."""
+    random = np.random.default_rng(14)
+    source, target = random_source(random, random_camera(random, 50, 38), 1), random_camera(random, 61, 45)
+
+    alone, whole = splat_depth(source.camera, source.depth, target, near=0.2), splat([source], target, near=0.2)
+
+    np.testing.assert_array_equal(alone.alpha, whole.alpha)
+    np.testing.assert_array_equal(alone.depth, whole.depth)
+    assert 0 < (whole.alpha > 0).mean() <= 1
 
 
 def test_an_extra_feature_goes_with_8_bit_images():
@@ -231,8 +242,10 @@ def test_an_extra_feature_goes_with_8_bit_images():
     camera = random_camera(random, 8, 6)
     depth, image = np.ones((6, 8), np.float32), np.zeros((6, 8, 3), np.uint8)
     with pytest.raises(RenderError, match="an extra feature goes with an 8-bit image, got features of float32"):
-        splat([PixelGaussians(camera, depth, image.astype(np.float32), depth)], camera, near=0.2)
+        splat([view_of(camera, depth, image.astype(np.float32))], camera, near=0.2, extras=[depth])
     with pytest.raises(RenderError, match=r"wanted an 8-bit image \(H, W, 3\), got \(6, 8\)"):
-        splat([PixelGaussians(camera, depth, image[..., 0])], camera, near=0.2)
+        splat([view_of(camera, depth, image[..., 0])], camera, near=0.2)
     with pytest.raises(RenderError, match="extra feature must be 6 x 8"):
-        splat([PixelGaussians(camera, depth, image, depth[:5])], camera, near=0.2)
+        splat([view_of(camera, depth, image)], camera, near=0.2, extras=[depth[:5]])
+    with pytest.raises(RenderError, match="of every source or of none, got 2 of 1"):
+        splat([view_of(camera, depth, image)], camera, near=0.2, extras=[depth, depth])

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from ggvs_eval import kernels
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import DepthError
-from ggvs_eval.geometry import DepthView, PreviousDepth, RayMarch, fusion_weights, ray_march
+from ggvs_eval.geometry import PreviousDepth, RayMarch, fusion_weights, ray_march
 from ggvs_eval.kernels import _core
-from helpers.geometry_scenes import TAU, moved, random_camera, random_depth, seeds, sizes
+from helpers.geometry_scenes import TAU, WeightedDepth, columns, moved, random_camera, random_depth, seeds, sizes
 from helpers.places import DATA_FOLDER
 from helpers.twins.tsdf import fusion_weights_twin, ray_march_twin
 
@@ -20,12 +20,12 @@ ORACLE = DATA_FOLDER / "tsdf_case.npz"
 pytestmark = pytest.mark.usefixtures("kernel_settings")
 
 
-def random_views(random: np.random.Generator, size: tuple[int, int], count: int) -> list[DepthView]:
+def random_views(random: np.random.Generator, size: tuple[int, int], count: int) -> list[WeightedDepth]:
     views = []
     for _ in range(count):
         camera = random_camera(random, *size)
         depth = random_depth(random, camera)
-        views.append(DepthView(camera, depth, fusion_weights(depth, TAU, 0.002)))
+        views.append((camera, depth, fusion_weights(depth, TAU, 0.002)))
     return views
 
 
@@ -43,9 +43,9 @@ def assert_same_bits(first: RayMarch, second: RayMarch) -> None:
     np.testing.assert_array_equal(first.weight, second.weight)
 
 
-def plane_view(camera: Camera, z: float, weight: float = 1.0) -> DepthView:
+def plane_view(camera: Camera, z: float, weight: float = 1.0) -> WeightedDepth:
     shape = (camera.height, camera.width)
-    return DepthView(camera, np.full(shape, z, dtype=np.float32), np.full(shape, weight, dtype=np.float32))
+    return (camera, np.full(shape, z, dtype=np.float32), np.full(shape, weight, dtype=np.float32))
 
 
 @settings(deadline=None)
@@ -74,7 +74,7 @@ def test_march_agrees_with_its_twin(seed, source_size, target_size, count, tempo
     random = np.random.default_rng(seed)
     views, target = random_views(random, source_size, count), random_camera(random, *target_size)
     previous = random_previous(random, target) if temporal else None
-    ours, theirs = (march(target, views, tau=TAU, previous=previous) for march in (ray_march, ray_march_twin))
+    ours, theirs = (march(target, *columns(views), tau=TAU, previous=previous) for march in (ray_march, ray_march_twin))
     flips = max(0.01, 2 / ours.depth.size)  # at pixel borders float32 may sample the neighbouring pixel
     assert (np.abs(ours.depth - theirs.depth) > 0.02 * TAU).mean() <= 2 * flips
     assert (np.abs(ours.weight - theirs.weight) > 1e-3 * (1 + theirs.weight)).mean() <= 2 * flips
@@ -87,7 +87,7 @@ def test_skipping_empty_space_changes_no_bit(seed, source_size, target_size, cou
     random = np.random.default_rng(seed)
     views, target = random_views(random, source_size, count), random_camera(random, *target_size)
     previous = random_previous(random, target) if temporal else None
-    skipping, full = (ray_march(target, views, tau=tau, previous=previous, skip_empty=skip) for skip in (True, False))
+    skipping, full = (ray_march(target, *columns(views), tau=tau, previous=previous, skip_empty=skip) for skip in (True, False))
     assert_same_bits(skipping, full)
 
 
@@ -100,7 +100,7 @@ def test_skipping_is_safe_for_sources_beside_and_behind_the_target(yaw):
     pose[:3, :3] = [[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]]
     pose[:3, 3] = pose[:3, :3] @ [0.3, 0.0, -1.7]
     target = replace(random_camera(random, 50, 40), world_to_camera=pose, near=0.05)
-    assert_same_bits(*(ray_march(target, views, tau=TAU, skip_empty=skip) for skip in (True, False)))
+    assert_same_bits(*(ray_march(target, *columns(views), tau=TAU, skip_empty=skip) for skip in (True, False)))
 
 
 @pytest.mark.parametrize("skip_empty", [True, False])
@@ -109,9 +109,9 @@ def test_oracle(skip_empty):
     case = np.load(ORACLE)
     cameras = [Camera(str(k), case["K"], pose, 128, 96, 0.5, 6.0) for k, pose in enumerate(case["src_w2c"])]
     depths = case["src_depth"].astype(np.float32)
-    views = [DepthView(camera, depth, fusion_weights(depth, 0.02, 0.001)) for camera, depth in zip(cameras, depths, strict=True)]
+    views = cameras, depths, [fusion_weights(depth, 0.02, 0.001) for depth in depths]
     target = Camera("target", case["K"], case["tgt_w2c"], 128, 96, 1.0, 6.0)
-    depth = ray_march(target, views, tau=0.02, skip_empty=skip_empty).depth
+    depth = ray_march(target, *views, tau=0.02, skip_empty=skip_empty).depth
     error = np.abs(depth - case["tgt_depth_gt"])[depth > 0]
     assert (depth > 0).mean() == pytest.approx(0.99772, abs=2e-4)
     assert np.median(error) < 0.135e-3
@@ -121,7 +121,7 @@ def test_oracle(skip_empty):
 def test_plane_is_found_where_it_stands():
     """A plane seen by its own camera is found to the width of the last bisection, with the sum of the weights."""
     camera = random_camera(np.random.default_rng(0), 40, 30)
-    march = ray_march(camera, [plane_view(camera, 2.0, 0.75), plane_view(camera, 2.0, 0.5)], tau=TAU, bisections=12)
+    march = ray_march(camera, *columns([plane_view(camera, 2.0, 0.75), plane_view(camera, 2.0, 0.5)]), tau=TAU, bisections=12)
     np.testing.assert_allclose(march.depth, 2.0, atol=1e-4 * TAU)
     np.testing.assert_array_equal(march.weight, np.float32(1.25))
 
@@ -130,7 +130,7 @@ def test_two_views_meet_at_their_weighted_mean():
     """Planes 0.4 tau apart are fused where the weighted clamped distances cancel (Eq. 10)."""
     camera = random_camera(np.random.default_rng(1), 20, 20)
     views = [plane_view(camera, 2.0, 1.0), plane_view(camera, 2.0 + 0.4 * TAU, 3.0)]
-    depth = ray_march(camera, views, tau=TAU, bisections=12).depth
+    depth = ray_march(camera, *columns(views), tau=TAU, bisections=12).depth
     np.testing.assert_allclose(depth, 2.0 + 0.3 * TAU, atol=1e-3 * TAU)
 
 
@@ -142,10 +142,10 @@ def test_previous_depth_is_weighted_by_gain_up_to_its_limit():
     gain[:, 8:16], gain[:, 16:] = 0.5, 100.0
     earlier = np.full(shape, 2.0 + 0.4 * TAU, dtype=np.float32)
     previous = PreviousDepth(camera, earlier, np.full(shape, 2.0, dtype=np.float32), gain, 15.0)
-    march = ray_march(camera, [plane_view(camera, 2.0)], tau=TAU, previous=previous, bisections=12)
-    for columns, weight in ((slice(0, 8), 0.0), (slice(8, 16), 1.0), (slice(16, 24), 15.0)):
-        np.testing.assert_allclose(march.weight[:, columns], 1.0 + weight, rtol=1e-6)
-        np.testing.assert_allclose(march.depth[:, columns], 2.0 + 0.4 * TAU * weight / (1 + weight), atol=1e-3 * TAU)
+    march = ray_march(camera, *columns([plane_view(camera, 2.0)]), tau=TAU, previous=previous, bisections=12)
+    for part, weight in ((slice(0, 8), 0.0), (slice(8, 16), 1.0), (slice(16, 24), 15.0)):
+        np.testing.assert_allclose(march.weight[:, part], 1.0 + weight, rtol=1e-6)
+        np.testing.assert_allclose(march.depth[:, part], 2.0 + 0.4 * TAU * weight / (1 + weight), atol=1e-3 * TAU)
 
 
 def test_previous_depth_follows_a_moving_target():
@@ -154,7 +154,7 @@ def test_previous_depth_follows_a_moving_target():
     now = moved(before, 0.3)
     shape = (36, 48)
     ones = np.ones(shape, dtype=np.float32)
-    march = ray_march(now, [], tau=TAU, previous=PreviousDepth(before, 2 * ones, ones, ones, 15.0))
+    march = ray_march(now, [], [], [], tau=TAU, previous=PreviousDepth(before, 2 * ones, ones, ones, 15.0))
     seen = march.depth > 0
     shift = round(0.3 * now.K[0, 0] / 2.0)
     assert seen[:, : 48 - shift - 2].all()
@@ -166,7 +166,7 @@ def test_nothing_known_is_nothing_found():
     """Invalid depth, zero weight, no view, or a surface outside the depth range give no hit and weight 0."""
     camera = random_camera(np.random.default_rng(4), 17, 13)
     for views in ([], [plane_view(camera, 0.0)], [plane_view(camera, 2.0, 0.0)], [plane_view(camera, 7.0)]):
-        march = ray_march(camera, views, tau=TAU)
+        march = ray_march(camera, *columns(views), tau=TAU)
         assert not march.depth.any()
         assert not march.weight.any()
 
@@ -177,7 +177,7 @@ def test_a_surface_entered_from_behind_is_no_hit():
     turned = np.diag([-1.0, 1.0, -1.0, 1.0])
     turned[2, 3] = 4.0
     opposite = replace(camera, world_to_camera=turned)
-    assert not ray_march(replace(camera, world_to_camera=np.eye(4)), [plane_view(opposite, 2.0)], tau=TAU).depth.any()
+    assert not ray_march(replace(camera, world_to_camera=np.eye(4)), *columns([plane_view(opposite, 2.0)]), tau=TAU).depth.any()
 
 
 def test_threads_and_instruction_sets_give_the_same_bits():
@@ -190,8 +190,8 @@ def test_threads_and_instruction_sets_give_the_same_bits():
         kernels.set_simd_level(level)
         for threads in (1, 2, 5):
             kernels.set_threads(threads)
-            march = ray_march(target, views, tau=TAU, previous=previous)
-            results.append((march.depth, march.weight, fusion_weights(views[0].depth, TAU, 0.001)))
+            march = ray_march(target, *columns(views), tau=TAU, previous=previous)
+            results.append((march.depth, march.weight, fusion_weights(views[0][1], TAU, 0.001)))
     for result in results[1:]:
         for ours, first in zip(result, results[0], strict=True):
             np.testing.assert_array_equal(ours, first)
@@ -211,22 +211,24 @@ def test_a_march_that_would_not_end_is_refused(change, message):
     """Steps of no length are an error, not an endless loop."""
     camera = random_camera(np.random.default_rng(7), 8, 8)
     with pytest.raises(DepthError, match=message):
-        ray_march(camera, [plane_view(camera, 2.0)], **({"tau": TAU} | change))
+        ray_march(camera, *columns([plane_view(camera, 2.0)]), **({"tau": TAU} | change))
 
 
 def test_shapes_that_do_not_fit_are_refused():
     """Depth, weight and gain must have the size of their cameras; the error names both."""
     camera = random_camera(np.random.default_rng(8), 8, 6)
     good, bad = np.ones((6, 8), dtype=np.float32), np.ones((8, 6), dtype=np.float32)
-    for view in (DepthView(camera, bad, good), DepthView(camera, good, bad)):
+    for view in ((camera, bad, good), (camera, good, bad)):
         with pytest.raises(DepthError, match=r"must be 6 x 8 like the camera, got \(8, 6\)"):
-            ray_march(camera, [view], tau=TAU)
+            ray_march(camera, *columns([view]), tau=TAU)
     with pytest.raises(DepthError, match="gain must be 6 x 8"):
-        ray_march(camera, [], tau=TAU, previous=PreviousDepth(camera, good, good, bad, 15.0))
+        ray_march(camera, [], [], [], tau=TAU, previous=PreviousDepth(camera, good, good, bad, 15.0))
     with pytest.raises(DepthError, match="wanted a depth image"):
         fusion_weights(np.ones(5, dtype=np.float32), TAU, 0.001)
     with pytest.raises(DepthError, match="at most 32 depth views, got 33"):
-        ray_march(camera, [DepthView(camera, good, good)] * 33, tau=TAU)
+        ray_march(camera, [camera] * 33, [good] * 33, [good] * 33, tau=TAU)
+    with pytest.raises(DepthError, match="wanted depth and weights per camera, got 2, 2, 1"):
+        ray_march(camera, [camera] * 2, [good] * 2, [good], tau=TAU)
 
 
 def test_the_kernel_converts_nothing():

@@ -46,9 +46,16 @@ def open_browser(profile: Path) -> Iterator["Browser"]:
     options = Options()
     options.binary_location = binary
     # Containers run as root, where Chromium's sandbox cannot start; the page under test is our own.
-    for argument in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu", f"--user-data-dir={profile}"):
+    arguments = (
+        "--headless=new",
+        "--no-sandbox",
+        "--disable-dev-shm-usage",
+        "--enable-unsafe-swiftshader",
+    )  # WebGL without a GPU
+    for argument in (*arguments, f"--user-data-dir={profile}"):
         options.add_argument(argument)
-    options.add_argument("--host-resolver-rules=MAP * ~NOTFOUND")  # whatever the page asks of a network, it does not get
+    # Whatever the page asks of a network, it does not get.
+    options.add_argument("--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1")
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
     driven = webdriver.Chrome(options=options, service=Service(driver))
     try:
@@ -63,17 +70,22 @@ class Browser:
     def __init__(self, driven) -> None:
         self.driven = driven
 
-    def visit(self, page: Path, size: tuple[int, int] = DESKTOP, dark: bool = False) -> None:
-        """Open a page from disk in a window of a size (its inside, pixels), light or dark."""
+    def visit(
+        self, page: Path, size: tuple[int, int] = DESKTOP, dark: bool = False, place: str = "", moving: bool = False
+    ) -> None:
+        """Open a page from disk at a place (`#...`) in a window of a size (its inside, pixels), light or dark, moving or calm."""
         width, height = size
         metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": size == PHONE}
         self.driven.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
         # The driver scrolls to what it clicks on; a page that glides there has moved away from under the next click.
-        media = {"prefers-color-scheme": "dark" if dark else "light", "prefers-reduced-motion": "reduce"}
+        media = {
+            "prefers-color-scheme": "dark" if dark else "light",
+            "prefers-reduced-motion": "no-preference" if moving else "reduce",
+        }
         features = [{"name": name, "value": value} for name, value in media.items()]
         self.driven.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
         self.driven.get("about:blank")  # the same address again would be a reload, which scrolls back to where it was
-        self.driven.get(page.resolve().as_uri())
+        self.driven.get(page.resolve().as_uri() + place)
         self.wait("document.readyState === 'complete' && [...document.images].every(image => image.complete)")
         self._settle()
 

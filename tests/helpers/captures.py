@@ -3,7 +3,9 @@
 import subprocess
 import sys
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -96,11 +98,22 @@ def write_colmap(folder: Path, names: Sequence[str] = NAMES) -> Path:
 
 
 def make_binary(model_folder: Path) -> None:
-    """Turn a text model into a binary one, by pycolmap in a process of its own."""
-    code = "import pycolmap, sys; pycolmap.Reconstruction(sys.argv[1]).write_binary(sys.argv[1])"
-    subprocess.run([sys.executable, "-c", code, str(model_folder)], check=True)
-    for file in model_folder.glob("*.txt"):
+    """Turn a text model into a binary one, by pycolmap in a process of its own; each model once."""
+    texts = sorted(model_folder.glob("*.txt"))
+    for name, content in _binary_files(tuple((file.name, file.read_bytes()) for file in texts)).items():
+        (model_folder / name).write_bytes(content)
+    for file in texts:
         file.unlink()
+
+
+@cache
+def _binary_files(texts: tuple[tuple[str, bytes], ...]) -> dict[str, bytes]:
+    code = "import pycolmap, sys; pycolmap.Reconstruction(sys.argv[1]).write_binary(sys.argv[1])"
+    with TemporaryDirectory() as folder:
+        for name, content in texts:
+            (Path(folder) / name).write_bytes(content)
+        subprocess.run([sys.executable, "-c", code, folder], check=True)
+        return {file.name: file.read_bytes() for file in Path(folder).glob("*.bin")}
 
 
 def _quaternion_wxyz(camera: Camera) -> np.ndarray:

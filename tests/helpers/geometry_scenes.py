@@ -1,5 +1,6 @@
 """Random small scenes for the geometric kernels: cameras around a rough surface, off-centre and of different sizes."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.geometry import PixelGaussians
+from ggvs_eval.method import SourceView
 
 TAU = 0.05
 
@@ -44,7 +45,20 @@ def random_depth(random: np.random.Generator, camera: Camera, noise: float = 0.0
     return depth.astype(np.float32)
 
 
-def random_gaussians(random: np.random.Generator, camera: Camera, channels: int) -> PixelGaussians:
+def view_of(camera: Camera, depth: np.ndarray, image: np.ndarray) -> SourceView:
+    """A source view whose depth is trusted; its image may have any features that are splatted."""
+    return SourceView(camera, image, depth, np.ones_like(depth))
+
+
+def random_source(random: np.random.Generator, camera: Camera, channels: int) -> SourceView:
     """A source view with random features."""
     features = random.random((camera.height, camera.width, channels), dtype=np.float32)
-    return PixelGaussians(camera, random_depth(random, camera), features)
+    return view_of(camera, random_depth(random, camera), features)
+
+
+WeightedDepth = tuple[Camera, np.ndarray, np.ndarray]  # a camera, its depth and the weight of each pixel
+
+
+def columns(views: Sequence[WeightedDepth]) -> tuple[Sequence, ...]:
+    """Cameras, depths and weights of views as a ray march takes them."""
+    return tuple(zip(*views, strict=True)) or ((), (), ())

@@ -44,6 +44,12 @@ def wait_for_slices(browser) -> None:
     browser.wait("document.querySelector('.linked').getAttribute('aria-busy') === 'false'")
 
 
+def show_part(browser, name: str) -> None:
+    """Choose a part of the page by its tab."""
+    browser.click(f".parts a[href='#{name}']")
+    browser.wait("document.getElementById(arguments[0]).checkVisibility()", name)
+
+
 def clock(browser) -> str:
     """What the viewer says of its frame."""
     return browser.text("[data-role=clock]")

@@ -16,6 +16,8 @@ from ggvs_eval.files.images import quantise, write_image
 from ggvs_eval.files.video import VideoFrames, write_video
 from ggvs_eval.pipelines.inspection.capture.check import CaptureCheck, check_capture, examine, record_cameras, run_check
 
+pytestmark = pytest.mark.slow
+
 WIDTH, HEIGHT, N_FRAMES, COLUMNS = 320, 240, 24, 3
 
 NAMES = tuple(f"cam{number:02d}" for number in range(2 * COLUMNS))

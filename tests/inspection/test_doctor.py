@@ -18,6 +18,8 @@ from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.film.options import DemoOptions
 from helpers.run_folders import write_run
 
+pytestmark = pytest.mark.slow
+
 N_FRAMES = 9
 SIZE = 192, 144
 VIEW, OTHER = "cam00", "cam03"
@@ -29,7 +31,7 @@ def truth(tmp_path_factory) -> dict[str, np.ndarray]:
     options = DemoOptions(
         width=SIZE[0], height=SIZE[1], n_frames=N_FRAMES, cameras_per_row=2, path_poses=0, depth_stride=0, supersampling=1
     )
-    capture = open_capture(write_demo(tmp_path_factory.mktemp("doctor") / "demo", options, workers=2))
+    capture = open_capture(write_demo(tmp_path_factory.mktemp("doctor") / "demo", options, workers=1))
     return {name: np.stack(list(capture.frames(name, 0, N_FRAMES))) for name in capture.camera_names}
 
 

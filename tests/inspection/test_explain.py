@@ -14,6 +14,8 @@ from ggvs_eval.pipelines.inspection.renders.explain import Convention, explain, 
 from ggvs_eval.pipelines.inspection.renders.recompute import ALL_VIEWS
 from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames
 
+pytestmark = pytest.mark.slow
+
 SHAPE, N_FRAMES = (72, 96), 5
 VIEWS = ("cam00", "cam01", "cam02")
 

@@ -27,6 +27,8 @@ from ggvs_eval.pipelines.offline.stereo.raft_matcher import RaftMatcher
 from ggvs_eval.pipelines.run.render import method_code
 from ggvs_eval.pipelines.run.score_code import ceilings_code, metric_code, path_code
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[2]
 checkout = pytest.mark.skipif(not (ROOT / "setup.py").exists(), reason="the kernels' sources are in the checkout alone")
 
@@ -34,8 +36,8 @@ IBRNET = ("method", "network", "ray_network", "rendering", "views")
 LEARNED = {"naive", "ours", "ours+no-tsdf", "ours+no-temporal"}
 OURS = LEARNED | {label for label in METHODS if label.startswith("ours-geometric")}
 GPS_GAUSSIAN = {"gps-gaussian", "gps-gaussian+given-depth"}
-GAUSSIANS = OURS | GPS_GAUSSIAN | {"no-blending", "distance-based", "fwd"}
-ALL_METHODS = GAUSSIANS | {"ibrnet", "enerf"}
+SPLATTED = OURS | {"no-blending", "distance-based"}
+ALL_METHODS = SPLATTED | GPS_GAUSSIAN | {"fwd", "ibrnet", "enerf"}
 REGIONS = {f"{measure}_{region}" for measure in ("PSNR", "SSIM", "L1") for region in ("static", "moving", "disoccluded")}
 CORRECTED = {"PSNR_cc", "SSIM_cc", "LPIPS_cc"}  # one scorer: a frame is corrected once for all of them
 WITH_SSIM = {"SSIM", "TCC", "ceilings"} | REGIONS | CORRECTED
@@ -48,11 +50,13 @@ ALL_DEPTH = STEREO | {"checked depth", "sensor depth"}
 # A file of the package, and the jobs that are stale when one byte of it changes.
 STALE: dict[str, set[str]] = {
     "camera.py": ALL_METHODS | ALL_DEPTH | {"path"},
+    "kernels/_film": ALL_METHODS | ALL_DEPTH | {"path"},
     "files/images.py": ALL_METHODS | ALL_SCORES | {"sensor depth"},
     "geometry/difference_mask.py": OURS | REGIONS,
     "geometry/warp.py": OURS | {"path"},
-    "geometry/splat.py": GAUSSIANS | {"path"},
-    "kernels/_core": ALL_METHODS - {"enerf"} | REGIONS | {"path"},
+    "geometry/splat.py": SPLATTED | {"path"},
+    "method.py": ALL_METHODS | {"path"},
+    "kernels/_core": SPLATTED | {"ibrnet"} | REGIONS | {"path"},
     "kernels/_ssim": WITH_SSIM,
     "kernels/_stereo": {"depth by sweep"},
     **{f"baselines/ibrnet/{name}.py": {"ibrnet"} for name in IBRNET},

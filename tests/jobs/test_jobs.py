@@ -19,6 +19,8 @@ from ggvs_eval.jobs.job import BrokenJobError, Job, attempt_jobs, run_jobs
 from ggvs_eval.jobs.ledger import Ledger
 from ggvs_eval.run_folder import JOB_FILE, read_json
 
+pytestmark = pytest.mark.slow
+
 
 def write_number(number: int, folder: Path) -> dict:
     (folder / "number.txt").write_text(str(number))

@@ -13,6 +13,8 @@ from ggvs_eval.jobs import free_memory
 from ggvs_eval.jobs.engine import Engine
 from ggvs_eval.jobs.job import Job, attempt_jobs, run_jobs
 
+pytestmark = pytest.mark.slow
+
 ENGINES = [Engine(2), Engine(2, "dask")]
 
 

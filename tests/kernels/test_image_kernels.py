@@ -8,13 +8,14 @@ from hypothesis import strategies as st
 
 from ggvs_eval import kernels
 from ggvs_eval.errors import RenderError
-from ggvs_eval.geometry import CapturedView, look_up, warp
+from ggvs_eval.geometry import look_up, warp
 from ggvs_eval.geometry.difference_mask import difference_mask
 from ggvs_eval.geometry.per_pixel import largest_feature, weighted_mean
 from ggvs_eval.kernels import _core
+from ggvs_eval.method import SourceView
 from ggvs_eval.pipelines.online.blending import push_pull
 from ggvs_eval.pipelines.online.depth_filter import filter_depth
-from helpers.geometry_scenes import TAU, random_camera, random_depth, seeds, sizes
+from helpers.geometry_scenes import TAU, random_camera, random_depth, seeds, sizes, view_of
 from helpers.twins.blending import look_up_twin, push_pull_twin, weighted_mean_twin
 from helpers.twins.depth_filter import difference_mask_twin, filter_depth_twin
 
@@ -109,14 +110,11 @@ def test_the_largest_feature_of_covering_views():
     np.testing.assert_array_equal(found, np.array([[0.9, 0.7, 1.0]], np.float32))
 
 
-def captured_views(random: np.random.Generator, count: int, size: tuple[int, int]) -> list[CapturedView]:
+def weighted_views(random: np.random.Generator, count: int, size: tuple[int, int]) -> tuple[list[SourceView], list[float]]:
+    """Source views and what each counts."""
     cameras = [random_camera(random, *size, name=f"cam{n}") for n in range(count)]
-    return [
-        CapturedView(
-            camera, image8(random, camera.height, camera.width), random_depth(random, camera), float(random.uniform(0.1, 1))
-        )
-        for camera in cameras
-    ]
+    views = [view_of(camera, random_depth(random, camera), image8(random, camera.height, camera.width)) for camera in cameras]
+    return views, random.uniform(0.1, 1, count).tolist()
 
 
 @settings(deadline=None, max_examples=40)
@@ -124,13 +122,13 @@ def captured_views(random: np.random.Generator, count: int, size: tuple[int, int
 def test_the_look_up_agrees_with_its_twin(seed, target_size, source_size, count):
     """Any sizes and poses give what warping every view and blending afterwards gives, single pixels at borders apart."""
     random = np.random.default_rng(seed)
-    target, views = random_camera(random, *target_size), captured_views(random, count, source_size)
+    target, views = random_camera(random, *target_size), weighted_views(random, count, source_size)
     background = random.random((target.height, target.width, 3), dtype=np.float32)
     depth = random_depth(random, target)
 
-    ours = look_up(target, depth, views, background, TAU)
+    ours = look_up(target, depth, *views, background, TAU)
 
-    theirs = look_up_twin(target, depth, views, background, TAU)
+    theirs = look_up_twin(target, depth, *views, background, TAU)
     assert (np.abs(ours - theirs).max(axis=-1) > 5e-3).mean() <= 2 * max(0.005 * count, 1 / depth.size)
 
 
@@ -141,7 +139,7 @@ def test_the_look_up_of_one_view_is_its_warp():
     depth, image = random_depth(random, camera), image8(random, 31, 45)
     background = random.random((31, 45, 3), dtype=np.float32)
 
-    found = look_up(camera, depth, [CapturedView(camera, image, depth, 0.7)], background, TAU)
+    found = look_up(camera, depth, [view_of(camera, depth, image)], [0.7], background, TAU)
 
     warped = warp(camera, depth, camera, (image / 255).astype(np.float32), depth, TAU, bicubic=True).colour
     np.testing.assert_allclose(found, np.where(depth[..., None] > 0, warped, background), atol=2e-5)
@@ -151,7 +149,7 @@ def test_the_look_up_of_one_view_is_its_warp():
 def test_threads_and_instruction_sets_give_the_same_bits():
     """Every kernel gives equal bits with 1, 2 and 5 threads and with every instruction set of this processor."""
     random = np.random.default_rng(2)
-    target, views = random_camera(random, 150, 131), captured_views(random, 3, (121, 97))
+    target, views = random_camera(random, 150, 131), weighted_views(random, 3, (121, 97))
     depth, known = random_depth(random, target), holes(random, 131, 150)
     colours = [random.random((131, 150, 4), dtype=np.float32) for _ in range(2)]
     maps = [random.random((131, 150), dtype=np.float32) for _ in range(2)]
@@ -159,7 +157,7 @@ def test_threads_and_instruction_sets_give_the_same_bits():
 
     def everything() -> list[np.ndarray]:
         return [
-            look_up(target, depth, views, colours[0][..., :3], TAU),
+            look_up(target, depth, *views, colours[0][..., :3], TAU),
             weighted_mean(colours, maps),
             largest_feature(colours, maps, channel=3, least_alpha=0.5, otherwise=1.0),
             push_pull(colours[1][..., :3], known),
@@ -182,12 +180,15 @@ def test_what_does_not_fit_is_refused():
     random = np.random.default_rng(3)
     camera = random_camera(random, 8, 6)
     depth, image, black = np.ones((6, 8), np.float32), image8(random, 6, 8), np.zeros((6, 8, 3), np.float32)
+    view = view_of(camera, depth, image)
     with pytest.raises(RenderError, match=r"camera camera: wanted a uint8 image \(6, 8, 3\)"):
-        look_up(camera, depth, [CapturedView(camera, image.astype(np.float32), depth, 1.0)], black, TAU)
+        look_up(camera, depth, [view_of(camera, depth, image.astype(np.float32))], [1.0], black, TAU)
     with pytest.raises(RenderError, match="tolerance and weights must be positive"):
-        look_up(camera, depth, [CapturedView(camera, image, depth, 0.0)], black, TAU)
+        look_up(camera, depth, [view], [0.0], black, TAU)
     with pytest.raises(RenderError, match=r"background \(H, W, 3\), got \(6, 8\)"):
-        look_up(camera, depth, [CapturedView(camera, image, depth, 1.0)], depth, TAU)
+        look_up(camera, depth, [view], [1.0], depth, TAU)
+    with pytest.raises(RenderError, match="wanted a weight per view, got 2 for 1 views"):
+        look_up(camera, depth, [view], [1.0, 1.0], black, TAU)
     with pytest.raises(RenderError, match="got 1 views, 2 weights"):
         weighted_mean([black], [depth, depth])
     with pytest.raises(TypeError, match=r"weight: wanted float32 \(6, 8\), C-contiguous, got float32 \(5, 8\)"):

@@ -15,6 +15,8 @@ from ggvs_eval.metrics.time.strred import strred
 from ggvs_eval.metrics.time.tcc import tcc
 from helpers.noise_scenes import clean_video, encoded, flickering, noisy, panned_video, shot_noise
 
+pytestmark = pytest.mark.slow
+
 FRAMES = 30
 
 

@@ -16,7 +16,12 @@ from ggvs_eval.files.images import read_image
 from ggvs_eval.metrics.image import fetch_lpips
 from ggvs_eval.metrics.image.fetch_lpips import NETS, fetch_weights, read_checkpoint, weights_path
 from ggvs_eval.metrics.image.lpips import load_weights, lpips, lpips_between, lpips_features
+from ggvs_eval.metrics.metric import MetricOptions
+from ggvs_eval.metrics.registry import metric_notes
+from ggvs_eval.metrics.stream import score_views
 from helpers.places import SHARED
+
+pytestmark = pytest.mark.slow
 
 OFFICIAL_IMAGES = SHARED / "oracles/lpips"
 needs_weights = pytest.mark.skipif(
@@ -249,3 +254,17 @@ def test_a_malicious_checkpoint_is_refused_before_it_runs(tmp_path, monkeypatch)
         read_checkpoint(archive, "vgg")
 
     assert not target.exists()
+
+
+@needs_weights
+@pytest.mark.parametrize(("first", "looked_at"), [(0, [0, 3]), (1, [2]), (2, [1, 4])])
+def test_lpips_may_look_at_some_frames(first, looked_at):
+    """Every third frame of the protocol, whichever is measured first; the values are those of these frames, PSNR has all."""
+    rendered, truth = photograph_pair()
+    pairs = [(np.roll(rendered, shift, axis=0), truth) for shift in range(5)]
+    options = MetricOptions(lpips_net="alex", lpips_every=3, first_frame=first)
+    (scores,) = score_views((([ours], captured) for ours, captured in pairs), ["LPIPS", "PSNR"], options)
+    values = {index: value for name, index, value in scores.values if name == "LPIPS"}
+    assert values == {index: lpips(*pairs[index], "alex") for index in looked_at}
+    assert sum(name == "PSNR" for name, _, _ in scores.values) == len(pairs)
+    assert metric_notes(["LPIPS"], options)["LPIPS"]["describe"].endswith("of one frame in 3")

@@ -18,11 +18,13 @@ from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.pipelines.run.score import score
 from ggvs_eval.reports.report import write_report
 from ggvs_eval.run_folder import RunFolder
-from ggvs_eval.statistics.bootstrap import intervals, resample
+from ggvs_eval.statistics.intervals import intervals, measure_spread
 from ggvs_eval.statistics.paired import rank_methods
 from ggvs_eval.statistics.pooled import PooledScene
 from ggvs_eval.statistics.pooling import powers_of_means
 from helpers.render_folders import FRAMES, VIEWS, make_run, rendered, truth, write_folders
+
+pytestmark = pytest.mark.slow
 
 PARTS = ("sum_of_errors", "sum_of_values")  # what a part is called is up to the metric
 SORTED_VIEWS = tuple(sorted(VIEWS))
@@ -129,7 +131,7 @@ def test_its_number_is_what_its_function_says(run):
 
 
 def test_its_interval_is_that_of_a_ratio(run):
-    """The interval is the bootstrap of the ratio itself, also of the difference of two methods, and not that of a mean."""
+    """The interval is that of the ratio itself, also of the difference of two methods, and not that of a mean."""
     results = score(run)
     sums = {
         part: np.array([[function(rendered(view, frame), truth(view, frame)) for frame in FRAMES] for view in SORTED_VIEWS])
@@ -145,8 +147,8 @@ def test_its_interval_is_that_of_a_ratio(run):
     of_a_mean = PooledScene("room", SORTED_VIEWS, tuple(FRAMES), lambda v, f: (v * (f @ per_frame.T)).sum(axis=1))
     found = intervals(results, "Relative_error", "Tiny room")["whole"]
     assert found.value == pytest.approx(by_hand.value, rel=1e-12)
-    assert found.half_width == pytest.approx(resample([by_hand]).half_width(0.95), rel=1e-9)
-    assert found.half_width != pytest.approx(resample([of_a_mean]).half_width(0.95), rel=1e-3)
+    assert found.half_width == pytest.approx(measure_spread([by_hand]).half_width(0.95), rel=1e-9)
+    assert found.half_width != pytest.approx(measure_spread([of_a_mean]).half_width(0.95), rel=1e-3)
     assert rank_methods(results, "Relative_error", False, "Tiny room").comparisons["late"].p_value is not None
 
 

@@ -17,6 +17,8 @@ from ggvs_eval.metrics.path.view_switch import switch_steps
 from ggvs_eval.metrics.path_scores import score_path
 from helpers.epi_scenes import POSES, SCENES, changed, exact, path, rendered, sources_of
 
+pytestmark = pytest.mark.slow
+
 SWITCHES = np.array(switch_steps([sources_of(camera) for camera in path()]))
 EVERY_SCENE = pytest.mark.parametrize("name", SCENES)
 

@@ -24,6 +24,8 @@ from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.film.options import DemoOptions
 from helpers.captures import make_image, make_rig, write_colmap_model, write_folders, write_videos
 
+pytestmark = pytest.mark.slow
+
 DEMO = DemoOptions(
     width=640, height=480, n_frames=1, cameras_per_row=4, supersampling=1, path_poses=0, depth_stride=0, noise_sigma_255=0
 )

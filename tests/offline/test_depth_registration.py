@@ -22,6 +22,8 @@ from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthe
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.film.options import DemoOptions
 
+pytestmark = pytest.mark.slow
+
 WIDTH, HEIGHT = 240, 180
 
 

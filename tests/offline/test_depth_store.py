@@ -1,6 +1,7 @@
 """The depth store: what is written is read, every input counts, damage is named."""
 
 import json
+import socket
 from dataclasses import replace
 
 import numpy as np
@@ -112,3 +113,16 @@ def test_foreign_content(tmp_path, depth, confidence):
     np.savez(store.path("key", 0), depth=depth, confidence=confidence)
     with pytest.raises(DepthError, match=r"000000\.npz.*delete this file"):
         store.read("key", 0)
+
+
+def test_what_a_killed_process_was_writing_is_swept(tmp_path):
+    """When the folder of a key is opened again, whichever instant it was."""
+    store = DepthStore(tmp_path)
+    key = store.write_spec({"camera": "a"})
+    store.write(key, 1, make_map())
+    left = store.folder(key) / f".000002.npz.0a1b2c3d.{socket.gethostname().replace('.', '-')}.4194304000.tmp"
+    left.touch()
+
+    store.write_spec({"camera": "a"})
+
+    assert sorted(file.name for file in store.folder(key).iterdir()) == ["000001.npz", "spec.json"]

@@ -19,6 +19,8 @@ from ggvs_eval.pipelines.offline.export.fuse import FuseOptions, fuse_instant
 from ggvs_eval.pipelines.offline.export.surfaces import surface_normals
 from helpers.stereo_scenes import look_from
 
+pytestmark = pytest.mark.slow
+
 WALL_Z, BALL, RADIUS = 7.0, np.array([0.3, -0.2, 5.0]), 0.8
 RED, BLUE = (220, 40, 30), (20, 60, 200)
 VOXEL = 0.04

@@ -23,6 +23,7 @@ from ggvs_eval.synthetic.stereo.pairs import stereo_sample
 from helpers.seeded_networks import seeded_state
 from helpers.stereo_scenes import random_texture
 
+pytestmark = pytest.mark.slow
 OTHER_PAIRS = range(VALIDATION_SEED + 1024, VALIDATION_SEED + 1048, 4)  # six of one scene that nothing else uses
 
 

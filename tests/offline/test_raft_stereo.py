@@ -17,6 +17,8 @@ from helpers.hostile import Hostile
 from helpers.places import DATA_FOLDER
 from helpers.seeded_networks import seeded_pair, seeded_state
 
+pytestmark = pytest.mark.slow
+
 DATA = DATA_FOLDER
 ORACLE_NAMES = {"default": "default(middlebury/eth3d/sceneflow)", "realtime": "realtime", "rvc": "iraftstereo_rvc"}
 

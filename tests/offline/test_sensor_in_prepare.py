@@ -12,6 +12,8 @@ from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import depth_job, plan_depth, prepare_depth
 from helpers.stereo_scenes import PLANE, plane_depth, write_capture
 
+pytestmark = pytest.mark.slow
+
 
 class PlaneSensor:
     """Measures the plane before a camera, which comes nearer from frame to frame, with a millimetre of noise."""

@@ -8,11 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from ggvs_eval.baselines.gaussians import near_plane, pixel_gaussians
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.splat import splat
-from ggvs_eval.pipelines.online.blend_maps import FAINT, BlendMaps, blend_maps, raw_views
+from ggvs_eval.pipelines.online.blend_maps import FAINT, BlendMaps, blend_maps
 from ggvs_eval.pipelines.online.blending import BlendingInputs
 from ggvs_eval.pipelines.online.network_inputs import (
     channel_count,
@@ -21,6 +20,7 @@ from ggvs_eval.pipelines.online.network_inputs import (
     surface_normals,
     surface_points,
 )
+from ggvs_eval.pipelines.training.samples.blend_samples import raw_views
 from helpers.scenes import HEIGHT, WALL_Z, WIDTH, camera_at, instant, look
 
 TARGET = camera_at(0.0, name="target")
@@ -191,8 +191,8 @@ def test_a_crop_is_a_part_of_the_whole():
 def blending_inputs(order: list[int]) -> BlendingInputs:
     """What the online method hands over, sources in that order."""
     moment = instant(0, TARGET, [SOURCES[k] for k in order])
-    splats = [splat([pixel_gaussians(source)], TARGET, near=near_plane(moment)) for source in moment.sources]
-    return BlendingInputs(moment, [source.depth for source in moment.sources], splats, look(TARGET)[1], 0.05)
+    splats = [splat([source], TARGET, near=moment.near_plane) for source in moment.sources]
+    return BlendingInputs(moment, splats, look(TARGET)[1], 0.05)
 
 
 def test_views_are_ordered_by_their_distance():

@@ -10,7 +10,7 @@ from ggvs_eval.pipelines.methods.registry import find_method
 from helpers.scenes import camera_at, instant
 from helpers.seeded_baselines import turned_rig
 
-pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="torch finds no GPU here")
+pytestmark = [pytest.mark.gpu, pytest.mark.skipif(not torch.cuda.is_available(), reason="torch finds no GPU here")]
 
 LEARNED = ("fwd", "ibrnet", "gps-gaussian+given-depth", "enerf", "ours", "ours+no-tsdf", "ours+no-temporal", "naive")
 LEVEL = 1 / 255

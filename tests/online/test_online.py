@@ -157,7 +157,7 @@ def test_the_filter_converges_on_the_mean_of_noisy_depth():
     filters, image = TemporalDepthFilter(), np.full((40, 40, 3), 90, np.uint8)
     for t in range(20):
         depth = random.normal(SQUARE_Z, 0.02, (40, 40)).astype(np.float32)
-        filtered = filters.step(t, SourceView(TARGET, image, depth, np.ones_like(depth))).depth
+        filtered = filters.step(t, SourceView(TARGET, image, depth, np.ones_like(depth)))[0].depth
 
     assert filtered.std() == pytest.approx(0.02 * np.sqrt(0.6 / 1.4), rel=0.1)
 

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ggvs_eval.baselines.gaussians import near_plane, pixel_gaussians
 from ggvs_eval.geometry.splat import Splat, splat
 from ggvs_eval.geometry.tsdf import PreviousDepth, RayMarch
 from ggvs_eval.method import Instant, Rendering
@@ -140,13 +139,13 @@ def beta_mask() -> None:
         played = play(still(2), beta_mask=value)
         new, old = (frame.sources[0].depth for frame in reversed(still(2)))
         assert [np.median(mask) for mask in played.masks(1)] == pytest.approx([value] * 4, abs=1e-5)
-        np.testing.assert_allclose(played.blended[1].filtered_depths[0], value * new + (1 - value) * old, rtol=1e-5)
+        np.testing.assert_allclose(played.blended[1].instant.sources[0].depth, value * new + (1 - value) * old, rtol=1e-5)
 
 
 def history_tolerance() -> None:
     """Depth that has grown by 4 % is mixed with its history under a tolerance of 5 %, and passes as it is under one of 3 %."""
     new, old = (frame.sources[0].depth for frame in reversed(jumped(0.04)))
-    mixed, passed = (play(jumped(0.04), history_tolerance=value).blended[1].filtered_depths[0] for value in (0.05, 0.03))
+    mixed, passed = (play(jumped(0.04), history_tolerance=value).blended[1].instant.sources[0].depth for value in (0.05, 0.03))
     np.testing.assert_allclose(mixed, 0.6 * new + 0.4 * old, rtol=1e-5)
     np.testing.assert_array_equal(passed, new)
 
@@ -199,10 +198,10 @@ def splatted_depth() -> None:
     for value in ("new", "filtered"):
         played = play(still(2), splatted_depth=value)
         source, inputs = still(2)[1].sources[0], played.blended[1]
-        shown = source if value == "new" else replace(source, depth=inputs.filtered_depths[0])
-        expected = splat([pixel_gaussians(shown, np.ones_like(source.depth))], TARGET, near=near_plane(inputs.instant), scale=0.5)
+        shown = source if value == "new" else replace(source, depth=inputs.instant.sources[0].depth)
+        expected = splat([shown], TARGET, near=inputs.instant.near_plane, scale=0.5)
         np.testing.assert_array_equal(inputs.splats[0].depth, expected.depth)
-    assert not np.array_equal(still(2)[1].sources[0].depth, inputs.filtered_depths[0])
+    assert not np.array_equal(still(2)[1].sources[0].depth, inputs.instant.sources[0].depth)
 
 
 def splatted_as() -> None:

@@ -47,10 +47,10 @@ def test_one_pass_finds_what_the_maps_say(seed, width, height, views, scale, thr
 def test_the_kernel_makes_the_channels(seed, width, height, views, guidance):
     """Every channel of the definition, zeros of absent views included, with holes in the surface and at any size."""
     maps = random_maps(np.random.default_rng(seed), width, height, views)
+    maps.fused_depth[height // 2, width // 2] = 0
     found, expected = network_channels(maps, guidance, 5), input_channels(maps, guidance, 5)
     assert found.shape == expected.shape == (channel_count(5, guidance), height, width)
     np.testing.assert_allclose(found, expected, atol=2e-6, rtol=2e-6)
-    assert (maps.fused_depth == 0).any() or width * height < 100  # holes were there
 
 
 def test_a_network_without_the_surface_gets_its_channels_too():

@@ -3,15 +3,17 @@
 import numpy as np
 import pytest
 
-from ggvs_eval.baselines.gaussians import pixel_gaussians
+from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.difference_mask import difference_mask
-from ggvs_eval.geometry.splat import PixelGaussians, Splat, splat, splat_points
-from ggvs_eval.geometry.tsdf import DepthView, PreviousDepth, ray_march
+from ggvs_eval.geometry.splat import Splat, splat, splat_points
+from ggvs_eval.geometry.tsdf import PreviousDepth, ray_march
+from ggvs_eval.method import SourceView
 from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.online.blending import GeometricBlender
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions, target_mask
 from ggvs_eval.pipelines.online.printed_march import FieldReading, printed_march
+from helpers.geometry_scenes import view_of
 from helpers.scenes import SQUARE_Z, WALL_Z, camera_at, instant, look
 
 TARGET = camera_at(0.0, name="target")
@@ -19,23 +21,24 @@ SOURCES = [camera_at(-0.15), camera_at(0.15), camera_at(-0.45), camera_at(0.45)]
 TAU = 0.05
 
 
-def depth_views(weight: float = 1.0) -> list[DepthView]:
+def weighted_depths(weight: float = 1.0) -> tuple[list[Camera], list[np.ndarray], list[np.ndarray]]:
+    """Cameras, depths and weights of the sources."""
     depths = [look(camera)[1] for camera in SOURCES]
-    return [DepthView(camera, depth, np.full_like(depth, weight)) for camera, depth in zip(SOURCES, depths, strict=True)]
+    return SOURCES, depths, [np.full_like(depth, weight) for depth in depths]
 
 
-def points_of(camera) -> PixelGaussians:
+def view_from(camera: Camera) -> SourceView:
     image, depth = look(camera)
-    return PixelGaussians(camera, depth, image.astype(np.float32) / 255)
+    return view_of(camera, depth, image.astype(np.float32) / 255)
 
 
 def test_points_in_their_own_camera_are_the_image():
     """Points seen from where they come from are the source itself: colour and depth exact, nothing uncovered."""
-    source = points_of(TARGET)
+    source = view_from(TARGET)
 
     seen = splat_points(source, TARGET, near=0.5)
 
-    np.testing.assert_array_equal(seen.features, source.features)
+    np.testing.assert_array_equal(seen.features, source.image)
     np.testing.assert_allclose(seen.depth, source.depth, rtol=1e-6)
     assert (seen.alpha == np.float32(0.99)).all()
 
@@ -45,7 +48,7 @@ def test_the_nearest_point_of_a_pixel_is_seen():
     small = camera_at(0.0, width=4, height=2).resized(2, 1)
     depth = np.array([[4.0, 2.0, 0.0, 3.0], [0.0, 0.0, 0.0, 0.0]], np.float32)
     features = np.arange(8, dtype=np.float32).reshape(2, 4, 1)
-    source = PixelGaussians(camera_at(0.0, width=4, height=2), depth, features)
+    source = view_of(camera_at(0.0, width=4, height=2), depth, features)
 
     seen = splat_points(source, small, near=0.5)
 
@@ -56,7 +59,7 @@ def test_the_nearest_point_of_a_pixel_is_seen():
 def test_points_leave_holes_that_gaussians_close():
     """Seen at twice the size, points cover a quarter of the wall, Gaussians all of it."""
     large = camera_at(0.0, name="large").resized(2 * TARGET.width, 2 * TARGET.height)
-    source = points_of(TARGET)
+    source = view_from(TARGET)
 
     assert (splat_points(source, large, near=0.5).alpha > 0).mean() == pytest.approx(0.25)
     assert (splat([source], large, near=0.5).alpha > 0.9).mean() > 0.99
@@ -64,7 +67,7 @@ def test_points_leave_holes_that_gaussians_close():
 
 def test_points_at_or_before_the_near_plane_are_left_out():
     """The near plane culls points as it culls Gaussians; one that is no plane is refused."""
-    source = points_of(TARGET)
+    source = view_from(TARGET)
     seen = splat_points(source, TARGET, near=SQUARE_Z)
 
     np.testing.assert_array_equal(seen.alpha > 0, source.depth > SQUARE_Z)
@@ -74,14 +77,14 @@ def test_points_at_or_before_the_near_plane_are_left_out():
 
 def test_the_slow_march_is_the_fast_one_in_our_reading():
     """With our reading both marches find the same surface, with a previous depth in the field too."""
-    views = depth_views(0.7)
-    previous = ray_march(camera_at(0.03), depth_views(), tau=TAU)
+    views = weighted_depths(0.7)
+    previous = ray_march(camera_at(0.03), *weighted_depths(), tau=TAU)
     gain = np.full((TARGET.height, TARGET.width), 0.4, np.float32)
     held = PreviousDepth(camera_at(0.03), previous.depth, previous.weight, gain, 15.0)
 
     for before in (None, held):
-        fast = ray_march(TARGET, views, tau=TAU, previous=before)
-        slow = printed_march(TARGET, views, tau=TAU, previous=before, reading=FieldReading())
+        fast = ray_march(TARGET, *views, tau=TAU, previous=before)
+        slow = printed_march(TARGET, *views, tau=TAU, previous=before, reading=FieldReading())
         close = (np.abs(fast.depth - slow.depth) < 0.02 * TAU) & (np.abs(fast.weight - slow.weight) < 1e-3)
         assert close.mean() > 0.99
 
@@ -90,7 +93,8 @@ def test_the_printed_sign_loses_the_surface():
     """With z - D free space is unknown and what is positive lies behind the surface: few rays find it."""
     truth = look(TARGET)[1]
     found = {
-        sign: np.abs(printed_march(TARGET, depth_views(), tau=TAU, reading=FieldReading(sign=sign)).depth - truth) < 0.1 * TAU
+        sign: np.abs(printed_march(TARGET, *weighted_depths(), tau=TAU, reading=FieldReading(sign=sign)).depth - truth)
+        < 0.1 * TAU
         for sign in ("front", "printed")
     }
 
@@ -101,7 +105,9 @@ def test_the_printed_sign_loses_the_surface():
 def test_the_printed_sum_jumps_over_surfaces():
     """Without the division a step grows with the weights: at a sum of 16 most rays jump past the band, at 1 none does."""
     found = {
-        weight: (printed_march(TARGET, depth_views(weight), tau=TAU, reading=FieldReading(normalised=False)).depth > 0).mean()
+        weight: (
+            printed_march(TARGET, *weighted_depths(weight), tau=TAU, reading=FieldReading(normalised=False)).depth > 0
+        ).mean()
         for weight in (0.25, 4.0)
     }
 
@@ -136,7 +142,7 @@ def test_holes_stay_black_without_background():
     images = {
         on: GeometryGuided(None, GeometricBlender(background=on)).step(instant(0, TARGET, only)).image for on in (True, False)
     }
-    shown = splat([pixel_gaussians(instant(0, TARGET, only).sources[0])], TARGET, near=0.5).alpha
+    shown = splat(instant(0, TARGET, only).sources, TARGET, near=0.5).alpha
     holes = shown < 0.4
 
     assert 0.02 < holes.mean() < 0.5
@@ -149,7 +155,9 @@ def test_a_smaller_floor_comes_closer_to_the_wall():
     """The march with a hundredth of the floor still ends, nearer to the exact depth."""
     inside = look(TARGET)[1] == WALL_Z
     inside[10:65, 15:80] = False
-    errors = [np.abs(ray_march(TARGET, depth_views(), tau=TAU, min_step=floor).depth - WALL_Z)[inside] for floor in (0.1, 0.001)]
+    errors = [
+        np.abs(ray_march(TARGET, *weighted_depths(), tau=TAU, min_step=floor).depth - WALL_Z)[inside] for floor in (0.1, 0.001)
+    ]
 
     assert np.median(errors[1]) < np.median(errors[0])
 

@@ -19,6 +19,8 @@ from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.film.options import DemoOptions
 from helpers.scenes import SQUARE_Z, camera_at, instant
 
+pytestmark = pytest.mark.slow
+
 TARGET = camera_at(0.0, name="target")
 SOURCES = [camera_at(-0.15), camera_at(0.15)]
 OFFLINE = "ours-geometric+offline"
@@ -90,7 +92,7 @@ def test_nothing_is_left_behind():
 def test_a_run_shows_it_the_whole_sequence(tmp_path):
     """Rendered in a run it has looked at every frame of the protocol, and the time that took is told."""
     options = DemoOptions(width=96, height=72, n_frames=3, cameras_per_row=3, path_poses=0, supersampling=1)
-    capture = open_capture(write_demo(tmp_path / "demo", options))
+    capture = open_capture(write_demo(tmp_path / "demo", options, workers=1))
     protocol = replace(
         load_protocol("demo"), views=Views(("cam00",), "test"), frames=Frames(0, 3), synthesis=Synthesis(2), path=CameraPath(0)
     )

@@ -15,6 +15,8 @@ from ggvs_eval.pipelines.play.synthesizer import DEFAULT_METHOD, OnlineSynthesiz
 from helpers.places import ROOT
 from helpers.scenes import camera_at, instant, look
 
+pytestmark = pytest.mark.slow
+
 RIG = [camera_at(x) for x in (-0.45, -0.15, 0.15, 0.45)]
 UNITS_PER_METRE = 2.5  # of `scenes.instant`
 DOCUMENT = ROOT / "docs" / "online.md"

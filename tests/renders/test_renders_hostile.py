@@ -17,6 +17,8 @@ from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.renders.archive import Limits, unpack
 from helpers.render_folders import VIEWS, make_run, stack
 
+pytestmark = pytest.mark.fuzz
+
 LIMITS = Limits(n_files=20, n_bytes=100_000)
 Writer = Callable[[Path], None]
 

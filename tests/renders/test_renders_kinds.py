@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import read_image, write_image
@@ -303,3 +304,22 @@ def test_a_relative_path_is_as_good_as_a_whole_one(run, tmp_path, monkeypatch, w
     import_renders(run, "mine", Path("theirs"))
 
     assert largest_difference(run) == 0
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+def test_pictures_on_their_side_are_turned_as_they_say(suffix, run, tmp_path):
+    """By their EXIF tag, as those of captures are; without it their size is not the protocol's."""
+    tag = Image.Exif()
+    for exif in ({}, {"exif": tag}):
+        for view, frame in view_major():
+            file = tmp_path / "theirs" / view / f"{frame:04d}{suffix}"
+            file.parent.mkdir(parents=True, exist_ok=True)
+            Image.fromarray(np.ascontiguousarray(np.rot90(rendered(view, frame)))).save(file, quality=98, subsampling=0, **exif)
+        if not exif:
+            with pytest.raises(RenderError, match="48 x 64 instead of 64 x 48"):
+                import_renders(run, "mine", tmp_path / "theirs")
+        tag[0x0112] = 6
+
+    import_renders(run, "mine", tmp_path / "theirs")
+
+    assert largest_difference(run) <= (0 if suffix == ".png" else 60)

@@ -16,6 +16,8 @@ from ggvs_eval.pipelines.run.run_plan import RunPlan
 from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthesis, Views
 from helpers.stereo_scenes import PLANE, write_capture
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def prepared(tmp_path_factory) -> RunPlan:

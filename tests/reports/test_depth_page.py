@@ -35,6 +35,8 @@ from ggvs_eval.reports.depth_page.warnings import find_notes, find_warnings
 from helpers.page_reader import PageReader
 from helpers.stereo_scenes import FOCAL, PLANE, look_from, plane_depth, see_plane, write_capture
 
+pytestmark = pytest.mark.slow
+
 FILLED = 0.02
 PAIRED = (("cam00", ("cam01", "cam03")), ("cam00", ("cam02",)), ("cam02", ("cam00", "cam01")))
 JOBS = tuple(DepthJob(name, partners, spec={"number": number}) for number, (name, partners) in enumerate(PAIRED))

@@ -2,12 +2,13 @@
 
 import re
 
-from helpers.painted_page import clock
+from helpers.painted_page import clock, show_part
 from helpers.run_folders import LABELS
 
 
 def test_heat_map_opens_the_frame_of_a_cell(shown):
     """A click into the second row, third column of the first method's map shows cam03, frame 4, that method beside the truth."""
+    show_part(shown, "heat")
     shown.click(".cells", 0.6, 0.75)
     assert shown.run("[...document.querySelectorAll('.viewer select')].map(s => s.value)") == ["cam03", LABELS[0], "truth"]
     assert clock(shown).startswith("frame 4 of")
@@ -17,6 +18,7 @@ def test_heat_map_opens_the_frame_of_a_cell(shown):
 
 def test_heat_map_by_keyboard(shown):
     """Arrow keys choose a cell of a focused map and say what it holds, the enter key opens it."""
+    show_part(shown, "heat")
     shown.run("document.querySelectorAll('.cells')[1].focus()")
     shown.press("\ue015", "\ue014")
     assert shown.text("[data-role=cell]").startswith("Ours (geometric weights), cam03, frame 3: PSNR")
@@ -29,6 +31,7 @@ def test_heat_map_by_keyboard(shown):
 
 def test_heat_map_is_brighter_where_it_is_worse(shown):
     """In both directions of metrics the worst cells are brighter than the best ones; a cell without a value is empty."""
+    show_part(shown, "heat")
     for metric in ("PSNR", "L1"):
         shown.choose(".heats [data-role=metric]", metric)
         worst, best = (sum(shown.canvas_colour(f".heat:nth-child({number}) canvas", 1, 0)) for number in (1, 3))
@@ -40,6 +43,7 @@ def test_heat_map_is_brighter_where_it_is_worse(shown):
 
 def test_pointer_reads_a_cell(shown):
     """A pointer above a map says what the cell holds, and opens nothing."""
+    show_part(shown, "heat")
     shown.point(".heat:nth-child(3) .cells", 0.9, 0.75)
     assert re.fullmatch(r"Ours, No Temporal Filtering, cam03, frame 5: PSNR [\d.]+ dB", shown.text("[data-role=cell]"))
     assert clock(shown).startswith("frame 2 of")

@@ -6,9 +6,10 @@ from dataclasses import replace
 import pytest
 
 from ggvs_eval.protocol import Frames
+from ggvs_eval.reports.page.page import PARTS
 from helpers import browser as browsers
 from helpers.browser import DESKTOP, PHONE
-from helpers.painted_page import SHAPE, clock, paint, wait_for_slices, write_page
+from helpers.painted_page import SHAPE, clock, paint, show_part, wait_for_slices, write_page
 from helpers.run_folders import LABELS, RunShape, write_run
 
 
@@ -65,22 +66,38 @@ def test_theme_needs_no_storage(started, painted):
     assert started.complaints() == []
 
 
+# Pixels that the strips of a row leave free to the right, and that pictures leave free in their strips.
+FREE = """(strips => Math.max(...[...document.querySelectorAll('.cuts canvas')].map(canvas => {
+    const cell = canvas.closest('.cut').getBoundingClientRect(), box = canvas.getBoundingClientRect();
+    return Math.max(cell.width - box.width, cell.height - box.height);
+}), strips.getBoundingClientRect().right - Math.max(...[...strips.children].map(one => one.getBoundingClientRect().right))))(
+    document.querySelector('.cuts'))"""
+
+
 @pytest.mark.parametrize(
     "shape",
     [
         RunShape(frames=Frames(0, 1), metrics=("PSNR", "TCC"), poses=0),
+        RunShape(frames=Frames(0, 1), metrics=("PSNR",)),
         RunShape(metrics=("STED",), path_truth=False),
         RunShape(labels=LABELS[:1], views=("cam00",), metrics=("PSNR",)),
     ],
-    ids=["one frame, no path", "no value per frame, virtual path", "one method, one view"],
+    ids=["one frame, no path", "one frame", "no value per frame, virtual path", "one method, one view"],
 )
 def test_poor_runs_have_a_working_page(started, tmp_path, shape):
     """Whatever a run lacks, its page works without a complaint, and says what there is not."""
     started.visit(write_page([write_run(tmp_path / "run", shape)], tmp_path / "index.html"))
-    wait_for_slices(started)
-    assert ("one frame only" in started.text(".cuts")) == (shape.frames.count == 1)
-    assert ("no truth on a virtual path" in started.text(".cuts")) == (not shape.path_truth)
-    assert ("No metric of this run has a value per frame" in started.text("#heat")) == (shape.metrics == ("STED",))
+    follows_rows, has_time = shape.frames.count > 1 or shape.poses > 0, shape.frames.count > 1
+    assert started.run("['through', 'heat', 'curves', 'videos'].map(id => document.getElementById(id) !== null)") == [
+        follows_rows,
+        *[has_time] * 3,
+    ]
+    if follows_rows:
+        wait_for_slices(started)
+        assert started.run(FREE) < 2
+        assert ("no truth on a virtual path" in started.text(".cuts")) == (not shape.path_truth)
+    if has_time:
+        assert ("No metric of this run has a value per frame" in started.text("#heat")) == (shape.metrics == ("STED",))
     started.focus(".stage")
     started.press("v", "b", "m", "d", "+", "0", "\ue014")
     assert clock(started).startswith(f"frame {shape.frames.start + (shape.frames.count > 1)} of")
@@ -88,46 +105,62 @@ def test_poor_runs_have_a_working_page(started, tmp_path, shape):
 
 
 def test_each_group_of_a_page_has_a_viewer_of_its_own(started, tmp_path):
-    """Two protocols on one page: the contents lead to a group, its controls and the keys move its viewer and not the other's."""
+    """Two protocols on one page: a tab leads to each, its controls and the keys move its viewer and not the other's."""
     shapes = (replace(SHAPE, metrics=("PSNR",), poses=2), replace(SHAPE, frames=Frames(0, 3), metrics=("PSNR",), poses=2))
     runs = [write_run(tmp_path / str(number), shape, paint) for number, shape in enumerate(shapes)]
     started.visit(write_page(runs, tmp_path / "index.html"))
     clocks = "[...document.querySelectorAll('[data-role=clock]')].map(clock => clock.textContent.slice(0, 14))"
-    assert started.run(clocks) == ["frame 2 of 2–5", "frame 0 of 0–2"]
-    started.run("document.querySelector('.contents tbody tr:nth-child(2) a').click()")
+    assert started.run(clocks) == ["frame 2 of 2–5", ""]
+    started.click(".rooms a:nth-child(2)")
     assert started.run("location.hash") == "#group1"
-    started.wait("Math.abs(document.getElementById('group1').getBoundingClientRect().top) < 60")
+    assert started.run("['group0', 'group1'].map(id => document.querySelector(`#${id} .stage`).checkVisibility())") == [
+        False,
+        True,
+    ]
+    assert started.run(clocks) == ["frame 2 of 2–5", "frame 0 of 0–2"]
     started.run("document.querySelectorAll('.stage')[1].focus()")
     started.press("\ue014", "v")
     assert started.run(clocks) == ["frame 2 of 2–5", "frame 1 of 0–2"]
     assert started.run("[...document.querySelectorAll('[data-role=view]')].map(view => view.value)") == ["cam00", "cam03"]
+    show_part(started, "group1-heat")
     started.click("#group1-heat .cells", 0.9, 0.25)
     assert started.run(clocks) == ["frame 2 of 2–5", "frame 2 of 0–2"]
     assert started.run("document.documentElement.scrollWidth") <= DESKTOP[0]
-    assert started.run("document.querySelectorAll('.contents .sort').length") == 0
     assert started.complaints() == []
 
 
 def test_everything_is_reached_by_the_tab_key(shown):
-    """Tab alone reaches heads of tables, heat maps, the stage, the scrubber and the zoom; what has the focus can be seen to."""
-    reached = set()
-    for _ in range(110):
-        shown.press("\ue004")
-        reached.add(shown.run("document.activeElement.className + '|' + (document.activeElement.dataset.role ?? '')"))
-        assert shown.run("getComputedStyle(document.activeElement).outlineStyle") != "none"
-        if "|fit" in reached and "|frame" in reached:
-            break
-    assert {"sort|", "cells|", "stage picture|", "|frame", "|view", "|closer"} <= reached
+    """Tab and enter alone reach the tabs, and in them heads of tables, heat maps, the stage, the scrubber and the zoom."""
+    expected = {
+        "compare": {"|run", "|closer-look", "stage picture|", "|frame", "|view", "|closer"},
+        "results": {"sort|"},
+        "heat": {"cells|"},
+    }
+    for name, parts in expected.items():
+        shown.focus(f".parts a[href='#{name}']")
+        shown.press("\ue007")
+        shown.focus(".rooms a")
+        reached = set()
+        for _ in range(40):
+            shown.press("\ue004")
+            reached.add(shown.run("document.activeElement.className + '|' + (document.activeElement.dataset.role ?? '')"))
+            assert shown.run("getComputedStyle(document.activeElement).outlineStyle") != "none"
+            if parts <= reached:
+                break
+        assert parts <= reached
 
 
 def test_each_link_leads_to_its_section(shown):
-    """Every link of the page leads to a heading of the same page, and brings it to the top."""
-    addresses = shown.run("[...document.querySelectorAll('a')].map(link => link.getAttribute('href'))")
-    assert {"#results", "#compare", "#through", "#curves", "#videos", "#paper", "#reproduction"} <= set(addresses)
-    for address in addresses:
-        shown.click(f"a[href='{address}']")
-        assert shown.run("location.hash") == address
-        assert shown.run("document.querySelector(arguments[0]).querySelector('.title') !== null", address)
+    """Every tab, and every place that older pages had a link to, brings what it names to the top, and to be seen."""
+    addresses = shown.run("[...document.querySelectorAll('.tabs a')].map(link => link.hash)")
+    assert addresses == [f"#{name}" for name in ("group0", "paper", *(name for name, *_ in PARTS))]
+    older = ["#through", "#errors", "#views", "#curves", "#reproduction", "#group0"]
+    for address in ["#paper", *addresses, *older]:
+        if address in older:
+            shown.run("location.hash = arguments[0]", address)
+        else:
+            shown.run("document.querySelector(`.tabs a[href='${arguments[0]}']`).click()", address)
+        shown.wait("location.hash === arguments[0] && document.querySelector(arguments[0]).checkVisibility()", address)
         shown.wait("(top => top < 80 || scrollY + innerHeight >= document.documentElement.scrollHeight - 2)("
                    "document.querySelector(arguments[0]).getBoundingClientRect().top)", address)  # fmt: skip
 
@@ -135,15 +168,19 @@ def test_each_link_leads_to_its_section(shown):
 OPENED = """(parts => parts.map(part => [0, 1].map(() => {
     part.firstElementChild.click();
     return [part.open, part.lastElementChild.checkVisibility()];
-})))([...document.querySelectorAll('details')])"""
+})))([...document.querySelectorAll('details')].filter(part => part.checkVisibility()))"""
 
 
 def test_each_part_opens_and_closes(shown):
     """Every part that is folded away shows what is in it when its head is clicked, and hides it the next time; by keys too."""
-    opened = shown.run(OPENED)
+    opened = []
+    for sheet in range(shown.run("document.querySelectorAll('.tabs a').length")):
+        shown.run("document.querySelectorAll('.tabs a')[arguments[0]].click()", sheet)
+        opened += shown.run(OPENED)
     assert len(opened) > 15
     assert all(first[0] != second[0] and is_open == is_seen for first, second in opened for is_open, is_seen in (first, second))
-    part = "#reproduction details"
+    part = "#paper details"
+    shown.run("document.querySelector('a[href=\"#paper\"]').click()")
     is_open = "document.querySelector(arguments[0]).open"
     shown.click(f"{part} summary", 0.02)
     assert shown.run(is_open, part)

@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 
-from helpers.painted_page import RED, SHAPE, STAGE, clock, wait_for_slices
+from helpers.painted_page import RED, SHAPE, STAGE, clock, show_part, wait_for_slices
 from helpers.run_folders import LABELS
 
 
@@ -55,6 +55,7 @@ def test_curves_beside_the_slices_are_of_the_chosen_metric(shown):
     drawn, listed = "[...document.querySelectorAll(arguments[0])].map(one => one.textContent)", ".linked .values b"
     values = shown.run(drawn, listed)
     assert len(values) == len(LABELS)
+    show_part(shown, "heat")
     shown.choose(".heats [data-role=metric]", "L1")
     shown.point(".cells", 0.1, 0.1)
     assert shown.text("[data-role=cell]").endswith(f"L1 {values[0]}")
@@ -62,6 +63,7 @@ def test_curves_beside_the_slices_are_of_the_chosen_metric(shown):
 
 def test_a_curve_opens_its_view_and_frame(shown):
     """A click into a curve further down brings the viewer into sight with that view and frame."""
+    show_part(shown, "heat")
     plots = "#curves details:nth-of-type(1) .plot:nth-child(2) svg"
     assert shown.run("document.querySelector(arguments[0]).dataset.view", plots) == "cam03"
     shown.click(plots, 0.97, 0.5)

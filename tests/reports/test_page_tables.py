@@ -1,24 +1,27 @@
 """Tables, sections that open, and videos of the page in a real browser."""
 
 from helpers.browser import PHONE
+from helpers.painted_page import show_part
 from helpers.run_folders import LABELS
 
 
 def names(browser, table: int = 0) -> list[str]:
     """First column of a table of results as it stands."""
-    rows = "[...document.querySelectorAll('#results table')[arguments[0]].tBodies[0].rows]"
+    rows = "[...document.querySelectorAll('#results table:not(.leaders)')[arguments[0]].tBodies[0].rows]"
     return browser.run(f"{rows}.map(row => row.cells[0].textContent)", table)
 
 
 def test_tables_sort_best_first(shown):
     """A click on a head puts the best first, a second the worst, a third the old order; published rows stay last."""
+    show_part(shown, "results")
     original = names(shown)
     grey = original[len(LABELS) :]
     assert grey
+    column = "#results table:not(.leaders) thead th:nth-child(2)"
     for sorts, state in ((original[:3][::-1], "descending"), (original[:3], "ascending"), (original[:3], "none")):
-        shown.click("#results thead th:nth-child(2) .sort")
+        shown.click(f"{column} .sort")
         assert names(shown) == [*sorts, *grey]
-        assert shown.run("document.querySelector('#results thead th:nth-child(2)').getAttribute('aria-sort')") == state
+        assert shown.run("document.querySelector(arguments[0]).getAttribute('aria-sort')", column) == state
 
 
 SORTED = """(tables => tables.flatMap(table => [...table.tHead.rows[0].cells].map((head, column) => {
@@ -28,7 +31,7 @@ SORTED = """(tables => tables.flatMap(table => [...table.tHead.rows[0].cells].ma
     head.querySelector('.sort').click();
     rows.sort((a, b) => a.rowIndex - b.rowIndex);
     return [`${table.parentElement.ariaLabel}: ${head.textContent}`, before, read(), head.ariaSort];
-})))([...document.querySelectorAll('table:not(.leaders, .contents)')].filter(table => table.tBodies[0].rows.length > 1))"""
+})))([...document.querySelectorAll('table:not(.leaders, .standings)')].filter(table => table.tBodies[0].rows.length > 1))"""
 
 
 def test_every_column_of_every_table_sorts(shown):
@@ -43,8 +46,9 @@ def test_every_column_of_every_table_sorts(shown):
 
 def test_tables_sort_by_keyboard(shown):
     """The enter key on a focused head does what a click does."""
+    show_part(shown, "results")
     before = names(shown)
-    shown.focus("#results thead th:nth-child(2) .sort")
+    shown.focus("#results table:not(.leaders) thead th:nth-child(2) .sort")
     shown.press("\ue007")
     assert names(shown)[: len(LABELS)] == before[: len(LABELS)][::-1]
 
@@ -59,9 +63,8 @@ def in_order(cells: list[list[str | None]], falls: bool) -> list[list[str | None
 
 def test_wide_tables_scroll_by_keyboard_on_a_phone(started, painted):
     """A table that is wider than a phone takes the focus, and the arrow keys move it, the name of the method staying in sight."""
-    started.visit(painted, PHONE)
-    started.click("#reproduction summary", 0.1)
-    wide = "#reproduction .scroll"
+    started.visit(painted, PHONE, place="#reproduction")
+    wide = "#reproduction"
     assert started.run("(box => box.scrollWidth > box.clientWidth)(document.querySelector(arguments[0]))", wide)
     started.focus(wide)
     started.press(*["\ue014"] * 4)
@@ -72,6 +75,7 @@ def test_wide_tables_scroll_by_keyboard_on_a_phone(started, painted):
 
 def test_videos_play(shown):
     """The page carries a video of the truth and of each method that this browser can decode and play."""
+    show_part(shown, "videos")
     videos = "[...document.querySelectorAll('#videos video')]"
     assert shown.run(f"{videos}.length") == 1 + len(LABELS)
     assert shown.run(f"{videos}.every(video => video.poster.startsWith('data:image/webp'))")

@@ -21,6 +21,8 @@ from ggvs_eval.run_folder import frame_path
 from helpers.page_reader import PageReader
 from helpers.run_folders import LABELS, NAMES, RunShape, write_run
 
+pytestmark = pytest.mark.slow
+
 SMALL = RunShape(views=("cam00",), metrics=("PSNR", "LPIPS"), poses=0)
 NASTY = '<script>alert("x")</script> & | _100%_ $x^2$ {y} \\z #1 ~'
 
@@ -122,13 +124,14 @@ def test_missing_frame_is_named(tmp_path):
 
 
 def test_single_frame_is_enough(tmp_path):
-    """A run of one frame has a report that says why there are no curves and no slices over time."""
+    """A run of one frame has a report that says once that nothing is drawn over time: no curves, heat maps, slices or videos."""
     run = write_run(
         tmp_path / "run", RunShape(frames=Frames(0, 1), metrics=("PSNR", "TCC")), not_computed={"TCC": "1 frame; needs 2"}
     )
     text = write_report([run]).read_text(encoding="utf-8")
-    assert "there is no curve" in text
-    assert "there is no slice over time" in text
+    assert text.count("nothing is drawn over it") == 1
+    assert not re.search(r'id="(curves|heat|videos)"|Over time <|over time, t downwards|<video', text)
+    assert 'id="views"' in text
     assert "not computed: 1 frame; needs 2" in text
     assert "of the only frame of each view" in text
 

@@ -46,7 +46,7 @@ def test_table_and_curves_hold_what_was_swept(sweep, page):
     ]
     assert psnr.y(30.5) < psnr.y(30.2) < psnr.y(20.2)
     assert (seconds.bounds[2], seconds.unit) == (0.0, "s")
-    drawn = page[page.index('id="sweep0"') : page.index('class="group"')]
+    drawn = page[page.index('id="sweep0"') : page.index("<article")]
     assert drawn.count("<circle") == 2 * 2 * len(KS)
     assert "Ours, K = 5: 30.5 dB" in drawn
 
@@ -64,7 +64,7 @@ def test_a_sweep_may_stand_without_its_runs(sweep, tmp_path):
     """As `tables_of` it follows the groups, says on what it was measured, and which command shows its runs."""
     page = write_report([sweep / "k2"], tmp_path / "report", tables_of=[sweep]).read_text(encoding="utf-8")
 
-    assert 'class="group"' not in page  # one run, one group, which then has no frame of its own
+    assert 'class="group-name"' not in page  # one run, one group, which then has no frame of its own
     assert page.index('id="videos"') < page.index('id="sweep0"') < page.index('id="paper"')
     assert f"ggvs-eval report {sweep}" in page
     assert "protocol tiny: 4 frames of" in page

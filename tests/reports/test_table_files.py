@@ -17,6 +17,8 @@ from ggvs_eval.reports.tables.reproduction_formats import paper_tables
 from ggvs_eval.reports.tables.table_formats import to_latex
 from helpers.run_folders import RunShape, write_run
 
+pytestmark = pytest.mark.slow
+
 ENGINE = next(filter(None, map(shutil.which, ("pdflatex", "lualatex", "xelatex", "tectonic"))), None)
 NASTY = "_100%_ & $x^2$ {y} \\z #1 ~ < > ± − ∞"
 MANY = 60  # more tables than LaTeX holds back before it has to place one

@@ -25,6 +25,8 @@ from ggvs_eval.run_folder import RunFolder, frame_path, read_json
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.film.options import DemoOptions
 
+pytestmark = pytest.mark.slow
+
 LABELS = ("no-blending", "ours-geometric")
 REGIONAL = ("PSNR_static", "PSNR_disoccluded")
 ALONG_PATH = ("EPI_coherence", "EPI_slope_error", "reprojection", "switch_ratio")
@@ -33,7 +35,7 @@ ALONG_PATH = ("EPI_coherence", "EPI_slope_error", "reprojection", "switch_ratio"
 @pytest.fixture(scope="module")
 def capture(tmp_path_factory) -> Capture:
     options = DemoOptions(width=128, height=96, n_frames=4, cameras_per_row=3, path_poses=5, supersampling=1)
-    return open_capture(write_demo(tmp_path_factory.mktemp("capture") / "demo", options))
+    return open_capture(write_demo(tmp_path_factory.mktemp("capture") / "demo", options, workers=1))
 
 
 @pytest.fixture(scope="module")

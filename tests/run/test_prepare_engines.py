@@ -17,6 +17,8 @@ from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
 from ggvs_eval.protocol import Protocol
 from helpers.small_runs import LABELS, small_protocol, write_small_capture
 
+pytestmark = pytest.mark.slow
+
 ENGINES = [Engine(2), Engine(2, "dask")]
 CLOCKED = {"job.json", "results.json", "references.json"}  # hold times or hosts beside the results
 

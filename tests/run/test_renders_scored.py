@@ -20,6 +20,8 @@ from ggvs_eval.run_folder import RunFolder, frame_path
 from helpers.captures import write_dynerf
 from helpers.render_folders import FRAMES, VIEWS, make_run, rendered, truth, write_folders
 
+pytestmark = pytest.mark.slow
+
 METRICS = ("PSNR", "L1", "TCC", "SDT", "SDV")
 
 
@@ -183,7 +185,7 @@ def test_a_run_goes_on_with_its_own_protocol(capture, protocol, theirs, tmp_path
     """Further renders need neither capture nor protocol, and can be given without a name; what is there stays."""
     command("score", "--run", tmp_path / "run", "--renders", f"a={theirs}", "--capture", capture, "--protocol", protocol)
 
-    command("score", tmp_path / "run", "--renders", theirs)
+    command("score", tmp_path / "run", "--renders", theirs, "--jobs", "1")
 
     assert set(Results.read(tmp_path / "run").table["method"]) == {"a", "theirs"}
 
@@ -191,7 +193,8 @@ def test_a_run_goes_on_with_its_own_protocol(capture, protocol, theirs, tmp_path
 def test_incomplete_renders_end_with_one_line_unless_allowed(capture, protocol, theirs, tmp_path, capsys):
     """Exit 1 with the gaps and the way out; with --allow-partial the table is followed by what the row stands on."""
     shutil.rmtree(theirs / "cam02")
-    arguments = ("score", "--run", tmp_path / "run", "--renders", f"a={theirs}", "--capture", capture, "--protocol", protocol)
+    place = ("--run", tmp_path / "run", "--capture", capture, "--protocol", protocol, "--jobs", "1")
+    arguments = ("score", "--renders", f"a={theirs}", *place)
     with pytest.raises(SystemExit) as caught:
         command(*arguments)
     message = str(caught.value.code)

@@ -26,6 +26,8 @@ from ggvs_eval.sweep import Sweep, SweepRow
 from helpers.command_line import refusal
 from helpers.small_runs import LABELS, small_options, small_protocol, write_small_capture
 
+pytestmark = pytest.mark.slow
+
 Usage = namedtuple("Usage", "total used free")
 
 

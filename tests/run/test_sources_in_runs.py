@@ -18,6 +18,8 @@ from ggvs_eval.run_folder import RunFolder, read_json
 from helpers.scenes import camera_at, look
 from helpers.stereo_scenes import write_capture
 
+pytestmark = pytest.mark.slow
+
 LABELS = ("no-blending", "distance-based")
 
 

@@ -19,11 +19,13 @@ from ggvs_eval.sweep import Sweep, SweepRow, load_sweep, packaged_sweeps
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.film.options import DemoOptions
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def capture(tmp_path_factory):
     options = DemoOptions(width=96, height=72, n_frames=2, cameras_per_row=3, path_poses=0, supersampling=1)
-    return open_capture(write_demo(tmp_path_factory.mktemp("capture") / "demo", options))
+    return open_capture(write_demo(tmp_path_factory.mktemp("capture") / "demo", options, workers=1))
 
 
 @pytest.fixture

@@ -28,6 +28,8 @@ from ggvs_eval.pipelines.sweep.run_sweep import run_sweep
 from ggvs_eval.protocol import Frames, Views, load_protocol
 from ggvs_eval.sweep import load_sweep
 
+pytestmark = pytest.mark.slow
+
 VIEWS = ("cam00", "cam01")
 LABELS = ("distance-based", "no-blending")
 JOBS = 2 * len(VIEWS) * len(LABELS)  # at K = 2 and 3

@@ -11,6 +11,8 @@ from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.film.options import DemoOptions
 from ggvs_eval.synthetic.film.shots import path_shots, rig_shots
 
+pytestmark = pytest.mark.slow
+
 TINY = DemoOptions(width=32, height=24, n_frames=3, cameras_per_row=2, path_poses=2, supersampling=1, noise_sigma_255=0.0)
 
 

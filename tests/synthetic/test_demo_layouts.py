@@ -26,6 +26,8 @@ from ggvs_eval.synthetic.layouts.d3dmv import MEDIAN_FRAMES, median_background
 from ggvs_eval.synthetic.layouts.layouts import LAYOUTS
 from helpers.scenes import render_view
 
+pytestmark = pytest.mark.slow
+
 TINY = DemoOptions(width=64, height=48, n_frames=3, cameras_per_row=2, path_poses=2)
 # One instant; rgbd has two poses of it.
 QUICK = replace(TINY, width=32, height=24, n_frames=1, supersampling=1, path_poses=1, noise_sigma_255=0.0)
@@ -140,7 +142,7 @@ def test_a_demo_that_lost_a_file_is_not_taken_for_whole(quick, tmp_path, layout)
     (damaged / lost).unlink()
 
     with pytest.raises(CaptureError, match=f"lost {lost}"):
-        write_demo(damaged, quick_options(layout))
+        write_demo(damaged, quick_options(layout), workers=1)
 
 
 def read_yaml(path, names):

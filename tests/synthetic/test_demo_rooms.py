@@ -25,6 +25,8 @@ from ggvs_eval.synthetic.film.shots import rig_shots
 from ggvs_eval.synthetic.room.room import build_room
 from helpers.captures import make_rig
 
+pytestmark = pytest.mark.slow
+
 SMALL_ROOMS = [name for name in DEMO_ROOMS if name != MAIN]
 TINY = DemoOptions(width=64, height=48, n_frames=2, cameras_per_row=3, path_poses=0, supersampling=1, depth_stride=0)
 
@@ -110,7 +112,7 @@ def test_the_grid_looks_almost_straight_ahead():
 def test_cameras_stand_in_the_free(name):
     """No camera of a demo room stands within 15 cm of furniture or of what moves."""
     options, room = DEMO_ROOMS[name], build_room(DEMO_ROOMS[name].seed)
-    points = np.concatenate([surface.mesh.vertices for surface in [*room.static, *room.at(0.0)]])
+    points = np.concatenate([surface.vertices for surface in [*room.static, *room.at(0.0)]])
 
     for shot in rig_shots(options):
         assert np.linalg.norm(points - eye_in_room(shot.camera), axis=1).min() > 0.15
@@ -139,11 +141,14 @@ def test_all_rooms_stand_on_one_page(tmp_path, small_protocols, monkeypatch):
     """Each room is rendered and evaluated beside the main one, one page shows all, and a second call computes nothing."""
     monkeypatch.setattr(demo_runs, "load_protocol", small_protocols)
     rooms = {MAIN: TINY, "demo-d3dmv": replace(TINY, layout="d3dmv", cameras_per_row=2)}
-    root, told = tmp_path / "out", []
+    root, told, shown = tmp_path / "out", [], []
 
     def run() -> Path:
         labels = {MAIN: ["no-blending", "distance-based"], "demo-d3dmv": ["no-blending"]}
-        return evaluate_demos(root, labels, 1, open_capture, rooms=rooms, announce=told.append)
+        return evaluate_demos(root, labels, 1, open_capture, rooms=rooms, announce=told.append, show=keep)
+
+    def keep(page: Path) -> None:
+        shown.append(page.read_text())
 
     page = run()
 
@@ -158,8 +163,11 @@ def test_all_rooms_stand_on_one_page(tmp_path, small_protocols, monkeypatch):
     assert all(folder.joinpath("depth").resolve() == root / "depth" for folder in over_k)
     assert text.index('id="group1"') < text.index("Quality and time over K <") < text.index('id="paper"')
     assert 'class="group-name">Demo room <span class="on">demo-k' not in text  # the runs over K lie beside, in out-k
+    datasets = [load_protocol(name).dataset.replace("'", "&#39;") for name in rooms]
+    assert [[dataset in text for dataset in datasets] for text in shown] == [[True, False], [True, True]]  # one after the other
     before = {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.png") if "report" not in file.parts}
     run()
+    assert len(shown) == len(rooms)
     assert {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.png") if "report" not in file.parts} == before
 
 

@@ -32,6 +32,8 @@ from ggvs_eval.synthetic.film.sensor import compress, defocus, denoise, mosaic_a
 from ggvs_eval.synthetic.film.shots import hand_held_shots, rig_of
 from helpers.scenes import render_view
 
+pytestmark = pytest.mark.slow
+
 SMALL = DemoOptions(width=96, height=72, n_frames=3, cameras_per_row=2, path_poses=0, supersampling=1, depth_stride=0)
 # At 3326e7f, before there were domains.
 PLAIN_NOISE, PLAIN_SPREAD = 0.7496200160267352, 0.012452947166492987

@@ -49,6 +49,7 @@ def evenly_lit(*surfaces: Surface) -> Instant:
     return Instant(geometry, None, np.ones_like(geometry.vertices), np.zeros((0, 3), np.float32), [])
 
 
+@pytest.mark.slow
 def test_equal_seeds_give_equal_bits_on_any_number_of_threads():
     """A sample is a function of its arguments alone: also where its scene is laid out and lit anew."""
     threads = cv2.getNumThreads()
@@ -64,6 +65,7 @@ def test_equal_seeds_give_equal_bits_on_any_number_of_threads():
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
 
 
+@pytest.mark.slow
 def test_seeds_give_different_pairs():
     """Another seed is another picture, of the same scene and of another one."""
     pictures = [stereo_sample(seed, 96, 64).left for seed in SEEDS[:4]]
@@ -84,6 +86,7 @@ def test_rooms_of_pairs_are_nobody_elses():
     assert scenes.FIRST_SEED > 100 * FIRST_TRAINING_SEED
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_every_pixel_has_a_possible_disparity(seed):
     """Shapes and types are as promised; disparities are finite, positive and below the limit, hidden pixels included."""
@@ -96,6 +99,7 @@ def test_every_pixel_has_a_possible_disparity(seed):
     assert 0 < pair.disparity.min() <= pair.disparity.max() <= 0.42 * 160 * (1 + 1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS[:4])
 def test_disparity_is_that_of_projection(seed):
     """Points of the left picture, projected into both cameras by `Camera`, lie on one row and a disparity apart."""
@@ -115,6 +119,7 @@ def test_disparity_is_that_of_projection(seed):
     np.testing.assert_allclose(projected[0][:, 0] - projected[1][:, 0], disparity.ravel(), atol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS[:4])
 def test_visible_is_what_rays_from_the_right_meet(seed):
     """A ray of the right camera through the match meets the point where it is visible, and something nearer where hidden."""
@@ -156,6 +161,7 @@ def test_a_card_hides_as_many_columns_as_the_disparities_differ():
     np.testing.assert_array_equal(np.flatnonzero(~visible[5]), np.arange(2))
 
 
+@pytest.mark.slow
 def test_the_warped_right_image_is_the_left_image():
     """Where the right eye sees a point it shows the left eye's colour, but for gloss; one pixel aside it does not."""
     close, at_match, beside = [], [], []
@@ -171,6 +177,7 @@ def test_the_warped_right_image_is_the_left_image():
     assert np.mean(beside) > 2 * np.mean(at_match)
 
 
+@pytest.mark.slow
 def test_the_disparity_is_exact_to_a_fraction_of_a_pixel():
     """The best match of the images lies at the stated disparity, not beside it, on whatever side."""
     for shift in (-0.25, 0.25):
@@ -225,6 +232,7 @@ def test_the_two_cameras_differ():
     assert max(noises) > 2.5
 
 
+@pytest.mark.slow
 def test_paint_is_changed_but_for_what_shines():
     """No share leaves all materials, the whole share replaces those that send out no light."""
     lamp = Material(plain((0.9, 0.9, 0.9)), emission=1.0)
@@ -237,6 +245,7 @@ def test_paint_is_changed_but_for_what_shines():
     assert len({skin.texture.tobytes() for skin in scenes.skins()}) > 0.8 * scenes.SKINS
 
 
+@pytest.mark.slow
 def test_pairs_are_of_many_kinds():
     """Among a dozen pairs: small and large disparities, shallow and deep views, much and little that is hidden."""
     taken = [clean_sample(seed) for seed in SEEDS]

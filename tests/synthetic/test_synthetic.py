@@ -18,7 +18,11 @@ from ggvs_eval.synthetic.film.options import DemoOptions
 from ggvs_eval.synthetic.film.rig import UNITS_PER_METRE, eye_in_room, rays_in_room, rig, sideways_path
 from ggvs_eval.synthetic.film.sensor import camera_gains
 from ggvs_eval.synthetic.film.shots import rig_shots
+from ggvs_eval.synthetic.room.lighting import LitRoom
+from ggvs_eval.synthetic.room.room import build_room
 from helpers.scenes import render_view
+
+pytestmark = pytest.mark.slow
 
 TINY = DemoOptions(width=64, height=48, n_frames=3, cameras_per_row=2, path_poses=2)
 CLEAN = replace(TINY, noise_sigma_255=0.0, exposure_spread=0.0)
@@ -191,10 +195,17 @@ def test_exposure_differs_between_cameras_only_when_wanted():
 
 def test_another_seed_is_another_room(cameras, instants):
     """Rooms of different seeds differ all over the picture, in colour and depth."""
-    other = lit_room.__wrapped__(7).at(0.0)
+    other = LitRoom(build_room(7)).at(0.0)
     (image, depth), (image_7, depth_7) = (render_view(instant, cameras[0]) for instant in (instants[0], other))
     assert (np.abs(image - image_7).max(axis=-1) > 0.05).mean() > 0.5
     assert (np.abs(depth - depth_7) > 0.1).mean() > 0.5
+
+
+def test_rooms_of_the_tests_are_lit_as_all_rooms_are(instants):
+    """The light that tests share on disk has the bits of light that is cast anew."""
+    fresh = LitRoom(build_room(TINY.seed)).at(0.4)
+    assert (fresh.static_light == instants[1].static_light).all()
+    assert (fresh.moving_light == instants[1].moving_light).all()
 
 
 def test_path_moves_along_the_image_rows(cameras):

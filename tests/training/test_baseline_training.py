@@ -23,6 +23,8 @@ from ggvs_eval.training.instant_samples import read_instant
 from ggvs_eval.training.loop import TrainingOptions, train
 from helpers.stereo_scenes import write_capture
 
+pytestmark = pytest.mark.slow
+
 WIDTH, HEIGHT = 100, 75
 PLAN = RoomPlan(rooms=1, targets=2, views=3, other_views=(), other_share=0.0, width=WIDTH, height=HEIGHT)
 VALIDATION = replace(validation_plan(3, "sgbm", targets=1), rooms=1, width=WIDTH, height=HEIGHT)

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from ggvs_eval.pipelines.online.blend_maps import RawViews, raw_views
 from ggvs_eval.pipelines.training.blend.blend_augmentation import Augmentation, augment, displaced
+from ggvs_eval.pipelines.training.samples.blend_samples import RawViews, raw_views
 from helpers.blender_inputs import inputs_of
 from helpers.scenes import camera_at, instant, look
 

@@ -22,6 +22,8 @@ from ggvs_eval.training.card import write_card
 from ggvs_eval.training.loop import TrainingOptions, train
 from helpers.stereo_scenes import HEIGHT, WIDTH, plane_depth, write_capture
 
+pytestmark = pytest.mark.slow
+
 PLAN = RoomPlan(rooms=1, targets=2, views=2, other_views=(), other_share=0.0, width=WIDTH, height=HEIGHT)
 VALIDATION = replace(validation_plan(2, "sgbm", targets=1), rooms=1, width=WIDTH, height=HEIGHT)
 CONFIG = BlendNetworkOptions(views=3, width=4)  # one more than the samples have

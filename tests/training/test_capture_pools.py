@@ -17,6 +17,8 @@ from ggvs_eval.pipelines.training.samples.sample_kinds import BlendSampleKind, C
 from helpers.places import SHARED
 from helpers.stereo_scenes import HEIGHT, WIDTH, look_from, plane_depth, see_plane, write_capture
 
+pytestmark = pytest.mark.slow
+
 HOLOLENS = SHARED / "data" / "hololens_rgbd"
 NUMBERS = [*range(10, 20), *range(22, 40), *range(43, 46)]
 PLAN = CapturePlan(targets=3, views=3, span=12, gap=2, width=WIDTH, height=HEIGHT)

@@ -19,6 +19,8 @@ from ggvs_eval.pipelines.training.train_one import CACHE, requested_data
 from ggvs_eval.synthetic.domains import DOMAINS
 from helpers.stereo_scenes import write_capture
 
+pytestmark = pytest.mark.slow
+
 REQUEST = TrainingRequest(
     steps=2, views=2, size="small", rooms=1, targets=1, domains=("plain", "narrow"), device="cpu", workers=0
 )

@@ -21,6 +21,8 @@ from ggvs_eval.training.log import draw_curves
 from ggvs_eval.training.loop import TrainingOptions, train
 from ggvs_eval.training.task import Schedule
 
+pytestmark = pytest.mark.slow
+
 
 @dataclass(frozen=True)
 class LineTask:

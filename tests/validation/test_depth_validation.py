@@ -33,6 +33,8 @@ from ggvs_eval.synthetic.film.depth import DepthWriter, depth_path
 from ggvs_eval.synthetic.film.options import DemoOptions
 from helpers.stereo_scenes import PLANE, look_from, plane_depth, random_texture, see_plane, write_capture
 
+pytestmark = pytest.mark.slow
+
 CAMERA = look_from(0, 0, "camera")
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from ggvs_eval.arrays import Array, Array32
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import CaptureError
+from ggvs_eval.kernels.portable import blur, cos, product, rotation_about, sin, unit
 from ggvs_eval.synthetic.film.options import DemoOptions
 from ggvs_eval.synthetic.film.rig import UNITS_PER_METRE
 
@@ -93,14 +94,12 @@ def misplaced(options: DemoOptions, camera: Camera, image_width: int) -> Camera:
         Offset and rotation are one direction and one axis for the whole sequence, as of a sensor that is mounted wrongly. A
         positive offset along x shifts the depth map to the right of the image.
     """
-    from scipy.spatial.transform import Rotation
-
     angle, axis = _mounting(options)
     K, pose = camera.K.copy(), camera.world_to_camera.copy()
     shift_px = options.depth_offset_px * camera.width / image_width
-    K[:2, 2] += shift_px * np.array([np.cos(angle), np.sin(angle)])
+    K[:2, 2] += shift_px * np.array([cos(angle), sin(angle)])
     if options.depth_rotation_rad:
-        pose[:3] = Rotation.from_rotvec(options.depth_rotation_rad * axis).as_matrix() @ pose[:3]
+        pose[:3] = product(rotation_about(options.depth_rotation_rad, axis), pose[:3])
     return replace(camera, K=K, world_to_camera=pose)
 
 
@@ -115,7 +114,7 @@ def measured(options: DemoOptions, depth: Array32, number: int) -> Array32:
     if not options.depth_noise:
         return depth
     rng = np.random.default_rng([options.seed, 12, number])
-    grain = cv2.GaussianBlur(rng.standard_normal(depth.shape, np.float32), (0, 0), CORRELATED_PX)
+    grain = blur(rng.standard_normal(depth.shape, np.float32), CORRELATED_PX)
     grain /= max(float(grain.std()), 1e-6)
     depth_m = depth / np.float32(UNITS_PER_METRE)
     noisy = depth + grain * depth_m**2 * np.float32(options.depth_noise * UNITS_PER_METRE)
@@ -128,4 +127,4 @@ def _mounting(options: DemoOptions) -> tuple[float, Array]:
     """Direction of the offset in the image, radians, and axis of the rotation, unit length, (3,)."""
     rng = np.random.default_rng([options.seed, 13])
     axis = rng.standard_normal(3)
-    return float(rng.uniform(0, 2 * np.pi)), axis / np.linalg.norm(axis)
+    return float(rng.uniform(0, 2 * np.pi)), unit(axis)

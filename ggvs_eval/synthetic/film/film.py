@@ -109,9 +109,14 @@ class Footage:
         return self.shot.sensor.expose(picture.image, noise)
 
 
-@lru_cache(maxsize=1)
 def lit_room(seed: int, scene: SceneName = "room") -> LitRoom:
-    """The room or garden of a seed, lit; kept, as it takes seconds."""
+    """Light the room or garden of a seed; the last one is kept, as it takes seconds."""
+    return _lit_room(seed, scene)
+
+
+@lru_cache(maxsize=1)
+def _lit_room(seed: int, scene: SceneName) -> LitRoom:
+    # lru_cache takes lit_room(0) and lit_room(0, "room") for two rooms.
     return LitRoom(build_garden(seed) if scene == "garden" else build_room(seed))
 
 

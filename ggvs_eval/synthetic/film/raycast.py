@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Array, Array32
 from ggvs_eval.camera import Camera
+from ggvs_eval.kernels.portable import shrink
 from ggvs_eval.synthetic.film.rig import UNITS_PER_METRE, directions_in_room, eye_in_room, rays_in_room, room_to_world
 from ggvs_eval.synthetic.room.geometry import Geometry
 from ggvs_eval.synthetic.room.lighting import Instant
@@ -134,7 +135,7 @@ class View:
     def _averaged(self, fine: Array32) -> Array32:
         """Mean over the rays of each pixel, (H, W, ...)."""
         image = fine.reshape(self._fine.camera.height, self._fine.camera.width, *fine.shape[1:])
-        return np.asarray(cv2.resize(image, self.camera.size, interpolation=cv2.INTER_AREA), np.float32)
+        return shrink(image, self.camera.height, self.camera.width)
 
     def _update_static(self, instant: Instant) -> None:
         """Shade those static samples again whose light is another than at the last call."""

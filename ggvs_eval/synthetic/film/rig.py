@@ -9,6 +9,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Array, Array32
 from ggvs_eval.camera import Camera
+from ggvs_eval.kernels.portable import arctan, cos, inverse, product, rotation_about, sin, transformed, unit
 
 UNITS_PER_METRE = 10.5
 FOCAL_PER_WIDTH = 0.543
@@ -92,15 +93,14 @@ def _pose(along: float, below: float, radius: float, rng: np.random.Generator, c
 
     `care` scales how far the mounting is off, so that cameras close to one another stay in their row.
     """
-    from scipy.spatial.transform import Rotation
-
     yaw = along / radius
-    centre = np.array([radius * np.sin(yaw), below, radius * (1 - np.cos(yaw))]) + rng.normal(0, 0.05, 3) * care
+    centre = np.array([radius * sin(yaw), below, radius * (1 - cos(yaw))]) + rng.normal(0, 0.05, 3) * care
     drop_m = TOP_ROW_M - centre[1] / UNITS_PER_METRE - AIM_M[2]
-    angles = np.array([-yaw, -np.arctan2(drop_m, AIM_M[1]), 0.0]) + rng.normal(0, 0.012, 3)
-    camera_to_world = Rotation.from_euler("YXZ", angles).as_matrix()
+    angles = np.array([-yaw, -arctan(drop_m / AIM_M[1]), 0.0]) + rng.normal(0, 0.012, 3)
+    about_y, about_x, about_z = (rotation_about(angles[n], np.eye(3)[axis]) for n, axis in enumerate((1, 0, 2)))
+    camera_to_world = product(about_y, product(about_x, about_z))
     world_to_camera = np.eye(4)
-    world_to_camera[:3, :3], world_to_camera[:3, 3] = camera_to_world.T, -camera_to_world.T @ centre
+    world_to_camera[:3, :3], world_to_camera[:3, 3] = camera_to_world.T, transformed(-camera_to_world.T, centre)
     return world_to_camera
 
 
@@ -129,12 +129,12 @@ def in_metres(camera: Camera) -> Camera:
 
 def eye_in_room(camera: Camera) -> Array32:
     """Centre of a camera in the room frame, metres, (3,)."""
-    return (WORLD_TO_ROOM[:3, :3] @ camera.centre + WORLD_TO_ROOM[:3, 3]).astype(np.float32)
+    return room_from_world(camera.centre).astype(np.float32)
 
 
 def rays_in_room(camera: Camera) -> Array32:
     """Rays of all pixels in the room frame whose length is one world unit of depth, (H * W, 3)."""
-    right, down, forward = (camera.rotation @ WORLD_TO_ROOM[:3, :3].T).astype(np.float32)
+    right, down, forward = product(camera.rotation, WORLD_TO_ROOM[:3, :3].T).astype(np.float32)
     x = ((np.arange(camera.width) + 0.5 - camera.K[0, 2]) / camera.K[0, 0]).astype(np.float32)
     y = ((np.arange(camera.height) + 0.5 - camera.K[1, 2]) / camera.K[1, 1]).astype(np.float32)
     rays = x[None, :, None] * right + (y[:, None, None] * down + forward)
@@ -143,18 +143,18 @@ def rays_in_room(camera: Camera) -> Array32:
 
 def directions_in_room(camera: Camera, positions: Array) -> Array32:
     """Rays through positions on the plane of depth 1, camera frame, (N, 2), as `rays_in_room` gives those of pixels, (N, 3)."""
-    directions = np.concatenate([positions, np.ones_like(positions[:, :1])], axis=1) @ camera.rotation
-    return np.asarray(directions @ WORLD_TO_ROOM[:3, :3].T, np.float32)
+    directions = transformed(camera.rotation.T, np.concatenate([positions, np.ones_like(positions[:, :1])], axis=1))
+    return np.asarray(transformed(WORLD_TO_ROOM[:3, :3], directions), np.float32)
 
 
 def room_to_world(points_m: Array32) -> Array:
     """Points of the room, metres, in the world's units, (N, 3)."""
-    return (points_m - WORLD_TO_ROOM[:3, 3]) @ np.linalg.inv(WORLD_TO_ROOM[:3, :3]).T
+    return transformed(inverse(WORLD_TO_ROOM[:3, :3]), points_m - WORLD_TO_ROOM[:3, 3])
 
 
 def room_from_world(points: Array) -> Array:
     """Points of the world in the room, metres, (N, 3)."""
-    return points @ WORLD_TO_ROOM[:3, :3].T + WORLD_TO_ROOM[:3, 3]
+    return transformed(WORLD_TO_ROOM[:3, :3], points) + WORLD_TO_ROOM[:3, 3]
 
 
 def hand_held_poses(
@@ -188,21 +188,20 @@ def hand_held_poses(
     poses = []
     for index in range(count):
         turn = 2 * np.pi * SWINGS_HZ * (index + later_s * fps) / fps
-        centre = np.array([0.0, ROW_GAP / 2, 0.0]) + spacing * REACH * np.sin(turn + phase[0])
-        target = aim + sway * AIM_SWAY * np.sin(0.7 * turn + phase[1])
-        pose = _look_at(centre, target, ROLL_RAD * float(np.sin(turn[0] + phase[1, 0])))
+        centre = np.array([0.0, ROW_GAP / 2, 0.0]) + spacing * REACH * sin(turn + phase[0])
+        target = aim + sway * AIM_SWAY * sin(0.7 * turn + phase[1])
+        pose = _look_at(centre, target, ROLL_RAD * float(sin(turn[0] + phase[1, 0])))
         poses.append(Camera(str(index), intrinsics(width, height), pose, width, height, near, far))
     return poses
 
 
 def _look_at(centre: Array, target: Array, roll_rad: float) -> Array:
     """World to camera, (4, 4), from a centre towards a target; the world's y points down."""
-    forward = (target - centre) / np.linalg.norm(target - centre)
-    right = np.cross((0.0, 1.0, 0.0), forward)
-    right /= np.linalg.norm(right)
+    forward = unit(target - centre)
+    right = unit(np.cross((0.0, 1.0, 0.0), forward))
     down = np.cross(forward, right)
-    cosine, sine = np.cos(roll_rad), np.sin(roll_rad)
+    cosine, sine = cos(roll_rad), sin(roll_rad)
     pose = np.eye(4)
     pose[:3, :3] = [cosine * right + sine * down, cosine * down - sine * right, forward]
-    pose[:3, 3] = -pose[:3, :3] @ centre
+    pose[:3, 3] = transformed(-pose[:3, :3], centre)
     return pose

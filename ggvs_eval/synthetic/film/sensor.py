@@ -1,5 +1,6 @@
 """What a sensor makes of a rendered picture: its gain, its noise, and its own picture-making where it has one."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -7,6 +8,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Array32, Image8
 from ggvs_eval.files.images import quantise
+from ggvs_eval.kernels.portable import blur, exp, power
 from ggvs_eval.synthetic.film.options import DemoOptions
 
 # A telephone indoors, at processing 1: electrons of a white pixel, and the noise of reading one, electrons.
@@ -17,6 +19,8 @@ WHITE_BALANCE: Array32 = np.array([1.9, 1.0, 1.6], np.float32)
 COLOUR_LEVELS, BRIGHTNESS_LEVELS, DENOISED_PX = 0.08, 0.03, 1.5
 # The unsharp mask: how much of what a blur takes away is added.
 SHARPENING, SHARPENED_PX = 0.8, 1.0
+# Share of red, green and blue in brightness.
+LUMA: Array32 = np.array([0.299, 0.587, 0.114], np.float32)
 LARGEST = np.iinfo(np.uint16).max
 # The lowest raw level, of the largest: noise around black must not be cut off.
 BLACK_LEVEL = 0.02
@@ -28,8 +32,12 @@ def defocus(linear: Array32, radius_px: float) -> Array32:
         return linear
     reach = int(np.ceil(radius_px + 0.5))
     y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
-    disc = np.clip(radius_px + 0.5 - np.hypot(x, y), 0, 1).astype(np.float32)
-    return np.asarray(cv2.filter2D(linear, -1, disc / disc.sum(), borderType=cv2.BORDER_REFLECT_101), np.float32)
+    disc = np.clip(radius_px + 0.5 - np.sqrt(x * x + y * y), 0, 1).astype(np.float32)
+    disc /= disc.sum()
+    spread = np.zeros_like(linear)
+    for weight, moved in zip(disc.ravel(), _moved(linear, reach), strict=True):
+        spread += weight * moved
+    return spread
 
 
 def mosaic_and_back(linear: Array32, strength: float, noise: np.random.Generator) -> Array32:
@@ -57,18 +65,48 @@ def mosaic_and_back(linear: Array32, strength: float, noise: np.random.Generator
 
 def denoise(image: Array32, strength: float) -> Array32:
     """Smooth an sRGB picture, (H, W, 3), within its edges: colour strongly, brightness a little."""
-    parts = cv2.cvtColor(np.clip(image, 0, 1), cv2.COLOR_RGB2YCrCb)
-    brightness = cv2.bilateralFilter(parts[..., 0], 5, BRIGHTNESS_LEVELS * strength, DENOISED_PX)
-    # The filter takes one or three channels: brightness leads colour across its edges.
-    colour = cv2.bilateralFilter(parts, 7, COLOUR_LEVELS * strength, 2 * DENOISED_PX)[..., 1:]
-    return np.asarray(cv2.cvtColor(np.dstack([brightness, colour]), cv2.COLOR_YCrCb2RGB), np.float32)
+    image = np.clip(image, 0, 1)
+    grey = brightness(image)[..., None]
+    colour = (image - grey)[..., ::2]  # of red and blue
+    smooth = _bilateral(grey, grey, 2, BRIGHTNESS_LEVELS * strength, DENOISED_PX)
+    # Brightness leads colour across its edges.
+    guide = np.concatenate([grey, 0.6 * colour], axis=-1)
+    red, blue = np.moveaxis(_bilateral(guide, colour, 3, COLOUR_LEVELS * strength, 2 * DENOISED_PX), -1, 0)
+    green = -(LUMA[0] * red + LUMA[2] * blue) / LUMA[1]
+    return np.asarray(smooth + np.stack([red, green, blue], axis=-1), np.float32)
 
 
 def sharpen(image: Array32, strength: float) -> Array32:
     """Unsharp mask on the brightness of an sRGB picture, (H, W, 3), with its halos."""
-    brightness = cv2.cvtColor(np.clip(image, 0, 1), cv2.COLOR_RGB2GRAY)
-    detail = brightness - cv2.GaussianBlur(brightness, (0, 0), SHARPENED_PX)
+    grey = brightness(np.clip(image, 0, 1))
+    detail = grey - blur(grey, SHARPENED_PX)
     return np.asarray(image + (SHARPENING * strength) * detail[..., None], np.float32)
+
+
+def brightness(image: Array32) -> Array32:
+    """Luma of an sRGB picture, (H, W, 3), after BT.601, (H, W)."""
+    return LUMA[0] * image[..., 0] + LUMA[1] * image[..., 1] + LUMA[2] * image[..., 2]
+
+
+def _bilateral(guide: Array32, values: Array32, reach: int, levels: float, spread_px: float) -> Array32:
+    """Mean of the values, (H, W, C), by distance in the picture and in the guide (Tomasi and Manduchi 1998)."""
+    total, sums = np.zeros_like(values[..., :1]), np.zeros_like(values)
+    offsets = [(row - reach) ** 2 + (column - reach) ** 2 for row, column in np.ndindex(2 * reach + 1, 2 * reach + 1)]
+    for squared_px, guiding, moved in zip(offsets, _moved(guide, reach), _moved(values, reach), strict=True):
+        if squared_px <= reach**2:
+            away = np.abs(guiding - guide).sum(axis=-1, keepdims=True) / np.float32(levels)
+            weight = exp(np.float32(-0.5) * away * away - np.float32(0.5 * squared_px / spread_px**2))
+            total += weight
+            sums += weight * moved
+    return sums / total
+
+
+def _moved(image: Array32, reach: int) -> Iterator[Array32]:
+    """The picture moved by up to `reach` pixels up and left, row by row, mirrored at its border."""
+    height, width = image.shape[:2]
+    padded = np.pad(image, ((reach, reach), (reach, reach), (0, 0)), mode="reflect")
+    for row, column in np.ndindex(2 * reach + 1, 2 * reach + 1):
+        yield padded[row : row + height, column : column + width]
 
 
 def compress(image: Image8, quality: int) -> Image8:
@@ -81,13 +119,13 @@ def compress(image: Image8, quality: int) -> Image8:
 
 def to_linear(image: Array32) -> Array32:
     """Linear light of sRGB in [0, 1], any shape."""
-    return np.where(image <= 0.04045, image / 12.92, ((image + 0.055) / 1.055) ** 2.4).astype(np.float32)
+    return np.where(image <= 0.04045, image / 12.92, power((image + 0.055) / 1.055, 2.4)).astype(np.float32)
 
 
 def to_srgb(linear: Array32) -> Array32:
     """SRGB of linear light, any shape; what is below black or above white is cut off."""
     linear = np.clip(linear, 0, 1)
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055).astype(np.float32)
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * power(linear, 1 / 2.4) - 0.055).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)

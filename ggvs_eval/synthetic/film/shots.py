@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ggvs_eval.camera import Camera
+from ggvs_eval.kernels.portable import product, rotation_by
 from ggvs_eval.synthetic.film.options import DemoOptions
 from ggvs_eval.synthetic.film.raycast import Coefficients
 from ggvs_eval.synthetic.film.rig import GRID_YAW_RAD, OUTERMOST_YAW_RAD, arc_rig, hand_held_poses, rig, sideways_path
@@ -123,12 +124,10 @@ def noted_camera(options: DemoOptions, camera: Camera, name: str, number: int) -
         A rotation about the camera's own centre by a vector whose three components are normal with a standard deviation of
         error / focal length: the image's centre moves by the error along rows and along columns.
     """
-    from scipy.spatial.transform import Rotation
-
     K, world_to_camera = camera.K.copy(), camera.world_to_camera.copy()
     K[[0, 1], [0, 1]] *= dict(options.focal_error).get(name, 1.0)
     if options.calibration_error_px:
         rng = np.random.default_rng([options.seed, 6, number])
-        turn = Rotation.from_rotvec(rng.standard_normal(3) * options.calibration_error_px / camera.focal_px).as_matrix()
-        world_to_camera[:3] = turn @ world_to_camera[:3]
+        turn = rotation_by(rng.standard_normal(3) * options.calibration_error_px / camera.focal_px)
+        world_to_camera[:3] = product(turn, world_to_camera[:3])
     return replace(camera, K=K, world_to_camera=world_to_camera)

@@ -3,12 +3,13 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Array, Image8
 from ggvs_eval.camera import Camera
+from ggvs_eval.kernels.portable import rotation_vector
+from ggvs_eval.lens import Lens
 from ggvs_eval.synthetic.film.film import PARTS, Footage, Frame, lit_room
 from ggvs_eval.synthetic.film.options import DemoOptions
 from ggvs_eval.synthetic.film.raycast import Coefficients
@@ -60,8 +61,8 @@ def _write_calibration(folder: Path, cameras: Sequence[Camera], lenses: Sequence
     for name, camera, lens in zip(names, cameras, lenses, strict=True):
         intrinsics += [matrix_entry(f"K_{name}", _opencv_K(camera)), matrix_entry(f"dist_{name}", np.array(lens)[:, None])]
         intrinsics += [number_entry(f"H_{name}", camera.height), number_entry(f"W_{name}", camera.width)]
-        vector, _ = cv2.Rodrigues(camera.rotation)
-        extrinsics += [matrix_entry(f"R_{name}", np.asarray(vector)), matrix_entry(f"Rot_{name}", camera.rotation)]
+        vector = rotation_vector(camera.rotation)[:, None]
+        extrinsics += [matrix_entry(f"R_{name}", vector), matrix_entry(f"Rot_{name}", camera.rotation)]
         extrinsics += [matrix_entry(f"T_{name}", camera.translation[:, None])]
     write_yaml(folder / "intri.yml", intrinsics)
     write_yaml(folder / "extri.yml", extrinsics)
@@ -99,10 +100,8 @@ def _background_points(footage: Footage, empty: Frame) -> NDArray[np.void]:
 
 def _colours(image: Image8, camera: Camera, lens: Sequence[float], uv: Array) -> Image8:
     """Colour of undistorted positions, (N, 2), where the lens puts them in its image, (N, 3)."""
-    rays = camera.unproject(uv, np.ones(len(uv)))
-    vector, _ = cv2.Rodrigues(camera.rotation)
-    distorted, _ = cv2.projectPoints(rays, vector, camera.translation, camera.K, np.array(lens))
-    column, row = np.floor(distorted.reshape(-1, 2)).astype(int).T
+    distorted = Lens(camera.K, "opencv", tuple(lens), *camera.size).distort(uv, camera.K)
+    column, row = np.floor(distorted).astype(int).T
     return np.asarray(image[np.clip(row, 0, camera.height - 1), np.clip(column, 0, camera.width - 1)])
 
 

@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from ggvs_eval.kernels.portable import cos, length, sin
 from ggvs_eval.synthetic.room.surfaces import Material, Surface, box, ellipsoid, moved, rod, rotation, translation, turned
 from ggvs_eval.synthetic.room.textures import Colour, bands, mottled, plain
 
@@ -40,8 +41,8 @@ def bottle(rng: np.random.Generator) -> list[Surface]:
     colours = [glass, (0.9, 0.87, 0.78) if rng.random() < 0.6 else some_colour(rng), glass, some_colour(rng)]
     around = 2 * np.pi * radius
     profile = BOTTLE * (radius, height)
-    length = float(np.linalg.norm(np.diff(profile, axis=0), axis=1).sum())
-    skin = Material(bands(rng, (around, length), colours, [0.24, 0.55, 0.8]), (around, length), 0.6, 90)
+    along = float(length(np.diff(profile, axis=0)).sum())
+    skin = Material(bands(rng, (around, along), colours, [0.24, 0.55, 0.8]), (around, along), 0.6, 90)
     return [turned(profile, skin)]
 
 
@@ -52,7 +53,7 @@ def cup(rng: np.random.Generator) -> list[Surface]:
     outline = np.array([(0, 0), (0.9, 0), (1, 0.5), (1, 1), (0.9, 1), (0.88, 0.8)])
     body = turned(outline * (radius, height), clay)
     drink = turned([(0.89 * radius, 0.8 * height), (1e-4, 0.8 * height)], Material(plain((0.2, 0.12, 0.07)), specular=0.4))
-    knots = [(radius + 0.024 * np.sin(a), 0, height * 0.52 + 0.03 * np.cos(a)) for a in np.linspace(0, np.pi, 7)]
+    knots = [(radius + 0.024 * sin(a), 0, height * 0.52 + 0.03 * cos(a)) for a in np.linspace(0, np.pi, 7)]
     handle = [rod(a, b, (0.005, 0.005), clay, 8) for a, b in pairwise(knots)]
     return moved([body, drink, *handle], rotation(rng.uniform(-1.2, 1.2), (0, 0, 1)))
 
@@ -66,7 +67,7 @@ def fruit_bowl(rng: np.random.Generator) -> list[Surface]:
         angle, ring = index * 2 * np.pi / 5, 0.52 * radius if index < 5 else 0.16 * radius
         size = rng.uniform(0.032, 0.042)
         skin = Material(mottled(rng, FRUIT[rng.integers(len(FRUIT))], 0.1, 0.03), (0.5, 0.5), 0.25, 30)
-        at = (ring * np.cos(angle), ring * np.sin(angle), 0.3 * radius + size + (0.04 if index > 4 else 0.0))
+        at = (ring * cos(angle), ring * sin(angle), 0.3 * radius + size + (0.04 if index > 4 else 0.0))
         parts.append(ellipsoid((size, size, size * rng.uniform(0.85, 1.15)), skin, 20).moved(translation(*at)))
     return parts
 

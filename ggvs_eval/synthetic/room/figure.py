@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ggvs_eval.arrays import Array
+from ggvs_eval.kernels.portable import cos, power, product, sin, unit
 from ggvs_eval.synthetic.room.surfaces import Material, Surface, ellipsoid, moved, rod, rotation, sheet, translation
 from ggvs_eval.synthetic.room.textures import Colour, fabric, mottled, plain
 
@@ -48,12 +49,12 @@ class Figure:
 
     def surfaces(self, time_s: float) -> list[Surface]:
         """The body at an instant, room frame."""
-        sway = np.sin(2 * np.pi * 0.55 * time_s + self.phase_rad)
+        sway = sin(2 * np.pi * 0.55 * time_s + self.phase_rad)
         lean = rotation(0.05 * sway, (0, 1, 0), (0, 0, 0.9))
         upper = [*self._trunk(), *self._head(time_s), *self._gesturing_arm(time_s), *self._working_arm(time_s)]
         turn = rotation(0.12 * sway, (0, 0, 1))
         place = translation(self.place[0] + 0.07 * sway, self.place[1], 0)
-        return moved([*moved(upper, turn @ lean), *self._legs(0.07 * sway)], place)
+        return moved([*moved(upper, product(turn, lean)), *self._legs(0.07 * sway)], place)
 
     def _trunk(self) -> list[Surface]:
         rings = np.array(TRUNK)
@@ -61,7 +62,7 @@ class Figure:
         wide, deep = (np.interp(height, rings[:, 0], rings[:, k])[:, None] for k in (1, 2))
         angle = np.linspace(0, 2 * np.pi, 37)[None]
         # A superellipse is squarer than an ellipse, as a chest is.
-        x, y = (np.sign(f(angle)) * np.abs(f(angle)) ** 0.88 for f in (np.cos, np.sin))
+        x, y = (np.sign(f(angle)) * power(np.abs(f(angle)), 0.88) for f in (cos, sin))
         points = np.stack([wide * x, deep * y, height[:, None] + 0 * x], -1)
         uv = np.stack([angle * 0.16 + 0 * wide, height[:, None] + 0 * angle], -1)
         return [sheet(points, uv, self.shirt, closed=True), rod((0, 0.01, 1.47), (0, 0, 1.56), (0.052, 0.05), self.skin)]
@@ -79,34 +80,33 @@ class Figure:
             parts.append(ellipsoid((0.014, 0.007, 0.009), dark, 12).moved(translation(0.032 * side, -0.083, 0.018)))
             parts.append(ellipsoid((0.02, 0.006, 0.005), self.hair, 12).moved(translation(0.032 * side, -0.083, 0.041)))
             parts.append(ellipsoid((0.012, 0.022, 0.032), self.skin, 12).moved(translation(0.077 * side, 0.005, 0.0)))
-        nod = rotation(0.1 + 0.06 * np.sin(2 * np.pi * 0.9 * time_s), (1, 0, 0))
-        turn = rotation(0.35 * np.sin(2 * np.pi * 0.45 * time_s + self.phase_rad), (0, 0, 1))
-        return moved(parts, translation(0, -0.012, 1.65) @ turn @ nod)
+        nod = rotation(0.1 + 0.06 * sin(2 * np.pi * 0.9 * time_s), (1, 0, 0))
+        turn = rotation(0.35 * sin(2 * np.pi * 0.45 * time_s + self.phase_rad), (0, 0, 1))
+        return moved(parts, product(translation(0, -0.012, 1.65), product(turn, nod)))
 
     def _gesturing_arm(self, time_s: float) -> list[Surface]:
-        swing = np.sin(2 * np.pi * 1.1 * time_s + self.phase_rad)
+        swing = sin(2 * np.pi * 1.1 * time_s + self.phase_rad)
         outward = self._direction(lift_rad=-0.15 + 0.25 * swing, forward_rad=0.5)
         upward = self._direction(lift_rad=1.25 - 0.6 * swing, forward_rad=0.45)
         return self._arm(self.side, outward, upward)
 
     def _working_arm(self, time_s: float) -> list[Surface]:
         circle = 2 * np.pi * 0.9 * time_s + 2 * self.phase_rad
-        down = np.array([0.25, -0.35 - 0.08 * np.cos(circle), -0.9])
-        ahead = np.array([-0.35 + 0.25 * np.sin(circle), -0.85, -0.1 + 0.15 * np.cos(circle)])
+        down = np.array([0.25, -0.35 - 0.08 * cos(circle), -0.9])
+        ahead = np.array([-0.35 + 0.25 * sin(circle), -0.85, -0.1 + 0.15 * cos(circle)])
         mirror = np.array([-self.side, 1, 1])
         return self._arm(-self.side, down * mirror, ahead * mirror)
 
     def _direction(self, lift_rad: float, forward_rad: float) -> Array:
-        level = np.array([self.side * np.cos(forward_rad), -np.sin(forward_rad), 0.0])
-        return np.cos(lift_rad) * level + np.sin(lift_rad) * np.array([0.0, 0.0, 1.0])
+        level = np.array([self.side * cos(forward_rad), -sin(forward_rad), 0.0])
+        return cos(lift_rad) * level + sin(lift_rad) * np.array([0.0, 0.0, 1.0])
 
     def _arm(self, side: int, upper: Array, fore: Array) -> list[Surface]:
-        upper, fore = upper / np.linalg.norm(upper), fore / np.linalg.norm(fore)
+        upper, fore = unit(upper), unit(fore)
         shoulder = np.array([0.175 * side, 0.0, 1.375])
         elbow = shoulder + UPPER_ARM_M * upper
         wrist = elbow + FOREARM_M * fore
-        across = np.cross(fore, (0.0, 1.0, 0.3))
-        across /= np.linalg.norm(across)
+        across = unit(np.cross(fore, (0.0, 1.0, 0.3)))
         parts = [rod(shoulder, elbow, (0.06, 0.046), self.shirt), rod(elbow, elbow + 0.12 * fore, (0.047, 0.044), self.shirt)]
         parts.append(rod(elbow + 0.1 * fore, wrist, (0.038, 0.027), self.skin))
         parts.append(rod(wrist, wrist + 0.085 * fore, (0.028, 0.034), self.skin))
@@ -122,7 +122,7 @@ class Figure:
             hip, foot = np.array([0.09 * side, 0.0, 0.88]), np.array([0.12 * side - shift, 0.02, 0.07])
             knee = (hip + foot) / 2 + (0.0, -0.03, 0.02)
             parts += [rod(hip, knee, (0.085, 0.06), self.trousers), rod(knee, foot, (0.06, 0.05), self.trousers)]
-            parts.append(ellipsoid((0.05, 0.13, 0.05), self.hair).moved(translation(*foot) @ translation(0, -0.06, -0.02)))
+            parts.append(ellipsoid((0.05, 0.13, 0.05), self.hair).moved(translation(*np.add(foot, (0, -0.06, -0.02)))))
         return parts
 
 

@@ -5,6 +5,8 @@ from collections.abc import Callable
 import numpy as np
 
 from ggvs_eval.arrays import Array
+from ggvs_eval.kernels.portable import cos, power, sin, unit
+from ggvs_eval.kernels.portable import length as length_of
 from ggvs_eval.synthetic.room import textures
 from ggvs_eval.synthetic.room.surfaces import Material, Surface, blades, rod, sheet
 
@@ -45,7 +47,7 @@ def reeds(rng: np.random.Generator, place: Place, height: float) -> list[Surface
     count, along = int(rng.integers(30, 50)), np.linspace(0, 1, 10)
     spines = _curves(rng, place, count, height, bend=0.4, points=len(along), spread=0.09)
     turn = rng.uniform(0, 2 * np.pi, count)
-    across = np.stack([np.cos(turn), np.sin(turn), 0 * turn], -1)[:, None, None]  # (N, 1, 1, 3)
+    across = np.stack([cos(turn), sin(turn), 0 * turn], -1)[:, None, None]  # (N, 1, 1, 3)
     half = 0.0045 * np.clip(1.15 - along, 0.05, 1)[None, :, None, None] * np.array([-1, 0, 1])[None, None, :, None]
     uv = np.stack(np.meshgrid([0, 0.005, 0.01], along * height), -1)
     return [blades(spines[:, :, None] + half * across, uv, _leaf_material(rng))]
@@ -61,7 +63,7 @@ def twigs(rng: np.random.Generator, place: Place, height: float) -> list[Surface
             end = start + step
             parts.append(rod(start, end, (radius, 0.8 * radius), bark, 6))
             for _ in range(2):
-                turned = step + rng.normal(0, 0.42, 3) * np.linalg.norm(step) * (1, 0.7, 0.6)
+                turned = step + rng.normal(0, 0.42, 3) * length_of(step) * (1, 0.7, 0.6)
                 grown.append((end, turned * rng.uniform(0.66, 0.86) * (1, 0.85, 1), max(0.72 * radius, 0.002)))
         tips = grown
     return parts
@@ -74,7 +76,7 @@ def tree(rng: np.random.Generator, place: Place) -> list[Surface]:
     trunk = rod((*place, 0), (place[0], place[1], 0.7 * height), (0.09, 0.05), bark)
     count = 600
     direction = rng.standard_normal((count, 3))
-    direction *= (rng.uniform(0.35, 1, count) ** 0.5 / np.linalg.norm(direction, axis=1))[:, None]
+    direction *= (np.sqrt(rng.uniform(0.35, 1, count)) / length_of(direction))[:, None]
     centres = np.array([*place, 0.75 * height]) + direction * (0.95, 0.8, 0.8)
     return [trunk, _leaves(rng, centres, rng.uniform(-1, 1, (count, 3)), 0.18, rows=3)]
 
@@ -107,7 +109,7 @@ def _curves(
     along = np.linspace(0, 1, points)[None]
     foot = np.array(place) + rng.normal(0, spread, (count, 2))
     reach = out[:, None] * along**2
-    x, y = foot[:, :1] + np.cos(angle)[:, None] * reach, foot[:, 1:] + np.sin(angle)[:, None] * reach
+    x, y = foot[:, :1] + cos(angle)[:, None] * reach, foot[:, 1:] + sin(angle)[:, None] * reach
     return np.stack([x, y, tall[:, None] * along * (1 - 0.18 * along**2)], -1)
 
 
@@ -125,19 +127,18 @@ def _leaves_along(rng: np.random.Generator, stems: Array, per_stem: int, length:
     weight = (share - before)[..., None]
     places = (1 - weight) * stems[rows, before] + weight * stems[rows, before + 1]
     angle = rng.uniform(0, 2 * np.pi, share.shape)
-    pointing = np.stack([np.cos(angle), np.sin(angle), rng.uniform(-0.3, 0.7, share.shape)], -1)
+    pointing = np.stack([cos(angle), sin(angle), rng.uniform(-0.3, 0.7, share.shape)], -1)
     return [_leaves(rng, places.reshape(-1, 3), pointing.reshape(-1, 3), length)]
 
 
 def _leaves(rng: np.random.Generator, places: Array, pointing: Array, length: float, rows: int = 4) -> Surface:
     """One leaf at each place, (N, 3), growing in its direction, (N, 3), bent downwards."""
-    along = pointing / np.linalg.norm(pointing, axis=1, keepdims=True)
-    across = np.cross(along, (0, 0, 1)) + 1e-6
-    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    along = unit(pointing)
+    across = unit(np.cross(along, (0, 0, 1)) + 1e-6)
     tilt = rng.uniform(-0.7, 0.7, (len(places), 1))
-    across = across * np.cos(tilt) + np.cross(along, across) * np.sin(tilt)
+    across = across * cos(tilt) + np.cross(along, across) * sin(tilt)
     u, v = np.meshgrid(np.linspace(0, 1, rows), np.linspace(-1, 1, 3), indexing="ij")
-    half = rng.uniform(0.16, 0.26) * np.sin(np.pi * np.clip(0.04 + 0.94 * u, 0, 1)) ** 0.8 * v
+    half = rng.uniform(0.16, 0.26) * power(sin(np.pi * np.clip(0.04 + 0.94 * u, 0, 1)), 0.8) * v
     size = length * rng.uniform(0.6, 1.2, (len(places), 1, 1, 1))
     spread = u[..., None] * along[:, None, None] + half[..., None] * across[:, None, None]
     sag = np.stack([0 * u, 0 * u, 0.12 * np.abs(v) * half - 0.35 * u**2], -1)

@@ -6,6 +6,7 @@ Each function builds the piece standing on z = 0 around x = y = 0 with its front
 import numpy as np
 
 from ggvs_eval.arrays import Image8
+from ggvs_eval.kernels.portable import cos, power, product, sin
 from ggvs_eval.synthetic.room.surfaces import (
     Material,
     Surface,
@@ -99,18 +100,18 @@ def plant(rng: np.random.Generator, pot: Material, green: Colour, leaves: int, h
     for index in range(leaves):
         angle, share = index * 2.4 + rng.uniform(-0.3, 0.3), (index + 0.5) / leaves
         reach, rise = rng.uniform(0.1, 0.28) * (1.2 - share), 0.25 + (height - 0.3) * (0.2 + 0.8 * share)
-        base = np.array([reach * np.cos(angle), reach * np.sin(angle), rise])
-        parts.append(rod((0.02 * np.cos(angle), 0.02 * np.sin(angle), 0.2), base, (0.005, 0.003), leaf_kinds[0], 6))
+        base = np.array([reach * cos(angle), reach * sin(angle), rise])
+        parts.append(rod((0.02 * cos(angle), 0.02 * sin(angle), 0.2), base, (0.005, 0.003), leaf_kinds[0], 6))
         blade = _leaf(rng.uniform(0.2, 0.34), rng.uniform(0.05, 0.09), rng.uniform(0.5, 1.3), leaf_kinds[index % 3])
-        parts += moved(blade, translation(*base) @ rotation(angle, (0, 0, 1)))
+        parts += moved(blade, product(translation(*base), rotation(angle, (0, 0, 1))))
     return parts
 
 
 def _leaf(length: float, width: float, bend: float, material: Material) -> list[Surface]:
     along, across = np.meshgrid(np.linspace(0, 1, 9), np.linspace(-1, 1, 5), indexing="ij")
-    half = width * np.sin(np.pi * np.clip(along * 0.94 + 0.04, 0, 1)) ** 0.8
+    half = width * power(sin(np.pi * np.clip(along * 0.94 + 0.04, 0, 1)), 0.8)
     angle = 0.7 - bend * along
-    x, z = np.cumsum(np.cos(angle), 0) * length / 9, np.cumsum(np.sin(angle), 0) * length / 9
+    x, z = np.cumsum(cos(angle), 0) * length / 9, np.cumsum(sin(angle), 0) * length / 9
     points = np.stack([x, across * half, z + 0.25 * np.abs(across) * half], -1)
     uv = np.stack([along * length, across * half], -1)
     return [sheet(points - (0, 0, 0.001), uv, material), sheet(points[:, ::-1], uv[:, ::-1], material)]
@@ -131,7 +132,7 @@ def framed_picture(image: Image8, width: float, frame: Material) -> list[Surface
 def curtain(width: float, height: float, folds: int, material: Material) -> list[Surface]:
     """Curtain in folds, its rail at the given height, seen from both sides."""
     u, v = np.meshgrid(np.linspace(0, 1, folds * 8 + 1), np.linspace(0, 1, 24))
-    depth = 0.035 * np.sin(2 * np.pi * folds * u) * (0.5 + 0.5 * (1 - v))
+    depth = 0.035 * sin(2 * np.pi * folds * u) * (0.5 + 0.5 * (1 - v))
     points = np.stack([(u - 0.5) * width, depth, v * height], -1)
     uv = np.stack([u * width * 1.6, v * height], -1)
     back = sheet(points[:, ::-1] + (0, 0.002, 0), uv[:, ::-1], material)

@@ -6,6 +6,7 @@ Room frame: metres, x right, y away from the cameras, z up; the rig stands aroun
 import numpy as np
 
 from ggvs_eval.arrays import Array, Image8
+from ggvs_eval.kernels.portable import cos, product, sin, unit
 from ggvs_eval.synthetic.room import foliage, textures
 from ggvs_eval.synthetic.room.figure import random_figure
 from ggvs_eval.synthetic.room.movers import Mover
@@ -52,7 +53,7 @@ def _ground(rng: np.random.Generator) -> list[Surface]:
     slab = Material(textures.mottled(rng, (0.55, 0.53, 0.5), 0.12), (0.5, 0.5))
     turn = float(rng.uniform(-0.4, 0.4))
     slabs = [side for k in range(9) for side in box((-0.24, 0.7 * k, 0), (0.24, 0.7 * k + 0.6, 0.02), slab, 0.12)]
-    return [far, near, *moved(slabs, translation(float(rng.uniform(-0.6, 0.6)), 1.2, 0) @ rotation(turn, (0, 0, 1)))]
+    return [far, near, *moved(slabs, product(translation(float(rng.uniform(-0.6, 0.6)), 1.2, 0), rotation(turn, (0, 0, 1))))]
 
 
 def _grass(rng: np.random.Generator) -> Image8:
@@ -67,7 +68,7 @@ def _backdrop(rng: np.random.Generator) -> list[Surface]:
     """Sky, clouds and a line of trees on a cylinder around the garden."""
     size = (2 * SKY_HALF_RAD * SKY_RADIUS_M, SKY_TOP_M - SKY_BOTTOM_M)
     angle, height = np.meshgrid(np.linspace(-SKY_HALF_RAD, SKY_HALF_RAD, 73), np.linspace(SKY_BOTTOM_M, SKY_TOP_M, 13))
-    points = np.stack([SKY_RADIUS_M * np.sin(angle), SKY_CENTRE_Y_M + SKY_RADIUS_M * np.cos(angle), height], -1)
+    points = np.stack([SKY_RADIUS_M * sin(angle), SKY_CENTRE_Y_M + SKY_RADIUS_M * cos(angle), height], -1)
     uv = np.stack([(angle + SKY_HALF_RAD) * SKY_RADIUS_M, height - SKY_BOTTOM_M], -1)
     return [sheet(points, uv, Material(_horizon(rng, size), size, emission=0.9))]
 
@@ -102,7 +103,7 @@ def _house(rng: np.random.Generator) -> list[Surface]:
     ridge = np.array([0, depth / 2 + 0.3, 1.9])
     parts.append(panel((-width / 2 - 0.3, -0.35, height - 0.05), (width + 0.6, 0, 0), ridge, tiles, 0.4))
     place = translation(float(rng.uniform(-3.5, 3.5)), float(rng.uniform(8, 11)), 0)
-    return moved(parts, place @ rotation(float(rng.uniform(-0.35, 0.35)), (0, 0, 1)))
+    return moved(parts, product(place, rotation(float(rng.uniform(-0.35, 0.35)), (0, 0, 1))))
 
 
 def _house_window(x: float, white: Material, glass: Material) -> list[Surface]:
@@ -120,7 +121,7 @@ def _fence(rng: np.random.Generator) -> list[Surface]:
     parts: list[Surface] = []
     for x in np.arange(-5.0, 5.0, 0.16):
         slat = box((-0.02, 0, 0), (0.02, 0.012, float(rng.uniform(0.85, 0.95))), grain, 0.2)
-        parts += moved(slat, translation(float(x), 4.1, 0) @ rotation(float(rng.normal(0, 0.015)), (0, 1, 0)))
+        parts += moved(slat, product(translation(float(x), 4.1, 0), rotation(float(rng.normal(0, 0.015)), (0, 1, 0))))
     for z in (0.25, 0.75):
         parts += box((-5.0, 4.112, z), (5.0, 4.13, z + 0.05), grain, 0.2)
     return parts
@@ -137,7 +138,7 @@ def _swaying_branch(rng: np.random.Generator) -> Mover:
     axis = (0.4, 1.0, 0.0)
 
     def at(time_s: float) -> list[Surface]:
-        angle_rad = 0.06 * float(np.sin(2 * np.pi * 0.6 * time_s + phase_rad))
+        angle_rad = 0.06 * float(sin(2 * np.pi * 0.6 * time_s + phase_rad))
         return moved(parts, rotation(angle_rad, axis, (x, 1.25, 0.0)))
 
     return at
@@ -145,13 +146,11 @@ def _swaying_branch(rng: np.random.Generator) -> Mover:
 
 def _sun(rng: np.random.Generator) -> Light:
     """The sun behind and beside the cameras, a small disc."""
-    direction = np.array([float(rng.uniform(-0.8, 0.8)), float(rng.uniform(-0.8, -0.2)), float(rng.uniform(0.8, 1.2))])
-    direction /= np.linalg.norm(direction)
+    direction = unit(rng.uniform((-0.8, -0.8, 0.8), (0.8, -0.2, 1.2)))
     angle = 2.4 * np.arange(SUN_POINTS)
     radius = SUN_RADIUS_M * np.sqrt((np.arange(SUN_POINTS) + 0.5) / SUN_POINTS)
-    across = np.cross(direction, (0, 0, 1))
-    across /= np.linalg.norm(across)
-    offsets = radius[:, None] * (np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * np.cross(direction, across))
+    across = unit(np.cross(direction, (0, 0, 1)))
+    offsets = radius[:, None] * (cos(angle)[:, None] * across + sin(angle)[:, None] * np.cross(direction, across))
     return Light(SUN_M * direction + offsets + (0, 2, 0), None, lambda time_s: SUNSHINE * SUN_M**2)
 
 
@@ -160,5 +159,5 @@ def _sky() -> Light:
     index, radius_m = np.arange(SKY_POINTS) + 0.5, 0.9 * SKY_RADIUS_M
     height, angle = 0.15 + 0.85 * index / SKY_POINTS, index * np.pi * (3 - np.sqrt(5))
     flat = np.sqrt(1 - height**2)
-    points: Array = radius_m * np.stack([flat * np.cos(angle), flat * np.sin(angle), height], -1) + (0, SKY_CENTRE_Y_M, 0)
+    points: Array = radius_m * np.stack([flat * cos(angle), flat * sin(angle), height], -1) + (0, SKY_CENTRE_Y_M, 0)
     return Light(points, None, lambda time_s: 2 * SKYLIGHT * radius_m**2)

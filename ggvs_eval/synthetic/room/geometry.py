@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Array32
+from ggvs_eval.kernels._film import RayTree
 from ggvs_eval.synthetic.room.surfaces import Material, Surface
 
 
@@ -47,15 +48,15 @@ class Geometry:
     def __init__(self, surfaces: Sequence[Surface]) -> None:
         sizes = [len(surface.uv) for surface in surfaces]
         self.first_vertex = np.cumsum([0, *sizes[:-1]])
-        self.vertices: Array32 = np.concatenate([s.mesh.vertices for s in surfaces]).astype(np.float32)
-        self.normals: Array32 = np.concatenate([s.mesh.vertex_normals for s in surfaces]).astype(np.float32)
+        self.vertices: Array32 = np.concatenate([s.vertices for s in surfaces]).astype(np.float32)
+        self.normals: Array32 = np.concatenate([s.normals for s in surfaces]).astype(np.float32)
         self.uv: Array32 = np.concatenate([s.uv for s in surfaces]).astype(np.float32)
-        faces = [s.mesh.faces + first for s, first in zip(surfaces, self.first_vertex, strict=True)]
+        faces = [s.faces + first for s, first in zip(surfaces, self.first_vertex, strict=True)]
         self.faces = np.concatenate(faces).astype(np.int32)
         kinds = {id(surface.material): surface.material for surface in surfaces}
         order = {key: index for index, key in enumerate(kinds)}
         self.materials: list[Material] = list(kinds.values())
-        self.material = np.repeat([order[id(s.material)] for s in surfaces], [len(s.mesh.faces) for s in surfaces])
+        self.material = np.repeat([order[id(s.material)] for s in surfaces], [len(s.faces) for s in surfaces])
 
     @cached_property
     def bounds(self) -> tuple[Array32, Array32]:
@@ -69,16 +70,13 @@ class Geometry:
             origins: (N, 3) or (3,), metres.
             directions: (N, 3), any length.
         """
-        answer = self._scene.cast_rays(self._rays(origins, directions), nthreads=1)
-        distance = answer["t_hit"].numpy()
-        ray = np.flatnonzero(np.isfinite(distance))
-        second_third = answer["primitive_uvs"].numpy()[ray]
-        weights = np.concatenate([1 - second_third.sum(axis=1, keepdims=True), second_third], axis=1)
-        return Hits(ray, distance[ray], answer["primitive_ids"].numpy()[ray].astype(np.int32), weights)
+        distance, face, weights = self._tree.cast(*_rows(origins, directions))
+        ray = np.flatnonzero(face >= 0)
+        return Hits(ray, distance[ray], face[ray], weights[ray])
 
     def blocks(self, origins: Array32, directions: Array32, reach: float = 1.0) -> NDArray[np.bool_]:
         """Whether something lies on each ray within `reach` times its direction, the first and last percent left out."""
-        return self._scene.test_occlusions(self._rays(origins, directions), 0.005 * reach, 0.99 * reach, nthreads=1).numpy()
+        return self._tree.blocks(*_rows(origins, directions), 0.005 * reach, 0.99 * reach)
 
     def at_hits(self, per_vertex: Array32, hits: Hits) -> Array32:
         """Interpolate a value of the vertices, (V, C), to hits, (N, C)."""
@@ -86,19 +84,10 @@ class Geometry:
         return np.einsum("nk,nkc->nc", hits.corner_weights, per_vertex.take(corners, axis=0))
 
     @cached_property
-    def _scene(self):  # type: ignore[no-untyped-def]
-        from open3d import core
-        from open3d.t.geometry import RaycastingScene
+    def _tree(self) -> RayTree:
+        return RayTree(self.vertices, self.faces)
 
-        # One thread builds the same tree every time, and the demo runs one process per core.
-        scene = RaycastingScene(nthreads=1)
-        scene.add_triangles(core.Tensor.from_numpy(self.vertices), core.Tensor.from_numpy(self.faces.astype(np.uint32)))
-        return scene
 
-    @staticmethod
-    def _rays(origins: Array32, directions: Array32):  # type: ignore[no-untyped-def]
-        from open3d import core
-
-        rays = np.empty((len(directions), 6), np.float32)
-        rays[:, :3], rays[:, 3:] = origins, directions
-        return core.Tensor.from_numpy(rays)
+def _rows(origins: Array32, directions: Array32) -> tuple[Array32, Array32]:
+    """Origins, (1, 3) or (N, 3), and directions, (N, 3), as they lie in memory."""
+    return np.ascontiguousarray(np.atleast_2d(origins), np.float32), np.ascontiguousarray(directions, np.float32)

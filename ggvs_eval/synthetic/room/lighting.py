@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Array32
+from ggvs_eval.kernels.portable import cos, power, product, sin, transformed, unit
 from ggvs_eval.synthetic.room.geometry import Geometry
 from ggvs_eval.synthetic.room.room import Room
 from ggvs_eval.synthetic.room.surfaces import Material
@@ -52,12 +53,9 @@ class LitRoom:
         self._points = np.concatenate([light.points for light in room.lights]).astype(np.float32)  # (S, 3)
         self._light_of_point = np.repeat(np.arange(len(room.lights)), [len(light.points) for light in room.lights])
         self._directions = hemisphere(AMBIENT_DIRECTIONS)
-        self._transfer = self._direct_transfer(self.static, self.static)  # (V, S)
-        seen = self._seen_faces(self.static, self.static.vertices, self.static.normals)  # (V, A)
         self._albedo = np.stack([mean_albedo(material) for material in self.static.materials])[self.static.material]  # (F, 3)
-        direct = _sum_over_points(self._transfer, self._power(0.0))
-        self._radiosity, self._ambient = self._bounce(direct, seen)
-        self._resting_light = direct + self._ambient
+        self._transfer, self._radiosity, self._ambient = self._bake()  # (V, S), (F + 1, 3), (V, 3)
+        self._resting_light = _sum_over_points(self._transfer, self._power(0.0)) + self._ambient
 
     def at(self, time_s: float) -> Instant:
         """The lit room at an instant."""
@@ -77,6 +75,12 @@ class LitRoom:
         """The instant of which `at` gave these two, without computing them again."""
         moving, highlights = Geometry(self.room.at(time_s)), self._highlights(self._power(time_s))
         return Instant(self.static, moving, static_light, moving_light, highlights)
+
+    def _bake(self) -> tuple[Array32, Array32, Array32]:
+        """Light what stands still: transfer to vertices (V, S), what each face sends out (F + 1, 3), what bounces (V, 3)."""
+        transfer = self._direct_transfer(self.static, self.static)
+        faces = self._seen_faces(self.static, self.static.vertices, self.static.normals)  # (V, A)
+        return transfer, *self._bounce(_sum_over_points(transfer, self._power(0.0)), faces)
 
     def _power(self, time_s: float) -> Array32:
         """Power of each sample point, (S, 3)."""
@@ -102,10 +106,10 @@ class LitRoom:
 
     def _form_factor(self, index: int, towards: Array32, normals: Array32) -> Array32:
         squared = np.einsum("vc,vc->v", towards, towards)
-        factor = np.maximum(np.einsum("vc,vc->v", towards, normals), 0.0) / squared**1.5
+        factor = np.maximum(np.einsum("vc,vc->v", towards, normals), 0.0) / (squared * np.sqrt(squared))
         normal = self.room.lights[self._light_of_point[index]].normal
         if normal is not None:
-            factor *= np.maximum(-(towards @ normal.astype(np.float32)), 0.0) / np.sqrt(squared)
+            factor *= np.maximum(-transformed(normal[None].astype(np.float32), towards)[:, 0], 0.0) / np.sqrt(squared)
         # A lamp is no point: nearer than its own size the inverse square would run away.
         return np.minimum(factor, 60.0)
 
@@ -169,26 +173,29 @@ def hemisphere(count: int) -> Array32:
     """Directions around +z whose density falls with the cosine, (count, 3): a Fibonacci spiral."""
     index = np.arange(count) + 0.5
     radius, angle = np.sqrt(index / count), index * np.pi * (3 - np.sqrt(5))
-    return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1 - radius**2)], -1).astype(np.float32)
+    return np.stack([radius * cos(angle), radius * sin(angle), np.sqrt(1 - radius**2)], -1).astype(np.float32)
 
 
 def around(normals: Array32, directions: Array32) -> Array32:
     """Directions (A, 3) around +z turned about each normal (V, 3), (V, A, 3)."""
     helper = np.where(np.abs(normals[:, 2:]) < 0.9, np.array([[0, 0, 1]], np.float32), np.array([[1, 0, 0]], np.float32))
-    first = np.cross(helper, normals)
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    first = unit(np.cross(helper, normals))
     frame = np.stack([first, np.cross(normals, first), normals], axis=1)  # (V, 3, 3), rows are the axes
-    return (directions[None] @ frame).astype(np.float32)
+    turned = directions[:, 0, None] * frame[:, None, 0]  # (V, A, 3)
+    for axis in (1, 2):
+        turned += directions[:, axis, None] * frame[:, None, axis]
+    return turned
 
 
 def mean_albedo(material: Material) -> Array32:
     """Mean linear albedo of a material, (3,)."""
-    return ((material.texture[::4, ::4].reshape(-1, 3) / 255.0) ** 2.2).mean(axis=0).astype(np.float32)
+    linear = power(np.arange(256) / 255.0, 2.2)
+    return linear[material.texture[::4, ::4].reshape(-1, 3)].mean(axis=0).astype(np.float32)
 
 
 def _sum_over_points(transfer: Array32, power: Array32) -> Array32:
-    """Irradiance (V, 3) of transfer (V, S) and power (S, 3); einsum sums in one order on any number of threads, @ may not."""
-    return np.einsum("vs,sc->vc", transfer, power)
+    """Irradiance (V, 3) of transfer (V, S) and power (S, 3)."""
+    return product(transfer, power)
 
 
 def _chunks(count: int) -> list[slice]:

@@ -2,10 +2,10 @@
 
 from collections.abc import Callable
 
-import cv2
 import numpy as np
 
 from ggvs_eval.arrays import Array
+from ggvs_eval.kernels.portable import length, product, sin
 from ggvs_eval.synthetic.room.surfaces import Material, Surface, box, ellipsoid, moved, panel, rod, rotation, translation, turned
 from ggvs_eval.synthetic.room.textures import bands, picture, plain
 
@@ -28,7 +28,7 @@ def rolling_ball(rng: np.random.Generator, start: tuple[float, float, float], sp
 
     def at(time_s: float) -> list[Surface]:
         x = speed * time_s
-        return [ball.moved(translation(start[0] + x, start[1], start[2] + radius) @ rotation(x / radius, (0, 1, 0)))]
+        return [ball.moved(product(translation(start[0] + x, start[1], start[2] + radius), rotation(x / radius, (0, 1, 0))))]
 
     return at
 
@@ -41,20 +41,20 @@ def swinging_door(hinge: tuple[float, float, float], width: float, height: float
     leaf += [rod((width - 0.04, -0.03, height / 2), (width - 0.04, -0.018, height / 2), (0.006, 0.006), knob, 8)]
 
     def at(time_s: float) -> list[Surface]:
-        angle = -0.75 - 0.45 * np.sin(2 * np.pi * 0.6 * time_s + phase_rad)
-        return moved(leaf, translation(*hinge) @ rotation(angle, (0, 0, 1)))
+        angle = -0.75 - 0.45 * sin(2 * np.pi * 0.6 * time_s + phase_rad)
+        return moved(leaf, product(translation(*hinge), rotation(angle, (0, 0, 1))))
 
     return at
 
 
 def screen_colour(time_s: float, phase_rad: float) -> Array:
     """Tint of the screen's picture at an instant, (3,)."""
-    return 0.65 + 0.35 * np.sin(2 * np.pi * 0.8 * time_s + phase_rad + np.array([0.0, 2.1, 4.2]))
+    return 0.65 + 0.35 * sin(2 * np.pi * 0.8 * time_s + phase_rad + np.array([0.0, 2.1, 4.2]))
 
 
 def screen(name: str, corner: tuple[float, float, float], width: float, height: float, phase_rad: float) -> Mover:
     """A flat screen facing -y that shows a panning photograph in changing colours; its lower left corner is given."""
-    photo = cv2.resize(picture(name), (512, 288), interpolation=cv2.INTER_AREA)
+    photo = picture(name, 512, 288)
 
     def at(time_s: float) -> list[Surface]:
         panned = np.roll(np.concatenate([photo, photo[:, ::-1]], axis=1), -round(160 * time_s), axis=1)[:, :512]
@@ -66,7 +66,7 @@ def screen(name: str, corner: tuple[float, float, float], width: float, height: 
 
 def flame_strength(time_s: float) -> float:
     """Brightness of the flame at an instant, around 1."""
-    return float(1 + 0.22 * np.sin(2 * np.pi * 3.1 * time_s) + 0.12 * np.sin(2 * np.pi * 7.3 * time_s + 1))
+    return float(1 + 0.22 * sin(2 * np.pi * 3.1 * time_s) + 0.12 * sin(2 * np.pi * 7.3 * time_s + 1))
 
 
 def flame(rng: np.random.Generator, wick: tuple[float, float, float]) -> Mover:
@@ -77,9 +77,8 @@ def flame(rng: np.random.Generator, wick: tuple[float, float, float]) -> Mover:
     def at(time_s: float) -> list[Surface]:
         strength = flame_strength(time_s)
         size = (0.011, 0.042 * strength)
-        length = float(np.linalg.norm(np.diff(profile * size, axis=0), axis=1).sum())
-        glow = Material(texture, (0.05, length), emission=3.0 * strength)
-        lean = rotation(0.25 * np.sin(2 * np.pi * 1.9 * time_s), (0.4, 1, 0))
-        return [turned(profile * size, glow, 16).moved(translation(*wick) @ lean)]
+        glow = Material(texture, (0.05, float(length(np.diff(profile * size, axis=0)).sum())), emission=3.0 * strength)
+        lean = rotation(0.25 * sin(2 * np.pi * 1.9 * time_s), (0.4, 1, 0))
+        return [turned(profile * size, glow, 16).moved(product(translation(*wick), lean))]
 
     return at

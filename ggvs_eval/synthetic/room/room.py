@@ -10,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from ggvs_eval.arrays import Array
+from ggvs_eval.kernels.portable import cos, product, sin
 from ggvs_eval.synthetic.room import clutter, furniture, movers, shell, textures
 from ggvs_eval.synthetic.room.figure import random_figure
 from ggvs_eval.synthetic.room.surfaces import Material, Surface, box, moved, rotation, translation
@@ -86,7 +87,7 @@ class _Layout:
         return palette[int(self.rng.integers(len(palette)))]
 
     def _add(self, parts: list[Surface], x: float, y: float, z: float = 0.0, turn_rad: float = 0.0) -> None:
-        self.static += moved(parts, translation(x, y, z) @ rotation(turn_rad, (0, 0, 1)))
+        self.static += moved(parts, product(translation(x, y, z), rotation(turn_rad, (0, 0, 1))))
 
     def _window(self) -> None:
         width, height, y, z = self.rng.uniform(1.0, 1.3), self.rng.uniform(1.1, 1.3), 1.35, 0.95
@@ -181,7 +182,7 @@ class _Layout:
         tall, corner = self.rng.uniform(1.5, 1.65), -self.rng.uniform(0.5, 0.68) * self.shelf_side
         self._add(furniture.floor_lamp(tall, metal, shade), corner, self.back - 0.3)
         self._add(furniture.pendant_lamp(shell.CEILING_M, 0.35, metal, shade), 0.35 * self.side, 1.7)
-        bulb = 0.05 * np.stack([np.cos(np.arange(6)), np.sin(np.arange(6)), 0.4 * np.cos(2 * np.arange(6))], -1)
+        bulb = 0.05 * np.stack([cos(np.arange(6)), sin(np.arange(6)), 0.4 * cos(2 * np.arange(6))], -1)
         for place, power in (
             ((corner, self.back - 0.3, tall - 0.08), 0.55),
             ((0.35 * self.side, 1.7, shell.CEILING_M - 0.5), 1.1),

@@ -3,11 +3,11 @@
 from functools import lru_cache
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Array32
+from ggvs_eval.kernels.portable import exp, power, shrink, unit
 from ggvs_eval.synthetic.room.geometry import Geometry, Hits
 from ggvs_eval.synthetic.room.lighting import Highlight
 from ggvs_eval.synthetic.room.surfaces import Material
@@ -15,7 +15,7 @@ from ggvs_eval.synthetic.room.surfaces import Material
 EXPOSURE = 1.0
 LOBE_EDGE = 0.8
 TO_LINEAR: Array32 = np.where(
-    np.arange(256) <= 10, np.arange(256) / 255 / 12.92, ((np.arange(256) / 255 + 0.055) / 1.055) ** 2.4
+    np.arange(256) <= 10, np.arange(256) / 255 / 12.92, power((np.arange(256) / 255 + 0.055) / 1.055, 2.4)
 ).astype(np.float32)
 
 
@@ -86,8 +86,7 @@ def sample_texture(material: Material, uv: Array32, footprint_m: float) -> Array
 def _linear_texture(material: Material, factor: int) -> Array32:
     """Linear texture reduced by an integer factor, (h, w, 3)."""
     width, height = (max(1, size // factor) for size in material.texture.shape[1::-1])
-    reduced = cv2.resize(TO_LINEAR[material.texture], (width, height), interpolation=cv2.INTER_AREA)
-    return np.asarray(reduced, np.float32).reshape(height, width, 3)
+    return shrink(TO_LINEAR[material.texture], height, width)
 
 
 def _wrapped(index: Array32, size: int) -> NDArray[np.int32]:
@@ -119,29 +118,25 @@ def _mirrored(
     geometry: Geometry, hits: Hits, finish: Finish, irradiance: Array32, highlights: list[Highlight], rays: Array32
 ) -> Array32:
     """Highlights after Blinn and Phong, (N, 3); the diffuse light stands in for their shadows."""
-    normals = _unit(geometry.at_hits(geometry.normals, hits))
+    normals = unit(geometry.at_hits(geometry.normals, hits))
     points = geometry.at_hits(geometry.vertices, hits)
-    view, total = -_unit(rays), np.zeros_like(points)
-    for position, power in highlights:
+    view, total = -unit(rays), np.zeros_like(points)
+    for position, strength in highlights:
         towards = position - points
         squared = np.einsum("nc,nc->n", towards, towards)
-        half = _unit(towards / np.sqrt(squared)[:, None] + view)
+        half = unit(towards / np.sqrt(squared)[:, None] + view)
         cosine = np.einsum("nc,nc->n", half, normals)
         # Beyond this angle even the broadest lobe in use is black.
         rows = np.flatnonzero(cosine > LOBE_EDGE)
-        unshadowed = np.maximum(np.einsum("nc,nc->n", towards[rows], normals[rows]), 0) / squared[rows] ** 1.5
-        seen = np.clip(irradiance[rows, 1] / (power[1] * unshadowed + 0.05), 0, 1)
+        unshadowed = np.maximum(np.einsum("nc,nc->n", towards[rows], normals[rows]), 0) / (squared[rows] * np.sqrt(squared[rows]))
+        seen = np.clip(irradiance[rows, 1] / (strength[1] * unshadowed + 0.05), 0, 1)
         shininess = finish.shininess[rows]
-        lobe = (cosine[rows] - LOBE_EDGE) / (1 - LOBE_EDGE) * cosine[rows] ** shininess * (shininess + 8) / 25
-        total[rows] += (finish.specular[rows] * lobe * seen / np.maximum(squared[rows], 0.3))[:, None] * power
+        lobe = (cosine[rows] - LOBE_EDGE) / (1 - LOBE_EDGE) * power(cosine[rows], shininess) * (shininess + 8) / 25
+        total[rows] += (finish.specular[rows] * lobe * seen / np.maximum(squared[rows], 0.3))[:, None] * strength
     return total
 
 
 def expose(linear: Array32) -> Array32:
-    """Picture of linear light as a camera gives it: a soft shoulder, then the sRGB curve; (H, W, 3) in [0, 1]."""
-    exposed = 1 - np.exp(-EXPOSURE * linear)
-    return np.where(exposed <= 0.0031308, 12.92 * exposed, 1.055 * exposed ** (1 / 2.4) - 0.055).astype(np.float32)
-
-
-def _unit(vectors: Array32) -> Array32:
-    return vectors / np.sqrt(np.einsum("nc,nc->n", vectors, vectors))[:, None]
+    """Picture of linear light as a camera gives it: a soft shoulder, then the sRGB curve; any shape, in [0, 1]."""
+    exposed = 1 - exp(-EXPOSURE * linear)
+    return np.where(exposed <= 0.0031308, 12.92 * exposed, 1.055 * power(exposed, 1 / 2.4) - 0.055).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Textured surfaces made of grids: panels, boxes, turned bodies and tubes, as trimesh meshes with texture coordinates.
+"""Textured surfaces made of grids: panels, boxes, turned bodies and tubes, as triangles with texture coordinates.
 
 Room frame: metres, x right, y into the room, z up. Texture coordinates are metres on the surface, the second one upwards.
 """
@@ -7,12 +7,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import trimesh
+from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Array, Image8
+from ggvs_eval.kernels.portable import cos, inverse, length, rotation_about, sin, transformed, unit
 
 Vector = Sequence[float] | Array
 Profile = Sequence[tuple[float, float]] | Array
+# The first axis of a rod lies across this one; no limb points along it.
+ROLL_AXIS = np.array([0.0, 0.8, 0.6])
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,21 +42,24 @@ class Surface:
     """One mesh of one material.
 
     Attributes:
-        mesh: vertices with smooth normals, room frame, metres.
+        vertices: room frame, metres, (V, 3).
+        normals: smooth, (V, 3).
+        faces: indices of the vertices of each triangle, (F, 3).
         uv: texture coordinates of the vertices, metres, (V, 2).
         material: how it answers light.
     """
 
-    mesh: trimesh.Trimesh
+    vertices: Array
+    normals: Array
+    faces: NDArray[np.int64]
     uv: Array
     material: Material
 
     def moved(self, transform: Array) -> "Surface":
         """The same surface after a rigid or scaling transform, (4, 4)."""
-        vertices = self.mesh.vertices @ transform[:3, :3].T + transform[:3, 3]
-        normals = self.mesh.vertex_normals @ np.linalg.inv(transform[:3, :3])
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        return replace(self, mesh=_mesh(vertices, self.mesh.faces, normals))
+        vertices = transformed(transform[:3, :3], self.vertices) + transform[:3, 3]
+        normals = transformed(inverse(transform[:3, :3]).T, self.normals)
+        return replace(self, vertices=vertices, normals=unit(normals))
 
 
 def moved(surfaces: Sequence[Surface], transform: Array) -> list[Surface]:
@@ -63,12 +69,17 @@ def moved(surfaces: Sequence[Surface], transform: Array) -> list[Surface]:
 
 def translation(x: float, y: float, z: float) -> Array:
     """Transform that shifts, metres."""
-    return np.asarray(trimesh.transformations.translation_matrix((x, y, z)))
+    transform = np.eye(4)
+    transform[:3, 3] = x, y, z
+    return transform
 
 
 def rotation(angle_rad: float, axis: Vector, pivot: Vector = (0.0, 0.0, 0.0)) -> Array:
     """Transform that turns about an axis through a pivot."""
-    return np.asarray(trimesh.transformations.rotation_matrix(angle_rad, axis, pivot))
+    transform, centre = np.eye(4), np.asarray(pivot, np.float64)
+    transform[:3, :3] = rotation_about(angle_rad, axis)
+    transform[:3, 3] = centre - transformed(transform[:3, :3], centre)
+    return transform
 
 
 def sheet(points: Array, uv: Array, material: Material, closed: bool = False) -> Surface:
@@ -83,12 +94,11 @@ def sheet(points: Array, uv: Array, material: Material, closed: bool = False) ->
     along = np.gradient(points, axis=1)
     if closed:
         along[:, 0] = along[:, -1] = (points[:, 1] - points[:, -2]) / 2
-    normals = np.cross(along, np.gradient(points, axis=0))
-    normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-30)
+    normals = unit(np.cross(along, np.gradient(points, axis=0)))
     index = np.arange(points.shape[0] * points.shape[1]).reshape(points.shape[:2])
     a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
     faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
-    return Surface(_mesh(points.reshape(-1, 3), faces, normals.reshape(-1, 3)), uv.reshape(-1, 2), material)
+    return Surface(points.reshape(-1, 3), normals.reshape(-1, 3), faces, uv.reshape(-1, 2), material)
 
 
 def blades(points: Array, uv: Array, material: Material, thickness_m: float = 0.001) -> Surface:
@@ -100,23 +110,22 @@ def blades(points: Array, uv: Array, material: Material, thickness_m: float = 0.
         material: how it answers light.
         thickness_m: distance of a sheet's two sides.
     """
-    normals = np.cross(np.gradient(points, axis=2), np.gradient(points, axis=1))
-    normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-30)
+    normals = unit(np.cross(np.gradient(points, axis=2), np.gradient(points, axis=1)))
     both = np.stack([points, points - thickness_m * normals]).reshape(-1, 3)
     count, size = 2 * len(points), points.shape[1] * points.shape[2]
     index = np.arange(size).reshape(points.shape[1:3])
     a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
     faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
     faces = (size * np.arange(count)[:, None, None] + faces).reshape(-1, 3)
-    mesh = _mesh(both, faces, np.stack([normals, -normals]).reshape(-1, 3))
-    return Surface(mesh, np.tile(uv.reshape(-1, 2), (count, 1)), material)
+    normals = np.stack([normals, -normals]).reshape(-1, 3)
+    return Surface(both, normals, faces, np.tile(uv.reshape(-1, 2), (count, 1)), material)
 
 
 def panel(corner: Vector, edge_u: Vector, edge_v: Vector, material: Material, cell_m: float = 0.05) -> Surface:
     """Flat rectangle from a corner along two edges; its outside is edge_u x edge_v, its texture starts at the corner."""
     corner, edge_u, edge_v = (np.asarray(vector, np.float64) for vector in (corner, edge_u, edge_v))
-    lengths = np.linalg.norm(edge_u), np.linalg.norm(edge_v)
-    u, v = (np.linspace(0, 1, int(np.ceil(length / cell_m)) + 1) for length in lengths)
+    lengths = length(edge_u), length(edge_v)
+    u, v = (np.linspace(0, 1, int(np.ceil(side / cell_m)) + 1) for side in lengths)
     grid_u, grid_v = np.meshgrid(u, v)
     points = corner + grid_u[..., None] * edge_u + grid_v[..., None] * edge_v
     return sheet(points, np.stack([grid_u * lengths[0], grid_v * lengths[1]], -1), material)
@@ -130,7 +139,7 @@ def box(low: Vector, high: Vector, material: Material, cell_m: float = 0.05) -> 
         edges = [np.eye(3)[k] * (high - low)[k] for k in ((axis + 1) % 3, (axis + 2) % 3)]
         for corner, pair in ((high - edges[0] - edges[1], edges), (low, edges[::-1])):
             u, v = pair
-            if np.linalg.norm(v) > np.linalg.norm(u):
+            if length(v) > length(u):
                 corner, u, v = corner + u, v, -u
             sides.append(panel(corner, u, v, material, cell_m))
     return sides
@@ -147,17 +156,16 @@ def turned(profile: Profile, material: Material, sides: int = 24) -> Surface:
     profile = np.asarray(profile, np.float64)
     radius, height = np.maximum(profile[:, 0], 1e-5)[:, None], profile[:, 1][:, None]
     angle = np.linspace(0, 2 * np.pi, sides + 1)[None]
-    points = np.stack([radius * np.cos(angle), radius * np.sin(angle), height + 0 * angle], axis=-1)
+    points = np.stack([radius * cos(angle), radius * sin(angle), height + 0 * angle], axis=-1)
     points[:, -1] = points[:, 0]
-    steps = np.linalg.norm(np.diff(profile, axis=0), axis=1)
-    along = np.concatenate([[0.0], np.cumsum(steps)])[:, None]
+    along = np.concatenate([[0.0], np.cumsum(length(np.diff(profile, axis=0)))])[:, None]
     return sheet(points, np.stack([angle * radius.max() + 0 * along, along + 0 * angle], -1), material, closed=True)
 
 
 def ellipsoid(radii: Vector, material: Material, sides: int = 24) -> Surface:
     """Ellipsoid about the origin with the given half axes, metres."""
     angle = np.linspace(-np.pi / 2, np.pi / 2, sides // 2 + 1)
-    ball = turned(np.stack([np.cos(angle), np.sin(angle)], -1), material, sides)
+    ball = turned(np.stack([cos(angle), sin(angle)], -1), material, sides)
     scaled = ball.moved(np.diag([*radii, 1.0]))
     return replace(scaled, uv=ball.uv * float(np.mean(np.asarray(radii))))
 
@@ -165,20 +173,19 @@ def ellipsoid(radii: Vector, material: Material, sides: int = 24) -> Surface:
 def rod(start: Vector, end: Vector, radii: tuple[float, float], material: Material, sides: int = 12) -> Surface:
     """Straight tapered rod with round ends between two points; radii at the start and at the end, metres."""
     start, end = np.asarray(start, np.float64), np.asarray(end, np.float64)
-    length = float(np.linalg.norm(end - start))
+    height = float(length(end - start))
     cap = np.linspace(0, np.pi / 2, 4)
-    bottom = np.stack([radii[0] * np.sin(cap), -radii[0] * np.cos(cap)], -1)
-    top = np.stack([radii[1] * np.cos(cap), length + radii[1] * np.sin(cap)], -1)
-    middle = np.linspace(0, 1, max(2, int(length / 0.05) + 1))[1:-1, None]
+    bottom = np.stack([radii[0] * sin(cap), -radii[0] * cos(cap)], -1)
+    top = np.stack([radii[1] * cos(cap), height + radii[1] * sin(cap)], -1)
+    middle = np.linspace(0, 1, max(2, int(height / 0.05) + 1))[1:-1, None]
     profile = np.concatenate([bottom, bottom[-1] * (1 - middle) + top[0] * middle, top])
     return turned(profile, material, sides).moved(_z_towards(start, end - start))
 
 
 def _z_towards(origin: Array, direction: Array) -> Array:
     """Rigid transform that takes the z axis to a direction and the origin to a point."""
-    transform = np.asarray(trimesh.geometry.align_vectors((0.0, 0.0, 1.0), direction))
-    return translation(*origin) @ transform
-
-
-def _mesh(vertices: Array, faces: Array, normals: Array) -> trimesh.Trimesh:
-    return trimesh.Trimesh(vertices, faces, vertex_normals=normals, process=False, validate=False)
+    transform, upwards = np.eye(4), unit(direction)
+    across = np.cross(ROLL_AXIS, upwards)
+    across = unit(across if length(across) > 1e-3 else np.cross((1.0, 0.0, 0.0), upwards))
+    transform[:3] = np.stack([across, np.cross(upwards, across), upwards, origin], axis=1)
+    return transform

@@ -3,10 +3,10 @@
 Every function returns an sRGB image, uint8 (H, W, 3), at `TEXELS_PER_METRE`; the first image axis points down.
 """
 
-import cv2
 import numpy as np
 
 from ggvs_eval.arrays import Image8, Map
+from ggvs_eval.kernels.portable import blur, cos, enlarge, shrink, sin
 
 PICTURES = ("astronaut", "chelsea", "coffee", "rocket", "hubble_deep_field", "moon", "camera", "retina")
 TEXELS_PER_METRE = 400
@@ -14,15 +14,14 @@ Colour = tuple[float, float, float]
 Size = tuple[float, float]
 
 
-def picture(name: str, width: int = 320) -> Image8:
-    """One of `PICTURES`, reduced to a width in pixels, RGB uint8 (H, W, 3)."""
+def picture(name: str, width: int = 320, height: int | None = None) -> Image8:
+    """One of `PICTURES` at a width and a height in pixels, by default that of its proportions, RGB uint8 (H, W, 3)."""
     from skimage import data
 
     image = np.asarray(getattr(data, name)())
     if image.ndim == 2:
         image = np.repeat(image[..., None], 3, axis=2)
-    height = round(image.shape[0] * width / image.shape[1])
-    return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+    return np.rint(shrink(image, height or round(image.shape[0] * width / image.shape[1]), width)).astype(np.uint8)
 
 
 def fractal_noise(rng: np.random.Generator, shape: tuple[int, int], cell: Size, octaves: int = 4) -> Map:
@@ -38,7 +37,7 @@ def fractal_noise(rng: np.random.Generator, shape: tuple[int, int], cell: Size, 
     for octave in range(octaves):
         rows, columns = (max(2, min(int(n * 2**octave / c) + 2, n)) for n, c in zip(shape, cell, strict=True))
         grid = rng.standard_normal((rows, columns)).astype(np.float32)
-        total += 0.5**octave * cv2.resize(grid, shape[::-1], interpolation=cv2.INTER_CUBIC)
+        total += 0.5**octave * enlarge(grid, *shape)
     return (total - total.mean()) / max(float(total.std()), 1e-6)
 
 
@@ -63,11 +62,11 @@ def wallpaper(rng: np.random.Generator, size_m: Size, ground: Colour, figure: Co
     repeat, petals = rng.uniform(0.16, 0.24), int(rng.integers(4, 8))
     column = np.floor(x / repeat)
     u, v = x / repeat % 1 - 0.5, (y / repeat + 0.5 * (column % 2)) % 1 - 0.5
-    radius, angle = np.hypot(u, v), np.arctan2(v, u)
-    edge = 0.2 + 0.12 * np.cos(petals * angle)
+    radius = np.sqrt(u * u + v * v)
+    edge = 0.2 + 0.12 * _cosine_of_multiple(petals, u / np.maximum(radius, 1e-6))
     flower = np.clip((edge - radius) / 0.02, 0, 1) * np.clip((radius - 0.06) / 0.02, 0, 1)
-    stem = np.clip((0.014 - np.abs(u + 0.04 * np.sin(6 * v))) / 0.01, 0, 1)
-    pattern = np.clip(flower + 0.6 * stem + 0.12 * (np.cos(2 * np.pi * x / repeat * 4) > 0), 0, 1)
+    stem = np.clip((0.014 - np.abs(u + 0.04 * sin(6 * v))) / 0.01, 0, 1)
+    pattern = np.clip(flower + 0.6 * stem + 0.12 * (cos(2 * np.pi * x / repeat * 4) > 0), 0, 1)
     pattern *= 0.75 + 0.2 * fractal_noise(rng, shape, (90, 90), 3)
     fading = 1 + 0.05 * fractal_noise(rng, shape, (300, 300), 4) + 0.015 * fractal_noise(rng, shape, (3, 3), 1)
     return _encode(_mix(ground, figure, np.clip(pattern, 0, 1)) * fading[..., None])
@@ -111,7 +110,7 @@ def fabric(rng: np.random.Generator, size_m: Size, ground: Colour, stripe: Colou
     shape = _shape(size_m)
     y, x = np.mgrid[: shape[0], : shape[1]].astype(np.float32) / TEXELS_PER_METRE
     pitch = rng.uniform(0.035, 0.06)
-    bands_x, bands_y = (np.clip(3 * np.cos(2 * np.pi * a / pitch) - 1.2, 0, 1) for a in (x, y))
+    bands_x, bands_y = (np.clip(3 * cos(2 * np.pi * a / pitch) - 1.2, 0, 1) for a in (x, y))
     pattern = {"stripes": bands_y, "check": 0.5 * bands_x + 0.5 * bands_y, "plain": 0 * x}[kind]
     folds = 1 + 0.05 * fractal_noise(rng, shape, (60, 60), 4) + 0.05 * fractal_noise(rng, shape, (3, 3), 1)
     return _encode(_mix(ground, stripe, pattern) * folds[..., None])
@@ -158,13 +157,21 @@ def outdoors(rng: np.random.Generator, size_m: Size) -> Image8:
     sky = _mix((0.95, 0.97, 1.0), (0.62, 0.78, 0.97), np.clip(height, 0, 1))
     leaves = _paint((0.35, 0.48, 0.25), 1 + 0.3 * fractal_noise(rng, shape, (40, 40), 3))
     image = _blend(sky, leaves, np.clip((0.45 - height) / 0.04, 0, 1))
-    return _encode(np.asarray(cv2.GaussianBlur(image, (0, 0), 5), np.float32))
+    return _encode(blur(image, 5))
 
 
 def _grain(rng: np.random.Generator, shape: tuple[int, int]) -> Map:
     rings = fractal_noise(rng, shape, (34, 700), 3)
     pores = fractal_noise(rng, shape, (2, 60), 2)
-    return 1 + 0.09 * np.sin(7 * rings).astype(np.float32) + 0.07 * rings + 0.035 * pores
+    return 1 + 0.09 * sin(7 * rings).astype(np.float32) + 0.07 * rings + 0.035 * pores
+
+
+def _cosine_of_multiple(multiple: int, cosine: Map) -> Map:
+    """Cosine of a multiple, at least 1, of the angles that have these cosines (Chebyshev)."""
+    before, now = np.ones_like(cosine), cosine
+    for _ in range(multiple - 1):
+        before, now = now, 2 * cosine * now - before
+    return now
 
 
 def _shape(size_m: Size) -> tuple[int, int]:

@@ -10,6 +10,7 @@ import numpy as np
 from ggvs_eval.arrays import Array, Array32, Image8, Map, Mask
 from ggvs_eval.errors import DepthError
 from ggvs_eval.files.images import quantise
+from ggvs_eval.kernels.portable import cos, exp, power, sin, transformed, unit
 from ggvs_eval.synthetic.film.sensor import Sensor
 from ggvs_eval.synthetic.room.geometry import Geometry
 from ggvs_eval.synthetic.room.lighting import Instant
@@ -131,9 +132,9 @@ def _painted(scene: Instant, rng: np.random.Generator) -> Instant:
     """The scene with other paint, and one more lamp whose light falls without shadows."""
     geometry = copy(scene.static)  # shares vertices and the tree of rays
     geometry.materials = repainted(geometry, rng, float(rng.choice([0.0, 0.5, 1.0])))
-    towards = rng.standard_normal(3)
-    cosine = np.einsum("vc,c->v", geometry.normals, (towards / np.linalg.norm(towards)).astype(np.float32))
-    tint = np.exp(rng.normal(0, 0.1, 3))
+    towards = unit(rng.standard_normal(3)).astype(np.float32)
+    cosine = transformed(towards[None], geometry.normals)[:, 0]
+    tint = exp(rng.normal(0, 0.1, 3))
     strength = float(rng.uniform(0, 1)) * float(np.median(scene.static_light))
     light = (scene.static_light * tint + strength * np.maximum(cosine, 0)[:, None]).astype(np.float32)
     return replace(scene, static=geometry, static_light=light)
@@ -148,7 +149,7 @@ def place_rig(scene: Instant, rng: np.random.Generator, width: int, height: int)
         The cameras, and the depth of the left one, metres, (H, W).
     """
     most_px = LARGEST_SHARE * width
-    near_px = float(np.exp(rng.uniform(np.log(6), np.log(0.7 * most_px))))
+    near_px = 6 * float(power(0.7 * most_px / 6, rng.uniform()))
     for _ in range(ATTEMPTS):
         focal = float(rng.uniform(0.7, 1.6)) * width
         centre = (width / 2 + rng.normal(0, 0.03) * width, height / 2 + rng.normal(0, 0.05) * height)
@@ -169,12 +170,12 @@ def _pose(rng: np.random.Generator) -> tuple[Array, Array]:
     """Eye and axes of a camera that looks at the middle of the scene or past it."""
     eye = rng.uniform((-1.6, -1.2, 0.4), (1.6, 1.0, 2.1))
     aim = rng.uniform((-1.2, 1.2, 0.4), (1.2, 3.0, 1.7))
-    forward = (aim - eye) / np.linalg.norm(aim - eye)
-    right = np.cross(forward, np.array([0.0, 0.0, 1.0]))
-    right /= np.linalg.norm(right)
+    forward = unit(aim - eye)
+    right = unit(np.cross(forward, np.array([0.0, 0.0, 1.0])))
     down = np.cross(forward, right)
-    roll = float(rng.normal(0, 0.1))
-    right, down = np.cos(roll) * right + np.sin(roll) * down, np.cos(roll) * down - np.sin(roll) * right
+    roll_rad = float(rng.normal(0, 0.1))
+    cosine, sine = cos(roll_rad), sin(roll_rad)
+    right, down = cosine * right + sine * down, cosine * down - sine * right
     return eye, np.stack([right, down, forward])
 
 
@@ -232,17 +233,17 @@ def _shaded(scene: Instant, rig: StereoRig, eye: Array, x: Array, y: Array) -> t
 
 def expose_pair(pictures: list[Array32], rng: np.random.Generator, sensor: bool) -> tuple[Image8, Image8]:
     """Two pictures as two cameras take them that share a style but not their settings."""
-    exposure = float(np.exp(rng.normal(np.log(0.35), 0.45))) / max(float(np.median(pictures[0])), 1e-3)
+    exposure = 0.35 * float(exp(rng.normal(0, 0.45))) / max(float(np.median(pictures[0])), 1e-3)
     left, right = (expose(exposure * light) for light in pictures)
     if not sensor:
         return quantise(left), quantise(right)
-    limit = np.log(1.65 if rng.random() < 0.125 else 1.25)
+    largest = 1.65 if rng.random() < 0.125 else 1.25
     noise, blur = float(rng.uniform(0, 5) * rng.uniform(0.2, 1)), float(rng.choice([0.0, rng.uniform(0, 1.2)]))
     processing = float(rng.choice([0.0, 0.0, rng.uniform(0.2, 1)]))
     jpeg = int(rng.choice([0, 0, int(rng.integers(70, 98))]))
     taken = []
     for image in (left, right):
-        gain = (np.exp(0.6 * rng.uniform(-limit, limit)) * np.exp(rng.normal(0, 0.025, 3))).astype(np.float32)
+        gain = (power(largest, 0.6 * rng.uniform(-1, 1)) * exp(rng.normal(0, 0.025, 3))).astype(np.float32)
         numbers = tuple(int(number) for number in rng.integers(0, 2**31, 2))
         defocus = max(0.0, blur * float(rng.uniform(0.6, 1.3)) - 0.2)
         camera = Sensor(gain, noise * float(rng.uniform(0.8, 1.2)), numbers, defocus, processing, jpeg)

@@ -10,6 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from ggvs_eval.kernels.portable import power, product
 from ggvs_eval.synthetic.room import clutter, foliage, furniture, textures
 from ggvs_eval.synthetic.room.figure import random_figure
 from ggvs_eval.synthetic.room.garden import build_garden
@@ -53,7 +54,7 @@ def skins() -> Sequence[Material]:
     bank = []
     for index in range(SKINS):
         texture = _PATTERNS[index % len(_PATTERNS)](rng)
-        tile_m = SKIN_M * float(np.exp(rng.uniform(np.log(0.4), np.log(3))))
+        tile_m = 0.4 * SKIN_M * float(power(7.5, rng.uniform()))
         size = (tile_m, tile_m * texture.shape[0] / texture.shape[1])
         gloss = float(rng.choice([0, 0, 0.15, 0.5]))
         bank.append(Material(texture, size, gloss, float(rng.uniform(15, 80))))
@@ -88,8 +89,8 @@ def _strewn(rng: np.random.Generator) -> list[Surface]:
     axis = rng.standard_normal(3)
     upright = rng.random() < 0.4
     turn = rotation(float(rng.uniform(0, 2 * np.pi)), (0, 0, 1) if upright else axis)
-    size = float(np.exp(rng.uniform(np.log(0.4), np.log(2))))
-    return moved(thing, translation(*rng.uniform(*STREWN_M)) @ turn @ np.diag([size, size, size, 1]))
+    size = 0.4 * float(power(5.0, rng.uniform()))
+    return moved(thing, product(translation(*rng.uniform(*STREWN_M)), product(turn, np.diag([size, size, size, 1]))))
 
 
 def _skin(rng: np.random.Generator) -> Material:
@@ -110,7 +111,7 @@ def _card(rng: np.random.Generator) -> list[Surface]:
     """A thin board seen from both sides."""
     wide, high = (float(side) for side in rng.uniform(0.1, 0.5, 2))
     front = panel((-wide / 2, 0, -high / 2), (wide, 0, 0), (0, 0, high), _skin(rng))
-    return [front, *moved([replace(front, material=_skin(rng))], rotation(np.pi, (0, 0, 1)) @ translation(0, -0.004, 0))]
+    return [front, *moved([replace(front, material=_skin(rng))], product(rotation(np.pi, (0, 0, 1)), translation(0, -0.004, 0)))]
 
 
 def _ball(rng: np.random.Generator) -> list[Surface]:

@@ -6,6 +6,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
+from ggvs_eval.datasets.depth_range import neighbour_distances
 from ggvs_eval.pipelines.inspection.finding import RIG, Finding, Verdict
 
 QUESTION = "depth range"
@@ -41,10 +42,7 @@ def check_depth_range(
 
 def neighbour_spacing(cameras: Sequence[Camera]) -> Array:
     """Distance of each camera to its nearest neighbour, world units, (N,)."""
-    centres = np.stack([camera.centre for camera in cameras])
-    distances = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
-    np.fill_diagonal(distances, np.inf)
-    return np.asarray(distances.min(axis=1))
+    return neighbour_distances(np.stack([camera.centre for camera in cameras]))
 
 
 def _evaluate(camera: Camera, depths: Array, is_doubtful: bool) -> Finding:

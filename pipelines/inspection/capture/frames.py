@@ -1,6 +1,7 @@
 """Frames: how many, what cannot be read, and which stand still while the others go on."""
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,31 @@ def check_frames(capture: Capture, records: Sequence[CameraRecord]) -> tuple[Fin
     values = {"layout": capture.layout, "n_cameras": len(capture.cameras), "n_frames": capture.n_frames, "fps": capture.fps}
     values |= {"sizes": [list(size) for size in sizes], "notes": list(capture.notes)}
     measured += "".join(f"; {note}" for note in capture.notes)
-    return (Finding(RIG, FRAMES, "ok", measured, values), *(_evaluate_damage(record, capture.n_frames) for record in records))
+    outside = frames_outside(capture)
+    if outside:
+        values["outside"] = {name: str(path) for name, path in outside.items()}
+        name, path = next(iter(outside.items()))
+        more = f" and of {len(outside) - 1} more" * (len(outside) > 1)
+        measured += f"; frames of {name}{more} lie outside the capture's folder, in {path}"
+    advice = "make sure that these files are meant; a capture that is moved loses them" if outside else ""
+    return (
+        Finding(RIG, FRAMES, "warn" if outside else "ok", measured, values, advice),
+        *(_evaluate_damage(record, capture.n_frames) for record in records),
+    )
+
+
+def frames_outside(capture: Capture) -> dict[str, Path]:
+    """Cameras whose frames do not lie in the capture's folder, and where they do; links are followed."""
+    root = capture.path.resolve()
+    root = root.parent if root.is_file() else root
+    outside = {}
+    for name, source in zip(capture.camera_names, capture.sources, strict=True):
+        inner = getattr(source, "source", source)  # behind an undistortion
+        files = getattr(inner, "files", None) or [path for path in [getattr(inner, "path", None)] if path]
+        elsewhere = [path for path in map(Path.resolve, files) if not path.is_relative_to(root)]
+        if elsewhere:
+            outside[name] = elsewhere[0].parent
+    return outside
 
 
 def check_frozen(records: Sequence[CameraRecord]) -> tuple[Finding, ...]:

@@ -121,7 +121,7 @@ def half_view_rad(camera: Camera) -> float:
 
 
 def _evaluate(camera: Camera, away_rad: float, roll_rad: float, doubles: list[str]) -> Finding:
-    slant = float(np.abs(camera.rotation @ camera.rotation.T - np.eye(3)).max())
+    slant = max(camera.deviation, float(np.abs(camera.rotation @ camera.rotation.T - np.eye(3)).max()))
     values = {"away_deg": round(np.degrees(away_rad), 2), "roll_deg": round(np.degrees(roll_rad), 2), "not_orthonormal": slant}
     if doubles:
         advice = "one pose was written twice; restore this camera's own or leave it out"
@@ -139,7 +139,14 @@ def _evaluate(camera: Camera, away_rad: float, roll_rad: float, doubles: list[st
         measured = f"rolled by {np.degrees(roll_rad):.0f} deg against the others"
         return Finding(camera.name, QUESTION, "warn", measured, values, "check that its frames are turned like its pose")
     if slant > SLANTED:
-        return Finding(camera.name, QUESTION, "warn", f"rotation off by {slant:.1e}", values, "store poses with more digits")
+        return Finding(
+            camera.name,
+            QUESTION,
+            "warn",
+            f"rotation off by {slant:.1e}, the nearest is taken",
+            values,
+            "store poses with more digits",
+        )
     return Finding(camera.name, QUESTION, "ok", f"{np.degrees(away_rad):.0f} deg off the common point", values)
 
 

@@ -28,14 +28,29 @@ def check_scale(capture: Capture, depths: Mapping[int, Array]) -> tuple[Finding,
     spacing_m = (
         float(np.median(neighbour_spacing(capture.cameras))) / capture.units_per_metre if len(capture.cameras) > 1 else np.nan
     )
-    values = {"units_per_metre": capture.units_per_metre, "origin": capture.units_origin, "median_depth_m": round(depth_m, 4)}
+    values: dict[str, object] = {
+        "units_per_metre": capture.units_per_metre,
+        "origin": capture.units_origin,
+        "median_depth_m": round(depth_m, 4),
+    }
+    if capture.units_origin.startswith(GUESS):
+        return (_guessed(capture, depth, spacing_m * capture.units_per_metre, values),)
     measured = f"{capture.units_per_metre:.4g} units per metre ({capture.units_origin}): scene {depth_m:.2f} m away"
     if np.isfinite(spacing_m):
         values["spacing_m"] = round(spacing_m, 4)
         measured += f", neighbours {100 * spacing_m:.0f} cm apart"
     if not SCENE_M[0] < depth_m < SCENE_M[1] or not (np.isnan(spacing_m) or SPACING_M[0] < spacing_m < SPACING_M[1]):
         return (Finding(RIG, QUESTION, "warn", measured, values, "measure a baseline and give the units (--units)"),)
-    if capture.units_origin.startswith(GUESS):
-        advice = "measure one baseline or two points and give it (units.toml); thresholds in metres depend on it"
-        return (Finding(RIG, QUESTION, "warn", measured, values, advice),)
     return (Finding(RIG, QUESTION, "ok", measured, values),)
+
+
+def _guessed(capture: Capture, depth: float, spacing: float, values: dict[str, object]) -> Finding:
+    """What is known in world units where nothing is known in metres."""
+    near, far = min(camera.near for camera in capture.cameras), max(camera.far for camera in capture.cameras)
+    measured = f"metres are not known; in world units the scene lies within {near:.3g} .. {far:.3g}, {depth:.3g} at the median"
+    if np.isfinite(spacing):
+        values["spacing_units"] = round(spacing, 4)
+        measured += f", neighbours {spacing:.3g} apart"
+    measured += f"; {capture.units_per_metre:.4g} units are taken for a metre ({capture.units_origin})"
+    advice = "measure one baseline or two points and give it (units.toml); thresholds in metres depend on it"
+    return Finding(RIG, QUESTION, "warn", measured, values, advice)

@@ -12,6 +12,7 @@ from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
 from ggvs_eval.geometry.pinhole import as_image, rigid_between
 from ggvs_eval.jobs.code_identity import code_identity
+from ggvs_eval.kernels.portable import inverse, product, transformed
 
 # Besides what stands here: the fill of what is left, and `check_depth`, whose neighbours find depth and do not count.
 FILL, CALLER = "ggvs_eval.pipelines.offline.stereo.fusion", "ggvs_eval.pipelines.offline.depth.camera_depth"
@@ -210,8 +211,8 @@ class _Projection:
 
     def __init__(self, first: Camera, second: Camera) -> None:
         transform = rigid_between(first, second)
-        self._matrix = (second.K @ transform[:3, :3] @ np.linalg.inv(first.K)).astype(np.float32)
-        self._offset = (second.K @ transform[:3, 3]).astype(np.float32)
+        self._matrix = product(product(second.K, transform[:3, :3]), inverse(first.K)).astype(np.float32)
+        self._offset = transformed(second.K, transform[:3, 3]).astype(np.float32)
 
     def move(self, u: Map, v: Map, depth: Map) -> tuple[Map, Map, Map]:
         """Image coordinates and depth in the second camera; meaningless coordinates where that is not positive."""

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Map
-from ggvs_eval.pipelines.online.blend_maps import RawViews
+from ggvs_eval.pipelines.training.samples.blend_samples import RawViews
 
 
 @dataclass(frozen=True)

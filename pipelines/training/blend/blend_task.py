@@ -14,14 +14,13 @@ from ggvs_eval.errors import TrainingError
 from ggvs_eval.files.images import quantise
 from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.metrics.image.ssim import ssim
-from ggvs_eval.pipelines.online.blend_maps import RawViews
 from ggvs_eval.pipelines.online.blend_network import BlendNetwork, BlendNetworkOptions, compose_tensors, read_outputs
 from ggvs_eval.pipelines.online.blend_weights import weights_name
 from ggvs_eval.pipelines.online.network_blender import blend_by, blend_start
 from ggvs_eval.pipelines.online.network_inputs import GUIDED, guide_depth, input_channels, reference_depth
 from ggvs_eval.pipelines.training.blend.blend_augmentation import Augmentation, augment
 from ggvs_eval.pipelines.training.blend.blend_loss import BlendLossWeights, blend_loss
-from ggvs_eval.pipelines.training.samples.blend_samples import BlendSample
+from ggvs_eval.pipelines.training.samples.blend_samples import BlendSample, RawViews
 from ggvs_eval.pipelines.training.samples.samples import Samples, require_room
 from ggvs_eval.training.task import Schedule
 
@@ -143,7 +142,7 @@ def crop_arrays(
     does not have cover nothing. `change` may alter the crop's views and truth first.
     """
     left, top, width, height = window
-    unit = reference_depth(guide_depth(sample.views, config.guidance), sample.views.target)
+    unit = reference_depth(guide_depth(sample.views.splatted, config.guidance), sample.views.target)
     views = sample.views.cropped(*window)
     truth = sample.truth[top : top + height, left : left + width].astype(np.float32) / np.float32(255)
     views, truth = (views, truth) if change is None else change(views, truth)

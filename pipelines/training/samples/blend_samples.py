@@ -1,7 +1,7 @@
 """A training sample of the blending network: the views of one instant in a target view, and what the target's camera saw."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +12,66 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.files.images import quantise
+from ggvs_eval.geometry.warp import warp
 from ggvs_eval.method import Instant, SourceView
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions, check_depth
 from ggvs_eval.pipelines.offline.depth.pairing import choose_partners
-from ggvs_eval.pipelines.online.blend_maps import RawViews, raw_views
+from ggvs_eval.pipelines.online.blend_maps import FAINT, BlendMaps, Guidance, blend_maps, nearest_first
 from ggvs_eval.pipelines.online.blending import Blended, Blender, BlendingInputs, GeometricBlender
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
 from ggvs_eval.pipelines.online.network_inputs import reference_depth
 from ggvs_eval.training.sample_file import camera_arrays, stored_arrays, stored_cameras, write_arrays
 
 IN_8_BIT = ("splats", "alphas", "warps", "visibilities")
+OF_VIEWS = (*IN_8_BIT, "depths")
+
+
+@dataclass(frozen=True, eq=False)
+class RawViews:
+    """The K views in the target view as splatting and warping give them, nearest camera first.
+
+    Attributes:
+        target: camera of the maps.
+        sources: cameras of the views.
+        splats: splatted colour, (K, H, W, 3), float32 in [0, 1].
+        depths: splatted depth, (K, H, W), float32, world units, 0 where the view shows nothing.
+        alphas: coverage of the splats, (K, H, W), float32 in [0, 1).
+        warps: colour of the source image at the fused surface, (K, H, W, 3).
+        visibilities: whether the view sees the fused surface, (K, H, W), in [0, 1].
+        fused_depth: of the ray march, (H, W), float32, world units, 0 where it met nothing.
+        shares: of the views, see `SourceView.share`, (K,); 1 unless given.
+    """
+
+    target: Camera
+    sources: tuple[Camera, ...]
+    splats: Map
+    depths: Map
+    alphas: Map
+    warps: Map
+    visibilities: Map
+    fused_depth: Map
+    shares: tuple[float, ...] | None = None
+
+    def cropped(self, left: int, top: int, width: int, height: int) -> "RawViews":
+        """The window that starts at pixel (left, top)."""
+        rows, columns = slice(top, top + height), slice(left, left + width)
+        windows = {name: getattr(self, name)[:, rows, columns] for name in OF_VIEWS}
+        target = self.target.cropped(left, top, width, height)
+        return replace(self, target=target, fused_depth=self.fused_depth[rows, columns], **windows)
+
+    @property
+    def splatted(self) -> BlendMaps:
+        """The views by their splats alone."""
+        stacks = (self.splats, self.alphas, self.alphas, self.alphas, self.depths)
+        return BlendMaps(self.target, self.sources, *stacks, self.fused_depth, self.shares)
+
+    def maps(self, guidance: Guidance) -> BlendMaps:
+        """What a network of that guidance works on: what `blend_maps` gives in one pass."""
+        if guidance != "registered":
+            return self.splatted
+        colours = self.splats + self.visibilities[..., None] * (self.warps - self.splats)
+        coverage = np.maximum(self.visibilities, FAINT * self.alphas)
+        return replace(self.splatted, colours=colours, coverage=coverage, seen=self.visibilities)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,6 +166,26 @@ class _Recorder:
         blended = self._blender.blend(inputs)
         self.images.append(blended.image)
         return blended
+
+
+def raw_views(inputs: BlendingInputs) -> RawViews:
+    """The views of one instant, splats and warps side by side."""
+    target, sources = inputs.instant.target, [inputs.instant.sources[k] for k in nearest_first(inputs)]
+    splatted, warps = blend_maps(inputs, "none"), []
+    for source in sources:
+        image = source.image.astype(np.float32) / np.float32(255)
+        warps.append(warp(target, inputs.depth, source.camera, image, source.depth, inputs.tau, bicubic=True))
+    return RawViews(
+        target,
+        splatted.sources,
+        splats=splatted.colours,
+        depths=splatted.depths,
+        alphas=splatted.alphas,
+        warps=np.stack([each.colour for each in warps]),
+        visibilities=np.stack([each.visibility for each in warps]),
+        fused_depth=inputs.depth,
+        shares=splatted.shares,
+    )
 
 
 def write_sample(path: Path, sample: BlendSample) -> None:

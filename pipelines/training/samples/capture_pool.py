@@ -191,8 +191,8 @@ def _refuse_tests(capture: Capture) -> None:
 
 def _name(capture: Capture) -> str:
     """Tells captures apart by where their cameras stand and what the first one shows."""
-    poses = [f"{camera.name} {camera.world_to_camera.tolist()} {camera.K.tolist()}" for camera in capture.cameras]
-    return f"{capture.scene}-{digest_values(capture.sources[0].digest, str(capture.n_frames), *poses)[:12]}"
+    cameras = [f"{camera.name} {camera.to_json()}" for camera in capture.cameras]
+    return f"{capture.scene}-{digest_values(capture.sources[0].digest, str(capture.n_frames), *cameras)[:12]}"
 
 
 def _digest(plan: CapturePlan, version: int, depth: bool) -> str:

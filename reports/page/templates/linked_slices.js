@@ -20,10 +20,9 @@ function makeLinkedSlices(root, data, open) {
     const path = data.path && key in data.path.images ? made("canvas") : null;
     const time = data.frames.length > 1 ? made("canvas", "placed") : null;
     const over = made("div", "cut", path ?? made("p", "absent", key === "truth" ? NO_TRUTH : NOT_ALONG));
-    const along = made("div", "cut along", time ?? made("p", "absent", "one frame only"));
-    if (time) along.append(made("span", "mark-frame"), made("span", "mark-column"));
-    if (time) along.addEventListener("click", (event) => jump(along, event));
-    table.append(made("p", "strip-name", data.names[key]), ...(data.path ? [over] : []), along);
+    const along = made("div", "cut along", ...(time ? [time, made("span", "mark-frame"), made("span", "mark-column")] : []));
+    along.addEventListener("click", (event) => jump(along, event));
+    table.append(made("p", "strip-name", data.names[key]), ...(data.path ? [over] : []), ...(time ? [along] : []));
     for (const [canvas, kind] of [[path, "Epipolar plane image"], [time, "x-t slice"]]) label(canvas, `${kind} of ${data.names[key]}`);
     return { key, path, time };
   }

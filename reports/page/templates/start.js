@@ -1,17 +1,18 @@
-/** Put together everything that shows one run; gives back who obeys its keys. */
-function startRun(root) {
-  const id = root.dataset.viewer;
+/** Put together everything that shows one run; `reveal` brings an element into sight, `write` keeps the address at its viewer's place. */
+function startRun(id, reveal, write) {
+  const root = document.querySelector(`[data-viewer="${id}"]`);
   const data = JSON.parse(root.querySelector('[data-role="data"]').textContent);
   const linked = document.querySelector(`[data-linked="${id}"]`);
-  const viewer = makeViewer(root, data, [linked]);
+  const viewer = makeViewer(root, data, linked ? [linked] : []);
   const heat = document.querySelector(`[data-heat="${id}"]`);
   const plots = document.querySelectorAll(`[data-run="${id}"] svg`);
-  const showSlices = makeLinkedSlices(linked, data, viewer.open);
-  const ring = heat ? makeHeatMaps(heat, data, openFromAbove) : () => {};
+  const showSlices = linked ? makeLinkedSlices(linked, data, viewer.open) : () => {};
+  const ring = heat ? makeHeatMaps(heat, data, openFromAfar) : () => {};
 
-  /** Open a frame in the viewer and bring the viewer into sight. */
-  function openFromAbove(view, frame, label) {
-    viewer.open(view, frame, label);
+  /** Open a place in the viewer and bring the viewer into sight. */
+  function openFromAfar(view, frame, label, pixel) {
+    viewer.open(view, frame, label, pixel);
+    reveal(root);
     root.scrollIntoView({ block: "nearest" });
     root.querySelector(".stage:not([hidden]), [data-role=frame]").focus({ preventScroll: true });
   }
@@ -21,10 +22,12 @@ function startRun(root) {
     ring(view, data.frames[frame]);
     for (const plot of plots) moveCursor(plot, data.frames[frame]);
   });
-  for (const plot of plots) openOnClick(plot, openFromAbove);
+  for (const plot of plots) openOnClick(plot, openFromAfar);
   for (const video of document.querySelectorAll(`[data-videos="${id}"] video`)) showBeginning(video, data);
   viewer.show();
-  return viewer.press;
+  makeOpening(document.querySelector(`[data-opening][data-of="${id}"]`), data, openFromAfar);
+  viewer.listen(() => write(formatPlace(root.dataset.address, viewer.place())));
+  return { root, press: viewer.press, open: openFromAfar };
 }
 
 /** Until a video is played it shows the frame that it begins with; browsers leave it black where they only read its length. */
@@ -33,23 +36,59 @@ function showBeginning(video, data) {
   if (key) video.poster = data.images[data.views[0]][key][0];
 }
 
-/** Keys go to the viewer that was touched last, unless the focused control has a use for them itself. */
+/** Tabs, and one run at a time, which is put together when it is first shown; addresses and links lead to all of them. */
 function start() {
-  const roots = [...document.querySelectorAll(".viewer")];
-  const presses = new Map(roots.map((root) => [root, startRun(root)]));
-  let current = roots[0];
-  for (const root of roots) {
-    root.addEventListener("pointerdown", () => { current = root; });
-    root.addEventListener("focusin", () => { current = root; });
+  document.documentElement.classList.remove("loading");
+  for (const name of document.querySelectorAll(".group-name")) name.classList.add("hidden"); // tabs say it
+  const runs = new Map();
+  const navs = [...document.querySelectorAll(".tabs")].map(makeTabs);
+  const write = makeAddressWriter();
+  let current = null;
+
+  /** Show a run, and hide the others of its group. */
+  function showRun(id) {
+    for (const part of document.querySelector(`[data-viewer="${id}"]`).closest("article").querySelectorAll("[data-of]")) {
+      part.hidden = part.dataset.of !== id;
+    }
+    if (!runs.has(id)) runs.set(id, startRun(id, reveal, write));
+    current = runs.get(id);
   }
+
+  /** Show the run and the sheets that an element belongs to. */
+  function reveal(element) {
+    const article = element.closest("article");
+    const shown = article?.querySelector(element === article ? "[data-of]" : "[data-of]:not([hidden])"); // its first run, or its last shown
+    const part = element.closest("[data-of]") ?? shown;
+    if (part) showRun(part.dataset.of);
+    for (const show of navs) show(element, (link) => !link.dataset.room || link.dataset.room === current?.root.dataset.viewer);
+  }
+
+  /** Go where the address leads: to a part of the page by its name, or to a place in a room. */
+  function go() {
+    const element = document.getElementById(location.hash.slice(1));
+    const place = parsePlace(location.hash);
+    const room = place && [...document.querySelectorAll(".viewer")].find((one) => one.dataset.address === place.room);
+    if (element) {
+      reveal(element);
+      element.scrollIntoView();
+    } else if (room) {
+      reveal(room);
+      if (place.view !== undefined) current.open(place.view, place.frame, undefined, place.pixel);
+    }
+  }
+
+  for (const table of document.querySelectorAll("table:not(.leaders, .standings)")) makeSortable(table);
+  makeThemeSwitch(document.querySelector(".theme"));
+  reveal(document.querySelector(".sheet"));
+  go();
+  addEventListener("hashchange", go);
+  document.addEventListener("beforematch", (event) => reveal(event.target.firstElementChild));
   document.addEventListener("keydown", (event) => {
     const onStage = event.target.closest(".stage");
-    const free = event.target === document.body || onStage;
-    if (!free || (event.key === " " && !onStage)) return;
-    presses.get(current)?.(event);
+    const isFree = event.target === document.body || onStage;
+    if (!isFree || (event.key === " " && !onStage) || !current?.root.checkVisibility()) return;
+    current.press(event);
   });
-  for (const table of document.querySelectorAll("table:not(.leaders, .contents)")) makeSortable(table);
-  makeThemeSwitch(document.querySelector(".theme"));
 }
 
 start();

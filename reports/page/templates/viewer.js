@@ -1,5 +1,4 @@
 const BLINK_MS = 600;
-const DEFAULT_FPS = 10;
 const MODES = ["wipe", "blink", "two", "all"];
 const NEAR_DIVIDER_PX = 24;
 const ZOOM_STEP = 1.5;
@@ -14,8 +13,9 @@ function makeViewer(root, data, alongside) {
   const part = (role) => root.querySelector(`[data-role="${role}"]`);
   const stage = root.querySelector(".stage");
   const errors = document.querySelector(`[data-errors="${root.dataset.viewer}"]`);
-  const state = { frame: 0, divider: 0.5, mode: "wipe", playing: null, blinking: null, pixel: { x: 0.5, y: data.row / data.size[1] } };
+  const state = { frame: 0, divider: 0.5, mode: "wipe", blinking: null, pixel: { x: 0.5, y: data.row / data.size[1] } };
   const zoom = makeZoomWindow();
+  const player = makePlayer(part("play"), () => step(1), data.fps);
   const all = addPictures(part("all"), data.keys, data.names);
   const maps = addPictures(errors, data.keys.filter((key) => key in data.errors[data.views[0]]), data.names);
   const listeners = [];
@@ -34,7 +34,7 @@ function makeViewer(root, data, alongside) {
     part("all").hidden = !isGrid;
     root.classList.toggle("blink", state.mode === "blink");
     showTime();
-    place();
+    settle();
     for (const heard of listeners) heard(view, state.pixel.y, state.frame);
   }
 
@@ -52,7 +52,7 @@ function makeViewer(root, data, alongside) {
   }
 
   /** Hand divider, window and chosen pixel to the style sheet. */
-  function place() {
+  function settle() {
     stage.style.setProperty("--at", `${100 * state.divider}%`);
     for (const element of [root, errors, ...alongside]) placeIn(element);
     const { x, y } = pixelIndices();
@@ -85,14 +85,6 @@ function makeViewer(root, data, alongside) {
     show();
   }
 
-  function play(on) {
-    clearInterval(state.playing);
-    state.playing = on && data.frames.length > 1 ? setInterval(() => step(1), 1000 / Math.min(data.fps || DEFAULT_FPS, 15)) : null;
-    part("play").textContent = state.playing ? "❚❚" : "▶";
-    part("play").setAttribute("aria-pressed", String(Boolean(state.playing)));
-    part("play").setAttribute("aria-label", state.playing ? "Pause" : "Play");
-  }
-
   function setMode(mode) {
     state.mode = mode;
     clearInterval(state.blinking);
@@ -103,7 +95,7 @@ function makeViewer(root, data, alongside) {
 
   function moveDivider(to) {
     state.divider = Math.min(1, Math.max(0, to));
-    place();
+    settle();
   }
 
   function nextView() {
@@ -123,12 +115,12 @@ function makeViewer(root, data, alongside) {
     const { x, y } = pixelIndices();
     choose(x + dx, y + dy);
     zoom.follow(state.pixel);
-    place();
+    settle();
   }
 
   function zoomBy(factor, at) {
     zoom.by(factor, at);
-    place();
+    settle();
   }
 
   /** Zoom towards the chosen pixel. */
@@ -138,16 +130,26 @@ function makeViewer(root, data, alongside) {
     zoomBy(factor, { x: (state.pixel.x - x) * now, y: (state.pixel.y - y) * now });
   }
 
-  /** Show a frame of a view by its number, the nearest one that the page carries; a method, if given, beside the truth. */
-  function open(view, frame, label) {
-    part("view").value = view;
+  /**
+   * Show a frame of a view by its number, the nearest one that the page carries; a method, if given, beside the truth, and a pixel.
+   * What does not exist or is not given stays as it is.
+   */
+  function open(view, frame, label, pixel) {
+    if (data.views.includes(view)) part("view").value = view;
     const distances = data.frames.map((shown) => Math.abs(shown - frame));
-    state.frame = distances.indexOf(Math.min(...distances));
-    if (label && data.keys.includes(label)) {
+    if (Number.isFinite(frame)) state.frame = distances.indexOf(Math.min(...distances));
+    if (label && label !== "truth" && data.keys.includes(label)) {
       part("left").value = label;
       part("right").value = "truth";
     }
-    show();
+    if (pixel) choose(...pixel);
+    else show();
+  }
+
+  /** What is looked at, in words that an address can hold. */
+  function place() {
+    const { x, y } = pixelIndices();
+    return { view: part("view").value, frame: data.frames[state.frame], pixel: [x, y] };
   }
 
   function press(event) {
@@ -155,7 +157,7 @@ function makeViewer(root, data, alongside) {
     const keys = {
       arrowleft: () => (event.shiftKey ? moveDivider(state.divider - 0.02) : step(-1)),
       arrowright: () => (event.shiftKey ? moveDivider(state.divider + 0.02) : step(1)),
-      " ": () => play(!state.playing),
+      " ": () => player.play(!player.isPlaying()),
       b: () => setMode(state.mode === "blink" ? "wipe" : "blink"),
       m: () => setMode(MODES[(MODES.indexOf(state.mode) + 1) % MODES.length]),
       v: nextView,
@@ -176,7 +178,7 @@ function makeViewer(root, data, alongside) {
 
   function fit() {
     zoom.reset();
-    place();
+    settle();
   }
 
   function gestures(element, isWipe) {
@@ -187,7 +189,7 @@ function makeViewer(root, data, alongside) {
         const isNear = Math.abs(start.x - state.grip) * element.clientWidth < NEAR_DIVIDER_PX;
         if (isWipe && state.mode === "wipe" && (zoom.seen.zoom === 1 || isNear)) return moveDivider(to.x);
         zoom.pan(to.x - from.x, to.y - from.y);
-        place();
+        settle();
       },
     });
     element.addEventListener("pointerdown", () => { state.grip = state.divider; });
@@ -196,11 +198,11 @@ function makeViewer(root, data, alongside) {
   for (const role of ["view", "left", "right"]) part(role).addEventListener("change", show);
   for (const radio of root.querySelectorAll("input[type=radio]")) radio.addEventListener("change", () => setMode(radio.value));
   part("frame").addEventListener("input", (event) => { state.frame = Number(event.target.value); show(); });
-  part("play").addEventListener("click", () => play(!state.playing));
+  part("play").hidden = data.frames.length === 1;
   part("closer").addEventListener("click", () => zoomAtPixel(ZOOM_STEP));
   part("farther").addEventListener("click", () => zoomAtPixel(1 / ZOOM_STEP));
   part("fit").addEventListener("click", fit);
   gestures(stage, true);
   for (const [, , picture] of [...all, ...maps]) gestures(picture, false);
-  return { press, open, show, listen: (heard) => listeners.push(heard) };
+  return { press, open, show, place, listen: (heard) => listeners.push(heard) };
 }

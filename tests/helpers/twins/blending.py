@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Map
 from ggvs_eval.camera import Camera
-from ggvs_eval.geometry import CapturedView
+from ggvs_eval.method import SourceView
 from helpers.twins.warp import warp_twin
 
 
@@ -23,14 +23,19 @@ def weighted_mean_twin(colours: Sequence[Map], weights: Sequence[Map]) -> Map:
 
 
 def look_up_twin(
-    target: Camera, target_depth: Map, views: Sequence[CapturedView], background: Map, tolerance: float
+    target: Camera,
+    target_depth: Map,
+    sources: Sequence[SourceView],
+    weights: Sequence[float],
+    background: Map,
+    tolerance: float,
 ) -> NDArray[np.float64]:
     """What `ggvs_eval.geometry.look_up` computes: warp every view, then blend."""
     warped = [
-        warp_twin(target, target_depth, view.camera, view.image / 255.0, view.depth, tolerance, bicubic=True) for view in views
+        warp_twin(target, target_depth, view.camera, view.image / 255.0, view.depth, tolerance, bicubic=True) for view in sources
     ]
-    weights = [each.visibility * view.weight for each, view in zip(warped, views, strict=True)]
-    foreground = weighted_mean_twin([each.colour for each in warped], weights)
+    counts = [each.visibility * weight for each, weight in zip(warped, weights, strict=True)]
+    foreground = weighted_mean_twin([each.colour for each in warped], counts)
     seen = np.minimum(np.sum([each.visibility for each in warped], axis=0), 1.0)
     return foreground + (1 - seen)[..., None] * (background - foreground)
 

@@ -7,11 +7,13 @@ import torch
 from numpy.typing import NDArray
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.geometry import PixelGaussians, Splat
+from ggvs_eval.geometry import Splat
+from ggvs_eval.geometry.splat import float_features
+from ggvs_eval.method import SourceView
 
 
 def splat_twin(
-    sources: Sequence[PixelGaussians], target: Camera, *, near: float, scale: float = 0.5, normalised: bool = True
+    sources: Sequence[SourceView], target: Camera, *, near: float, scale: float = 0.5, normalised: bool = True
 ) -> Splat:
     """What `ggvs_eval.geometry.splat` computes; memory grows with Gaussians times pixels."""
     parts = [_gaussians(source, target, near, scale) for source in sources]
@@ -30,13 +32,13 @@ def splat_twin(
     return Splat(np.ascontiguousarray(images[:-1].transpose(1, 2, 0)), alpha_image, images[-1])
 
 
-def touched_pairs(source: PixelGaussians, target: Camera, near: float) -> int:
+def touched_pairs(source: SourceView, target: Camera, near: float) -> int:
     """How many pairs of a Gaussian and a pixel have an alpha of at least 1/255: the work of a splat."""
     centres, conics, *_ = _gaussians(source, target, near, 0.5)
     return int((_alpha(centres, conics, target) > 0).sum())
 
 
-def _gaussians(source: PixelGaussians, target: Camera, near: float, scale: float) -> tuple[torch.Tensor, ...]:
+def _gaussians(source: SourceView, target: Camera, near: float, scale: float) -> tuple[torch.Tensor, ...]:
     """Of visible Gaussians: centres in pixel indices (N, 2), inverse covariances (N, 2, 2), depths, features (N, C), keys."""
     valid = source.depth > 0
     z_source = source.depth[valid].astype(np.float64)
@@ -53,12 +55,12 @@ def _gaussians(source: PixelGaussians, target: Camera, near: float, scale: float
     zero = torch.zeros_like(z)
     jacobian = torch.stack([fx / z, zero, -fx * slope_x / z, zero, fy / z, -fy * slope_y / z], dim=1).reshape(-1, 2, 3)
     covariance = sigma[:, None, None] ** 2 * jacobian @ jacobian.mT + 0.3 * torch.eye(2, dtype=torch.float64)  # step 3
-    features = torch.from_numpy(source.features[valid].astype(np.float64))[visible]
+    features = torch.from_numpy(float_features(source.image)[valid].astype(np.float64))[visible]
     keys = torch.from_numpy(_sort_keys(source, target)[valid])[visible]
     return centres, torch.linalg.inv(covariance), z, features, keys
 
 
-def _sort_keys(source: PixelGaussians, target: Camera) -> NDArray[np.float32]:
+def _sort_keys(source: SourceView, target: Camera) -> NDArray[np.float32]:
     """Depth in the target camera as float32 arithmetic gives it, (H, W): near ties are part of the definition."""
     turn = target.rotation @ source.camera.rotation.T
     row = (turn @ np.linalg.inv(source.camera.K))[2].astype(np.float32)

@@ -1,0 +1,72 @@
+"""Plain files: what is no regular file, or larger than such a file can be, is refused before it is read."""
+
+import errno
+import os
+import stat
+from pathlib import Path
+
+KINDS = ((stat.S_ISDIR, "a folder"), (stat.S_ISFIFO, "a pipe"), (stat.S_ISSOCK, "a socket"))
+LARGEST_TEXT = 32 << 20
+LARGEST_TOML = 4 << 20  # its parser takes a second per MB
+LARGEST_PICTURE = 256 << 20
+
+
+class NotPlainError(OSError):
+    """A pipe, a device, a folder, or more bytes than were asked for."""
+
+    def __str__(self) -> str:
+        """What it is; whoever tells names the file."""
+        return str(self.strerror)
+
+
+def check_plain(path: Path, most_bytes: int | None = None) -> int:
+    """Refuse what reading would wait for, or never end with.
+
+    Args:
+        path: a file.
+        most_bytes: that it may have; None where nothing of it is read at once.
+
+    Returns:
+        Its size in bytes.
+
+    Raises:
+        NotPlainError: no regular file, or a larger one.
+        OSError: no such file, or none that we may look at.
+    """
+    status = path.stat()
+    if not stat.S_ISREG(status.st_mode):
+        kind = next((kind for is_kind, kind in KINDS if is_kind(status.st_mode)), "a device")
+        raise _refused(path, f"{kind} instead of a regular file")
+    if most_bytes is not None and status.st_size > most_bytes:
+        raise _refused(path, f"{status.st_size / 1e6:.0f} MB, where {most_bytes / 1e6:.0f} MB are the most that makes sense")
+    return status.st_size
+
+
+def read_plain(path: Path, most_bytes: int) -> bytes:
+    """The content of a regular file; arguments and errors as of `check_plain`."""
+    check_plain(path, most_bytes)
+    # Not blocking: whoever makes a pipe of it meanwhile gains nothing.
+    with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as file:
+        content = file.read(most_bytes + 1)
+    if len(content) > most_bytes:  # files below /proc have no size
+        raise _refused(path, f"more than the {most_bytes / 1e6:.0f} MB that make sense")
+    return content
+
+
+def read_plain_text(path: Path, most_bytes: int = LARGEST_TEXT) -> str:
+    """The text (UTF-8) of a regular file; line ends become those of Unix.
+
+    Raises:
+        OSError: as of `check_plain`.
+        UnicodeDecodeError: no text.
+    """
+    return read_plain(path, most_bytes).decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
+
+
+def why_unread(error: OSError) -> str:
+    """Why a file could not be read, in a few words."""
+    return "no such file" if isinstance(error, FileNotFoundError) else str(error.strerror or error)
+
+
+def _refused(path: Path, found: str) -> NotPlainError:
+    return NotPlainError(errno.EINVAL, found, str(path))

@@ -1,0 +1,204 @@
+"""Confidence intervals of the numbers in a table, from what varies over time, views and scenes."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from ggvs_eval.arrays import Array
+from ggvs_eval.errors import ResultsError
+from ggvs_eval.results import Results
+from ggvs_eval.statistics.autocorrelation import ErrorOfMean, correlation_posterior, total_half_width, total_tail
+from ggvs_eval.statistics.pooled import PooledScene
+from ggvs_eval.statistics.pooled_table import pool_table
+
+LEVEL = 0.95
+FEWEST = 5  # views or scenes from which others can be concluded; fewer are taken as given
+CLEAR = 2.0  # intervals of the strongest correlation beyond which even a short clip tells
+NUDGE = 1e-4
+ROUNDING = 1e-12
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A number and how sure it is.
+
+    Attributes:
+        value: the number of the whole table, as `ggvs_eval.results.Results.summary` has it.
+        low: lower bound; None where there is no interval.
+        high: upper bound, as far above the value as `low` is below; None likewise.
+        note: what the interval takes as given (``given this scene, these 3 views``; empty where nothing), and that a clip is too
+            short for it; or why there is none.
+    """
+
+    value: float
+    low: float | None
+    high: float | None
+    note: str
+
+    @property
+    def half_width(self) -> float | None:
+        """Distance of either bound from the value; None where there is no interval."""
+        return None if self.high is None else self.high - self.value
+
+
+@dataclass(frozen=True)
+class Spread:
+    """How far a number may be off by chance.
+
+    Attributes:
+        value: the number.
+        parts: independent errors that add up: of each scene over time, and over views; or over scenes.
+        given: what was taken as it is.
+    """
+
+    value: float
+    parts: tuple[ErrorOfMean, ...]
+    given: tuple[str, ...]
+
+    @property
+    def note(self) -> str:
+        """What is taken as given, and that a clip is too short, in words; empty where there is nothing to say."""
+        return "; ".join(filter(None, (f"given {', '.join(self.given)}" if self.given else "", self.short)))
+
+    @property
+    def short(self) -> str:
+        """Why the clip is too short for its own correlation, where its error over time is the greatest; else empty."""
+        greatest = max(self.parts, key=lambda part: part.half_width(1.0 - LEVEL))
+        return greatest.short if greatest.half_width(1.0 - LEVEL) > 0.0 else ""
+
+    def half_width(self, level: float) -> float:
+        """Deviation that is exceeded, up or down, with probability 1 - level."""
+        return total_half_width(self.parts, 1.0 - level)
+
+    def undecided(self, level: float = LEVEL) -> str:
+        """Why the sign is open though the p value may be small: the clip is too short; empty where it is not.
+
+        Reading:
+            A clip that seems to be worth fewer than 4 independent frames may as well be worth 2, and then intervals cover 85 % or
+            less. So its number counts as other than 0 only beyond twice the interval of the strongest correlation thought of,
+            half a frame: a drift of a tenth of a decibel does not hide a difference of two.
+        """
+        greatest = math.hypot(*(part.greatest_half_width(1.0 - level) for part in self.parts))
+        return self.short if CLEAR * greatest >= abs(self.value) else ""
+
+    def p_value(self) -> float:
+        """Two-sided p value of the number being 0."""
+        return total_tail(self.parts, abs(self.value))
+
+
+def intervals(results: Results, metric: str, dataset: str, level: float = LEVEL) -> dict[str, Interval]:
+    """Interval of one metric's number for every method: the mean over frames, then views, then scenes.
+
+    Args:
+        results: every measured value.
+        metric: name as in the table; of what is no mean, the influence of each view and frame is taken, see `pooling.Pooling`.
+        dataset: which data set of the table.
+        level: confidence.
+
+    Returns:
+        Label (``method`` or ``method+variant``) -> interval, or the reason why there is none; equal inputs give equal bits.
+    """
+    table, bounded = pool_table(results, metric, dataset), {}
+    for label, value in table.values.items():
+        try:
+            if table.no_interval:
+                raise ResultsError(table.no_interval)
+            spread = measure_spread(table.scenes_of(label))
+            half = spread.half_width(level)
+            bounded[label] = Interval(value, value - half, value + half, spread.note)
+        except ResultsError as refusal:
+            bounded[label] = Interval(value, None, None, str(refusal))
+    return bounded
+
+
+def measure_spread(scenes: Sequence[PooledScene]) -> Spread:
+    """Find out how far the mean over scenes of a number may be off by chance.
+
+    Args:
+        scenes: the number on each scene.
+
+    Raises:
+        ResultsError: there is nothing that varies: one frame, one view.
+
+    Reading:
+        With five scenes or more, scenes are a sample: their spread holds that of the views and frames in them, and counting
+        those again would count it twice (Davison & Hinkley 1997, section 3.8). With fewer, scenes are taken as given and views
+        and frames count within each. Five test views or more count as a sample of the places where a camera could stand, fewer
+        are taken as given too.
+    """
+    numbers = np.array([scene.value for scene in scenes])
+    value = float(numbers.mean())
+    if len(scenes) >= FEWEST:
+        return Spread(value, (ErrorOfMean.of_sample(numbers),), ())
+    parts = tuple(part for scene in scenes for part in _errors_of_scene(scene, len(scenes)))
+    given = ["this scene" if len(scenes) == 1 else f"these {len(scenes)} scenes"]
+    for scene in scenes:
+        given += [] if _samples_views(scene) or scene.views == (None,) else [f"these {len(scene.views)} views"]
+    return Spread(value, parts, tuple(dict.fromkeys(given)))
+
+
+def _errors_of_scene(scene: PooledScene, scenes: int) -> list[ErrorOfMean]:
+    """Error over time, the same in all views because the cameras run together, and with enough views the error over those.
+
+    What is neither of a view nor of an instant is in both; it is taken out of the error over time, so that it counts once
+    (Cameron, Gelbach & Miller 2011).
+
+    Reading:
+        A number that is no mean is to first order the mean of what each frame moves (its influence), and likewise over views.
+        Its interval is of the number that such clips have on average, at this length: SDT of a longer clip is larger.
+    """
+    by_view, by_time = _samples_views(scene), len(scene.frames) > 1
+    _check_enough(scene, by_view, by_time)
+    views, frames = scene.even()
+    errors = []
+    if by_view:
+        errors.append(ErrorOfMean.of_sample(_influence(scene, views, lambda nudged: scene.pool(nudged, frames)), scenes))
+    if by_time:
+        of_frames = _influence(scene, frames, partial(scene.pool, views))
+        errors.append(ErrorOfMean.of_series(of_frames, _rest(scene) if by_view else 0.0, scenes))
+    return errors
+
+
+def _samples_views(scene: PooledScene) -> bool:
+    """Whether its views stand for others."""
+    return len(scene.views) >= FEWEST and not scene.views_given
+
+
+def _rest(scene: PooledScene) -> Array:
+    """Variance of the number due to what is neither of a view nor of an instant, under each model of correlation, (G,)."""
+    views, frames = scene.even()
+    count = views.shape[1]
+    of_view = []
+    for view in (1.0 - NUDGE) * views + NUDGE * np.eye(count):
+        of_view.append(_influence(scene, frames, partial(scene.pool, view[None])))
+    moved = np.array(of_view) / NUDGE
+    scales = correlation_posterior(moved - moved.mean(axis=0)).scales  # (V, G)
+    return np.asarray(np.square(scales).sum(axis=0) / (count * (count - 1)))
+
+
+def _check_enough(scene: PooledScene, by_view: bool, by_time: bool) -> None:
+    """Refuse what does not vary over anything that counts as a sample."""
+    if len(scene.views) == 1 and scene.views[0] is not None:
+        raise ResultsError("1 view; an interval needs 2")
+    if by_time or (by_view and scene.frames[0] < 0):
+        return
+    if scene.frames[0] >= 0:
+        raise ResultsError("1 frame; an interval needs 2")
+    what = "one value for the whole rig" if scene.views == (None,) else f"one value for each of {len(scene.views)} views"
+    raise ResultsError(f"{what}; an interval needs values along time, or {FEWEST} views")
+
+
+def _influence(scene: PooledScene, even: Array, pool: Callable[[Array], Array]) -> Array:
+    """What the number moves when one view or frame counts a little more, (count,); its mean is 0 to first order.
+
+    Raises:
+        ResultsError: the number is not finite.
+    """
+    nudged = (1.0 - NUDGE) * even + NUDGE * np.eye(even.shape[1])
+    moved = np.asarray((pool(nudged) - pool(even)) / NUDGE)
+    if not np.isfinite(moved).all():
+        raise ResultsError("the number is not finite, such as a ratio to 0; no interval")
+    return np.where(np.abs(moved) > ROUNDING / NUDGE * max(1.0, abs(scene.value)), moved, 0.0)

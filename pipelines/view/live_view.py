@@ -1,0 +1,162 @@
+"""What one viewer sees: the picture of a pose and an instant by a method, small while something moves, whole at rest."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from time import perf_counter
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from ggvs_eval.arrays import Image8
+from ggvs_eval.camera import Camera
+from ggvs_eval.errors import RenderError
+from ggvs_eval.files.images import quantise
+from ggvs_eval.method import Rendering
+from ggvs_eval.pipelines.play.synthesizer import OnlineSynthesizer
+from ggvs_eval.pipelines.run.diagnostics import diagnostics_picture
+from ggvs_eval.pipelines.view.frame_stock import FrameStock, fitted
+
+Layer = Literal["picture", "depth", "weights", "coverage", "motion"]
+LAYERS: tuple[Layer, ...] = ("picture", "depth", "weights", "coverage", "motion")
+DIVIDER_COLOUR = 255
+
+
+@dataclass(frozen=True, eq=False)
+class ViewRequest:
+    """One picture that a viewer asks for.
+
+    Attributes:
+        pose: the virtual camera, at the size of the viewer's window.
+        instant: frame number of the capture.
+        methods: label of the method; of two, the first left of the divider and the second right of it.
+        k: source views.
+        layer: the picture, or what the method decided on the way to it.
+        divider: where the two meet, share of the width.
+    """
+
+    pose: Camera
+    instant: int
+    methods: tuple[str, ...]
+    k: int
+    layer: Layer = "picture"
+    divider: float = 0.5
+
+
+@dataclass(frozen=True)
+class Picture:
+    """The answer to a request.
+
+    Attributes:
+        image: (H, W, 3), RGB uint8.
+        seconds: of each stage of each method: label -> stage -> seconds, with the whole step as ``step``.
+        sources: names of the source cameras of the first method, nearest first.
+    """
+
+    image: Image8
+    seconds: dict[str, dict[str, float]]
+    sources: tuple[str, ...]
+
+
+@dataclass
+class _Running:
+    """A method in the middle of a sequence, and the instant it was last shown."""
+
+    synthesizer: OnlineSynthesizer
+    instant: int | None = None
+
+
+@dataclass
+class LiveView:
+    """Pictures of one size for one viewer, each method with the history of what it was shown.
+
+    A method sees instants as they come: the same one again while time stands still, the next one while it plays. It begins anew
+    after any other jump in time, since it would take what it remembers for the instant before.
+
+    Attributes:
+        stock: frames and depth.
+        units_per_metre: of the capture.
+        pixels: of a picture, at most.
+        device: where networks compute.
+    """
+
+    stock: FrameStock
+    units_per_metre: float
+    pixels: int
+    device: str = "cpu"
+    _running: dict[str, _Running] = field(default_factory=dict)
+
+    def picture(self, request: ViewRequest) -> Picture:
+        """Synthesise what is asked for.
+
+        Raises:
+            CameraError: too few cameras look the pose's way.
+            RenderError: unknown method, or one that does not show this layer.
+        """
+        target = fitted(request.pose, self.pixels)
+        self._running = {label: each for label, each in self._running.items() if label in request.methods}
+        seconds: dict[str, dict[str, float]] = {}
+        images = []
+        for label in request.methods:
+            begun = perf_counter()
+            rendering = self._step(label, request, target)
+            images.append(layer_image(rendering, request.layer, target, label))
+            seconds[label] = {**rendering.seconds, "step": perf_counter() - begun}
+        sources = self._running[request.methods[0]].synthesizer.sources(target)
+        return Picture(divided(images, request.divider), seconds, tuple(camera.name for camera in sources))
+
+    def restart(self) -> None:
+        """Forget what the methods were shown."""
+        self._running.clear()
+
+    def _step(self, label: str, request: ViewRequest, target: Camera) -> Rendering:
+        if label not in self._running:
+            self._running[label] = _Running(
+                OnlineSynthesizer(self.stock.cameras, request.k, self.units_per_metre, label, self.device)
+            )
+        running = self._running[label]
+        if running.instant is not None and request.instant not in (running.instant, running.instant + 1):
+            running.synthesizer.restart()
+        running.synthesizer.k, running.instant = request.k, request.instant
+        frames = {camera.name: self.stock.read(camera.name, request.instant) for camera in running.synthesizer.sources(target)}
+        images = {name: image for name, (image, _) in frames.items()}
+        depths = {name: depth for name, (_, depth) in frames.items()}
+        return running.synthesizer.step(images, depths, target)
+
+
+def layer_image(rendering: Rendering, layer: Layer, target: Camera, label: str) -> Image8:
+    """The picture, or a map behind it in colours, at the target's size.
+
+    Raises:
+        RenderError: the method has no such map; the message names those it has.
+    """
+    if layer == "picture":
+        return quantise(rendering.image)
+    maps = dict(rendering.inside)
+    if rendering.depth is not None:
+        maps["depth"] = rendering.depth
+    if layer not in maps:
+        raise RenderError(f"{label} shows no {layer}; it has {', '.join(['picture', *sorted(maps)])}")
+    return cv2.resize(diagnostics_picture(layer, maps[layer], target), target.size, interpolation=cv2.INTER_NEAREST_EXACT)
+
+
+def divided(images: Sequence[Image8], share: float) -> Image8:
+    """The first image left of a line, the second right of it; a single one as it is."""
+    if len(images) == 1:
+        return images[0]
+    left, right = images
+    column = int(np.clip(round(share * left.shape[1]), 0, left.shape[1] - 1))
+    joined = np.concatenate([left[:, :column], right[:, column:]], axis=1)
+    joined[:, max(column - 1, 0) : column + 1] = DIVIDER_COLOUR
+    return joined
+
+
+def recorded_pose(request: ViewRequest, view: Camera, index: int) -> Camera:
+    """The pose of a request as a camera of a rig's own size and depth range, called ``pose0000``, ...
+
+    The vertical field of view is kept; a window of another shape shows more or less at the sides.
+    """
+    pose = request.pose
+    focal = pose.K[1, 1] * view.height / pose.height
+    K = np.array([[focal, 0, view.width / 2], [0, focal, view.height / 2], [0, 0, 1]])
+    return replace(view, name=f"pose{index:04d}", K=K, world_to_camera=pose.world_to_camera)

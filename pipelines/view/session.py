@@ -1,0 +1,252 @@
+"""One browser window: its controls, what it asks for, and the pictures that it is sent."""
+
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from time import monotonic
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.errors import GgvsError
+from ggvs_eval.pipelines.play.playback import Playback
+from ggvs_eval.pipelines.view.frame_stock import FrameStock
+from ggvs_eval.pipelines.view.live_view import LAYERS, LiveView, Picture, ViewRequest
+from ggvs_eval.pipelines.view.recording import Recording
+from ggvs_eval.pipelines.view.scene import Frusta, add_cloud, camera_orientation, middle_camera
+from ggvs_eval.protocol import Protocol
+
+if TYPE_CHECKING:
+    import viser
+
+NOTHING = "-"
+MOST_SOURCES = 8
+JPEG_QUALITY = 85
+REST_SECONDS = 0.25  # without a change, before the picture is made at full size
+RATE_SECONDS = 2.0  # over which pictures per second are counted
+
+
+@dataclass(frozen=True)
+class ViewDefaults:
+    """What a window shows at first.
+
+    Attributes:
+        method: label of the method.
+        methods: labels to choose from.
+        k: source views.
+        protocol: evaluates the capture, for paths that are recorded.
+        recordings: folder of what is recorded.
+    """
+
+    method: str
+    methods: Sequence[str]
+    k: int
+    protocol: Protocol
+    recordings: Path
+
+
+class Session:
+    """A browser window and the two views behind it: a small one that keeps up, and a whole one for a camera at rest.
+
+    The viewer calls `advance` again and again on one thread, `refine` on another; the browser's messages arrive on more.
+
+    Args:
+        client: the window.
+        playback: what is looked at.
+        stocks: frames and depth, small and whole.
+        pixels: of a small picture, at most.
+        defaults: what is shown at first.
+        device: where networks compute.
+        changed: called when there is something to do.
+    """
+
+    def __init__(
+        self,
+        client: "viser.ClientHandle",
+        playback: Playback,
+        stocks: tuple[FrameStock, FrameStock],
+        pixels: int,
+        defaults: ViewDefaults,
+        device: str,
+        changed: Callable[[], None],
+    ) -> None:
+        self.client, self._playback, self._stocks, self._changed_callback = client, playback, stocks, changed
+        small, whole = stocks
+        units = playback.capture.units_per_metre
+        self._moving = LiveView(small, units, pixels, device)
+        view = middle_camera(whole.cameras)
+        self._whole = LiveView(whole, units, view.width * view.height, device)
+        self.recording = Recording(playback, view, defaults.protocol, defaults.recordings, device)
+        self._lock = threading.Lock()
+        self._version, self._shown_version, self._refined_version = 1, 0, 0
+        self._changed_at = monotonic()
+        self._sent: list[float] = []
+        self._next_instant_at = 0.0
+        self._cloud: viser.PointCloudHandle | None = None
+        self._frusta = Frusta(client.scene, small.cameras)
+        for handle, camera in zip(self._frusta.handles, small.cameras, strict=True):
+            handle.on_click(partial(self._stand_where, camera.name))
+        self._add_controls(defaults)
+        client.camera.on_update(lambda _: self.change())
+
+    def change(self, *_: Any) -> None:
+        """Ask for a new picture."""
+        with self._lock:
+            self._version += 1
+            self._changed_at = monotonic()
+        self._changed_callback()
+
+    def advance(self) -> bool:
+        """Send the next small picture if one is due; whether there was one."""
+        if self._play.value and monotonic() >= self._next_instant_at:
+            self._next_instant_at = max(self._next_instant_at + 1 / (self._playback.capture.fps or 30.0), monotonic() - 0.1)
+            instants = sorted(set(self._playback.instants))
+            following = instants[(instants.index(int(self._time.value)) + 1) % len(instants)]
+            self._time.value = following  # type: ignore[misc]  # its setter stands too far from its getter for mypy
+        with self._lock:
+            version = self._version
+        if version == self._shown_version:
+            return False
+        self._shown_version = version
+        request = self._request()
+        self._frusta.show(self._cameras.value, request.pose.centre)
+        picture = self._attempt(self._moving, request)
+        if picture is not None:
+            self._send(picture)
+            self.recording.append(request)
+        return True
+
+    def rests(self) -> bool:
+        """Whether nothing has changed for a while, and the whole picture has not been made yet."""
+        with self._lock:
+            rested = monotonic() - self._changed_at >= REST_SECONDS
+            return rested and self._shown_version == self._version != self._refined_version
+
+    def refine(self) -> None:
+        """Make the whole picture and send it, unless something has changed meanwhile."""
+        with self._lock:
+            version = self._version
+            self._refined_version = version
+        self._whole.restart()  # what it saw before was another pose at another time
+        picture = self._attempt(self._whole, self._request())
+        with self._lock:
+            is_current = version == self._version
+        if picture is not None and is_current:
+            self._send(picture)
+
+    def _request(self) -> ViewRequest:
+        label = self._label.value.strip() or self._method.value
+        methods = (label,) if self._other.value == NOTHING else (label, self._other.value)
+        instant, k = int(self._time.value), int(self._k.value)
+        return ViewRequest(self._pose(), instant, methods, k, self._layer.value, float(self._divider.value))
+
+    def _pose(self) -> Camera:
+        """The window's camera; square pixels, the principal point in the middle."""
+        state = self.client.camera
+        view = middle_camera(self._stocks[1].cameras)
+        width, height = max(state.image_width, 16), max(state.image_height, 16)
+        focal = height / (2 * np.tan(state.fov / 2))
+        world_to_camera = np.eye(4)
+        world_to_camera[:3, :3] = Rotation.from_quat(state.wxyz, scalar_first=True).as_matrix().T
+        world_to_camera[:3, 3] = -world_to_camera[:3, :3] @ state.position
+        K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
+        return replace(view, name="view", K=K, world_to_camera=world_to_camera, width=width, height=height)
+
+    def _attempt(self, view: LiveView, request: ViewRequest) -> Picture | None:
+        """The picture, or a message in the page that says why there is none."""
+        try:
+            picture = view.picture(request)
+        except GgvsError as error:
+            self._message.content = f"**{error}**"
+            self._message.visible = True
+            return None
+        self._message.visible = False
+        return picture
+
+    def _send(self, picture: Picture) -> None:
+        self.client.scene.set_background_image(picture.image, format="jpeg", jpeg_quality=JPEG_QUALITY)
+        now = monotonic()
+        self._sent = [at for at in self._sent if at > now - RATE_SECONDS] + [now]
+        self._status.content = status_text(picture, len(self._sent) / RATE_SECONDS)
+
+    def _add_controls(self, defaults: ViewDefaults) -> None:
+        gui, playback = self.client.gui, self._playback
+        instants, names = sorted(set(playback.instants)), [camera.name for camera in playback.capture.cameras]
+        self._message = gui.add_markdown("", visible=False)
+        with gui.add_folder("Method"):
+            self._method = gui.add_dropdown("method", tuple(defaults.methods), initial_value=defaults.method)
+            self._label = gui.add_text("or by label", "", hint="any label, with options: ours+tau_m=0.05")
+            self._k = gui.add_slider("K", 1, min(MOST_SOURCES, len(names) - 1), 1, defaults.k, hint="source views")
+            self._layer = gui.add_dropdown("show", LAYERS)
+            self._other = gui.add_dropdown("compare with", (NOTHING, *defaults.methods))
+            self._divider = gui.add_slider("divider", 0.0, 1.0, 0.01, 0.5)
+        with gui.add_folder("Time"):
+            self._play = gui.add_checkbox("play", initial_value=False, disabled=len(instants) == 1)
+            self._time = gui.add_slider(
+                "instant", instants[0], max(instants[-1], instants[0] + 1), 1, instants[0], disabled=len(instants) == 1
+            )
+        with gui.add_folder("Scene"):
+            self._go_to = gui.add_dropdown("stand at", (NOTHING, *names))
+            self._cameras = gui.add_checkbox("cameras", initial_value=True, hint="click one to stand there")
+            self._points = gui.add_checkbox("points", initial_value=False, hint="the surface that depth says is there")
+        self._add_recording(gui)
+        with gui.add_folder("Latency"):
+            self._status = gui.add_markdown("")
+        method = (self._method, self._label, self._k, self._layer, self._other, self._divider)
+        for control in (*method, self._time, self._play, self._cameras):
+            control.on_update(self.change)
+        self._go_to.on_update(lambda _: self._stand_where(self._go_to.value))
+        self._points.on_update(lambda _: self._show_points())
+        self._time.on_update(lambda _: self._show_points())
+
+    def _add_recording(self, gui: "viser.GuiApi") -> None:
+        with gui.add_folder("Path"):
+            self._record = gui.add_button("record")
+            video, protocol = gui.add_button("write video"), gui.add_button("write protocol")
+            self._recorded = gui.add_markdown("")
+
+        def toggle(_: Any) -> None:
+            self._record.label = "stop" if self.recording.toggle() else "record"
+            self._recorded.content = f"{len(self.recording.requests)} poses"
+
+        def tell(write: Callable[[], str]) -> None:
+            self._recorded.content = "writing ..."
+            try:
+                self._recorded.content = write()
+            except (GgvsError, OSError) as error:
+                self._recorded.content = f"**{error}**"
+
+        self._record.on_click(toggle)
+        video.on_click(lambda _: tell(self.recording.write_video))
+        protocol.on_click(lambda _: tell(self.recording.write_protocol))
+
+    def _stand_where(self, name: str, *_: Any) -> None:
+        """Put the window's camera where a camera of the rig stands."""
+        if name == NOTHING:
+            return
+        camera = self._playback.capture.camera(name)
+        with self.client.atomic():
+            self.client.camera.position = camera.centre
+            self.client.camera.wxyz = camera_orientation(camera)
+        self.change()
+
+    def _show_points(self) -> None:
+        if self._cloud is not None:
+            self._cloud.remove()
+            self._cloud = None
+        if self._points.value:
+            self._cloud = add_cloud(self.client.scene, self._stocks[0], int(self._time.value))
+
+
+def status_text(picture: Picture, rate: float) -> str:
+    """Pictures per second, the size, the source cameras and the milliseconds of each stage, as Markdown."""
+    height, width = picture.image.shape[:2]
+    lines = [f"{rate:.1f} pictures per second, {width} x {height}, from {', '.join(picture.sources)}"]
+    for label, seconds in picture.seconds.items():
+        stages = ", ".join(f"{stage} {1000 * each:.0f}" for stage, each in seconds.items())
+        lines.append(f"{label}: {stages} ms")
+    return "\n\n".join(lines)

@@ -1,0 +1,177 @@
+"""Who is best, in words and in a drawing: the first thing that the page says."""
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from ggvs_eval.protocol import Frames
+from ggvs_eval.reports.model.measured import MeasuredRun, read_run
+from ggvs_eval.reports.tables.report_tables import main_tables
+from ggvs_eval.reports.tables.verdict import Verdict, evaluate_verdict
+from ggvs_eval.run_folder import write_json
+from ggvs_eval.statistics.paired import compare
+from helpers.run_folders import LABELS, NAMES, RunShape, write_run
+
+SHAPE = RunShape(frames=Frames(0, 24), metrics=("SSIM", "PSNR", "LPIPS"), poses=0, width=16, height=16)
+WORST, MIDDLE, BEST = LABELS
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory) -> MeasuredRun:
+    """A run of three methods whose standing is clear; nobody changes it."""
+    return read_run(write_run(tmp_path_factory.mktemp("verdict") / "run", SHAPE))
+
+
+def verdict_of(run: MeasuredRun, edit: Callable[[pd.DataFrame], pd.DataFrame] = lambda table: table) -> Verdict:
+    """The verdict on a run whose table of values was edited."""
+    results = replace(run.results, table=edit(run.results.table.copy()))
+    run = replace(run, results=results)
+    verdict = evaluate_verdict([run], results, main_tables([run], results))
+    assert verdict is not None
+    return verdict
+
+
+def of(table: pd.DataFrame, label: str, metric: str = "PSNR") -> pd.Series:
+    """Which rows are a method's values of a metric."""
+    method, _, variant = label.partition("+")
+    return (table["method"] == method) & (table["variant"] == variant) & (table["metric"] == metric)
+
+
+def test_the_best_and_its_lead_with_the_paired_interval(run):
+    """The lead is the paired difference to the runner-up, with its interval; PSNR is the headline, listed first or not."""
+    verdict = verdict_of(run)
+    difference = compare(run.results, "PSNR", BEST, MIDDLE, "Demo room")
+    assert verdict.column.name == "PSNR"
+    assert verdict.headline == f"{NAMES[BEST]} is best"
+    numbers = [float(number) for number in re.findall(r"\d+\.\d+", verdict.margin)]
+    assert numbers == pytest.approx([difference.difference, difference.low, difference.high], abs=0.005)
+    assert verdict.margin.startswith(
+        f"{difference.difference:.2f} dB ahead of {NAMES[MIDDLE]}, the next best (95\N{NO-BREAK SPACE}% "
+    )
+    assert (verdict.others, verdict.tied) == ({NAMES[BEST]: ["SSIM", "LPIPS"]}, ())
+    assert [one.label for one in verdict.contenders] == [BEST, MIDDLE, WORST]
+
+
+def test_a_tie_is_called_a_tie(run):
+    """Two methods whose values differ by noise about nothing tie; a name with a comma stands in quotation marks."""
+
+    def tie(table: pd.DataFrame) -> pd.DataFrame:
+        noise = np.random.default_rng(3).standard_normal(of(table, BEST).sum())
+        table.loc[of(table, MIDDLE), "value"] = table.loc[of(table, BEST), "value"].to_numpy() + noise - noise.mean() + 0.001
+        return table
+
+    verdict = verdict_of(run, tie)
+    assert verdict.headline == f"{NAMES[MIDDLE]} and {NAMES[BEST]} tie"
+    assert verdict.margin.startswith(f"0.00 dB between {NAMES[MIDDLE]} and “{NAMES[BEST]}” is too little to tell them apart")
+    assert "interval −0." in verdict.margin
+    assert verdict.others == {NAMES[BEST]: ["SSIM", "LPIPS"]}
+
+
+def test_a_clip_too_short_for_its_correlation_has_no_winner(run):
+    """Where tables name nobody as the best, the verdict names nobody, and says why; metrics without a winner are told apart."""
+    (table,) = main_tables([run], run.results)
+    rows = [replace(row, cells=tuple(replace(cell, best=True) for cell in row.cells)) for row in table.rows[1:]]
+    table = replace(table, rows=(table.rows[0], *rows), undecided={"PSNR": "clip too short", "LPIPS": "clip too short"})
+    verdict = evaluate_verdict([run], run.results, [table])
+    assert verdict is not None
+    assert verdict.headline == "No winner can be named"
+    assert verdict.margin.endswith("dB ahead of Ours (geometric weights); clip too short")
+    assert (verdict.others, verdict.tied) == ({}, ("SSIM", "LPIPS"))
+
+
+def test_equal_numbers_are_equal(run):
+    """Methods that agree to the bit are equal, and nothing is estimated of their difference."""
+
+    def copy(table: pd.DataFrame) -> pd.DataFrame:
+        table.loc[of(table, MIDDLE), "value"] = table.loc[of(table, BEST), "value"].to_numpy()
+        return table
+
+    verdict = verdict_of(run, copy)
+    assert verdict.headline.endswith("are equal")
+    assert verdict.margin.endswith("dB each")
+
+
+def test_one_frame_of_one_view_proves_nothing(tmp_path):
+    """Where nothing can be resampled the best leads, and the words say why more is not known."""
+    shape = replace(SHAPE, frames=Frames(0, 1), views=("cam00",), metrics=("PSNR",))
+    verdict = verdict_of(read_run(write_run(tmp_path / "run", shape)))
+    assert verdict.headline == f"{NAMES[BEST]} leads"
+    assert "whether by chance cannot be told (" in verdict.margin
+    assert all(one.span is None and one.place is not None for one in verdict.contenders)
+
+
+def test_one_method_alone_is_no_winner(tmp_path):
+    """A single method is not called the best of anything; its value is told."""
+    verdict = verdict_of(read_run(write_run(tmp_path / "run", replace(SHAPE, labels=(BEST,)))))
+    assert verdict.headline == f"{NAMES[BEST]} was measured alone"
+    assert verdict.margin.endswith(" dB")
+    assert verdict.shown(replace(read_run(tmp_path / "run"))) == (BEST,)
+
+
+def test_the_drawing_is_to_scale(run):
+    """Places are linear in the value, the best furthest to its better side, intervals around their values; infinity has none."""
+    verdict = verdict_of(run)
+    values = np.array([one.cell.value for one in verdict.contenders])
+    places = np.array([one.place for one in verdict.contenders])
+    assert np.diff(places)[0] / np.diff(places)[1] == pytest.approx(np.diff(values)[0] / np.diff(values)[1], abs=0.01)
+    assert all(0 <= one.span[0] <= one.place <= one.span[1] <= 100 for one in verdict.contenders)
+
+    def perfect(table: pd.DataFrame) -> pd.DataFrame:
+        table.loc[of(table, WORST), "value"] = np.inf
+        return table
+
+    verdict = verdict_of(run, perfect)
+    assert (verdict.contenders[0].label, verdict.contenders[0].place, verdict.contenders[0].cell.text) == (WORST, None, "∞")
+
+
+def test_ours_stands_beside_a_better_method(run):
+    """Shown are the best and the runner-up; where the best is not ours, ours; never a method without pictures."""
+    assert verdict_of(run).shown(run) == (BEST, MIDDLE)
+
+    def baseline_wins(table: pd.DataFrame) -> pd.DataFrame:
+        table.loc[of(table, WORST), "value"] += 100.0
+        return table
+
+    verdict = verdict_of(run, baseline_wins)
+    assert verdict.shown(replace(run, ours=frozenset({MIDDLE}))) == (WORST, MIDDLE)
+    assert verdict.shown(replace(run, ours=frozenset())) == (WORST, BEST)
+    assert verdict.shown(replace(run, labels=(MIDDLE,))) == (MIDDLE,)
+
+
+def test_no_ranked_table_has_no_verdict(run):
+    """Without tables there is nothing to say."""
+    assert evaluate_verdict([run], run.results, ()) is None
+
+
+def write_references(root: Path, *values: dict[str, float | str]) -> MeasuredRun:
+    """A run with noise ceilings of these values."""
+    run = write_run(root, replace(SHAPE, frames=Frames(0, 4)))
+    names = ("Ceiling: perfect", "Ceiling: second")
+    entries = [
+        {"group": "quality", "name": name, "note": f"{name}.", "values": one} for name, one in zip(names, values, strict=True)
+    ]
+    write_json(run / "references.json", entries)
+    return read_run(run)
+
+
+def test_a_ceiling_that_cannot_be_computed_is_one_line(tmp_path):
+    """Two ceilings without a number are no rows; what they lack stands once below the table. With numbers they are rows."""
+    lacking = {"PSNR": "cam00: 6 frames, wanted 8", "SSIM": "cam00: 6 frames, wanted 8"}
+    run = write_references(tmp_path / "lacking", lacking, lacking)
+    (table,) = main_tables([run], run.results)
+    assert not [row for row in table.rows if row.kind == "reference"]
+    assert table.caption.count("6 frames, wanted 8") == 1
+    assert "Not computed for SSIM, PSNR: Ceiling: perfect, Ceiling: second (cam00: 6 frames, wanted 8)." in table.caption
+    run = write_references(tmp_path / "partly", {"PSNR": 50.0, "SSIM": "no"}, {"PSNR": 40.0, "SSIM": "no"})
+    (table,) = main_tables([run], run.results)
+    rows = [row for row in table.rows if row.kind == "reference"]
+    assert [[cell.text for cell in row.cells] for row in rows] == [
+        ["not computed", "50.00", "no such reference"],
+        ["not computed", "40.00", "no such reference"],
+    ]
+    assert "Ceiling: perfect: Ceiling: perfect. Ceiling: second: Ceiling: second. Not computed for SSIM: " in table.caption

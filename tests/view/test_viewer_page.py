@@ -1,0 +1,95 @@
+"""The viewer in a real browser: pictures come, the camera moves them, methods are chosen, errors are messages in the page."""
+
+import time
+from io import BytesIO
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from ggvs_eval.errors import CommandError
+from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
+from ggvs_eval.pipelines.play.playback import PlayOptions, viewing_of_capture
+from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
+from ggvs_eval.pipelines.view import viewer as viewer_module
+from ggvs_eval.pipelines.view.session import ViewDefaults
+from ggvs_eval.pipelines.view.viewer import ServerOptions, Viewer, export_page, require_viser
+from helpers.stereo_scenes import write_capture
+
+CANVAS = "canvas"
+
+
+@pytest.fixture(scope="module")
+def playback(tmp_path_factory):
+    """Five cameras before a plane that comes nearer."""
+    folder = tmp_path_factory.mktemp("plane")
+    return viewing_of_capture(write_capture(folder), PlayOptions(k=2), DepthRunOptions("sgbm").options(), folder / "cache")
+
+
+@pytest.fixture
+def page(playback, started, tmp_path):
+    """The viewer's page, opened, with its first picture."""
+    pytest.importorskip("viser")
+    defaults = ViewDefaults("ours-geometric", ("ours-geometric", "no-blending"), 2, suggest_protocol(playback.capture), tmp_path)
+    with Viewer(playback, defaults, ServerOptions(port=0)) as viewer:
+        started.driven.get(viewer.address)
+        started.wait("document.body.innerText.includes('pictures per second')", seconds=60)
+        yield started, viewer
+        started.driven.get("about:blank")
+    started.complaints()  # software rendering warns of itself
+
+
+def session_of(viewer: Viewer):
+    """The session of the only window."""
+    (session,) = viewer._sessions.values()
+    return session
+
+
+def picture_of(browser) -> np.ndarray:
+    """What the browser shows left of the controls, (h, w, 3)."""
+    shown = Image.open(BytesIO(browser.driven.get_screenshot_as_png())).convert("RGB")
+    return np.asarray(shown.crop((320, 0, shown.width // 2, shown.height)), np.int16)
+
+
+def test_dragging_moves_the_picture(page):
+    """The pose that is synthesised follows the mouse, and what the browser shows is another picture then."""
+    browser, viewer = page
+    recording, before = session_of(viewer).recording, picture_of(browser)
+    recording.toggle()
+    browser.drag(CANVAS, (0.4, 0.5), (0.6, 0.5))
+    end = time.monotonic() + 60
+    while len({tuple(request.pose.centre.round(3)) for request in recording.requests}) < 2 and time.monotonic() < end:
+        time.sleep(0.1)
+    centres = {tuple(request.pose.centre.round(3)) for request in recording.requests}
+    assert len(centres) > 1
+    while (changed := float(np.abs(picture_of(browser) - before).mean())) < 4 and time.monotonic() < end:
+        time.sleep(0.1)
+    assert changed >= 4
+
+
+def test_an_unknown_method_is_a_message_in_the_page(page):
+    """The page says what is known; a right label takes the message away."""
+    browser, _ = page
+    fields = browser.driven.find_elements("css selector", "input.mantine-TextInput-input")
+    field = next(each for each in fields if each.is_displayed() and not each.get_attribute("value"))
+    field.send_keys("no-blendin")
+    browser.wait("document.body.innerText.includes(\"unknown method 'no-blendin'; did you mean no-blending?\")", seconds=30)
+    field.send_keys("g")
+    browser.wait("document.body.innerText.includes('no-blending:')", seconds=30)
+    assert not browser.run("document.body.innerText.includes('unknown method')")
+
+
+def test_the_exported_page_needs_no_server(playback, started, tmp_path):
+    """It draws the scene from the file alone; the browser of these tests reaches no network."""
+    pytest.importorskip("viser")
+    export_page(playback, [0, 1], tmp_path / "view.html")
+    started.driven.get((tmp_path / "view.html").as_uri())
+    started.wait("document.querySelector('canvas') !== null", seconds=60)
+    assert [entry for entry in started.complaints() if "SEVERE" in entry] == []
+
+
+def test_without_viser_one_line_says_what_to_install(monkeypatch):
+    """Before anything is computed."""
+    monkeypatch.setattr(viewer_module.importlib.util, "find_spec", lambda _: None)
+    with pytest.raises(CommandError, match=r"pip install 'ggvs-eval\[view\]'"):
+        require_viser()
