@@ -61,12 +61,12 @@ USUAL_LOOP, USUAL_DATA = LoopOptions(), DataOptions()
 
 
 def train_stereo(out: Output, training: Training = USUAL_LOOP, start_from: Path | None = None) -> None:
-    """Train the compact RAFT-Stereo on scenes that are made on the fly.
+    """Train the compact RAFT-Stereo on pairs of procedural rooms, taken on the fly.
 
     Args:
         out: folder for the state to go on from, the weights, the logs and the model card.
         training: how the network is trained.
-        start_from: weights to begin with where the folder holds no state, such as those that ship.
+        start_from: weights to begin with where the folder holds no state, such as those that ship; a lower rate moves them.
     """
     _train("stereo", out, _request(training, start_from=start_from))
 

@@ -9,10 +9,10 @@ from ggvs_eval.pipelines.training.baseline_task import baseline_task
 from ggvs_eval.pipelines.training.blend.blend_task import BlendTask
 from ggvs_eval.pipelines.training.request import TrainingRequest
 from ggvs_eval.pipelines.training.samples.training_data import TrainingData, blend_samples, prepare_samples
-from ggvs_eval.pipelines.training.stereo.stereo_task import StereoTask
+from ggvs_eval.pipelines.training.stereo.stereo_task import FINE_TUNING, StereoTask
 from ggvs_eval.training.card import write_card
 from ggvs_eval.training.loop import TrainingOptions, train
-from ggvs_eval.training.task import Task
+from ggvs_eval.training.task import Schedule, Task
 
 CACHE = "blend-samples"  # beside the folders of the trainings
 
@@ -33,7 +33,7 @@ def train_one(what: str, folder: Path, request: TrainingRequest) -> tuple[Path, 
         TrainingError: nothing to learn from, or the folder's state belongs to another network.
     """
     hardware = describe_device(compute_device(request.device))  # what is missing shows before anything is rendered
-    task = _task(what, folder.parent / CACHE, request)
+    task = planned_task(what, folder.parent / CACHE, request)
     options = TrainingOptions(
         steps=request.steps,
         device=request.device,
@@ -54,10 +54,10 @@ def requested_data(request: TrainingRequest) -> TrainingData:
     )
 
 
-def _task(what: str, cache: Path, request: TrainingRequest) -> Task:
-    """The task with its samples in place."""
+def planned_task(what: str, cache: Path, request: TrainingRequest) -> Task:
+    """The task that is asked for, its samples in place."""
     if what == "stereo":
-        return StereoTask(seed=request.seed)
+        return StereoTask(seed=request.seed, schedule=Schedule() if request.start_from is None else FINE_TUNING)
     data = requested_data(request)
     if what != "blend":
         baseline = baseline_task(what, cache, data, request.configuration, request.seed)

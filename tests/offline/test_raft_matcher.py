@@ -19,11 +19,12 @@ from ggvs_eval.pipelines.offline.stereo.raft_matcher import (
 )
 from ggvs_eval.pipelines.offline.stereo.raft_stereo import RaftStereo
 from ggvs_eval.pipelines.training.stereo.stereo_task import VALIDATION_SEED
-from ggvs_eval.synthetic.stereo.stereo_scenes import stereo_sample
+from ggvs_eval.synthetic.stereo.pairs import stereo_sample
 from helpers.seeded_networks import seeded_state
 from helpers.stereo_scenes import random_texture
 
 pytestmark = pytest.mark.slow
+OTHER_PAIRS = range(VALIDATION_SEED + 1024, VALIDATION_SEED + 1048, 4)  # six of one scene that nothing else uses
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +68,7 @@ def test_a_known_shift_is_found(standing, largest_side_px):
 
 def test_what_the_right_image_denies_is_rejected(standing):
     """Against a right image of something else hardly anything survives the left-right check."""
-    left, right = stereo_sample(5, 192, 128).left, stereo_sample(9, 192, 128).left
+    left, right = (stereo_sample(seed, 192, 128).left for seed in OTHER_PAIRS[:2])
     found, _ = matcher(standing).match(left, right, 2, 60)
     assert (found > 0).mean() < 0.4
 
@@ -110,16 +111,16 @@ def test_equal_inputs_give_equal_bits(tmp_path):
 
 
 def test_the_shipped_network_improves_on_what_it_starts_from():
-    """On scenes that it was neither trained nor validated on, its error is at least a tenth below that of its start."""
+    """On a scene that it was neither trained nor validated on, its error is at least a tenth below that of its start."""
     shipped = find_matcher("raft")
     errors = []
-    for seed in range(VALIDATION_SEED + 500, VALIDATION_SEED + 506):
-        scene = stereo_sample(seed, 320, 224)
-        d_max = int(scene.disparity.max()) + 8
-        start = -4 * start_from_matching(scene.left, scene.right, 0, d_max, 4)
+    for seed in OTHER_PAIRS:
+        pair = stereo_sample(seed, 320, 224)
+        d_max = int(pair.disparity.max()) + 8
+        start = -4 * start_from_matching(pair.left, pair.right, 0, d_max, 4)
         enlarged = cv2.resize(start, (320, 224), interpolation=cv2.INTER_NEAREST)
-        found = shipped.disparity(scene.left, scene.right, 0, d_max)
-        errors.append([np.abs(each - scene.disparity).mean() for each in (found, enlarged)])
+        found = shipped.disparity(pair.left, pair.right, 0, d_max)
+        errors.append([np.abs(each - pair.disparity).mean() for each in (found, enlarged)])
     network, matching = np.mean(errors, axis=0)
     assert network < 0.9 * matching
 

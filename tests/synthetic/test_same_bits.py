@@ -55,7 +55,7 @@ FORBIDDEN |= {"exp", "exp2", "expm1", "log", "log2", "log10", "log1p", "power", 
 
 def filmed_modules():
     root = Path(ggvs_eval.synthetic.__file__).parent
-    return sorted(path for room in ("room", "film", "layouts") for path in (root / room).glob("*.py"))
+    return sorted(path for room in ("room", "film", "layouts", "stereo") for path in (root / room).glob("*.py"))
 
 
 @pytest.mark.parametrize("module", filmed_modules(), ids=lambda path: f"{path.parent.name}/{path.stem}")

@@ -12,8 +12,10 @@ from torch import nn
 from ggvs_eval.errors import TrainingError, WeightsError
 from ggvs_eval.files.images import read_image
 from ggvs_eval.pipelines.offline.stereo.raft_config import COMPACT
+from ggvs_eval.pipelines.training.request import TrainingRequest
 from ggvs_eval.pipelines.training.stereo.stereo_loss import matching_loss, sequence_loss
 from ggvs_eval.pipelines.training.stereo.stereo_task import StereoTask
+from ggvs_eval.pipelines.training.train_one import planned_task
 from ggvs_eval.training.card import write_card
 from ggvs_eval.training.log import draw_curves
 from ggvs_eval.training.loop import TrainingOptions, train
@@ -197,22 +199,31 @@ def test_the_card_tells_cost_and_quality(tmp_path):
     assert "sha256" in text
 
 
-SMALL = StereoTask(width=128, height=96, batch_size=1, iterations=2, validation_scenes=1)
+SMALL = StereoTask(width=128, height=96, batch_size=1, iterations=2, validation_pairs=1)
 
 
 def test_stereo_batches_depend_on_the_step_alone():
-    """The same step gives the same bits, another one other scenes; starts have the size of the network's cells."""
-    once, again, other = SMALL.batch(3), SMALL.batch(3), SMALL.batch(4)
+    """The same step gives the same bits, another one other pairs; starts have the size of the network's cells."""
+    once, again, other = SMALL.batch(3), SMALL.batch(3), SMALL.batch(7)
     assert all(torch.equal(once[name], again[name]) for name in once)
     assert not torch.equal(once["left"], other["left"])
     assert once["left"].shape == (1, 3, 96, 128)
     assert once["initial"].shape == (1, 1, 24, 32)
 
 
+def test_weights_that_have_learned_are_moved_more_gently(tmp_path):
+    """A stereo training that starts from weights has a lower rate than one from nothing; its card says so."""
+    fresh, tuned = (
+        planned_task("stereo", tmp_path, TrainingRequest(start_from=start_from)) for start_from in (None, tmp_path / "shipped")
+    )
+    assert tuned.schedule.rate(300, 1000) < 0.5 * fresh.schedule.rate(300, 1000)
+    assert fresh.batch_size == tuned.batch_size
+
+
 def test_a_stereo_step_moves_the_weights(tmp_path):
     """Two steps of the real task run through: finite loss, gradients in features, recurrent unit and heads."""
     network = SMALL.network()
-    loss, figures = SMALL.loss(network, SMALL.batch(0))
+    loss, figures = SMALL.loss(network, SMALL.batch(3))
     loss.backward()
     assert torch.isfinite(loss)
     assert figures["epe_px"] > 0

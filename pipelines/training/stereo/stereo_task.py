@@ -1,4 +1,4 @@
-"""What the compact RAFT-Stereo learns: procedural scenes, from nothing or from what semi-global matching says."""
+"""What the compact RAFT-Stereo learns: pairs of procedural rooms, from nothing or from what semi-global matching says."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -14,10 +14,11 @@ from ggvs_eval.pipelines.offline.stereo.raft_config import COMPACT, RaftOptions
 from ggvs_eval.pipelines.offline.stereo.raft_matcher import start_from_matching
 from ggvs_eval.pipelines.offline.stereo.raft_stereo import RaftStereo
 from ggvs_eval.pipelines.training.stereo.stereo_loss import matching_loss, sequence_loss
-from ggvs_eval.synthetic.stereo.stereo_scenes import StereoSample, stereo_sample
+from ggvs_eval.synthetic.stereo.pairs import StereoSample, stereo_sample
 from ggvs_eval.training.task import Schedule
 
 VALIDATION_SEED = 2**40  # and above; training seeds stay below
+FINE_TUNING = Schedule(learning_rate=1.5e-4, warm_up=30, cool_down=0.5)  # of weights that have learned already
 
 
 @dataclass(frozen=True)
@@ -26,15 +27,15 @@ class StereoTask:
 
     Attributes:
         config: shape of the network.
-        seed: of the weights and the scenes.
+        seed: of the weights and the pairs.
         width: of the crops, pixels, a multiple of 32.
         height: of the crops.
-        batch_size: scenes per step.
+        batch_size: pairs per step.
         iterations: updates per forward pass.
-        started: share of the scenes that start from semi-global matching; as many again as remain, halved, start from nothing
+        started: share of the pairs that start from semi-global matching; as many again as remain, halved, start from nothing
             and from a displaced truth, as a previous frame's disparity would be.
         matching_weight: of the loss on the features themselves.
-        validation_scenes: how many scenes validate.
+        validation_pairs: how many pairs validate.
         schedule: see `Schedule`.
     """
 
@@ -46,7 +47,7 @@ class StereoTask:
     iterations: int = 4
     started: float = 0.6
     matching_weight: float = 0.2
-    validation_scenes: int = 12
+    validation_pairs: int = 12
     schedule: Schedule = field(default_factory=Schedule)
 
     @property
@@ -62,13 +63,13 @@ class StereoTask:
     @property
     def data(self) -> str:
         """What it learns from."""
-        return "procedural stereo scenes made on the fly (stereo_scenes.py), each seen once; no captured stereo pair"
+        return "pairs of procedural rooms and gardens taken on the fly (synthetic/stereo), each seen once; no captured pair"
 
     @property
     def evaluated_on(self) -> str:
         """What `validate` measures."""
         return (
-            f"{self.validation_scenes} scenes of 512x320 with seeds of their own, every pixel, occluded ones included: end-point "
+            f"{self.validation_pairs} pairs of 512x320 of scenes of their own, every pixel, occluded ones included: end-point "
             "error and share of pixels off by more than 1 and 3 px, from semi-global matching (8 iterations), `zero_` from "
             "nothing (24), and `start_` the semi-global matching itself, gaps filled."
         )
@@ -107,7 +108,7 @@ class StereoTask:
         return of_flow + self.matching_weight * of_features, figures
 
     def validate(self, network: nn.Module) -> Mapping[str, float]:
-        """Errors on scenes of their own seeds, from semi-global matching, and from nothing with three times the iterations."""
+        """Errors on pairs of scenes of their own, from semi-global matching, and from nothing with three times the iterations."""
         assert isinstance(network, RaftStereo)
         figures = {
             "epe_px": 0.0,
@@ -118,7 +119,7 @@ class StereoTask:
             "start_epe_px": 0.0,
             "start_bad3": 0.0,
         }
-        for index in range(self.validation_scenes):
+        for index in range(self.validation_pairs):
             sample = stereo_sample(VALIDATION_SEED + index, 512, 320)
             truth = torch.as_tensor(-sample.disparity)[None, None]
             left, right = _images([sample.left]), _images([sample.right])
@@ -136,7 +137,7 @@ class StereoTask:
                     "bad3": (error > 3).float().mean(),
                 }.items():
                     if f"{prefix}{name}" in figures:
-                        figures[f"{prefix}{name}"] += float(value) / self.validation_scenes
+                        figures[f"{prefix}{name}"] += float(value) / self.validation_pairs
         return figures
 
     def _start(self, sample: StereoSample, rng: np.random.Generator) -> Map:
