@@ -48,12 +48,28 @@ class _WorkerPool(ProcessPoolExecutor):
 
 @contextmanager
 def _without_interrupts() -> Iterator[None]:
-    """Put Ctrl-C off; a process that is started meanwhile never gets it."""
+    """Put Ctrl-C and SIGTERM off until the end; a process that is started meanwhile never gets Ctrl-C.
+
+    The mask alone is not enough: another thread may take the signal, and Python would handle it here all the same, between the
+    start of a process and what it is told, of whose absence it would complain.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    held = {number: handler for number, handler in handlers.items() if callable(handler)}
+    for number in held:
+        signal.signal(number, lambda number, _: came.append(number))
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        for number, handler in held.items():
+            signal.signal(number, handler)
+    for number in came[:1]:
+        signal.raise_signal(number)
 
 
 def finish_all(pool: Executor, running: Sequence[Future[Any]], description: str) -> None:
