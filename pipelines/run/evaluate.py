@@ -2,20 +2,23 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from importlib import resources
 from pathlib import Path
 
 from ggvs_eval.capture import Capture, CaptureEdit
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.capture_edit import perturb_capture
+from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
+from ggvs_eval.pipelines.run.derived_files import NOTE, digest_folder, is_stale
 from ggvs_eval.pipelines.run.prepare import prepare, prepare_run
 from ggvs_eval.pipelines.run.render import render
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
 from ggvs_eval.pipelines.run.score import score
 from ggvs_eval.protocol import Protocol
-from ggvs_eval.run_folder import RunFolder
+from ggvs_eval.run_folder import RunFolder, write_json
 
 
 def evaluate(
@@ -68,7 +71,21 @@ def recorded_capture(run: RunFolder) -> Capture:
 
 
 def report(roots: Sequence[Path], out: Path | None = None, tables_of: Sequence[Path] = ()) -> Path:
-    """Write the page, tables and figures of one or several run folders, see `write_report`."""
+    """Write the page, tables and figures of one or several run folders, see `write_report`; one of the same runs is kept."""
     from ggvs_eval.reports.report import write_report
 
-    return write_report(roots, out, tables_of)
+    folder = RunFolder(roots[0]).report if roots and out is None else out
+    if folder is None:
+        return write_report(roots)  # which says what is wrong
+    templates = Path(str(resources.files("ggvs_eval.reports")))
+    made_from = {
+        "code": [code_identity(write_report.__module__), digest_folder(templates, without=["__pycache__"])],
+        "runs": [digest_folder(root, without=["report", "jobs"]) for root in (*roots, *tables_of)],
+        "called": [[Path(root).name for root in each] for each in (roots, tables_of)],
+    }
+    page = folder / "index.html"
+    if page.is_file() and not is_stale(folder, made_from):
+        return page
+    page = write_report(roots, out, tables_of)
+    write_json(folder / NOTE, made_from)
+    return page

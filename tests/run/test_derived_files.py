@@ -1,5 +1,6 @@
 """Masks and path depth are made anew when the code or the depth that they come from changes, and only then."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -7,6 +8,7 @@ import pytest
 from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.jobs import code_identity as identity
 from ggvs_eval.jobs.code_identity import CodeTree, installed_code
+from ggvs_eval.pipelines.run.derived_files import digest_folder
 from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
 from ggvs_eval.pipelines.run.work_left import work_left
@@ -81,3 +83,23 @@ def test_what_other_depth_has_made(plan):
     left = work_left(plan)
 
     assert {folder.name: count for folder, count in left.disoccluded.items()} == {"cam00": 2, "cam01": 0}
+
+
+def test_a_folder_is_known_by_what_it_holds(tmp_path):
+    """Records that are written again as they were change nothing; a picture that is, a new file and a new value do."""
+    record, picture = tmp_path / "a.json", tmp_path / "deep" / "b.png"
+    picture.parent.mkdir()
+    record.write_text("1")
+    picture.write_bytes(b"x")
+    known = {digest_folder(tmp_path)}
+    record.write_text("1")
+    assert digest_folder(tmp_path) in known
+    os.utime(picture, ns=(1, 1))
+    known.add(digest_folder(tmp_path))
+    record.write_text("2")
+    known.add(digest_folder(tmp_path))
+    (tmp_path / "report").mkdir()
+    (tmp_path / "report" / "c.png").touch()
+    assert digest_folder(tmp_path, without=["report"]) in known
+    known.add(digest_folder(tmp_path))
+    assert len(known) == 4

@@ -166,8 +166,10 @@ def test_all_rooms_stand_on_one_page(tmp_path, small_protocols, monkeypatch):
     datasets = [load_protocol(name).dataset.replace("'", "&#39;") for name in rooms]
     assert [[dataset in text for dataset in datasets] for text in shown] == [[True, False], [True, True]]  # one after the other
     before = {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.png") if "report" not in file.parts}
+    written_ns = page.stat().st_mtime_ns
     run()
     assert len(shown) == len(rooms)
+    assert page.stat().st_mtime_ns == written_ns
     assert {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.png") if "report" not in file.parts} == before
 
 
