@@ -3,6 +3,7 @@
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from ggvs_eval.files.images import read_image, write_image
@@ -31,7 +32,7 @@ def plan(tmp_path_factory) -> RunPlan:
 def damage(plan: RunPlan) -> tuple[Path, Path]:
     """Write something else into one mask and one depth map."""
     mask, pose = frame_path(plan.run.disoccluded("cam00"), 1), plan.run.path_depth / "0002.npy"
-    write_image(mask, 77 * (read_image(mask) // 255))
+    write_image(mask, np.full_like(read_image(mask), 77))
     pose.write_bytes(b"damaged")
     return mask, pose
 

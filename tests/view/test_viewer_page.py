@@ -7,13 +7,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ggvs_eval.errors import CommandError
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.play.playback import PlayOptions, viewing_of_capture
 from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
-from ggvs_eval.pipelines.view import viewer as viewer_module
 from ggvs_eval.pipelines.view.session import ViewDefaults
-from ggvs_eval.pipelines.view.viewer import ServerOptions, Viewer, export_page, require_viser
+from ggvs_eval.pipelines.view.viewer import ServerOptions, Viewer, export_page
 from helpers.stereo_scenes import write_capture
 
 CANVAS = "canvas"
@@ -35,8 +33,14 @@ def page(playback, started, tmp_path):
         started.driven.get(viewer.address)
         started.wait("document.body.innerText.includes('pictures per second')", seconds=60)
         yield started, viewer
-        started.driven.get("about:blank")
-    started.complaints()  # software rendering warns of itself
+
+
+@pytest.fixture(autouse=True)
+def _quiet(started):
+    """What viser's page says on the console - software rendering warns of itself - is no complaint of the tests that follow."""
+    yield
+    started.driven.get("about:blank")
+    started.complaints()
 
 
 def session_of(viewer: Viewer):
@@ -86,10 +90,3 @@ def test_the_exported_page_needs_no_server(playback, started, tmp_path):
     started.driven.get((tmp_path / "view.html").as_uri())
     started.wait("document.querySelector('canvas') !== null", seconds=60)
     assert [entry for entry in started.complaints() if "SEVERE" in entry] == []
-
-
-def test_without_viser_one_line_says_what_to_install(monkeypatch):
-    """Before anything is computed."""
-    monkeypatch.setattr(viewer_module.importlib.util, "find_spec", lambda _: None)
-    with pytest.raises(CommandError, match=r"pip install 'ggvs-eval\[view\]'"):
-        require_viser()
