@@ -74,18 +74,15 @@ def report(roots: Sequence[Path], out: Path | None = None, tables_of: Sequence[P
     """Write the page, tables and figures of one or several run folders, see `write_report`; one of the same runs is kept."""
     from ggvs_eval.reports.report import write_report
 
-    folder = RunFolder(roots[0]).report if roots and out is None else out
-    if folder is None:
-        return write_report(roots)  # which says what is wrong
     templates = Path(str(resources.files("ggvs_eval.reports")))
     made_from = {
         "code": [code_identity(write_report.__module__), digest_folder(templates, without=["__pycache__"])],
         "runs": [digest_folder(root, without=["report", "jobs"]) for root in (*roots, *tables_of)],
         "called": [[Path(root).name for root in each] for each in (roots, tables_of)],
     }
-    page = folder / "index.html"
-    if page.is_file() and not is_stale(folder, made_from):
-        return page
+    kept = None if not roots else (RunFolder(roots[0]).report if out is None else out) / "index.html"
+    if kept is not None and kept.is_file() and not is_stale(kept.parent, made_from):
+        return kept
     page = write_report(roots, out, tables_of)
-    write_json(folder / NOTE, made_from)
+    write_json(page.parent / NOTE, made_from)
     return page
