@@ -24,6 +24,8 @@ from helpers.captures import write_dynerf
 from helpers.command_line import refusal
 from helpers.small_runs import small_protocol
 
+pytestmark = pytest.mark.slow
+
 COMMAND = [sys.executable, "-m", "ggvs_eval"]
 GO_ON = "what is done stays, the same command goes on from there"
 AS_NOBODY = ("setpriv", "--reuid", "65534", "--regid", "65534", "--clear-groups")
