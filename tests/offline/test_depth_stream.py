@@ -15,6 +15,8 @@ from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
 from helpers.stereo_scenes import look_from, paint, plane_depth, random_texture, write_capture
 
+pytestmark = pytest.mark.slow
+
 CAMERA = look_from(0, 0, "camera").resized(600, 450)
 ROW = [look_from(0.5 * index, 0, f"row{index:+d}").resized(600, 450) for index in (-1, 1)]
 CARD_DEPTH = 4.8

@@ -22,6 +22,8 @@ from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, read_json
 from helpers.command_line import refusal
 from helpers.small_runs import LABELS, small_protocol, write_small_capture
 
+pytestmark = pytest.mark.slow
+
 METRICS = ("PSNR", "L1", "SDT", "SDV")
 
 

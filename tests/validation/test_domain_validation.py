@@ -12,6 +12,8 @@ import pytest
 from ggvs_eval.method import Instant, Method, Rendering
 from ggvs_eval.metrics.image.psnr import psnr
 
+pytestmark = pytest.mark.slow
+
 domain_validation = pytest.importorskip("benchmarks.domain_validation", reason="benchmarks lie beside the package")
 domain_views = pytest.importorskip("benchmarks.domain_views", reason="benchmarks lie beside the package")
 
