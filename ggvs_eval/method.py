@@ -62,15 +62,15 @@ class Rendering:
         image: synthesised view, float32 RGB in [0, 1], (H, W, 3).
         depth: geometry it used, (H, W), world units, 0 where it has none; None for methods without geometry in the target view.
         seconds: time of each stage, in the method's own words, for the timing table.
-        inside: what it decided on the way to the image, for whoever wants to know why a pixel flickers; any of ``depth`` (h, w),
-            world units, 0 where unknown, ``coverage`` (h, w), how far the views show the pixel, ``motion`` (h, w) and ``weights``
-            (K, h, w), the share of each source view in the image, all in [0, 1]; (h, w) is the target's size or less.
+        diagnostics: what it decided on the way to the image, for whoever wants to know why a pixel flickers; any of ``depth``
+            (h, w), world units, 0 where unknown, ``coverage`` (h, w), how far the views show the pixel, ``motion`` (h, w) and
+            ``weights`` (K, h, w), the share of each source view in the image, all in [0, 1]; (h, w) is the target's size or less.
     """
 
     image: Map
     depth: Map | None = None
     seconds: dict[str, float] = field(default_factory=dict)
-    inside: Mapping[str, Map] = field(default_factory=dict)
+    diagnostics: Mapping[str, Map] = field(default_factory=dict)
 
 
 class Method(Protocol):

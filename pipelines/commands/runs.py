@@ -140,7 +140,7 @@ def run(
                 print_plan(plans, engine.jobs, _home(plans), dry_run)
             return
 
-        def announce(plans: Sequence[RunPlan]) -> None:
+        def show_plans(plans: Sequence[RunPlan]) -> None:
             print_plan(plans, engine.jobs, _home(plans))
 
         def show(page: Path) -> None:
@@ -148,7 +148,7 @@ def run(
 
         if outlook := describe_outlook(root, labels, engine.jobs):
             print(outlook, file=sys.stderr, flush=True)
-        print(evaluate_demos(root, labels, engine, reading.open, depth, networks, announce=announce, show=show))
+        print(evaluate_demos(root, labels, engine, reading.open, depth, networks, show_plans=show_plans, show=show))
         return
     opened = reading.open(engine.place(capture)) if capture else _demo_beside(root, engine.jobs, reading, dry_run)
     chosen = _protocol(protocol, opened)
@@ -214,17 +214,17 @@ def sweep(
         print(plan_sweep(plan, engine.place(out), starts, wanted, networks, command))
         return
 
-    def announce(plans: Sequence[RunPlan]) -> None:
+    def show_plans(plans: Sequence[RunPlan]) -> None:
         print_plan(plans, engine.jobs, engine.place(out), dry_run)
 
     if dry_run:
-        announce(plan_runs(engine.place(out), starts, wanted, depth, networks, part))
+        show_plans(plan_runs(engine.place(out), starts, wanted, depth, networks, part))
         return
     if len(starts) > 1:
-        result = run_sweeps(engine.place(out), starts, wanted, engine, depth, networks, part, announce)
+        result = run_sweeps(engine.place(out), starts, wanted, engine, depth, networks, part, show_plans)
     else:
         ((only, start),) = starts.values()
-        result = run_sweep(engine.place(out), only, wanted, start, engine, depth, networks, part, announce)
+        result = run_sweep(engine.place(out), only, wanted, start, engine, depth, networks, part, show_plans)
     if not result.table.empty:
         print(result.table.round(4).to_string())
     for title, reason in result.not_computed.items():

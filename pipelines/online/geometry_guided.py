@@ -24,7 +24,7 @@ from ggvs_eval.pipelines.online.remembered_background import RememberedBackgroun
 
 
 def diagnostics_maps(depth: Map | None, splats: Sequence[Splat], still: Map, weights: Map | None) -> dict[str, Map]:
-    """The maps of `Rendering.inside`, at a quarter of the size: every fourth pixel, which costs next to nothing.
+    """The maps of `Rendering.diagnostics`, at a quarter of the size: every fourth pixel, which costs next to nothing.
 
     Args:
         depth: fused depth, (H, W), world units, 0 where unknown; None without fusion.
@@ -142,12 +142,12 @@ class GeometryGuided:
         marks.append(perf_counter())
         depth = self._march(filtered, weights, splats).depth if self.options.fused else None
         marks.append(perf_counter())
-        image, inside = self._blend(filtered, splats, depth)
+        image, diagnostics = self._blend(filtered, splats, depth)
         marks.append(perf_counter())
         seconds = dict(zip(("filter", "splat", "tsdf", "blend"), np.diff(marks).tolist(), strict=True))
         if depth is None:
             del seconds["tsdf"]
-        return Rendering(image, depth, seconds, inside)
+        return Rendering(image, depth, seconds, diagnostics)
 
     def _compensated(self, filtered: Instant) -> Instant:
         """The instant with its sources brought to one colour, if that is wanted."""
@@ -167,11 +167,11 @@ class GeometryGuided:
         index, target = filtered.index, filtered.target
         known = np.zeros((target.height, target.width), np.float32) if depth is None else depth
         blended = self.blender.blend(BlendingInputs(filtered, splats, known, self._tau(filtered)))
-        inside = diagnostics_maps(depth, splats, still, blended.weights)
+        diagnostics = diagnostics_maps(depth, splats, still, blended.weights)
         image = blended.image
         if self._background is not None:
             image = self._background.step(index, target, image, known, splats, still)
-        return self._output.step(index, target, image, still), inside
+        return self._output.step(index, target, image, still), diagnostics
 
     def _splat(self, instant: Instant, filtered: Instant, masks: Sequence[Map]) -> list[Splat]:
         """Render each view forward: colour, difference mask, coverage and depth (Sec. 3.1)."""

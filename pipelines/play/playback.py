@@ -167,9 +167,7 @@ def playback_of_capture(capture: Capture, options: PlayOptions, depth: DepthOpti
     sources = options.sources or "nearest"
     needed = _needed(capture, poses, instants, k, sources)
     jobs = _jobs(capture, poses, k, alone, sources)
-    capture, store = _filled(capture, needed, jobs, alone, cache, workers)
-    keys = {name: job.key for name, job in jobs.items()}
-    return Playback(capture, poses, instants, k, store, keys, sources)
+    return _prepared(_planned(capture, poses, instants, k, sources, jobs, cache), needed, jobs, alone, workers)
 
 
 def viewing_of_capture(capture: Capture, options: PlayOptions, depth: DepthOptions, cache: Path, workers: int = 1) -> Playback:
@@ -193,26 +191,33 @@ def viewing_of_capture(capture: Capture, options: PlayOptions, depth: DepthOptio
     stands = [replace(camera, name=f"at {camera.name}") for camera in capture.cameras]  # whose first source is the camera itself
     jobs = _jobs(capture, stands, k, alone, "nearest")
     needed = {instant: set(capture.camera_names) for instant in instants}
-    capture, store = _filled(capture, needed, jobs, alone, cache, workers)
-    keys = {name: job.key for name, job in jobs.items()}
-    return Playback(capture, stands, instants, k, store, keys, options.sources or "nearest")
+    planned = _planned(capture, stands, instants, k, options.sources or "nearest", jobs, cache)
+    return _prepared(planned, needed, jobs, alone, workers)
 
 
-def _filled(
+def _planned(
     capture: Capture,
-    needed: Mapping[int, set[str]],
+    poses: Sequence[Camera],
+    instants: Sequence[int],
+    k: int,
+    sources: SourceChoice,
     jobs: Mapping[str, DepthJob],
-    depth: DepthOptions,
     cache: Path,
-    workers: int,
-) -> tuple[Capture, DepthStore]:
-    """The capture with its frames in the cache, and the store with the depth of the cameras that each instant needs."""
-    root = cache / _digest(capture)
-    store, blocks = DepthStore(root / "depth"), list(blocks_of(needed, 2 * max(len(names) for names in needed.values())))
-    capture = cache_frames(capture, _wanted(blocks, jobs, depth), root / "frames", workers)
+) -> Playback:
+    """The playback of a capture whose depth will lie in a cache."""
+    store = DepthStore(cache / _digest(capture) / "depth")
+    return Playback(capture, poses, instants, k, store, {name: job.key for name, job in jobs.items()}, sources)
+
+
+def _prepared(
+    planned: Playback, needed: Mapping[int, set[str]], jobs: Mapping[str, DepthJob], depth: DepthOptions, workers: int
+) -> Playback:
+    """The playback with its frames in the cache, and the depth of the cameras that each instant needs in the store."""
+    store, blocks = planned.store, list(blocks_of(needed, 2 * max(map(len, needed.values()))))
+    capture = cache_frames(planned.capture, _wanted(blocks, jobs, depth), store.root.with_name("frames"), workers)
     for block, names in blocks:
         prepare_depth(capture, [jobs[name] for name in sorted(names)], block, store, depth, workers)
-    return capture, store
+    return replace(planned, capture=capture)
 
 
 def blocks_of(needed: Mapping[int, set[str]], most: int) -> Iterator[tuple[range, set[str]]]:

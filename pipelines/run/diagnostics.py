@@ -17,21 +17,21 @@ VIEW_COLOURS = np.array(
 )
 
 
-def write_diagnostics(folder: Path, index: int, inside: Mapping[str, Map], target: Camera) -> None:
+def write_diagnostics(folder: Path, index: int, diagnostics: Mapping[str, Map], target: Camera) -> None:
     """Write one picture per kind of map.
 
     Args:
         folder: of the method's frames in one view.
         index: number of the frame.
-        inside: as of `Rendering`.
+        diagnostics: as of `Rendering`.
         target: camera of the image, for the scale of depth.
     """
-    for name, values in inside.items():
+    for name, values in diagnostics.items():
         write_image(diagnostics_path(folder, name, index), diagnostics_picture(name, values, target))
 
 
 def diagnostics_picture(name: str, values: Map, target: Camera) -> Image8:
-    """One map of `Rendering.inside` in the colours of its kind, (h, w, 3)."""
+    """One map of `Rendering.diagnostics` in the colours of its kind, (h, w, 3)."""
     return _PICTURES[name](values, target)
 
 

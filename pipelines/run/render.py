@@ -157,7 +157,7 @@ def _render_path(
 def _render_frame(method: Method, instant: Instant, path: Path) -> dict[str, float]:
     rendering = method.step(instant)
     write_image(path, quantise(rendering.image))
-    write_diagnostics(path.parent, instant.index, rendering.inside, instant.target)
+    write_diagnostics(path.parent, instant.index, rendering.diagnostics, instant.target)
     return rendering.seconds
 
 

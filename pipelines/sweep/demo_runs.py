@@ -14,7 +14,7 @@ from ggvs_eval.pipelines.run.evaluate import measure, report
 from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
 from ggvs_eval.pipelines.run.work_left import count_work
 from ggvs_eval.pipelines.sweep.cells import SHARED_FOLDERS
-from ggvs_eval.pipelines.sweep.run_sweep import Announce, run_sweep
+from ggvs_eval.pipelines.sweep.run_sweep import ShowPlans, run_sweep
 from ggvs_eval.progress import duration
 from ggvs_eval.protocol import load_protocol
 from ggvs_eval.run_folder import RunFolder
@@ -41,7 +41,7 @@ def evaluate_demos(
     depth: DepthRunOptions | None = None,
     networks: NetworkOptions = AS_SHIPPED,
     rooms: Mapping[str, DemoOptions] = MappingProxyType(DEMO_ROOMS),
-    announce: Announce = lambda _: None,
+    show_plans: ShowPlans = lambda _: None,
     show: Callable[[Path], None] = lambda _: None,
 ) -> Path:
     """Film and evaluate every demo room, the main one also over K; a second call does only what is missing.
@@ -56,7 +56,7 @@ def evaluate_demos(
         depth: how depth is found.
         networks: with which weights and where networks compute.
         rooms: name of the protocol -> what is rendered.
-        announce: is called before each evaluation, with the plans of its runs.
+        show_plans: is called before each evaluation, with the plans of its runs.
         show: is called with the page whenever it has grown, but for the last time.
 
     Returns:
@@ -70,7 +70,7 @@ def evaluate_demos(
     for number, (name, options) in enumerate(rooms.items(), 1):
         capture = open_demo(write_demo(capture_beside(roots[name]), options, jobs))
         plan = plan_run(RunRequest(roots[name], capture, load_protocol(name), labels[name], depth, networks))
-        announce([plan])
+        show_plans([plan])
         is_new = not count_work([plan], root, jobs).is_nothing()
         measure(plan, workers)
         if is_new:
@@ -79,7 +79,7 @@ def evaluate_demos(
         return report([*roots.values()])
     swept, protocol, capture = k_root(root), load_protocol(K_PROTOCOL), open_demo(capture_beside(root))
     _share_prepared(root, swept)
-    result = run_sweep(swept, capture, sweep, protocol, workers, depth, networks, announce=announce)
+    result = run_sweep(swept, capture, sweep, protocol, workers, depth, networks, show_plans=show_plans)
     page = report([*roots.values()], tables_of=[] if result.table.empty else [swept])
     if result.failures:
         raise RenderError(f"{swept}: {len(result.failures)} failed, first {result.failures[0]}; the same call tries again")

@@ -29,7 +29,7 @@ from ggvs_eval.sweep import Sweep, SweepRow
 
 LINE_NAMES = ("capture", "variant", "method")  # of a line of the table, as far as it needs them
 
-Announce = Callable[[Sequence[RunPlan]], None]
+ShowPlans = Callable[[Sequence[RunPlan]], None]
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ def run_sweeps(
     depth: DepthRunOptions | None = None,
     networks: NetworkOptions = AS_SHIPPED,
     shard: Shard = WHOLE,
-    announce: Announce = lambda _: None,
+    show_plans: ShowPlans = lambda _: None,
 ) -> SweepResult:
     """Run a sweep on several captures, each in a folder of its own, and give their means beside the single tables.
 
@@ -69,7 +69,7 @@ def run_sweeps(
         depth: how depth is found, see `DepthRunOptions`.
         networks: with which weights and where networks compute.
         shard: which views are rendered and scored; only the whole has a table.
-        announce: is called with the plans of the runs before anything is written.
+        show_plans: is called with the plans of the runs before anything is written.
 
     Returns:
         The table's first level is the capture; ``mean`` is the mean over the captures, of lines that all of them have.
@@ -80,7 +80,7 @@ def run_sweeps(
     kinds = {protocol.measurement for _, protocol in captures.values()}
     if len(kinds) != 1:
         raise ProtocolError(f"{root}: wanted captures that are measured alike, got {len(kinds)} kinds; name one with --protocol")
-    result = _run(root, captures, sweep, as_engine(workers), depth, networks, shard, announce)
+    result = _run(root, captures, sweep, as_engine(workers), depth, networks, shard, show_plans)
     if result.table.empty:
         return result
     lines = result.table.groupby(level=["variant", "method"], sort=False)
@@ -99,7 +99,7 @@ def run_sweep(
     depth: DepthRunOptions | None = None,
     networks: NetworkOptions = AS_SHIPPED,
     shard: Shard = WHOLE,
-    announce: Announce = lambda _: None,
+    show_plans: ShowPlans = lambda _: None,
 ) -> SweepResult:
     """Evaluate every row under every variant; what exists is not computed again, and what fails does not stop the rest.
 
@@ -114,12 +114,12 @@ def run_sweep(
         depth: how depth is found, see `DepthRunOptions`.
         networks: with which weights and where networks compute.
         shard: which views are rendered and scored; only the whole has a table.
-        announce: is called with the plans of the runs before anything is written.
+        show_plans: is called with the plans of the runs before anything is written.
 
     Raises:
         ProtocolError: no row can be computed.
     """
-    result = _run(root, {"": (capture, protocol)}, sweep, as_engine(workers), depth, networks, shard, announce)
+    result = _run(root, {"": (capture, protocol)}, sweep, as_engine(workers), depth, networks, shard, show_plans)
     if result.table.empty:
         return result
     table = result.table.droplevel("capture")
@@ -135,14 +135,14 @@ def _run(
     depth: DepthRunOptions | None,
     networks: NetworkOptions,
     shard: Shard,
-    announce: Announce,
+    show_plans: ShowPlans,
 ) -> SweepResult:
     """Every stage for all runs, then a line per run and row of which nothing is missing."""
     cells, absent = sweep_cells(root, captures, sweep, networks)
     runs = {cell.name: cell.run.root for cell in cells}
     taken, share = _shard_cells(cells, shard)
     plans, failures = plan_cells(taken, depth, networks, share)
-    announce(list(plans.values()))
+    show_plans(list(plans.values()))
     ready, unprepared = prepare_cells(taken, plans, engine)
     failures += unprepared
     imported, refused = import_cells(taken, ready, engine)

@@ -12,6 +12,7 @@ from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import quantise
+from ggvs_eval.geometry.source_views import SourceChoice
 from ggvs_eval.method import Rendering
 from ggvs_eval.pipelines.play.synthesizer import OnlineSynthesizer
 from ggvs_eval.pipelines.run.diagnostics import diagnostics_picture
@@ -78,12 +79,14 @@ class LiveView:
         units_per_metre: of the capture.
         pixels: of a picture, at most.
         device: where networks compute.
+        sources: which cameras are source views, see `choose_sources`.
     """
 
     stock: FrameStock
     units_per_metre: float
     pixels: int
     device: str = "cpu"
+    sources: SourceChoice = "nearest"
     _running: dict[str, _Running] = field(default_factory=dict)
 
     def picture(self, request: ViewRequest) -> Picture:
@@ -112,7 +115,7 @@ class LiveView:
     def _step(self, label: str, request: ViewRequest, target: Camera) -> Rendering:
         if label not in self._running:
             self._running[label] = _Running(
-                OnlineSynthesizer(self.stock.cameras, request.k, self.units_per_metre, label, self.device)
+                OnlineSynthesizer(self.stock.cameras, request.k, self.units_per_metre, label, self.device, self.sources)
             )
         running = self._running[label]
         if running.instant is not None and request.instant not in (running.instant, running.instant + 1):
@@ -132,7 +135,7 @@ def layer_image(rendering: Rendering, layer: Layer, target: Camera, label: str) 
     """
     if layer == "picture":
         return quantise(rendering.image)
-    maps = dict(rendering.inside)
+    maps = dict(rendering.diagnostics)
     if rendering.depth is not None:
         maps["depth"] = rendering.depth
     if layer not in maps:

@@ -77,9 +77,9 @@ class Session:
         self.client, self._playback, self._stocks, self._changed_callback = client, playback, stocks, changed
         small, whole = stocks
         units = playback.capture.units_per_metre
-        self._moving = LiveView(small, units, pixels, device)
+        self._moving = LiveView(small, units, pixels, device, playback.sources)
         view = middle_camera(whole.cameras)
-        self._whole = LiveView(whole, units, view.width * view.height, device)
+        self._whole = LiveView(whole, units, view.width * view.height, device, playback.sources)
         self.recording = Recording(playback, view, defaults.protocol, defaults.recordings, device)
         self._lock = threading.Lock()
         self._version, self._shown_version, self._refined_version = 1, 0, 0
@@ -180,7 +180,7 @@ class Session:
         with gui.add_folder("Method"):
             self._method = gui.add_dropdown("method", tuple(defaults.methods), initial_value=defaults.method)
             self._label = gui.add_text("or by label", "", hint="any label, with options: ours+tau_m=0.05")
-            self._k = gui.add_slider("K", 1, min(MOST_SOURCES, len(names) - 1), 1, defaults.k, hint="source views")
+            self._k = gui.add_slider("K", 1, max(min(MOST_SOURCES, len(names)), defaults.k), 1, defaults.k, hint="source views")
             self._layer = gui.add_dropdown("show", LAYERS)
             self._other = gui.add_dropdown("compare with", (NOTHING, *defaults.methods))
             self._divider = gui.add_slider("divider", 0.0, 1.0, 0.01, 0.5)

@@ -105,8 +105,8 @@ def compare_frames(run: MeasuredRun, byte_budget: int = FRAME_BYTES) -> Comparis
     Raises:
         RenderError: a frame and its truth differ in size.
     """
-    views, inside = run.protocol.views.test, _inside(run)
-    keys = ("truth", *run.pictured, *next(iter(inside.values())))
+    views, diagnostics = run.protocol.views.test, _diagnostics(run)
+    keys = ("truth", *run.pictured, *next(iter(diagnostics.values())))
     samples = _middle_frames(run)
     stride, width = _fit(run, samples, byte_budget)
     frames = run.frames[::stride]
@@ -115,7 +115,7 @@ def compare_frames(run: MeasuredRun, byte_budget: int = FRAME_BYTES) -> Comparis
     errors: dict[str, dict[str, list[str]]] = {view: {label: [] for label in run.pictured} for view in views}
     instants = [(view, frame) for view in views for frame in frames]
     with ThreadPoolExecutor(os.cpu_count()) as pool:  # OpenCV's codecs release the GIL
-        compressed = pool.map(partial(_compress, run, inside, width), instants)
+        compressed = pool.map(partial(_compress, run, diagnostics, width), instants)
         for (view, _), pictures in zip(instants, track(compressed, "compressing frames", len(instants)), strict=True):
             for key, (picture, error) in pictures.items():
                 images[view][key].append(picture)
@@ -136,8 +136,8 @@ def _fit(run: MeasuredRun, samples: list[Image8], byte_budget: int) -> tuple[int
         stride += 1
 
 
-def _inside(run: MeasuredRun) -> dict[str, dict[str, Path]]:
-    """View -> key -> folder of what a method decided inside, the same keys for every view."""
+def _diagnostics(run: MeasuredRun) -> dict[str, dict[str, Path]]:
+    """View -> key -> folder of a method's diagnostics, the same keys for every view."""
     label = diagnostics_label(run)
     found = {
         view: {} if label is None else dict(diagnostics_folders(run.folder.renders(label, view), label, run.frames))
@@ -148,7 +148,7 @@ def _inside(run: MeasuredRun) -> dict[str, dict[str, Path]]:
 
 
 def _compress(
-    run: MeasuredRun, inside: dict[str, dict[str, Path]], width: int, instant: tuple[str, int]
+    run: MeasuredRun, diagnostics: dict[str, dict[str, Path]], width: int, instant: tuple[str, int]
 ) -> dict[str, tuple[str, str]]:
     """Key -> compressed picture and error map of one view and frame; only methods have errors."""
     view, frame = instant
@@ -159,7 +159,7 @@ def _compress(
         rendered = read_image(files[label])
         error = error_map(rendered, truth, files[label])
         pictures[label] = webp_uri(shrink(rendered, width)), webp_uri(shrink(error, round(width * ERROR_SHARE)))
-    for key, folder in inside[view].items():
+    for key, folder in diagnostics[view].items():
         pictures[key] = webp_uri(shrink(read_image(frame_path(folder, frame)), width)), ""
     return pictures
 

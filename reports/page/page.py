@@ -232,7 +232,7 @@ def _section(
         "view_tables": section.view_tables,
         "timing": section.timing,
         "comparison": comparison,
-        "inside": diagnostics_legend(comparison.keys),
+        "diagnostics": diagnostics_legend(comparison.keys),
         "first_left": (*run.ours_first, "truth")[0],
         "data": viewer_data(run, comparison, path, maps, row, fps),
         "heat_maps": maps,

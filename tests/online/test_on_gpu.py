@@ -31,9 +31,9 @@ def test_a_render_is_that_of_the_cpu(label, views):
     if here.depth is not None:
         assert there.depth is not None
         assert (np.abs(here.depth - there.depth) > 0.01 * here.depth + 1e-6).mean() < 0.01
-    assert there.inside.keys() == here.inside.keys()
-    for name, found in there.inside.items():
-        np.testing.assert_allclose(found, here.inside[name], atol=1e-3)
+    assert there.diagnostics.keys() == here.diagnostics.keys()
+    for name, found in there.diagnostics.items():
+        np.testing.assert_allclose(found, here.diagnostics[name], atol=1e-3)
 
 
 @pytest.mark.parametrize("label", ["ours", "fwd"])

@@ -145,7 +145,7 @@ def test_all_rooms_stand_on_one_page(tmp_path, small_protocols, monkeypatch):
 
     def run() -> Path:
         labels = {MAIN: ["no-blending", "distance-based"], "demo-d3dmv": ["no-blending"]}
-        return evaluate_demos(root, labels, 1, open_capture, rooms=rooms, announce=told.append, show=keep)
+        return evaluate_demos(root, labels, 1, open_capture, rooms=rooms, show_plans=told.append, show=keep)
 
     def keep(page: Path) -> None:
         shown.append(page.read_text())

@@ -8,6 +8,7 @@ import pytest
 from ggvs_eval.errors import CommandError, RenderError
 from ggvs_eval.files.images import quantise
 from ggvs_eval.files.video import VideoFrames
+from ggvs_eval.geometry.source_views import choose_sources
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.play.playback import PlayOptions, viewing_of_capture
 from ggvs_eval.pipelines.play.synthesizer import OnlineSynthesizer
@@ -87,6 +88,15 @@ def test_a_picture_is_what_the_method_synthesises(playback, stock):
     assert picture.sources == tuple(names)
     assert np.array_equal(picture.image, quantise(synthesizer.step(images, depths, request.pose).image))
     assert picture.seconds[METHOD]["step"] > 0
+
+
+def test_sources_are_chosen_as_wanted(playback, stock):
+    """By what they see of the view, where that is asked for."""
+    request = request_of(playback, k=3)
+    for choice in ("nearest", "coverage"):
+        chosen = choose_sources(request.pose, stock.cameras, 3, choice)
+        picture = LiveView(stock, 1.0, ALL, sources=choice).picture(request)
+        assert picture.sources == tuple(each.camera.name for each in chosen)
 
 
 def test_time_that_jumps_begins_anew(playback, stock):
