@@ -14,7 +14,9 @@ reports: $(READY)
 	$(BIN)/ggvs-eval run $(OUT) $(if $(DATA),--capture $(DATA)) $(if $(PROTOCOL),--protocol $(PROTOCOL))
 
 # One process per core. Neighbours stay together, as the tests of a file share what takes long to make; who is done early helps.
-PYTEST := -m pytest -n auto --dist worksteal
+# The order is shuffled, by the same seed for everybody: `make test SEED=$RANDOM` looks for tests that depend on their order.
+SEED ?= 1
+PYTEST := -m pytest -n auto --dist worksteal --randomly-seed=$(SEED)
 
 test: $(READY)
 	$(BIN)/python $(PYTEST)

@@ -74,9 +74,7 @@ class Browser:
         self, page: Path, size: tuple[int, int] = DESKTOP, dark: bool = False, place: str = "", moving: bool = False
     ) -> None:
         """Open a page from disk at a place (`#...`) in a window of a size (its inside, pixels), light or dark, moving or calm."""
-        width, height = size
-        metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": size == PHONE}
-        self.driven.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+        self.resize(size)
         # The driver scrolls to what it clicks on; a page that glides there has moved away from under the next click.
         media = {
             "prefers-color-scheme": "dark" if dark else "light",
@@ -88,6 +86,12 @@ class Browser:
         self.driven.get(page.resolve().as_uri() + place)
         self.wait("document.readyState === 'complete' && [...document.images].every(image => image.complete)")
         self._settle()
+
+    def resize(self, size: tuple[int, int]) -> None:
+        """Give the window a size (its inside, pixels); it keeps the size for the pages that follow."""
+        width, height = size
+        metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": size == PHONE}
+        self.driven.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
 
     def run(self, script: str, *arguments):
         """Value of a JavaScript expression; arguments are `arguments[0]`, ..."""

@@ -12,6 +12,7 @@ from ggvs_eval.pipelines.play.playback import PlayOptions, viewing_of_capture
 from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
 from ggvs_eval.pipelines.view.session import ViewDefaults
 from ggvs_eval.pipelines.view.viewer import ServerOptions, Viewer, export_page
+from helpers.browser import DESKTOP
 from helpers.stereo_scenes import write_capture
 
 CANVAS = "canvas"
@@ -30,6 +31,7 @@ def page(playback, started, tmp_path):
     pytest.importorskip("viser")
     defaults = ViewDefaults("ours-geometric", ("ours-geometric", "no-blending"), 2, suggest_protocol(playback.capture), tmp_path)
     with Viewer(playback, defaults, ServerOptions(port=0)) as viewer:
+        started.resize(DESKTOP)
         started.driven.get(viewer.address)
         started.wait("document.body.innerText.includes('pictures per second')", seconds=60)
         yield started, viewer
