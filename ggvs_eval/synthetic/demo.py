@@ -19,6 +19,7 @@ from ggvs_eval.synthetic.film.options import LATER, DemoOptions
 from ggvs_eval.synthetic.film.sensor import camera_gains
 from ggvs_eval.synthetic.film.shots import Shot
 from ggvs_eval.synthetic.layouts.layouts import LAYOUTS
+from ggvs_eval.synthetic.shipped import unpack_shipped
 
 VERSION = 2
 DESCRIPTION = "demo.json"
@@ -26,16 +27,18 @@ LISTED = 5
 T = TypeVar("T")
 MAIN = "demo"
 SMALL = DemoOptions(width=384, height=216, n_frames=8, path_poses=0, depth_stride=0)
+# Ships with the package.
+SHIPPED = DemoOptions(depth_stride=0)
 # Name of the packaged protocol -> what is rendered. ENeRF-Outdoor: 18 cameras on an arc; D3DMV: 10 in two rows of five.
 DEMO_ROOMS: dict[str, DemoOptions] = {
-    MAIN: DemoOptions(),
+    MAIN: SHIPPED,
     "demo-enerf-outdoor": replace(SMALL, layout="enerf-outdoor", seed=1, cameras_per_row=9, rig="arc"),
     "demo-d3dmv": replace(SMALL, layout="d3dmv", seed=2, cameras_per_row=5, rig="grid"),
 }
 
 
 def write_demo(folder: Path, options: DemoOptions, workers: int | None = None) -> Path:
-    """Write the capture; a complete one of the same options is left as it is.
+    """Write the capture; a complete one of the same options is left as it is, and the one that ships is unpacked.
 
     Args:
         folder: where to; absent, empty, or the same demo.
@@ -51,6 +54,15 @@ def write_demo(folder: Path, options: DemoOptions, workers: int | None = None) -
     """
     if _is_written(folder, options):
         return folder
+    if options == SHIPPED:
+        with atomic_folder(folder) as unfinished:
+            unpack_shipped(unfinished)
+        return folder
+    return film_demo(folder, options, workers)
+
+
+def film_demo(folder: Path, options: DemoOptions, workers: int | None = None) -> Path:
+    """Film the capture, as `write_demo` does, the one that ships too."""
     with atomic_folder(folder) as unfinished, _executor(workers or os.cpu_count() or 1) as executor:
         _film(executor, unfinished, options)
     return folder

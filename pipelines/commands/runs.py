@@ -26,7 +26,6 @@ from ggvs_eval.pipelines.methods.network_options import NetworkOptions, found_de
 from ggvs_eval.pipelines.methods.registry import METHODS, usual_methods
 from ggvs_eval.pipelines.run.run_plan import RunPlan
 from ggvs_eval.protocol import Protocol
-from ggvs_eval.synthetic.film.options import DemoOptions
 
 Labels = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"{{{','.join(METHODS)}}}")]
 Weights = Annotated[tuple[str, ...], tyro.conf.arg(metavar="METHOD=FILE ...", help_behavior_hint=NONE)]
@@ -271,12 +270,12 @@ def _demo_beside(run: Path, jobs: int, reading: ReadingOptions, dry_run: bool) -
     """The demo beside a run folder, which is rendered where it is not there; a dry run renders nothing."""
     from ggvs_eval.pipelines.sweep.demo_plan import demo_to_plan
     from ggvs_eval.pipelines.sweep.demo_runs import capture_beside
-    from ggvs_eval.synthetic.demo import write_demo
+    from ggvs_eval.synthetic.demo import SHIPPED, write_demo
 
     folder = capture_beside(run)
     if dry_run:
-        return demo_to_plan(folder, DemoOptions(), reading.open)
-    return reading.open(write_demo(folder, DemoOptions(), jobs))
+        return demo_to_plan(folder, SHIPPED, reading.open)
+    return reading.open(write_demo(folder, SHIPPED, jobs))
 
 
 def _home(plans: Sequence[RunPlan]) -> Path:

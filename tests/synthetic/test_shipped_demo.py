@@ -1,0 +1,75 @@
+"""The demo that ships is the one that is filmed: unpacked in a moment, with the pictures that anybody can film again."""
+
+import filecmp
+from functools import partial
+from itertools import islice
+
+import numpy as np
+import pytest
+
+from ggvs_eval.datasets import open_capture
+from ggvs_eval.errors import CaptureError
+from ggvs_eval.files.images import read_image
+from ggvs_eval.synthetic import shipped
+from ggvs_eval.synthetic.demo import DESCRIPTION, SHIPPED, write_demo
+from ggvs_eval.synthetic.film.film import Footage, light_instant, stored_instant
+from ggvs_eval.synthetic.film.shots import rig_and_path_shots
+from ggvs_eval.synthetic.layouts.dynerf import files
+
+# Of 255 levels: what x264 at crf 12 does to the noisiest picture.
+CODED = 3.0
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory):
+    return write_demo(tmp_path_factory.mktemp("shipped") / "demo", SHIPPED)
+
+
+def test_it_is_a_whole_capture(demo):
+    """All cameras and frames open, the path has its poses and images, and a second call leaves it alone."""
+    capture = open_capture(demo)
+    before = (demo / DESCRIPTION).stat().st_mtime_ns
+
+    assert (len(capture.cameras), capture.n_frames, capture.cameras[0].size) == (24, 24, (480, 360))
+    assert all((demo / name).is_file() for name in files(SHIPPED))
+    assert len(sorted((demo / shipped.PATH_IMAGES).iterdir())) == SHIPPED.path_poses
+    assert not (demo / shipped.PATH_VIDEO).exists()
+    assert write_demo(demo, SHIPPED) == demo
+    assert (demo / DESCRIPTION).stat().st_mtime_ns == before
+
+
+def test_what_is_lost_is_said(demo, tmp_path):
+    """A demo that has lost a camera is refused, like one that was filmed."""
+    damaged = write_demo(tmp_path / "demo", SHIPPED)
+    (damaged / "cam05.mp4").unlink()
+
+    with pytest.raises(CaptureError, match=r"this demo has lost cam05\.mp4"):
+        write_demo(damaged, SHIPPED)
+
+
+def test_packing_what_was_unpacked_changes_nothing(demo, tmp_path, monkeypatch):
+    """The camera path goes through its video without loss."""
+    monkeypatch.setattr(shipped, "FOLDER", tmp_path / "packed")
+    shipped.pack_shipped(demo)
+    again = tmp_path / "again"
+    again.mkdir()
+    shipped.unpack_shipped(again)
+
+    names = sorted(str(path.relative_to(demo)) for path in demo.rglob("*") if path.is_file())
+    assert filecmp.cmpfiles(demo, again, names, shallow=False) == (names, [], [])
+
+
+@pytest.mark.slow  # lights the room
+def test_it_is_what_is_filmed(demo, tmp_path):
+    """The path's images to the bit; a camera's first frames but for what the code takes."""
+    shots = rig_and_path_shots(SHIPPED)
+    rows = len(SHIPPED.camera_names)
+    for index in (0, 1, SHIPPED.path_frame):
+        light_instant(tmp_path, SHIPPED, index)
+    recall = partial(stored_instant, tmp_path, SHIPPED)
+    filmed = [frame.image for frame in islice(Footage(SHIPPED, shots[3], recall).frames(), 2)]
+    on_path = next(Footage(SHIPPED, shots[rows + 7], recall).frames()).image
+
+    assert np.array_equal(on_path, read_image(demo / shipped.PATH_IMAGES / "0007.png"))
+    for mine, coded in zip(filmed, open_capture(demo).frames("cam03", 0, 2), strict=True):
+        assert np.abs(mine.astype(float) - coded).mean() < CODED
