@@ -72,7 +72,9 @@ def _notes(groups: Sequence[RunGroup]) -> list[str]:
     return notes
 
 
-def write_report(runs: Sequence[Path], out: Path | None = None, tables_of: Sequence[Path] = ()) -> Path:
+def write_report(
+    runs: Sequence[Path], out: Path | None = None, tables_of: Sequence[Path] = (), with_figures: bool = True
+) -> Path:
     """Write ``index.html``, ``tables.*``, ``reproduction.*`` (the paper's values beside ours) and ``figures/*.png``.
 
     Runs of one protocol share their tables, as scenes of one data set; runs of another protocol stand in a group of their own,
@@ -83,6 +85,7 @@ def write_report(runs: Sequence[Path], out: Path | None = None, tables_of: Seque
             table and curves over K come first.
         out: folder to write to; None takes ``report`` in the first of them.
         tables_of: folders of sweeps that are shown by their tables and curves alone, without their runs.
+        with_figures: also the figures, which the page does without; a page that is going to grow does not need them yet.
 
     Returns:
         The page.
@@ -98,14 +101,15 @@ def write_report(runs: Sequence[Path], out: Path | None = None, tables_of: Seque
     out = RunFolder(roots[0]).report if out is None else out
     reproduced = reproduce([section.run for section in sections])
     write_tables(groups, reproduced, out)
-    for index, section in enumerate(sections):
-        _draw_figures(section, out / "figures" / (f"run{index}" if len(sections) > 1 else ""))
     swept = [sweep_section(sweep, sections[0].run.metrics, runs_follow=sweep in sweeps) for sweep in (*sweeps, *tables_of)]
-    for index, sweep in enumerate((*sweeps, *tables_of)):
-        if swept[index].panels:
-            draw_k(sweep, out / "figures" / f"k{index or ''}.png")
     page = out / "index.html"
     write_text(page, render_page(groups, reproduced, swept))
+    if with_figures:
+        for index, section in enumerate(sections):
+            _draw_figures(section, out / "figures" / (f"run{index}" if len(sections) > 1 else ""))
+        for index, sweep in enumerate((*sweeps, *tables_of)):
+            if swept[index].panels:
+                draw_k(sweep, out / "figures" / f"k{index or ''}.png")
     return page
 
 

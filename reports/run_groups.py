@@ -2,10 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import starmap
 from pathlib import Path
 
 from ggvs_eval.errors import ResultsError
+from ggvs_eval.files.digest import digest_files
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.reports.figures.curves import Panel, curve_panels
 from ggvs_eval.reports.figures.slices import Slices, all_slices
@@ -17,6 +19,8 @@ from ggvs_eval.reports.tables.timing import timing_table
 from ggvs_eval.results import Results, merge_results
 
 HASH_DIGITS = 8  # of a protocol's hash, where nothing else tells two groups apart
+RECORDS = (".json", ".parquet", ".toml")  # of a run; they name every frame that was measured by its content
+SECTIONS_KEPT = 8
 
 
 @dataclass(frozen=True)
@@ -107,6 +111,14 @@ def _make_group(name: str, heading: str, runs: Sequence[MeasuredRun]) -> RunGrou
 
 
 def _make_section(run: MeasuredRun) -> RunSection:
+    records = [file for file in run.folder.root.iterdir() if file.suffix in RECORDS]
+    return _read_section(run.folder.root, digest_files(sorted(records)))
+
+
+@lru_cache(maxsize=SECTIONS_KEPT)
+def _read_section(root: Path, scored: str) -> RunSection:
+    """The section of a run with these results: a page that grows with every run reads the frames of the earlier ones once."""
+    run = read_run(root)
     taken_apart = tuple(table for table in (budget_table(run), decomposition_table(run)) if table)
     return RunSection(run, taken_apart + view_tables(run), timing_table(run), all_slices(run), curve_panels(run))
 

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from ggvs_eval.jobs.free_memory import has_room
 from ggvs_eval.jobs.ledger import LostJob
-from ggvs_eval.jobs.processes import worker_pool
+from ggvs_eval.jobs.processes import borrowed_pool, worker_pool
 
 TRIES_ALONE = 2
 LOOK_AGAIN_S = 0.5  # while a job waits for memory
@@ -40,7 +40,7 @@ def run_in_processes(
         return
     waiting = deque(enumerate(items))
     while waiting:
-        in_hand = yield from _run_pool(work, waiting, min(workers, len(waiting)))
+        in_hand = yield from _run_pool(work, waiting, workers)
         for index, item in in_hand:
             yield index, _run_alone(work, item)
 
@@ -50,8 +50,8 @@ def _run_pool(
 ) -> Generator[tuple[int, Result], None, list[Entry[Item]]]:
     """Work until nothing waits or the pool breaks; give back what was in hand then."""
     running: dict[Future[Result], Entry[Item]] = {}
-    with worker_pool(workers) as pool:
-        try:
+    try:
+        with borrowed_pool(min(workers, len(waiting)), workers) as pool:
             while waiting or running:
                 while waiting and len(running) < workers and _fits(len(running)):
                     running[pool.submit(work, waiting[0][1])] = waiting[0]
@@ -60,10 +60,13 @@ def _run_pool(
                 for future in done:
                     result = future.result()
                     yield running.pop(future)[0], result
-        except BrokenProcessPool:
-            ended = [future for future in running if future.done() and future.exception() is None]
-            for future in ended:
-                yield running.pop(future)[0], future.result()
+    except BrokenProcessPool:
+        ended = [future for future in running if future.done() and future.exception() is None]
+        for future in ended:
+            yield running.pop(future)[0], future.result()
+    except (Exception, GeneratorExit):
+        wait(running)  # kept processes would go on with it beside whatever comes next
+        raise
     return list(running.values())
 
 

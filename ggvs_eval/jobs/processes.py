@@ -5,7 +5,8 @@ import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import ExitStack, contextmanager
 from multiprocessing import active_children, connection, get_context, parent_process
 from types import TracebackType
 from typing import Any
@@ -28,6 +29,57 @@ def worker_pool(workers: int) -> ProcessPoolExecutor:
     """
     threads = max(default_workers() // workers, 1)
     return _WorkerPool(workers, get_context("spawn"), initializer=_start_worker, initargs=(threads,))
+
+
+@contextmanager
+def kept_workers() -> Iterator[None]:
+    """Let everything inside share its processes: to start some for each stage takes as long as a short stage."""
+    global _keeper
+    if _keeper is not None:
+        yield
+        return
+    with ExitStack() as stack:
+        _keeper = _Keeper(stack)
+        try:
+            yield
+        finally:
+            _keeper = None
+
+
+@contextmanager
+def borrowed_pool(workers: int, most: int) -> Iterator[ProcessPoolExecutor]:
+    """A pool of so many processes: the one that is kept, if any, or one of its own that ends with the block.
+
+    Args:
+        workers: number of processes.
+        most: number of processes that are kept.
+    """
+    if _keeper is None:
+        with worker_pool(workers) as pool:
+            yield pool
+    else:
+        yield from _keeper.lend(most)
+
+
+class _Keeper:
+    """Keeps one pool as long as nobody breaks it, and all that it had until the end of a stack."""
+
+    def __init__(self, stack: ExitStack) -> None:
+        self._stack = stack
+        self._pools: dict[int, ProcessPoolExecutor] = {}
+
+    def lend(self, workers: int) -> Iterator[ProcessPoolExecutor]:
+        """Yield a whole pool; one that breaks meanwhile is not lent again."""
+        if workers not in self._pools:
+            self._pools[workers] = self._stack.enter_context(worker_pool(workers))
+        try:
+            yield self._pools[workers]
+        except BrokenProcessPool:
+            del self._pools[workers]
+            raise
+
+
+_keeper: _Keeper | None = None
 
 
 class _WorkerPool(ProcessPoolExecutor):

@@ -33,7 +33,7 @@ SHIPPED = DemoOptions(depth_stride=0)
 DEMO_ROOMS: dict[str, DemoOptions] = {
     MAIN: SHIPPED,
     "demo-enerf-outdoor": replace(SMALL, layout="enerf-outdoor", seed=1, cameras_per_row=9, rig="arc"),
-    "demo-d3dmv": replace(SMALL, layout="d3dmv", seed=2, cameras_per_row=5, rig="grid"),
+    "demo-d3dmv": replace(SMALL, layout="d3dmv", seed=2, cameras_per_row=5, rig="grid", width=320, height=180),
 }
 
 

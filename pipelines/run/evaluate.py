@@ -10,6 +10,7 @@ from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.capture_edit import perturb_capture
 from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.engine import Workers
+from ggvs_eval.jobs.processes import kept_workers
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.run.derived_files import NOTE, digest_folder, is_stale
@@ -48,6 +49,7 @@ def evaluate(
     return report([root])
 
 
+@kept_workers()
 def measure(plan: RunPlan, workers: Workers) -> None:
     """Prepare, render and score what a run lacks: everything of `evaluate` but the report."""
     prepared = prepare_run(plan, workers)
@@ -70,7 +72,7 @@ def recorded_capture(run: RunFolder) -> Capture:
     return replace(capture, units_origin=record["units_origin"], notes=tuple(record["notes"]))
 
 
-def report(roots: Sequence[Path], out: Path | None = None, tables_of: Sequence[Path] = ()) -> Path:
+def report(roots: Sequence[Path], out: Path | None = None, tables_of: Sequence[Path] = (), with_figures: bool = True) -> Path:
     """Write the page, tables and figures of one or several run folders, see `write_report`; one of the same runs is kept."""
     from ggvs_eval.reports.report import write_report
 
@@ -79,10 +81,11 @@ def report(roots: Sequence[Path], out: Path | None = None, tables_of: Sequence[P
         "code": [code_identity(write_report.__module__), digest_folder(templates, without=["__pycache__"])],
         "runs": [digest_folder(root, without=["report", "jobs"]) for root in (*roots, *tables_of)],
         "called": [[Path(root).name for root in each] for each in (roots, tables_of)],
+        "figures": with_figures,
     }
     kept = None if not roots else (RunFolder(roots[0]).report if out is None else out) / "index.html"
     if kept is not None and kept.is_file() and not is_stale(kept.parent, made_from):
         return kept
-    page = write_report(roots, out, tables_of)
+    page = write_report(roots, out, tables_of, with_figures)
     write_json(page.parent / NOTE, made_from)
     return page

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from ggvs_eval.errors import MetricError
-from ggvs_eval.jobs.engine import Workers
-from ggvs_eval.jobs.job import Job, run_jobs
+from ggvs_eval.jobs.job import Job
 from ggvs_eval.metrics.ceilings import ceilings
 from ggvs_eval.metrics.registry import METRICS, ceiling_metrics
 from ggvs_eval.pipelines.run.score_code import ceilings_code
@@ -26,25 +25,26 @@ NOTES = {
 PATH_NOTE = "what a camera on the path would have seen, measured like the methods."
 
 
-def score_ceilings(run: RunFolder, protocol: Protocol, workers: Workers = 1) -> dict[str, dict[str, Any]]:
-    """What perfect renderings of each test view would score, estimated from its captured frames alone.
-
-    Args:
-        run: the run folder.
-        protocol: views, frames, measurement.
-        workers: where jobs run.
+def ceiling_jobs(run: RunFolder, protocol: Protocol) -> list[Job]:
+    """The jobs that estimate what perfect renderings of each test view would score, from its captured frames alone.
 
     Returns:
-        view -> ``noise_free`` and ``second_recording``, metric -> value, and ``not_computed``, metric -> reason. Empty where the
-        protocol wants none.
+        One per test view; empty where the protocol wants none.
     """
     wanted = [name for name in ceiling_metrics() if name in protocol.measurement.metrics]
     if not protocol.measurement.ceilings or not wanted:
-        return {}
-    views = protocol.views.test
+        return []
     frames = protocol.frames.numbers
-    run_jobs([_job(run, view, frames, wanted, protocol.measurement) for view in views], workers, "noise ceilings")
-    return {view: read_json(run.ceilings(view) / JOB_FILE) for view in views}
+    return [_job(run, view, frames, wanted, protocol.measurement) for view in protocol.views.test]
+
+
+def read_ceilings(jobs: Sequence[Job]) -> dict[str, dict[str, Any]]:
+    """What `ceiling_jobs` have found.
+
+    Returns:
+        view -> ``noise_free`` and ``second_recording``, metric -> value, and ``not_computed``, metric -> reason.
+    """
+    return {job.folder.name: read_json(job.folder / JOB_FILE) for job in jobs}
 
 
 def write_references(run: RunFolder, paths: Mapping[str, dict[str, Any]], found: Mapping[str, dict[str, Any]]) -> None:
@@ -52,8 +52,8 @@ def write_references(run: RunFolder, paths: Mapping[str, dict[str, Any]], found:
 
     Args:
         run: the run folder.
-        paths: see `score_path.score_paths`.
-        found: see `score_ceilings`.
+        paths: see `score_path.read_paths`.
+        found: see `read_ceilings`.
     """
     groups: dict[str, list[str]] = {}
     for name in ceiling_metrics():

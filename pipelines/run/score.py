@@ -15,8 +15,8 @@ from ggvs_eval.jobs.ledger import Ledger
 from ggvs_eval.metrics.registry import METRICS, derived_rows, metric_notes, pooling_records, select_metrics
 from ggvs_eval.pipelines.methods.registry import METHODS, split_label
 from ggvs_eval.pipelines.run.coverage import Coverage, read_coverage
-from ggvs_eval.pipelines.run.references import score_ceilings, write_references
-from ggvs_eval.pipelines.run.score_path import PATH_VIEW, score_paths
+from ggvs_eval.pipelines.run.references import ceiling_jobs, read_ceilings, write_references
+from ggvs_eval.pipelines.run.score_path import PATH_VIEW, path_jobs, read_paths
 from ggvs_eval.pipelines.run.score_view import metric_options, view_job
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.results import Results, describe_machine, installed_versions, make_table
@@ -43,14 +43,16 @@ def score(run: RunFolder, workers: Workers = 1, without: Collection[str] = ()) -
             f"{run.root}: nothing to score, renders/ is empty; run `ggvs-eval render` or give --renders NAME=FOLDER"
         )
     coverage = _coverage(run, protocol, labels, protocol.views.test)
-    jobs = [view_job(run, protocol, coverage, labels, view) for view in protocol.views.test]
+    of_views = [view_job(run, protocol, coverage, labels, view) for view in protocol.views.test]
+    of_paths, of_ceilings = path_jobs(run, protocol, labels), ceiling_jobs(run, protocol)
+    jobs = [*of_views, *of_ceilings, *of_paths]  # the longest first, so that all workers end at about the same time
     ledger = Ledger(run.root, "score")
     ledger.write([job.entry for job in jobs])
     run_jobs(jobs, workers, "scoring", ledger)
-    paths = score_paths(run, protocol, labels, workers)
+    paths = read_paths(of_paths)
     results = _collect(run, protocol, coverage, labels, paths)
     results.write(run.root)
-    write_references(run, paths, score_ceilings(run, protocol, workers))
+    write_references(run, paths, read_ceilings(of_ceilings))
     _write_shown_names(run, protocol, labels)
     return results
 

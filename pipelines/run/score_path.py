@@ -8,8 +8,7 @@ from typing import Any
 from ggvs_eval.camera import Camera
 from ggvs_eval.files.digest import digest_files
 from ggvs_eval.files.images import read_image
-from ggvs_eval.jobs.engine import Workers
-from ggvs_eval.jobs.job import Job, run_jobs
+from ggvs_eval.jobs.job import Job
 from ggvs_eval.metrics.path.rendered_path import PathPose
 from ggvs_eval.metrics.path_scores import score_path
 from ggvs_eval.metrics.registry import METRICS
@@ -38,25 +37,31 @@ def write_path_record(run: RunFolder, frame: int, poses: Sequence[tuple[Camera, 
     write_json(run.path_record, record)
 
 
-def score_paths(run: RunFolder, protocol: Protocol, labels: Sequence[str], workers: Workers = 1) -> dict[str, dict[str, Any]]:
-    """Measure the path of every method that has one, and of the truth where the capture has true images of it.
+def path_jobs(run: RunFolder, protocol: Protocol, labels: Sequence[str]) -> list[Job]:
+    """The jobs that measure the path of every method that has one, and of the truth where the capture has true images of it.
 
     Args:
         run: the run folder.
         protocol: asks for measures of the path, or does not.
         labels: methods.
-        workers: where jobs run.
 
     Returns:
-        label (or ``truth``) -> ``values``, a list of (measure, pose or -1, value), and ``not_computed``, measure -> reason. Empty
-        where there is no path, or the protocol asks for none of its measures.
+        One per method; empty where there is no path, or the protocol asks for none of its measures.
     """
     if not run.path_record.is_file() or not any(METRICS[name].kind == "path" for name in protocol.measurement.metrics):
-        return {}
+        return []
     n_poses = len(read_json(run.path_record)["cameras"])
     rendered = [label for label in (TRUTH, *labels) if not missing_frames(run.path(label), range(n_poses))]
-    run_jobs([_job(run, label, n_poses) for label in rendered], workers, "scoring the path")
-    return {label: read_json(run.path_scores(label) / JOB_FILE) for label in rendered}
+    return [_job(run, label, n_poses) for label in rendered]
+
+
+def read_paths(jobs: Sequence[Job]) -> dict[str, dict[str, Any]]:
+    """What `path_jobs` have measured.
+
+    Returns:
+        label (or ``truth``) -> ``values``, a list of (measure, pose or -1, value), and ``not_computed``, measure -> reason.
+    """
+    return {job.folder.name: read_json(job.folder / JOB_FILE) for job in jobs}
 
 
 def _job(run: RunFolder, label: str, n_poses: int) -> Job:

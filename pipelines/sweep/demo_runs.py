@@ -8,6 +8,7 @@ from types import MappingProxyType
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import RenderError
 from ggvs_eval.jobs.engine import Workers, as_engine
+from ggvs_eval.jobs.processes import kept_workers
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.run.evaluate import measure, report
@@ -33,6 +34,7 @@ SMALL_ROOMS_METHODS = {
 }
 
 
+@kept_workers()
 def evaluate_demos(
     root: Path,
     labels: Mapping[str, Sequence[str]],
@@ -74,7 +76,7 @@ def evaluate_demos(
         is_new = not count_work([plan], root, jobs).is_nothing()
         measure(plan, workers)
         if is_new:
-            show(report([*roots.values()][:number]))
+            show(report([*roots.values()][:number], with_figures=False))
     if not (sweep := k_sweep(labels[MAIN])).row:
         return report([*roots.values()])
     swept, protocol, capture = k_root(root), load_protocol(K_PROTOCOL), open_demo(capture_beside(root))

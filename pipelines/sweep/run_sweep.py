@@ -13,6 +13,7 @@ from ggvs_eval.errors import ProtocolError
 from ggvs_eval.files.atomic import atomic_file, locked
 from ggvs_eval.jobs.engine import Engine, Workers, as_engine
 from ggvs_eval.jobs.ledger import Failure
+from ggvs_eval.jobs.processes import kept_workers
 from ggvs_eval.jobs.shard import WHOLE, Shard
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
 from ggvs_eval.pipelines.methods.registry import split_label
@@ -49,6 +50,7 @@ class SweepResult:
     failures: tuple[Failure, ...] = ()
 
 
+@kept_workers()
 def run_sweeps(
     root: Path,
     captures: Captures,
@@ -90,6 +92,7 @@ def run_sweeps(
     return replace(result, table=table)
 
 
+@kept_workers()
 def run_sweep(
     root: Path,
     capture: Capture,

@@ -12,6 +12,7 @@ from ggvs_eval.errors import RenderError
 from ggvs_eval.jobs import free_memory
 from ggvs_eval.jobs.engine import Engine
 from ggvs_eval.jobs.job import Job, attempt_jobs, run_jobs
+from ggvs_eval.jobs.processes import kept_workers
 
 pytestmark = pytest.mark.slow
 
@@ -86,6 +87,43 @@ def test_a_job_that_kills_every_worker_is_given_up(engine, dask_or_skip, tmp_pat
     assert [failure.name for failure in attempt.failures] == ["killed"]
     assert "memory" in attempt.failures[0].message
     assert sorted(item.name for item in root.iterdir()) == ["s0", "s1", "s2"]
+
+
+def note_process(number: int, folder: Path) -> dict:
+    (folder / "process.txt").write_text(str(os.getpid()))
+    time.sleep(0.2)  # so that no process does it all
+    return {"number": number}
+
+
+def processes_of(root: Path, names: range) -> set[str]:
+    """Run a job per name; the processes that did them."""
+    jobs = [Job(str(name), root / str(name), {"name": name}, partial(note_process, name)) for name in names]
+    run_jobs(jobs, 2, "")
+    return {(job.folder / "process.txt").read_text() for job in jobs}
+
+
+def test_stages_can_share_their_processes(tmp_path):
+    """Inside the block two stages have the same processes, before and after it others, and none outlives it."""
+    before = processes_of(tmp_path, range(4))
+    with kept_workers():
+        first = processes_of(tmp_path, range(4, 8))
+        with kept_workers():
+            second = processes_of(tmp_path, range(8, 12))
+    after = processes_of(tmp_path, range(12, 16))
+
+    assert first == second
+    assert len(first) == 2
+    assert not (before & first)
+    assert not (first & after)
+    assert not any(Path(f"/proc/{pid}").exists() for pid in first)
+
+
+def test_kept_processes_that_die_are_replaced(tmp_path):
+    """A killed worker costs no result of its stage, and the next stage has workers too."""
+    with kept_workers():
+        attempt = attempt_jobs([killed_job(tmp_path / "root", 1), square_job(tmp_path / "root", 1)], 2, "")
+        assert (attempt.done, attempt.failures) == (2, ())
+        assert len(processes_of(tmp_path, range(4))) == 2
 
 
 @pytest.mark.parametrize(("running", "fits"), [(2, True), (3, False)])

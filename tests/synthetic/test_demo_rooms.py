@@ -182,7 +182,7 @@ def test_a_dry_run_films_nothing(tmp_path, capsys):
     assert "24 cameras x 24 frames at 480 x 360, into " in told[0]
     assert "3 views x 24 frames x 6 methods at 480 x 360, K = 4" in told[1]
     assert "2 views x 8 frames x 3 methods at 384 x 216, K = 4" in told[4]
-    assert "2 views x 8 frames x 7 methods at 384 x 216, K = 2" in told[7]
+    assert "2 views x 8 frames x 7 methods at 320 x 180, K = 2" in told[7]
     assert "5 runs of 2 views x 6 frames x 2 methods at 480 x 360, K = 2, 3, 4, 5, 6" in told[10]
     assert str(tmp_path / "out-k") + "," in told[11]
     assert list(tmp_path.iterdir()) == []
