@@ -104,7 +104,7 @@ class Measurement:
         height: likewise.
         resize_filter: how they are resized.
         ssim: which SSIM, see `ggvs_eval.metrics.image.ssim_variants.SSIM_VARIANTS`.
-        lpips_net: backbone of LPIPS v0.1.
+        lpips_net: backbone of LPIPS v0.1; vgg-bf16 computes VGG in bfloat16, which is faster and not the same number.
         lpips_every: LPIPS looks at every so many frames, the first among them; it costs as much as all other metrics.
         sted_pairing: frame pairs of ST-RRED: ``disjoint`` (0-1, 2-3, ...) or ``consecutive``.
         sted_pooling: ``means`` (mean spatial times mean temporal difference) or ``products`` (mean of the pairs' products).
@@ -119,7 +119,7 @@ class Measurement:
     height: int = 0
     resize_filter: ResizeFilter = "area"
     ssim: Literal["gaussian-valid", "gaussian-zero", "uniform7", "uniform7-range2"] = "gaussian-valid"
-    lpips_net: Literal["vgg", "alex"] = "vgg"
+    lpips_net: Literal["vgg", "alex", "vgg-bf16"] = "vgg"
     lpips_every: int = 1
     sted_pairing: Literal["disjoint", "consecutive"] = "disjoint"
     sted_pooling: Literal["means", "products"] = "means"

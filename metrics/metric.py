@@ -13,7 +13,7 @@ from ggvs_eval.statistics.pooling import MEAN, Pooling
 
 Kind = Literal["frame", "pair", "view", "rig", "path"]
 SsimName = Literal["gaussian-valid", "gaussian-zero", "uniform7", "uniform7-range2"]
-LpipsNet = Literal["vgg", "alex"]
+LpipsNet = Literal["vgg", "alex", "vgg-bf16"]
 StedPairing = Literal["disjoint", "consecutive"]
 StedPooling = Literal["means", "products"]
 ColourMap = NDArray[np.float64]  # (3, 4): true colour is about map @ (r, g, b, 1), all in [0, 1]
@@ -43,13 +43,14 @@ class MetricOptions:
 
     Attributes:
         ssim: which SSIM, see `ssim_variants.SSIM_VARIANTS`; regions and colour-corrected frames take the default one.
-        lpips_net: network of LPIPS.
+        lpips_net: network of LPIPS, see `lpips.lpips`.
         lpips_every: LPIPS looks at every so many frames, from the protocol's first one on.
         sted_pairing: which frames ST-RRED compares, see `strred.strred`.
         sted_pooling: how its pairs become one number, see `strred.pool`.
         colour_scope: one colour correction per view, or one per frame.
         ddof: 1 for unbiased standard deviations, 0 for plain ones.
         first_frame: number, counted from the protocol's first one, of the frame that is measured first.
+        device: where networks compute; no choice of the protocol's.
     """
 
     ssim: SsimName = "gaussian-valid"
@@ -60,6 +61,7 @@ class MetricOptions:
     colour_scope: Literal["view", "frame"] = "view"
     ddof: int = 1
     first_frame: int = 0
+    device: str = "cpu"
 
 
 class TruthFrame:

@@ -66,7 +66,9 @@ class CorrectedScorer:
         measures = {
             "PSNR_cc": lambda: psnr(corrected, captured),
             "SSIM_cc": lambda: ssim(corrected, captured),
-            "LPIPS_cc": lambda: lpips_between(lpips_features(corrected, net), truth_features(truth, net), net),
+            "LPIPS_cc": lambda: lpips_between(
+                lpips_features(corrected, net, self._options.device), truth_features(truth, self._options), net
+            ),
         }
         names = [name for name in self.names if name != "LPIPS_cc" or is_looked_at(index, self._options)]
         return [(name, index, measures[name]()) for name in names]

@@ -42,7 +42,7 @@ def cache_folder() -> Path:
 
 def weights_path(net: LpipsNet) -> Path:
     """The safetensors file of a network, present or not."""
-    return cache_folder() / f"lpips-v0.1-{net}.safetensors"
+    return cache_folder() / f"lpips-v0.1-{net.removesuffix('-bf16')}.safetensors"
 
 
 def fetch_weights() -> list[Path]:

@@ -1,5 +1,6 @@
 """LPIPS v0.1, learned perceptual similarity (Zhang et al. 2018), on VGG16 or AlexNet."""
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -34,14 +35,16 @@ class Layer:
 
 _VGG_POOL = (2, 2)
 _ALEX_POOL = (3, 2)
+_VGG = (
+    *(Layer(), Layer(tap=True)),
+    *(Layer(_VGG_POOL), Layer(tap=True)),
+    *(Layer(_VGG_POOL), Layer(), Layer(tap=True)),
+    *(Layer(_VGG_POOL), Layer(), Layer(tap=True)),
+    *(Layer(_VGG_POOL), Layer(), Layer(tap=True)),
+)
 LAYERS: dict[LpipsNet, tuple[Layer, ...]] = {
-    "vgg": (
-        *(Layer(), Layer(tap=True)),
-        *(Layer(_VGG_POOL), Layer(tap=True)),
-        *(Layer(_VGG_POOL), Layer(), Layer(tap=True)),
-        *(Layer(_VGG_POOL), Layer(), Layer(tap=True)),
-        *(Layer(_VGG_POOL), Layer(), Layer(tap=True)),
-    ),
+    "vgg": _VGG,
+    "vgg-bf16": _VGG,
     "alex": (
         Layer(stride=4, padding=2, tap=True),
         Layer(_ALEX_POOL, padding=2, tap=True),
@@ -51,7 +54,9 @@ LAYERS: dict[LpipsNet, tuple[Layer, ...]] = {
     ),
 }
 ROWS_AT_ONCE = 16  # of a feature map, so that the comparison stays in cache
-MIN_SIDE_PX: dict[LpipsNet, int] = {"vgg": 16, "alex": 31}  # below, the last layer has no pixel
+MIN_SIDE_PX: dict[LpipsNet, int] = {"vgg": 16, "vgg-bf16": 16, "alex": 31}  # below, the last layer has no pixel
+# Of truths whose features a process remembers from one run to the next; four of 480 x 360 pixels.
+REMEMBERED_BYTES = 400_000_000
 
 
 def lpips(rendered: Image, truth: Image, net: LpipsNet = "vgg") -> float:
@@ -60,7 +65,7 @@ def lpips(rendered: Image, truth: Image, net: LpipsNet = "vgg") -> float:
     Args:
         rendered: (H, W, 3), uint8 in 0..255 or float in [0, 1].
         truth: captured frame, same shape and kind.
-        net: ``vgg`` or ``alex``; their values do not compare.
+        net: ``vgg``, ``alex`` or ``vgg-bf16``; their values do not compare.
 
     Returns:
         Distance, 0 for equal frames; lower is better.
@@ -78,17 +83,20 @@ def lpips(rendered: Image, truth: Image, net: LpipsNet = "vgg") -> float:
     Reading:
         The paper names no network. VGG is taken: the evaluators of its baselines use it, and 0.191 at 31 dB fits VGG, not
         AlexNet. Frames enter in [-1, 1], as the metric was trained; several code bases feed [0, 1] and get other values.
+        ``vgg-bf16`` multiplies in bfloat16 and compares in single precision: about 1.75 times as fast where the processor has
+        such instructions, and 6e-5 to 9e-5 lower on renders of the demo room.
     """
     check_pair(rendered, truth)
     return lpips_between(lpips_features(rendered, net), lpips_features(truth, net), net)
 
 
-def lpips_features(image: Image, net: LpipsNet) -> "list[torch.Tensor]":
+def lpips_features(image: Image, net: LpipsNet, device: str = "cpu") -> "list[torch.Tensor]":
     """What LPIPS compares of a frame, so that one truth can be compared with several renders at the cost of one.
 
     Args:
         image: (H, W, 3), uint8 in 0..255 or float in [0, 1].
-        net: ``vgg`` or ``alex``.
+        net: ``vgg``, ``alex`` or ``vgg-bf16``.
+        device: where the network computes.
 
     Returns:
         Feature maps of the compared layers, each (1, C, H', W'), float32.
@@ -103,10 +111,11 @@ def lpips_features(image: Image, net: LpipsNet) -> "list[torch.Tensor]":
         raise MetricError(f"LPIPS: no network {net!r}; there are {', '.join(LAYERS)}")
     if min(image.shape[:2]) < MIN_SIDE_PX[net]:
         raise MetricError(f"LPIPS-{net} needs at least {MIN_SIDE_PX[net]} pixels a side, got {image.shape[:2]}")
-    weights = load_weights(net)
-    with torch.inference_mode():
-        features = _network_input(image)[None].contiguous(memory_format=torch.channels_last)
-        return _tapped_layers(features, LAYERS[net], weights)
+    weights = load_weights(net, device)
+    # On a GPU without rounded factors, and with equal bits from call to call.
+    with torch.inference_mode(), torch.backends.cudnn.flags(enabled=True, deterministic=True, allow_tf32=False):
+        features = _network_input(image)[None].to(weights["conv0.weight"]).contiguous(memory_format=torch.channels_last)
+        return [tap.float() for tap in _tapped_layers(features, LAYERS[net], weights)]
 
 
 def lpips_between(rendered: "list[torch.Tensor]", truth: "list[torch.Tensor]", net: LpipsNet) -> float:
@@ -119,7 +128,7 @@ def lpips_between(rendered: "list[torch.Tensor]", truth: "list[torch.Tensor]", n
 
     if [layer.shape for layer in rendered] != [layer.shape for layer in truth]:
         raise MetricError(f"LPIPS-{net}: the frames differ in size; resize or render again, metrics never resample")
-    weights = load_weights(net)
+    weights = load_weights(net, str(truth[0].device))
     with torch.inference_mode():
         pairs = enumerate(zip(rendered, truth, strict=True))
         distance = sum(_feature_distance(ours, theirs, weights[f"head{i}.weight"]) for i, (ours, theirs) in pairs)
@@ -127,8 +136,8 @@ def lpips_between(rendered: "list[torch.Tensor]", truth: "list[torch.Tensor]", n
 
 
 @lru_cache(maxsize=2)
-def load_weights(net: LpipsNet) -> "dict[str, torch.Tensor]":
-    """The tensors of a network from the cache folder, read once per process.
+def load_weights(net: LpipsNet, device: str = "cpu") -> "dict[str, torch.Tensor]":
+    """The tensors of a network from the cache folder, read once per process; those of convolutions as the network computes.
 
     Raises:
         WeightsError: absent, damaged, or tensors of another network.
@@ -148,8 +157,18 @@ def load_weights(net: LpipsNet) -> "dict[str, torch.Tensor]":
     wanted = {f"conv{i}.{part}" for i in range(convolutions) for part in ("weight", "bias")}
     if set(tensors) != wanted | {f"head{i}.weight" for i in range(heads)}:
         raise WeightsError(f"{path}: holds the tensors of another network; delete it and run `{FETCH_COMMAND}`")
-    kernels = {name: tensor.contiguous(memory_format=torch.channels_last) for name, tensor in tensors.items() if tensor.ndim == 4}
-    return tensors | kernels
+    dtype = torch.bfloat16 if net == "vgg-bf16" else torch.float32
+    return {
+        name: tensor.to(device) if name.startswith("head") else _kernel(tensor.to(device, dtype))
+        for name, tensor in tensors.items()
+    }
+
+
+def _kernel(tensor: "torch.Tensor") -> "torch.Tensor":
+    """A convolution's kernel as it lies in memory when it is fastest; its bias stays as it is."""
+    import torch
+
+    return tensor.contiguous(memory_format=torch.channels_last) if tensor.ndim == 4 else tensor
 
 
 def _network_input(image: Image) -> "torch.Tensor":
@@ -189,9 +208,31 @@ def _feature_distance(rendered: "torch.Tensor", truth: "torch.Tensor", channel_w
     return total / (truth.shape[2] * truth.shape[3])
 
 
-def truth_features(truth: TruthFrame, net: LpipsNet) -> "list[torch.Tensor]":
-    """`lpips_features` of a captured frame, once for all methods and metrics."""
-    return truth.once((lpips_features, net), lambda: lpips_features(truth.image, net))
+def truth_features(truth: TruthFrame, options: MetricOptions) -> "list[torch.Tensor]":
+    """`lpips_features` of a captured frame, once for all methods and metrics, and for runs scored one after another."""
+    net, device = options.lpips_net, options.device
+    return truth.once((lpips_features, net), lambda: _remembered.features(truth.image, net, device))
+
+
+class _Remembered:
+    """Features of the truths that were seen last, up to a number of bytes."""
+
+    def __init__(self, most_bytes: int) -> None:
+        self._most_bytes = most_bytes
+        self._kept: dict[tuple[str, LpipsNet, str], list[torch.Tensor]] = {}
+
+    def features(self, image: Image8, net: LpipsNet, device: str) -> "list[torch.Tensor]":
+        """`lpips_features` of an image."""
+        key = hashlib.sha256(str(image.shape).encode() + image.tobytes()).hexdigest(), net, device
+        features = self._kept.pop(key, None) or lpips_features(image, net, device)
+        self._kept[key] = features  # the last to go
+        sizes = [sum(layer.nbytes for layer in layers) for layers in self._kept.values()]
+        while sum(sizes) > self._most_bytes:
+            del self._kept[next(iter(self._kept))], sizes[0]
+        return features
+
+
+_remembered = _Remembered(REMEMBERED_BYTES)
 
 
 def is_looked_at(index: int, options: MetricOptions) -> bool:
@@ -200,8 +241,9 @@ def is_looked_at(index: int, options: MetricOptions) -> bool:
 
 
 def frames_note(options: MetricOptions) -> str:
-    """Which frames LPIPS looks at, where these are not all."""
-    return f", of one frame in {options.lpips_every}" if options.lpips_every > 1 else ""
+    """Which frames LPIPS looks at, where these are not all, and how it computes, where that is not usual."""
+    precision = ", in bfloat16" if options.lpips_net == "vgg-bf16" else ""
+    return precision + (f", of one frame in {options.lpips_every}" if options.lpips_every > 1 else "")
 
 
 class LpipsScorer:
@@ -217,7 +259,8 @@ class LpipsScorer:
         if not is_looked_at(index, self._options):
             return []
         net = self._options.lpips_net
-        return [("LPIPS", index, lpips_between(lpips_features(rendered, net), truth_features(truth, net), net))]
+        features = lpips_features(rendered, net, self._options.device)
+        return [("LPIPS", index, lpips_between(features, truth_features(truth, self._options), net))]
 
     def finish(self) -> list[Value]:
         """See `Scorer`."""

@@ -24,8 +24,9 @@ from ggvs_eval.pipelines.commands.figures import compare, figure, report
 from ggvs_eval.pipelines.commands.merge import merge
 from ggvs_eval.pipelines.commands.play import play, view
 from ggvs_eval.pipelines.commands.renders import doctor, explain
-from ggvs_eval.pipelines.commands.runs import prepare, render, run, status, sweep
+from ggvs_eval.pipelines.commands.runs import Device, prepare, render, run, status, sweep
 from ggvs_eval.pipelines.commands.training import TRAININGS
+from ggvs_eval.pipelines.methods.network_options import found_device
 
 
 def score(
@@ -35,6 +36,7 @@ def score(
     protocol: str | None = None,
     run: Path | None = None,
     allow_partial: bool = False,
+    device: Device = "cpu",
     reading: Reading = BY_DEFAULT,
     jobs: int = default_workers(),
 ) -> None:
@@ -48,6 +50,7 @@ def score(
         protocol: a .toml file or a packaged name; the run's own, or the packaged one that fits the capture, by default.
         run: run folder to make or to go on with; scores/CAPTURE by default.
         allow_partial: score what there is of incomplete renders; their row is marked.
+        device: where the networks of LPIPS compute; a GPU rounds otherwise than the CPU.
         reading: how the capture is read.
         jobs: processes.
     """
@@ -61,7 +64,7 @@ def score(
     for name, path in named_renders(renders).items():
         for note in import_renders(target, name, path, allow_partial, jobs)["notes"]:
             print(f"{name}: {note}", file=sys.stderr)
-    results = measure(target, jobs)
+    results = measure(target, jobs, device=found_device(device))
     print(results.summary().droplevel("dataset").round(4).to_string())
     for label, mark in results.provenance["partial"].items():
         print(f"{label} is {mark}")

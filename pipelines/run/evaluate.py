@@ -54,7 +54,7 @@ def measure(plan: RunPlan, workers: Workers) -> None:
     """Prepare, render and score what a run lacks: everything of `evaluate` but the report."""
     prepared = prepare_run(plan, workers)
     render(prepared, plan.request.labels, workers, plan.request.networks)
-    score(plan.run, workers)
+    score(plan.run, workers, device=plan.request.networks.device)
 
 
 def reopen(root: Path, workers: Workers) -> RunPlan:

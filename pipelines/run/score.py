@@ -22,14 +22,17 @@ from ggvs_eval.protocol import Protocol
 from ggvs_eval.results import Results, describe_machine, installed_versions, make_table
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
 
+METRIC_NETWORKS = "networks of metrics"  # stands among the renders that are not the CPU's
 
-def score(run: RunFolder, workers: Workers = 1, without: Collection[str] = ()) -> Results:
+
+def score(run: RunFolder, workers: Workers = 1, without: Collection[str] = (), device: str = "cpu") -> Results:
     """Measure every method that has renders in the run folder.
 
     Args:
         run: a folder with truth and renders of the protocol's views and frames.
         workers: where jobs run.
         without: methods whose renders are known to be incomplete, which are left out.
+        device: where networks of metrics compute.
 
     Returns:
         All values, also written to the run folder.
@@ -43,7 +46,7 @@ def score(run: RunFolder, workers: Workers = 1, without: Collection[str] = ()) -
             f"{run.root}: nothing to score, renders/ is empty; run `ggvs-eval render` or give --renders NAME=FOLDER"
         )
     coverage = _coverage(run, protocol, labels, protocol.views.test)
-    of_views = [view_job(run, protocol, coverage, labels, view) for view in protocol.views.test]
+    of_views = [view_job(run, protocol, coverage, labels, view, device) for view in protocol.views.test]
     of_paths, of_ceilings = path_jobs(run, protocol, labels), ceiling_jobs(run, protocol)
     jobs = [*of_views, *of_ceilings, *of_paths]  # the longest first, so that all workers end at about the same time
     ledger = Ledger(run.root, "score")
@@ -51,13 +54,15 @@ def score(run: RunFolder, workers: Workers = 1, without: Collection[str] = ()) -
     run_jobs(jobs, workers, "scoring", ledger)
     paths = read_paths(of_paths)
     results = _collect(run, protocol, coverage, labels, paths)
+    if device != "cpu":
+        results.provenance.setdefault("devices", {})[METRIC_NETWORKS] = _described(device)
     results.write(run.root)
     write_references(run, paths, read_ceilings(of_ceilings))
     _write_shown_names(run, protocol, labels)
     return results
 
 
-def score_jobs(run: RunFolder, labels: Sequence[str], views: Sequence[str]) -> list[Job]:
+def score_jobs(run: RunFolder, labels: Sequence[str], views: Sequence[str], device: str = "cpu") -> list[Job]:
     """What `score` runs for some methods and test views, one job per view; so that a sweep can run those of many runs at once.
 
     Raises:
@@ -65,7 +70,7 @@ def score_jobs(run: RunFolder, labels: Sequence[str], views: Sequence[str]) -> l
     """
     protocol = run.protocol()
     coverage = _coverage(run, protocol, labels, views)
-    return [view_job(run, protocol, coverage, labels, view) for view in views]
+    return [view_job(run, protocol, coverage, labels, view, device) for view in views]
 
 
 def _coverage(run: RunFolder, protocol: Protocol, labels: Sequence[str], views: Sequence[str]) -> Coverage:
@@ -155,6 +160,12 @@ def _devices(run: RunFolder, renders: Sequence[str]) -> dict[str, str]:
     files = {render: run.renders(*render.rsplit("/", 1)) / JOB_FILE for render in renders}
     identities = {render: read_json(file).get("identity", {}) for render, file in files.items() if file.is_file()}
     return {render: identity["device"] for render, identity in identities.items() if "device" in identity}
+
+
+def _described(device: str) -> str:
+    from ggvs_eval.compute_device import compute_device, describe_device
+
+    return describe_device(compute_device(device))
 
 
 def _write_shown_names(run: RunFolder, protocol: Protocol, labels: Sequence[str]) -> None:

@@ -22,15 +22,27 @@ from ggvs_eval.protocol import Measurement, Protocol
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, missing_frames, read_json
 
 
-def view_job(run: RunFolder, protocol: Protocol, coverage: Coverage, labels: Sequence[str], view: str) -> Job:
-    """The job of one view; in it all metrics of a method are stale when a frame changes, and one metric when its code does."""
+def view_job(
+    run: RunFolder, protocol: Protocol, coverage: Coverage, labels: Sequence[str], view: str, device: str = "cpu"
+) -> Job:
+    """The job of one view; in it all metrics of a method are stale when a frame changes, and one metric when its code does.
+
+    Args:
+        run: the run folder.
+        protocol: metrics and how they are measured.
+        coverage: which frames of which method there are.
+        labels: methods.
+        view: the view.
+        device: where networks of metrics compute.
+    """
+    options = metric_options(protocol.measurement, device)
     measurement = protocol.measurement
     metrics = scored_by_view(measurement.metrics)
     common = {
         "truth": digest_frames(run.truth(view), coverage.wanted),
         "disoccluded": digest_frames(run.disoccluded(view), coverage.wanted),
         "measurement": [str(value) for name, value in vars(measurement).items() if name != "metrics"],
-        "metrics": {metric.name: _metric_identity(metric, measurement) for metric in metrics},
+        "metrics": {metric.name: _metric_identity(metric, options) for metric in metrics},
     }
     stretches = {label: there for label in labels if (there := coverage.stretches(label, view))}
     identities = {
@@ -39,14 +51,17 @@ def view_job(run: RunFolder, protocol: Protocol, coverage: Coverage, labels: Seq
         | coverage.identity(label, view)
         for label in stretches
     }
-    work = partial(_score_view, run, view, tuple(labels), identities, stretches, protocol)
+    work = partial(_score_view, run, view, tuple(labels), identities, stretches, protocol, options)
     return Job(f"scores of {view}", run.scores(view), identities, work)
 
 
-def _metric_identity(metric: ViewMetric, measurement: Measurement) -> dict[str, Any]:
-    """What one metric depends on beside the frames and the measurement."""
+def _metric_identity(metric: ViewMetric, options: MetricOptions) -> dict[str, Any]:
+    """What one metric depends on beside the frames and the measurement; the CPU goes without saying."""
     code = {"code": metric_code(metric)}
-    return code if metric.weights is None else code | {"weights": metric.weights(metric_options(measurement)).is_file()}
+    if metric.weights is None:
+        return code
+    elsewhere = {} if options.device == "cpu" else {"device": options.device}
+    return code | {"weights": metric.weights(options).is_file()} | elsewhere
 
 
 def digest_frames(folder: Path, frames: Sequence[int]) -> str:
@@ -67,6 +82,7 @@ def _score_view(
     identities: dict[str, Any],
     stretches: dict[str, tuple[range, ...]],
     protocol: Protocol,
+    options: MetricOptions,
     _folder: Path,
 ) -> dict[str, Any]:
     """Measure what is stale, methods with the same frames and stale metrics side by side; all other values stay."""
@@ -76,11 +92,11 @@ def _score_view(
     alike: dict[tuple[tuple[range, ...], tuple[str, ...]], list[str]] = defaultdict(list)
     for label, identity in identities.items():
         fresh = fresh_metrics(records.get(label, {}).get("identity", {}), identity)
-        methods[label] = {"identity": identity} | _values_of(fresh, records.get(label, {}), metric_options(protocol.measurement))
+        methods[label] = {"identity": identity} | _values_of(fresh, records.get(label, {}), options)
         if stale := tuple(name for name in identity["metrics"] if name not in fresh):
             alike[stretches[label], stale].append(label)
     for (there, metrics), labels in alike.items():
-        for label, measured in zip(labels, _score_methods(run, view, labels, there, metrics, protocol), strict=True):
+        for label, measured in zip(labels, _score_methods(run, view, labels, there, metrics, protocol, options), strict=True):
             methods[label]["values"] += measured["values"]
             methods[label]["not_computed"] |= measured["not_computed"]
     return {"methods": methods}
@@ -108,6 +124,7 @@ def _score_methods(
     stretches: tuple[range, ...],
     metrics: Sequence[str],
     protocol: Protocol,
+    options: MetricOptions,
 ) -> list[dict[str, Any]]:
     """Some metrics of methods that have the same frames; frames are streamed, two instants in memory.
 
@@ -117,7 +134,6 @@ def _score_methods(
     from ggvs_eval.metrics.stream import fit_colour_maps, score_views
 
     measurement, folders = protocol.measurement, [run.renders(label, view) for label in labels]
-    options = metric_options(measurement)
     records: list[dict[str, Any]] = [{"values": [], "not_computed": {}} for _ in labels]
     maps, corrected = None, any(metric.corrects_colours for metric in scored_by_view(metrics))
     if options.colour_scope == "view" and corrected:
@@ -134,8 +150,8 @@ def _score_methods(
     return records
 
 
-def metric_options(measurement: Measurement) -> MetricOptions:
-    """What the protocol chooses about the metrics."""
+def metric_options(measurement: Measurement, device: str = "cpu") -> MetricOptions:
+    """What the protocol chooses about the metrics, and where their networks compute."""
     return MetricOptions(
         ssim=measurement.ssim,
         lpips_net=measurement.lpips_net,
@@ -144,6 +160,7 @@ def metric_options(measurement: Measurement) -> MetricOptions:
         sted_pooling=measurement.sted_pooling,
         colour_scope=measurement.colour_scope,
         ddof=measurement.ddof,
+        device=device,
     )
 
 

@@ -153,12 +153,14 @@ def _run(
     if shard.prepares_only or not taken:
         return SweepResult(pd.DataFrame(), absent, runs, tuple(failures))
     whole, unrendered = render_cells(taken, ready, engine, networks, share, imported)
-    good, unscored = score_cells(taken, whole, engine, share)
+    good, unscored = score_cells(taken, whole, engine, share, networks.device)
     failures += [*unrendered, *unscored]
     parts = []
     for cell in cells if shard.is_whole else ():
         if cell.name in good:
-            lines, why_not = attempt(f"table of {cell.name}", partial(_score_lines, cell, whole[cell.name], engine))
+            lines, why_not = attempt(
+                f"table of {cell.name}", partial(_score_lines, cell, whole[cell.name], engine, networks.device)
+            )
             failures += why_not
             parts += [] if lines is None else [lines]
     return SweepResult(pd.concat(parts) if parts else pd.DataFrame(), absent, runs, tuple(failures))
@@ -215,9 +217,9 @@ def _with_lines(before: pd.DataFrame, lines: pd.DataFrame) -> pd.DataFrame:
     return pd.concat([old[~old.index.isin(new.index)], new]).loc[order].reset_index()
 
 
-def _score_lines(cell: Cell, labels: Sequence[str], engine: Engine) -> pd.DataFrame:
+def _score_lines(cell: Cell, labels: Sequence[str], engine: Engine, device: str) -> pd.DataFrame:
     """Collect what is measured of one run into its results, and its rows of the sweep's table."""
-    results = score(cell.run, engine, without=[label for label in cell.labels if label not in labels])
+    results = score(cell.run, engine, without=[label for label in cell.labels if label not in labels], device=device)
     return _lines(cell, results, [row for row in cell.rows if row.label in labels])
 
 

@@ -123,7 +123,7 @@ def render_cells(
 
 
 def score_cells(
-    cells: Sequence[Cell], whole: Mapping[str, list[str]], engine: Engine, share: Share
+    cells: Sequence[Cell], whole: Mapping[str, list[str]], engine: Engine, share: Share, device: str = "cpu"
 ) -> tuple[set[str], list[Failure]]:
     """Measure the views that are shared out of every run, all methods of a view together.
 
@@ -135,7 +135,7 @@ def score_cells(
     for cell in cells:
         views = [view for view in cell.protocol.views.test if view in share.get(cell.name, ())]
         if whole.get(cell.name) and views:
-            made, why_not = attempt(f"score {cell.name}", partial(score_jobs, cell.run, whole[cell.name], views))
+            made, why_not = attempt(f"score {cell.name}", partial(score_jobs, cell.run, whole[cell.name], views, device))
             failures += why_not
             if made is not None:
                 jobs[cell.name] = [replace(job, name=f"{cell.name}: {job.name}") for job in made]

@@ -8,12 +8,14 @@ import tarfile
 
 import numpy as np
 import pytest
+import torch
 from numpy.lib.stride_tricks import sliding_window_view
 from skimage import data
 
 from ggvs_eval.errors import MetricError, WeightsError
 from ggvs_eval.files.images import read_image
 from ggvs_eval.metrics.image import fetch_lpips
+from ggvs_eval.metrics.image import lpips as module
 from ggvs_eval.metrics.image.fetch_lpips import NETS, fetch_weights, read_checkpoint, weights_path
 from ggvs_eval.metrics.image.lpips import load_weights, lpips, lpips_between, lpips_features
 from ggvs_eval.metrics.metric import MetricOptions
@@ -179,8 +181,8 @@ def test_too_small_frames_are_refused(net, side):
 
 
 def test_unknown_network_is_refused():
-    """Only vgg and alex exist."""
-    with pytest.raises(MetricError, match="no network 'squeeze'; there are vgg, alex"):
+    """It is named with those that exist."""
+    with pytest.raises(MetricError, match="no network 'squeeze'; there are vgg, vgg-bf16, alex"):
         lpips(*photograph_pair(), net="squeeze")
 
 
@@ -268,3 +270,49 @@ def test_lpips_may_look_at_some_frames(first, looked_at):
     assert values == {index: lpips(*pairs[index], "alex") for index in looked_at}
     assert sum(name == "PSNR" for name, _, _ in scores.values) == len(pairs)
     assert metric_notes(["LPIPS"], options)["LPIPS"]["describe"].endswith("of one frame in 3")
+
+
+@needs_weights
+def test_bfloat16_is_a_variant_of_its_own():
+    """Near single precision and not equal to it, by weights of the same file; the tables say how it was computed."""
+    rendered, truth = photograph_pair(96)
+    exact, rounded = lpips(rendered, truth, "vgg"), lpips(rendered, truth, "vgg-bf16")
+
+    assert rounded != exact
+    assert rounded == pytest.approx(exact, rel=0.01)
+    assert rounded == lpips(rendered, truth, "vgg-bf16")
+    assert lpips(truth, truth, "vgg-bf16") == 0
+    assert weights_path("vgg-bf16") == weights_path("vgg")
+    assert "bfloat16" in metric_notes(["LPIPS"], MetricOptions(lpips_net="vgg-bf16"))["LPIPS"]["describe"]
+    assert "bfloat16" not in metric_notes(["LPIPS"], MetricOptions())["LPIPS"]["describe"]
+
+
+@needs_weights
+def test_truths_are_remembered_up_to_a_size(monkeypatch):
+    """A frame that was seen a moment ago costs no second pass; what is older goes, and values stay what they are."""
+    passes = []
+    monkeypatch.setattr(module, "lpips_features", lambda *arguments: passes.append(1) or lpips_features(*arguments))
+    frames = [photograph_pair(size)[1] for size in (32, 33, 34)]
+    size_of = [sum(layer.nbytes for layer in lpips_features(frame, "vgg")) for frame in frames]
+    remembered = module._Remembered(size_of[1] + size_of[2])
+    for frame in (*frames, frames[2], frames[1]):
+        features = remembered.features(frame, "vgg", "cpu")
+        assert all(ours.equal(theirs) for ours, theirs in zip(features, lpips_features(frame, "vgg"), strict=True))
+
+    assert len(passes) == 3
+    remembered.features(frames[0], "vgg", "cpu")
+    assert len(passes) == 4
+
+
+@needs_weights
+@pytest.mark.gpu
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="torch finds no GPU here")
+def test_a_gpu_gives_the_same_distance():
+    """Within single precision, corrected colours too."""
+    rendered, truth = photograph_pair(96)
+    scores = {}
+    for device in ("cpu", "cuda"):
+        options = MetricOptions(device=device)
+        (scored,) = score_views([([rendered], truth)], ["LPIPS", "LPIPS_cc"], options)
+        scores[device] = {name: value for name, _, value in scored.values}
+    assert scores["cuda"] == pytest.approx(scores["cpu"], rel=1e-4)
