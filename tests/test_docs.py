@@ -1,6 +1,8 @@
 """The pages: links of README and docs/ lead somewhere, what they name exists, and the README stays a front door."""
 
 import ast
+import importlib
+import json
 import re
 import runpy
 from collections.abc import Iterator
@@ -150,3 +152,17 @@ def test_the_architecture_is_that_of_the_tree():
         for file in (ROOT / folder).rglob("__init__.py"):
             about = (ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or "").partition("\n")[0]
             assert f"| `{file.parent.relative_to(ROOT).as_posix()}/` | {about} |" in page
+
+
+def test_the_notebook_is_code_of_today():
+    """Each cell compiles and what it imports exists; `make docs` runs it, and an error in it is one of the site."""
+    cells = json.loads((ROOT / "docs" / "notebook.ipynb").read_text(encoding="utf-8"))["cells"]
+    trees = [ast.parse("".join(cell["source"])) for cell in cells if cell["cell_type"] == "code"]
+    imports = [node for tree in trees for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+    named = [(node.module, alias.name) for node in imports for alias in node.names if node.module.startswith("ggvs_eval")]
+    settings = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+
+    assert [name for name in named if not hasattr(importlib.import_module(name[0]), name[1])] == []
+    assert len(named) > 5
+    assert not any(cell.get("outputs") for cell in cells)
+    assert re.search(r"mkdocs-jupyter:.*execute: true\n\s+allow_errors: false", settings, re.DOTALL)
