@@ -54,7 +54,7 @@ def render(prepared: RunPlan, labels: Sequence[str], workers: Workers = 1, netwo
 def render_jobs(
     prepared: RunPlan, labels: Sequence[str], workers: Workers = 1, networks: NetworkOptions = AS_SHIPPED
 ) -> list[Job]:
-    """What `render` runs: one job per method and test view, and one per method along the camera path.
+    """What `render` runs: one job per method along the camera path, and one per method and test view.
 
     Raises:
         DeviceError: no such device here.
@@ -65,10 +65,11 @@ def render_jobs(
     for spec in specs.values():
         spec.make()  # what is missing shows before anything is rendered
     at_once = as_engine(workers).jobs
-    jobs = [
-        _view_job(prepared, label, spec, view, at_once) for label, spec in specs.items() for view in prepared.protocol.views.test
-    ]
-    return jobs + [_path_job(prepared, label, spec, at_once) for label, spec in specs.items() if prepared.path]
+    views = prepared.protocol.views.test
+    along_path = [_path_job(prepared, label, spec, at_once) for label, spec in specs.items() if prepared.path]
+    in_views = [_view_job(prepared, label, spec, view, at_once) for label, spec in specs.items() for view in views]
+    # The longest first, so that all workers end at about the same time.
+    return along_path + in_views if len(prepared.path) > len(prepared.frames) else in_views + along_path
 
 
 def note_labels(run: RunFolder, labels: Sequence[str]) -> None:

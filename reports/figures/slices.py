@@ -1,6 +1,7 @@
 """Slices through a sequence: the row of an image over viewpoints (epipolar plane image) or over time (x-t)."""
 
 from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -10,6 +11,7 @@ import numpy as np
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.files.images import read_image
+from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.reports.figures.curves import save_figure
 from ggvs_eval.reports.model.measured import MeasuredRun, read_run
 from ggvs_eval.run_folder import frame_path, require_frames
@@ -87,14 +89,16 @@ def temporal_slice(folder: Path, frames: range, row: int) -> Image8:
 
 def _stack_rows(folder: Path, indices: range, row: int) -> Image8:
     """Read image by image and keep one row of each, so that memory does not grow with the images."""
-    rows = []
-    for index in indices:
+
+    def read_row(index: int) -> Image8:
         image = read_image(frame_path(folder, index))
         height = image.shape[0]
         if not 0 <= row < height:
             raise ResultsError(f"{frame_path(folder, index)}: no row {row} in an image of {height} rows; use 0..{height - 1}")
-        rows.append(image[row].copy())
-    return np.stack(rows)
+        return image[row].copy()
+
+    with ThreadPoolExecutor(default_workers()) as threads:  # decoding lets go of the interpreter
+        return np.stack(list(threads.map(read_row, indices)))
 
 
 def most_changing_row(folder: Path, frames: range) -> int:

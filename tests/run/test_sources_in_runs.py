@@ -56,8 +56,8 @@ def test_shares_are_part_of_what_a_rendering_depends_on(capture, tmp_path):
     """Other shares along the path, another job; equal ones, the same."""
     planned = plan_run(RunRequest(tmp_path, capture, chosen_protocol("nearest")))
     halved = tuple(replace(pose, shares=dict.fromkeys(pose.shares, 0.5)) for pose in planned.path)
-    view, path = render_jobs(planned, LABELS[:1])
-    same_view, other_path = render_jobs(replace(planned, path=halved), LABELS[:1])
+    path, view = render_jobs(planned, LABELS[:1])  # the longer one first
+    other_path, same_view = render_jobs(replace(planned, path=halved), LABELS[:1])
     assert same_view.sha256 == view.sha256
     assert other_path.sha256 != path.sha256
 
