@@ -18,7 +18,8 @@ from ggvs_eval.camera import Camera, nearest_rotation
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CameraError, CaptureError
-from ggvs_eval.files.images import picture_size, read_image, write_image
+from ggvs_eval.files.images import read_image, write_image
+from ggvs_eval.files.picture_header import read_picture_header
 from ggvs_eval.files.video import VideoFrames, write_video
 from ggvs_eval.pipelines.inspection.capture.check import check_capture
 from ggvs_eval.protocol import load_protocol
@@ -158,7 +159,7 @@ def test_pictures_and_videos_are_turned_by_one_rule(orientation, matrix, tmp_pat
 
     video = VideoFrames(tmp_path / "a.mp4")
 
-    assert [picture_size(file) for file in files] == [(64, 48), (64, 48)] == [video.size] * 2
+    assert [read_picture_header(file).size for file in files] == [(64, 48), (64, 48)] == [video.size] * 2
     for image in (*map(read_image, files), *video.frames(0, 2)):
         assert image.shape == upright.shape
         assert np.abs(image.astype(int) - upright).mean() < 6  # 4:2:0 blurs the edges of colour
