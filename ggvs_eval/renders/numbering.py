@@ -104,7 +104,8 @@ def _decide(numbers: Mapping[str, Numbers], wanted: Wanted) -> tuple[int, str]:
         return first, f"numbered as --first-frame {wanted.first_frame} says: {_taken(used, first, wanted)}"
     _refuse_unlike(numbers, wanted)
     first = _first_number(used, wanted)
-    return first, f"numbered from {first}: {_taken(used, first, wanted)}" if first else f"frames {_taken(used, 0, wanted)}"
+    origin = f"numbered from {first}:" if first else "frames" if len(used) > 1 else "frame"
+    return first, f"{origin} {_taken(used, first, wanted)}"
 
 
 def _first_number(used: Sequence[int], wanted: Wanted) -> int:
@@ -192,6 +193,8 @@ def _taken(used: Sequence[int], first: int, wanted: Wanted) -> str:
     instants = as_ranges([number - first for number in inside])
     if not inside:
         return f"{as_ranges(list(used))} are taken as the instants {as_ranges(sorted(_shifted(used, first)))} of the capture"
+    if len(inside) == 1 == len(used):
+        return f"{inside[0]} is taken as the instant {instants} of the capture"
     if _shifted(used, first) == set(range(wanted.n_frames)) and len(inside) < len(used):
         of = f"of {as_ranges(list(used))}, the whole capture, {as_ranges(inside)} are used"
         return f"{of} as the instants {instants}" if first else of

@@ -68,7 +68,7 @@ UNDERSTOOD: dict[str, tuple[Sequence[int], range, int, int, str]] = {
     "0 is there": ((0, 1, 2, 4, 5), range(6), 24, 0, "frames 0-2, 4-5 are taken as the instants 0-2, 4-5 of the capture"),
     "one too many": (range(7), range(6), 24, 0, "frames 0-5 are taken as the instants 0-5 of the capture"),
     "one too many from 1": (range(1, 8), range(6), 24, 1, "numbered from 1: 1-6 are taken as the instants 0-5 of the capture"),
-    "the protocol's first, from 1": ((1,), range(1), 24, 1, "numbered from 1: 1 are taken as the instants 0 of the capture"),
+    "the protocol's first, from 1": ((1,), range(1), 24, 1, "numbered from 1: 1 is taken as the instant 0 of the capture"),
 }
 
 
