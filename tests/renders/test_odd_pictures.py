@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ggvs_eval.errors import GgvsError
+from ggvs_eval.errors import GgvsError, RenderError
 from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.pipelines.run.import_renders import import_renders
+from ggvs_eval.pipelines.run.score import score
 from ggvs_eval.run_folder import RunFolder, frame_path
 from helpers.render_folders import (
     VIEWS,
@@ -176,8 +177,8 @@ def test_a_dangling_link_is_one_line(case, target, run, tmp_path):
 
     message = refusal(run, tmp_path / "theirs")
 
-    assert str(file) in message
-    assert "restore it or remove it" in message
+    assert f"{file}: wanted a file, got " in message
+    assert ("a link to nothing; restore it or remove it" if target == "nowhere" else "Too many levels") in message
 
 
 def test_a_dangling_link_to_a_folder_is_one_line(run, tmp_path):
@@ -189,6 +190,16 @@ def test_a_dangling_link_to_a_folder_is_one_line(run, tmp_path):
 
     assert "cam00 lacks all 3 frames, but cam00 is a link to nothing: restore what it leads to" in refusal(run, folder)
     assert "there is no such folder or file" in refusal(run, tmp_path / "loop")
+
+
+def test_renders_that_are_gone_are_told(run, tmp_path):
+    """Imported frames are links: where the files were taken away the run says what to do."""
+    folder = write_folders(tmp_path / "theirs")
+    import_renders(run, "mine", folder)
+    shutil.rmtree(folder / "cam00")
+
+    with pytest.raises(RenderError, match=r"mine in cam00 lacks 2-4; their links lead nowhere, bring these renders again"):
+        score(run)
 
 
 def renamed(folder: Path, *names: tuple[str, str]) -> Path:
