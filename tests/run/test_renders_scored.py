@@ -195,7 +195,8 @@ def test_the_numbering_is_printed_and_can_be_said(capture, protocol, theirs, tmp
     """Frames 0-2 of a protocol of 1-3: refused with the option that settles it; with it scored, and one line says how."""
     for file in sorted(theirs.rglob("*.png")):
         file.rename(file.with_name(f"{int(file.stem) - 1:04d}.png"))
-    arguments = ("score", "--run", tmp_path / "run", "--renders", theirs, "--capture", capture, "--protocol", protocol)
+    place = ("--run", tmp_path / "run", "--capture", capture, "--protocol", protocol, "--jobs", "1")
+    arguments = ("score", "--renders", theirs, *place)
 
     message = refusal(*arguments)
     command(*arguments, "--first-frame", "0")
