@@ -107,7 +107,18 @@ def _notes(cameras: Sequence[Camera], sources: Sequence[SizedSource]) -> list[st
     steps = [f"{name} ({video.uneven})" for name, video in videos.items() if video and video.uneven]
     if steps:
         notes.append(f"variable frame rate in {listed(steps)}: frame t of each camera is taken as one instant, whatever its time")
-    return notes
+    return notes + _conversion_notes(cameras, sources)
+
+
+def _conversion_notes(cameras: Sequence[Camera], sources: Sequence[SizedSource]) -> list[str]:
+    """What reading frames as 8-bit RGB changes."""
+    by_change: dict[str, list[str]] = {}
+    for camera, source in zip(cameras, sources, strict=True):
+        inner = getattr(source, "source", source)  # behind an undistortion
+        for change, count in inner.conversions.items() if isinstance(inner, ImageFrames | VideoFrames) else ():
+            by_change.setdefault(change, []).append(f"{camera.name} ({count} of {inner.n_frames})")
+    shown = {change: "all cameras" if len(names) == len(cameras) > 1 else listed(names) for change, names in by_change.items()}
+    return [f"frames of {names} are read {change}" for change, names in shown.items()]
 
 
 def _is_file_name(name: str) -> bool:

@@ -11,10 +11,12 @@ from pathlib import Path
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.digest import digest_files
-from ggvs_eval.files.images import IMAGE_SUFFIXES, picture_size, read_image
+from ggvs_eval.files.images import IMAGE_SUFFIXES, read_image
+from ggvs_eval.files.picture_header import PictureHeader, read_picture_header
 from ggvs_eval.files.plain import NotPlainError
 
 LISTED = 5
+UNREAD_PICTURES = (".webp", ".tif", ".tiff", ".bmp", ".exr", ".hdr", ".gif", ".avif", ".heic", ".jxl", ".jp2", ".ppm", ".tga")
 
 
 @dataclass(frozen=True)
@@ -46,8 +48,9 @@ class ImageFrames:
             return (self.path,)
         files = list_images(self.path)
         if not files:
+            instead = unread_pictures(self.path) or "none"
             raise CaptureError(
-                f"{self.path}: wanted images ({', '.join(IMAGE_SUFFIXES)}), got none; restore this camera's frames"
+                f"{self.path}: wanted images ({', '.join(IMAGE_SUFFIXES)}), got {instead}; restore this camera's frames"
             )
         if len(files) > 1:
             self._check_numbers([_last_number(file) for file in files])
@@ -60,7 +63,7 @@ class ImageFrames:
         Raises:
             CaptureError: images that differ in size, or a file that is no image.
         """
-        sizes = {file: _image_size(file) for file in self.files}
+        sizes = {file: header.size for file, header in self._headers.items()}
         (size, _), *others = Counter(sizes.values()).most_common()
         if others:
             odd = next(file for file in self.files if sizes[file] != size)
@@ -69,6 +72,15 @@ class ImageFrames:
                 f"{odd}: wanted {size[0]} x {size[1]} like the camera's other frames, {found}; resize or restore it"
             )
         return size
+
+    @cached_property
+    def conversions(self) -> dict[str, int]:
+        """What reading them as 8-bit RGB changes -> how many images it changes; errors as of `size`."""
+        return dict(Counter(change for header in self._headers.values() for change in header.conversions))
+
+    @cached_property
+    def _headers(self) -> dict[Path, PictureHeader]:
+        return {file: _read_header(file) for file in self.files}
 
     @cached_property
     def digest(self) -> str:
@@ -95,14 +107,18 @@ class ImageFrames:
     def _check_numbers(self, numbers: list[int]) -> None:
         twice = sorted(number for number, count in Counter(numbers).items() if count > 1)
         if twice:
+            names = " and ".join([file.name for file in list_images(self.path) if _last_number(file) == twice[0]][:LISTED])
             listed = "no number" if twice[0] < 0 else f"the number {twice[0]}"
-            raise CaptureError(f"{self.path}: wanted one image per frame number, got several with {listed}; keep one of them")
+            raise CaptureError(
+                f"{self.path}: wanted one image per frame number, got several with {listed} ({names}); keep one of them"
+            )
         ordered = sorted(numbers)
         step = min(later - earlier for earlier, later in pairwise(ordered))
         gaps = [f"{earlier} and {later}" for earlier, later in pairwise(ordered) if later - earlier != step]
         if gaps:
             listed = ", ".join(gaps[:LISTED]) + (", ..." if len(gaps) > LISTED else "")
-            found = f"{len(ordered)} images with gaps between {listed}"
+            unread = unread_pictures(self.path)
+            found = f"{len(ordered)} images with gaps between {listed}" + (f", and {unread}" if unread else "")
             raise CaptureError(
                 f"{self.path}: wanted frames numbered in even steps, got {found}; restore the frames or renumber them"
             )
@@ -113,17 +129,25 @@ def list_images(folder: Path) -> list[Path]:
     return sorted(file for file in folder.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES) if folder.is_dir() else []
 
 
+def unread_pictures(folder: Path) -> str:
+    """Pictures in a folder whose format is not read, and what to do; empty where there are none."""
+    suffixes = [file.suffix.lower() for file in folder.iterdir()] if folder.is_dir() else []
+    counts = Counter(suffix for suffix in suffixes if suffix in UNREAD_PICTURES)
+    listed = " and ".join(f"{count} {suffix}" for suffix, count in counts.most_common())
+    return f"{listed} pictures, which are not read: convert them to .png" if listed else ""
+
+
 def _last_number(file: Path) -> int:
     numbers = re.findall(r"\d+", file.stem)
     return int(numbers[-1]) if numbers else -1
 
 
-def _image_size(file: Path) -> tuple[int, int]:
-    """(width, height) as the image is read, without decoding it."""
+def _read_header(file: Path) -> PictureHeader:
+    """Size and kind of an image, without decoding it."""
     from PIL.Image import DecompressionBombError
 
     try:
-        return picture_size(file)
+        return read_picture_header(file)
     except NotPlainError as error:
         raise CaptureError(f"{file}: wanted an image, got {error}; restore this frame") from error
     except Exception as error:  # the parsers raise whatever a damaged header makes them stumble over

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.atomic import write_bytes
-from ggvs_eval.files.plain import LARGEST_PICTURE, check_plain, read_plain, why_unread
+from ggvs_eval.files.plain import LARGEST_PICTURE, read_plain, why_unread
 
 ResizeFilter = Literal["area", "lanczos", "bicubic", "bilinear"]
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-EXIF_ORIENTATION, LYING = 0x0112, (5, 6, 7, 8)  # these are shown with width and height exchanged
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
@@ -28,6 +27,11 @@ def quantise(image: NDArray[np.floating]) -> Image8:
     return np.rint(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)
 
 
+def to_8_bit(image: NDArray[np.generic]) -> Image8:
+    """An image as it will be saved: uint8 as it is, floats in [0, 1] rounded."""
+    return np.asarray(image, np.uint8) if image.dtype == np.uint8 else quantise(np.asarray(image, np.float64))
+
+
 def read_image(path: Path) -> Image8:
     """Read an 8-bit RGB image, (H, W, 3), turned as its EXIF tag says.
 
@@ -39,22 +43,6 @@ def read_image(path: Path) -> Image8:
         found = f"{path.stat().st_size} bytes that do not decode"
         raise CaptureError(f"{path}: wanted an image, got {found}; restore or render this frame again")
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
-
-
-def picture_size(path: Path) -> tuple[int, int]:
-    """(width, height) of a PNG or JPEG picture as `read_image` gives it, turned as its EXIF tag says; nothing is decoded.
-
-    Raises:
-        OSError: no regular file, or larger than a picture is.
-        Exception: whatever a damaged header makes its parser stumble over.
-    """
-    from PIL import Image
-
-    check_plain(path, LARGEST_PICTURE)
-    with Image.open(path, formats=("PNG", "JPEG")) as image:
-        width, height = image.size
-        tags = image.getexif() if "exif" in image.info else {}  # asked without, Pillow decodes a PNG to look for them
-        return (height, width) if tags.get(EXIF_ORIENTATION) in LYING else (width, height)
 
 
 def read_encoded(path: Path) -> NDArray[np.uint8]:

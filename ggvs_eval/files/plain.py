@@ -65,6 +65,8 @@ def read_plain_text(path: Path, most_bytes: int = LARGEST_TEXT) -> str:
 
 def why_unread(error: OSError) -> str:
     """Why a file could not be read, in a few words."""
+    if isinstance(error, FileNotFoundError) and error.filename:
+        return "a link to nothing" if os.path.islink(error.filename) else "no such file"
     return "no such file" if isinstance(error, FileNotFoundError) else str(error.strerror or error)
 
 

@@ -14,6 +14,7 @@ from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.files.digest import digest_files
+from ggvs_eval.files.picture_header import conversions_to_rgb8
 from ggvs_eval.files.plain import check_plain, why_unread
 
 if TYPE_CHECKING:
@@ -155,6 +156,17 @@ class VideoFrames:
         if longest - shortest <= max(1, LARGEST_JITTER * longest):  # time stamps are rounded to ticks
             return ""
         return f"{shortest * tick_ms:.1f} to {longest * tick_ms:.1f} ms"
+
+    @cached_property
+    def conversions(self) -> dict[str, int]:
+        """What reading its frames as 8-bit RGB changes -> how many frames it changes."""
+        with self._open() as container:
+            pixels = container.streams.video[0].format
+            components = pixels.components if pixels else ()
+            has_alpha = any(component.is_alpha for component in components)
+            colours = "grey" if len(components) - has_alpha == 1 and not (pixels and pixels.has_palette) else ""
+            bits = max((component.bits for component in components), default=8)
+        return dict.fromkeys(conversions_to_rgb8(colours, bits, has_alpha), self.n_frames)
 
     @property
     def fps(self) -> float:

@@ -9,11 +9,10 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ggvs_eval.arrays import Image8
 from ggvs_eval.datasets.array_file import HEADER_ERRORS, map_array
 from ggvs_eval.errors import RenderError
-from ggvs_eval.files.images import quantise
 from ggvs_eval.files.plain import check_plain
 
 # Renderers overshoot a little; what lies farther out was never meant to be [0, 1].
@@ -49,8 +48,13 @@ class ArrayStack:
         """(width, height) in pixels."""
         return self._layout[0][2], self._layout[0][1]
 
-    def frames(self, start: int, stop: int) -> Iterator[Image8]:
-        """Frames start <= t < stop one by one, floats rounded to 8 bit, RGB (H, W, 3).
+    @property
+    def conversions(self) -> dict[str, int]:
+        """None: other channels and types are refused."""
+        return {}
+
+    def frames(self, start: int, stop: int) -> Iterator[NDArray[np.generic]]:
+        """Frames start <= t < stop one by one, RGB (H, W, 3), uint8 or float64 in [0, 1] but for a little overshoot.
 
         Raises:
             RenderError: a file that ends early, NaN, or values that are not in [0, 1].
@@ -58,7 +62,7 @@ class ArrayStack:
         shape, dtype = self._layout
         stored = self._mapped(start, stop) if self.member is None else self._unzipped(start, stop, shape, dtype)
         for index, frame in enumerate(stored, start):
-            yield self._to_8_bit(frame, index)
+            yield self._checked(frame, index)
 
     @cached_property
     def _layout(self) -> tuple[tuple[int, ...], np.dtype[Any]]:
@@ -70,9 +74,10 @@ class ArrayStack:
             with self._open_member() as file:
                 shape, dtype = self._read_header(file)
         if len(shape) != 4 or shape[3] != 3 or 0 in shape:
-            raise RenderError(f"{self.name}: wanted an array (T, H, W, 3), got {shape}; transpose or split it")
+            raise RenderError(f"{self.name}: wanted an array (T, H, W, 3), got {_other_shape(shape)}")
         if dtype != np.uint8 and dtype.kind != "f":
-            raise RenderError(f"{self.name}: wanted uint8, or float in [0, 1], got {dtype}; convert it")
+            mend = "divide by 65535.0" if dtype == np.uint16 else "convert it"
+            raise RenderError(f"{self.name}: wanted uint8, or float in [0, 1], got {dtype}; {mend}")
         return shape, dtype
 
     def _map(self) -> np.ndarray:
@@ -125,14 +130,25 @@ class ArrayStack:
             raise RenderError(f"{self.name}: wanted numbers in C order, got {found}; save numpy.ascontiguousarray(frames)")
         return shape, dtype
 
-    def _to_8_bit(self, frame: np.ndarray, index: int) -> Image8:
+    def _checked(self, frame: np.ndarray, index: int) -> NDArray[np.generic]:
         if frame.dtype == np.uint8:
             return np.ascontiguousarray(frame)
         values = np.asarray(frame, dtype=np.float64)
         low, high = float(values.min()), float(values.max())
         if not (low >= -OVERSHOOT and high <= 1 + OVERSHOOT):  # NaN fails too
             raise RenderError(f"{self.name}: wanted floats in [0, 1], frame {index} has {low:g} to {high:g}; scale or clip them")
-        return quantise(values)
+        return values
+
+
+def _other_shape(shape: tuple[int, ...]) -> str:
+    """What an array of another shape seems to be, and what makes it (T, H, W, 3)."""
+    if len(shape) == 3:
+        return f"{shape}, which has no colours: save numpy.repeat(frames[..., None], 3, -1)"
+    if len(shape) == 4 and shape[3] == 1:
+        return f"{shape}, which is grey: save numpy.repeat(frames, 3, -1)"
+    if len(shape) == 4 and shape[3] == 4:
+        return f"{shape}, which has a fourth channel: save frames[..., :3]"
+    return f"{shape}; transpose or split it"
 
 
 def npz_members(path: Path) -> list[str]:

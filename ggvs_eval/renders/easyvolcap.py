@@ -13,9 +13,10 @@ from pathlib import Path
 
 from ggvs_eval.datasets.frames import list_images
 from ggvs_eval.errors import RenderError
-from ggvs_eval.renders.numbering import number_items
+from ggvs_eval.renders.numbering import number_views
 from ggvs_eval.renders.picture import PictureView
 from ggvs_eval.renders.truth_match import check_truth
+from ggvs_eval.renders.view_folders import names_of
 from ggvs_eval.renders.wanted import Found, RenderedView, Wanted
 
 NAME = re.compile(r"frame(\d+)_camera(\d+)(_gt|_error)?")
@@ -59,21 +60,18 @@ def find(path: Path, wanted: Wanted, is_temporary: bool) -> Found:
                 f"{file}: wanted a camera of 0 to {len(names) - 1}, got {camera}; these are another capture's renders"
             )
         by_view.setdefault(names[camera], []).append((frame, file))
-    views: dict[str, RenderedView] = {}
-    claims: dict[tuple[str, int], Path] = {}
     extras = [
         f"camera {names.index(view)} ({view}, {len(some)} pictures)" for view, some in by_view.items() if view not in wanted.views
     ]
-    notes = [
-        f"cameras are taken by their place among the sorted names: {', '.join(f'{names.index(v)} = {v}' for v in wanted.views)}"
-    ]
-    for view in (view for view in wanted.views if view in by_view):
-        numbered = number_items(by_view[view], wanted.frames, wanted.n_frames)
-        views[view] = PictureView(numbered.frames, is_temporary)
-        extras += [file.name for file in numbered.extras]
-        notes += [f"{view}: {numbered.note}"] if numbered.note else []
-        claims |= {(view, frame): copy for frame, file in numbered.frames.items() if (copy := _copy(file)).is_file()}
-    return Found(views, tuple(extras), (*notes, _compared(place, claims, wanted)))
+    places = ", ".join(f"{names.index(view)} = {view}" for view in wanted.views)
+    numbered = number_views(path, {view: by_view[view] for view in wanted.views if view in by_view}, wanted)
+    views: dict[str, RenderedView] = {view: PictureView(frames, is_temporary) for view, frames in numbered.frames.items()}
+    extras += [file.name for some in numbered.extras.values() for file in some]
+    placed = {(view, frame): file for view, frames in numbered.frames.items() for frame, file in frames.items()}
+    claims = {place: copy for place, file in placed.items() if (copy := _copy(file)).is_file()}
+    notes = (f"cameras are taken by their place among the sorted names: {places}", _compared(place, claims, wanted))
+    doubles = {view: names_of(by_frame) for view, by_frame in numbered.doubles.items()}
+    return Found(views, tuple(extras), notes, numbered.note, numbered.first, doubles)
 
 
 def _compared(place: Path, claims: dict[tuple[str, int], Path], wanted: Wanted) -> str:

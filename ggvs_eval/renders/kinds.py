@@ -6,6 +6,7 @@ from pathlib import Path
 
 from ggvs_eval.errors import RenderError
 from ggvs_eval.renders import easyvolcap, flat_set, nerfbaselines, view_folders, view_streams
+from ggvs_eval.renders.lookalikes import instead_of_all
 from ggvs_eval.renders.wanted import Found, Wanted
 
 
@@ -50,5 +51,8 @@ def detect(path: Path, wanted: Wanted) -> str:
     if fitting:
         listed = " and ".join(KINDS[name].describe for name in fitting)
         raise RenderError(f"{path}: holds {listed} at once; give a folder that holds one of them")
+    instead = instead_of_all(path, wanted)
+    if instead:
+        raise RenderError(f"{path}: no renders of {', '.join(wanted.views)} that can be read: {instead}")
     listed = "; ".join(f"{KINDS[name].describe}: {reason}" for name, reason in reasons.items())
     raise RenderError(f"{path}: no renders of {', '.join(wanted.views)} that can be read: {listed}")

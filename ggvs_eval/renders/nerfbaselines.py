@@ -10,9 +10,10 @@ from pathlib import Path
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import IMAGE_SUFFIXES
 from ggvs_eval.renders.flat_set import found_in_order
-from ggvs_eval.renders.numbering import last_number, number_items
+from ggvs_eval.renders.numbering import last_number, name_as_word, number_views
 from ggvs_eval.renders.picture import PictureView
 from ggvs_eval.renders.truth_match import check_truth
+from ggvs_eval.renders.view_folders import names_of
 from ggvs_eval.renders.wanted import Found, RenderedView, Wanted
 
 
@@ -53,41 +54,35 @@ def find(path: Path, wanted: Wanted, is_temporary: bool) -> Found:
 
 def view_of(name: str, views: tuple[str, ...]) -> str | None:
     """The one view whose name stands in a relative path as a word of its own; None where none or several do."""
-    found = [view for view in views if re.search(_word(view), name)]
+    found = [view for view in views if re.search(name_as_word(view), name)]
     return found[0] if len(found) == 1 else None
-
-
-def _word(view: str) -> str:
-    return rf"(?<![A-Za-z0-9]){re.escape(view)}(?![A-Za-z0-9])"
 
 
 def _found_by_name(path: Path, names: dict[Path, str], copies: dict[Path, Path], wanted: Wanted, is_temporary: bool) -> Found:
     """Predictions whose names tell view and frame."""
     by_view: dict[str, list[tuple[int | None, Path]]] = {}
-    extras, notes = [], []
+    extras = []
     for file, name in names.items():
         view = view_of(name, wanted.views)
         if view is None:
             extras.append(f"color/{name}")
         else:
-            by_view.setdefault(view, []).append((last_number(re.sub(_word(view), "", name)), file))
-    views: dict[str, RenderedView] = {}
-    claims: dict[tuple[str, int], Path] = {}
-    for view, items in by_view.items():
-        numbered = number_items(items, wanted.frames, wanted.n_frames)
-        views[view] = PictureView(numbered.frames, is_temporary)
-        extras += [f"color/{names[file]}" for file in numbered.extras]
-        notes += [f"{view}: {numbered.note}"] if numbered.note else []
-        claims |= {(view, frame): copies[file] for frame, file in numbered.frames.items() if file in copies}
+            by_view.setdefault(view, []).append((last_number(re.sub(name_as_word(view), "", name)), file))
+    numbered = number_views(path, by_view, wanted)
+    views: dict[str, RenderedView] = {view: PictureView(frames, is_temporary) for view, frames in numbered.frames.items()}
+    extras += [f"color/{names[file]}" for some in numbered.extras.values() for file in some]
+    placed = {(view, frame): file for view, frames in numbered.frames.items() for frame, file in frames.items()}
+    claims = {place: copies[file] for place, file in placed.items() if file in copies}
     try:
         level = check_truth(claims, wanted)
     except RenderError as error:
         raise RenderError(f"{path}: {error}") from None
     agreeing = f"gt-color/ agrees with the captured frames ({level:.1f} levels of 255 apart)"
-    notes.append(agreeing if claims else "no complete gt-color/ to compare with the capture")
-    return Found(views, tuple(extras), tuple(notes))
+    compared = agreeing if claims else "no complete gt-color/ to compare with the capture"
+    doubles = {view: names_of(by_frame) for view, by_frame in numbered.doubles.items()}
+    return Found(views, tuple(extras), (compared,), numbered.note, numbered.first, doubles)
 
 
 def _pictures(folder: Path) -> list[Path]:
     """All pictures below a folder, by path."""
-    return sorted(file for file in folder.rglob("*") if file.suffix.lower() in IMAGE_SUFFIXES and file.is_file())
+    return sorted(file for file in folder.rglob("*") if file.suffix.lower() in IMAGE_SUFFIXES)

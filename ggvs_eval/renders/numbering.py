@@ -1,105 +1,238 @@
-"""Which rendered frame is which instant: by number where the numbers fit, else by order, and then it is said.
+"""Which rendered frame is which instant: one decision for all views of a method, which is told, and an error where there are two.
 
 Reading:
-    Numbers that are the protocol's are taken as they are. As many consecutive numbers as the protocol has frames (from 0, from 1)
-    are its frames in order. Numbers 0 .. n - 1 of a whole capture of n frames are frames of the capture, of which the protocol's
-    are used. Everything else keeps its numbers, so that a gap is a gap and never shifts the frames after it.
+    Numbers in names are instants of the capture, counted from 0; or from 1 where they fit the protocol only then, and the
+    protocol starts with the capture or the last number is one that no instant counted from 0 has. Numbers beyond the capture are
+    counted from their first where that gives the whole capture, or a protocol that starts with it. What fits in two ways, or
+    would fit only if counted from the protocol's first frame, is an error: ``--first-frame`` says which number that frame bears,
+    and then nothing is guessed. Pictures are never compared: a method that is one frame late would be put right in silence.
 """
 
 import re
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import PurePath
+from pathlib import Path
 from typing import Generic, TypeVar
 
 from ggvs_eval.errors import RenderError
+from ggvs_eval.renders.wanted import Wanted
 from ggvs_eval.run_folder import as_ranges
 
 Item = TypeVar("Item")
+Numbers = Collection[int]
 
 
 @dataclass(frozen=True)
 class Numbered(Generic[Item]):
-    """Items by frame number.
+    """The items of each view by instant.
 
     Attributes:
-        frames: frame number of the protocol -> item.
-        extras: items that are no frame of the protocol; where two claim one number, both.
-        note: how the numbers were understood; empty where there was nothing to understand.
+        frames: view -> frame number of the protocol -> item.
+        extras: view -> items that are no frame of the protocol.
+        doubles: view -> frame number -> the several items that claim it.
+        first: the number that the capture's first instant bears.
+        note: the decision, in one line.
     """
 
-    frames: dict[int, Item]
-    extras: tuple[Item, ...]
-    note: str = ""
+    frames: Mapping[str, Mapping[int, Item]]
+    extras: Mapping[str, Sequence[Item]]
+    doubles: Mapping[str, Mapping[int, Sequence[Item]]]
+    first: int
+    note: str
 
 
-def last_number(name: str) -> int | None:
-    """The last number in a name, e.g. 12 of ``frame_0012``."""
-    numbers = re.findall(r"\d+", name)
+def last_number(name: str, view: str = "") -> int | None:
+    """The last number in a name, e.g. 12 of ``frame_0012``; one that is part of the view's name (``cam00``) does not count."""
+    numbers = re.findall(r"\d+", name if view.isdigit() or not view else re.sub(name_as_word(view), "", name))
     return int(numbers[-1]) if numbers else None
 
 
-def number_files(files: Sequence[PurePath], frames: range, n_frames: int) -> Numbered[PurePath]:
-    """`number_items` by the last number in the files' names."""
-    return number_items([(last_number(file.stem), file) for file in files], frames, n_frames)
+def name_as_word(view: str) -> str:
+    """Regular expression of a view's name as a word of its own."""
+    return rf"(?<![A-Za-z0-9]){re.escape(view)}(?![A-Za-z0-9])"
 
 
-def number_items(items: Sequence[tuple[int | None, Item]], frames: range, n_frames: int) -> Numbered[Item]:
-    """Give the items of one view the protocol's frame numbers.
-
-    Args:
-        items: number in its name, and item.
-        frames: frame numbers of the protocol.
-        n_frames: frames of the whole capture.
-    """
-    if len(items) == 1 and len(frames) == 1:
-        return Numbered({frames[0]: items[0][1]}, ())
-    by_number: dict[int | None, list[Item]] = defaultdict(list)
-    for number, item in items:
-        by_number[number].append(item)
-    unique = {number: found[0] for number, found in by_number.items() if number is not None and len(found) == 1}
-    unclear = tuple(item for number, found in by_number.items() if number is None or len(found) > 1 for item in found)
-    offset, note = _offset(sorted(unique), frames, n_frames)
-    numbered = {number + offset: item for number, item in sorted(unique.items())}
-    inside = {number: item for number, item in numbered.items() if number in frames}
-    if len(unique) == n_frames > len(frames) and sorted(unique) == list(range(n_frames)):
-        return Numbered(inside, unclear, f"frames {as_ranges(list(frames))} of the {n_frames} of the whole capture are used")
-    return Numbered(inside, unclear + tuple(item for number, item in numbered.items() if number not in frames), note)
-
-
-def _offset(numbers: list[int], frames: range, n_frames: int) -> tuple[int, str]:
-    """What to add to the numbers, and the note that says so."""
-    consecutive = bool(numbers) and numbers == list(range(numbers[0], numbers[0] + len(numbers)))
-    if not consecutive or len(numbers) != len(frames) or numbers[0] == frames.start:
-        return 0, ""
-    return frames.start - numbers[0], f"frames numbered {as_ranges(numbers)} are taken as {as_ranges(list(frames))}, in order"
-
-
-def number_stream(count: int, frames: range, n_frames: int, name: str) -> Numbered[int]:
-    """Give the frames of a video or stack, which have an order and no numbers, the protocol's frame numbers.
+def number_views(path: Path, views: Mapping[str, Sequence[tuple[int | None, Item]]], wanted: Wanted) -> Numbered[Item]:
+    """Give the items of all views the protocol's frame numbers.
 
     Args:
-        count: how many there are.
-        frames: frame numbers of the protocol.
-        n_frames: frames of the whole capture.
-        name: whose frames they are, for the message.
-
-    Returns:
-        Frame number -> index in the stream.
+        path: where they lie, for messages.
+        views: view -> number in the name, and item, of each of its items.
+        wanted: frames of the protocol and of the capture, and what the user says of the numbers.
 
     Raises:
-        RenderError: more frames than the protocol's, but not the whole capture, while the protocol starts inside it: nobody
-            can tell which are meant.
+        RenderError: views that are numbered differently, or numbers that fit in several ways or in none.
     """
-    if count == n_frames > len(frames):
-        note = f"frames {as_ranges(list(frames))} of the {n_frames} of the whole capture are used"
-        return Numbered({number: number for number in frames}, (), note)
-    if count > len(frames) and frames.start > 0:
+    if len(wanted.frames) == 1 and all(len(items) == 1 and _means_nothing(items[0][0], wanted) for items in views.values()):
+        alone = {view: {wanted.frames[0]: items[0][1]} for view, items in views.items()}
+        return Numbered(alone, {}, {}, 0, f"the only frame of each view is taken as the instant {wanted.frames[0]}")
+    numbers = {view: {number for number, _ in items if number is not None} for view, items in views.items()}
+    try:
+        first, note = _decide(numbers, wanted)
+    except RenderError as error:
+        raise RenderError(f"{path}: {error}") from None
+    frames: dict[str, dict[int, Item]] = {}
+    extras: dict[str, list[Item]] = {}
+    doubles: dict[str, dict[int, Sequence[Item]]] = {}
+    for view, items in views.items():
+        by_frame: dict[int, list[Item]] = defaultdict(list)
+        for number, item in items:
+            if number is not None:
+                by_frame[number - first].append(item)
+        frames[view] = {frame: some[0] for frame, some in by_frame.items() if frame in wanted.frames and len(some) == 1}
+        doubles[view] = {frame: some for frame, some in by_frame.items() if frame in wanted.frames and len(some) > 1}
+        is_clear = wanted.first_frame is not None or set(by_frame) == set(range(wanted.n_frames))
+        allowed = range(wanted.n_frames) if is_clear else wanted.frames
+        beyond = [item for frame, some in by_frame.items() if frame not in allowed for item in some]
+        extras[view] = [item for number, item in items if number is None] + beyond
+    return Numbered(frames, extras, doubles, first, note)
+
+
+def _means_nothing(number: int | None, wanted: Wanted) -> bool:
+    """Whether the number of a picture that is the only one of its view says nothing."""
+    return number is None or (wanted.n_frames == 1 and wanted.first_frame is None)
+
+
+def _decide(numbers: Mapping[str, Numbers], wanted: Wanted) -> tuple[int, str]:
+    """The number that the capture's first instant bears, and the line that says so."""
+    used = sorted(set().union(*numbers.values()))
+    if not used:
+        return 0, "no frame has a number in its name"
+    if wanted.first_frame is not None:
+        first = wanted.first_frame - wanted.frames.start
+        return first, f"numbered as --first-frame {wanted.first_frame} says: {_taken(used, first, wanted)}"
+    _refuse_unlike(numbers, wanted)
+    first = _first_number(used, wanted)
+    origin = f"numbered from {first}:" if first else "frames" if len(used) > 1 else "frame"
+    return first, f"{origin} {_taken(used, first, wanted)}"
+
+
+def _first_number(used: Sequence[int], wanted: Wanted) -> int:
+    """The number of the capture's first instant, from the numbers of all views.
+
+    Raises:
+        RenderError: there are two, or there is none.
+    """
+    if used[0] > wanted.n_frames:
+        return _beyond(used, wanted)
+    from_0, from_1 = (_fits(used, first, wanted) for first in (0, 1))
+    lacks_0, lacks_1 = (not _shifted(used, first).issuperset(wanted.frames) for first in (0, 1))
+    ends_past = used[-1] == wanted.n_frames  # the last of a capture that is numbered from 1
+    if _is_run(used, len(wanted.frames)) and lacks_0 and lacks_1:
         raise RenderError(
-            f"{name}: wanted {len(frames)} frames (the protocol's) or {n_frames} (the whole capture), got {count}; "
-            "cut it to the protocol's frames"
+            f"frames are numbered {as_ranges(list(used))}, the protocol asks for the instants "
+            f"{as_ranges(list(wanted.frames))} of 0-{wanted.n_frames - 1}; render these, or give --first-frame {used[0]} "
+            f"if number {used[0]} shows instant {wanted.frames.start}"
         )
-    indices = {number: index for index, number in enumerate(frames) if index < count}
-    note = f"{count} frames are taken as {as_ranges(list(indices))}, in order" if frames.start > 0 else ""
-    return Numbered(indices, tuple(range(len(frames), count)), note)
+    if used[0] == 0 or (from_0 and not lacks_0):
+        return 0
+    if (from_1 and not from_0) or (lacks_0 and not lacks_1):
+        if wanted.frames.start == 0 or ends_past:
+            return 1
+        raise _ambiguous(used, wanted)
+    if (from_0 and from_1) or not (lacks_0 or lacks_1 or ends_past):
+        raise _ambiguous(used, wanted)
+    return 1 if ends_past else 0
+
+
+def _fits(used: Sequence[int], first: int, wanted: Wanted) -> bool:
+    """Whether numbers are frames of the protocol alone, or the whole capture, if its first instant bears `first`."""
+    shifted = _shifted(used, first)
+    return shifted.issubset(wanted.frames) or shifted == set(range(wanted.n_frames))
+
+
+def _beyond(used: Sequence[int], wanted: Wanted) -> int:
+    """The first of numbers of which none can be an instant."""
+    shifted = _shifted(used, used[0])
+    if shifted == set(range(wanted.n_frames)) or (wanted.frames.start == 0 and shifted == set(wanted.frames)):
+        return used[0]
+    raise RenderError(
+        f"frames are numbered {as_ranges(list(used))}, the capture has the instants 0-{wanted.n_frames - 1}; number them by "
+        f"instant, or say with --first-frame which number shows instant {wanted.frames.start}"
+    )
+
+
+def _ambiguous(used: Sequence[int], wanted: Wanted) -> RenderError:
+    """Numbers that may be counted from 0 or from 1."""
+    start = wanted.frames.start
+    return RenderError(
+        f"frames are numbered {as_ranges(list(used))}, which may be the instants {as_ranges(list(used))} or, counted from 1, "
+        f"{as_ranges([number - 1 for number in used])}, and the protocol asks for {as_ranges(list(wanted.frames))}; name them by "
+        f"instant, or give --first-frame {start} if number {start} shows instant {start}, --first-frame {start + 1} if number "
+        f"{start + 1} does"
+    )
+
+
+def _refuse_unlike(numbers: Mapping[str, Numbers], wanted: Wanted) -> None:
+    """Refuse views of which each holds what is wanted under numbers of its own."""
+    firsts = {}
+    for view, used in numbers.items():
+        if _is_run(sorted(used), len(wanted.frames)):
+            firsts[view] = min(used) - wanted.frames.start
+        elif _is_run(sorted(used), wanted.n_frames):
+            firsts[view] = min(used)
+    if len(set(firsts.values())) > 1:
+        odd = list({first: view for view, first in firsts.items()}.values())
+        listed = ", ".join(f"{view} {as_ranges(sorted(numbers[view]))}" for view in odd)
+        raise RenderError(f"views are numbered differently: {listed}; wanted one numbering for all views, rename the frames")
+
+
+def _is_run(used: Sequence[int], count: int) -> bool:
+    """Whether these are so many numbers in a row."""
+    return len(used) == count and used[-1] - used[0] == count - 1
+
+
+def _shifted(used: Numbers, first: int) -> set[int]:
+    return {number - first for number in used}
+
+
+def _taken(used: Sequence[int], first: int, wanted: Wanted) -> str:
+    """Which numbers are taken as which instants."""
+    inside = [number for number in used if number - first in wanted.frames]
+    instants = as_ranges([number - first for number in inside])
+    if not inside:
+        return f"{as_ranges(list(used))} are taken as the instants {as_ranges(sorted(_shifted(used, first)))} of the capture"
+    if len(inside) == 1 == len(used):
+        return f"{inside[0]} is taken as the instant {instants} of the capture"
+    if _shifted(used, first) == set(range(wanted.n_frames)) and len(inside) < len(used):
+        of = f"of {as_ranges(list(used))}, the whole capture, {as_ranges(inside)} are used"
+        return f"{of} as the instants {instants}" if first else of
+    return f"{as_ranges(inside)} are taken as the instants {instants} of the capture"
+
+
+def number_streams(path: Path, counts: Mapping[str, int], wanted: Wanted) -> Numbered[int]:
+    """Give the frames of videos or stacks, which have an order and no numbers, the protocol's frame numbers.
+
+    Args:
+        path: where they lie, for messages.
+        counts: view -> how many frames there are.
+        wanted: frames of the protocol and of the capture; ``first_frame`` is a place in the stream here.
+
+    Returns:
+        View -> frame number -> index in the stream.
+
+    Raises:
+        RenderError: more frames than the protocol's, but not the whole capture, while the protocol starts inside it, or the whole
+            capture in some views alone: nobody can tell which are meant.
+    """
+    start, n_wanted, n_frames = wanted.frames.start, len(wanted.frames), wanted.n_frames
+    is_whole = n_wanted < n_frames and all(count == n_frames for count in counts.values())
+    asked = wanted.first_frame
+    if asked is None and start and not is_whole and any(count > n_wanted for count in counts.values()):
+        listed = ", ".join(f"{view} {count}" for view, count in counts.items())
+        raise RenderError(
+            f"{path}: wanted {n_wanted} frames of each view (the protocol's) or {n_frames} (the whole capture), got {listed}; "
+            "cut them to the protocol's frames, or say with --first-frame which frame of each, counted from 0, shows instant "
+            f"{start}"
+        )
+    first = asked - start if asked is not None else 0 if is_whole else -start  # index of the capture's first instant
+    frames = {v: {frame: frame + first for frame in wanted.frames if 0 <= frame + first < count} for v, count in counts.items()}
+    unused = {view: [] if is_whole or asked is not None else list(range(n_wanted, count)) for view, count in counts.items()}
+    used = as_ranges(list(wanted.frames))
+    note = f"the frames of each view are taken, in order, as the instants {used}"
+    if asked is not None:
+        note = f"as --first-frame {asked} says, frame {asked} of each view (counted from 0) shows instant {start}"
+    elif is_whole:
+        note = f"each view has the {n_frames} frames of the whole capture, of which {used} are used"
+    return Numbered(frames, unused, {}, 0, note)

@@ -1,65 +1,67 @@
-"""Rendered frames that are pictures on disk: PNG is linked as it is, JPEG is decoded once."""
+"""Rendered frames that are pictures on disk: RGB in PNG is linked as it is, everything else is decoded once, and it is said."""
 
 import os
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple
 
+import numpy as np
+
+from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import RenderError
-from ggvs_eval.files.images import PNG_SIGNATURE, picture_size, read_image, write_image
+from ggvs_eval.files.images import read_image, write_image
+from ggvs_eval.files.picture_header import PictureHeader, read_picture_header
 from ggvs_eval.files.plain import LARGEST_PICTURE, check_plain, why_unread
-from ggvs_eval.run_folder import frame_path
-
-JPEG_SIGNATURE = b"\xff\xd8\xff"
-IHDR_END = 29
-ALPHA_TYPES = (4, 6)
+from ggvs_eval.run_folder import as_ranges, frame_path
 
 
-class Header(NamedTuple):
-    """What the first bytes of a picture say; its name is not asked.
-
-    Attributes:
-        form: how it is coded.
-        width: in pixels, turned as its EXIF tag says.
-        height: likewise.
-        fault: why its pixels would not be measured as they were written; empty where they would.
-        has_alpha: whether it carries transparency, which is not measured.
-    """
-
-    form: Literal["PNG", "JPEG"]
-    width: int
-    height: int
-    fault: str = ""
-    has_alpha: bool = False
-
-
-def read_header(path: Path) -> Header:
+def read_header(path: Path) -> PictureHeader:
     """Size and kind of a picture, without decoding it.
 
     Raises:
-        RenderError: neither PNG nor JPEG, or cut before its size.
+        RenderError: no file, neither PNG nor JPEG, or cut before its size.
     """
     try:
         check_plain(path, LARGEST_PICTURE)
-        with path.open("rb") as file:
-            start = file.read(IHDR_END)
     except OSError as error:
         raise RenderError(f"{path}: wanted a picture, it cannot be read ({why_unread(error)}); restore it") from error
-    if start.startswith(PNG_SIGNATURE) and len(start) == IHDR_END:
-        fault = "16 bits per channel instead of 8" if start[24] == 16 else ""
-        return _header(path, "PNG", fault, start[25] in ALPHA_TYPES)
-    if start.startswith(JPEG_SIGNATURE):
-        return _header(path, "JPEG")
-    raise RenderError(f"{path}: wanted a PNG or JPEG picture, got other bytes; render this frame again")
-
-
-def _header(path: Path, form: Literal["PNG", "JPEG"], fault: str = "", has_alpha: bool = False) -> Header:
-    """The header of a picture that begins as its form does."""
     try:
-        return Header(form, *picture_size(path), fault, has_alpha)
+        return read_picture_header(path)
     except Exception as error:  # the parser raises whatever a damaged header makes it stumble over
-        raise RenderError(f"{path}: wanted a picture, got a damaged {form} header; render this frame again") from error
+        found = "other bytes or a damaged header"
+        raise RenderError(f"{path}: wanted a PNG or JPEG picture, got {found}; render this frame again") from error
+
+
+def counted(count: int, noun: str) -> str:
+    """A number of things.
+
+    Examples:
+        >>> counted(1, "frame"), counted(2, "frame")
+        ('1 frame', '2 frames')
+    """
+    return f"{count} {noun}{'s' * (count != 1)}"
+
+
+class PixelRemarks:
+    """What people should know of the pixels of a view's frames, gathered while these are read."""
+
+    def __init__(self) -> None:
+        self._black: list[int] = []
+        self._grey: list[int] = []
+
+    def add(self, number: int, image: Image8) -> None:
+        """Look at the next frame, (H, W, 3)."""
+        if not image.any():
+            self._black.append(number)
+        elif np.array_equal(image[..., 0], image[..., 1]) and np.array_equal(image[..., 1], image[..., 2]):
+            self._grey.append(number)
+
+    def notes(self) -> list[str]:
+        """A line for each kind of remarkable frame; none where there are none."""
+        black, grey = (f"{counted(len(some), 'frame')} ({as_ranges(some)})" for some in (self._black, self._grey))
+        notes = [f"{black} all zero: did rendering fail? scored as it is"] if self._black else []
+        return notes + ([f"{grey} grey: the same level is measured in all three channels"] if self._grey else [])
 
 
 @dataclass(frozen=True)
@@ -85,21 +87,26 @@ class PictureView:
         return {number: fault for number, fault in found.items() if fault}
 
     def write(self, folder: Path, numbers: tuple[int, ...]) -> list[str]:
-        """Link the PNG files under their frame numbers and decode the JPEG files; says how many were decoded."""
+        """Link RGB in PNG under its frame numbers and decode the rest; says what was decoded, and what is black or grey."""
         folder.mkdir(parents=True, exist_ok=True)
-        headers = {number: read_header(self.pictures[number]) for number in numbers}
-        for number, header in headers.items():
+        converted: dict[str, list[int]] = defaultdict(list)
+        remarks = PixelRemarks()
+        for number in numbers:
             source, target = self.pictures[number], frame_path(folder, number)
+            header, image = read_header(source), read_image(source)
+            remarks.add(number, image)
             if header.form == "JPEG":
-                write_image(target, read_image(source))
+                converted["of JPEG, decoded once to PNG: what it lost counts against the method"].append(number)
+            for conversion in header._replace(colours=header.colours.replace("grey", "")).conversions:  # told by its pixels
+                converted[f"read {conversion}"].append(number)
+            if header.form == "JPEG" or header.colours:
+                write_image(target, image)
             elif self.is_temporary:
                 source.replace(target)
             else:
                 os.symlink(source.resolve(), target)
-        n_jpeg = sum(header.form == "JPEG" for header in headers.values())
-        n_alpha = sum(header.has_alpha for header in headers.values())
-        notes = [f"{n_jpeg} frames are JPEG, decoded once to PNG: what JPEG lost counts against the method"] if n_jpeg else []
-        return notes + ([f"{n_alpha} frames have an alpha channel, which is left out"] if n_alpha else [])
+        notes = [f"{counted(len(frames), 'frame')} ({as_ranges(frames)}) {how}" for how, frames in converted.items()]
+        return notes + remarks.notes()
 
 
 def _fault(path: Path, size: tuple[int, int]) -> str:
@@ -108,6 +115,6 @@ def _fault(path: Path, size: tuple[int, int]) -> str:
         header = read_header(path)
     except RenderError:
         return "no picture that can be read"
-    if (header.width, header.height) != size:
+    if header.size != size:
         return f"{header.width} x {header.height} instead of {size[0]} x {size[1]}"
-    return header.fault
+    return f"{header.bits} bits per channel instead of 8: convert them yourself" if header.bits > 8 else ""

@@ -1,10 +1,12 @@
 """Renders as ``<view>/<frame>.png`` or ``.jpg``, and our own run folders, which hold such a folder per method."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from ggvs_eval.datasets.frames import list_images
-from ggvs_eval.renders.numbering import number_files
+from ggvs_eval.renders.lookalikes import instead_of
+from ggvs_eval.renders.numbering import last_number, number_views
 from ggvs_eval.renders.picture import PictureView
 from ggvs_eval.renders.wanted import Found, RenderedView, Wanted
 from ggvs_eval.run_folder import RunFolder
@@ -26,17 +28,24 @@ def files(path: Path, wanted: Wanted) -> list[Path]:
 
 def find(path: Path, wanted: Wanted, is_temporary: bool) -> Found:
     """The views' pictures by frame number."""
-    views: dict[str, RenderedView] = {}
-    extras, notes = list(_unexpected_files(path, wanted)), []
-    for view in wanted.views:
-        pictures = list_images(path / view)
-        if not pictures:
-            continue
-        numbered = number_files(pictures, wanted.frames, wanted.n_frames)
-        views[view] = PictureView({number: Path(file) for number, file in numbered.frames.items()}, is_temporary)
-        extras += [f"{view}/{file.name}" for file in numbered.extras]
-        notes += [f"{view}: {numbered.note}"] if numbered.note else []
-    return Found(views, tuple(extras), tuple(notes))
+    pictures = {view: list_images(path / view) for view in wanted.views}
+    items = {view: [(last_number(file.stem, view), file) for file in some] for view, some in pictures.items() if some}
+    numbered = number_views(path, items, wanted)
+    views: dict[str, RenderedView] = {view: PictureView(frames, is_temporary) for view, frames in numbered.frames.items()}
+    extras = [f"{view}/{file.name}" for view, some in numbered.extras.items() for file in some]
+    return Found(
+        views,
+        (*_unexpected_files(path, wanted), *extras),
+        numbering=numbered.note,
+        first=numbered.first,
+        doubles={view: names_of(by_frame) for view, by_frame in numbered.doubles.items()},
+        hints={view: instead_of(path, view, wanted) for view in wanted.views},
+    )
+
+
+def names_of(doubles: Mapping[int, Sequence[Path]]) -> dict[int, list[str]]:
+    """The names of several pictures of one frame."""
+    return {frame: [file.name for file in files] for frame, files in doubles.items()}
 
 
 def _unexpected_files(path: Path, wanted: Wanted) -> Iterable[str]:
@@ -66,8 +75,12 @@ def run_files(path: Path, wanted: Wanted) -> list[Path]:
 
 
 def find_run(path: Path, wanted: Wanted, is_temporary: bool) -> Found:
-    """The method's pictures."""
-    return find(_method_folder(path, wanted), wanted, is_temporary)
+    """The method's pictures, which bear the numbers of their instants."""
+    folder = _method_folder(path, wanted)
+    if wanted.first_frame is not None:
+        return find(folder, wanted, is_temporary)
+    found = find(folder, replace(wanted, first_frame=wanted.frames.start), is_temporary)
+    return replace(found, numbering="frames of a run folder bear the numbers of their instants")
 
 
 def _method_folder(path: Path, wanted: Wanted) -> Path:

@@ -5,19 +5,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from ggvs_eval.arrays import Image8
+import numpy as np
+from numpy.typing import NDArray
+
 from ggvs_eval.errors import RenderError
-from ggvs_eval.files.images import write_image
+from ggvs_eval.files.images import to_8_bit, write_image
 from ggvs_eval.files.video import VideoFrames
 from ggvs_eval.renders.array_stack import ArrayStack, npz_members
-from ggvs_eval.renders.numbering import number_stream
+from ggvs_eval.renders.lookalikes import instead_of, respelled
+from ggvs_eval.renders.numbering import number_streams
+from ggvs_eval.renders.picture import PixelRemarks, counted
 from ggvs_eval.renders.wanted import Found, RenderedView, Wanted
-from ggvs_eval.run_folder import frame_path
+from ggvs_eval.run_folder import as_ranges, frame_path
 
 VIDEO_SUFFIXES = (".mp4", ".mov")
 ARRAY_SUFFIXES = (".npy", ".npz")
 VIDEO_NOTE = "decoded from video: what its coding lost counts against the method"
-ARRAY_NOTE = "written to PNG from an array, floats rounded to 8 bit"
+ARRAY_NOTE = "written to PNG from an array"
 
 
 class FrameStream(Protocol):
@@ -27,8 +31,12 @@ class FrameStream(Protocol):
     def size(self) -> tuple[int, int]:
         """(width, height) in pixels."""
 
-    def frames(self, start: int, stop: int) -> Iterator[Image8]:
-        """Frames start <= t < stop one by one, RGB uint8 (H, W, 3)."""
+    @property
+    def conversions(self) -> Mapping[str, int]:
+        """What reading them as RGB has changed."""
+
+    def frames(self, start: int, stop: int) -> Iterator[NDArray[np.generic]]:
+        """Frames start <= t < stop one by one, RGB (H, W, 3), uint8 or float in [0, 1]."""
 
 
 @dataclass(frozen=True)
@@ -58,14 +66,33 @@ class StreamView:
         return dict.fromkeys(self.numbers, f"{width} x {height} instead of {size[0]} x {size[1]}")
 
     def write(self, folder: Path, numbers: tuple[int, ...]) -> list[str]:
-        """Write these frames as PNG files."""
+        """Write these frames as PNG files, floats rounded to 8 bit; says where they were clipped, and what is all zero."""
         folder.mkdir(parents=True, exist_ok=True)
         first, last = self.indices[numbers[0]], self.indices[numbers[-1]]
         numbered = {index: number for number, index in self.indices.items() if number in set(numbers)}
-        for index, image in enumerate(self.stream.frames(first, last + 1), first):
-            if index in numbered:
-                write_image(frame_path(folder, numbered[index]), image)
-        return [self.note]
+        remarks, clipped, n_floats = PixelRemarks(), dict[int, tuple[float, float]](), 0
+        for index, frame in enumerate(self.stream.frames(first, last + 1), first):
+            if index not in numbered:
+                continue
+            number, image = numbered[index], to_8_bit(frame)
+            if frame.dtype != np.uint8:
+                n_floats += 1
+                low, high = float(frame.min()), float(frame.max())
+                clipped |= {number: (low, high)} if low < 0 or high > 1 else {}
+            remarks.add(number, image)
+            write_image(frame_path(folder, number), image)
+        converted = [f"frames are read {change}" for change in self.stream.conversions]
+        return [self.note, *converted, *_float_notes(n_floats, clipped), *remarks.notes()]
+
+
+def _float_notes(n_floats: int, clipped: Mapping[int, tuple[float, float]]) -> list[str]:
+    """What was done to floats."""
+    notes = [f"{counted(n_floats, 'frame')} of floats, rounded to 8 bit"] if n_floats else []
+    if clipped:
+        low, high = min(low for low, _ in clipped.values()), max(high for _, high in clipped.values())
+        which = f"{counted(len(clipped), 'frame')} ({as_ranges(sorted(clipped))})"
+        notes.append(f"{which} with values outside [0, 1], {low:.4g} to {high:.4g}, which are clipped")
+    return notes
 
 
 def refuse_videos(path: Path, wanted: Wanted) -> str | None:
@@ -81,12 +108,12 @@ def video_files(path: Path, wanted: Wanted) -> list[Path]:
 
 
 def find_videos(path: Path, wanted: Wanted, is_temporary: bool) -> Found:
-    """The views' videos: frame t of a video is frame start + t, or t where it holds the whole capture."""
+    """The views' videos: frame t of each is frame start + t, or t where all hold the whole capture."""
     del is_temporary  # decoded either way
     by_view = _one_each(path, VIDEO_SUFFIXES, wanted)
     streams = {view: (file.name, VideoFrames(file)) for view, file in by_view.items()}
     counted = {view: (name, video, video.n_frames) for view, (name, video) in streams.items()}
-    return _found(counted, _unexpected_files(path, VIDEO_SUFFIXES, wanted), VIDEO_NOTE, wanted)
+    return _found(path, counted, _unexpected_files(path, VIDEO_SUFFIXES, wanted), VIDEO_NOTE, wanted)
 
 
 def refuse_arrays(path: Path, wanted: Wanted) -> str | None:
@@ -113,20 +140,24 @@ def find_arrays(path: Path, wanted: Wanted, is_temporary: bool) -> Found:
         stacks = {view: _stack(file) for view, file in _one_each(path, ARRAY_SUFFIXES, wanted).items()}
         unexpected = list(_unexpected_files(path, ARRAY_SUFFIXES, wanted))
     counted = {view: (stack.name, stack, stack.n_frames) for view, stack in stacks.items()}
-    return _found(counted, unexpected, ARRAY_NOTE, wanted)
+    return _found(path, counted, unexpected, ARRAY_NOTE, wanted)
 
 
-def _found(counted: Mapping[str, tuple[str, FrameStream, int]], unexpected: Iterable[str], note: str, wanted: Wanted) -> Found:
+def _found(
+    path: Path, counted: Mapping[str, tuple[str, FrameStream, int]], unexpected: Iterable[str], note: str, wanted: Wanted
+) -> Found:
     """Streams with their frames numbered."""
-    views: dict[str, RenderedView] = {}
-    extras, notes = list(unexpected), []
-    for view, (name, stream, count) in counted.items():
-        numbered = number_stream(count, wanted.frames, wanted.n_frames, name)
-        views[view] = StreamView(stream, numbered.frames, note)
-        notes += [f"{view}: {numbered.note}"] if numbered.note else []
-        if numbered.extras:
-            extras.append(f"{Path(name).name}: {len(numbered.extras)} frames after the first {len(wanted.frames)}")
-    return Found(views, tuple(extras), tuple(notes))
+    unexpected = list(unexpected)
+    numbered = number_streams(path, {view: count for view, (_, _, count) in counted.items()}, wanted)
+    views: dict[str, RenderedView] = {
+        view: StreamView(stream, numbered.frames[view], note) for view, (_, stream, _) in counted.items() if numbered.frames[view]
+    }
+    unused = {Path(name).name: numbered.extras[view] for view, (name, _, _) in counted.items()}
+    extras = [f"{name}: {len(some)} frames after the first {len(wanted.frames)}" for name, some in unused.items() if some]
+    members = {name.partition("[")[2].rstrip("]"): name for name in unexpected if "[" in name}
+    absent = [view for view in wanted.views if view not in views]
+    hints = {view: respelled(view, members, wanted) or instead_of(path, view, wanted) for view in absent}
+    return Found(views, (*unexpected, *extras), numbering=numbered.note, hints=hints)
 
 
 def _stack(file: Path) -> ArrayStack:

@@ -27,6 +27,7 @@ class Wanted:
         sizes: view -> (width, height) in pixels.
         cameras: names of all cameras, in the capture's order.
         truth_root: folder of the captured frames, ``<view>/<frame>.png``.
+        first_frame: number that the protocol's first frame bears, as the user says; None where the numbers shall tell.
     """
 
     label: str
@@ -36,6 +37,7 @@ class Wanted:
     sizes: Mapping[str, tuple[int, int]]
     cameras: tuple[str, ...]
     truth_root: Path
+    first_frame: int | None = None
 
     def truth(self, view: str, frame: int) -> Image8:
         """The captured frame, (H, W, 3) uint8 RGB."""
@@ -63,16 +65,24 @@ class Found:
     Attributes:
         views: test view -> its frames; a view that is not there has no entry.
         extras: names of pictures, videos or arrays that belong to no view or frame of the protocol.
-        notes: how names and numbers were understood.
+        notes: how names were understood, and what they were compared with.
+        numbering: how frame numbers were understood; the same for all views.
+        first: the number that the capture's first instant bears in these names.
+        doubles: view -> frame number -> names of the several pictures of it.
+        hints: view -> what lies there instead of the frames that it lacks.
     """
 
     views: Mapping[str, RenderedView]
     extras: tuple[str, ...] = ()
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
+    numbering: str = ""
+    first: int = 0
+    doubles: Mapping[str, Mapping[int, Sequence[str]]] = field(default_factory=dict)
+    hints: Mapping[str, str] = field(default_factory=dict)
 
 
-def wanted_of(run: RunFolder, label: str) -> Wanted:
-    """What a run asks of a method.
+def wanted_of(run: RunFolder, label: str, first_frame: int | None = None) -> Wanted:
+    """What a run asks of a method; `first_frame` as of `Wanted`.
 
     Raises:
         ResultsError: not a run folder.
@@ -86,9 +96,8 @@ def wanted_of(run: RunFolder, label: str) -> Wanted:
         file = frame_path(run.truth(view), frames.start)
         if not file.is_file():
             raise RenderError(f"{file}: wanted a captured frame to compare with, there is none; run `ggvs-eval prepare`")
-        header = read_header(file)
-        sizes[view] = (header.width, header.height)
-    return Wanted(label, views, frames, record["n_frames"], sizes, tuple(record["cameras"]), run.root / "truth")
+        sizes[view] = read_header(file).size
+    return Wanted(label, views, frames, record["n_frames"], sizes, tuple(record["cameras"]), run.root / "truth", first_frame)
 
 
 @dataclass(frozen=True)
@@ -115,10 +124,13 @@ def fit(found: Found, wanted: Wanted) -> Fit:
         rendered = found.views.get(view)
         there = rendered.numbers if rendered else ()
         faults = rendered.faults(wanted.sizes[view]) if rendered else {}
-        absent = [frame for frame in wanted.frames if frame not in there]
+        doubles = found.doubles.get(view, {})
+        absent = [frame for frame in wanted.frames if frame not in there and frame not in doubles]
         if absent:
-            lacking = f"all {len(absent)} frames" if not there else as_ranges(absent)
-            missing.append(f"{wanted.label} in {view} lacks {lacking}")
+            missing.append(f"{wanted.label} in {view} lacks {_absent(absent, view, found, wanted)}")
+        if doubles:
+            example = f"several pictures of one frame: {' and '.join(doubles[min(doubles)])}; keep one"
+            faulty.append(f"{wanted.label} in {view}: {as_ranges(sorted(doubles))} ({example})")
         by_fault: dict[str, list[int]] = defaultdict(list)
         for frame, fault in faults.items():
             by_fault[fault].append(frame)
@@ -129,8 +141,20 @@ def fit(found: Found, wanted: Wanted) -> Fit:
     return Fit(usable, tuple(missing), tuple(faulty), found.extras)
 
 
-def require_whole(fitted: Fit, path: Path) -> None:
+def _absent(frames: list[int], view: str, found: Found, wanted: Wanted) -> str:
+    """Frames that are not there, how they would be numbered, and what is there instead."""
+    numbered = f" (numbered {as_ranges([frame + found.first for frame in frames])})" if found.first else ""
+    lacking = f"all {len(frames)} frames" if len(frames) == len(wanted.frames) else as_ranges(frames) + numbered
+    return f"{lacking}, but {found.hints[view]}" if found.hints.get(view) else lacking
+
+
+def require_whole(fitted: Fit, path: Path, numbering: str) -> None:
     """Refuse renders that are not exactly what is wanted.
+
+    Args:
+        fitted: what fits and what does not.
+        path: of the renders.
+        numbering: how their numbers were understood.
 
     Raises:
         RenderError: anything missing, extra or unusable; up to 20 of each are named, and all are counted.
@@ -138,7 +162,8 @@ def require_whole(fitted: Fit, path: Path) -> None:
     groups = {"frames are missing": fitted.missing, "cannot be used": fitted.faulty, "belongs to nothing": fitted.extras}
     listed = [f"{title}: {_listed(items)}" for title, items in groups.items() if items]
     if listed:
-        raise RenderError(f"{path}: {'; '.join(listed)}; render them again, or give --allow-partial to score what fits")
+        told = [numbering] if numbering else []
+        raise RenderError(f"{path}: {'; '.join([*told, *listed])}; put this right, or give --allow-partial to score what fits")
 
 
 def partial_text(fitted: Fit, wanted: Wanted) -> str:

@@ -37,6 +37,7 @@ def score(
     run: Path | None = None,
     allow_partial: bool = False,
     device: Device = "cpu",
+    first_frame: int | None = None,
     reading: Reading = BY_DEFAULT,
     jobs: int = default_workers(),
 ) -> None:
@@ -51,6 +52,8 @@ def score(
         run: run folder to make or to go on with; scores/CAPTURE by default.
         allow_partial: score what there is of incomplete renders; their row is marked.
         device: where the networks of LPIPS compute; a GPU rounds otherwise than the CPU.
+        first_frame: number of the protocol's first frame in the names of your frames (its place, from 0, in videos and arrays);
+            needed where the numbers can be read in two ways.
         reading: how the capture is read.
         jobs: processes.
     """
@@ -62,7 +65,7 @@ def score(
         raise ProtocolError(f"wanted one run folder, got {folder} and --run {run}; give one of them")
     target = run_for(run or folder, reading.open(capture) if capture else None, protocol, jobs)
     for name, path in named_renders(renders).items():
-        for note in import_renders(target, name, path, allow_partial, jobs)["notes"]:
+        for note in import_renders(target, name, path, allow_partial, jobs, first_frame)["notes"]:
             print(f"{name}: {note}", file=sys.stderr)
     results = measure(target, jobs, device=found_device(device))
     print(results.summary().droplevel("dataset").round(4).to_string())

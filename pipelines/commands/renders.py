@@ -21,6 +21,7 @@ def doctor(
     capture: Path | None = None,
     protocol: str | None = None,
     run: Path | None = None,
+    first_frame: int | None = None,
     reading: Reading = BY_DEFAULT,
     jobs: int = default_workers(),
 ) -> None:
@@ -34,13 +35,14 @@ def doctor(
         capture: what was rendered.
         protocol: a .toml file or a packaged name; by default the packaged one that fits the capture.
         run: run folder to make or to go on with; scores/CAPTURE by default.
+        first_frame: number of the protocol's first frame in the names of the frames, as of `score`.
         reading: how the capture is read.
         jobs: processes.
     """
     from ggvs_eval.pipelines.inspection.renders.examine import examine, faults_table
     from ggvs_eval.pipelines.inspection.renders.view_frames import cameras_of_run, views_of_run
 
-    folder, labels = _rendered(renders, capture, protocol, run, reading, jobs)
+    folder, labels = _rendered(renders, capture, protocol, run, first_frame, reading, jobs)
     certain = False
     for label in labels:
         findings = examine(views_of_run(folder, label), cameras_of_run(folder))
@@ -58,6 +60,7 @@ def explain(
     capture: Path | None = None,
     protocol: str | None = None,
     run: Path | None = None,
+    first_frame: int | None = None,
     reading: Reading = BY_DEFAULT,
     jobs: int = default_workers(),
 ) -> None:
@@ -71,6 +74,7 @@ def explain(
         capture: what was rendered.
         protocol: a .toml file or a packaged name; by default the packaged one that fits the capture.
         run: run folder to make or to go on with; scores/CAPTURE by default.
+        first_frame: number of the protocol's first frame in the names of the frames, as of `score`.
         reading: how the capture is read.
         jobs: processes.
     """
@@ -79,7 +83,7 @@ def explain(
     from ggvs_eval.pipelines.inspection.renders.view_frames import views_of_run
 
     metric_family(metric)  # a mistyped name shows before anything is read
-    folder, labels = _rendered(renders, capture, protocol, run, reading, jobs)
+    folder, labels = _rendered(renders, capture, protocol, run, first_frame, reading, jobs)
     if method is None and len(labels) != 1:
         raise RenderError(f"{folder.root}: has {', '.join(labels)}; say which with --method")
     views = views_of_run(folder, method or labels[0], as_measured=True)
@@ -87,7 +91,13 @@ def explain(
 
 
 def _rendered(
-    renders: Path, capture: Path | None, protocol: str | None, run: Path | None, reading: ReadingOptions, jobs: int
+    renders: Path,
+    capture: Path | None,
+    protocol: str | None,
+    run: Path | None,
+    first_frame: int | None,
+    reading: ReadingOptions,
+    jobs: int,
 ) -> tuple[RunFolder, list[str]]:
     """A run folder with the frames in question, and what they are called there."""
     if (renders / "protocol.toml").is_file():
@@ -98,6 +108,6 @@ def _rendered(
 
     folder = run_for(run, reading.open(capture) if capture else None, protocol, jobs)
     ((label, path),) = named_renders((str(renders),)).items()
-    for note in import_renders(folder, label, path, workers=jobs)["notes"]:
+    for note in import_renders(folder, label, path, workers=jobs, first_frame=first_frame)["notes"]:
         print(f"{label}: {note}", file=sys.stderr)
     return folder, [label]

@@ -15,16 +15,19 @@ from ggvs_eval.pipelines.run.coverage import IMPORT_FILE, read_import
 from ggvs_eval.renders.archive import Limits, is_archive, unpack
 from ggvs_eval.renders.kinds import KINDS, detect
 from ggvs_eval.renders.wanted import Fit, Found, RenderedView, Wanted, fit, partial_text, require_whole, wanted_of
-from ggvs_eval.run_folder import RunFolder, frame_path, write_json
+from ggvs_eval.run_folder import RunFolder, as_ranges, frame_path, write_json
 
 NAME = re.compile(r"\w[\w.+-]*")
 # An archive may hold renders, truth, depth and masks of each frame, with little that compresses.
 ARCHIVE_BYTES_PER_PIXEL = 24
 ARCHIVE_FILES_PER_FRAME = 12
+SMALL = 20  # pixels per byte that zeros at least take as we write them; some hundred really
 ARCHIVE_SLACK_FILES, ARCHIVE_SLACK_BYTES = 1000, 256 << 20
 
 
-def import_renders(run: RunFolder, label: str, path: Path, allow_partial: bool = False, workers: int = 1) -> dict[str, Any]:
+def import_renders(
+    run: RunFolder, label: str, path: Path, allow_partial: bool = False, workers: int = 1, first_frame: int | None = None
+) -> dict[str, Any]:
     """Make frames that others rendered a method of a run.
 
     PNG files are linked and stay theirs; JPEG files, videos and arrays are written to PNG once. A second call with the same
@@ -36,6 +39,8 @@ def import_renders(run: RunFolder, label: str, path: Path, allow_partial: bool =
         path: folder, archive or file, see `kinds.KINDS`.
         allow_partial: take what fits where not everything does; its row is marked.
         workers: processes that decode videos and arrays, one view each.
+        first_frame: number of the protocol's first frame in their names, of all views, where the numbers do not tell; in videos
+            and arrays its place, counted from 0.
 
     Returns:
         The record of the import, ``import.json``: kind, source, digests, notes, frames, and what the row stands on if partial.
@@ -45,7 +50,7 @@ def import_renders(run: RunFolder, label: str, path: Path, allow_partial: bool =
             extra or of wrong size is listed.
     """
     _check_label(label)
-    wanted = wanted_of(run, label)
+    wanted = wanted_of(run, label, first_frame)
     target = run.root / "renders" / label
     if not path.exists():
         raise RenderError(f"{path}: wanted renders, there is no such folder or file; check the path")
@@ -72,13 +77,13 @@ def _import(run: RunFolder, wanted: Wanted, path: Path, unpacked: Path, allow_pa
     found = KINDS[kind].find(root, wanted, packed)
     fitted = fit(found, wanted)
     if not allow_partial:
-        require_whole(fitted, path)
+        require_whole(fitted, path, found.numbering)
     record = {
         "kind": KINDS[kind].describe + (" in an archive" if packed else ""),
         "source": path.resolve().name,
         "sha256": digest_values(*identity["files"], *identity["files"].values()),
         "partial": partial_text(fitted, wanted),
-        "notes": [*found.notes, *_left_out(fitted)],
+        "notes": [*filter(None, [found.numbering]), *found.notes, *_left_out(fitted), *_black_truth(wanted)],
         "frames": {view: list(frames) for view, frames in fitted.usable.items()},
         "identity": identity,
     }
@@ -107,9 +112,28 @@ def _write(views: Mapping[str, tuple[RenderedView, tuple[int, ...]]], folder: Pa
         return {view: job.result() for view, job in running.items()}
 
 
+def plain_label(name: str) -> str:
+    """A name that renders can have, made of that of their folder.
+
+    Examples:
+        >>> plain_label("my renders (2)"), plain_label("enerf")
+        ('my-renders-2', 'enerf-renders')
+    """
+    label = re.sub(r"[^\w.+-]+", "-", name).strip("-.+") or "renders"
+    return f"{label}-renders" if _is_taken(label) else label
+
+
+def _is_taken(label: str) -> bool:
+    """Whether a name means something else in a run."""
+    return label in METHODS or label == "truth"
+
+
 def _check_label(label: str) -> None:
-    if label in METHODS or label == "truth" or not NAME.fullmatch(label):
-        raise RenderError(f"renders cannot be called {label!r}; choose a plain name that is not one of {', '.join(METHODS)}")
+    if NAME.fullmatch(label) and not _is_taken(label):
+        return
+    reason = "which is the name of one of our methods" if label in METHODS else "which is no plain name"
+    reason = "which is the captured frames" if label == "truth" else reason
+    raise RenderError(f"renders cannot be called {label!r}, {reason}; give another: --renders {plain_label(label)}=PATH")
 
 
 def _identity(wanted: Wanted, path: Path, sources: list[Path], allow_partial: bool) -> dict[str, Any]:
@@ -120,7 +144,20 @@ def _identity(wanted: Wanted, path: Path, sources: list[Path], allow_partial: bo
         "frames": [wanted.frames.start, wanted.frames.stop],
         "sizes": {view: list(wanted.sizes[view]) for view in wanted.views},
         "allow_partial": allow_partial,
+        "first_frame": wanted.first_frame,
     }
+
+
+def _black_truth(wanted: Wanted) -> list[str]:
+    """Captured frames of which every pixel is 0; the size of their files gives them away."""
+    notes = []
+    for view in wanted.views:
+        width, height = wanted.sizes[view]
+        files = {frame: frame_path(wanted.truth_root / view, frame) for frame in wanted.frames}
+        small = (frame for frame, file in files.items() if file.is_file() and file.stat().st_size < width * height / SMALL + 1000)
+        black = [frame for frame in small if not wanted.truth(view, frame).any()]
+        notes += [f"captured frames of {view} are all zero: {as_ranges(black)}"] if black else []
+    return notes
 
 
 def _is_whole(run: RunFolder, label: str, frames: Mapping[str, list[int]]) -> bool:

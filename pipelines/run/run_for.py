@@ -1,9 +1,11 @@
 """The run folder that renders are scored in: one that there is, or one made of a capture and a protocol."""
 
+import os
 from pathlib import Path
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import ProtocolError
+from ggvs_eval.pipelines.run.import_renders import plain_label
 from ggvs_eval.pipelines.run.prepare import prepare_truth
 from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
 from ggvs_eval.protocol import load_protocol
@@ -40,7 +42,7 @@ def run_for(root: Path | None, capture: Capture | None, protocol: str | None, wo
 
 
 def named_renders(items: tuple[str, ...]) -> dict[str, Path]:
-    """Name -> path of ``NAME=PATH`` or of a bare path, which is called by its last part.
+    """Name -> path of ``NAME=PATH`` or of a bare path, which is called by its last part, as far as that is free and plain.
 
     Raises:
         ProtocolError: one name for two.
@@ -49,7 +51,7 @@ def named_renders(items: tuple[str, ...]) -> dict[str, Path]:
     for item in items:
         name, separator, path = item.partition("=")
         if not separator or "/" in name:  # a path may hold = too
-            name, path = Path(item).resolve().name.split(".")[0], item
+            name, path = plain_label(Path(os.path.abspath(item)).name.split(".")[0]), item
         if name in named:
             raise ProtocolError(f"--renders: {named[name]} and {path} would both be called {name}; give NAME=PATH")
         named[name] = Path(path)

@@ -1,5 +1,6 @@
 """The stages of a sweep, each over all of its runs at once: one bar, one pool, and what fails stops nothing else."""
 
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -68,7 +69,7 @@ def prepare_cells(
 def import_cells(
     cells: Sequence[Cell], ready: Mapping[str, RunPlan], engine: Engine
 ) -> tuple[dict[str, list[str]], list[Failure]]:
-    """Take in what others rendered for the runs that are ready; what is there already is left alone.
+    """Take in what others rendered for the runs that are ready, and print how; what is there already is left alone.
 
     Returns:
         Name of a cell -> such methods, whole; and why others are not.
@@ -81,6 +82,8 @@ def import_cells(
             failures += why_not
             if taken is not None:
                 whole.setdefault(cell.name, []).append(label)
+                for note in taken["notes"]:
+                    print(f"{cell.name}: {label}: {note}", file=sys.stderr)
     return whole, failures
 
 

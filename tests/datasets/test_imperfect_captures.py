@@ -18,11 +18,23 @@ from ggvs_eval.camera import Camera, nearest_rotation
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CameraError, CaptureError
-from ggvs_eval.files.images import picture_size, read_image, write_image
+from ggvs_eval.files.images import read_image, write_image
+from ggvs_eval.files.picture_header import read_picture_header
 from ggvs_eval.files.video import VideoFrames, write_video
 from ggvs_eval.pipelines.inspection.capture.check import check_capture
 from ggvs_eval.protocol import load_protocol
-from helpers.captures import HEIGHT, N_FRAMES, NAMES, WIDTH, make_image, make_rig, refusal, write_dynerf
+from helpers.captures import (
+    HEIGHT,
+    N_FRAMES,
+    NAMES,
+    WIDTH,
+    make_image,
+    make_rig,
+    refusal,
+    write_dynerf,
+    write_folders,
+    write_poses,
+)
 from helpers.fuzz import CAPTURES, IMPOSTORS, LONG_KEY, add_long_key, read_everything
 from helpers.small_layouts import camera_toml, transforms, write_capture_toml, write_easymocap, write_nerfstudio
 
@@ -158,7 +170,7 @@ def test_pictures_and_videos_are_turned_by_one_rule(orientation, matrix, tmp_pat
 
     video = VideoFrames(tmp_path / "a.mp4")
 
-    assert [picture_size(file) for file in files] == [(64, 48), (64, 48)] == [video.size] * 2
+    assert [read_picture_header(file).size for file in files] == [(64, 48), (64, 48)] == [video.size] * 2
     for image in (*map(read_image, files), *video.frames(0, 2)):
         assert image.shape == upright.shape
         assert np.abs(image.astype(int) - upright).mean() < 6  # 4:2:0 blurs the edges of colour
@@ -208,6 +220,43 @@ def test_a_variable_frame_rate_is_said(tmp_path):
         "variable frame rate in cam01 (33.3 to 100.0 ms), cam02 (33.3 to 100.0 ms), cam03 (33.3 to 100.0 ms): "
         "frame t of each camera is taken as one instant, whatever its time",
     )
+
+
+def test_frames_that_are_no_rgb_are_said(tmp_path):
+    """Grey, palettes and 16 bits in folders, 10 bits in videos: by camera, and of how many frames."""
+    folder = write_folders(tmp_path / "room")
+    write_poses(folder, make_rig())
+    grey, palette, deep = (folder / name / "images" / "0001.png" for name in NAMES[:3])
+    Image.open(grey).convert("L").save(grey)
+    Image.open(palette).convert("P").save(palette)
+    cv2.imwrite(str(deep), cv2.imread(str(deep)).astype(np.uint16) * 257)
+
+    assert open_capture(folder).notes == (
+        f"frames of {NAMES[0]} (1 of {N_FRAMES}) are read grey, the same level in all three channels",
+        f"frames of {NAMES[1]} (1 of {N_FRAMES}) are read in the colours of a palette",
+        f"frames of {NAMES[2]} (1 of {N_FRAMES}) are read cut from 16 to 8 bits",
+    )
+    np.testing.assert_array_equal(next(open_capture(folder).frames(NAMES[2], 1)), make_image(2, 1))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda file: file.with_suffix(".webp"), "gaps between 0 and 2, and 1 .webp pictures, which are not read: convert them"),
+        (
+            lambda file: file.with_name("other0002.png"),
+            "several with the number 2 (0002.png and other0002.png); keep one of them",
+        ),
+    ],
+)
+def test_frames_in_another_format_or_twice_are_named(change, message, tmp_path):
+    """A gap may be a picture that is not read, a number may stand on two pictures."""
+    folder = write_folders(tmp_path / "room")
+    write_poses(folder, make_rig())
+    file = folder / NAMES[0] / "images" / "0001.png"
+    file.rename(change(file))
+
+    assert message in refusal(folder)
 
 
 @pytest.mark.parametrize("key", ["R_01", "Rot_01"])

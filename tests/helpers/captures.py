@@ -56,10 +56,11 @@ def write_videos(folder: Path, names: Sequence[str] = NAMES, n_frames: int = N_F
         write_video(folder / f"{name}.mp4", (make_image(index, frame) for frame in range(n_frames)), FPS)
 
 
-def write_folders(folder: Path, names: Sequence[str] = NAMES, pattern: str = "{}/images", first: int = 0) -> None:
+def write_folders(folder: Path, names: Sequence[str] = NAMES, pattern: str = "{}/images", first: int = 0) -> Path:
     for index, name in enumerate(names):
         for frame in range(N_FRAMES):
             write_image(folder / pattern.format(name) / f"{first + frame:04d}.png", make_image(index, frame))
+    return folder
 
 
 def write_dynerf(folder: Path, names: Sequence[str] = NAMES) -> Path:

@@ -25,18 +25,18 @@ METRICS = ("PSNR", "L1", "SDT", "SDV")
 Place = tuple[str, int]
 
 
-def make_run(root: Path, metrics: Sequence[str] = METRICS) -> RunFolder:
+def make_run(root: Path, metrics: Sequence[str] = METRICS, frames: range = FRAMES, n_frames: int = N_FRAMES) -> RunFolder:
     """A run folder as `prepare_truth` leaves it: the captured frames of the test views, nothing rendered."""
     run = RunFolder(root)
     measurement = Measurement(tuple(metrics))
     protocol = Protocol(
-        "tiny", "Tiny room", Views(VIEWS, "by hand"), Frames(FRAMES.start, len(FRAMES)), Synthesis(2), measurement
+        "tiny", "Tiny room", Views(VIEWS, "by hand"), Frames(frames.start, len(frames)), Synthesis(2), measurement
     )
     for view in VIEWS:
-        for frame in FRAMES:
+        for frame in frames:
             write_image(frame_path(run.truth(view), frame), truth(view, frame))
     cameras = {name: {"size": [WIDTH, HEIGHT]} for name in CAMERAS}
-    record = {"scene": "room", "fps": 30.0, "n_frames": N_FRAMES, "cameras": cameras, "digests": dict.fromkeys(CAMERAS, "ab12")}
+    record = {"scene": "room", "fps": 30.0, "n_frames": n_frames, "cameras": cameras, "digests": dict.fromkeys(CAMERAS, "ab12")}
     write_json(root / "capture.json", record)
     run.protocol_file.write_text(protocol.to_toml(), encoding="utf-8")
     return run

@@ -10,6 +10,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError
+from ggvs_eval.files.images import write_image
 from ggvs_eval.geometry.epipolar import MatchedPair, consistent, epipolar_errors, ray_depths
 from ggvs_eval.geometry.features import Features, find_features, match_features
 from ggvs_eval.pipelines.inspection.capture.calibration_errors import accused, camera_error, pair_error, triangulated_depths
@@ -17,7 +18,7 @@ from ggvs_eval.pipelines.inspection.capture.camera_record import difference_sigm
 from ggvs_eval.pipelines.inspection.capture.check import CaptureCheck, check_capture
 from ggvs_eval.pipelines.inspection.capture.colour import camera_gains, check_gain, check_noise
 from ggvs_eval.pipelines.inspection.capture.depth_range import neighbour_spacing
-from ggvs_eval.pipelines.inspection.capture.frames import common_repeats, frozen_frames
+from ggvs_eval.pipelines.inspection.capture.frames import check_frames, common_repeats, frozen_frames
 from ggvs_eval.pipelines.inspection.capture.intrinsics import check_intrinsics, fields_of_view_deg, off_centre
 from ggvs_eval.pipelines.inspection.capture.motion_signals import best_lag, motion_energy, plane_angles
 from ggvs_eval.pipelines.inspection.capture.overlap import seen_share
@@ -516,3 +517,20 @@ def test_a_damaged_image_in_a_folder_is_named(tmp_path):
     assert "0002.png" in found["cam01"].measured
     assert found["cam01"].values == {"n_read": 4, "damaged": [2]}
     assert [found[name].verdict for name in ("cam00", "cam02", "cam03")] == ["ok"] * 3
+
+
+def test_black_frames_are_named(tmp_path):
+    """A frame without light is a warning of its camera."""
+    folder = write_folders(tmp_path / "room")
+    write_poses(folder, make_rig())
+    capture = open_capture(folder)
+    name = capture.camera_names[1]
+    file = folder / name / "images" / "0000.png"
+    write_image(file, np.zeros_like(make_image(1, 0)))
+
+    records = [record_camera(capture, each) for each in capture.camera_names]
+    findings = {finding.subject: finding for finding in check_frames(capture, records)}
+
+    assert [record.black for record in records] == [(0,) if each == name else () for each in capture.camera_names]
+    assert (findings[name].verdict, findings[name].measured) == ("warn", "frame 0 all zero")
+    assert findings[capture.camera_names[0]].verdict == "ok"

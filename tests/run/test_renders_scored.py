@@ -18,6 +18,7 @@ from ggvs_eval.protocol import Frames, Measurement, Protocol, Synthesis, Views, 
 from ggvs_eval.results import Results, merge_results
 from ggvs_eval.run_folder import RunFolder, frame_path
 from helpers.captures import write_dynerf
+from helpers.command_line import refusal
 from helpers.render_folders import FRAMES, VIEWS, make_run, rendered, truth, write_folders
 
 pytestmark = pytest.mark.slow
@@ -89,7 +90,7 @@ def test_whole_renders_are_not_marked_whatever_was_allowed(run, tmp_path):
     record = import_renders(run, "mine", folder, allow_partial=True)
 
     assert score(run).provenance["partial"] == {}
-    assert record["notes"] == ["not used: depth/ (1 pictures)"]
+    assert record["notes"] == ["frames 2-4 are taken as the instants 2-4 of the capture", "not used: depth/ (1 pictures)"]
 
 
 def test_a_partial_import_does_not_excuse_frames_that_get_lost(run, tmp_path):
@@ -188,6 +189,39 @@ def test_a_run_goes_on_with_its_own_protocol(capture, protocol, theirs, tmp_path
     command("score", tmp_path / "run", "--renders", theirs, "--jobs", "1")
 
     assert set(Results.read(tmp_path / "run").table["method"]) == {"a", "theirs"}
+
+
+def test_the_numbering_is_printed_and_can_be_said(capture, protocol, theirs, tmp_path, capsys):
+    """Frames 0-2 of a protocol of 1-3: refused with the option that settles it; with it scored, and one line says how."""
+    for file in sorted(theirs.rglob("*.png")):
+        file.rename(file.with_name(f"{int(file.stem) - 1:04d}.png"))
+    place = ("--run", tmp_path / "run", "--capture", capture, "--protocol", protocol, "--jobs", "1")
+    arguments = ("score", "--renders", theirs, *place)
+
+    message = refusal(*arguments)
+    command(*arguments, "--first-frame", "0")
+
+    assert "or give --first-frame 0 if number 0 shows instant 1" in message
+    lines = capsys.readouterr().err.splitlines()
+    assert "theirs: numbered as --first-frame 0 says: 0-2 are taken as the instants 1-3 of the capture" in lines
+    assert Results.read(tmp_path / "run").summary()["L1"].item() == pytest.approx(4.0, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("name", "label"), [("enerf", "enerf-renders"), ("truth", "truth-renders"), ("my renders (2)", "my-renders-2")]
+)
+def test_a_folder_may_be_called_as_a_method_is(name, label, capture, protocol, theirs, tmp_path, capsys):
+    """doctor, explain and score find a free name for it; who names renders so explicitly is told."""
+    folder = theirs.rename(tmp_path / name)
+    place = ("--run", tmp_path / "run", "--capture", capture, "--protocol", protocol, "--jobs", "1")
+
+    command("doctor", folder, *place)
+    command("explain", folder, "l1", "4.00", *place)
+    command("score", "--renders", folder, *place)
+
+    assert capsys.readouterr().out.startswith(f"{label}\n")
+    assert set(Results.read(tmp_path / "run").table["method"]) == {label}
+    assert f"give another: --renders {label}=PATH" in refusal("score", "--renders", f"{name}={folder}", *place)
 
 
 def test_incomplete_renders_end_with_one_line_unless_allowed(capture, protocol, theirs, tmp_path, capsys):

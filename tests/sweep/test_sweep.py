@@ -102,7 +102,7 @@ def test_every_variant_is_a_line_and_absent_methods_are_named(capture, protocol,
     assert (tmp_path / "sweep" / "sweep.csv").is_file()
 
 
-def test_frames_rendered_elsewhere_are_a_row(capture, protocol, tmp_path):
+def test_frames_rendered_elsewhere_are_a_row(capture, protocol, tmp_path, capsys):
     """``rendered:PATH`` is scored as the method whose frames it holds, without a time; a wrong path stops nothing else."""
     sweep = Sweep("one", "test", (SweepRow("Distance", "distance-based"),))
     run_sweep(tmp_path / "theirs", capture, sweep, protocol, workers=1)
@@ -123,6 +123,7 @@ def test_frames_rendered_elsewhere_are_a_row(capture, protocol, tmp_path):
     assert lines.loc["4DGS (theirs)", "PSNR"] == lines.loc["Distance", "PSNR"]
     assert np.isnan(lines.loc["4DGS (theirs)", "s/frame"])
     assert (tmp_path / "sweep" / protocol.name / "renders" / "4dgs-theirs" / "import.json").is_file()
+    assert "4dgs-theirs: frames " in capsys.readouterr().err  # how they are numbered
     (failure,) = result.failures
     assert "nowhere: wanted renders, there is no such folder" in str(failure)
     assert not failure.traceback

@@ -39,17 +39,19 @@ class CameraRecord:
         name: of the camera.
         n_read: frames that were read.
         damage: where reading failed.
+        black: frames of which every pixel is 0.
         change: how much each frame differs from the one before it where it differs most, mean of a 16th of the image's sides,
             0..255, (T,); NaN for the first and where either was not read.
         noise_sigma_255: of a single pixel, from differences of consecutive frames; NaN with fewer than two frames.
         burst_start: frame number of the first picture of the burst.
         burst: small grey pictures, uint8 (B, h, w).
-        features: of the first frame that was read; None where none was.
+        features: of the first frame that was read and is not black; None where there is none.
     """
 
     name: str
     n_read: int
     damage: tuple[Damage, ...]
+    black: tuple[int, ...]
     change: NDArray[np.float32]
     noise_sigma_255: float
     burst_start: int
@@ -64,6 +66,7 @@ def record_camera(capture: Capture, name: str) -> CameraRecord:
     noise_counts = np.zeros(256, np.int64)
     damage: list[Damage] = []
     burst: list[Image8] = []
+    black: list[int] = []
     features: Features | None = None
     last, last_small, last_sparse, n_read = -2, None, None, 0
     for index, image in _readable_frames(capture, name, damage):
@@ -71,14 +74,17 @@ def record_camera(capture: Capture, name: str) -> CameraRecord:
         if index == last + 1 and last_small is not None and last_sparse is not None:
             change[index] = largest_change(small, last_small)
             noise_counts += np.bincount(cv2.absdiff(sparse, last_sparse).ravel(), minlength=256)
-        if features is None:
+        if not image.any():
+            black.append(index)
+        elif features is None:
             features = find_features(image)
         # A burst with a gap would shift what follows, so it ends there.
         if index == burst_start + len(burst) and len(burst) < BURST_FRAMES:
             burst.append(_small_grey(small, BURST_LONGEST_SIDE_PX))
         last, last_small, last_sparse, n_read = index, small, sparse, n_read + 1
     stacked = np.stack(burst) if burst else np.empty((0, 1, 1), np.uint8)
-    return CameraRecord(name, n_read, tuple(damage), change, difference_sigma(noise_counts), burst_start, stacked, features)
+    sigma = difference_sigma(noise_counts)
+    return CameraRecord(name, n_read, tuple(damage), tuple(black), change, sigma, burst_start, stacked, features)
 
 
 def largest_change(grey: Image8, before: Image8) -> float:

@@ -1,4 +1,4 @@
-"""Frames: how many, what cannot be read, and which stand still while the others go on."""
+"""Frames: how many, what cannot be read or is black, and which stand still while the others go on."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,7 +22,7 @@ LISTED = 6
 
 
 def check_frames(capture: Capture, records: Sequence[CameraRecord]) -> tuple[Finding, ...]:
-    """Counts, sizes, rate, and frames that cannot be read."""
+    """Counts, sizes, rate, frames that cannot be read, and frames without light."""
     sizes = sorted({camera.size for camera in capture.cameras})
     shown = ", ".join(f"{width} x {height}" for width, height in sizes)
     rate = f"{capture.fps:g} fps" if capture.fps else "one instant"
@@ -111,6 +111,11 @@ def _usual_of_others(share: NDArray[np.float64], index: int) -> NDArray[np.float
 
 def _evaluate_damage(record: CameraRecord, n_frames: int) -> Finding:
     values = {"n_read": record.n_read, "damaged": [damage.frame for damage in record.damage]}
+    if not record.damage and record.black:
+        values["black"] = list(record.black)
+        frames = f"frame{'s' * (len(record.black) > 1)} {_listed(list(record.black))}"
+        advice = "a lens cap, or a damaged recording? leave these instants out of the protocol"
+        return Finding(record.name, FRAMES, "warn", f"{frames} all zero", values, advice)
     if not record.damage:
         return Finding(record.name, FRAMES, "ok", f"{record.n_read} frames read", values)
     first = record.damage[0]

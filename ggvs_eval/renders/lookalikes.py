@@ -1,0 +1,59 @@
+"""What lies where renders should lie, when people meant to bring some: names spelled otherwise, pictures in another format."""
+
+import os
+import re
+from collections.abc import Mapping
+from itertools import islice
+from pathlib import Path
+
+from ggvs_eval.datasets.frames import UNREAD_PICTURES, list_images, unread_pictures
+from ggvs_eval.renders.wanted import Wanted
+
+UNREAD_VIDEOS = (".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
+LOOKED_THROUGH = 10_000
+
+
+def instead_of(path: Path, view: str, wanted: Wanted) -> str:
+    """What a folder of renders holds instead of the frames of a view, and what to do; empty where nothing looks like them."""
+    unread = unread_pictures(path / view)
+    if unread or list_images(path / view):
+        return unread and f"{view}/ holds {unread}"
+    if (path / view).is_symlink() and not (path / view).exists():
+        return f"{view} is a link to nothing: restore what it leads to"
+    entries = sorted(path.iterdir()) if path.is_dir() else []
+    video = next((file.name for file in entries if file.stem == view and file.suffix.lower() in UNREAD_VIDEOS), "")
+    if video:
+        return f"{video} is there, which is not read: convert it to .mp4"
+    return respelled(view, {file.name if file.is_dir() else file.stem: file.name for file in entries}, wanted)
+
+
+def instead_of_all(path: Path, wanted: Wanted) -> str:
+    """The same where no view is there at all."""
+    hints = [hint for view in wanted.views if (hint := instead_of(path, view, wanted))]
+    if hints:
+        return "; ".join(dict.fromkeys(hints))
+    below = ((Path(folder), Path(file).suffix.lower()) for folder, _, files in os.walk(path) for file in files)
+    folders = sorted({folder for folder, suffix in islice(below, LOOKED_THROUGH) if suffix in UNREAD_PICTURES})
+    return f"{folders[0].name}/ holds {unread_pictures(folders[0])}" if folders else ""
+
+
+def respelled(view: str, names: Mapping[str, str], wanted: Wanted) -> str:
+    """The name that was meant to be a view's, and what to do; empty where there is none.
+
+    Args:
+        view: name of the capture.
+        names: what there is, and how it is shown.
+        wanted: knows the other cameras.
+    """
+    others = {name: shown for name, shown in names.items() if name not in wanted.cameras}
+    for name, shown in others.items():
+        if name.casefold() == view.casefold():
+            return f"there is {shown}: upper and lower case are told apart, write {view}"
+    number = _only_number(view)
+    alike = [shown for name, shown in others.items() if number is not None and _only_number(name) == number]
+    return f"there is {alike[0]}: if this is {view}, call it so" if len(alike) == 1 else ""
+
+
+def _only_number(name: str) -> int | None:
+    numbers = re.findall(r"\d+", name)
+    return int(numbers[0]) if len(numbers) == 1 else None
