@@ -6,7 +6,7 @@ from pathlib import Path, PurePosixPath
 from typing import Protocol
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.capture import Capture, Extras, FrameSource
+from ggvs_eval.capture import Capture, Extras, FrameSource, source_chain
 from ggvs_eval.datasets.frames import ImageFrames, list_images
 from ggvs_eval.datasets.units import Units
 from ggvs_eval.errors import CaptureError
@@ -123,8 +123,7 @@ def _rate(source: FrameSource) -> float:
 
 def _video(source: FrameSource) -> VideoFrames | None:
     """The video that frames come from, which may lie behind an undistortion; None where they are images."""
-    inner = getattr(source, "source", source)
-    return inner if isinstance(inner, VideoFrames) else None
+    return next((each for each in source_chain(source) if isinstance(each, VideoFrames)), None)
 
 
 def _common(values: Sequence[float], names: Sequence[str], path: Path, quantity: str, mend: str) -> float:

@@ -103,21 +103,34 @@ def demo(
     print(write_demo(out, room, default_workers()))
 
 
-def check(capture: CaptureFolder, reading: Taken = AS_TAKEN, out: Path | None = None, jobs: int = default_workers()) -> None:
+def check(
+    capture: CaptureFolder,
+    reading: Taken = AS_TAKEN,
+    out: Path | None = None,
+    repair: bool = False,
+    jobs: int = default_workers(),
+) -> None:
     """Look for what would spoil results: frames, poses, intrinsics, timing, colour, epipolar geometry, overlap.
 
-    Prints a verdict per question, writes them as JSON, and ends with 1 where a verdict is bad.
+    Prints a verdict per question, writes them as JSON, and ends with 1 where a verdict is bad. Videos that have no poses yet are
+    checked for what can be said without.
 
     Args:
         capture: the capture.
         reading: how it is read.
         out: JSON file; CAPTURE.check.json in the current folder by default.
+        repair: write CAPTURE/corrections.toml, by which every command shifts cameras that are out of step by whole frames and
+            divides the colours of those that are brighter or darker; then check again.
         jobs: processes.
     """
     from ggvs_eval.pipelines.inspection.capture.check import run_check
+    from ggvs_eval.pipelines.inspection.capture.corrections import repair_capture
 
     out = out or Path(f"{capture.resolve().name}.check.json")
     found, table = run_check(capture, out, layout=reading.layout, units=reading.given_units(), workers=jobs)
+    if repair and (written := repair_capture(capture, found.findings)):
+        print(written)
+        found, table = run_check(capture, out, layout=reading.layout, units=reading.given_units(), workers=jobs)
     print(table)
     print(out)
     if not found.is_usable:

@@ -27,6 +27,7 @@ from ggvs_eval.pipelines.inspection.capture import (
 from ggvs_eval.pipelines.inspection.capture.calibration_errors import triangulated_depths
 from ggvs_eval.pipelines.inspection.capture.camera_record import CameraRecord, record_camera
 from ggvs_eval.pipelines.inspection.capture.pairs import match_pairs, neighbour_pairs
+from ggvs_eval.pipelines.inspection.capture.uncalibrated import ask_for_calibration, open_uncalibrated
 from ggvs_eval.pipelines.inspection.finding import RIG, Finding
 from ggvs_eval.pipelines.inspection.table import WIDTH, findings_table
 from ggvs_eval.progress import track
@@ -100,10 +101,12 @@ def check_capture(path: Path, *, layout: str | None = None, units: GivenUnits = 
     """
     start = time.perf_counter()
     try:
-        capture = open_capture(path, layout, units=units)
+        uncalibrated = open_uncalibrated(path) if layout is None else None
+        capture = uncalibrated or open_capture(path, layout, units=units)
     except GgvsError as error:
         return CaptureCheck(path, _unopened(str(error)), time.perf_counter() - start)
-    findings = examine(capture, record_cameras(capture, workers))
+    records = record_cameras(capture, workers)
+    findings = examine_frames(capture, records) if uncalibrated else examine(capture, records)
     return CaptureCheck(path, findings, time.perf_counter() - start)
 
 
@@ -143,6 +146,13 @@ def record_cameras(capture: Capture, workers: int) -> list[CameraRecord]:
         for job in track(as_completed(jobs), "reading frames", len(jobs)):
             job.result()
     return [job.result() for job in jobs]
+
+
+def examine_frames(capture: Capture, records: list[CameraRecord]) -> tuple[Finding, ...]:
+    """Answer what frames alone tell; all other questions wait for a calibration."""
+    told = (*frames.check_frames(capture, records), *frames.check_frozen(records), *colour.check_noise(records))
+    answered = {finding.question for finding in told}
+    return (*told, *ask_for_calibration(capture.path, tuple(question for question in QUESTIONS if question not in answered)))
 
 
 def examine(capture: Capture, records: list[CameraRecord]) -> tuple[Finding, ...]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
-from ggvs_eval.capture import Capture
+from ggvs_eval.capture import Capture, source_chain
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.capture_toml import LensTable
 from ggvs_eval.datasets.colmap import find_model
@@ -187,6 +187,6 @@ def _of_capture(capture: Capture) -> dict[str, KnownCamera]:
     known = {}
     for camera, source in zip(capture.cameras, capture.sources, strict=True):
         pinhole = Lens(camera.K, "opencv", (0.0,) * 4, *camera.size)
-        lens = source.lens if isinstance(source, UndistortedFrames) else pinhole
+        lens = next((each.lens for each in source_chain(source) if isinstance(each, UndistortedFrames)), pinhole)
         known[camera.name] = KnownCamera(lens, camera.world_to_camera)
     return known
