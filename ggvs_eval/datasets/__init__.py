@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ggvs_eval.capture import Capture
-from ggvs_eval.datasets import capture_toml, colmap, d3dmv, dynerf, easymocap, multipleview, nerfstudio, rgbd, spaces
+from ggvs_eval.datasets import camera_file, capture_toml, colmap, d3dmv, dynerf, easymocap, multipleview, nerfstudio, rgbd, spaces
 from ggvs_eval.datasets.corrections import apply_corrections, corrections_file, read_corrections
 from ggvs_eval.datasets.units import GivenUnits
 from ggvs_eval.errors import CaptureError, did_you_mean
@@ -41,6 +41,7 @@ DATASETS = {
     "enerf-outdoor": DatasetSpec("intri.yml and extri.yml with images/XX/ (EasyMocap)", easymocap.refuse, easymocap.load),
     "colmap": DatasetSpec(f"sparse/0 with {colmap.ARRANGEMENTS}", colmap.refuse, colmap.load),
     "nerfstudio": DatasetSpec("transforms.json with one image per camera", nerfstudio.refuse, nerfstudio.load),
+    "camera-file": DatasetSpec(camera_file.DESCRIBE, camera_file.refuse, camera_file.load),
 }
 
 

@@ -155,14 +155,19 @@ def find_sources(path: Path, image_names: Mapping[str, str]) -> list[SizedSource
     Raises:
         CaptureError: no frames, or none for some cameras.
     """
-    for sources in _arrangements(path, image_names):
-        missing = sorted(set(image_names) - set(sources))
-        if sources and missing:
-            kept = getattr(next(iter(sources.values())), "path", path)
-            raise CaptureError(f"{path}: no frames for {listed(missing)} beside {kept}; restore them or take them off the model")
-        if sources:
-            return [sources[name] for name in image_names]
-    raise CaptureError(f"{path}: wanted frames of {listed(list(image_names))}, got none; put them in {ARRANGEMENTS}")
+    sources = first_sources(path, image_names)
+    if not sources:
+        raise CaptureError(f"{path}: wanted frames of {listed(list(image_names))}, got none; put them in {ARRANGEMENTS}")
+    missing = sorted(set(image_names) - set(sources))
+    if missing:
+        kept = getattr(next(iter(sources.values())), "path", path)
+        raise CaptureError(f"{path}: no frames for {listed(missing)} beside {kept}; restore them or take them off the model")
+    return [sources[name] for name in image_names]
+
+
+def first_sources(path: Path, image_names: Mapping[str, str]) -> dict[str, SizedSource]:
+    """Frames by the first arrangement that holds those of any camera, by the name of the camera; arguments as of `find_sources`."""
+    return next((sources for sources in _arrangements(path, image_names) if sources), {})
 
 
 def listed(names: Sequence[str]) -> str:

@@ -1,4 +1,4 @@
-"""The verbs of the command line that deal with captures alone: demo, check, calibrate, undistort."""
+"""The verbs of the command line that deal with captures alone: demo, check, calibrate, protocol, undistort."""
 
 import sys
 from dataclasses import dataclass, replace
@@ -11,7 +11,8 @@ from ggvs_eval.capture import Capture, CaptureEdit
 from ggvs_eval.datasets import DATASETS, open_capture
 from ggvs_eval.datasets.capture_edit import perturb_capture
 from ggvs_eval.datasets.units import GivenUnits
-from ggvs_eval.errors import CaptureError
+from ggvs_eval.errors import CaptureError, ProtocolError
+from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.pipelines.offline.calibration.calibrate import CalibrationOptions
 from ggvs_eval.pipelines.offline.calibration.undistort import UndistortOptions
@@ -152,6 +153,37 @@ def calibrate(frames: Frames, out: Output, calibration: Calibrating = Calibratio
         print(f"{name} left out: {reason}", file=sys.stderr)
     error = f"mean reprojection error {found.mean_reprojection_error_px:.3f} px over {found.n_points} points"
     print(f"{found.path}: {len(found.cameras)} cameras, {error}")
+
+
+def protocol(
+    capture: CaptureFolder,
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT.toml")],
+    checked: Annotated[Path | None, tyro.conf.arg(name="check")] = None,
+    reading: Reading = BY_DEFAULT,
+) -> None:
+    """Propose a protocol for a capture, and say of every camera why it is held out as a test view or not.
+
+    It is the one that `run` takes when none is given; the file is yours to change.
+
+    Args:
+        capture: the capture.
+        out: TOML file to write.
+        checked: JSON file that `check` wrote; cameras that it found fault with are not held out, as they would be a wrong truth.
+        reading: how the capture is read.
+    """
+    from ggvs_eval.pipelines.inspection.capture.check import read_doubts
+    from ggvs_eval.pipelines.inspection.table import text_table
+    from ggvs_eval.pipelines.run.suggest_protocol import propose_protocol
+
+    if out.exists():
+        raise ProtocolError(f"{out}: wanted a new file for the protocol, it is there already; delete it or choose another name")
+    proposal = propose_protocol(reading.open(capture), read_doubts(checked) if checked else None)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_file(out) as unfinished:
+        unfinished.write_text(proposal.protocol.to_toml(), encoding="utf-8")
+    print(text_table({"camera": 0, "why it is held out, or not": 1}, proposal.reasons.items()))
+    synthesis, frames = proposal.protocol.synthesis, proposal.protocol.frames
+    print(f"{out}: {len(proposal.protocol.views.test)} test views, K = {synthesis.k}, {frames.count} frames")
 
 
 def undistort(

@@ -1,5 +1,6 @@
 """The check of a capture: open it, walk once through every camera's frames, and answer the questions."""
 
+import json
 import time
 from collections.abc import Callable
 from concurrent.futures import as_completed
@@ -10,7 +11,7 @@ from typing import Any
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.units import GivenUnits
-from ggvs_eval.errors import GgvsError
+from ggvs_eval.errors import CaptureError, GgvsError
 from ggvs_eval.jobs.processes import worker_pool
 from ggvs_eval.pipelines.inspection.capture import (
     colour,
@@ -28,7 +29,7 @@ from ggvs_eval.pipelines.inspection.capture.calibration_errors import triangulat
 from ggvs_eval.pipelines.inspection.capture.camera_record import CameraRecord, record_camera
 from ggvs_eval.pipelines.inspection.capture.pairs import match_pairs, neighbour_pairs
 from ggvs_eval.pipelines.inspection.capture.uncalibrated import ask_for_calibration, open_uncalibrated
-from ggvs_eval.pipelines.inspection.finding import RIG, Finding
+from ggvs_eval.pipelines.inspection.finding import RIG, SEVERITY, Finding
 from ggvs_eval.pipelines.inspection.table import WIDTH, findings_table
 from ggvs_eval.progress import track
 from ggvs_eval.run_folder import write_json
@@ -134,6 +135,27 @@ def run_check(
     if out_json is not None:
         write_json(out_json, check.to_json())
     return check, check.table()
+
+
+def read_doubts(file: Path) -> dict[str, str]:
+    """What a check found wrong with single cameras, the worst of each.
+
+    Args:
+        file: JSON that `run_check` wrote.
+
+    Returns:
+        Camera -> question and answer, for cameras with a verdict of ``warn`` or ``bad``.
+
+    Raises:
+        CaptureError: no such file, or not one of a check.
+    """
+    try:
+        findings = [Finding(**each) for each in json.loads(file.read_text(encoding="utf-8"))["findings"]]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise CaptureError(f"{file}: wanted what 'ggvs-eval check' wrote, got {error!r:.120}; check the capture again") from error
+    doubtful = [finding for finding in findings if finding.subject != RIG and finding.verdict in ("warn", "bad")]
+    worst_last = sorted(doubtful, key=lambda finding: SEVERITY[finding.verdict])
+    return {finding.subject: f"{finding.question}: {finding.measured}" for finding in worst_last}
 
 
 def record_cameras(capture: Capture, workers: int) -> list[CameraRecord]:

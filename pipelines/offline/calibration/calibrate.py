@@ -44,8 +44,9 @@ class CalibrationOptions:
         shared_intrinsics: one lens for all cameras, which must then have one size; more exact where all are of one make and
             setting (flame_steak: rotations within 0.04 degrees of the given ones, 0.32 with a lens each). Otherwise lenses begin
             as one for all cameras of one size and are then adjusted one by one.
-        known_intrinsics: ``intrinsics.toml``, ``capture.toml``, a COLMAP model or a capture whose lenses are kept fixed.
-        known_poses: a COLMAP model or a capture whose lenses and poses are kept fixed; points are triangulated.
+        known_intrinsics: ``intrinsics.toml``, ``capture.toml``, a COLMAP model, a calibration of Qualisys, anipose, freemocap or
+            OpenCV, or a capture whose lenses are kept fixed.
+        known_poses: any of these that has poses; lenses and poses are kept fixed and points triangulated.
         allow_missing: go on without cameras that cannot be registered.
         max_features: SIFT features per image.
         max_image_size_px: larger images are reduced to this for finding features.
@@ -176,7 +177,7 @@ def _known(files: Mapping[str, CameraFiles], options: CalibrationOptions) -> dic
             found = f"{first} {sizes[first]} and {odd} {sizes[odd]}"
             raise CaptureError(f"{files[odd].path}: wanted frames of one size for shared intrinsics, got {found}; calibrate each")
         return None
-    known = fit_known(path, read_known(path), sizes)
+    known = fit_known(path, read_known(path, sizes), sizes)
     without = [name for name in known if known[name].world_to_camera is None]
     if options.known_poses is not None and without:
         raise CaptureError(f"{path}: wanted poses, got intrinsics alone of {', '.join(without)}; give it as known intrinsics")

@@ -10,6 +10,7 @@ from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture, source_chain
 from ggvs_eval.datasets import open_capture
+from ggvs_eval.datasets.camera_file import find_camera_files, read_camera_file
 from ggvs_eval.datasets.capture_toml import LensTable
 from ggvs_eval.datasets.colmap import find_model
 from ggvs_eval.datasets.colmap_model import read_model
@@ -60,12 +61,14 @@ class IntrinsicsFile:
     camera: tuple[IntrinsicsTable, ...]
 
 
-def read_known(path: Path) -> dict[str, KnownCamera]:
+def read_known(path: Path, sizes: Mapping[str, tuple[int, int]] | None = None) -> dict[str, KnownCamera]:
     """Cameras by name.
 
     Args:
         path: ``intrinsics.toml`` or another TOML file of that form, ``capture.toml``, a folder with ``intrinsics.toml``, a folder
-            with a COLMAP model, or any capture.
+            with a COLMAP model, a calibration of Qualisys, anipose, freemocap or OpenCV (see `read_camera_file`; a folder of
+            these where OpenCV has a file for each camera), or any capture.
+        sizes: (width, height) of each camera's frames, for files that do not say for which they are.
 
     Raises:
         CaptureError: nothing there that says something of cameras, or it is damaged.
@@ -73,6 +76,8 @@ def read_known(path: Path) -> dict[str, KnownCamera]:
     Reading:
         Lenses are those of the frames as they lie on disk: of a capture that is undistorted as it is read, the distorting ones.
     """
+    if find_camera_files(path):
+        return _of_camera_file(path, sizes or {})
     if path.suffix == ".toml" and path.name != "capture.toml":
         return _read_intrinsics(path)
     if (path / INTRINSICS).is_file():
@@ -181,6 +186,19 @@ def _rows(rows: Sequence[Sequence[float]]) -> Sequence[Sequence[float]]:
     if [len(row) for row in rows] != [3, 3, 3]:
         raise CameraError(f"K must be 3 rows of 3 numbers, got rows of {[len(row) for row in rows]}; write all nine")
     return rows
+
+
+def _of_camera_file(path: Path, sizes: Mapping[str, tuple[int, int]]) -> dict[str, KnownCamera]:
+    """Cameras of a calibration file; of cameras that have no frames only what is said of their size counts."""
+    known = {}
+    for name, camera in read_camera_file(path).cameras.items():
+        if camera.size is None and name not in sizes:
+            continue
+        try:
+            known[name] = KnownCamera(camera.lens(sizes.get(name)), camera.world_to_camera)
+        except CameraError as error:
+            raise CaptureError(f"{path}: {name}: {error}") from error
+    return known
 
 
 def _of_capture(capture: Capture) -> dict[str, KnownCamera]:
