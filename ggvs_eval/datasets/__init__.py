@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from ggvs_eval.capture import Capture
@@ -41,7 +42,9 @@ DATASETS = {
     "enerf-outdoor": DatasetSpec("intri.yml and extri.yml with images/XX/ (EasyMocap)", easymocap.refuse, easymocap.load),
     "colmap": DatasetSpec(f"sparse/0 with {colmap.ARRANGEMENTS}", colmap.refuse, colmap.load),
     "nerfstudio": DatasetSpec("transforms.json with one image per camera", nerfstudio.refuse, nerfstudio.load),
-    "camera-file": DatasetSpec(camera_file.DESCRIBE, camera_file.refuse, camera_file.load),
+} | {
+    name: DatasetSpec(kind.describe, partial(camera_file.refuse, name), partial(camera_file.load, name))
+    for name, kind in camera_file.KINDS.items()
 }
 
 

@@ -166,7 +166,7 @@ def find_sources(path: Path, image_names: Mapping[str, str]) -> list[SizedSource
 
 
 def first_sources(path: Path, image_names: Mapping[str, str]) -> dict[str, SizedSource]:
-    """Frames by the first arrangement that holds those of any camera, by the name of the camera; arguments as of `find_sources`."""
+    """Frames by the first arrangement that holds those of any camera, by its name; arguments as of `find_sources`."""
     return next((sources for sources in _arrangements(path, image_names) if sources), {})
 
 

@@ -1,6 +1,7 @@
 """A calibration file of another tool beside the frames that it is of: such a folder is a capture as it stands."""
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,12 +21,40 @@ from ggvs_eval.datasets.units import GivenUnits, Units, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.plain import read_plain_text
 
-DESCRIBE = "a calibration of Qualisys (*.qca.txt), anipose or freemocap (TOML) or OpenCV (YAML) beside videos"
-QUALISYS_SUFFIX = ".qca.txt"
-# What tells such files from others of their kind, before they are parsed.
+# What tells such files from others of their suffix, before they are parsed.
 ANIPOSE = re.compile(r"^[ \t]*matrix[ \t]*=", re.MULTILINE)
 OPENCV = re.compile(r"^(camera_matrix|M1|K1|cameraMatrix1)[ \t]*:", re.MULTILINE)
-MILLIMETRES = "the calibration is in millimetres"
+MILLIMETRES = Units(1.0, "the calibration is in millimetres")
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of calibration file.
+
+    Attributes:
+        describe: its layout in one line.
+        suffixes: of the names of such files.
+        content: what their text holds; None where the suffix says enough.
+        read: gives the cameras of a file.
+    """
+
+    describe: str
+    suffixes: tuple[str, ...]
+    content: re.Pattern[str] | None
+    read: Callable[[Path], list[FileCamera]]
+
+    def fits(self, file: Path) -> bool:
+        """Whether a file is of this kind."""
+        if not file.name.lower().endswith(self.suffixes):
+            return False
+        return self.content is None or bool(self.content.search(_text(file)))
+
+
+KINDS = {
+    "qualisys": Kind("CALIBRATION.qca.txt (Qualisys) beside videos", (".qca.txt",), None, read_qualisys),
+    "anipose": Kind("CALIBRATION.toml (anipose, freemocap, pose2sim) beside videos", (".toml",), ANIPOSE, read_anipose),
+    "opencv": Kind("CAM.yml or STEREO.yml (cv2.FileStorage) beside videos", (".yml", ".yaml"), OPENCV, read_opencv),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,53 +70,45 @@ class CameraFile:
     units: Units | None
 
 
-def refuse(path: Path) -> str | None:
-    """Why there is no such calibration; None where there is one."""
-    return None if find_camera_files(path) else "no *.qca.txt, no TOML of anipose, no YAML of OpenCV with a camera_matrix"
+def refuse(kind: str, path: Path) -> str | None:
+    """Why there is no calibration of a kind; None where there is one."""
+    kinds = " or ".join(f"*{suffix}" for suffix in KINDS[kind].suffixes)
+    return None if find_camera_files(path, kind) else f"no calibration of this kind in {kinds}"
 
 
-def find_camera_files(path: Path) -> list[Path]:
-    """The calibration files in a folder, of the first kind that is there; the file itself where it is one.
+def find_camera_files(path: Path, kind: str | None = None) -> list[Path]:
+    """The calibration files in a folder, of one kind or of the first that is there; the file itself where it is one.
 
     A file for each camera is usual with OpenCV, so there may be several.
     """
     files = sorted(each for each in path.iterdir() if not each.name.startswith(".")) if path.is_dir() else [path]
-    for is_kind in (_is_qualisys, _is_anipose, _is_opencv):
-        found = [file for file in files if is_kind(file)]
-        if found:
-            return found
-    return []
+    found = ([file for file in files if each.fits(file)] for name, each in KINDS.items() if kind in (None, name))
+    return next((some for some in found if some), [])
 
 
-def read_camera_file(path: Path) -> CameraFile:
+def read_camera_file(path: Path, kind: str | None = None) -> CameraFile:
     """Read a calibration file, or all those of a folder that `find_camera_files` gives.
 
     Raises:
         CaptureError: none there, a damaged one, or two cameras of one name.
     """
     cameras: list[FileCamera] = []
-    units: Units | None = None
-    for file in find_camera_files(path):
-        is_metric = _is_qualisys(file)
-        if is_metric:
-            cameras += read_qualisys(file)
-        elif _is_anipose(file):
-            more, is_metric = read_anipose(file)
-            cameras += more
-        else:
-            cameras += read_opencv(file)
-        units = Units(1.0, MILLIMETRES) if is_metric else units
+    for file in find_camera_files(path, kind):
+        cameras += next(each.read for name, each in KINDS.items() if kind in (None, name) and each.fits(file))(file)
     check_rig_size(path, len(cameras))
     names = [camera.name for camera in cameras]
     if not names or not all(names) or len(set(names)) < len(names):
-        raise CaptureError(f"{path}: wanted a calibration with cameras of different names, got {listed(names) or 'none'}; mend it")
-    return CameraFile(dict(zip(names, cameras, strict=True)), units)
+        found = listed(names) or "none"
+        raise CaptureError(f"{path}: wanted a calibration with cameras of different names, got {found}; correct the names")
+    is_metric = all(camera.is_metric for camera in cameras)
+    return CameraFile(dict(zip(names, cameras, strict=True)), MILLIMETRES if is_metric else None)
 
 
-def load(path: Path, units: GivenUnits) -> Capture:
+def load(kind: str, path: Path, units: GivenUnits) -> Capture:
     """Open a folder of videos or images with its calibration file; frames are undistorted as they are read.
 
     Args:
+        kind: a name in `KINDS`.
         path: the folder, or the calibration file in it.
         units: world units per metre or a file that says how to measure them; see `choose_units`.
 
@@ -99,7 +120,7 @@ def load(path: Path, units: GivenUnits) -> Capture:
         are those of `rig_depth_range`; ``ggvs-eval calibrate --known-poses`` measures them.
     """
     folder = path if path.is_dir() else path.parent
-    file = read_camera_file(path)
+    file = read_camera_file(path, kind)
     found = first_sources(folder, {name: f"{name}.png" for name in file.cameras})
     if len(found) < 2:
         raise CaptureError(
@@ -123,21 +144,7 @@ def load(path: Path, units: GivenUnits) -> Capture:
     sources = undistorted_sources([found[camera.name] for camera in chosen], lenses, cameras)
     left = [name for name in file.cameras if name not in found]
     notes = [f"{listed(left)} left out: calibrated, but without frames"] if left else []
-    return assemble_capture(
-        folder, "camera-file", cameras, sources, choose_units(folder, units, cameras, known=file.units), notes=notes
-    )
-
-
-def _is_qualisys(file: Path) -> bool:
-    return file.name.lower().endswith(QUALISYS_SUFFIX)
-
-
-def _is_anipose(file: Path) -> bool:
-    return file.suffix == ".toml" and bool(ANIPOSE.search(_text(file)))
-
-
-def _is_opencv(file: Path) -> bool:
-    return file.suffix in (".yml", ".yaml") and bool(OPENCV.search(_text(file)))
+    return assemble_capture(folder, kind, cameras, sources, choose_units(folder, units, cameras, known=file.units), notes=notes)
 
 
 def _text(file: Path) -> str:

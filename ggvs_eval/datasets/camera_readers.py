@@ -1,6 +1,6 @@
 """Calibrations as other tools write them: Qualisys' ``.qca.txt``, the TOML of anipose and freemocap, OpenCV's YAML.
 
-Facts of the formats: Qualisys writes 64ths of a pixel and millimetres (pose2sim reads them so), aniposelib what OpenCV calibrates.
+Facts of the formats: Qualisys writes 64ths of a pixel and millimetres, as pose2sim reads them; aniposelib what OpenCV calibrates.
 """
 
 from collections.abc import Mapping, Sequence
@@ -43,6 +43,7 @@ class FileCamera:
         coefficients: of the lens.
         size: (width, height) of the calibrated images; None where the file does not say.
         world_to_camera: (4, 4); None where only the lens is known.
+        is_metric: whether the pose is known to be in metres.
     """
 
     name: str
@@ -51,6 +52,7 @@ class FileCamera:
     coefficients: tuple[float, ...]
     size: tuple[int, int] | None
     world_to_camera: Array | None
+    is_metric: bool = False
 
     def lens(self, frame_size: tuple[int, int] | None) -> Lens:
         """The lens at the size of the calibration, which is taken to be that of the frames where the file names none.
@@ -65,7 +67,7 @@ class FileCamera:
 
 
 def read_qualisys(path: Path) -> list[FileCamera]:
-    """Read the cameras of a ``.qca.txt``, an XML file of Qualisys Track Manager; metres.
+    """Read the cameras of a ``.qca.txt``, an XML file of Qualisys Track Manager; in metres.
 
     Raises:
         CaptureError: damaged, or a number that is absent.
@@ -91,19 +93,19 @@ def read_qualisys(path: Path) -> list[FileCamera]:
         keys = [f"{kind}Distortion{index}" for kind in ("radial", "tangental") for index in (1, 2)]
         coefficients = (*map(inner, keys), inner("radialDistortion3", 0.0))
         size = (round(view("right") - view("left")) + 1, round(view("bottom") - view("top")) + 1)
-        cameras.append(FileCamera(name, K, "opencv", coefficients, size, _pose(rotation, -rotation @ centre)))
+        cameras.append(FileCamera(name, K, "opencv", coefficients, size, _pose(rotation, -rotation @ centre), is_metric=True))
     return cameras
 
 
-def read_anipose(path: Path) -> tuple[list[FileCamera], bool]:
+def read_anipose(path: Path) -> list[FileCamera]:
     """Read the cameras of a TOML file of anipose, freemocap or pose2sim.
-
-    Returns:
-        The cameras, and whether they are known to be in metres: freemocap's, which are written in millimetres. What unit the
-        others have only the size of their board tells, which they do not name.
 
     Raises:
         CaptureError: damaged, or an entry that is absent or of another shape.
+
+    Reading:
+        freemocap notes the size of its board in millimetres, so its poses become metres. What unit others have only the size of
+        their board tells, which they do not name.
     """
     values = read_toml(path, CaptureError)
     metadata = values.get("metadata")
@@ -121,8 +123,8 @@ def read_anipose(path: Path) -> tuple[list[FileCamera], bool]:
             translation = _numbers(path, key, table, "translation", (3,)) / (MM_PER_M if is_freemocap else 1.0)
             pose = _pose(_rotation(_numbers(path, key, table, "rotation", (3,))), translation)
         model: LensModel = "fisheye" if table.get("fisheye") is True else "opencv"
-        cameras.append(FileCamera(str(name), K, model, tuple(map(float, coefficients)), size, pose))
-    return cameras, is_freemocap
+        cameras.append(FileCamera(str(name), K, model, tuple(map(float, coefficients)), size, pose, is_freemocap))
+    return cameras
 
 
 def read_opencv(path: Path) -> list[FileCamera]:

@@ -47,7 +47,7 @@ class Correction:
 class CorrectionsTable:
     """The whole file."""
 
-    camera: tuple[Correction, ...]
+    camera: tuple[Correction, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,7 @@ def apply_corrections(capture: Capture, corrections: Mapping[str, Correction], f
         raise CaptureError(f"{file}: the offsets leave none of {capture.n_frames} frames that all cameras saw; correct them")
     starts = [latest - each.offset_frames for each in chosen]
     sources = [
-        CorrectedFrames(source, start, n_frames, each.gain) if start or each.gain != NO_GAIN or n_frames < source.n_frames else source
+        CorrectedFrames(source, start, n_frames, each.gain) if n_frames < capture.n_frames or each.gain != NO_GAIN else source
         for source, start, each in zip(capture.sources, starts, chosen, strict=True)
     ]
     extras = [_corrected_extras(*each, n_frames) for each in zip(capture.extras, starts, chosen, strict=False)]

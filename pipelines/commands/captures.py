@@ -159,6 +159,8 @@ def protocol(
     capture: CaptureFolder,
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT.toml")],
     checked: Annotated[Path | None, tyro.conf.arg(name="check")] = None,
+    frames: int | None = None,
+    path_poses: int | None = None,
     reading: Reading = BY_DEFAULT,
 ) -> None:
     """Propose a protocol for a capture, and say of every camera why it is held out as a test view or not.
@@ -169,6 +171,8 @@ def protocol(
         capture: the capture.
         out: TOML file to write.
         checked: JSON file that `check` wrote; cameras that it found fault with are not held out, as they would be a wrong truth.
+        frames: evaluate the first so many instants, for a first look; up to 100 by default.
+        path_poses: poses of the camera path on which consistency over views is measured.
         reading: how the capture is read.
     """
     from ggvs_eval.pipelines.inspection.capture.check import read_doubts
@@ -178,12 +182,11 @@ def protocol(
     if out.exists():
         raise ProtocolError(f"{out}: wanted a new file for the protocol, it is there already; delete it or choose another name")
     proposal = propose_protocol(reading.open(capture), read_doubts(checked) if checked else None)
-    out.parent.mkdir(parents=True, exist_ok=True)
+    chosen = proposal.protocol.shortened(frames, path_poses)
     with atomic_file(out) as unfinished:
-        unfinished.write_text(proposal.protocol.to_toml(), encoding="utf-8")
+        unfinished.write_text(chosen.to_toml(), encoding="utf-8")
     print(text_table({"camera": 0, "why it is held out, or not": 1}, proposal.reasons.items()))
-    synthesis, frames = proposal.protocol.synthesis, proposal.protocol.frames
-    print(f"{out}: {len(proposal.protocol.views.test)} test views, K = {synthesis.k}, {frames.count} frames")
+    print(f"{out}: {len(chosen.views.test)} test views, K = {chosen.synthesis.k}, {chosen.frames.count} frames")
 
 
 def undistort(
