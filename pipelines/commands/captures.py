@@ -200,7 +200,8 @@ def undistort(
     Args:
         source: folder of raw videos, with --lenses; or any capture whose layout knows its lenses.
         out: folder to write, absent or empty.
-        lenses: intri.yml (EasyMocap), calib_1080.pkl or calib_2k.pkl (D3DMV; read, never unpickled), or a TOML file.
+        lenses: intri.yml (EasyMocap), calib_1080.pkl or calib_2k.pkl (D3DMV; read, never unpickled), .qca.txt (Qualisys), YAML of
+            OpenCV, or a TOML file, of anipose or freemocap too.
         output: how frames are written.
     """
     from ggvs_eval.pipelines.offline.calibration.undistort import undistort_videos

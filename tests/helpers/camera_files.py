@@ -49,7 +49,9 @@ def write_stereo(file: Path, left: Camera, right: Camera) -> Path:
     return file
 
 
-def write_qualisys(file: Path, cameras: Sequence[Camera], left: int = 0, top: int = 0) -> Path:
+def write_qualisys(
+    file: Path, cameras: Sequence[Camera], left: int = 0, top: int = 0, coefficients: Sequence[float] = COEFFICIENTS
+) -> Path:
     """An XML file of Qualisys: millimetres, axes right, up and backwards, 64ths of a pixel of a sensor larger than the video."""
     text = "<?xml version='1.0' encoding='ASCII'?>\n<calibration>\n <cameras>\n"
     for camera in cameras:
@@ -57,7 +59,7 @@ def write_qualisys(file: Path, cameras: Sequence[Camera], left: int = 0, top: in
         rows = np.diag([1.0, -1.0, -1.0]) @ camera.rotation
         pose = " ".join(f'r{i + 1}{j + 1}="{float(rows[i, j])!r}"' for i in range(3) for j in range(3))
         pose += " " + " ".join(f'{axis}="{1000 * float(value)!r}"' for axis, value in zip("xyz", camera.centre, strict=True))
-        k1, k2, p1, p2, k3 = COEFFICIENTS
+        k1, k2, p1, p2, k3 = coefficients
         lens = f'focalLengthU="{64 * fx!r}" focalLengthV="{64 * fy!r}" centerPointU="{64 * cx!r}" centerPointV="{64 * cy!r}"'
         lens += f' radialDistortion1="{k1}" radialDistortion2="{k2}" radialDistortion3="{k3}"'
         lens += f' tangentalDistortion1="{p1}" tangentalDistortion2="{p2}"'

@@ -12,6 +12,7 @@ import numpy as np
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.colmap_model import read_model
+from ggvs_eval.datasets.units import UNITS_FILE
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.atomic import atomic_folder
 from ggvs_eval.geometry.alignment import pose_differences, rig_extent
@@ -127,6 +128,8 @@ def calibrate(frames_folder: Path, out: Path, options: CalibrationOptions) -> Ca
         shutil.move(unfinished / "work" / "sparse", unfinished / "sparse")
         registered = {name: file for name, file in files.items() if name not in missing}
         link_frames(registered, {name: unfinished / "work" / "images" / images[name] for name in registered}, unfinished)
+        if options.known_poses and known and all(camera.is_metric for camera in known.values()):
+            (unfinished / UNITS_FILE).write_text("units_per_metre = 1.0\n", encoding="utf-8")
         calibration = _read(unfinished, out, missing, result)
         write_json(unfinished / RECORD, _record(frames_folder, calibration, result, options))
         shutil.rmtree(unfinished / "work")

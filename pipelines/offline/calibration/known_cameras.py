@@ -1,7 +1,7 @@
 """What is known of cameras before they are calibrated: lenses, and perhaps poses, from any file or capture that says so."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
 import numpy as np
@@ -29,10 +29,12 @@ class KnownCamera:
     Attributes:
         lens: intrinsics and distortion.
         world_to_camera: (4, 4); None where only the lens is known.
+        is_metric: whether the pose is known to be in metres.
     """
 
     lens: Lens
     world_to_camera: Array | None
+    is_metric: bool = False
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,7 @@ def read_known(path: Path, sizes: Mapping[str, tuple[int, int]] | None = None) -
     Reading:
         Lenses are those of the frames as they lie on disk: of a capture that is undistorted as it is read, the distorting ones.
     """
-    if find_camera_files(path):
+    if not path.is_dir() and find_camera_files(path):
         return _of_camera_file(path, sizes or {})
     if path.suffix == ".toml" and path.name != "capture.toml":
         return _read_intrinsics(path)
@@ -89,6 +91,8 @@ def read_known(path: Path, sizes: Mapping[str, tuple[int, int]] | None = None) -
         if len(known) < len(views):
             raise CaptureError(f"{model}: wanted one image per camera, got several; calibrate with one instant")
         return known
+    if find_camera_files(path):
+        return _of_camera_file(path, sizes or {})
     return _of_capture(open_capture(path.parent if path.name == "capture.toml" else path))
 
 
@@ -133,7 +137,7 @@ def fit_known(path: Path, known: Mapping[str, KnownCamera], sizes: Mapping[str, 
                 f"{path}: {name} is calibrated for {lens.width} x {lens.height}, got {found}; "
                 "give frames of that shape, scaled but not cropped"
             )
-        fitted[name] = KnownCamera(lens.resized(width, height), known[name].world_to_camera)
+        fitted[name] = replace(known[name], lens=lens.resized(width, height))
     return fitted
 
 
@@ -195,7 +199,7 @@ def _of_camera_file(path: Path, sizes: Mapping[str, tuple[int, int]]) -> dict[st
         if camera.size is None and name not in sizes:
             continue
         try:
-            known[name] = KnownCamera(camera.lens(sizes.get(name)), camera.world_to_camera)
+            known[name] = KnownCamera(camera.lens(sizes.get(name)), camera.world_to_camera, camera.is_metric)
         except CameraError as error:
             raise CaptureError(f"{path}: {name}: {error}") from error
     return known
