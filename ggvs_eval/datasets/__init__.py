@@ -6,7 +6,18 @@ from functools import partial
 from pathlib import Path
 
 from ggvs_eval.capture import Capture
-from ggvs_eval.datasets import camera_file, capture_toml, colmap, d3dmv, dynerf, easymocap, multipleview, nerfstudio, rgbd, spaces
+from ggvs_eval.datasets import (
+    calibration_file,
+    capture_toml,
+    colmap,
+    d3dmv,
+    dynerf,
+    easymocap,
+    multipleview,
+    nerfstudio,
+    rgbd,
+    spaces,
+)
 from ggvs_eval.datasets.corrections import apply_corrections, corrections_file, read_corrections
 from ggvs_eval.datasets.units import GivenUnits
 from ggvs_eval.errors import CaptureError, did_you_mean
@@ -43,8 +54,8 @@ DATASETS = {
     "colmap": DatasetSpec(f"sparse/0 with {colmap.ARRANGEMENTS}", colmap.refuse, colmap.load),
     "nerfstudio": DatasetSpec("transforms.json with one image per camera", nerfstudio.refuse, nerfstudio.load),
 } | {
-    name: DatasetSpec(kind.describe, partial(camera_file.refuse, name), partial(camera_file.load, name))
-    for name, kind in camera_file.KINDS.items()
+    name: DatasetSpec(kind.describe, partial(calibration_file.refuse, name), partial(calibration_file.load, name))
+    for name, kind in calibration_file.KINDS.items()
 }
 
 

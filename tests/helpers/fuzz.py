@@ -16,7 +16,7 @@ from ggvs_eval.errors import CaptureError, GgvsError
 from ggvs_eval.files.images import write_image
 from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.run_folder import RunFolder
-from helpers.camera_files import turned_rig, write_anipose, write_opencv, write_qualisys
+from helpers.calibration_files import turned_rig, write_anipose, write_opencv, write_qualisys
 from helpers.captures import make_binary, make_image, make_rig, write_colmap, write_dynerf
 from helpers.render_folders import (
     VIEWS,

@@ -22,7 +22,7 @@ from ggvs_eval.pipelines.offline.calibration.camera_files import find_camera_fil
 from ggvs_eval.pipelines.offline.calibration.known_cameras import colmap_camera, read_known, write_intrinsics
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.film.options import DemoOptions
-from helpers.camera_files import write_qualisys
+from helpers.calibration_files import write_qualisys
 from helpers.captures import make_image, make_rig, write_colmap_model, write_folders, write_videos
 
 pytestmark = pytest.mark.slow

@@ -11,6 +11,7 @@ import numpy as np
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
+from ggvs_eval.datasets.calibration_file import find_calibration_files
 from ggvs_eval.datasets.colmap_model import read_model
 from ggvs_eval.datasets.units import UNITS_FILE
 from ggvs_eval.errors import CaptureError
@@ -124,7 +125,7 @@ def calibrate(frames_folder: Path, out: Path, options: CalibrationOptions) -> Ca
         result = run_worker(unfinished, out, _job(files, images, known, options))
         missing = _missing(images, result)
         if missing and (not options.allow_missing or len(images) - len(missing) < 2):
-            raise _unregistered(frames_folder, missing, len(images), keep_log(unfinished, out))
+            raise _unregistered(frames_folder, missing, len(images), keep_log(unfinished, out), options.known_poses)
         shutil.move(unfinished / "work" / "sparse", unfinished / "sparse")
         registered = {name: file for name, file in files.items() if name not in missing}
         link_frames(registered, {name: unfinished / "work" / "images" / images[name] for name in registered}, unfinished)
@@ -220,11 +221,13 @@ def _missing(images: Mapping[str, str], result: Mapping[str, Any]) -> dict[str, 
     }
 
 
-def _unregistered(folder: Path, missing: Mapping[str, str], n_cameras: int, log: Path) -> CaptureError:
+def _unregistered(folder: Path, missing: Mapping[str, str], n_cameras: int, log: Path, known_poses: Path | None) -> CaptureError:
     """The error of a model that lacks cameras; leaving them out is offered only where two others remain."""
     listed = ", ".join(f"{name} ({reason})" for name, reason in missing.items())
     mend = "give these cameras more texture, light or overlap with others, another frame, or known intrinsics"
     mend += "" if n_cameras - len(missing) < 2 else ", or go on without them (--allow-missing)"
+    if known_poses is not None and find_calibration_files(known_poses):
+        mend += f", or put {known_poses.name} beside the frames, which makes a capture of them as it stands"
     return CaptureError(f"{folder}: wanted a pose of all {n_cameras} cameras, found none of {listed}; {mend}; log: {log}")
 
 

@@ -10,7 +10,7 @@ from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture, source_chain
 from ggvs_eval.datasets import open_capture
-from ggvs_eval.datasets.camera_file import find_camera_files, read_camera_file
+from ggvs_eval.datasets.calibration_file import find_calibration_files, read_calibration_file
 from ggvs_eval.datasets.capture_toml import LensTable
 from ggvs_eval.datasets.colmap import find_model
 from ggvs_eval.datasets.colmap_model import read_model
@@ -68,7 +68,7 @@ def read_known(path: Path, sizes: Mapping[str, tuple[int, int]] | None = None) -
 
     Args:
         path: ``intrinsics.toml`` or another TOML file of that form, ``capture.toml``, a folder with ``intrinsics.toml``, a folder
-            with a COLMAP model, a calibration of Qualisys, anipose, freemocap or OpenCV (see `read_camera_file`; a folder of
+            with a COLMAP model, a calibration of Qualisys, anipose, freemocap or OpenCV (see `read_calibration_file`; a folder of
             these where OpenCV has a file for each camera), or any capture.
         sizes: (width, height) of each camera's frames, for files that do not say for which they are.
 
@@ -78,8 +78,8 @@ def read_known(path: Path, sizes: Mapping[str, tuple[int, int]] | None = None) -
     Reading:
         Lenses are those of the frames as they lie on disk: of a capture that is undistorted as it is read, the distorting ones.
     """
-    if not path.is_dir() and find_camera_files(path):
-        return _of_camera_file(path, sizes or {})
+    if not path.is_dir() and find_calibration_files(path):
+        return _of_calibration_file(path, sizes or {})
     if path.suffix == ".toml" and path.name != "capture.toml":
         return _read_intrinsics(path)
     if (path / INTRINSICS).is_file():
@@ -91,8 +91,8 @@ def read_known(path: Path, sizes: Mapping[str, tuple[int, int]] | None = None) -
         if len(known) < len(views):
             raise CaptureError(f"{model}: wanted one image per camera, got several; calibrate with one instant")
         return known
-    if find_camera_files(path):
-        return _of_camera_file(path, sizes or {})
+    if find_calibration_files(path):
+        return _of_calibration_file(path, sizes or {})
     return _of_capture(open_capture(path.parent if path.name == "capture.toml" else path))
 
 
@@ -192,10 +192,10 @@ def _rows(rows: Sequence[Sequence[float]]) -> Sequence[Sequence[float]]:
     return rows
 
 
-def _of_camera_file(path: Path, sizes: Mapping[str, tuple[int, int]]) -> dict[str, KnownCamera]:
+def _of_calibration_file(path: Path, sizes: Mapping[str, tuple[int, int]]) -> dict[str, KnownCamera]:
     """Cameras of a calibration file; of cameras that have no frames only what is said of their size counts."""
     known = {}
-    for name, camera in read_camera_file(path).cameras.items():
+    for name, camera in read_calibration_file(path).cameras.items():
         if camera.size is None and name not in sizes:
             continue
         try:

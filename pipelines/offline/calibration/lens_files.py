@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ggvs_eval.arrays import Array
-from ggvs_eval.datasets.camera_file import find_camera_files
+from ggvs_eval.datasets.calibration_file import find_calibration_files
 from ggvs_eval.datasets.easymocap_yaml import PIXEL_CENTRE
 from ggvs_eval.datasets.filestorage_yaml import FileStorageYaml
 from ggvs_eval.errors import CameraError, CaptureError
@@ -49,7 +49,7 @@ def read_lenses(path: Path, sizes: Mapping[str, Size]) -> dict[str, LensAndTarge
         principal point in the middle of the image, as its authors undistort; the list follows the order of names. Others: the
         lens's K, zoomed just so far that no pixel is blank. OpenCV's principal points are moved by half a pixel to our centres.
     """
-    is_known = bool(find_camera_files(path))
+    is_known = bool(find_calibration_files(path))
     if path.suffix in (".yml", ".yaml") and not is_known:
         return _from_easymocap(path, sizes)
     if path.suffix in (".pkl", ".pickle"):

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from ggvs_eval.datasets import open_capture
-from ggvs_eval.datasets.camera_file import CameraFile, read_camera_file
+from ggvs_eval.datasets.calibration_file import CalibrationFile, read_calibration_file
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.video import write_video
 from ggvs_eval.lens import Lens
 from ggvs_eval.pipelines.offline.calibration.known_cameras import read_known
 from ggvs_eval.pipelines.offline.calibration.lens_files import read_lenses
-from helpers.camera_files import (
+from helpers.calibration_files import (
     COEFFICIENTS,
     project_opencv,
     turned_rig,
@@ -44,7 +44,7 @@ def write_table(folder: Path, names: tuple[str, ...] = ("cam00", "cam01", "cam02
     return folder
 
 
-def project_read(file: CameraFile, name: str, points: np.ndarray) -> np.ndarray:
+def project_read(file: CalibrationFile, name: str, points: np.ndarray) -> np.ndarray:
     """Where the camera that was read sees points, (P, 2), our pixel centres."""
     camera = file.cameras[name]
     assert camera.world_to_camera is not None
@@ -62,7 +62,7 @@ def points_before(rig) -> np.ndarray:
 def test_points_are_seen_where_the_format_says(kind, tmp_path):
     """A rig in general position, with a distorting lens: every point falls on the same pixel to 1e-6."""
     rig = turned_rig()
-    file = read_camera_file(FORMATS[kind](tmp_path))
+    file = read_calibration_file(FORMATS[kind](tmp_path))
     points = points_before(rig)
 
     assert list(file.cameras) == [camera.name for camera in rig]
@@ -76,7 +76,7 @@ def test_points_are_seen_where_the_format_says(kind, tmp_path):
 def test_a_stereo_pair_has_its_world_in_the_left_camera(tmp_path):
     """M1 D1 M2 D2 R T: both cameras see a point of the left one's frame where OpenCV does; sizes come from the frames."""
     left, right, _ = turned_rig()
-    file = read_camera_file(write_stereo(tmp_path / "stereo.yml", left, right))
+    file = read_calibration_file(write_stereo(tmp_path / "stereo.yml", left, right))
     points = points_before([left])
     in_left = points @ left.rotation.T + left.translation
 
@@ -130,7 +130,7 @@ def test_a_fisheye_keeps_its_model(tmp_path):
     file = write_anipose(tmp_path / "calibration.toml", turned_rig())
     text = file.read_text().replace(f"distortions = {list(COEFFICIENTS)}", "distortions = [0.1, 0.0, 0.0, 0.0]\nfisheye = true")
     file.write_text(text)
-    lens = read_camera_file(file).cameras["cam00"].lens(None)
+    lens = read_calibration_file(file).cameras["cam00"].lens(None)
     assert isinstance(lens, Lens)
     assert (lens.model, lens.coefficients) == ("fisheye", (0.1, 0.0, 0.0, 0.0))
 
@@ -198,7 +198,7 @@ def test_frames_of_other_names_are_named(tmp_path):
 @pytest.mark.skipif(not POSE2SIM.is_dir(), reason="the shared capture pose2sim_single_person is not on this machine")
 def test_a_real_calibration(tmp_path):
     """pose2sim's own file: four cameras at the height of a tripod look at one place in the room, and two of its videos open."""
-    file = read_camera_file(POSE2SIM / "Calib.qca.txt")
+    file = read_calibration_file(POSE2SIM / "Calib.qca.txt")
     assert [(camera.name, camera.size) for camera in file.cameras.values()] == [(f"cam0{n}", (1088, 1920)) for n in (1, 2, 3, 4)]
     poses = [np.linalg.inv(camera.world_to_camera) for camera in file.cameras.values()]
     assert all(1.6 < pose[2, 3] < 2.2 for pose in poses)

@@ -8,7 +8,7 @@ from pathlib import Path
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import ARRANGEMENTS, assemble_capture, check_rig_size, first_sources, listed
-from ggvs_eval.datasets.camera_readers import (
+from ggvs_eval.datasets.calibration_readers import (
     LARGEST_XML_BYTES,
     FileCamera,
     read_anipose,
@@ -58,7 +58,7 @@ KINDS = {
 
 
 @dataclass(frozen=True, eq=False)
-class CameraFile:
+class CalibrationFile:
     """What calibration files say.
 
     Attributes:
@@ -73,35 +73,32 @@ class CameraFile:
 def refuse(kind: str, path: Path) -> str | None:
     """Why there is no calibration of a kind; None where there is one."""
     kinds = " or ".join(f"*{suffix}" for suffix in KINDS[kind].suffixes)
-    return None if find_camera_files(path, kind) else f"no calibration of this kind in {kinds}"
+    return None if find_calibration_files(path, kind) else f"no calibration of this kind in {kinds}"
 
 
-def find_camera_files(path: Path, kind: str | None = None) -> list[Path]:
+def find_calibration_files(path: Path, kind: str | None = None) -> list[Path]:
     """The calibration files in a folder, of one kind or of the first that is there; the file itself where it is one.
 
     A file for each camera is usual with OpenCV, so there may be several.
     """
-    files = sorted(each for each in path.iterdir() if not each.name.startswith(".")) if path.is_dir() else [path]
-    found = ([file for file in files if each.fits(file)] for name, each in KINDS.items() if kind in (None, name))
-    return next((some for some in found if some), [])
+    return _find(path, kind)[1]
 
 
-def read_camera_file(path: Path, kind: str | None = None) -> CameraFile:
-    """Read a calibration file, or all those of a folder that `find_camera_files` gives.
+def read_calibration_file(path: Path, kind: str | None = None) -> CalibrationFile:
+    """Read a calibration file, or all those of a folder that `find_calibration_files` gives.
 
     Raises:
         CaptureError: none there, a damaged one, or two cameras of one name.
     """
-    cameras: list[FileCamera] = []
-    for file in find_camera_files(path, kind):
-        cameras += next(each.read for name, each in KINDS.items() if kind in (None, name) and each.fits(file))(file)
+    read, files = _find(path, kind)
+    cameras = [camera for file in files for camera in read(file)]
     check_rig_size(path, len(cameras))
     names = [camera.name for camera in cameras]
     if not names or not all(names) or len(set(names)) < len(names):
         found = listed(names) or "none"
         raise CaptureError(f"{path}: wanted a calibration with cameras of different names, got {found}; correct the names")
     is_metric = all(camera.is_metric for camera in cameras)
-    return CameraFile(dict(zip(names, cameras, strict=True)), MILLIMETRES if is_metric else None)
+    return CalibrationFile(dict(zip(names, cameras, strict=True)), MILLIMETRES if is_metric else None)
 
 
 def load(kind: str, path: Path, units: GivenUnits) -> Capture:
@@ -120,7 +117,7 @@ def load(kind: str, path: Path, units: GivenUnits) -> Capture:
         are those of `rig_depth_range`; ``ggvs-eval calibrate --known-poses`` measures them.
     """
     folder = path if path.is_dir() else path.parent
-    file = read_camera_file(path, kind)
+    file = read_calibration_file(path, kind)
     found = first_sources(folder, {name: f"{name}.png" for name in file.cameras})
     if len(found) < 2:
         raise CaptureError(
@@ -145,6 +142,15 @@ def load(kind: str, path: Path, units: GivenUnits) -> Capture:
     left = [name for name in file.cameras if name not in found]
     notes = [f"{listed(left)} left out: calibrated, but without frames"] if left else []
     return assemble_capture(folder, kind, cameras, sources, choose_units(folder, units, cameras, known=file.units), notes=notes)
+
+
+def _find(path: Path, kind: str | None) -> tuple[Callable[[Path], list[FileCamera]], list[Path]]:
+    """The files of `find_calibration_files`, and what reads them."""
+    files = sorted(each for each in path.iterdir() if not each.name.startswith(".")) if path.is_dir() else [path]
+    for each in KINDS.values() if kind is None else [KINDS[kind]]:
+        if found := [file for file in files if each.fits(file)]:
+            return each.read, found
+    return lambda _: [], []
 
 
 def _text(file: Path) -> str:
