@@ -24,7 +24,7 @@ from ggvs_eval.files.plain import read_plain_text
 # What tells such files from others of their suffix, before they are parsed.
 ANIPOSE = re.compile(r"^[ \t]*matrix[ \t]*=", re.MULTILINE)
 OPENCV = re.compile(r"^(camera_matrix|M1|K1|cameraMatrix1)[ \t]*:", re.MULTILINE)
-MILLIMETRES = Units(1.0, "the calibration is in millimetres")
+MILLIMETRES = Units(1.0, "converted from the millimetres of the calibration")
 
 
 @dataclass(frozen=True)
