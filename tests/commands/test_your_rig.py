@@ -30,7 +30,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.skipif(not (Path(__file__).parents[2
 PAGE = Path(__file__).parents[2] / "docs" / "your_rig.md"
 IN_ONE_PROCESS = ("check", "run", "view")  # they take --jobs; processes would only take longer to start here
 ENDS_WITH_1 = "# ends with 1"
-# After the best similarity: 145 to 90 points of SIFT at 320 x 240 tie six cameras. Centres in percent of the rig's extent.
+# After the best similarity; centres in percent of the rig's extent. Reached: 1.2 % and 2.8 degrees, with 90 points at 320 x 240.
 CENTRE_PERCENT, ROTATION_DEG = 3.0, 5.0
 
 
