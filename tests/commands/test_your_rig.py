@@ -24,10 +24,11 @@ from ggvs_eval.run_folder import RunFolder, read_json
 from ggvs_eval.synthetic.film import film
 from ggvs_eval.synthetic.room import lighting
 from helpers.lit_rooms import stored_rooms
+from helpers.places import ROOT
 
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(not (Path(__file__).parents[2] / "docs").is_dir(), reason="no docs/ here")]
+PAGE = ROOT / "docs" / "your_rig.md"
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(not PAGE.is_file(), reason="no docs/ beside an installed wheel")]
 
-PAGE = Path(__file__).parents[2] / "docs" / "your_rig.md"
 IN_ONE_PROCESS = ("check", "run", "view")  # they take --jobs; processes would only take longer to start here
 ENDS_WITH_1 = "# ends with 1"
 # After the best similarity; centres in percent of the rig's extent. Reached: 1.2 % and 2.8 degrees, with 90 points at 320 x 240.

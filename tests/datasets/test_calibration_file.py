@@ -23,8 +23,9 @@ from helpers.calibration_files import (
     write_stereo,
 )
 from helpers.captures import FPS, HEIGHT, WIDTH, make_image
+from helpers.places import SHARED
 
-POSE2SIM = Path("/work/shared/data/pose2sim_single_person")
+POSE2SIM = SHARED / "data" / "pose2sim_single_person"
 FREEMOCAP = 'charuco_square_size = 39.0\npath_to_recorded_videos = "videos"'
 EXACT_PX = 1e-6
 
