@@ -29,6 +29,14 @@ class FrameSource(Protocol):
         """Decode frames start <= t < stop one by one, RGB uint8 (H, W, 3)."""
 
 
+def source_chain(source: FrameSource) -> Iterator[FrameSource]:
+    """Give a source and those that it takes its frames from, one behind the other, the files on disk last."""
+    inner: FrameSource | None = source
+    while inner is not None:
+        yield inner
+        inner = getattr(inner, "source", None)
+
+
 class DepthSource(Protocol):
     """Depth that a sensor measured beside the frames of one camera."""
 

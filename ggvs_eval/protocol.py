@@ -146,6 +146,19 @@ class Protocol:
     measurement: Measurement
     path: CameraPath = CameraPath()
 
+    def shortened(self, frames: int | None, path_poses: int | None) -> "Protocol":
+        """The protocol over the first so many of its instants, and with a camera path of so many poses; None keeps either.
+
+        Raises:
+            ProtocolError: no instant, or a negative number of poses.
+        """
+        count = self.frames.count if frames is None else min(frames, self.frames.count)
+        poses = self.path.poses if path_poses is None else path_poses
+        if count < 1 or poses < 0:
+            raise ProtocolError(f"protocol: wanted one frame or more and no negative number of poses, got {frames}, {path_poses}")
+        frames_kept, path = dataclasses.replace(self.frames, count=count), dataclasses.replace(self.path, poses=poses)
+        return dataclasses.replace(self, frames=frames_kept, path=path)
+
     @property
     def sha256(self) -> str:
         """Hash of every value (not of the file's layout or comments); results carry it, tables refuse to mix it.

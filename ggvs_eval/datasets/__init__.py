@@ -2,10 +2,23 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from ggvs_eval.capture import Capture
-from ggvs_eval.datasets import capture_toml, colmap, d3dmv, dynerf, easymocap, multipleview, nerfstudio, rgbd, spaces
+from ggvs_eval.datasets import (
+    calibration_file,
+    capture_toml,
+    colmap,
+    d3dmv,
+    dynerf,
+    easymocap,
+    multipleview,
+    nerfstudio,
+    rgbd,
+    spaces,
+)
+from ggvs_eval.datasets.corrections import apply_corrections, corrections_file, read_corrections
 from ggvs_eval.datasets.units import GivenUnits
 from ggvs_eval.errors import CaptureError, did_you_mean
 
@@ -40,6 +53,9 @@ DATASETS = {
     "enerf-outdoor": DatasetSpec("intri.yml and extri.yml with images/XX/ (EasyMocap)", easymocap.refuse, easymocap.load),
     "colmap": DatasetSpec(f"sparse/0 with {colmap.ARRANGEMENTS}", colmap.refuse, colmap.load),
     "nerfstudio": DatasetSpec("transforms.json with one image per camera", nerfstudio.refuse, nerfstudio.load),
+} | {
+    name: DatasetSpec(kind.describe, partial(calibration_file.refuse, name), partial(calibration_file.load, name))
+    for name, kind in calibration_file.KINDS.items()
 }
 
 
@@ -55,6 +71,9 @@ def open_capture(path: str | Path, layout: str | None = None, *, units: GivenUni
 
     Raises:
         CaptureError: nothing there, no layout that fits (with the reason of each), or a capture that is damaged.
+
+    Reading:
+        What ``corrections.toml`` in the capture says is done to its frames, see `ggvs_eval.datasets.corrections`.
 
     Examples:
         >>> import json, tempfile
@@ -76,13 +95,24 @@ def open_capture(path: str | Path, layout: str | None = None, *, units: GivenUni
         raise CaptureError(f"{path}: wanted a folder with a capture, there is none; check the path")
     if path.is_dir() and not any(path.iterdir()):
         raise CaptureError(f"{path}: wanted a capture, the folder is empty; put frames and poses there, or try 'ggvs-eval demo'")
-    spec = DATASETS[_detect_layout(path, layout)]
+    spec = DATASETS[detect_layout(path, layout)]
     capture = spec.load(path, units)
+    corrections = corrections_file(path)
+    capture = apply_corrections(capture, read_corrections(corrections), corrections)
     unsynced = [camera for scene, camera in UNSYNCED if scene == capture.scene]
     return capture.without(unsynced, "known to be out of step with the others") if drop_unsynced else capture
 
 
-def _detect_layout(path: Path, wanted: str | None) -> str:
+def detect_layout(path: Path, wanted: str | None = None) -> str:
+    """The layout of a capture.
+
+    Args:
+        path: the capture.
+        wanted: the only one to consider; all when None.
+
+    Raises:
+        CaptureError: no layout fits; the message has the reason of each.
+    """
     if wanted is not None and wanted not in DATASETS:
         known = ", ".join(DATASETS)
         raise CaptureError(f"{path}: no layout {wanted!r}, there are {known}{did_you_mean(wanted, DATASETS)}")

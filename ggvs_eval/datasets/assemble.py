@@ -6,7 +6,7 @@ from pathlib import Path, PurePosixPath
 from typing import Protocol
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.capture import Capture, Extras, FrameSource
+from ggvs_eval.capture import Capture, Extras, FrameSource, source_chain
 from ggvs_eval.datasets.frames import ImageFrames, list_images
 from ggvs_eval.datasets.units import Units
 from ggvs_eval.errors import CaptureError
@@ -134,8 +134,7 @@ def _rate(source: FrameSource) -> float:
 
 def _video(source: FrameSource) -> VideoFrames | None:
     """The video that frames come from, which may lie behind an undistortion; None where they are images."""
-    inner = getattr(source, "source", source)
-    return inner if isinstance(inner, VideoFrames) else None
+    return next((each for each in source_chain(source) if isinstance(each, VideoFrames)), None)
 
 
 def _common(values: Sequence[float], names: Sequence[str], path: Path, quantity: str, mend: str) -> float:
@@ -167,14 +166,19 @@ def find_sources(path: Path, image_names: Mapping[str, str]) -> list[SizedSource
     Raises:
         CaptureError: no frames, or none for some cameras.
     """
-    for sources in _arrangements(path, image_names):
-        missing = sorted(set(image_names) - set(sources))
-        if sources and missing:
-            kept = getattr(next(iter(sources.values())), "path", path)
-            raise CaptureError(f"{path}: no frames for {listed(missing)} beside {kept}; restore them or take them off the model")
-        if sources:
-            return [sources[name] for name in image_names]
-    raise CaptureError(f"{path}: wanted frames of {listed(list(image_names))}, got none; put them in {ARRANGEMENTS}")
+    sources = first_sources(path, image_names)
+    if not sources:
+        raise CaptureError(f"{path}: wanted frames of {listed(list(image_names))}, got none; put them in {ARRANGEMENTS}")
+    missing = sorted(set(image_names) - set(sources))
+    if missing:
+        kept = getattr(next(iter(sources.values())), "path", path)
+        raise CaptureError(f"{path}: no frames for {listed(missing)} beside {kept}; restore them or take them off the model")
+    return [sources[name] for name in image_names]
+
+
+def first_sources(path: Path, image_names: Mapping[str, str]) -> dict[str, SizedSource]:
+    """Frames by the first arrangement that holds those of any camera, by its name; arguments as of `find_sources`."""
+    return next((sources for sources in _arrangements(path, image_names) if sources), {})
 
 
 def listed(names: Sequence[str]) -> str:

@@ -45,6 +45,10 @@ class FileStorageYaml:
         """Whether there is such an entry."""
         return key in self._entries
 
+    def text(self, key: str) -> str:
+        """A text without its quotes; empty where it is absent."""
+        return _unquoted(self._entries.get(key, ""))
+
     def number(self, key: str) -> float | None:
         """A positive number; None where it is absent."""
         if not self.has(key):

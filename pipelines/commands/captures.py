@@ -1,4 +1,4 @@
-"""The verbs of the command line that deal with captures alone: demo, check, calibrate, undistort."""
+"""The verbs of the command line that deal with captures alone: demo, check, calibrate, protocol, undistort."""
 
 import sys
 from dataclasses import dataclass, replace
@@ -11,7 +11,8 @@ from ggvs_eval.capture import Capture, CaptureEdit
 from ggvs_eval.datasets import DATASETS, open_capture
 from ggvs_eval.datasets.capture_edit import perturb_capture
 from ggvs_eval.datasets.units import GivenUnits
-from ggvs_eval.errors import CaptureError
+from ggvs_eval.errors import CaptureError, ProtocolError
+from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.pipelines.offline.calibration.calibrate import CalibrationOptions
 from ggvs_eval.pipelines.offline.calibration.undistort import UndistortOptions
@@ -103,21 +104,34 @@ def demo(
     print(write_demo(out, room, default_workers()))
 
 
-def check(capture: CaptureFolder, reading: Taken = AS_TAKEN, out: Path | None = None, jobs: int = default_workers()) -> None:
+def check(
+    capture: CaptureFolder,
+    reading: Taken = AS_TAKEN,
+    out: Path | None = None,
+    repair: bool = False,
+    jobs: int = default_workers(),
+) -> None:
     """Look for what would spoil results: frames, poses, intrinsics, timing, colour, epipolar geometry, overlap.
 
-    Prints a verdict per question, writes them as JSON, and ends with 1 where a verdict is bad.
+    Prints a verdict per question, writes them as JSON, and ends with 1 where a verdict is bad. Videos that have no poses yet are
+    checked for what can be said without.
 
     Args:
         capture: the capture.
         reading: how it is read.
         out: JSON file; CAPTURE.check.json in the current folder by default.
+        repair: write CAPTURE/corrections.toml, by which every command shifts cameras that are out of step by whole frames and
+            divides the colours of those that are brighter or darker; then check again.
         jobs: processes.
     """
     from ggvs_eval.pipelines.inspection.capture.check import run_check
+    from ggvs_eval.pipelines.inspection.capture.corrections import repair_capture
 
     out = out or Path(f"{capture.resolve().name}.check.json")
     found, table = run_check(capture, out, layout=reading.layout, units=reading.given_units(), workers=jobs)
+    if repair and (written := repair_capture(capture, found.findings)):
+        print(written)
+        found, table = run_check(capture, out, layout=reading.layout, units=reading.given_units(), workers=jobs)
     print(table)
     print(out)
     if not found.is_usable:
@@ -141,6 +155,40 @@ def calibrate(frames: Frames, out: Output, calibration: Calibrating = Calibratio
     print(f"{found.path}: {len(found.cameras)} cameras, {error}")
 
 
+def protocol(
+    capture: CaptureFolder,
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT.toml")],
+    checked: Annotated[Path | None, tyro.conf.arg(name="check")] = None,
+    frames: int | None = None,
+    path_poses: int | None = None,
+    reading: Reading = BY_DEFAULT,
+) -> None:
+    """Propose a protocol for a capture, and say of every camera why it is held out as a test view or not.
+
+    It is the one that `run` takes when none is given; the file is yours to change.
+
+    Args:
+        capture: the capture.
+        out: TOML file to write.
+        checked: JSON file that `check` wrote; cameras that it found fault with are not held out, as they would be a wrong truth.
+        frames: evaluate the first so many instants, for a first look; up to 100 by default.
+        path_poses: poses of the camera path on which consistency over views is measured.
+        reading: how the capture is read.
+    """
+    from ggvs_eval.pipelines.inspection.capture.check import read_doubts
+    from ggvs_eval.pipelines.inspection.table import text_table
+    from ggvs_eval.pipelines.run.suggest_protocol import propose_protocol
+
+    if out.exists():
+        raise ProtocolError(f"{out}: wanted a new file for the protocol, it is there already; delete it or choose another name")
+    proposal = propose_protocol(reading.open(capture), read_doubts(checked) if checked else None)
+    chosen = proposal.protocol.shortened(frames, path_poses)
+    with atomic_file(out) as unfinished:
+        unfinished.write_text(chosen.to_toml(), encoding="utf-8")
+    print(text_table({"camera": 0, "why it is held out, or not": 1}, proposal.reasons.items()))
+    print(f"{out}: {len(chosen.views.test)} test views, K = {chosen.synthesis.k}, {chosen.frames.count} frames")
+
+
 def undistort(
     source: Frames,
     out: Output,
@@ -152,7 +200,8 @@ def undistort(
     Args:
         source: folder of raw videos, with --lenses; or any capture whose layout knows its lenses.
         out: folder to write, absent or empty.
-        lenses: intri.yml (EasyMocap), calib_1080.pkl or calib_2k.pkl (D3DMV; read, never unpickled), or a TOML file.
+        lenses: intri.yml (EasyMocap), calib_1080.pkl or calib_2k.pkl (D3DMV; read, never unpickled), .qca.txt (Qualisys), YAML of
+            OpenCV, or a TOML file, of anipose or freemocap too.
         output: how frames are written.
     """
     from ggvs_eval.pipelines.offline.calibration.undistort import undistort_videos

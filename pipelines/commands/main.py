@@ -18,6 +18,7 @@ from ggvs_eval.pipelines.commands.captures import (
     calibrate,
     check,
     demo,
+    protocol,
     undistort,
 )
 from ggvs_eval.pipelines.commands.figures import compare, figure, report
@@ -84,6 +85,7 @@ COMMANDS: Commands = {
     "check": check,
     "calibrate": calibrate,
     "undistort": undistort,
+    "protocol": protocol,
     "prepare": prepare,
     "render": render,
     "score": score,

@@ -16,6 +16,7 @@ from ggvs_eval.errors import CaptureError, GgvsError
 from ggvs_eval.files.images import write_image
 from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.run_folder import RunFolder
+from helpers.calibration_files import turned_rig, write_anipose, write_opencv, write_qualisys
 from helpers.captures import make_binary, make_image, make_rig, write_colmap, write_dynerf
 from helpers.render_folders import (
     VIEWS,
@@ -91,6 +92,14 @@ def write_rgbd(folder: Path) -> Path:
     return folder
 
 
+def write_beside_frames(folder: Path, write: Callable[[Path], object]) -> Path:
+    """Pictures of two cameras, and a calibration of another tool."""
+    for index, name in enumerate(PAIR):
+        write_frames(folder / "images" / name, index)
+    write(folder)
+    return folder
+
+
 def write_binary_colmap(folder: Path) -> Path:
     write_colmap(folder, PAIR)
     make_binary(folder / "sparse" / "0")
@@ -107,6 +116,9 @@ CAPTURES: dict[str, Callable[[Path], Path]] = {
     "enerf-outdoor": write_outdoor,
     "colmap": write_binary_colmap,
     "nerfstudio": write_nerfstudio,
+    "qualisys": lambda folder: write_beside_frames(folder, lambda it: write_qualisys(it / "rig.qca.txt", turned_rig(PAIR))),
+    "anipose": lambda folder: write_beside_frames(folder, lambda it: write_anipose(it / "rig.toml", turned_rig(PAIR))),
+    "opencv": lambda folder: write_beside_frames(folder, lambda it: write_opencv(it, turned_rig(PAIR))),
 }
 
 

@@ -22,6 +22,7 @@ from ggvs_eval.pipelines.offline.calibration.camera_files import find_camera_fil
 from ggvs_eval.pipelines.offline.calibration.known_cameras import colmap_camera, read_known, write_intrinsics
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.film.options import DemoOptions
+from helpers.calibration_files import write_qualisys
 from helpers.captures import make_image, make_rig, write_colmap_model, write_folders, write_videos
 
 pytestmark = pytest.mark.slow
@@ -146,6 +147,23 @@ def test_known_poses_stay_fixed(demo, tmp_path):
         assert 0.5 * camera.near < found.cameras[camera.name].near < found.cameras[camera.name].far < 2 * camera.far
     assert found.mean_reprojection_error_px < 1
     assert found.n_points > 300
+
+
+def test_a_studios_poses_stay_fixed_and_metric(demo, tmp_path):
+    """Poses of a Qualisys file are kept, in metres, and the capture that is written knows that they are."""
+    capture = open_capture(demo)
+    truth = []
+    for camera in capture.cameras:
+        metric = camera.world_to_camera.copy()
+        metric[:3, 3] /= capture.units_per_metre
+        truth.append(replace(camera, world_to_camera=metric))
+    file = write_qualisys(tmp_path / "rig.qca.txt", truth, coefficients=(0.0,) * 5)
+    found = calibrate(demo, tmp_path / "out", CalibrationOptions(known_poses=file))
+    for camera in truth:
+        np.testing.assert_allclose(found.cameras[camera.name].world_to_camera, camera.world_to_camera, atol=1e-9)
+    assert found.n_points > 300
+    assert open_capture(tmp_path / "out").units_per_metre == 1.0
+    assert open_capture(tmp_path / "out").units_origin.startswith("units.toml")
 
 
 def test_swapped_poses_do_not_fit(demo, calibrated, tmp_path):

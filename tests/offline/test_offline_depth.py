@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthJob, DepthStore
 from ggvs_eval.errors import CaptureError, DepthError
+from ggvs_eval.geometry.rectification import rectify
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import depth_job, plan_depth, prepare_depth
 from ggvs_eval.pipelines.offline.depth.pairing import choose_partners
@@ -45,6 +47,21 @@ def test_too_far_and_too_near_come_last():
     """A camera whose disparities are huge, and one whose are a fraction of a pixel, come after a good one."""
     candidates = [look_from(4.0, 0, "far away"), look_from(0.001, 0, "almost here"), look_from(-0.6, 0, "good")]
     assert choose_partners(CAMERA, candidates, 3)[0].name == "good"
+
+
+def test_a_pair_that_cannot_be_rectified_is_passed_over():
+    """Wide lenses close to a surface see much together, but what is near moves by more than the width of the image."""
+
+    def wide(x: float, name: str, turn: float) -> Camera:
+        camera = look_from(x, 0, name, turn)
+        return replace(camera, K=camera.K * np.array([[0.45, 1, 1], [1, 0.45, 1], [1, 1, 1]]), near=1.0)
+
+    camera, near, far = wide(0.001, "camera", 0.0), wide(0.4, "near", 0.1), wide(3.0, "far", 0.5)
+    with pytest.raises(DepthError, match="too little to be matched"):
+        rectify(camera, far)
+    assert [partner.name for partner in choose_partners(camera, [far, near], 2)] == ["near"]
+    with pytest.raises(DepthError, match="none of 1 other cameras"):
+        choose_partners(camera, [far], 2)
 
 
 def test_nobody_to_match_with():

@@ -1,5 +1,6 @@
 """The check of a capture: open it, walk once through every camera's frames, and answer the questions."""
 
+import json
 import time
 from collections.abc import Callable
 from concurrent.futures import as_completed
@@ -10,7 +11,7 @@ from typing import Any
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.units import GivenUnits
-from ggvs_eval.errors import GgvsError
+from ggvs_eval.errors import CaptureError, GgvsError
 from ggvs_eval.jobs.processes import worker_pool
 from ggvs_eval.pipelines.inspection.capture import (
     colour,
@@ -27,7 +28,8 @@ from ggvs_eval.pipelines.inspection.capture import (
 from ggvs_eval.pipelines.inspection.capture.calibration_errors import triangulated_depths
 from ggvs_eval.pipelines.inspection.capture.camera_record import CameraRecord, record_camera
 from ggvs_eval.pipelines.inspection.capture.pairs import match_pairs, neighbour_pairs
-from ggvs_eval.pipelines.inspection.finding import RIG, Finding
+from ggvs_eval.pipelines.inspection.capture.uncalibrated import ask_for_calibration, open_uncalibrated
+from ggvs_eval.pipelines.inspection.finding import RIG, SEVERITY, Finding
 from ggvs_eval.pipelines.inspection.table import WIDTH, findings_table
 from ggvs_eval.progress import track
 from ggvs_eval.run_folder import write_json
@@ -100,10 +102,12 @@ def check_capture(path: Path, *, layout: str | None = None, units: GivenUnits = 
     """
     start = time.perf_counter()
     try:
-        capture = open_capture(path, layout, units=units)
+        uncalibrated = open_uncalibrated(path) if layout is None else None
+        capture = uncalibrated or open_capture(path, layout, units=units)
     except GgvsError as error:
         return CaptureCheck(path, _unopened(str(error)), time.perf_counter() - start)
-    findings = examine(capture, record_cameras(capture, workers))
+    records = record_cameras(capture, workers)
+    findings = examine_frames(capture, records) if uncalibrated else examine(capture, records)
     return CaptureCheck(path, findings, time.perf_counter() - start)
 
 
@@ -133,6 +137,27 @@ def run_check(
     return check, check.table()
 
 
+def read_doubts(file: Path) -> dict[str, str]:
+    """What a check found wrong with single cameras, the worst of each.
+
+    Args:
+        file: JSON that `run_check` wrote.
+
+    Returns:
+        Camera -> question and answer, for cameras with a verdict of ``warn`` or ``bad``.
+
+    Raises:
+        CaptureError: no such file, or not one of a check.
+    """
+    try:
+        findings = [Finding(**each) for each in json.loads(file.read_text(encoding="utf-8"))["findings"]]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise CaptureError(f"{file}: wanted what 'ggvs-eval check' wrote, got {error!r:.120}; check the capture again") from error
+    doubtful = [finding for finding in findings if finding.subject != RIG and finding.verdict in ("warn", "bad")]
+    worst_last = sorted(doubtful, key=lambda finding: SEVERITY[finding.verdict])
+    return {finding.subject: f"{finding.question}: {finding.measured}" for finding in worst_last}
+
+
 def record_cameras(capture: Capture, workers: int) -> list[CameraRecord]:
     """Walk through the frames of all cameras, one process per camera at a time."""
     names = capture.camera_names
@@ -143,6 +168,13 @@ def record_cameras(capture: Capture, workers: int) -> list[CameraRecord]:
         for job in track(as_completed(jobs), "reading frames", len(jobs)):
             job.result()
     return [job.result() for job in jobs]
+
+
+def examine_frames(capture: Capture, records: list[CameraRecord]) -> tuple[Finding, ...]:
+    """Answer what frames alone tell; all other questions wait for a calibration."""
+    told = (*frames.check_frames(capture, records), *frames.check_frozen(records), *colour.check_noise(records))
+    answered = {finding.question for finding in told}
+    return (*told, *ask_for_calibration(capture.path, tuple(question for question in QUESTIONS if question not in answered)))
 
 
 def examine(capture: Capture, records: list[CameraRecord]) -> tuple[Finding, ...]:

@@ -70,7 +70,7 @@ def _evaluate_gain(name: str, gain: Array) -> Finding:
         return Finding(name, GAIN, "unknown", "too few matches of medium brightness with any neighbour")
     verdict = graded(float(np.abs(gain - 1).max()), WARN_GAIN, BAD_GAIN)
     measured = ", ".join(f"{channel} x {value:.3f}" for channel, value in zip(CHANNELS, gain, strict=True))
-    advice = "" if verdict == "ok" else "divide its frames by these gains, or use a colour-corrected metric"
+    advice = "" if verdict == "ok" else "'check --repair' divides its frames by these gains; or use a colour-corrected metric"
     return Finding(name, GAIN, verdict, measured, {"gain": [round(float(value), 4) for value in gain]}, advice)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.capture import Capture
+from ggvs_eval.capture import Capture, source_chain
 from ggvs_eval.pipelines.inspection.capture.camera_record import CameraRecord
 from ggvs_eval.pipelines.inspection.finding import RIG, Finding
 
@@ -49,7 +49,7 @@ def frames_outside(capture: Capture) -> dict[str, Path]:
     root = root.parent if root.is_file() else root
     outside = {}
     for name, source in zip(capture.camera_names, capture.sources, strict=True):
-        inner = getattr(source, "source", source)  # behind an undistortion
+        *_, inner = source_chain(source)  # behind corrections and an undistortion
         files = getattr(inner, "files", None) or [path for path in [getattr(inner, "path", None)] if path]
         elsewhere = [path for path in map(Path.resolve, files) if not path.is_relative_to(root)]
         if elsewhere:

@@ -60,7 +60,7 @@ def _evaluate(camera: Camera, focal_ratio: float) -> Finding:
         advice = "cropped frames? shift the principal point alike"
     elif abs(ratio - 1) > WARN_ASPECT:
         verdict, measured = graded(abs(ratio - 1), WARN_ASPECT, BAD_ASPECT), f"fx / fy = {ratio:.3f}"
-        advice = "calibrated for frames of another aspect? scale both axes"
+        advice = "calibrated for frames of another aspect? scale both axes; by COLMAP? 'calibrate --camera-model SIMPLE_RADIAL'"
     elif not NARROWEST_DEG < view < WIDEST_DEG:
         measured, advice = f"horizontal field of view {view:.0f} deg", "focal length in pixels of another size?"
     elif abs(focal_ratio - 1) > ODD_FOCAL:

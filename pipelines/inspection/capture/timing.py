@@ -125,6 +125,5 @@ def _evaluate(name: str, index: int, offsets: Array, lags: Lags) -> Finding:
     measured = f"{size:.2f} frames {direction} the rig, correlation {correlation:.2f} with {len(own)} cameras"
     advice = "" if verdict == "ok" else "shot without genlock? leave the camera out where things move fast"
     if whole:
-        where = "drop the first frames of the others" if offset > 0 else "drop its own first frames"
-        advice = f"shift it by {whole} frame{'s' * (whole > 1)}: {where}; or leave it out"
+        advice = f"'check --repair' shifts it by {whole} frame{'s' * (whole > 1)}; or leave it out"
     return Finding(name, QUESTION, verdict, measured, values, advice)

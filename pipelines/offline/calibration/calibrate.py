@@ -11,7 +11,9 @@ import numpy as np
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
+from ggvs_eval.datasets.calibration_file import find_calibration_files
 from ggvs_eval.datasets.colmap_model import read_model
+from ggvs_eval.datasets.units import UNITS_FILE
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.atomic import atomic_folder
 from ggvs_eval.geometry.alignment import pose_differences, rig_extent
@@ -44,8 +46,9 @@ class CalibrationOptions:
         shared_intrinsics: one lens for all cameras, which must then have one size; more exact where all are of one make and
             setting (flame_steak: rotations within 0.04 degrees of the given ones, 0.32 with a lens each). Otherwise lenses begin
             as one for all cameras of one size and are then adjusted one by one.
-        known_intrinsics: ``intrinsics.toml``, ``capture.toml``, a COLMAP model or a capture whose lenses are kept fixed.
-        known_poses: a COLMAP model or a capture whose lenses and poses are kept fixed; points are triangulated.
+        known_intrinsics: ``intrinsics.toml``, ``capture.toml``, a COLMAP model, a calibration of Qualisys, anipose, freemocap or
+            OpenCV, or a capture whose lenses are kept fixed.
+        known_poses: any of these that has poses; lenses and poses are kept fixed and points triangulated.
         allow_missing: go on without cameras that cannot be registered.
         max_features: SIFT features per image.
         max_image_size_px: larger images are reduced to this for finding features.
@@ -122,10 +125,12 @@ def calibrate(frames_folder: Path, out: Path, options: CalibrationOptions) -> Ca
         result = run_worker(unfinished, out, _job(files, images, known, options))
         missing = _missing(images, result)
         if missing and (not options.allow_missing or len(images) - len(missing) < 2):
-            raise _unregistered(frames_folder, missing, len(images), keep_log(unfinished, out))
+            raise _unregistered(frames_folder, missing, len(images), keep_log(unfinished, out), options.known_poses)
         shutil.move(unfinished / "work" / "sparse", unfinished / "sparse")
         registered = {name: file for name, file in files.items() if name not in missing}
         link_frames(registered, {name: unfinished / "work" / "images" / images[name] for name in registered}, unfinished)
+        if options.known_poses and known and all(camera.is_metric for camera in known.values()):
+            (unfinished / UNITS_FILE).write_text("units_per_metre = 1.0\n", encoding="utf-8")
         calibration = _read(unfinished, out, missing, result)
         write_json(unfinished / RECORD, _record(frames_folder, calibration, result, options))
         shutil.rmtree(unfinished / "work")
@@ -176,7 +181,7 @@ def _known(files: Mapping[str, CameraFiles], options: CalibrationOptions) -> dic
             found = f"{first} {sizes[first]} and {odd} {sizes[odd]}"
             raise CaptureError(f"{files[odd].path}: wanted frames of one size for shared intrinsics, got {found}; calibrate each")
         return None
-    known = fit_known(path, read_known(path), sizes)
+    known = fit_known(path, read_known(path, sizes), sizes)
     without = [name for name in known if known[name].world_to_camera is None]
     if options.known_poses is not None and without:
         raise CaptureError(f"{path}: wanted poses, got intrinsics alone of {', '.join(without)}; give it as known intrinsics")
@@ -216,11 +221,13 @@ def _missing(images: Mapping[str, str], result: Mapping[str, Any]) -> dict[str, 
     }
 
 
-def _unregistered(folder: Path, missing: Mapping[str, str], n_cameras: int, log: Path) -> CaptureError:
+def _unregistered(folder: Path, missing: Mapping[str, str], n_cameras: int, log: Path, known_poses: Path | None) -> CaptureError:
     """The error of a model that lacks cameras; leaving them out is offered only where two others remain."""
     listed = ", ".join(f"{name} ({reason})" for name, reason in missing.items())
     mend = "give these cameras more texture, light or overlap with others, another frame, or known intrinsics"
     mend += "" if n_cameras - len(missing) < 2 else ", or go on without them (--allow-missing)"
+    if known_poses is not None and find_calibration_files(known_poses):
+        mend += f", or put {known_poses.name} beside the frames, which makes a capture of them as it stands"
     return CaptureError(f"{folder}: wanted a pose of all {n_cameras} cameras, found none of {listed}; {mend}; log: {log}")
 
 

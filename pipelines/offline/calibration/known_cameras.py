@@ -1,15 +1,16 @@
 """What is known of cameras before they are calibrated: lenses, and perhaps poses, from any file or capture that says so."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
 import numpy as np
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
-from ggvs_eval.capture import Capture
+from ggvs_eval.capture import Capture, source_chain
 from ggvs_eval.datasets import open_capture
+from ggvs_eval.datasets.calibration_file import find_calibration_files, read_calibration_file
 from ggvs_eval.datasets.capture_toml import LensTable
 from ggvs_eval.datasets.colmap import find_model
 from ggvs_eval.datasets.colmap_model import read_model
@@ -28,10 +29,12 @@ class KnownCamera:
     Attributes:
         lens: intrinsics and distortion.
         world_to_camera: (4, 4); None where only the lens is known.
+        is_metric: whether the pose is known to be in metres.
     """
 
     lens: Lens
     world_to_camera: Array | None
+    is_metric: bool = False
 
 
 @dataclass(frozen=True)
@@ -60,12 +63,14 @@ class IntrinsicsFile:
     camera: tuple[IntrinsicsTable, ...]
 
 
-def read_known(path: Path) -> dict[str, KnownCamera]:
+def read_known(path: Path, sizes: Mapping[str, tuple[int, int]] | None = None) -> dict[str, KnownCamera]:
     """Cameras by name.
 
     Args:
         path: ``intrinsics.toml`` or another TOML file of that form, ``capture.toml``, a folder with ``intrinsics.toml``, a folder
-            with a COLMAP model, or any capture.
+            with a COLMAP model, a calibration of Qualisys, anipose, freemocap or OpenCV (see `read_calibration_file`; a folder of
+            these where OpenCV has a file for each camera), or any capture.
+        sizes: (width, height) of each camera's frames, for files that do not say for which they are.
 
     Raises:
         CaptureError: nothing there that says something of cameras, or it is damaged.
@@ -73,6 +78,8 @@ def read_known(path: Path) -> dict[str, KnownCamera]:
     Reading:
         Lenses are those of the frames as they lie on disk: of a capture that is undistorted as it is read, the distorting ones.
     """
+    if not path.is_dir() and find_calibration_files(path):
+        return _of_calibration_file(path, sizes or {})
     if path.suffix == ".toml" and path.name != "capture.toml":
         return _read_intrinsics(path)
     if (path / INTRINSICS).is_file():
@@ -84,6 +91,8 @@ def read_known(path: Path) -> dict[str, KnownCamera]:
         if len(known) < len(views):
             raise CaptureError(f"{model}: wanted one image per camera, got several; calibrate with one instant")
         return known
+    if find_calibration_files(path):
+        return _of_calibration_file(path, sizes or {})
     return _of_capture(open_capture(path.parent if path.name == "capture.toml" else path))
 
 
@@ -128,7 +137,7 @@ def fit_known(path: Path, known: Mapping[str, KnownCamera], sizes: Mapping[str, 
                 f"{path}: {name} is calibrated for {lens.width} x {lens.height}, got {found}; "
                 "give frames of that shape, scaled but not cropped"
             )
-        fitted[name] = KnownCamera(lens.resized(width, height), known[name].world_to_camera)
+        fitted[name] = replace(known[name], lens=lens.resized(width, height))
     return fitted
 
 
@@ -183,10 +192,23 @@ def _rows(rows: Sequence[Sequence[float]]) -> Sequence[Sequence[float]]:
     return rows
 
 
+def _of_calibration_file(path: Path, sizes: Mapping[str, tuple[int, int]]) -> dict[str, KnownCamera]:
+    """Cameras of a calibration file; of cameras that have no frames only what is said of their size counts."""
+    known = {}
+    for name, camera in read_calibration_file(path).cameras.items():
+        if camera.size is None and name not in sizes:
+            continue
+        try:
+            known[name] = KnownCamera(camera.lens(sizes.get(name)), camera.world_to_camera, camera.is_metric)
+        except CameraError as error:
+            raise CaptureError(f"{path}: {name}: {error}") from error
+    return known
+
+
 def _of_capture(capture: Capture) -> dict[str, KnownCamera]:
     known = {}
     for camera, source in zip(capture.cameras, capture.sources, strict=True):
         pinhole = Lens(camera.K, "opencv", (0.0,) * 4, *camera.size)
-        lens = source.lens if isinstance(source, UndistortedFrames) else pinhole
+        lens = next((each.lens for each in source_chain(source) if isinstance(each, UndistortedFrames)), pinhole)
         known[camera.name] = KnownCamera(lens, camera.world_to_camera)
     return known

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ggvs_eval.arrays import Array
+from ggvs_eval.datasets.calibration_file import find_calibration_files
 from ggvs_eval.datasets.easymocap_yaml import PIXEL_CENTRE
 from ggvs_eval.datasets.filestorage_yaml import FileStorageYaml
 from ggvs_eval.errors import CameraError, CaptureError
@@ -15,7 +16,7 @@ from ggvs_eval.files.unpickler import unpickle_plain
 from ggvs_eval.lens import Lens
 from ggvs_eval.pipelines.offline.calibration.known_cameras import fit_known, read_known
 
-KINDS = "intri.yml (EasyMocap), calib_*.pkl (D3DMV) or a .toml file with cameras"
+KINDS = "intri.yml (EasyMocap), calib_*.pkl (D3DMV), .qca.txt (Qualisys), OpenCV's YAML or a .toml file with cameras"
 LARGEST_PICKLE_BYTES = 1 << 20
 Size = tuple[int, int]
 
@@ -37,7 +38,7 @@ def read_lenses(path: Path, sizes: Mapping[str, Size]) -> dict[str, LensAndTarge
     """The lens of each camera, by name.
 
     Args:
-        path: ``intri.yml``, ``calib_*.pkl`` or a TOML file that `read_known` reads.
+        path: ``intri.yml``, ``calib_*.pkl``, or another file that `read_known` reads.
         sizes: (width, height) of each camera's frames, in the order of names.
 
     Raises:
@@ -45,16 +46,17 @@ def read_lenses(path: Path, sizes: Mapping[str, Size]) -> dict[str, LensAndTarge
 
     Reading:
         EasyMocap: the pinhole image keeps the lens's K, as ENeRF undistorts. D3DMV: 90 degrees wide (f = W / 2) with the
-        principal point in the middle of the image, as its authors undistort; the list follows the order of names. TOML: the
+        principal point in the middle of the image, as its authors undistort; the list follows the order of names. Others: the
         lens's K, zoomed just so far that no pixel is blank. OpenCV's principal points are moved by half a pixel to our centres.
     """
-    if path.suffix in (".yml", ".yaml"):
+    is_known = bool(find_calibration_files(path))
+    if path.suffix in (".yml", ".yaml") and not is_known:
         return _from_easymocap(path, sizes)
     if path.suffix in (".pkl", ".pickle"):
         return _from_d3dmv(path, sizes)
-    if path.suffix != ".toml":
+    if path.suffix != ".toml" and not is_known:
         raise CaptureError(f"{path}: wanted {KINDS}, got a file called {path.name}; rename it if it is one of these")
-    lenses = {name: known.lens for name, known in fit_known(path, read_known(path), sizes).items()}
+    lenses = {name: known.lens for name, known in fit_known(path, read_known(path, sizes), sizes).items()}
     try:
         return {name: LensAndTarget(lens, lens.undistorted_K()) for name, lens in lenses.items()}
     except CameraError as error:

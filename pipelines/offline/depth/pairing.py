@@ -11,6 +11,7 @@ import numpy as np
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import DepthError
+from ggvs_eval.geometry.rectification import rectify
 
 GRID = (16, 12)  # rays across and down
 DEPTHS = 6  # depths per ray, evenly spaced in inverse depth
@@ -20,6 +21,7 @@ MIN_MEDIAN_DISPARITY = 0.006  # of the image's width; 8 px of 1352
 MIN_OVERLAP = 0.2
 SAME_SIDE = 0.6  # how much of a point's worth a partner on the same side of the camera takes away from the next one
 OTHER_SIDE = 0.3
+RECTIFIED_SCALE = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,16 +59,17 @@ def choose_partners(camera: Camera, candidates: Sequence[Camera], count: int, ex
     others = sorted((other for other in candidates if other.name not in passed_over), key=lambda other: other.name)
     points = _sample_view(camera)
     partners = [partner for other in others if (partner := _evaluate(camera, other, points)) is not None]
-    if not partners:
-        raise DepthError(
-            f"camera {camera.name}: none of {len(others)} other cameras sees {MIN_OVERLAP:.0%} of its view from less than "
-            f"{np.rad2deg(MAX_ANGLE_RAD):.0f} degrees away; its depth cannot be computed, leave it out or add cameras"
-        )
     chosen: list[Partner] = []
     while partners and len(chosen) < count:
         best = max(partners, key=lambda partner: _gain(partner, chosen))
         partners.remove(best)
-        chosen.append(best)
+        if _can_rectify(camera, best.camera):
+            chosen.append(best)
+    if not chosen:
+        raise DepthError(
+            f"camera {camera.name}: none of {len(others)} other cameras sees {MIN_OVERLAP:.0%} of its view from less than "
+            f"{np.rad2deg(MAX_ANGLE_RAD):.0f} degrees away; its depth cannot be computed, leave it out or add cameras"
+        )
     return [partner.camera for partner in chosen]
 
 
@@ -90,6 +93,19 @@ def _evaluate(camera: Camera, other: Camera, points: Array) -> Partner | None:
     disparity = camera.focal_px * distance / np.array([camera.near, median_depth]) / camera.width
     fitness = min(1.0, MAX_NEAR_DISPARITY / disparity[0]) * min(1.0, disparity[1] / MIN_MEDIAN_DISPARITY)
     return Partner(other, inside * fitness * np.cos(angle), offset[:2] / distance)
+
+
+def _can_rectify(camera: Camera, other: Camera) -> bool:
+    """Whether the pair can be rectified: with wide lenses near surfaces can lie farther apart than the images are wide.
+
+    Tried on small images, which differ from the large ones by less than a pixel of theirs.
+    """
+    small = [each.resized(each.width // RECTIFIED_SCALE or 1, each.height // RECTIFIED_SCALE or 1) for each in (camera, other)]
+    try:
+        rectify(*small)
+    except DepthError:
+        return False
+    return True
 
 
 def _gain(partner: Partner, chosen: Sequence[Partner]) -> float:

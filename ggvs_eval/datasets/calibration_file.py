@@ -1,0 +1,161 @@
+"""A calibration file of another tool beside the frames that it is of: such a folder is a capture as it stands."""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.capture import Capture
+from ggvs_eval.datasets.assemble import ARRANGEMENTS, assemble_capture, check_rig_size, first_sources, listed
+from ggvs_eval.datasets.calibration_readers import (
+    LARGEST_XML_BYTES,
+    FileCamera,
+    read_anipose,
+    read_opencv,
+    read_qualisys,
+)
+from ggvs_eval.datasets.colmap_model import undistorted_sources
+from ggvs_eval.datasets.depth_range import rig_depth_range
+from ggvs_eval.datasets.units import GivenUnits, Units, choose_units
+from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.files.plain import read_plain_text
+
+# What tells such files from others of their suffix, before they are parsed.
+ANIPOSE = re.compile(r"^[ \t]*matrix[ \t]*=", re.MULTILINE)
+OPENCV = re.compile(r"^(camera_matrix|M1|K1|cameraMatrix1)[ \t]*:", re.MULTILINE)
+MILLIMETRES = Units(1.0, "converted from the millimetres of the calibration")
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of calibration file.
+
+    Attributes:
+        describe: its layout in one line.
+        suffixes: of the names of such files.
+        content: what their text holds; None where the suffix says enough.
+        read: gives the cameras of a file.
+    """
+
+    describe: str
+    suffixes: tuple[str, ...]
+    content: re.Pattern[str] | None
+    read: Callable[[Path], list[FileCamera]]
+
+    def fits(self, file: Path) -> bool:
+        """Whether a file is of this kind."""
+        if not file.name.lower().endswith(self.suffixes):
+            return False
+        return self.content is None or bool(self.content.search(_text(file)))
+
+
+KINDS = {
+    "qualisys": Kind("CALIBRATION.qca.txt (Qualisys) beside videos", (".qca.txt",), None, read_qualisys),
+    "anipose": Kind("CALIBRATION.toml (anipose, freemocap, pose2sim) beside videos", (".toml",), ANIPOSE, read_anipose),
+    "opencv": Kind("CAM.yml or STEREO.yml (cv2.FileStorage) beside videos", (".yml", ".yaml"), OPENCV, read_opencv),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationFile:
+    """What calibration files say.
+
+    Attributes:
+        cameras: by name.
+        units: 1 per metre where the unit is known; None where it is not.
+    """
+
+    cameras: dict[str, FileCamera]
+    units: Units | None
+
+
+def refuse(kind: str, path: Path) -> str | None:
+    """Why there is no calibration of a kind; None where there is one."""
+    kinds = " or ".join(f"*{suffix}" for suffix in KINDS[kind].suffixes)
+    return None if find_calibration_files(path, kind) else f"no calibration of this kind in {kinds}"
+
+
+def find_calibration_files(path: Path, kind: str | None = None) -> list[Path]:
+    """The calibration files in a folder, of one kind or of the first that is there; the file itself where it is one.
+
+    A file for each camera is usual with OpenCV, so there may be several.
+    """
+    return _find(path, kind)[1]
+
+
+def read_calibration_file(path: Path, kind: str | None = None) -> CalibrationFile:
+    """Read a calibration file, or all those of a folder that `find_calibration_files` gives.
+
+    Raises:
+        CaptureError: none there, a damaged one, or two cameras of one name.
+    """
+    read, files = _find(path, kind)
+    cameras = [camera for file in files for camera in read(file)]
+    check_rig_size(path, len(cameras))
+    names = [camera.name for camera in cameras]
+    if not names or not all(names) or len(set(names)) < len(names):
+        found = listed(names) or "none"
+        raise CaptureError(f"{path}: wanted a calibration with cameras of different names, got {found}; correct the names")
+    is_metric = all(camera.is_metric for camera in cameras)
+    return CalibrationFile(dict(zip(names, cameras, strict=True)), MILLIMETRES if is_metric else None)
+
+
+def load(kind: str, path: Path, units: GivenUnits) -> Capture:
+    """Open a folder of videos or images with its calibration file; frames are undistorted as they are read.
+
+    Args:
+        kind: a name in `KINDS`.
+        path: the folder, or the calibration file in it.
+        units: world units per metre or a file that says how to measure them; see `choose_units`.
+
+    Raises:
+        CaptureError: a damaged file, fewer than two of its cameras with frames, or a camera without pose.
+
+    Reading:
+        Cameras without frames are left out and noted: a motion-capture studio has cameras that see markers alone. Depth ranges
+        are those of `rig_depth_range`; ``ggvs-eval calibrate --known-poses`` measures them.
+    """
+    folder = path if path.is_dir() else path.parent
+    file = read_calibration_file(path, kind)
+    found = first_sources(folder, {name: f"{name}.png" for name in file.cameras})
+    if len(found) < 2:
+        raise CaptureError(
+            f"{folder}: wanted frames of two or more of {listed(list(file.cameras))}, got {listed(list(found)) or 'none'}; call "
+            f"videos and cameras alike and put them in {ARRANGEMENTS}"
+        )
+    chosen = [camera for camera in file.cameras.values() if camera.name in found]
+    without = [camera.name for camera in chosen if camera.world_to_camera is None]
+    if without:
+        mend = f"'ggvs-eval calibrate {folder} RIG --known-intrinsics {path}' finds them"
+        raise CaptureError(f"{path}: wanted poses, got intrinsics alone of {listed(without)}; {mend}")
+    poses = [camera.world_to_camera for camera in chosen if camera.world_to_camera is not None]
+    try:
+        lenses = [camera.lens(found[camera.name].size) for camera in chosen]
+        cameras = [
+            Camera(camera.name, lens.undistorted_K(), pose, lens.width, lens.height, *depths)
+            for camera, lens, pose, depths in zip(chosen, lenses, poses, rig_depth_range(poses), strict=True)
+        ]
+    except CameraError as error:
+        raise CaptureError(f"{path}: {error}") from error
+    sources = undistorted_sources([found[camera.name] for camera in chosen], lenses, cameras)
+    left = [name for name in file.cameras if name not in found]
+    notes = [f"{listed(left)} left out: calibrated, but without frames"] if left else []
+    return assemble_capture(folder, kind, cameras, sources, choose_units(folder, units, cameras, known=file.units), notes=notes)
+
+
+def _find(path: Path, kind: str | None) -> tuple[Callable[[Path], list[FileCamera]], list[Path]]:
+    """The files of `find_calibration_files`, and what reads them."""
+    files = sorted(each for each in path.iterdir() if not each.name.startswith(".")) if path.is_dir() else [path]
+    for each in KINDS.values() if kind is None else [KINDS[kind]]:
+        if found := [file for file in files if each.fits(file)]:
+            return each.read, found
+    return lambda _: [], []
+
+
+def _text(file: Path) -> str:
+    """The text of a file; none where it cannot be read."""
+    try:
+        return read_plain_text(file, LARGEST_XML_BYTES)
+    except (OSError, UnicodeDecodeError):
+        return ""

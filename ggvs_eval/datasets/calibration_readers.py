@@ -1,0 +1,234 @@
+"""Calibrations as other tools write them: Qualisys' ``.qca.txt``, the TOML of anipose and freemocap, OpenCV's YAML.
+
+Facts of the formats: Qualisys writes 64ths of a pixel and millimetres, as pose2sim reads them; aniposelib what OpenCV calibrates.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import cv2
+import numpy as np
+
+from ggvs_eval.arrays import Array
+from ggvs_eval.datasets.easymocap_yaml import PIXEL_CENTRE
+from ggvs_eval.datasets.filestorage_yaml import FileStorageYaml, refused
+from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.files.plain import read_plain_text, why_unread
+from ggvs_eval.files.toml_tables import read_toml
+from ggvs_eval.lens import Lens, LensModel
+
+LARGEST_XML_BYTES = 1 << 22
+LARGEST_NUMBER = 1e9
+SUBPIXELS, MM_PER_M = 64.0, 1000.0
+# Qualisys' camera looks along its -z with y up, OpenCV's along z with y down.
+QUALISYS_AXES: Array = np.diag([1.0, -1.0, -1.0])
+FREEMOCAP_KEY = "charuco_square_size"  # of its metadata, in millimetres, and so is all that was calibrated with it
+# What stereo calibrations call their two cameras' K and distortion; the first is that of OpenCV's own sample.
+STEREO_KEYS = (("M{}", "D{}"), ("K{}", "D{}"), ("cameraMatrix{}", "distCoeffs{}"))
+STEREO_NAMES, STEREO_EXTRINSICS = ("left", "right"), "extrinsics.yml"
+ROTATION_KEYS, TRANSLATION_KEYS = ("R", "rvec", "rotation_matrix", "rotation_vector"), ("T", "tvec", "translation_vector")
+
+
+@dataclass(frozen=True, eq=False)
+class FileCamera:
+    """One camera of a calibration file.
+
+    Attributes:
+        name: as the file calls it.
+        K: intrinsics in pixels, (3, 3), pixel centres at halves.
+        model: of the lens.
+        coefficients: of the lens.
+        size: (width, height) of the calibrated images; None where the file does not say.
+        world_to_camera: (4, 4); None where only the lens is known.
+        is_metric: whether the pose is known to be in metres.
+    """
+
+    name: str
+    K: Array
+    model: LensModel
+    coefficients: tuple[float, ...]
+    size: tuple[int, int] | None
+    world_to_camera: Array | None
+    is_metric: bool = False
+
+    def lens(self, frame_size: tuple[int, int] | None) -> Lens:
+        """The lens at the size of the calibration, which is taken to be that of the frames where the file names none.
+
+        Raises:
+            CameraError: neither is known, or it is no lens.
+        """
+        size = self.size or frame_size
+        if size is None:
+            raise CameraError(f"wanted the size of the images {self.name} was calibrated for, the file names none; add it")
+        return Lens(self.K, self.model, self.coefficients, *size)
+
+
+def read_qualisys(path: Path) -> list[FileCamera]:
+    """Read the cameras of a ``.qca.txt``, an XML file of Qualisys Track Manager; in metres.
+
+    Raises:
+        CaptureError: damaged, or a number that is absent.
+
+    Reading:
+        The rows r11 r12 r13, ... of ``transform`` are the camera's axes right, up and backwards in the world, x y z its centre.
+        Numbers of ``intrinsic`` are 64ths of a pixel of the whole sensor, of which the video is the part ``fov_video``; its
+        principal point counts from the first pixel's centre like OpenCV's. Distortion is OpenCV's, of normalised coordinates:
+        pose2sim divides it by 64 too, which makes it vanish. ``viewrotation`` is not applied; frames must have the shape of
+        ``fov_video``.
+    """
+    cameras = []
+    for element in _parse_xml(path).iter("camera"):
+        name = element.get("serial") or ""
+        transform, inner, view = (_xml_numbers(path, element, tag) for tag in ("transform", "intrinsic", "fov_video"))
+        rows = [[transform(f"r{row}{column}") for column in (1, 2, 3)] for row in (1, 2, 3)]
+        rotation = QUALISYS_AXES @ np.array(rows)
+        centre = np.array([transform(axis) for axis in "xyz"]) / MM_PER_M
+        K = np.eye(3)
+        for row, (axis, edge) in enumerate((("U", "left"), ("V", "top"))):
+            K[row, row] = inner(f"focalLength{axis}") / SUBPIXELS
+            K[row, 2] = inner(f"centerPoint{axis}") / SUBPIXELS - view(edge) + PIXEL_CENTRE
+        keys = [f"{kind}Distortion{index}" for kind in ("radial", "tangental") for index in (1, 2)]
+        coefficients = (*map(inner, keys), inner("radialDistortion3", 0.0))
+        size = (round(view("right") - view("left")) + 1, round(view("bottom") - view("top")) + 1)
+        cameras.append(FileCamera(name, K, "opencv", coefficients, size, _pose(rotation, -rotation @ centre), is_metric=True))
+    return cameras
+
+
+def read_anipose(path: Path) -> list[FileCamera]:
+    """Read the cameras of a TOML file of anipose, freemocap or pose2sim.
+
+    Raises:
+        CaptureError: damaged, or an entry that is absent or of another shape.
+
+    Reading:
+        freemocap notes the size of its board in millimetres, so its poses become metres. What unit others have only the size of
+        their board tells, which they do not name.
+    """
+    values = read_toml(path, CaptureError)
+    metadata = values.get("metadata")
+    is_freemocap = isinstance(metadata, dict) and FREEMOCAP_KEY in metadata
+    tables = {key: table for key, table in values.items() if isinstance(table, dict) and "matrix" in table}
+    cameras = []
+    for key, table in tables.items():
+        name = table.get("name", key)
+        K = _numbers(path, key, table, "matrix", (3, 3))
+        K[:2, 2] += PIXEL_CENTRE
+        coefficients = _numbers(path, key, table, "distortions", None) if table.get("distortions") else np.zeros(5)
+        size = None if "size" not in table else _size(path, key, _numbers(path, key, table, "size", (2,)))
+        pose = None
+        if "rotation" in table or "translation" in table:
+            translation = _numbers(path, key, table, "translation", (3,)) / (MM_PER_M if is_freemocap else 1.0)
+            pose = _pose(_rotation(_numbers(path, key, table, "rotation", (3,))), translation)
+        model: LensModel = "fisheye" if table.get("fisheye") is True else "opencv"
+        cameras.append(FileCamera(str(name), K, model, tuple(map(float, coefficients)), size, pose, is_freemocap))
+    return cameras
+
+
+def read_opencv(path: Path) -> list[FileCamera]:
+    """Read a YAML file of cv2.FileStorage: one camera, or the two of a stereo calibration.
+
+    One camera has ``camera_matrix`` and ``distortion_coefficients``, perhaps ``image_width``, ``image_height``,
+    ``fisheye_model``, and its pose as ``R``, ``T`` or ``rvec``, ``tvec``; it is called ``camera_name`` or like the file. Two have
+    ``M1 D1 M2 D2`` (or ``K1``, ``cameraMatrix1``, ...) with ``R`` and ``T`` in the same file or in ``extrinsics.yml`` beside it;
+    they are called by ``names``, or left and right, and the first one is the world.
+
+    Raises:
+        CaptureError: damaged, or neither of the two.
+    """
+    file = FileStorageYaml(path)
+    if file.has("camera_matrix"):
+        name = file.text("camera_name") or path.stem
+        return [_opencv_camera(file, name, "camera_matrix", "distortion_coefficients", _opencv_pose(file))]
+    keys = next((keys for keys in STEREO_KEYS if file.has(keys[0].format(1))), None)
+    if keys is None:
+        raise refused(path, "camera_matrix of a camera, or M1 and M2 of a stereo pair", "neither")
+    beside = path.with_name(STEREO_EXTRINSICS)
+    pose = _opencv_pose(file) if file.has("R") or not beside.exists() else _opencv_pose(FileStorageYaml(beside))
+    names = file.texts("names") if len(file.texts("names")) == len(STEREO_NAMES) else STEREO_NAMES
+    poses = (np.eye(4) if pose is not None else None, pose)
+    return [
+        _opencv_camera(file, name, keys[0].format(number), keys[1].format(number), each)
+        for number, (name, each) in enumerate(zip(names, poses, strict=True), 1)
+    ]
+
+
+def _opencv_camera(file: FileStorageYaml, name: str, matrix: str, distortion: str, pose: Array | None) -> FileCamera:
+    K = file.matrix(matrix, (3, 3))
+    K[:2, 2] += PIXEL_CENTRE
+    coefficients = file.matrix(distortion, None).ravel() if file.has(distortion) else np.zeros(5)
+    width, height = file.number("image_width"), file.number("image_height")
+    size = (round(width), round(height)) if width and height else None
+    model: LensModel = "fisheye" if file.text("fisheye_model") not in ("", "0", "false") else "opencv"
+    return FileCamera(name, K, model, tuple(map(float, coefficients)), size, pose)
+
+
+def _opencv_pose(file: FileStorageYaml) -> Array | None:
+    rotation = next((key for key in ROTATION_KEYS if file.has(key)), None)
+    translation = next((key for key in TRANSLATION_KEYS if file.has(key)), None)
+    if rotation is None or translation is None:
+        return None
+    shape = (3, 3) if len(file.matrix(rotation, None).ravel()) == 9 else (3, 1)
+    return _pose(_rotation(file.matrix(rotation, shape)), file.matrix(translation, (3, 1)).ravel())
+
+
+def _pose(rotation: Array, translation: Array) -> Array:
+    world_to_camera = np.eye(4)
+    world_to_camera[:3, :3], world_to_camera[:3, 3] = rotation, translation
+    return world_to_camera
+
+
+def _rotation(values: Array) -> Array:
+    """A rotation matrix of itself, or of Rodrigues' vector."""
+    return values if values.shape == (3, 3) else np.asarray(cv2.Rodrigues(values.reshape(3, 1))[0], np.float64)
+
+
+def _parse_xml(path: Path) -> ElementTree.Element:
+    try:
+        text = read_plain_text(path, LARGEST_XML_BYTES)
+        if "<!" in text.replace("<!--", ""):  # entities, which could grow beyond all measure
+            raise refused(path, "XML without declarations", "one that begins with <!")
+        return ElementTree.fromstring(text.encode())
+    except OSError as error:
+        raise CaptureError(f"{path}: wanted a Qualisys calibration, got {why_unread(error)}; restore it") from error
+    except (ElementTree.ParseError, UnicodeError, LookupError, ValueError) as error:
+        raise refused(path, "the XML of a Qualisys calibration", str(error)) from error
+
+
+def _xml_numbers(path: Path, camera: ElementTree.Element, tag: str) -> Any:
+    """What gives the numbers of an element of a camera by their key."""
+    element = camera.find(tag)
+
+    def number(key: str, default: float | None = None) -> float:
+        text = None if element is None else element.get(key)
+        if text is None and default is not None:
+            return default
+        try:
+            value = float(text or "")
+        except ValueError:
+            value = float("nan")
+        if not abs(value) < LARGEST_NUMBER:
+            raise refused(path, f"a number {key} in {tag} of camera {camera.get('serial')}", repr(text))
+        return value
+
+    return number
+
+
+def _numbers(path: Path, section: str, table: Mapping[str, Any], key: str, shape: tuple[int, ...] | None) -> Array:
+    """The numbers of a key as an array of this shape, of any length where None."""
+    value = table.get(key)
+    rows = value if isinstance(value, list) else []
+    flat: Sequence[Any] = [each for row in rows for each in (row if isinstance(row, list) else [row])]
+    is_shaped = shape is None or (len(rows) == shape[0] and len(flat) == np.prod(shape))
+    if not is_shaped or not flat or not all(type(each) in (int, float) and abs(each) < LARGEST_NUMBER for each in flat):
+        size = "numbers" if shape is None else f"{' x '.join(map(str, shape))} numbers"
+        raise refused(path, f"{size} in {section}.{key}", repr(value)[:80])
+    return np.array(flat, dtype=np.float64).reshape(shape or (len(flat),))
+
+
+def _size(path: Path, section: str, values: Array) -> tuple[int, int]:
+    if not (values >= 1).all():
+        raise refused(path, f"a positive {section}.size", str(values.tolist()))
+    return round(values[0]), round(values[1])

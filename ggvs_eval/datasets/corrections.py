@@ -1,0 +1,209 @@
+"""``corrections.toml`` in a capture: cameras that are out of step or brighter than the others, and what frames become for it.
+
+`ggvs-eval check CAPTURE --repair` writes the file; every reader of the capture applies it.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.arrays import Image8
+from ggvs_eval.capture import Capture, DepthSource, Extras, FrameSource
+from ggvs_eval.errors import CaptureError
+from ggvs_eval.files.atomic import atomic_file
+from ggvs_eval.files.digest import digest_values
+from ggvs_eval.files.toml_tables import build_table, read_toml
+
+FILE = "corrections.toml"
+LARGEST_OFFSET = 100_000
+NO_GAIN = (1.0, 1.0, 1.0)
+HEAD = """\
+# What every command corrects of this capture as it reads it; without this file frames are as they were filmed.
+# offset_frames: frame t of the camera shows what the others show at t + offset_frames; it is shifted by as many.
+# gain: how much brighter red, green and blue are than the others'; frames are divided by it.
+"""
+
+
+@dataclass(frozen=True)
+class Correction:
+    """What is wrong with one camera; one ``[[camera]]`` of the file.
+
+    Attributes:
+        name: of the camera.
+        offset_frames: frame t of the camera shows the instant of the others' frame t + offset; positive for one that is ahead.
+        gain: factor on its sRGB values, red, green, blue.
+    """
+
+    name: str
+    offset_frames: int = 0
+    gain: tuple[float, ...] = NO_GAIN
+
+
+@dataclass(frozen=True)
+class CorrectionsTable:
+    """The whole file."""
+
+    camera: tuple[Correction, ...] = ()
+
+
+@dataclass(frozen=True)
+class CorrectedFrames:
+    """Frames of one camera from a later one on, divided by its gain, a `FrameSource`.
+
+    Attributes:
+        source: as they were filmed.
+        start: its frame that becomes frame 0.
+        n_frames: how many are left.
+        gain: of red, green and blue.
+    """
+
+    source: FrameSource
+    start: int
+    n_frames: int
+    gain: tuple[float, ...]
+
+    @property
+    def digest(self) -> str:
+        """Identifies the content."""
+        return digest_values(self.source.digest, "corrected", str(self.start), str(self.n_frames), *map(repr, self.gain))
+
+    def frames(self, start: int, stop: int) -> Iterator[Image8]:
+        """Frames start <= t < stop one by one, RGB uint8 (H, W, 3)."""
+        levels = np.arange(256)[:, None] / np.array(self.gain)
+        table = np.clip(np.rint(levels), 0, 255).astype(np.uint8)[:, None]  # (256, 1, 3)
+        for image in self.source.frames(start + self.start, stop + self.start):
+            yield image if self.gain == NO_GAIN else np.asarray(cv2.LUT(image, table), np.uint8)
+
+
+@dataclass(frozen=True)
+class ShiftedDepths:
+    """Measured depth of one camera from a later frame on, a `DepthSource`; attributes as of `CorrectedFrames`."""
+
+    source: DepthSource
+    start: int
+    n_frames: int
+
+    @property
+    def digest(self) -> str:
+        """Identifies the content."""
+        return digest_values(self.source.digest, "shifted", str(self.start), str(self.n_frames))
+
+    def depths(self, start: int, stop: int) -> Iterator[NDArray[np.float32]]:
+        """Depth of frames start <= t < stop one by one."""
+        yield from self.source.depths(start + self.start, stop + self.start)
+
+
+def corrections_file(path: Path) -> Path:
+    """Where the corrections of a capture lie: in its folder."""
+    return (path if path.is_dir() else path.parent) / FILE
+
+
+def read_corrections(file: Path) -> dict[str, Correction]:
+    """Corrections by camera; none where there is no file.
+
+    Raises:
+        CaptureError: a damaged file, a camera named twice, a gain that is no gain.
+    """
+    if not file.exists():
+        return {}
+    table = build_table(CorrectionsTable, read_toml(file, CaptureError), str(file), "", CaptureError)
+    for each in table.camera:
+        if len(each.gain) != 3 or not all(0.01 <= value <= 100 for value in each.gain):
+            raise CaptureError(f"{file}: {each.name}: wanted a gain of red, green and blue, got {list(each.gain)}; correct it")
+        if abs(each.offset_frames) > LARGEST_OFFSET:
+            raise CaptureError(f"{file}: {each.name}: wanted an offset in frames, got {each.offset_frames}; correct it")
+    corrections = {each.name: each for each in table.camera}
+    if len(corrections) < len(table.camera):
+        raise CaptureError(f"{file}: wanted each camera once, got {', '.join(each.name for each in table.camera)}; keep one")
+    return corrections
+
+
+def write_corrections(file: Path, corrections: Mapping[str, Correction]) -> None:
+    """Write corrections so that `read_corrections` reads them back; cameras that need none are left out."""
+    lines = [HEAD]
+    for name, each in sorted(corrections.items()):
+        if each == Correction(name):
+            continue
+        quoted = name.replace("\\", "\\\\").replace('"', '\\"')
+        lines += ["[[camera]]", f'name = "{quoted}"']
+        lines += [f"offset_frames = {each.offset_frames}"] if each.offset_frames else []
+        lines += [f"gain = [{', '.join(map(repr, each.gain))}]"] if each.gain != NO_GAIN else []
+        lines.append("")
+    with atomic_file(file) as unfinished:
+        unfinished.write_text("\n".join(lines), encoding="utf-8")
+
+
+def apply_corrections(capture: Capture, corrections: Mapping[str, Correction], file: Path) -> Capture:
+    """The capture with its cameras in step and of one brightness; a note says what was done.
+
+    Args:
+        capture: as it was filmed.
+        corrections: by camera.
+        file: where they come from, for messages.
+
+    Raises:
+        CaptureError: a camera that the capture does not have, or offsets that leave no instant.
+
+    Reading:
+        Instants that not all cameras saw are dropped at both ends. Values are divided as they are stored, in sRGB, and rounded
+        to 8 bit; what was clipped stays so. Truth is corrected like everything else, or one camera's gain would be every
+        method's error. Masks and measured depth are shifted, backgrounds divided.
+    """
+    if not corrections:
+        return capture
+    unknown = [name for name in corrections if name not in capture.camera_names]
+    if unknown:
+        there = ", ".join(capture.camera_names)
+        raise CaptureError(f"{file}: wanted cameras of the capture, got {', '.join(unknown)}; there are {there}")
+    chosen = [corrections.get(name, Correction(name)) for name in capture.camera_names]
+    latest = max(each.offset_frames for each in chosen)
+    n_frames = capture.n_frames - latest + min(each.offset_frames for each in chosen)
+    if n_frames < 1:
+        raise CaptureError(f"{file}: the offsets leave none of {capture.n_frames} frames that all cameras saw; correct them")
+    starts = [latest - each.offset_frames for each in chosen]
+    sources = [
+        CorrectedFrames(source, start, n_frames, each.gain) if n_frames < capture.n_frames or each.gain != NO_GAIN else source
+        for source, start, each in zip(capture.sources, starts, chosen, strict=True)
+    ]
+    extras = [_corrected_extras(*each, n_frames) for each in zip(capture.extras, starts, chosen, strict=False)]
+    note = f"corrected by {file.name}: {describe_corrections(corrections)}"
+    return replace(
+        capture,
+        sources=tuple(sources),
+        extras=tuple(extras),
+        n_frames=n_frames,
+        fps=capture.fps if n_frames > 1 else 0.0,
+        notes=(*capture.notes, note),
+    )
+
+
+def _corrected_extras(extras: Extras, start: int, correction: Correction, n_frames: int) -> Extras:
+    background, mask, depth = extras.background, extras.mask, extras.depth
+    return Extras(
+        background=background and CorrectedFrames(background, 0, background.n_frames, correction.gain),
+        mask=mask and CorrectedFrames(mask, start, n_frames, NO_GAIN),
+        depth=depth and ShiftedDepths(depth, start, n_frames),
+    )
+
+
+def describe_corrections(corrections: Mapping[str, Correction]) -> str:
+    """What is done, for people.
+
+    Examples:
+        >>> describe_corrections({"cam03": Correction("cam03", offset_frames=-2)})
+        'cam03 2 frames behind, shifted'
+    """
+    return "; ".join(map(_describe, corrections.values())) or "nothing"
+
+
+def _describe(correction: Correction) -> str:
+    offset, parts = correction.offset_frames, []
+    if offset:
+        parts.append(f"{abs(offset)} frame{'s' * (abs(offset) > 1)} {'ahead' if offset > 0 else 'behind'}, shifted")
+    if correction.gain != NO_GAIN:
+        parts.append(f"divided by {' '.join(f'{value:.3f}' for value in correction.gain)}")
+    return f"{correction.name} {' and '.join(parts) or 'as it is'}"

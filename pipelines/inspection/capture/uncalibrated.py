@@ -1,0 +1,48 @@
+"""Frames that have no calibration yet: what can be said of them, and what comes next."""
+
+from pathlib import Path
+
+import numpy as np
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.capture import Capture
+from ggvs_eval.datasets import detect_layout
+from ggvs_eval.datasets.assemble import assemble_capture
+from ggvs_eval.datasets.units import Units
+from ggvs_eval.errors import CaptureError
+from ggvs_eval.pipelines.inspection.finding import RIG, Finding
+from ggvs_eval.pipelines.offline.calibration.camera_files import find_camera_files
+
+LAYOUT = "no calibration"
+
+
+def open_uncalibrated(path: Path) -> Capture | None:
+    """Open the frames of a folder that is no capture yet; None where it is one, or holds no frames of two cameras.
+
+    The cameras are placeholders at one place, which nothing may be computed from.
+
+    Raises:
+        CaptureError: frames that do not fit each other, as cameras of one capture must.
+    """
+    try:
+        detect_layout(path)
+    except CaptureError:
+        pass
+    else:
+        return None
+    try:
+        files = find_camera_files(path)
+    except CaptureError:
+        return None
+    cameras = []
+    for name, file in files.items():
+        width, height = file.size
+        K = np.array([[float(width), 0.0, width / 2], [0.0, float(width), height / 2], [0.0, 0.0, 1.0]])
+        cameras.append(Camera(name, K, np.eye(4), width, height, 1.0, 2.0))
+    return assemble_capture(path, LAYOUT, cameras, list(files.values()), Units(1.0, LAYOUT))
+
+
+def ask_for_calibration(path: Path, questions: tuple[str, ...]) -> tuple[Finding, ...]:
+    """Answer the questions that want poses: how to get them."""
+    advice = f"ggvs-eval calibrate {path} RIG, then check RIG"
+    return tuple(Finding(RIG, question, "unknown", "no calibration yet", {}, advice) for question in questions)

@@ -1,0 +1,108 @@
+"""Which cameras are held out of a rig of one's own, and the reason of each."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ggvs_eval.capture import Capture
+from ggvs_eval.errors import CaptureError, ProtocolError
+from ggvs_eval.pipelines.commands.main import run_command
+from ggvs_eval.pipelines.inspection.capture.check import CaptureCheck, read_doubts
+from ggvs_eval.pipelines.inspection.finding import Finding
+from ggvs_eval.pipelines.run.suggest_protocol import propose_protocol, suggest_protocol
+from ggvs_eval.protocol import load_protocol
+from ggvs_eval.run_folder import write_json
+from helpers.captures import make_rig
+from helpers.command_line import refusal
+
+NAMES = [f"cam{number}" for number in range(6)]
+
+
+def rig_of(names=NAMES, turned: str = "") -> Capture:
+    """A row of cameras; one may look away from what the others see."""
+    cameras = make_rig(names)
+    away = np.diag([-1.0, 1.0, -1.0, 1.0])
+    cameras = [
+        replace(camera, world_to_camera=away @ camera.world_to_camera) if camera.name == turned else camera for camera in cameras
+    ]
+    return Capture("scene", "colmap", Path("scene"), tuple(cameras), (), 30, 30.0, 1.0, "guess")
+
+
+def test_every_camera_has_a_reason():
+    """Held out with its sources and what they show, or a source because the others are held out."""
+    proposal = propose_protocol(rig_of())
+    assert list(proposal.reasons) == NAMES
+    assert proposal.protocol.views.test == ("cam1", "cam3", "cam5")
+    assert proposal.reasons["cam3"].startswith("held out: ")
+    assert proposal.reasons["cam3"].endswith("% of its view")
+    assert proposal.reasons["cam2"] == "stays a source: every second camera is held out, at most nine"
+    assert suggest_protocol(rig_of()) == proposal.protocol
+
+
+def test_a_camera_in_doubt_is_no_truth():
+    """What the check found is the reason; the others stay held out."""
+    proposal = propose_protocol(rig_of(), {"cam3": "time offset: 0.4 frames behind the rig"})
+    assert proposal.protocol.views.test == ("cam1", "cam5")
+    assert proposal.reasons["cam3"] == "stays a source: the check says time offset: 0.4 frames behind the rig"
+    assert proposal.protocol.views.chosen_by.endswith("without those in doubt and those that the other cameras hardly show")
+
+
+def test_a_view_that_nobody_shows_is_passed_over():
+    """A run would refuse it."""
+    proposal = propose_protocol(rig_of(turned="cam3"))
+    assert proposal.protocol.views.test == ("cam1", "cam5")
+    assert "can show 0 % of its view" in proposal.reasons["cam3"]
+
+
+def test_the_other_cameras_take_over_where_none_is_left():
+    """With every second camera in doubt those between are held out; with all in doubt the rule stands."""
+    doubts = dict.fromkeys(NAMES[1::2], "noise: 9")
+    assert propose_protocol(rig_of(), doubts).protocol.views.test == ("cam0", "cam2", "cam4")
+    everybody = propose_protocol(rig_of(), dict.fromkeys(NAMES, "noise: 9"))
+    assert everybody.protocol.views.test == ("cam1", "cam3", "cam5")
+    assert everybody.reasons["cam1"] == "held out: by rule, though no camera can serve well"
+
+
+def test_a_packaged_protocol_keeps_its_views():
+    """Its own words are the reason; a doubt is told beside."""
+    capture = replace(rig_of([f"cam{number:02d}" for number in range(21)]), layout="dynerf", n_frames=300)
+    proposal = propose_protocol(capture, {"cam00": "noise: sigma 9"})
+    assert proposal.protocol == load_protocol("dynerf")
+    assert proposal.reasons["cam00"].startswith("chosen by us: ")
+    assert proposal.reasons["cam00"].endswith("; but noise: sigma 9")
+    assert proposal.reasons["cam01"] == "not a test view of the packaged protocol dynerf"
+
+
+def test_doubts_are_the_worst_of_a_check(tmp_path):
+    """Warnings and worse, of cameras, the worst one of each."""
+    findings = (
+        Finding("rig", "units", "warn", "unknown"),
+        Finding("cam1", "time offset", "bad", "2 frames behind"),
+        Finding("cam1", "noise", "warn", "sigma 9"),
+        Finding("cam2", "noise", "ok", "sigma 1"),
+        Finding("cam3", "noise", "unknown", "one frame"),
+    )
+    write_json(tmp_path / "check.json", CaptureCheck(tmp_path, findings).to_json())
+    assert read_doubts(tmp_path / "check.json") == {"cam1": "time offset: 2 frames behind"}
+    for text in ("{}", "[]", '{"findings": [{"a": 1}]}', '{"findings": [1]}', '{"findings": [{"subject":', "\x80"):
+        (tmp_path / "check.json").write_text(text, encoding="latin-1")
+        with pytest.raises(CaptureError, match="wanted what 'ggvs-eval check' wrote"):
+            read_doubts(tmp_path / "check.json")
+
+
+def test_the_command_writes_a_file_that_run_takes(dynerf, tmp_path, capsys):
+    """A file that is there is left alone; frames and poses may be fewer, for a first look."""
+    file = tmp_path / "new" / "mine.toml"
+    run_command(["protocol", str(dynerf), str(file), "--frames", "2", "--path-poses", "3"])
+    written = load_protocol(file)
+    assert (written.frames.count, written.path.poses) == (2, 3)
+    assert written.views == suggest_protocol(rig_of(["cam00", "cam01", "cam02", "cam03"])).views
+    assert "held out: " in capsys.readouterr().out
+    assert "it is there already" in refusal("protocol", dynerf, file)
+    assert "wanted what 'ggvs-eval check' wrote" in refusal("protocol", dynerf, tmp_path / "b.toml", "--check", file)
+    assert json.dumps(str(tmp_path)) not in file.read_text()
+    with pytest.raises(ProtocolError, match="one frame or more"):
+        written.shortened(0, None)
