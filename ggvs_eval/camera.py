@@ -74,8 +74,8 @@ class Camera:
 
     def _check_values(self) -> None:
         if not np.allclose(self.world_to_camera[3], (0, 0, 0, 1)):
-            found = self.world_to_camera[3].tolist()
-            raise CameraError(f"camera {self.name}: world_to_camera must end with the row 0 0 0 1, got {found}; transpose it")
+            last_row = self.world_to_camera[3].tolist()
+            raise CameraError(f"camera {self.name}: world_to_camera must end with the row 0 0 0 1, got {last_row}; transpose it")
         determinant = np.linalg.det(self.rotation)
         if not determinant > 0:
             raise CameraError(
@@ -217,7 +217,7 @@ class Camera:
         return np.stack(np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5), axis=-1)
 
     def shows_the_same_rays(self, other: "Camera") -> bool:
-        """Whether two cameras show the same rays at the same pixels, whatever they are called."""
+        """Tell whether two cameras show the same rays at the same pixels, whatever their names."""
         same_pose = np.array_equal(self.world_to_camera, other.world_to_camera)
         return same_pose and np.array_equal(self.K, other.K) and self.size == other.size
 

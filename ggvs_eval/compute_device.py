@@ -1,4 +1,4 @@
-"""Where networks compute: on the CPU, with equal bits wherever that is, or on a GPU."""
+"""The device on which networks compute: the CPU, with the same bits on any CPU, or a GPU."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -86,5 +86,5 @@ def clock_s(device: torch.device) -> float:
 
 
 def describe_device(device: torch.device) -> str:
-    """What a result says of where it was computed: ``cpu``, or ``cuda: NVIDIA H100 80GB HBM3``."""
+    """Name a device for the record of what it computed: ``cpu``, or ``cuda: NVIDIA H100 80GB HBM3``."""
     return f"cuda: {torch.cuda.get_device_name(device)}" if device.type == "cuda" else device.type

@@ -106,7 +106,7 @@ class DepthStore:
         return hashlib.sha256(json.dumps(spec, sort_keys=True, allow_nan=False).encode()).hexdigest()
 
     def folder(self, key: str) -> Path:
-        """Where the depth maps of that key lie."""
+        """Return the folder of the depth maps with that key."""
         return self.root / key[:24]
 
     def path(self, key: str, frame: int) -> Path:
@@ -114,7 +114,7 @@ class DepthStore:
         return self.folder(key) / f"{frame:06d}.npz"
 
     def has(self, key: str, frame: int) -> bool:
-        """Whether that instant is stored."""
+        """Tell whether that instant is stored."""
         return self.path(key, frame).is_file()
 
     def write_spec(self, spec: Mapping[str, object]) -> str:

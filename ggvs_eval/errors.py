@@ -1,4 +1,4 @@
-"""What a user can mend: one family, each with a one-line message that says how; and accidents of the machine.
+"""Errors that a user can mend: one family, each with a one-line message that says how; and accidents of the machine.
 
 The command line prints these in one line and exits with 1. Anything else is our bug and keeps its traceback.
 """

@@ -48,8 +48,8 @@ class Lens:
             K.shape == (3, 3) and np.isfinite(K).all() and K[0, 0] > 0 and K[1, 1] > 0 and abs(K[0, 1]) <= LARGEST_SKEW * K[0, 0]
         )
         if not is_K or np.any(K[[1, 2, 2, 2], [0, 0, 1, 2]] != (0, 0, 0, 1)):
-            found = " / ".join(" ".join(f"{value:.6g}" for value in row) for row in K)
-            raise CameraError(f"lens: K must be fx 0 cx / 0 fy cy / 0 0 1 in pixels, zero skew, got {found}")
+            rows = " / ".join(" ".join(f"{value:.6g}" for value in row) for row in K)
+            raise CameraError(f"lens: K must be fx 0 cx / 0 fy cy / 0 0 1 in pixels, zero skew, got {rows}")
         if self.width < 1 or self.height < 1:
             raise CameraError(f"lens: the size must be positive, got {self.width} x {self.height}")
         counts = COEFFICIENTS[self.model]
@@ -60,7 +60,7 @@ class Lens:
 
     @property
     def is_pinhole(self) -> bool:
-        """Whether the lens does not distort at all."""
+        """True if the lens does not distort at all."""
         return self.model == "opencv" and not any(self.coefficients)
 
     def resized(self, width: int, height: int) -> "Lens":
@@ -69,7 +69,7 @@ class Lens:
         return replace(self, K=K, width=width, height=height)
 
     def distort(self, uv: Array, K: Array) -> Array:
-        """Where points of a pinhole image lie in the distorted one.
+        """Map points of a pinhole image to the distorted one.
 
         Args:
             uv: image coordinates in the pinhole image, (..., 2), pixels.
@@ -113,7 +113,7 @@ class Lens:
         return self.K * np.array([[zoom, 1, 1], [1, zoom, 1], [1, 1, 1]])
 
     def _covers(self, zoom: float) -> bool:
-        """Whether the pinhole image at this zoom lies inside the distorted one, and no part of it twice."""
+        """Tell whether the pinhole image at this zoom lies inside the distorted one, and no part of it twice."""
         along = np.linspace(0.0, 1.0, BORDER_POINTS)
         ends = np.zeros(BORDER_POINTS), np.ones(BORDER_POINTS)
         border = np.concatenate([np.stack(side, axis=-1) for end in ends for side in ((along, end), (end, along))])

@@ -1,4 +1,4 @@
-"""What every method is: something that turns the frames of one instant into the target view, and sees no further."""
+"""The interface of every method: it turns the frames of one instant into the target view, and sees no further."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -56,7 +56,7 @@ class Instant:
 
 @dataclass(frozen=True)
 class Rendering:
-    """What a method gives back for one instant.
+    """Output of a method for one instant.
 
     Attributes:
         image: synthesised view, float32 RGB in [0, 1], (H, W, 3).

@@ -31,7 +31,7 @@ class SweepRow:
 
     @property
     def label(self) -> str:
-        """What its folders are called: the method, or the title as a plain name where others rendered."""
+        """Name of its folders: the method, or the title as a plain name where others rendered."""
         return self.method if self.rendered is None else re.sub(r"[^a-z0-9]+", "-", self.title.lower()).strip("-")
 
     @property
@@ -40,7 +40,7 @@ class SweepRow:
         return self.method.removeprefix(RENDERED) if self.method.startswith(RENDERED) else None
 
     def frames_of(self, capture: str) -> Path | None:
-        """Where others' frames of a capture lie.
+        """Return the path of others' frames of a capture, or None for a method that is rendered here.
 
         Args:
             capture: name of its folder.
@@ -50,7 +50,7 @@ class SweepRow:
 
 @dataclass(frozen=True)
 class Sweep:
-    """What to compare.
+    """Table of methods (rows) to compare, over numbers of source cameras.
 
     Attributes:
         name: of the sweep.
@@ -74,11 +74,11 @@ class Sweep:
             cameras: of the capture; a K of the sweep that it cannot serve has no variant.
         """
         own, most = protocol.synthesis.k, cameras - 1
-        wanted = {*self.k, *([own] if not self.k or any(row.only_own_k for row in self.row) else [])}
-        wanted |= {most} if self.all_cameras else set()
-        if wanted == {own}:
+        k_values = {*self.k, *([own] if not self.k or any(row.only_own_k for row in self.row) else [])}
+        k_values |= {most} if self.all_cameras else set()
+        if k_values == {own}:
             return {protocol.name: protocol}
-        served = sorted(k for k in wanted if k <= most or k == own)
+        served = sorted(k for k in k_values if k <= most or k == own)
         return {f"k{k}": dataclasses.replace(protocol, synthesis=dataclasses.replace(protocol.synthesis, k=k)) for k in served}
 
     def rows(self, variant: Protocol, protocol: Protocol) -> tuple[SweepRow, ...]:
@@ -105,9 +105,9 @@ def load_sweep(source: str) -> Sweep:
         file = resources.files("ggvs_eval") / "sweeps" / f"{source}.toml"
         values = parse_toml(file.read_text(encoding="utf-8"), source, ProtocolError)
     else:
-        known = packaged_sweeps()
-        wanted = f"a .toml file or one of {', '.join(known)}{did_you_mean(source, known)}"
-        raise ProtocolError(f"sweep {source!r} is not packaged; use {wanted}")
+        sweep_names = packaged_sweeps()
+        choices = f"a .toml file or one of {', '.join(sweep_names)}{did_you_mean(source, sweep_names)}"
+        raise ProtocolError(f"sweep {source!r} is not packaged; use {choices}")
     sweep = build_table(Sweep, values, source, "", ProtocolError)
     if not sweep.row or any(k < 1 for k in sweep.k):
         raise ProtocolError(f"{source}: wanted at least one [[row]] and k of at least 1, got {len(sweep.row)} rows, k {sweep.k}")

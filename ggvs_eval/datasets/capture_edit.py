@@ -136,40 +136,38 @@ def perturb_capture(capture: Capture, wanted: CaptureEdit) -> Capture:
     )
 
 
-def _check(capture: Capture, wanted: CaptureEdit) -> None:
+def _check(capture: Capture, edit: CaptureEdit) -> None:
     """Refuse what cannot be."""
-    senseless = [f"{name} {value:g}" for name, value in asdict(wanted).items() if not 0 <= value < np.inf]
+    senseless = [f"{name} {value:g}" for name, value in asdict(edit).items() if not 0 <= value < np.inf]
     if senseless:
         raise CaptureError(
             f"{capture.path}: wanted numbers of at least 0 to hold frames and add noise, got {', '.join(senseless)}"
         )
-    if wanted.hold_frame >= capture.n_frames:
-        raise CaptureError(f"{capture.path}: wanted frame {wanted.hold_frame} held still, the capture has {capture.n_frames}")
-    if wanted.hold_frame and not wanted.hold_frames:
-        raise CaptureError(
-            f"{capture.path}: frame {wanted.hold_frame} is to be held still, but not for how long; give hold_frames"
-        )
+    if edit.hold_frame >= capture.n_frames:
+        raise CaptureError(f"{capture.path}: wanted frame {edit.hold_frame} held still, the capture has {capture.n_frames}")
+    if edit.hold_frame and not edit.hold_frames:
+        raise CaptureError(f"{capture.path}: frame {edit.hold_frame} is to be held still, but not for how long; give hold_frames")
     if capture.edit is not None:
         raise CaptureError(f"{capture.path}: wanted a capture as it was taken, got one that is held still or noisy; open it anew")
 
 
-def _edited(name: str, source: FrameSource, wanted: CaptureEdit) -> FrameSource:
-    held = HeldFrames(source, wanted.hold_frame, wanted.hold_frames) if wanted.hold_frames else source
-    return NoisyFrames(held, name, wanted.sensor_noise_255, wanted.noise_seed) if wanted.sensor_noise_255 else held
+def _edited(name: str, source: FrameSource, edit: CaptureEdit) -> FrameSource:
+    held = HeldFrames(source, edit.hold_frame, edit.hold_frames) if edit.hold_frames else source
+    return NoisyFrames(held, name, edit.sensor_noise_255, edit.noise_seed) if edit.sensor_noise_255 else held
 
 
-def _held_extras(extras: Extras, wanted: CaptureEdit) -> Extras:
+def _held_extras(extras: Extras, edit: CaptureEdit) -> Extras:
     mask, depth = extras.mask, extras.depth
     return replace(
         extras,
-        mask=mask and HeldFrames(mask, wanted.hold_frame, wanted.hold_frames),
-        depth=depth and HeldDepths(depth, wanted.hold_frame, wanted.hold_frames),
+        mask=mask and HeldFrames(mask, edit.hold_frame, edit.hold_frames),
+        depth=depth and HeldDepths(depth, edit.hold_frame, edit.hold_frames),
     )
 
 
-def _describe(wanted: CaptureEdit) -> str:
+def _describe(edit: CaptureEdit) -> str:
     """For people."""
-    parts = [f"frame {wanted.hold_frame} held still for {wanted.hold_frames} instants"] if wanted.hold_frames else []
-    if wanted.sensor_noise_255:
-        parts.append(f"sensor noise of {wanted.sensor_noise_255:g}/255 added to every camera (seed {wanted.noise_seed})")
+    parts = [f"frame {edit.hold_frame} held still for {edit.hold_frames} instants"] if edit.hold_frames else []
+    if edit.sensor_noise_255:
+        parts.append(f"sensor noise of {edit.sensor_noise_255:g}/255 added to every camera (seed {edit.noise_seed})")
     return ", ".join(parts)

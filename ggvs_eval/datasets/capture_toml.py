@@ -90,7 +90,7 @@ class CaptureTable:
 
 
 def refuse(path: Path) -> str | None:
-    """Why this is no capture.toml; None where it is one."""
+    """Return the reason why this is not a capture.toml, or None if it is one."""
     return None if _file(path).is_file() else f"no {FILE}"
 
 
@@ -125,8 +125,8 @@ def load(path: Path, units: GivenUnits) -> Capture:
         for camera, lens, pinhole in zip(table.camera, lenses, cameras, strict=True)
     ]
     extras = [_extras(file, *each) for each in zip(table.camera, lenses, cameras, sources, strict=True)]
-    known = None if table.units_per_metre is None else Units(table.units_per_metre, FILE)
-    chosen = choose_units(file.parent, units, cameras, known=known)
+    table_units = None if table.units_per_metre is None else Units(table.units_per_metre, FILE)
+    chosen = choose_units(file.parent, units, cameras, known=table_units)
     scene = table.scene or file.parent.resolve().name
     fps = None if any(isinstance(source, VideoFrames) for source in sources) else table.fps
     return assemble_capture(file.parent, "capture.toml", cameras, sources, chosen, scene=scene, fps=fps, extras=extras)
@@ -142,8 +142,8 @@ def _pose(camera: CameraTable, file: Path) -> Array:
         raise CaptureError(f"{file}: camera {camera.name} wants one of world_to_camera and camera_to_world, got {len(given)}")
     pose = _matrix(given[0], 4, f"{file}: pose of {camera.name}")
     if not np.array_equal(pose[3], (0, 0, 0, 1)):
-        found = f"{pose[3].tolist()}; transpose it where points are rows"
-        raise CaptureError(f"{file}: the last row of the pose of {camera.name} must be 0 0 0 1, got {found}")
+        last_row = f"{pose[3].tolist()}; transpose it where points are rows"
+        raise CaptureError(f"{file}: the last row of the pose of {camera.name} must be 0 0 0 1, got {last_row}")
     if camera.world_to_camera is not None:
         return pose
     if not 1e-9 < abs(np.linalg.det(pose)) < 1e9:
@@ -193,8 +193,8 @@ def _exists(path: Path) -> bool:
 
 
 def _extras(file: Path, table: CameraTable, lens: Lens, camera: Camera, frames: SizedSource) -> Extras:
-    found = [undistorted(_source(file, each), lens, camera.K) if each else None for each in (table.background, table.mask)]
-    background, mask = found
+    sources = [undistorted(_source(file, each), lens, camera.K) if each else None for each in (table.background, table.mask)]
+    background, mask = sources
     if mask is not None and mask.n_frames != frames.n_frames:
         counts = f"{mask.n_frames} for {frames.n_frames} frames"
         raise CaptureError(f"{file}: wanted one mask of {table.name} per frame, got {counts}; restore them or drop the key")

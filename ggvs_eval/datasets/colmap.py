@@ -16,7 +16,7 @@ __all__ = ["ARRANGEMENTS", "find_model", "load", "refuse"]
 
 
 def refuse(path: Path) -> str | None:
-    """Why this is no COLMAP capture; None where it is one."""
+    """Return the reason why this is not a COLMAP capture, or None if it is one."""
     return None if find_model(path) else f"no COLMAP model (cameras.bin or cameras.txt) in {', '.join(MODEL_FOLDERS)}"
 
 
@@ -51,8 +51,8 @@ def _by_camera(folder: Path, views: Sequence[CalibratedView]) -> dict[str, Calib
     names = [_camera_name(view.image_name) for view in views]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        found = f"several images of {listed(twice)}"
-        raise CaptureError(f"{folder}: wanted one registered image per fixed camera, got {found}; calibrate with one instant")
+        repeats = f"several images of {listed(twice)}"
+        raise CaptureError(f"{folder}: wanted one registered image per fixed camera, got {repeats}; calibrate with one instant")
     return dict(zip(names, views, strict=True))
 
 

@@ -136,11 +136,11 @@ def lens_of_colmap(model: str, params: Sequence[float], width: int, height: int)
     Raises:
         CameraError: a model that OpenCV cannot express, or parameters that do not fit it.
     """
-    known = OPENCV_MODELS | FISHEYE_MODELS
-    if model not in known:
+    models = OPENCV_MODELS | FISHEYE_MODELS
+    if model not in models:
         mend = "undistort images and model by 'colmap image_undistorter' first"
-        raise CameraError(f"wanted one of {', '.join(known)}, got {model}; {mend}")
-    n_focal, n_coefficients, positions = known[model]
+        raise CameraError(f"wanted one of {', '.join(models)}, got {model}; {mend}")
+    n_focal, n_coefficients, positions = models[model]
     if len(params) != n_focal + 2 + len(positions) or not np.isfinite(params).all():
         raise CameraError(f"wanted {n_focal + 2 + len(positions)} finite parameters of {model}, got {list(params)}")
     fx, fy = params[0], params[n_focal - 1]

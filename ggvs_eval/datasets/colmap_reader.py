@@ -64,8 +64,8 @@ def _describe_image(reconstruction: Any, image: Any) -> dict[str, Any]:
     camera = reconstruction.cameras[image.camera_id]
     pose = image.cam_from_world() if callable(image.cam_from_world) else image.cam_from_world
     world_to_camera = np.asarray(pose.matrix())  # (3, 4)
-    seen = [point.point3D_id for point in image.points2D if point.has_point3D()]
-    points_world = np.array([reconstruction.points3D[point].xyz for point in seen]).reshape(-1, 3)
+    point_ids = [point.point3D_id for point in image.points2D if point.has_point3D()]
+    points_world = np.array([reconstruction.points3D[point].xyz for point in point_ids]).reshape(-1, 3)
     depth = points_world @ world_to_camera[2, :3] + world_to_camera[2, 3]
     depth = depth[depth > 0]
     return {

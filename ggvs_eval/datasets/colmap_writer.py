@@ -14,7 +14,7 @@ FILES = ("cameras.txt", "images.txt", "points3D.txt")
 
 
 class Sightings(NamedTuple):
-    """What one camera sees of many points.
+    """Observations of scene points in the image of one camera.
 
     Attributes:
         point: index of each point that it sees, (M,).
@@ -55,22 +55,22 @@ def _camera_line(number: int, camera: Camera) -> str:
     return f"{number} PINHOLE {camera.width} {camera.height} {intrinsics}"
 
 
-def _image_lines(number: int, camera: Camera, seen: Sightings) -> list[str]:
+def _image_lines(number: int, camera: Camera, sightings: Sightings) -> list[str]:
     """Pose with name, and the sightings as x, y and number of the point."""
     from scipy.spatial.transform import Rotation
 
     quaternion = Rotation.from_matrix(camera.rotation).as_quat(canonical=True, scalar_first=True)
     pose = _numbers([*quaternion, *camera.translation])
-    sights = (f"{_numbers(uv)} {index + 1}" for uv, index in zip(seen.uv, seen.point, strict=True))
+    sights = (f"{_numbers(uv)} {index + 1}" for uv, index in zip(sightings.uv, sightings.point, strict=True))
     return [f"{number} {pose} {number} {camera.name}.png", " ".join(sights)]
 
 
-def _point_lines(cameras: Sequence[Camera], seen: Sequence[Sightings], points: Array) -> Iterable[str]:
+def _point_lines(cameras: Sequence[Camera], sightings: Sequence[Sightings], points: Array) -> Iterable[str]:
     """Place, colour, error, and the track: number of the image and of the sighting in it, from 0."""
     tracks: dict[int, list[str]] = {}
     colours: dict[int, list[Image8]] = {}
     errors_px: dict[int, list[float]] = {}
-    for number, (camera, sights) in enumerate(zip(cameras, seen, strict=True), 1):
+    for number, (camera, sights) in enumerate(zip(cameras, sightings, strict=True), 1):
         missed_px = np.linalg.norm(camera.project(points[sights.point])[0] - sights.uv, axis=1)
         for row, index in enumerate(sights.point.tolist()):
             tracks.setdefault(index, []).append(f"{number} {row}")

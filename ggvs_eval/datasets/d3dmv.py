@@ -18,7 +18,7 @@ LISTED = 8
 
 
 def refuse(path: Path) -> str | None:
-    """Why this file or folder is no D3DMV capture; None where it is one."""
+    """Return the reason why this file or folder is not a D3DMV capture, or None if it is one."""
     files = _h5_files(path)
     if files:
         posed = any(_pose_file(file).is_file() for file in files)
@@ -88,19 +88,19 @@ def _frame_folders(path: Path) -> dict[str, Path]:
 
 def _background(path: Path, name: str) -> ImageFrames:
     files = [path / "background" / f"{name}{suffix}" for suffix in IMAGE_SUFFIXES]
-    found = next((file for file in files if file.is_file()), None)
-    if found is None:
+    image = next((file for file in files if file.is_file()), None)
+    if image is None:
         raise CaptureError(f"{path / 'background'}: wanted {name}.png or .jpg, got neither; restore it or remove the folder")
-    return ImageFrames(found)
+    return ImageFrames(image)
 
 
 def _read_cameras(file: Path, names: list[str]) -> list[Camera]:
     """Row i is the i-th camera."""
     if len({len(name) for name in names}) > 1:
-        found = f"{min(names, key=len)} and {max(names, key=len)}"
-        raise CaptureError(f"{file.parent}: wanted camera numbers of one length, got {found}; add leading zeros")
+        mismatch = f"{min(names, key=len)} and {max(names, key=len)}"
+        raise CaptureError(f"{file.parent}: wanted camera numbers of one length, got {mismatch}; add leading zeros")
     poses = read_llff_poses(file)
     if len(poses) != len(names):
-        wanted = f"one row for each of the {len(names)} cameras ({names[0]}..{names[-1]})"
-        raise CaptureError(f"{file}: wanted {wanted}, got {len(poses)} rows; restore what is missing")
+        expected_rows = f"one row for each of the {len(names)} cameras ({names[0]}..{names[-1]})"
+        raise CaptureError(f"{file}: wanted {expected_rows}, got {len(poses)} rows; restore what is missing")
     return [llff_camera(pose, name, file) for pose, name in zip(poses, names, strict=True)]

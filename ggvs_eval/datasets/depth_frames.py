@@ -89,7 +89,7 @@ class DepthFrames:
         return (depth * self.scale_to_units).astype(np.float32)
 
     def _reprojected(self, steps: NDArray[np.uint16], depth_to_colour: Array) -> NDArray[np.float32]:
-        """What the camera sees of what a sensor beside it measured."""
+        """Reproject what a sensor beside the camera measured into the camera's image."""
         if self.K is None or self.K_depth is None:
             raise CaptureError(f"{self.path}: a sensor beside its camera wants the intrinsics of both; export them again")
         colour = Camera("colour", self.K, np.eye(4), self.width, self.height, *ANY_DEPTH)
@@ -115,11 +115,11 @@ def read_depth_png(path: Path) -> NDArray[np.uint16]:
     """
     steps = decode_image(read_encoded(path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
     if steps is None:
-        found = f"{path.stat().st_size} bytes that do not decode"
-        raise CaptureError(f"{path}: wanted a depth map, got {found}; export this frame again")
+        content = f"{path.stat().st_size} bytes that do not decode"
+        raise CaptureError(f"{path}: wanted a depth map, got {content}; export this frame again")
     if steps.dtype != np.uint16 or steps.ndim != 2:
-        found = f"{steps.dtype} {steps.shape}"
-        raise CaptureError(f"{path}: wanted a depth map of one 16-bit channel, got {found}; export it without conversion")
+        content = f"{steps.dtype} {steps.shape}"
+        raise CaptureError(f"{path}: wanted a depth map of one 16-bit channel, got {content}; export it without conversion")
     if not steps.any():
         raise CaptureError(f"{path}: wanted measured depth, got zeros alone; leave this frame out or export it again")
     return steps.astype(np.uint16, copy=False)

@@ -20,7 +20,7 @@ ARRANGEMENTS = "camXX.mp4, camXX/images/, frames/camXX/, frames_N/camXX/ or imag
 
 
 def refuse(path: Path) -> str | None:
-    """Why this folder is no DyNeRF capture; None where it is one."""
+    """Return the reason why this folder is not a DyNeRF capture, or None if it is one."""
     if not (path / POSES).is_file():
         return f"no {POSES}"
     return None if _find_sources(path) else f"{POSES}, but no frames ({ARRANGEMENTS})"
@@ -75,9 +75,9 @@ def _is_camera(name: str) -> bool:
 
 def _check_name_lengths(path: Path, names: list[str]) -> None:
     if len({len(name) for name in names}) > 1:
-        found = f"{min(names, key=len)} and {max(names, key=len)}"
+        mismatch = f"{min(names, key=len)} and {max(names, key=len)}"
         raise CaptureError(
-            f"{path}: wanted camera numbers of one length, got {found}; add leading zeros, in the order of {POSES}"
+            f"{path}: wanted camera numbers of one length, got {mismatch}; add leading zeros, in the order of {POSES}"
         )
 
 

@@ -29,7 +29,7 @@ MARGIN = 0.1
 
 
 def refuse(path: Path) -> str | None:
-    """Why this is no EasyMocap capture; None where it is one."""
+    """Return the reason why this is not an EasyMocap capture, or None if it is one."""
     missing = [name for name in (INTRINSICS, EXTRINSICS) if not (path / name).is_file()]
     if missing:
         return f"no {' and '.join(missing)}"
@@ -67,8 +67,8 @@ def _frames(path: Path, names: Sequence[str]) -> list[ImageFrames]:
     folders = {folder.name for folder in path.glob("images/*") if folder.is_dir()}
     unmatched = sorted(set(names) ^ folders)
     if unmatched:
-        found = listed([f"{name} ({INTRINSICS if name in names else 'images/'} only)" for name in unmatched])
-        raise CaptureError(f"{path}: wanted a folder images/XX/ per camera of {INTRINSICS}, got {found}; restore or remove these")
+        gaps = listed([f"{name} ({INTRINSICS if name in names else 'images/'} only)" for name in unmatched])
+        raise CaptureError(f"{path}: wanted a folder images/XX/ per camera of {INTRINSICS}, got {gaps}; restore or remove these")
     return [ImageFrames(path / "images" / name) for name in names]
 
 
@@ -95,23 +95,23 @@ def _depth_ranges(path: Path, views: Sequence[EasyMocapView], lenses: Sequence[L
     ranges = rig_depth_range(poses)
     corners = _hull_corners(path)
     background = read_points(path / BACKGROUND_POINTS) if (path / BACKGROUND_POINTS).is_file() else None
-    found = []
+    depth_ranges = []
     for view, lens, (near, far) in zip(views, lenses, ranges, strict=True):
         if view.near_far is not None:
-            found.append(view.near_far)
+            depth_ranges.append(view.near_far)
             continue
         depths = corners @ view.world_to_camera[2, :3] + view.world_to_camera[2, 3]
         is_in_front = bool(corners.size and depths.min() > 0)
         if is_in_front:
             near, far = depths.min() * (1 - MARGIN), max(far, depths.max() * (1 + MARGIN))
-        seen = None
+        background_range = None
         if background is not None:
-            seen = points_depth_range(background, view.world_to_camera, lens.K, (lens.width, lens.height))
-        if seen is not None:
-            near = near if is_in_front else seen[0] * (1 - MARGIN)
-            far = max(seen[2], depths.max(initial=0.0)) * (1 + MARGIN)
-        found.append((float(near), float(far)))
-    return found
+            background_range = points_depth_range(background, view.world_to_camera, lens.K, (lens.width, lens.height))
+        if background_range is not None:
+            near = near if is_in_front else background_range[0] * (1 - MARGIN)
+            far = max(background_range[2], depths.max(initial=0.0)) * (1 + MARGIN)
+        depth_ranges.append((float(near), float(far)))
+    return depth_ranges
 
 
 def _hull_corners(path: Path) -> Array:
@@ -123,8 +123,8 @@ def _hull_corners(path: Path) -> Array:
         except ValueError as error:
             raise CaptureError(f"{file}: wanted bounds saved by numpy.save, got: {error}; restore it") from error
         if bounds.shape != (2, 3) or bounds.dtype.kind not in "fiu" or not np.isfinite(bounds).all():
-            found = f"{bounds.shape} {bounds.dtype}{', not all finite' * (bounds.shape == (2, 3))}"
-            raise CaptureError(f"{file}: wanted (2, 3) finite numbers, the least and greatest corner, got {found}; restore it")
+            form = f"{bounds.shape} {bounds.dtype}{', not all finite' * (bounds.shape == (2, 3))}"
+            raise CaptureError(f"{file}: wanted (2, 3) finite numbers, the least and greatest corner, got {form}; restore it")
         corners.append([[bounds[i, 0], bounds[j, 1], bounds[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
     return np.array(corners, dtype=np.float64).reshape(-1, 3)
 
@@ -138,8 +138,8 @@ def _extras(path: Path, lenses: Mapping[str, Lens], n_frames: int) -> list[Extra
         has_mask = folder is not None and bool(list_images(folder / name))
         mask = undistorted(ImageFrames(folder / name), lens, lens.K) if folder and has_mask else None
         if mask is not None and mask.n_frames != n_frames:
-            found = f"{mask.n_frames} for {n_frames} frames"
-            raise CaptureError(f"{folder}: wanted one mask of {name} per frame, got {found}; restore them or remove the folder")
+            counts = f"{mask.n_frames} for {n_frames} frames"
+            raise CaptureError(f"{folder}: wanted one mask of {name} per frame, got {counts}; restore them or remove the folder")
         extras.append(Extras(background=backgrounds.get(name), mask=mask))
     return extras
 

@@ -25,7 +25,7 @@ H5_ERRORS = (OSError, RuntimeError, LookupError, ValueError, TypeError, Arithmet
 
 
 class _Stored(NamedTuple):
-    """What a dataset of the compressed files holds: its axes in words, the length of the last, and whether frames are an axis."""
+    """Layout of a dataset in the compressed files: axes in words, length of the last, and whether frames are an axis."""
 
     axes: str
     channels: int
@@ -103,12 +103,12 @@ def h5_parts(path: Path) -> dict[str, list[H5Frames]]:
     with _opened_file(path) as file:
         names = [name for name in STORED if name == "rgb" or file.id.links.exists(name.encode())]
     parts = {name: H5Frames(path, name, 0) for name in names}
-    wanted = parts["rgb"].counts
+    rgb_counts = parts["rgb"].counts
     for name, part in parts.items():
-        if part.counts != wanted[: len(part.counts)]:
+        if part.counts != rgb_counts[: len(part.counts)]:
             mend = "write both from the same frames"
-            raise CaptureError(f"{path}: wanted {name} for the (cameras, frames) {wanted} of rgb, got {part.counts}; {mend}")
-    return {name: [H5Frames(path, name, camera) for camera in range(wanted[0])] for name in names}
+            raise CaptureError(f"{path}: wanted {name} for the (cameras, frames) {rgb_counts} of rgb, got {part.counts}; {mend}")
+    return {name: [H5Frames(path, name, camera) for camera in range(rgb_counts[0])] for name in names}
 
 
 @contextmanager
@@ -141,13 +141,13 @@ def _opened(path: Path, part: str) -> Iterator[Any]:
         stored = None if linked else file[part]
         problem = _problem(stored, part, path) if isinstance(stored, h5py.Dataset) else "a link or group"
         if problem:
-            wanted = f"{part} to be uint8 {STORED[part].axes}, in this file"
-            raise CaptureError(f"{path}: wanted {wanted}, got {problem}; convert the scene again")
+            requirement = f"{part} to be uint8 {STORED[part].axes}, in this file"
+            raise CaptureError(f"{path}: wanted {requirement}, got {problem}; convert the scene again")
         yield stored
 
 
 def _problem(stored: Any, part: str, path: Path) -> str | None:
-    """What speaks against a dataset, by its header and index alone; None where nothing does."""
+    """Return the reason to refuse a dataset, by its header and index alone, or None if there is none."""
     shape, chunks = stored.shape, stored.chunks
     if stored.is_virtual or stored.external:
         return "data that lie in another file"
@@ -166,11 +166,11 @@ def _problem(stored: Any, part: str, path: Path) -> str | None:
 
 
 def _chunk_problem(stored: Any) -> str | None:
-    """Whether chunks are missing, or so large that unpacking them might never end."""
+    """Return the reason to refuse chunks: some missing, or so large that unpacking might never end; None if there is none."""
     sizes: list[int] = []
     stored.id.chunk_iter(lambda chunk: sizes.append(chunk.size))
-    wanted = math.prod(-(-length // chunk) for length, chunk in zip(stored.shape, stored.chunks, strict=True))
-    if len(sizes) != wanted:
-        return f"{len(sizes)} of {wanted} chunks, an unfinished file"
+    n_chunks = math.prod(-(-length // chunk) for length, chunk in zip(stored.shape, stored.chunks, strict=True))
+    if len(sizes) != n_chunks:
+        return f"{len(sizes)} of {n_chunks} chunks, an unfinished file"
     largest = 2 * math.prod(stored.chunks) + 4096
     return f"a chunk of {max(sizes)} packed bytes that holds no more than {largest // 2}" if max(sizes) > largest else None

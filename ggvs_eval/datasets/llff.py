@@ -82,8 +82,8 @@ def _load_rows(path: Path) -> Array:
             f"{path}: wanted an N x 17 array of numbers saved by numpy.save, got: {error}; write it again"
         ) from error
     if rows.ndim != 2 or rows.shape[1] != 17 or rows.dtype.kind not in "fiu":
-        found = f"{rows.shape} {rows.dtype}"
-        raise CaptureError(f"{path}: wanted an N x 17 array of numbers (LLFF), got {found}; write 15 pose numbers, near and far")
+        form = f"{rows.shape} {rows.dtype}"
+        raise CaptureError(f"{path}: wanted an N x 17 array of numbers (LLFF), got {form}; write 15 pose numbers, near and far")
     check_rig_size(path, len(rows))
     return rows.astype(np.float64)
 

@@ -14,7 +14,7 @@ MODEL = "sparse_"
 
 
 def refuse(path: Path) -> str | None:
-    """Why this is no multipleview capture; None where it is one."""
+    """Return the reason why this is not a multipleview capture, or None if it is one."""
     if not any((path / MODEL / f"cameras.{kind}").is_file() for kind in ("bin", "txt")):
         return f"no COLMAP model in {MODEL}/"
     return None if _folders(path) else "no folders camXX/ with images"
@@ -37,8 +37,8 @@ def load(path: Path, units: GivenUnits) -> Capture:
     views = _by_number(path, read_model(path / MODEL))
     missing = sorted(set(views) ^ set(folders))
     if missing:
-        found = listed([f"cam{number:02d} ({'model' if number in views else 'folder'} only)" for number in missing])
-        raise CaptureError(f"{path}: wanted a folder camXX/ per image of {MODEL}/, got {found}; restore or remove these")
+        gaps = listed([f"cam{number:02d} ({'model' if number in views else 'folder'} only)" for number in missing])
+        raise CaptureError(f"{path}: wanted a folder camXX/ per image of {MODEL}/, got {gaps}; restore or remove these")
     numbers = sorted(folders)
     cameras = [views[number].camera(folders[number].name, path / MODEL) for number in numbers]
     sources = [ImageFrames(folders[number]) for number in numbers]

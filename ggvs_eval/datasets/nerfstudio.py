@@ -26,7 +26,7 @@ OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def refuse(path: Path) -> str | None:
-    """Why this is no nerfstudio capture; None where it is one."""
+    """Return the reason why this is not a nerfstudio capture, or None if it is one."""
     return None if (path / TRANSFORMS).is_file() else f"no {TRANSFORMS}"
 
 
@@ -87,8 +87,8 @@ def _world_to_camera(frame: Mapping[str, Any]) -> Array:
         raise ValueError(f"the transform_matrix of {frame['file_path']} is not 4 x 4 finite numbers")
     scale = np.linalg.norm(camera_to_world[:3, :3], axis=0)
     if not np.allclose(scale, 1.0, atol=2 * LARGEST_DEVIATION) or not np.array_equal(camera_to_world[3], (0, 0, 0, 1)):
-        found = f"axes of length {', '.join(f'{length:.4g}' for length in scale)}, last row {camera_to_world[3].tolist()}"
-        raise ValueError(f"the transform_matrix of {frame['file_path']} is not rigid ({found})")
+        defects = f"axes of length {', '.join(f'{length:.4g}' for length in scale)}, last row {camera_to_world[3].tolist()}"
+        raise ValueError(f"the transform_matrix of {frame['file_path']} is not rigid ({defects})")
     return np.asarray(np.linalg.inv(camera_to_world @ OPENGL_TO_OPENCV), dtype=np.float64)
 
 

@@ -36,7 +36,7 @@ LISTED = 8
 
 @dataclass(frozen=True, eq=False)
 class _Sequence:
-    """What a folder of either layout holds, by frame number.
+    """Files and calibration of an RGB-D sequence in either layout, by frame number.
 
     Attributes:
         images: colour image of each frame.
@@ -57,7 +57,7 @@ class _Sequence:
 
 
 def refuse(path: Path) -> str | None:
-    """Why this folder is no RGB-D sequence; None where it is one."""
+    """Return the reason why this folder is not an RGB-D sequence, or None if it is one."""
     if _fits(path, SCANNET) or _fits(path, HOLOLENS):
         return None
     return f"neither {'/, '.join(SCANNET)}/ nor {', '.join(HOLOLENS)}"
@@ -127,31 +127,29 @@ def _read_sequence(path: Path) -> _Sequence:
 
 def _numbered(folder: Path, files: Sequence[Path]) -> dict[int, Path]:
     """The files by the last number in their names, in the order of numbers."""
-    found: dict[int, Path] = {}
+    files_by_number: dict[int, Path] = {}
     for file in files:
         numbers = re.findall(r"\d+", file.stem)
-        if not numbers or int(numbers[-1]) in found:
+        if not numbers or int(numbers[-1]) in files_by_number:
             problem = f"a second one in {file.name}" if numbers else f"none in {file.name}"
             raise CaptureError(f"{folder}: wanted one number per frame, got {problem}; remove or rename it")
-        found[int(numbers[-1])] = file
-    return dict(sorted(found.items()))
+        files_by_number[int(numbers[-1])] = file
+    return dict(sorted(files_by_number.items()))
 
 
 def _check_complete(images: dict[int, Path], files: dict[int, Path], folder: Path, what: str) -> None:
     missing = [str(number) for number in images if number not in files]
     if missing or not images:
         listed = ", ".join(missing[:LISTED]) + (", ..." if len(missing) > LISTED else "")
-        found = f"none for {listed}" if missing else "no images"
-        raise CaptureError(
-            f"{folder}: wanted a {what} for each of the {len(images)} images, got {found}; export the frames again"
-        )
+        gap = f"none for {listed}" if missing else "no images"
+        raise CaptureError(f"{folder}: wanted a {what} for each of the {len(images)} images, got {gap}; export the frames again")
 
 
 def _read_pose_rows(file: Path, numbers: list[int]) -> dict[int, Array]:
     values = _read_values(file)
     if values.size != 16 * len(numbers):
-        wanted = f"16 numbers for each of the {len(numbers)} images"
-        raise CaptureError(f"{file}: wanted {wanted}, got {values.size / 16:g} rows of 16; restore what is missing")
+        expected_numbers = f"16 numbers for each of the {len(numbers)} images"
+        raise CaptureError(f"{file}: wanted {expected_numbers}, got {values.size / 16:g} rows of 16; restore what is missing")
     return dict(zip(numbers, values.reshape(-1, 4, 4), strict=True))
 
 
@@ -164,7 +162,7 @@ def _read_K(file: Path) -> tuple[Array, Path]:
 
 
 def _read_extrinsics(folder: Path) -> Array | None:
-    """Where the depth camera stands beside the colour camera: depth_to_colour, (4, 4), metres; None where they are one.
+    """Read the extrinsics from depth to colour camera: depth_to_colour, (4, 4), metres; None where they are one camera.
 
     Reading:
         SensReader writes both matrices and does not say which way they run. ScanNet's own calibration code multiplies
@@ -191,8 +189,8 @@ def _read_extrinsic(file: Path) -> Array:
     is_transform = np.isfinite(matrix).all() and np.allclose(matrix[3], [0, 0, 0, 1])
     nearest, deviation = nearest_rotation(rotation) if is_transform else (rotation, np.inf)
     if deviation > LARGEST_DEVIATION:
-        found = f"{matrix.round(4).tolist()}"
-        raise CaptureError(f"{file}: wanted a rotation and a translation, 4 x 4, got {found}; export the calibration again")
+        values = f"{matrix.round(4).tolist()}"
+        raise CaptureError(f"{file}: wanted a rotation and a translation, 4 x 4, got {values}; export the calibration again")
     if deviation > ROUNDING:
         matrix[:3, :3] = nearest
     return matrix
@@ -201,8 +199,8 @@ def _read_extrinsic(file: Path) -> Array:
 def _read_matrix(file: Path, sides: tuple[int, ...]) -> Array:
     values = _read_values(file)
     if values.size not in [side * side for side in sides]:
-        wanted = " or ".join(f"{side} x {side}" for side in sides)
-        raise CaptureError(f"{file}: wanted a matrix of {wanted} numbers, got {values.size} numbers; export it again")
+        shapes = " or ".join(f"{side} x {side}" for side in sides)
+        raise CaptureError(f"{file}: wanted a matrix of {shapes} numbers, got {values.size} numbers; export it again")
     return values.reshape(2 * [round(values.size**0.5)])
 
 
@@ -218,8 +216,8 @@ def _common_size(sources: Sequence[ImageFrames]) -> tuple[int, int]:
     size = sources[0].size
     for source in sources:
         if source.size != size:
-            wanted, found = (f"{width} x {height}" for width, height in (size, source.size))
-            raise CaptureError(f"{source.path}: wanted {wanted} like the first image, got {found}; export the frames again")
+            first, other = (f"{width} x {height}" for width, height in (size, source.size))
+            raise CaptureError(f"{source.path}: wanted {first} like the first image, got {other}; export the frames again")
     return size
 
 
@@ -230,17 +228,19 @@ def _check_depth_size(sequence: _Sequence, kept: Sequence[int], size: tuple[int,
     if sequence.K_depth:
         _check_intrinsics(*sequence.K_depth, depth_size, LARGEST_OFFSET if same_shape else LEAST_OFFSET)
     elif not same_shape:
-        wanted, found = (f"{width} x {height}" for width, height in (size, depth_size))
+        image_size, map_size = (f"{width} x {height}" for width, height in (size, depth_size))
         file = sequence.depths[kept[0]]
-        raise CaptureError(f"{file}: wanted depth of the shape of its {wanted} image, got {found}; export it without cropping")
+        raise CaptureError(
+            f"{file}: wanted depth of the shape of its {image_size} image, got {map_size}; export it without cropping"
+        )
 
 
 def _check_intrinsics(K: Array, file: Path, size: tuple[int, int], largest_offset: float = LARGEST_OFFSET) -> None:
     """Text files of intrinsics do not say for which size they are; resized images show by the principal point."""
     offsets = [abs(K[axis, 2] - size[axis] / 2) / size[axis] for axis in (0, 1)]
     if max(offsets) > largest_offset:
-        wanted, found = f"a principal point near the middle of {size[0]} x {size[1]} images", f"({K[0, 2]:g}, {K[1, 2]:g})"
-        raise CaptureError(f"{file}: wanted {wanted}, got {found}; scale the intrinsics as the images were scaled")
+        place, point = f"a principal point near the middle of {size[0]} x {size[1]} images", f"({K[0, 2]:g}, {K[1, 2]:g})"
+        raise CaptureError(f"{file}: wanted {place}, got {point}; scale the intrinsics as the images were scaled")
 
 
 def _depth_range(files: Sequence[Path]) -> tuple[float, float]:
@@ -254,8 +254,8 @@ def _depth_range(files: Sequence[Path]) -> tuple[float, float]:
 def _make_camera(path: Path, number: int, sequence: _Sequence, size: tuple[int, int], limits: tuple[float, float]) -> Camera:
     camera_to_world = sequence.poses[number]
     if not np.allclose(camera_to_world[3], [0, 0, 0, 1]):
-        found = f"the last row {camera_to_world[3].tolist()}"
-        raise CaptureError(f"{path}: wanted a camera-to-world matrix for frame {number}, got {found}; export the poses again")
+        last_row = f"the last row {camera_to_world[3].tolist()}"
+        raise CaptureError(f"{path}: wanted a camera-to-world matrix for frame {number}, got {last_row}; export the poses again")
     world_to_camera = np.eye(4)
     world_to_camera[:3, :3] = camera_to_world[:3, :3].T
     world_to_camera[:3, 3] = -camera_to_world[:3, :3].T @ camera_to_world[:3, 3]

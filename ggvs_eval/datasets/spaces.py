@@ -52,7 +52,7 @@ class _View(NamedTuple):
 
 
 def refuse(path: Path) -> str | None:
-    """Why this folder is no scene of Spaces; None where it is one."""
+    """Return the reason why this folder is not a scene of Spaces, or None if it is one."""
     if not (path / MODELS).is_file():
         return f"no {MODELS}"
     return None if any(path.glob("cam_*")) else f"{MODELS}, but no cam_XX/"
@@ -133,9 +133,9 @@ def _read_numbers(path: Path, model: Any, key: str, where: str) -> list[float]:
     right = len(listed) == NUMBERS[key] and all(isinstance(each, int | float) and not isinstance(each, bool) for each in listed)
     # Beyond this nothing is a length or an angle, and whole numbers may not even fit a float.
     if not right or not all(abs(each) < 1e9 for each in listed):
-        wanted = f"{NUMBERS[key]} finite numbers" if NUMBERS[key] > 1 else "a finite number"
-        found = f"{value!r:.60}" if isinstance(model, dict) else f"{model!r:.60} for the camera"
-        raise CaptureError(f"{path / MODELS}: wanted {wanted} as {key} of {where}, got {found}; copy the scene again")
+        requirement = f"{NUMBERS[key]} finite numbers" if NUMBERS[key] > 1 else "a finite number"
+        content = f"{value!r:.60}" if isinstance(model, dict) else f"{model!r:.60} for the camera"
+        raise CaptureError(f"{path / MODELS}: wanted {requirement} as {key} of {where}, got {content}; copy the scene again")
     return [float(each) for each in listed]
 
 

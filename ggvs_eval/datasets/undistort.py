@@ -55,8 +55,8 @@ class UndistortedFrames:
         """
         for image in self.source.frames(start, stop):
             map_u, map_v, unseen = self._maps
-            found = cv2.remap(image, map_u, map_v, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-            pinhole = np.asarray(found, dtype=np.uint8)
+            resampled_image = cv2.remap(image, map_u, map_v, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+            pinhole = np.asarray(resampled_image, dtype=np.uint8)
             pinhole[unseen] = 0
             yield pinhole
 
@@ -66,7 +66,7 @@ class UndistortedFrames:
 
     @cached_property
     def _maps(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Where each pinhole pixel is found in the distorted image, in OpenCV's fixed-point form, and which are found nowhere."""
+        """Undistortion maps in OpenCV's fixed-point form, and a mask of the pinhole pixels outside the distorted image."""
         # The same as `Lens.distort` for every pixel, fifty times as fast. OpenCV counts from pixel centres.
         half = np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]])
         find = cv2.fisheye.initUndistortRectifyMap if self.lens.model == "fisheye" else cv2.initUndistortRectifyMap

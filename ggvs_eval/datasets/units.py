@@ -117,7 +117,7 @@ def triangulate(cameras: Sequence[Camera], uv: Array) -> tuple[Array, float]:
 
 
 def _measured_units(file: Path, cameras: Sequence[Camera]) -> Units:
-    """What a TOML file says in one of its three ways."""
+    """Read the units from a TOML file that gives them in one of three ways."""
     try:
         values = load_toml(read_plain_text(file, LARGEST_TOML))
     except (OSError, ValueError, RecursionError) as error:
@@ -147,8 +147,8 @@ def _from_baseline(table: Mapping[str, Any], cameras: Mapping[str, Camera], file
 
 def _from_points(table: Mapping[str, Any], cameras: Mapping[str, Camera], file: Path) -> Units:
     metres = _positive(table["metres"], file, "metres between the points")
-    found, missed = zip(*(_marked_point(table, point, cameras, file) for point in ("a", "b")), strict=True)
-    units = _positive(float(np.linalg.norm(found[0] - found[1])) / metres, file, "world units between the points")
+    points, missed = zip(*(_marked_point(table, point, cameras, file) for point in ("a", "b")), strict=True)
+    units = _positive(float(np.linalg.norm(points[0] - points[1])) / metres, file, "world units between the points")
     return Units(units, f"two marked points {metres:g} m apart, their rays meet within {max(missed):.1f} px")
 
 

@@ -112,7 +112,7 @@ def atomic_folder(folder: Path) -> Iterator[Path]:
 
 
 def is_in_hand(temporary: Path) -> bool:
-    """Whether the process that fills a scratch folder or a temporary file still does.
+    """Tell whether the process that fills a scratch folder or a temporary file is still at work on it.
 
     Args:
         temporary: ``.<name>.<host>.<pid>.tmp``.
@@ -129,7 +129,7 @@ def is_in_hand(temporary: Path) -> bool:
 
 
 def scratch_folders(beside: Path) -> list[Path]:
-    """What `scratch_folder` made beside a path and is there still, in hand or not."""
+    """List the folders that `scratch_folder` made beside a path and that still exist, in hand or not."""
     pattern = f".{glob.escape(beside.absolute().name)}.*.*.tmp"
     return [item for item in beside.absolute().parent.glob(pattern) if item.is_dir()]
 
@@ -162,7 +162,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def is_running(pid: int) -> bool:
-    """Whether a process of this machine is there and works; a zombie that nobody has collected does not."""
+    """Tell whether a process of this machine is running; a zombie that nobody has reaped is not."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
     except OSError:

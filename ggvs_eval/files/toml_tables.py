@@ -86,28 +86,28 @@ def build_table(kind: type[Table], values: dict[str, Any], file: str, section: s
     return kind(**converted)
 
 
-def _convert(wanted: Any, value: Any, file: str, key: str, error: type[GgvsError]) -> Any:
+def _convert(field_type: Any, value: Any, file: str, key: str, error: type[GgvsError]) -> Any:
     """Check one value against the type of its field."""
-    origin, arguments = typing.get_origin(wanted), typing.get_args(wanted)
+    origin, arguments = typing.get_origin(field_type), typing.get_args(field_type)
     if origin is types.UnionType:
-        wanted = next(each for each in arguments if each is not types.NoneType)
-        return _convert(wanted, value, file, key, error)
-    if dataclasses.is_dataclass(wanted) and isinstance(value, dict):
-        return build_table(typing.cast(type, wanted), value, file, f"{key}.", error)
+        field_type = next(each for each in arguments if each is not types.NoneType)
+        return _convert(field_type, value, file, key, error)
+    if dataclasses.is_dataclass(field_type) and isinstance(value, dict):
+        return build_table(typing.cast(type, field_type), value, file, f"{key}.", error)
     if origin is tuple and isinstance(value, list):
         return tuple(_convert(arguments[0], item, file, f"{key}[{index}]", error) for index, item in enumerate(value))
     if origin is Literal and value in arguments:
         return value
-    if wanted is float and type(value) in (int, float) and abs(value) <= sys.float_info.max:
+    if field_type is float and type(value) in (int, float) and abs(value) <= sys.float_info.max:
         return float(value)
-    if origin is None and type(value) is wanted and wanted is not float:
+    if origin is None and type(value) is field_type and field_type is not float:
         return value
-    expected = f"one of {', '.join(map(repr, arguments))}" if origin is Literal else _type_name(wanted)
+    expected = f"one of {', '.join(map(repr, arguments))}" if origin is Literal else _type_name(field_type)
     raise error(f"{file}: {key} must be {expected}, got {value!r:.80}")
 
 
-def _type_name(wanted: Any) -> str:
-    if typing.get_origin(wanted) is tuple:
-        return f"a list of {_type_name(typing.get_args(wanted)[0])}"
+def _type_name(field_type: Any) -> str:
+    if typing.get_origin(field_type) is tuple:
+        return f"a list of {_type_name(typing.get_args(field_type)[0])}"
     names = {float: "a finite number", int: "a whole number", str: "a text", bool: "true or false"}
-    return names.get(wanted, "a table" if dataclasses.is_dataclass(wanted) else str(wanted))
+    return names.get(field_type, "a table" if dataclasses.is_dataclass(field_type) else str(field_type))

@@ -36,7 +36,7 @@ CODES = {opcode.name: ord(opcode.code) for opcode in pickletools.opcodes}
 
 
 def unpickle_plain(content: bytes) -> Any:
-    """What a pickle holds, if that is plain data.
+    """Unpickle plain data, and nothing else.
 
     Args:
         content: of the file. Memory and time grow with its length, whatever it claims: up to some 100 bytes a byte.

@@ -33,12 +33,12 @@ def read_tensors(path: Path, *keys: str, of: str = "a network") -> dict[str, Ten
     if path.suffix == ".safetensors":
         prefix = "".join(f"{key}." for key in keys)
         stored = _safetensors(path, of)
-        found = {name.removeprefix(prefix): tensor for name, tensor in stored.items() if name.startswith(prefix)}
+        tensors = {name.removeprefix(prefix): tensor for name, tensor in stored.items() if name.startswith(prefix)}
     else:
-        found = _state_dict(_checkpoint(path, of), keys, path)
-    if not found:
+        tensors = _state_dict(_checkpoint(path, of), keys, path)
+    if not tensors:
         raise WeightsError(f"{path}: wanted tensors{_under(keys)}, got none; give weights of {of}")
-    return {name.removeprefix(PARALLEL_PREFIX): tensor for name, tensor in found.items()}
+    return {name.removeprefix(PARALLEL_PREFIX): tensor for name, tensor in tensors.items()}
 
 
 def configuration_of(path: Path, known: Collection[str], of: str) -> str | None:
@@ -95,14 +95,14 @@ def require_shapes(tensors: Mapping[str, Tensor], network: nn.Module, path: Path
     Raises:
         WeightsError: a name or a shape differs.
     """
-    wanted = {name: tuple(tensor.shape) for name, tensor in network.state_dict().items()}
+    own_shapes = {name: tuple(tensor.shape) for name, tensor in network.state_dict().items()}
     shapes = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
-    different = sorted(name for name in wanted.keys() | shapes.keys() if wanted.get(name) != shapes.get(name))
+    different = sorted(name for name in own_shapes.keys() | shapes.keys() if own_shapes.get(name) != shapes.get(name))
     if different:
         name = different[0]
         raise WeightsError(
             f"{path}: {len(different)} tensors differ from {of}, first {name}: "
-            f"wanted {wanted.get(name)}, got {shapes.get(name)}; give weights of {of}"
+            f"wanted {own_shapes.get(name)}, got {shapes.get(name)}; give weights of {of}"
         )
 
 
@@ -130,11 +130,11 @@ def _unreadable(path: Path, of: str, error: OSError) -> WeightsError:
 
 
 def _state_dict(values: Any, keys: tuple[str, ...], path: Path) -> dict[str, Tensor]:
-    """What lies under the keys, if it is a state dict."""
+    """Return the state dict that lies under the keys; refuse anything else."""
     for key in keys:
         if not isinstance(values, Mapping) or key not in values:
-            known = ", ".join(map(str, values)) if isinstance(values, Mapping) else type(values).__name__
-            raise WeightsError(f"{path}: wanted a state dict{_under(keys)}, got {known[:200]}")
+            content = ", ".join(map(str, values)) if isinstance(values, Mapping) else type(values).__name__
+            raise WeightsError(f"{path}: wanted a state dict{_under(keys)}, got {content[:200]}")
         values = values[key]
     if not isinstance(values, Mapping) or not all(
         isinstance(name, str) and isinstance(value, Tensor) for name, value in values.items()

@@ -67,7 +67,7 @@ def rig_extent(cameras: Mapping[str, Camera]) -> float:
 
 
 def pose_differences(estimated: Mapping[str, Camera], given: Mapping[str, Camera]) -> tuple[Array, Array]:
-    """How far estimated poses lie from given ones after aligning the centres by a similarity.
+    """Measure the pose errors of estimated cameras against given ones, after aligning the centres by a similarity.
 
     Args:
         estimated: cameras by name, in any world.

@@ -108,7 +108,7 @@ def fundamental_matrix(one: Camera, other: Camera) -> Array:
 
 
 def ray_depths(one: Camera, other: Camera, uv_one: Array, uv_other: Array) -> tuple[Array, Array, Array]:
-    """Where the rays of matched points pass nearest to each other.
+    """Triangulate matched points: find the depths where their rays pass nearest to each other.
 
     Returns:
         Depth in the first camera, depth in the other, world units, (M,) each, negative behind a camera, and the angle between

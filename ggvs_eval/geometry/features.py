@@ -21,7 +21,7 @@ COLOUR_SIGMA = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """What can be recognised in an image.
+    """Keypoints of an image, with the descriptors by which they are recognised.
 
     Attributes:
         uv: where, pixels of the image (pixel centres at halves), (N, 2).

@@ -1,4 +1,4 @@
-"""How a camera enters the compiled kernels."""
+"""Cameras and images in the form that the compiled kernels take."""
 
 import numpy as np
 from numpy.typing import NDArray

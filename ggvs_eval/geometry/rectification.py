@@ -172,7 +172,7 @@ def _bounds(rays: Array, focal_px: float) -> tuple[Array, Array]:
 
 
 def _canvas_to_image(camera: Camera, rotation: Array, projection: Array, size: tuple[int, int]) -> tuple[Map, Mask]:
-    """Where the canvas pixels lie in the image (array indices), and which of them lie inside it."""
+    """Map canvas pixels into the image (array indices), and mark those that lie inside it."""
     half = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])  # OpenCV has pixel centres at integers
     u, v = cv2.initUndistortRectifyMap(camera.K - half, None, rotation, projection - half, size, cv2.CV_32FC1)
     inside = (u >= 0) & (u <= camera.width - 1) & (v >= 0) & (v <= camera.height - 1)

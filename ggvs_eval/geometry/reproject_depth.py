@@ -17,7 +17,7 @@ CORNERS = ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))
 
 
 def reproject_depth(source: Camera, depth: NDArray[np.floating], target: Camera) -> Map:
-    """What a depth camera measured, as the target sees it.
+    """Reproject the depth map of a depth camera into the target's view.
 
     Args:
         source: the depth camera.
@@ -87,10 +87,10 @@ def _footprints(
             uv = points[:, :2] / points[:, 2:] * target.K[[0, 1], [0, 1]] + target.K[:2, 2]
         corners.append(np.where(points[:, 2:] > 0, uv, np.nan).T)
     size = np.array([[target.width], [target.height]], np.float64)
-    found = np.stack(corners)  # (4, 2, N)
-    seen = np.isfinite(found).all(axis=(0, 1))
-    found = np.where(seen, found, -1.0)
-    low, high = (np.ceil(np.clip(each, 0, size) - 0.5).astype(np.int64) for each in (found.min(axis=0), found.max(axis=0)))
+    quads = np.stack(corners)  # (4, 2, N)
+    is_finite = np.isfinite(quads).all(axis=(0, 1))
+    quads = np.where(is_finite, quads, -1.0)
+    low, high = (np.ceil(np.clip(each, 0, size) - 0.5).astype(np.int64) for each in (quads.min(axis=0), quads.max(axis=0)))
     return low, np.minimum(high, low + LARGEST_FOOTPRINT_PX)
 
 

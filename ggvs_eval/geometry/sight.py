@@ -1,4 +1,4 @@
-"""Whether a target can be synthesised from its sources at all, decided from the calibration before anything is computed."""
+"""The check from calibration, before anything is computed, that a target can be synthesised from its sources at all."""
 
 from collections.abc import Collection, Sequence
 
@@ -33,10 +33,10 @@ def shown_share(target: Camera, sources: Sequence[Camera], cameras: Sequence[Cam
     points = sample_view(target)
     shown = np.zeros(len(points), bool)
     for source in sources:
-        seen = sees(source, points) & (ray_angles(target, source, points) <= MOST_VIEW_RAD)
+        is_shown = sees(source, points) & (ray_angles(target, source, points) <= MOST_VIEW_RAD)
         if source.name not in sensed:
-            seen &= _matchable(source, [each for each in cameras if each.name not in (source.name, target.name)], points)
-        shown |= seen
+            is_shown &= _matchable(source, [each for each in cameras if each.name not in (source.name, target.name)], points)
+        shown |= is_shown
     return float(shown.mean())
 
 
@@ -62,7 +62,7 @@ def require_sight(target: Camera, sources: Sequence[Camera], cameras: Sequence[C
 
 
 def describe_sight(target: Camera, sources: Sequence[Camera], share: float) -> str:
-    """What the sources can show of a target and from how far away, in words."""
+    """Describe in words how much of a target the sources can show, and from how far away."""
     angles = [float(np.rad2deg(np.median(ray_angles(target, source, sample_view(target))))) for source in sources]
     nearest = sources[int(np.argmin(angles))].name
     apart = f"{min(angles):.0f} degrees away ({nearest}) or more"
@@ -70,7 +70,7 @@ def describe_sight(target: Camera, sources: Sequence[Camera], share: float) -> s
 
 
 def advise_sight(target: Camera, k: int, cameras: Sequence[Camera], sensed: Collection[str] = ()) -> str:
-    """What would help a target of which its sources show too little."""
+    """Suggest what would help a target of which its sources show too little."""
     try:
         better = [each.camera for each in choose_sources(target, cameras, k, "coverage")]
         share = shown_share(target, better, cameras, sensed)

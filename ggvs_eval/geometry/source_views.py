@@ -165,7 +165,7 @@ def _sets(count: int, k: int) -> NDArray[np.bool_]:
 
 
 def _values(sets: NDArray[np.bool_], worth: Array) -> Array:
-    """What each set sees: the mean over points of the chance that some camera shows it, (S,).
+    """Score each set by what it sees: the mean over points of the chance that some camera shows it, (S,).
 
     A second view of a point counts too, since it may be hidden from the first.
     """
@@ -195,7 +195,7 @@ def sees(camera: Camera, points: Array) -> NDArray[np.bool_]:
 
 
 def _inside(camera: Camera, points: Array, border: float) -> Array:
-    """How far each point lies in the image, in [0, 1], (P,): 0 outside, 1 from `border` of the image's width on inwards."""
+    """Measure how far each point lies inside the image, in [0, 1], (P,): 0 outside, 1 from `border` of its width inwards."""
     uv, depth = camera.project(points)
     margin = np.minimum(uv, np.array(camera.size) - uv).min(axis=-1)  # (P,) pixels
     ramp = np.clip(margin / max(border * camera.width, 1e-9), 0.0, 1.0)

@@ -167,11 +167,12 @@ def splat_points(source: SourceView, target: Camera, *, near: float, extra: Map 
     order = np.lexsort((z, place))  # by pixel, within it by depth, within that as they were
     first = order[np.r_[True, np.diff(place[order]) > 0]] if order.size else order
     size = (target.height, target.width)
-    colour, alpha, seen = np.zeros((*size, features.shape[2]), np.float32), np.zeros(size, np.float32), np.zeros(size, np.float32)
+    colour, alpha = np.zeros((*size, features.shape[2]), np.float32), np.zeros(size, np.float32)
+    splat_depth = np.zeros(size, np.float32)
     colour.reshape(-1, features.shape[2])[place[first]] = features.reshape(-1, features.shape[2])[chosen[first]]
     alpha.reshape(-1)[place[first]] = OPAQUE
-    seen.reshape(-1)[place[first]] = z[first]
-    return Splat(colour, alpha, seen)
+    splat_depth.reshape(-1)[place[first]] = z[first]
+    return Splat(colour, alpha, splat_depth)
 
 
 def float_features(image: Array32 | Image8, extra: Map | None = None) -> Array32:
@@ -182,16 +183,16 @@ def float_features(image: Array32 | Image8, extra: Map | None = None) -> Array32
 
 def _project(camera: Camera, depth: NDArray[np.float32], target: Camera, near: float) -> Projected:
     """The pixel of the target that each visible point falls into, its depth there, and the pixel it comes from; flat, (N,)."""
-    known = np.flatnonzero(depth)
-    z = depth.reshape(-1)[known].astype(np.float64)
-    across = (known % camera.width + 0.5 - camera.K[0, 2]) / camera.K[0, 0]
-    down = (known // camera.width + 0.5 - camera.K[1, 2]) / camera.K[1, 1]
+    pixels = np.flatnonzero(depth)
+    z = depth.reshape(-1)[pixels].astype(np.float64)
+    across = (pixels % camera.width + 0.5 - camera.K[0, 2]) / camera.K[0, 0]
+    down = (pixels // camera.width + 0.5 - camera.K[1, 2]) / camera.K[1, 1]
     transform = rigid_between(camera, target)
     points = np.stack([across * z, down * z, z], axis=1) @ transform[:3, :3].T + transform[:3, 3]  # (N, 3)
     before = points[:, 2] > near
-    points, known = points[before], known[before]
+    points, pixels = points[before], pixels[before]
     column = np.floor(target.K[0, 0] * points[:, 0] / points[:, 2] + target.K[0, 2])
     row = np.floor(target.K[1, 1] * points[:, 1] / points[:, 2] + target.K[1, 2])
     inside = (column >= 0) & (column < target.width) & (row >= 0) & (row < target.height)
     place = row[inside].astype(np.int64) * target.width + column[inside].astype(np.int64)
-    return place, points[inside, 2], known[inside]
+    return place, points[inside, 2], pixels[inside]

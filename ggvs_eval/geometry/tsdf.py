@@ -59,7 +59,7 @@ class RayMarch:
 
 
 def fusion_weights(depth: NDArray[np.float32], tau: float, depth_noise: float) -> NDArray[np.float32]:
-    """How far a depth pixel is trusted: min(noise / rms, 1), rms of its truncated differences to the 7 x 7 window (Eqs. 11-12).
+    """Weight depth pixels by trust: min(noise / rms, 1), rms of the truncated differences to the 7 x 7 window (Eqs. 11-12).
 
     Args:
         depth: (H, W) float32, world units, 0 = invalid.

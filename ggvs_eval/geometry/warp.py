@@ -129,7 +129,7 @@ def look_up(
 
 
 def _source_fields(target: Camera, source: SourceView) -> tuple[Any, ...]:
-    """What kernels are told of a source view: its pinhole, its pose beside the target's, its checked image and depth."""
+    """Pack a source view for the kernels: its pinhole, its pose relative to the target's, its checked image and depth."""
     depth = as_image(source.depth, source.camera, "source depth", RenderError)
     return pinhole(source.camera), rigid_between(target, source.camera), _image8(source), depth
 

@@ -68,12 +68,12 @@ class CodeTree:
             ModuleNotFoundError: no such module.
         """
         stops = UNFOLLOWED.union(unfollowed)
-        found: set[str] = set()
+        modules: set[str] = set()
         waiting = set(roots)
         while waiting:
-            found |= waiting
-            waiting = {name for module in waiting - stops for name in _code_of(self, module).imports} - found
-        return tuple(sorted(found))
+            modules |= waiting
+            waiting = {name for module in waiting - stops for name in _code_of(self, module).imports} - modules
+        return tuple(sorted(modules))
 
     def digest(self, modules: Collection[str]) -> str:
         """SHA-256 of the names and the code of some modules, in whatever order."""

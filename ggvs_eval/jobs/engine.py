@@ -1,4 +1,4 @@
-"""Where jobs run: in processes of this machine or on workers of dask; the results are the same bits."""
+"""Engines that run jobs, in processes of this machine or on workers of dask; the results are the same bits."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -15,7 +15,7 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Engine:
-    """Where jobs run, and how many at once.
+    """Executor of jobs: the place where they run, and how many run at once.
 
     Attributes:
         jobs: processes.

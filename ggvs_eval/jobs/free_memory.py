@@ -1,4 +1,4 @@
-"""How much memory this machine, or the container we are in, still has for another process."""
+"""Memory that this machine, or the container we are in, still has for another process."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -25,7 +25,7 @@ def available_bytes(meminfo: Path = MEMINFO, cgroup: Path = CGROUP) -> float:
 
 
 def resident_bytes(pids: Iterable[int]) -> tuple[float, float]:
-    """What processes hold now, all together, and the most that one of them has ever held; 0 where the system does not tell."""
+    """Sum the resident memory of processes, and find the highest peak of any one; 0 where the system does not tell."""
     now, most = 0.0, 0.0
     for pid in pids:
         status = Path(f"/proc/{pid}/status")
@@ -36,7 +36,7 @@ def resident_bytes(pids: Iterable[int]) -> tuple[float, float]:
 
 
 def has_room(running: int, pids: Iterable[int]) -> bool:
-    """Whether one more job fits beside those that run, if each needs as much as the largest has needed so far.
+    """Tell whether one more job fits beside those that run, if each needs as much as the largest has needed so far.
 
     Args:
         running: jobs that are being worked on; what they have not taken yet is kept for them.

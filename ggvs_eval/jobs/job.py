@@ -47,11 +47,11 @@ class Job:
 
     @property
     def entry(self) -> Entry:
-        """What a ledger says of the job."""
+        """The job's entry in a ledger."""
         return Entry(self.name, self.folder, self.sha256)
 
     def is_done(self) -> bool:
-        """Whether the folder holds the result of exactly this job."""
+        """Tell whether the folder holds the result of exactly this job."""
         return self.entry.is_done()
 
     def run(self) -> None:
@@ -72,7 +72,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Attempt:
-    """What came of some jobs.
+    """Outcome of an attempt to run some jobs.
 
     Attributes:
         done: how many were run to their end; those that were done before do not count.
@@ -148,7 +148,7 @@ def _run_one(job: Job, code: str | None) -> Failure | None:
 
 
 def _evaluate(job: Job, outcome: Failure | LostJob | None) -> Failure | None:
-    """Why a job failed, whoever noticed it; None where its result is here."""
+    """Return the failure of a job, whoever noticed it, or None if its result is here."""
     if isinstance(outcome, LostJob):
         return Failure(job.name, outcome.reason)
     if outcome is None and not job.is_done():

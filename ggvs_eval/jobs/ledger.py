@@ -1,4 +1,4 @@
-"""What a run or a sweep wants done and what failed of it, beside its results; `ggvs-eval status` reads this.
+"""The ledger of a run or a sweep, beside its results: jobs to do, and failures; `ggvs-eval status` reads it.
 
 ::
 
@@ -35,7 +35,7 @@ class Entry:
     sha256: str
 
     def is_done(self) -> bool:
-        """Whether the folder holds the result of exactly this job."""
+        """Tell whether the folder holds the result of exactly this job."""
         try:
             return bool(read_json(self.folder / JOB_FILE)["sha256"] == self.sha256)
         except (ResultsError, KeyError, TypeError):
@@ -44,7 +44,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class Failure:
-    """Why something was not done.
+    """Reason why something was not done.
 
     Attributes:
         name: of the job.
@@ -57,12 +57,12 @@ class Failure:
     traceback: str = ""
 
     def __str__(self) -> str:
-        """What failed and why, in one line."""
+        """Say in one line what failed and why."""
         return f"{self.name}: {' '.join(self.message.split())}"
 
     @classmethod
     def of(cls, name: str, error: Exception) -> "Failure":
-        """What an error says of a job; call it while the error is handled.
+        """Make the failure of a job from an error; call it while the error is handled.
 
         Args:
             name: of the job.
@@ -132,7 +132,7 @@ class Ledger:
         write_json(note, record)
 
     def failure(self, entry: Entry) -> Failure | None:
-        """Why this very job failed when it was last tried; None where it did not."""
+        """Return the failure of this very job when it was last tried, or None if it did not fail."""
         try:
             record = read_json(self._note(entry))
         except ResultsError:

@@ -71,7 +71,7 @@ def _run_pool(
 
 
 def _fits(running: int) -> bool:
-    """Whether another job fits into memory; one always may."""
+    """Tell whether another job fits into memory; the first may always run."""
     return running == 0 or has_room(running, [child.pid for child in active_children() if child.pid])
 
 

@@ -35,12 +35,12 @@ class Shard:
 
     @property
     def is_whole(self) -> bool:
-        """Whether this is all there is to do."""
+        """True if this shard is all there is to do."""
         return self == WHOLE
 
     @property
     def prepares_only(self) -> bool:
-        """Whether nothing is to be rendered."""
+        """True if this shard renders nothing."""
         return self.number == 0
 
     def pick(self, units: Sequence[Unit]) -> list[Unit]:

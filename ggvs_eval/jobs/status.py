@@ -1,4 +1,4 @@
-"""How far a run or a sweep is: what is done, in hand, failed and missing, read from its folders alone."""
+"""Progress of a run or a sweep: what is done, in hand, failed and missing, read from its folders alone."""
 
 import os
 import time
@@ -16,7 +16,7 @@ MEBIBYTE = 1 << 20
 
 @dataclass(frozen=True)
 class StageStatus:
-    """How far one stage is.
+    """Progress of one stage.
 
     Attributes:
         stage: render or score.
@@ -68,11 +68,11 @@ def describe_status(root: Path) -> str:
 
 def _ledgers(root: Path) -> list[Ledger]:
     """Those of the folder; what a run in a sweep has none for stands in the sweep's."""
-    found = []
+    ledgers = []
     for stage in STAGES:
         near = [Ledger(folder, stage) for folder in (root, *root.resolve().parents[:2])]
-        found += [ledger for ledger in near if ledger.file.is_file()][:1]
-    return found
+        ledgers += [ledger for ledger in near if ledger.file.is_file()][:1]
+    return ledgers
 
 
 def _stage_status(ledger: Ledger, root: Path) -> StageStatus:
@@ -99,7 +99,7 @@ def _is_in_hand(entry: Entry) -> bool:
 
 
 def _left_s(begun_s: float, done: list[Entry], left: int) -> float | None:
-    """What is left at the pace of what was done since the stage was last begun."""
+    """Estimate the time left at the pace of what was done since the stage was last begun; None if that is nothing."""
     ended_s = [time_s for entry in done if (time_s := (entry.folder / JOB_FILE).stat().st_mtime) >= begun_s]
     return (time.time() - begun_s) / len(ended_s) * left if ended_s else None
 

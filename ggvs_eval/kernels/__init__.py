@@ -30,12 +30,12 @@ def set_threads(count: int) -> None:
 
 
 def get_threads() -> int:
-    """How many threads a kernel uses: as set, else ``GGVS_EVAL_THREADS``, else the CPUs this process may use."""
+    """Return the number of threads of a kernel: as set, else ``GGVS_EVAL_THREADS``, else the CPUs this process may use."""
     if "threads" not in _settings:
-        wanted = os.environ.get("GGVS_EVAL_THREADS", "")
-        if wanted and not wanted.isdecimal():
-            raise ValueError(f"GGVS_EVAL_THREADS: wanted a number of threads, got {wanted!r}")
-        set_threads(int(wanted) if wanted else _usable_cpus())
+        setting = os.environ.get("GGVS_EVAL_THREADS", "")
+        if setting and not setting.isdecimal():
+            raise ValueError(f"GGVS_EVAL_THREADS: wanted a number of threads, got {setting!r}")
+        set_threads(int(setting) if setting else _usable_cpus())
     return _settings["threads"]
 
 

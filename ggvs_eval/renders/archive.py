@@ -29,7 +29,7 @@ UNSAFE_PATH = re.compile(r"[\\\x00-\x1f\x7f]|^[A-Za-z]:")
 
 @dataclass(frozen=True)
 class Limits:
-    """What an archive may hold at most.
+    """Upper limits on what an archive may hold.
 
     Attributes:
         n_files: entries.
@@ -50,7 +50,7 @@ class _Member:
 
 
 def is_archive(path: Path) -> bool:
-    """Whether a file's name says that it is an archive we unpack."""
+    """Tell by a file's name whether it is an archive we unpack."""
     return path.is_file() and path.name.lower().endswith(SUFFIXES)
 
 
@@ -189,5 +189,5 @@ class _Bounded:
         return self._stream.seek(position)
 
     def tell(self) -> int:
-        """Where we are."""
+        """Return the position in the stream."""
         return self._stream.tell()

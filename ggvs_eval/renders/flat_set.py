@@ -19,7 +19,7 @@ from ggvs_eval.renders.wanted import Found, RenderedView, Wanted
 
 
 def refuse(path: Path, wanted: Wanted) -> str | None:
-    """Why this is not a flat list of renders beside the truth; None if it is."""
+    """Return the reason why this is not a flat list of renders beside the truth, or None if it is one."""
     del wanted  # its views have no names here
     if not path.is_dir():
         return "not a folder"
@@ -70,7 +70,7 @@ def found_in_order(rendered: list[Path], copies: list[Path], wanted: Wanted, is_
     by_view: dict[str, dict[int, Path]] = {}
     for index, (view, frame) in order.places.items():
         by_view.setdefault(view, {})[frame] = rendered[index]
-    views: dict[str, RenderedView] = {view: PictureView(found, is_temporary) for view, found in by_view.items()}
+    views: dict[str, RenderedView] = {view: PictureView(frames, is_temporary) for view, frames in by_view.items()}
     note = f"order found by comparing {root.name}/ with the captured frames ({level:.1f} levels of 255 apart): {order.describe}"
     unused = len(rendered) - len(order.places)
     return Found(views, (), (note, *([f"{unused} pictures of other frames of the capture are not used"] if unused else [])))

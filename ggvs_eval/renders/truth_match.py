@@ -56,14 +56,14 @@ def check_truth(claims: Claims, wanted: Wanted) -> float:
             f"the copies of the truth beside these renders are not the captured frames: {'; '.join(wrong[:LISTED])}{more}; "
             f"wanted at most {LARGEST_DIFFERENCE:g} levels of 255: check views, frames, size, colours, undistortion"
         )
-    levels = [level for found, _ in checked for level in found]
+    levels = [level for view_levels, _ in checked for level in view_levels]
     return float(np.mean(levels)) if levels else 0.0
 
 
-def _check_view(view: str, claims: Claims, wanted: Wanted) -> tuple[list[float], list[str]]:
-    """How far the copies of one view are from what they are said to show, and what is wrong with them."""
+def _check_view(view: str, claims: Claims, request: Wanted) -> tuple[list[float], list[str]]:
+    """Measure how far the copies of one view are from what they are said to show, and list what is wrong with them."""
     frames = sorted(frame for claimed, frame in claims if claimed == view)
-    distances = _ViewDistances(wanted, view)
+    distances = _ViewDistances(request, view)
     levels = [distances.add(read_image(claims[(view, frame)]), frame) for frame in frames]
     wrong = [
         _describe(claims[(view, frame)], view, frame, level)
@@ -84,16 +84,16 @@ def _describe(path: Path, view: str, frame: int, level: float) -> str:
 class _ViewDistances:
     """Distances of one view's copies to the captured frames of the same instant, one earlier and one later."""
 
-    def __init__(self, wanted: Wanted, view: str) -> None:
-        self._wanted = wanted
-        self._truth = lru_cache(maxsize=3)(lambda frame: wanted.truth(view, frame))
+    def __init__(self, request: Wanted, view: str) -> None:
+        self._request = request
+        self._truth = lru_cache(maxsize=3)(lambda frame: request.truth(view, frame))
         self._sums = {-1: np.zeros(2), 1: np.zeros(2)}  # offset -> distance at the instant, distance at the neighbour
 
     def add(self, copy: Image8, frame: int) -> float:
         """Take the next copy; gives back its distance to the frame it is said to show."""
         level = difference(copy, self._truth(frame))
         for offset, sums in self._sums.items():
-            if frame + offset in self._wanted.frames:
+            if frame + offset in self._request.frames:
                 sums += level, difference(copy, self._truth(frame + offset))
         return level
 
@@ -154,21 +154,21 @@ def find_order(copies: Sequence[Path], wanted: Wanted) -> Order:
     return scored[0][1]
 
 
-def _possible_orders(count: int, wanted: Wanted) -> Iterable[Order]:
+def _possible_orders(count: int, request: Wanted) -> Iterable[Order]:
     """Every different order with that many pictures."""
-    rankings = [wanted.views, tuple(sorted(wanted.views)), tuple(name for name in wanted.cameras if name in wanted.views)]
-    known: list[Mapping[int, tuple[str, int]]] = []
-    for views in dict.fromkeys([*rankings, *((view,) for view in wanted.views)]):
-        for frames in dict.fromkeys([wanted.frames, range(wanted.n_frames)]):
+    rankings = [request.views, tuple(sorted(request.views)), tuple(name for name in request.cameras if name in request.views)]
+    earlier_orders: list[Mapping[int, tuple[str, int]]] = []
+    for views in dict.fromkeys([*rankings, *((view,) for view in request.views)]):
+        for frames in dict.fromkeys([request.frames, range(request.n_frames)]):
             if len(views) * len(frames) != count:
                 continue
             by_view = [(view, frame) for view in views for frame in frames]
             by_frame = [(view, frame) for frame in frames for view in views]
             named = f"{', '.join(views)} in frames {frames.start}-{frames.stop - 1}"
             for places, outer in ((by_view, "view after view"), (by_frame, "instant after instant")):
-                inside = {index: place for index, place in enumerate(places) if place[1] in wanted.frames}
-                if inside not in known:
-                    known.append(inside)
+                inside = {index: place for index, place in enumerate(places) if place[1] in request.frames}
+                if inside not in earlier_orders:
+                    earlier_orders.append(inside)
                     yield Order(f"{named}, {outer}", inside)
 
 

@@ -1,1 +1,1 @@
-"""How sure a number is: variance over views and time, intervals, paired comparisons, ties."""
+"""Uncertainty of a number: variance over views and time, intervals, paired comparisons, ties."""

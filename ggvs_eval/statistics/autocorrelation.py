@@ -1,4 +1,4 @@
-"""How far the mean of a short, autocorrelated series may be off: Student's t, averaged over the correlations it allows."""
+"""Error of the mean of a short, autocorrelated series: Student's t, averaged over the correlations it allows."""
 
 import math
 from collections.abc import Sequence
@@ -40,7 +40,7 @@ class Models:
 
 @dataclass(frozen=True)
 class Posterior:
-    """What series say about the errors of their means: a mixture of Student's t distributions.
+    """Posterior distribution of the errors of the means of series: a mixture of Student's t distributions.
 
     Attributes:
         weights: (..., G), sum to 1.
@@ -57,7 +57,7 @@ class Posterior:
 
 @dataclass(frozen=True)
 class ErrorOfMean:
-    """How far one mean may be off by chance: a mixture of Student's t distributions.
+    """Random error of one mean: a mixture of Student's t distributions.
 
     Attributes:
         weights: (G,), sum to 1.

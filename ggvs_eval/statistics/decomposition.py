@@ -1,4 +1,4 @@
-"""Where a metric varies: its views x frames matrix as grand mean + view effect + time effect + rest."""
+"""Two-way decomposition of a metric: its views x frames matrix as grand mean + view effect + time effect + rest."""
 
 from dataclasses import dataclass
 

@@ -46,7 +46,7 @@ class Interval:
 
 @dataclass(frozen=True)
 class Spread:
-    """How far a number may be off by chance.
+    """A number and its random error.
 
     Attributes:
         value: the number.
@@ -60,12 +60,12 @@ class Spread:
 
     @property
     def note(self) -> str:
-        """What is taken as given, and that a clip is too short, in words; empty where there is nothing to say."""
+        """Caveats in words: what is taken as given, and that a clip is too short; empty where there are none."""
         return "; ".join(filter(None, (f"given {', '.join(self.given)}" if self.given else "", self.short)))
 
     @property
     def short(self) -> str:
-        """Why the clip is too short for its own correlation, where its error over time is the greatest; else empty."""
+        """Reason why the clip is too short for its own correlation, where its error over time is the greatest; else empty."""
         greatest = max(self.parts, key=lambda part: part.half_width(1.0 - LEVEL))
         return greatest.short if greatest.half_width(1.0 - LEVEL) > 0.0 else ""
 
@@ -74,7 +74,7 @@ class Spread:
         return total_half_width(self.parts, 1.0 - level)
 
     def undecided(self, level: float = LEVEL) -> str:
-        """Why the sign is open though the p value may be small: the clip is too short; empty where it is not.
+        """Return why the sign is open though the p value may be small: the clip is too short; empty where it is not.
 
         Reading:
             A clip that seems to be worth fewer than 4 independent frames may as well be worth 2, and then intervals cover 85 % or
@@ -163,7 +163,7 @@ def _errors_of_scene(scene: PooledScene, scenes: int) -> list[ErrorOfMean]:
 
 
 def _samples_views(scene: PooledScene) -> bool:
-    """Whether its views stand for others."""
+    """Tell whether its views are a sample that stands for others."""
     return len(scene.views) >= FEWEST and not scene.views_given
 
 
@@ -192,7 +192,7 @@ def _check_enough(scene: PooledScene, by_view: bool, by_time: bool) -> None:
 
 
 def _influence(scene: PooledScene, even: Array, pool: Callable[[Array], Array]) -> Array:
-    """What the number moves when one view or frame counts a little more, (count,); its mean is 0 to first order.
+    """Return the influence of each view or frame, how the number moves when it counts more, (count,); mean 0 to first order.
 
     Raises:
         ResultsError: the number is not finite.

@@ -45,9 +45,9 @@ def read_panel(results: Results, metric: str, scene: str, method: str, variant: 
         ResultsError: no such values, a missing cell, or a value that is not finite.
     """
     table = results.table
-    wanted = {"metric": metric, "scene": scene, "method": method, "variant": variant}
-    wanted |= {} if dataset is None else {"dataset": dataset}
-    for column, value in wanted.items():
+    selection = {"metric": metric, "scene": scene, "method": method, "variant": variant}
+    selection |= {} if dataset is None else {"dataset": dataset}
+    for column, value in selection.items():
         table = table[table[column] == value]
     if table["dataset"].nunique() > 1:
         raise ResultsError(f"{metric}: values of {' and '.join(sorted(table['dataset'].unique()))}; say which data set")

@@ -71,10 +71,10 @@ def _cells(results: Results, metric: str, parts: Sequence[str], dataset: str) ->
     """Rows of the metric and of what it is made of: label -> scene -> metric -> rows; methods in the order of the table."""
     table = results.table
     table = table[table["metric"].isin({metric, *parts}) & (table["dataset"] == dataset)]
-    found: dict[str, dict[str, dict[str, pd.DataFrame]]] = {}
+    by_label: dict[str, dict[str, dict[str, pd.DataFrame]]] = {}
     for (method, variant, scene, name), rows in table.groupby(["method", "variant", "scene", "metric"], sort=False):
-        found.setdefault(label_of(str(method), str(variant)), {}).setdefault(str(scene), {})[str(name)] = rows
-    measured = {label: {scene: names for scene, names in scenes.items() if metric in names} for label, scenes in found.items()}
+        by_label.setdefault(label_of(str(method), str(variant)), {}).setdefault(str(scene), {})[str(name)] = rows
+    measured = {label: {scene: names for scene, names in scenes.items() if metric in names} for label, scenes in by_label.items()}
     return {label: scenes for label, scenes in measured.items() if scenes}
 
 

@@ -16,7 +16,7 @@ OVER_FRAMES, OVER_VIEWS = "deviation over frames", "deviation over views"
 
 @dataclass(frozen=True)
 class Pooling:
-    """How a metric's number on a scene is made of values per view and frame: plain data, which travels with the results.
+    """Rule that makes a metric's number on a scene of values per view and frame: plain data that travels with the results.
 
     Attributes:
         rule: one of `RULES`.
@@ -35,7 +35,7 @@ class Pooling:
 
     @property
     def no_interval(self) -> str:
-        """Why a number by this rule has no interval of its own, though two of them can be compared; empty where it has one.
+        """Reason why numbers by this rule have no interval, though two of them can be compared; empty where they have one.
 
         Reading:
             The deviation of a short correlated clip is too small on average and its square has a long tail: intervals of it cover
@@ -46,7 +46,7 @@ class Pooling:
 
     @property
     def takes_views_as_given(self) -> bool:
-        """Whether its views are no sample of others: of a deviation over few views nobody knows how far it may be off."""
+        """True if its views are not a sample of others: nobody knows the error of a deviation over few views."""
         return self.rule == OVER_VIEWS
 
     @classmethod

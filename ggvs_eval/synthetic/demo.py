@@ -113,7 +113,7 @@ def _description(options: DemoOptions) -> str:
 
 
 def _is_written(folder: Path, options: DemoOptions) -> bool:
-    """Whether the folder holds this very demo; False where it is absent or empty."""
+    """Tell whether the folder holds this very demo; False where it is absent or empty."""
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return False
     described = folder / DESCRIPTION

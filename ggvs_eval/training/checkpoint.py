@@ -1,4 +1,4 @@
-"""What a training leaves on disk: its state, to go on exactly where it was, and its weights as they ship."""
+"""Checkpoints of a training: its state, to go on exactly where it was, and its weights as they ship."""
 
 import io
 import pickle
@@ -36,7 +36,7 @@ class TrainingState:
 
 
 def state_file(folder: Path) -> Path:
-    """Where the state of a training lies."""
+    """Return the path of a training's state."""
     return folder / "state.pt"
 
 

@@ -31,7 +31,7 @@ class InstantSample:
 
     @property
     def truth_tensor(self) -> Tensor:
-        """What the target's camera saw, (3, H, W) in [0, 1]."""
+        """Captured image of the target's camera, (3, H, W) in [0, 1]."""
         return torch.as_tensor(np.ascontiguousarray(np.moveaxis(self.truth, 2, 0))).float() / 255
 
     def cropped(self, left: int, top: int, width: int, height: int) -> "InstantSample":
@@ -49,8 +49,8 @@ class InstantSample:
         """
         boxes = np.stack([_window_in(source.camera, self.instant.target) for source in self.instant.sources])  # (K, 4)
         sizes = np.array([source.camera.size for source in self.instant.sources])
-        wanted = (boxes[:, 2:] - boxes[:, :2]).max(axis=0) + 2 * margin_px
-        size = np.minimum(np.ceil(wanted / multiple) * multiple, sizes.min(axis=0)).astype(int)
+        extent_px = (boxes[:, 2:] - boxes[:, :2]).max(axis=0) + 2 * margin_px
+        size = np.minimum(np.ceil(extent_px / multiple) * multiple, sizes.min(axis=0)).astype(int)
         start = np.clip(np.floor((boxes[:, :2] + boxes[:, 2:] - size) / 2), 0, sizes - size).astype(int)
         sources = tuple(
             _cut(source, *corner, *size.tolist()) for source, corner in zip(self.instant.sources, start.tolist(), strict=True)
@@ -70,9 +70,9 @@ def _window_in(source: Camera, target: Camera) -> NDArray[np.float64]:
         -1, 3
     )
     uv, depth = source.project(target.unproject(rim[:, :2], rim[:, 2]))
-    seen = uv[depth > 0] if (depth > 0).any() else np.array([[0.0, 0.0], source.size])
+    visible_uv = uv[depth > 0] if (depth > 0).any() else np.array([[0.0, 0.0], source.size])
     limits = np.array(source.size, np.float64)
-    return np.concatenate([seen.min(axis=0).clip(0, limits), seen.max(axis=0).clip(0, limits)])
+    return np.concatenate([visible_uv.min(axis=0).clip(0, limits), visible_uv.max(axis=0).clip(0, limits)])
 
 
 def _cut(source: SourceView, left: int, top: int, width: int, height: int) -> SourceView:

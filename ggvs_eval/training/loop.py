@@ -24,7 +24,7 @@ Precision = Literal["auto", "float32", "bfloat16"]
 
 @dataclass(frozen=True)
 class TrainingOptions:
-    """How a training is run; nothing here changes what is learned but `steps`, `precision` and the device.
+    """Options of a training; none changes what is learned but `steps`, `precision` and the device.
 
     Attributes:
         steps: of the whole training, those of earlier runs included.
@@ -101,7 +101,7 @@ def _start(task: Task, folder: Path, device: torch.device, start_from: Path | No
 
 
 def _notes(state: TrainingState) -> dict[str, str]:
-    """What the header of the weights says: steps, and which configuration it is of a network that has several."""
+    """Write the notes in the header of the weights: steps, and the configuration of a network that has several."""
     configuration = getattr(state.network, "configuration", None)
     return {"steps": str(state.step)} | ({} if configuration is None else {CONFIGURATION_NOTE: configuration})
 
@@ -139,7 +139,7 @@ def _step(
 
 
 def uses_bfloat16(precision: Precision, device: torch.device) -> bool:
-    """Whether convolutions run in bfloat16; ``auto`` asks for hardware that multiplies it in tiles."""
+    """Tell whether convolutions run in bfloat16; ``auto`` asks for hardware that multiplies it in tiles."""
     if precision != "auto":
         return precision == "bfloat16"
     if device.type == "cuda":

@@ -1,4 +1,4 @@
-"""What the training loop is told of a network: its batches, its loss, its validation."""
+"""Interface of the training loop to a network: its batches, its loss, its validation."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 @dataclass(frozen=True)
 class Schedule:
-    """How the weights are moved.
+    """Optimiser settings: learning rate, weight decay, gradient clipping, averaged weights.
 
     Attributes:
         learning_rate: of AdamW after the warm-up.
@@ -54,7 +54,7 @@ class Task(Protocol):
 
     @property
     def schedule(self) -> Schedule:
-        """How the weights are moved."""
+        """Optimiser settings: learning rate, weight decay, gradient clipping, averaged weights."""
 
     def network(self) -> nn.Module:
         """A fresh network with seeded weights."""
@@ -63,7 +63,7 @@ class Task(Protocol):
         """The samples of one step: tensors in a tuple, list, dict or dataclass. Runs in a worker process."""
 
     def loss(self, network: nn.Module, batch: Any) -> tuple[Tensor, Mapping[str, float]]:
-        """What is minimised, and figures for the log."""
+        """Return the loss to be minimised, and figures for the log."""
 
     def validate(self, network: nn.Module) -> Mapping[str, float]:
         """Figures on data that is never trained on."""

@@ -41,7 +41,7 @@ class Frame(NamedTuple):
 
 
 class Footage:
-    """What one shot shows; nothing is rendered before it is asked for.
+    """Frames of one shot; nothing is rendered before it is asked for.
 
     Args:
         options: of the demo.
@@ -85,7 +85,7 @@ class Footage:
         return replace(self.shot.noted, near=float(near), far=float(far))
 
     def _render(self, instant: Instant) -> Picture:
-        """What the camera sees; where it moves while it exposes, the mean light of its poses, with the middle one's depth."""
+        """Render a picture; if the camera moves while exposing, the mean light of its poses, with the middle one's depth."""
         if not self.shot.poses:
             return self._view.render(instant)
         lights = [self._view_from(pose).light(instant) for pose in self.shot.poses]

@@ -64,14 +64,14 @@ class PixelGrid:
 
 
 def undistorted_positions(camera: Camera, lens: Coefficients) -> Array:
-    """Where the rays of all distorted pixels meet the plane of depth 1, camera frame, (H * W, 2)."""
+    """Return the points where the rays of all distorted pixels meet the plane of depth 1, camera frame, (H * W, 2)."""
     uv = camera.pixel_centres().reshape(-1, 1, 2)
-    found = cv2.undistortPoints(uv, camera.K, np.array(lens), criteria=EXACT)
-    return np.asarray(found, np.float64).reshape(-1, 2)
+    positions = cv2.undistortPoints(uv, camera.K, np.array(lens), criteria=EXACT)
+    return np.asarray(positions, np.float64).reshape(-1, 2)
 
 
 class Picture(NamedTuple):
-    """What a camera sees of one instant.
+    """Image, foreground and depth of one instant, as a camera sees it.
 
     Attributes:
         image: as the lens shows it, sRGB in [0, 1], (H, W, 3).
@@ -115,7 +115,7 @@ class View:
         self._radiance = np.zeros_like(self._fine.rays)
 
     def render(self, instant: Instant) -> Picture:
-        """What the camera sees of the same room at an instant."""
+        """Render what the camera sees of the same room at an instant."""
         linear, covered = self.light(instant)
         return Picture(expose(linear), covered, self.depth(instant))
 

@@ -1,4 +1,4 @@
-"""What is to be rendered: one shot per camera of the rig, per pose of the hand-held camera and per pose of the true path."""
+"""Shots to be rendered: one per camera of the rig, per pose of the hand-held camera and per pose of the true path."""
 
 from dataclasses import dataclass, replace
 

@@ -51,10 +51,10 @@ def sightings(points: Array, camera: Camera, instant: Instant, image: Image8) ->
     eye = eye_in_room(camera)
     towards: Array32 = (room_from_world(points) - eye).astype(np.float32)
     static, moving = instant.static, instant.moving
-    seen = inside & (depth_along(static, eye, towards) > REACHED)
+    is_visible = inside & (depth_along(static, eye, towards) > REACHED)
     if moving is not None:
-        seen &= depth_along(moving, eye, towards) > REACHED
-    index = np.flatnonzero(seen)
+        is_visible &= depth_along(moving, eye, towards) > REACHED
+    index = np.flatnonzero(is_visible)
     column, row = np.floor(uv[index]).astype(int).T
     return Sightings(index, uv[index], image[row, column])
 
@@ -63,8 +63,8 @@ def write_shot(folder: Path, footage: Footage) -> Camera:
     """Write ``camXX.mp4`` with its exact depth and its sightings, or one image of the path; gives the camera to note."""
     if footage.shot.sensor is not None:
         points, image = surface_points(footage.options), next(footage.frames()).image
-        seen = sightings(points, footage.shot.camera, footage.instant(0), image)
-        np.savez(_part(folder, footage.shot.camera), **seen._asdict())
+        camera_sightings = sightings(points, footage.shot.camera, footage.instant(0), image)
+        np.savez(_part(folder, footage.shot.camera), **camera_sightings._asdict())
     return write_film(folder, footage)
 
 
@@ -77,15 +77,15 @@ def finish(folder: Path, options: DemoOptions, cameras: Sequence[Camera]) -> Non
     """
     on_rig, on_path = split_path(options, cameras)
     points = surface_points(options)
-    seen = [_read_part(folder, camera) for camera in on_rig]
-    views = np.bincount(np.concatenate([sights.point for sights in seen]), minlength=len(points))
-    kept = [sights.rows(views[sights.point] >= LEAST_VIEWS) for sights in seen]
+    by_camera = [_read_part(folder, camera) for camera in on_rig]
+    views = np.bincount(np.concatenate([sights.point for sights in by_camera]), minlength=len(points))
+    kept = [sights.rows(views[sights.point] >= LEAST_VIEWS) for sights in by_camera]
     write_model(folder / MODEL, on_rig, kept, points)
     write_path_poses(folder, on_path)
 
 
 def files(options: DemoOptions) -> list[str]:
-    """What must be there."""
+    """List the files that every complete demo has."""
     return [*(f"{MODEL}/{name}" for name in FILES), *(f"{name}.mp4" for name in options.camera_names)]
 
 

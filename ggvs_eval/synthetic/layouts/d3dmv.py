@@ -63,7 +63,7 @@ def finish(folder: Path, options: DemoOptions, cameras: Sequence[Camera]) -> Non
 
 
 def cut_out(frame: Frame) -> Image8:
-    """What moves, cut out of a frame: RGBA, alpha the share of the pixel it covers, colour 0 where that is 0; (H, W, 4)."""
+    """Cut what moves out of a frame: RGBA, alpha the share of the pixel it covers, colour 0 where that is 0; (H, W, 4)."""
     alpha = quantise(frame.foreground)[..., None]
     return np.concatenate([np.where(alpha > 0, frame.image, 0), alpha], axis=-1).astype(np.uint8)
 
@@ -79,7 +79,7 @@ def median_background(frames: Image8) -> Image8:
 
 
 def files(options: DemoOptions) -> list[str]:
-    """What must be there."""
+    """List the files that every complete demo has."""
     return [SCENE, POSES]
 
 

@@ -44,5 +44,5 @@ def write_path_poses(folder: Path, cameras: Sequence[Camera]) -> None:
 
 
 def files(options: DemoOptions) -> list[str]:
-    """What must be there."""
+    """List the files that every complete demo has."""
     return [POSES, *(f"{name}.mp4" for name in options.camera_names)]

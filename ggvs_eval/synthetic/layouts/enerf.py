@@ -115,7 +115,7 @@ def write_ply(path: Path, parts: Sequence[NDArray[np.void]]) -> None:
 
 
 def files(options: DemoOptions) -> list[str]:
-    """What must be there."""
+    """List the files that every complete demo has."""
     names = [name.removeprefix("cam") for name in options.camera_names]
     frames = range(options.n_frames)
     images = [f"{folder}/{index:06d}.{kind}" for name in names for folder, kind in _folders(name) for index in frames]

@@ -14,7 +14,7 @@ from ggvs_eval.synthetic.layouts import colmap, d3dmv, dynerf, enerf, rgbd
 
 @dataclass(frozen=True)
 class Layout:
-    """How one layout is written.
+    """Writer of one layout.
 
     Attributes:
         units_per_metre: world units of its calibration per metre.

@@ -52,7 +52,7 @@ def depth_camera(colour: Camera) -> Camera:
 
 
 def files(options: DemoOptions) -> list[str]:
-    """What must be there."""
+    """List the files that every complete demo has."""
     kinds = (("color", "jpg"), ("depth", "png"), ("pose", "txt"))
     frames = [f"{folder}/{index}.{kind}" for folder, kind in kinds for index in range(options.n_frames)]
     return [*(f"intrinsic/{what}_{kind}.txt" for what in ("intrinsic", "extrinsic") for kind in ("color", "depth")), *frames]

@@ -13,7 +13,7 @@ from ggvs_eval.synthetic.room.surfaces import Material, Surface
 
 
 class Hits(NamedTuple):
-    """Where rays hit a mesh; rays that hit nothing are left out.
+    """Intersections of rays with a mesh; rays that hit nothing are left out.
 
     Attributes:
         ray: index of the ray, (N,).
@@ -75,7 +75,7 @@ class Geometry:
         return Hits(ray, distance[ray], face[ray], weights[ray])
 
     def blocks(self, origins: Array32, directions: Array32, reach: float = 1.0) -> NDArray[np.bool_]:
-        """Whether something lies on each ray within `reach` times its direction, the first and last percent left out."""
+        """Tell for each ray whether something lies within `reach` times its direction, the first and last percent left out."""
         return self._tree.blocks(*_rows(origins, directions), 0.005 * reach, 0.99 * reach)
 
     def at_hits(self, per_vertex: Array32, hits: Hits) -> Array32:

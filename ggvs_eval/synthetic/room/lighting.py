@@ -115,17 +115,17 @@ class LitRoom:
 
     def _seen_faces(self, target: Geometry, vertices: Array32, normals: Array32) -> NDArray[np.int64]:
         """Static face that each vertex sees in each ambient direction, -1 for none, (V, A)."""
-        seen = np.full((len(vertices), AMBIENT_DIRECTIONS), -1, np.int64)
+        seen_faces = np.full((len(vertices), AMBIENT_DIRECTIONS), -1, np.int64)
         for rows in _chunks(len(vertices)):
             directions = around(normals[rows], self._directions)  # (R, A, 3)
             origins = np.repeat(vertices[rows] + OFFSET_M * normals[rows], AMBIENT_DIRECTIONS, axis=0)
             hits = target.cast(origins, directions.reshape(-1, 3))
             flat = np.full(directions.shape[0] * AMBIENT_DIRECTIONS, -1, np.int64)
             flat[hits.ray] = hits.face
-            seen[rows] = flat.reshape(-1, AMBIENT_DIRECTIONS)
-        return seen
+            seen_faces[rows] = flat.reshape(-1, AMBIENT_DIRECTIONS)
+        return seen_faces
 
-    def _bounce(self, direct: Array32, seen: NDArray[np.int64]) -> tuple[Array32, Array32]:
+    def _bounce(self, direct: Array32, seen_faces: NDArray[np.int64]) -> tuple[Array32, Array32]:
         """Let light bounce; gives what each face sends out (F + 1, 3) and what bounces onto each vertex (V, 3)."""
         ambient = np.zeros_like(direct)
         for _ in range(BOUNCES):
@@ -133,7 +133,7 @@ class LitRoom:
             # What lies right at a lamp is far brighter than the rest and would show each single direction as a blot.
             radiosity = np.minimum(radiosity, BRIGHTEST_BOUNCE)
             radiosity = np.concatenate([radiosity, np.zeros((1, 3), np.float32)])  # the last one is for "nothing seen"
-            ambient = np.stack([radiosity[seen, channel].mean(axis=1) for channel in range(3)], axis=-1)
+            ambient = np.stack([radiosity[seen_faces, channel].mean(axis=1) for channel in range(3)], axis=-1)
         return radiosity, ambient
 
     def _shadowed(self, casters: list[Geometry]) -> tuple[Array32, Array32]:
@@ -162,11 +162,11 @@ class LitRoom:
 
     def _ambient_on(self, moving: Geometry) -> Array32:
         """Light that bounces onto moving vertices, (V', 3); what other moving things cover is dark."""
-        seen = self._seen_faces(self.static, moving.vertices, moving.normals)
+        seen_faces = self._seen_faces(self.static, moving.vertices, moving.normals)
         directions = around(moving.normals, self._directions).reshape(-1, 3)
         origins = np.repeat(moving.vertices + OFFSET_M * moving.normals, AMBIENT_DIRECTIONS, axis=0)
-        seen[moving.blocks(origins, directions, CONTACT_M).reshape(seen.shape)] = -1
-        return np.stack([self._radiosity[seen, channel].mean(axis=1) for channel in range(3)], axis=-1)
+        seen_faces[moving.blocks(origins, directions, CONTACT_M).reshape(seen_faces.shape)] = -1
+        return np.stack([self._radiosity[seen_faces, channel].mean(axis=1) for channel in range(3)], axis=-1)
 
 
 def hemisphere(count: int) -> Array32:
@@ -204,7 +204,7 @@ def _chunks(count: int) -> list[slice]:
 
 
 def _crosses(bounds: tuple[Array32, Array32], origins: Array32, point: Array32) -> NDArray[np.bool_]:
-    """Whether the segment from each origin to a point meets a box, (N,)."""
+    """Tell whether the segment from each origin to a point meets a box, (N,)."""
     enter, leave = np.zeros(len(origins), np.float32), np.ones(len(origins), np.float32)
     with np.errstate(divide="ignore", invalid="ignore"):
         for axis in range(3):

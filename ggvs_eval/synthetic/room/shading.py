@@ -1,4 +1,4 @@
-"""What light leaves a surface towards the eye: albedo from textures, baked light, highlights, and the camera's tone curve."""
+"""Light that leaves a surface towards the eye: albedo from textures, baked light, highlights, and the camera's tone curve."""
 
 from functools import lru_cache
 from typing import NamedTuple
@@ -129,10 +129,10 @@ def _mirrored(
         # Beyond this angle even the broadest lobe in use is black.
         rows = np.flatnonzero(cosine > LOBE_EDGE)
         unshadowed = np.maximum(np.einsum("nc,nc->n", towards[rows], normals[rows]), 0) / (squared[rows] * np.sqrt(squared[rows]))
-        seen = np.clip(irradiance[rows, 1] / (strength[1] * unshadowed + 0.05), 0, 1)
+        visibility = np.clip(irradiance[rows, 1] / (strength[1] * unshadowed + 0.05), 0, 1)
         shininess = finish.shininess[rows]
         lobe = (cosine[rows] - LOBE_EDGE) / (1 - LOBE_EDGE) * power(cosine[rows], shininess) * (shininess + 8) / 25
-        total[rows] += (finish.specular[rows] * lobe * seen / np.maximum(squared[rows], 0.3))[:, None] * strength
+        total[rows] += (finish.specular[rows] * lobe * visibility / np.maximum(squared[rows], 0.3))[:, None] * strength
     return total
 
 

@@ -19,13 +19,13 @@ def walls(rng: np.random.Generator, half_width: float, back: float, floor_wood: 
     """The six inner sides of the room; the wall behind the rig is plain, as no camera sees it."""
     wide, deep, flat = (2 * half_width, CEILING_M), (back - FRONT_M, CEILING_M), (2 * half_width, back - FRONT_M)
     wall, other = (WALLS[k] for k in rng.permutation(len(WALLS))[:2])
-    seen = Material(_back_wall(rng, wide, wall, other), wide)
+    back_wall = Material(_back_wall(rng, wide, wall, other), wide)
     left, right = (Material(textures.plaster(rng, deep, other), deep) for _ in range(2))
     floor = Material(textures.boards(rng, flat, floor_wood), flat, 0.12, 30)
     ceiling = Material(textures.plaster(rng, flat, (0.9, 0.88, 0.84)), flat)
     up, across, along = (0, 0, CEILING_M), np.array([2 * half_width, 0, 0]), np.array([0, back - FRONT_M, 0])
     return [
-        panel((-half_width, back, 0), across, up, seen, 0.04),
+        panel((-half_width, back, 0), across, up, back_wall, 0.04),
         panel((-half_width, FRONT_M, 0), along, up, left, 0.04),
         panel((half_width, back, 0), -along, up, right, 0.04),
         panel((half_width, FRONT_M, 0), -across, up, Material(textures.plain(wall)), 0.1),

@@ -20,7 +20,7 @@ ROLL_AXIS = np.array([0.0, 0.8, 0.6])
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """How a surface answers light.
+    """Reflectance and emission of a surface.
 
     Attributes:
         texture: albedo, sRGB uint8 (h, w, 3).

@@ -151,7 +151,7 @@ def mottled(rng: np.random.Generator, colour: Colour, strength: float = 0.08, ce
 
 
 def outdoors(rng: np.random.Generator, size_m: Size) -> Image8:
-    """What a window shows: a sky, hedges, a lawn, all out of focus."""
+    """Paint the view from a window: a sky, hedges, a lawn, all out of focus."""
     shape = _shape(size_m)
     height = np.linspace(1, 0, shape[0], dtype=np.float32)[:, None] + 0.06 * fractal_noise(rng, shape, (60, 60), 4)
     sky = _mix((0.95, 0.97, 1.0), (0.62, 0.78, 0.97), np.clip(height, 0, 1))

@@ -192,7 +192,7 @@ def find_visible(geometry: Geometry, rig: StereoRig, depth: Map) -> Mask:
 
 
 def _row_error(rng: np.random.Generator, rig: StereoRig) -> Array:
-    """How far the rows of the right picture are off: shifted, turned, stretched and bent by fractions of a pixel, (H, W)."""
+    """Draw the vertical misalignment of the right picture: shift, turn, stretch and bend by fractions of a pixel, (H, W)."""
     height, width = rig.size[::-1]
     y, x = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j]
     shift, turn, stretch, bend = rng.normal(0, ROW_ERROR_PX, 4) * (1, 0.5, 0.4, 0.4)
