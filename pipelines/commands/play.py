@@ -53,12 +53,12 @@ def play(
     device = found_device(device)
     online_method(method, device)
     require_writable(out)
-    wanted = PlayOptions(k, frames, width, sources)
+    options = PlayOptions(k, frames, width, sources)
     if (source / "protocol.toml").is_file():
-        playback = playback_of_run(reopen(source, jobs), wanted)
+        playback = playback_of_run(reopen(source, jobs), options)
     else:
         cache = out.with_name(f"{out.stem}-cache")
-        playback = playback_of_capture(reading.open(source), wanted, depth.options(), cache, jobs)
+        playback = playback_of_capture(reading.open(source), options, depth.options(), cache, jobs)
     timing = record(playback, out, method, device)
     size = "{} x {}".format(*playback.poses[0].size)
     print(f"{out}: {len(playback.poses)} frames of {size} by {method}, K = {playback.k}", timing.table(), sep="\n")
@@ -108,13 +108,13 @@ def view(
     require_viser()
     device = found_device(device)
     online_method(method, device)
-    wanted = PlayOptions(k, frames, None, sources)
+    options = PlayOptions(k, frames, None, sources)
     if (source / "protocol.toml").is_file():
         run = reopen(source, jobs)
-        playback, protocol = playback_of_run(run, wanted), run.protocol
+        playback, protocol = playback_of_run(run, options), run.protocol
     else:
         capture = reading.open(source)
-        playback, protocol = viewing_of_capture(capture, wanted, depth.options(), out / "cache", jobs), suggest_protocol(capture)
+        playback, protocol = viewing_of_capture(capture, options, depth.options(), out / "cache", jobs), suggest_protocol(capture)
     if export is not None:
         export_page(playback, sorted(set(playback.instants)), export)
         print(export)

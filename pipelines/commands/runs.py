@@ -196,7 +196,7 @@ def sweep(
     from ggvs_eval.pipelines.sweep.run_sweep import plan_runs, run_sweep, run_sweeps
     from ggvs_eval.sweep import load_sweep
 
-    wanted, part = load_sweep(name), Shard.parse(shard)
+    definition, part = load_sweep(name), Shard.parse(shard)
     networks = _networks(weights, "cpu" if plan else device)  # planned commands may run where there is a GPU
     given = [reading.open(engine.place(path)) for path in capture]
     captures = given or [_demo_beside(engine.place(out), engine.jobs, reading, dry_run and not plan)]
@@ -210,20 +210,20 @@ def sweep(
         chosen = [*(["--protocol", protocol] if protocol else []), *(["--weights", *weights] if weights else [])]
         chosen += ["--device", device] if device != "cpu" else []
         command = ["ggvs-eval", "sweep", name, str(out), "--capture", *map(str, paths), *chosen, *options]
-        print(plan_sweep(plan, engine.place(out), starts, wanted, networks, command))
+        print(plan_sweep(plan, engine.place(out), starts, definition, networks, command))
         return
 
     def show_plans(plans: Sequence[RunPlan]) -> None:
         print_plan(plans, engine.jobs, engine.place(out), dry_run)
 
     if dry_run:
-        show_plans(plan_runs(engine.place(out), starts, wanted, depth, networks, part))
+        show_plans(plan_runs(engine.place(out), starts, definition, depth, networks, part))
         return
     if len(starts) > 1:
-        result = run_sweeps(engine.place(out), starts, wanted, engine, depth, networks, part, show_plans)
+        result = run_sweeps(engine.place(out), starts, definition, engine, depth, networks, part, show_plans)
     else:
         ((only, start),) = starts.values()
-        result = run_sweep(engine.place(out), only, wanted, start, engine, depth, networks, part, show_plans)
+        result = run_sweep(engine.place(out), only, definition, start, engine, depth, networks, part, show_plans)
     if not result.table.empty:
         print(result.table.round(4).to_string())
     for title, reason in result.not_computed.items():
@@ -256,14 +256,14 @@ def _networks(weights: tuple[str, ...], device: str) -> NetworkOptions:
 
 
 def _checkpoints(weights: tuple[str, ...]) -> dict[str, Path]:
-    found: dict[str, Path] = {}
+    checkpoints: dict[str, Path] = {}
     for each in weights:
         method, equals, file = each.partition("=")
         if not equals or method not in METHODS or not Path(file).is_file():
             able = ", ".join(label for label, spec in METHODS.items() if spec.make_from and "+" not in label)
             raise WeightsError(f"--weights {each}: wanted METHOD=FILE with one of {able} and a file that exists")
-        found[method] = Path(file).resolve()
-    return found
+        checkpoints[method] = Path(file).resolve()
+    return checkpoints
 
 
 def _demo_beside(run: Path, jobs: int, reading: ReadingOptions, dry_run: bool) -> Capture:

@@ -14,7 +14,7 @@ from ggvs_eval.pipelines.training.request import Configuration, Guidance, Precis
 
 @dataclass(frozen=True)
 class LoopOptions:
-    """How a network is trained.
+    """Options of the training loop.
 
     Attributes:
         steps: of the whole training, those of earlier calls included.

@@ -1,1 +1,1 @@
-"""What is wrong with a capture, or with renders: findings, each with its proof and its mend."""
+"""Diagnosis of captures and of renders: findings, each with its evidence and its remedy."""

@@ -90,7 +90,7 @@ def _question_lines(findings: Sequence[Finding], most_lines: int) -> list[Line]:
 
 
 def _deviating(findings: Sequence[Finding], rig: Finding | None) -> list[Finding]:
-    """What is not as it should be; one reason for all is said once, in the line of the rig."""
+    """Return the findings that are not ok; a reason that all share is given once, in the line of the rig."""
     if rig is not None and rig.verdict == worst(findings) == "unknown":
         return []
     hidden = {rig.measured} if rig is not None and rig.verdict == "unknown" else set()

@@ -1,1 +1,1 @@
-"""What can be asked to render: every method by its name."""
+"""Registry of methods: everything that can be asked to render, by its name."""

@@ -7,7 +7,7 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class NetworkOptions:
-    """What is not the same for everybody about the networks of methods.
+    """Options of the methods' networks that differ from user to user.
 
     Attributes:
         checkpoints: method -> file of weights that the user gave, of methods whose weights do not ship.

@@ -1,4 +1,4 @@
-"""What the command line, the folders and the tables know of a method."""
+"""Specification of a method: what the command line, the folders and the tables know of it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -51,7 +51,7 @@ class MethodSpec:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What the label fixes of its classes' options, by name; neither files nor the device, which are told apart."""
+        """Options of its classes that the label fixes, by name; neither files nor the device, which are recorded apart."""
         return _settings(self.make)
 
     def on(self, device: str) -> "MethodSpec":

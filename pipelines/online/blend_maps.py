@@ -1,4 +1,4 @@
-"""What the blending network works on: the source views in the target view, registered by the fused depth or as they splat."""
+"""Maps that the blending network works on: the source views in the target view, registered by the fused depth or splatted."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -61,16 +61,16 @@ class BlendMaps:
         top, left = (min(scale // 2, size - 1) for size in self.fused_depth.shape)
         picked = (maps[..., top::scale, left::scale] for maps in (self.depths, self.fused_depth))
         depths, fused_depth = (_continued(maps, height, width) for maps in picked)
-        colours, coverage, seen, alphas = averaged
-        return BlendMaps(target, self.sources, colours, coverage, seen, alphas, depths, fused_depth, self.shares)
+        colours, coverage, visibilities, alphas = averaged
+        return BlendMaps(target, self.sources, colours, coverage, visibilities, alphas, depths, fused_depth, self.shares)
 
     @property
     def weights(self) -> Map:
-        """How far each view counts beside the others, (K,), see `view_weights`."""
+        """Weight of each view beside the others, (K,), see `view_weights`."""
         return view_weights(self.target, self.sources, self.shares)
 
     def unseen(self) -> Map:
-        """How little of what the target sees any view shows, (H, W), in [0, 1]."""
+        """Return the share of what the target sees that no view shows, (H, W), in [0, 1]."""
         return np.float32(1) - np.minimum(self.seen.sum(axis=0), np.float32(1))
 
 

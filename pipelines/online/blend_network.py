@@ -83,13 +83,13 @@ class BlendNetwork(nn.Module):
             return picture
         coverage, depth = views["coverage"], views["fused_depth"]
         used = depth if self.config.guidance in GUIDED else torch.zeros_like(depth)
-        found = evidence(picture, views["colours"], outputs.weights * coverage, coverage, used)
-        return self.refiner(picture, found, outputs.features)
+        evidence_maps = evidence(picture, views["colours"], outputs.weights * coverage, coverage, used)
+        return self.refiner(picture, evidence_maps, outputs.features)
 
 
 @dataclass(frozen=True, eq=False)
 class BlendOutputs:
-    """What the network decides for every pixel.
+    """Outputs of the network for every pixel.
 
     Attributes:
         weights: w_k, (B, K, H, W), positive, sum 1 over the views.
@@ -132,7 +132,7 @@ def read_outputs(raw: Tensor, start: Mapping[str, Tensor], most_views: int) -> B
 
 
 def small_outputs(raw: Tensor, weights: Tensor, most_views: int) -> Tensor:
-    """What `read_outputs` enlarges, (B, K + 4 + F, h, w): w_k, change of the background's weight, of its colour, features."""
+    """Return what `read_outputs` enlarges, (B, K + 4 + F, h, w): w_k, changes to background weight and colour, features."""
     views = weights.shape[1]
     values = raw.float()
     logits = values[:, :views] + weights.clamp_min(NO_WEIGHT).log()[:, :, None, None]

@@ -1,4 +1,4 @@
-"""Where the weights of the blending network come from: those that ship, one file per guidance, or a file of the user."""
+"""Weights files of the blending network: those that ship, one per guidance, or a file of the user."""
 
 from collections.abc import Mapping
 from functools import lru_cache
@@ -34,9 +34,9 @@ def shipped_blend_weights(guidance: Guidance = "registered") -> Path:
     folder = Path(str(resources.files("ggvs_eval.pipelines") / "weights"))
     path = folder / f"{weights_name(guidance)}.safetensors"
     if not path.is_file():
-        known = ", ".join(sorted(file.name for file in folder.glob("blend*.safetensors"))) or "none"
+        file_names = ", ".join(sorted(file.name for file in folder.glob("blend*.safetensors"))) or "none"
         raise WeightsError(
-            f"no blending network with {guidance} guidance ships (wanted {path.name}, there are: {known}); "
+            f"no blending network with {guidance} guidance ships (wanted {path.name}, there are: {file_names}); "
             "train one (ggvs-eval train blend)"
         )
     return path

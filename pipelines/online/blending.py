@@ -1,4 +1,4 @@
-"""What a blender is given and what it is, from the views in the target view to one image (Eqs. 4-5); the geometric one."""
+"""Blenders, from the views in the target view to one image (Eqs. 4-5): their inputs, their interface, the geometric one."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ class BlendingInputs:
 
 @dataclass(frozen=True, eq=False)
 class Blended:
-    """What a blender makes.
+    """Result of a blender.
 
     Attributes:
         image: the target view of one instant, (H, W, 3), float32 in [0, 1].

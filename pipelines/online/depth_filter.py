@@ -38,12 +38,12 @@ class TemporalDepthFilter:
         Returns:
             The view with filtered depth, and the mask it was filtered with, (H, W).
         """
-        known = self._history.get(source.camera.name)
-        if not self.enabled or known is None or known[0] != index - 1 or known[1].shape != source.image.shape:
+        history = self._history.get(source.camera.name)
+        if not self.enabled or history is None or history[0] != index - 1 or history[1].shape != source.image.shape:
             filtered, mask = source, np.ones_like(source.depth)
         else:
-            mask = difference_mask(source.image, known[1], lambda_t=self.lambda_t, beta=self.beta, channels=self.channels)
-            filtered = replace(source, depth=filter_depth(source.depth, known[2], mask, self.tolerance))
+            mask = difference_mask(source.image, history[1], lambda_t=self.lambda_t, beta=self.beta, channels=self.channels)
+            filtered = replace(source, depth=filter_depth(source.depth, history[2], mask, self.tolerance))
         self._history[source.camera.name] = (index, source.image, filtered.depth)
         return filtered, mask
 

@@ -46,9 +46,9 @@ def overview(maps: BlendMaps, scale: int) -> Overview:
     from ggvs_eval.kernels import _core
 
     arrays = (maps.colours, maps.coverage, maps.seen, maps.alphas)
-    colours, coverage, seen, alphas = (np.ascontiguousarray(each, np.float32) for each in arrays)
+    colours, coverage, visibilities, alphas = (np.ascontiguousarray(each, np.float32) for each in arrays)
     picture, unseen, covered, means = _core.overview(
-        colours, coverage, seen, alphas, maps.weights, scale, COVERED_ALPHA, get_threads()
+        colours, coverage, visibilities, alphas, maps.weights, scale, COVERED_ALPHA, get_threads()
     )
     return Overview(maps.with_means(scale, means), unseen, picture, covered)
 
@@ -90,7 +90,7 @@ def composed(maps: BlendMaps, unseen: Map, background: Map, small: Map, scale: i
 
 
 def refined(refiner: Refiner, picture: Composed, depth: Map | None, small: Map, scale: int, views: int) -> Map:
-    """What a refiner makes of the picture, (H, W, 3), in [0, 1]: `evidence` and `Refiner.forward` tile by tile.
+    """Refine the picture, (H, W, 3), in [0, 1]: `evidence` and `Refiner.forward` tile by tile.
 
     Args:
         refiner: of the network.

@@ -39,7 +39,7 @@ def view_shares(small: Map, reduced: BlendMaps) -> Map:
 
 
 def blend_on(network: BlendNetwork, maps: BlendMaps, device: torch.device) -> Blended:
-    """What a network makes of the views, as `blend_by` but for rounding.
+    """Blend the views by a network on a device, as `blend_by` does but for rounding.
 
     What the network looks at, and the background, come from the compiled kernels on the CPU: they pass over the views once.
 
@@ -52,19 +52,19 @@ def blend_on(network: BlendNetwork, maps: BlendMaps, device: torch.device) -> Bl
         DeviceError: the GPU's memory is out.
     """
     config = network.config
-    seen = overview(maps, config.scale)
-    channels = network_channels(seen.small, config.guidance, config.views)
+    summary = overview(maps, config.scale)
+    channels = network_channels(summary.small, config.guidance, config.views)
     with rendering_on(device):
         raw = network(torch.as_tensor(channels)[None])
-        background = push_pull(seen.picture, seen.covered)  # while a GPU works on what it was asked for
-        start = _tensors({"weights": maps.weights, "unseen": seen.unseen, "background": np.moveaxis(background, 2, 0)})
+        background = push_pull(summary.picture, summary.covered)  # while a GPU works on what it was asked for
+        start = _tensors({"weights": maps.weights, "unseen": summary.unseen, "background": np.moveaxis(background, 2, 0)})
         views = _tensors({"coverage": maps.coverage, "fused_depth": maps.fused_depth})
         views["colours"] = torch.as_tensor(maps.colours)[None].permute(0, 1, 4, 2, 3)  # (1, K, 3, H, W)
         outputs = read_outputs(raw, start, config.views)
         picture = network.refine(compose_tensors(outputs, views["colours"], views["coverage"]), outputs, views)
         image = picture[0].clamp(0, 1).permute(1, 2, 0).contiguous().numpy(force=True)
         small = small_outputs(raw, start["weights"], config.views)[0].contiguous().numpy(force=True)
-    return Blended(image, view_shares(small, seen.small))
+    return Blended(image, view_shares(small, summary.small))
 
 
 def _tensors(arrays: Mapping[str, Map]) -> dict[str, Tensor]:
@@ -110,16 +110,16 @@ class NetworkBlender:
 
 
 def blend_by(network: BlendNetwork, maps: BlendMaps) -> Blended:
-    """What a network makes of the views; equal bits whatever the number of threads.
+    """Blend the views by a network; equal bits whatever the number of threads.
 
     Compiled kernels compute it, those of `unet` at the network's own size and those of `full_size` at full size.
     """
     config = network.config
-    seen = overview(maps, config.scale)
+    summary = overview(maps, config.scale)
     (small, weights), background = side_by_side(
-        lambda: _small_outputs(network, seen.small), lambda: push_pull(seen.picture, seen.covered)
+        lambda: _small_outputs(network, summary.small), lambda: push_pull(summary.picture, summary.covered)
     )
-    picture = composed(maps, seen.unseen, background, small, config.scale)
+    picture = composed(maps, summary.unseen, background, small, config.scale)
     if network.refiner is None:
         return Blended(picture.image(), weights)
     depth = maps.fused_depth if config.guidance in GUIDED else None
@@ -137,7 +137,7 @@ def _small_outputs(network: BlendNetwork, reduced: BlendMaps) -> tuple[Map, Map]
 
 
 def blend_start(maps: BlendMaps) -> dict[str, Map]:
-    """What a network starts from: geometric weights, and the blended views with their holes filled, see `read_outputs`."""
+    """Return what a network starts from: geometric weights, and the blended views with holes filled, see `read_outputs`."""
     background = np.ascontiguousarray(np.moveaxis(filled_picture(maps), 2, 0))
     return {"weights": maps.weights, "unseen": maps.unseen(), "background": background}
 

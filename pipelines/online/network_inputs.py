@@ -1,4 +1,4 @@
-"""What the blending network looks at: colours, depths and angles of every view, as channels in the target view."""
+"""Input channels of the blending network: colours, depths and angles of every view, in the target view."""
 
 from collections.abc import Sequence
 
@@ -36,8 +36,8 @@ def guide_depth(maps: BlendMaps, guidance: Guidance) -> Map:
 
 def reference_depth(depth: Map, camera: Camera) -> float:
     """The length that depths and distances are measured in: the median of what is known, or the far plane."""
-    known = depth[depth > 0]
-    return float(np.median(known)) if known.size else camera.far
+    depths = depth[depth > 0]
+    return float(np.median(depths)) if depths.size else camera.far
 
 
 def input_channels(maps: BlendMaps, guidance: Guidance, views: int | None = None, unit: float | None = None) -> Map:
@@ -64,15 +64,15 @@ def input_channels(maps: BlendMaps, guidance: Guidance, views: int | None = None
     """
     guide = guide_depth(maps, guidance)
     unit = unit or reference_depth(guide, maps.target)
-    known, size = guide > 0, guide.shape
-    points = surface_points(maps.target, np.where(known, guide, np.float32(maps.target.far)))
+    surface, size = guide > 0, guide.shape
+    points = surface_points(maps.target, np.where(surface, guide, np.float32(maps.target.far)))
     to_sources = [_unit(_centre(source, maps.target) - points) for source in maps.sources]
     guided, count, flat = guidance in GUIDED, len(maps.sources), guidance == "naive"
     of_views = [
         np.moveaxis(maps.colours, 3, 1).reshape(-1, *size),
         None if flat else _inverse(maps.depths, unit),
         maps.alphas,
-        _cosines(to_sources, surface_normals(points, known)) if guided else None,
+        _cosines(to_sources, surface_normals(points, surface)) if guided else None,
         None if flat else _cosines(to_sources, _unit(-points)),
         _constant([_distance(source, maps.target) / unit for source in maps.sources], size),
         _constant([float(source.axis @ maps.target.axis) for source in maps.sources], size),
@@ -128,7 +128,7 @@ def _distance(first: Camera, second: Camera) -> float:
 
 
 def _centre(camera: Camera, target: Camera) -> Map:
-    """Where a camera stands, seen from the target camera, (3, 1, 1)."""
+    """Return a camera's centre in the target camera's frame, (3, 1, 1)."""
     return rigid_between(camera, target)[:3, 3, None, None].astype(np.float32)
 
 
@@ -170,11 +170,11 @@ def network_channels(maps: BlendMaps, guidance: Guidance, views: int) -> Map:
     target, unit = maps.target, reference_depth(maps.fused_depth, maps.target)
     stacks = (maps.colours, maps.depths, maps.alphas)
     colours, depths, alphas = (np.ascontiguousarray(each, np.float32) for each in stacks)
-    seen = np.ascontiguousarray(maps.seen, np.float32) if guidance == "registered" else None
+    visibilities = np.ascontiguousarray(maps.seen, np.float32) if guidance == "registered" else None
     fused = np.ascontiguousarray(maps.fused_depth, np.float32)
     centres = np.stack([rigid_between(source, target)[:3, 3] for source in maps.sources])
     distances = [float(np.linalg.norm(source.centre - target.centre)) / unit for source in maps.sources]
     axes = [float(source.axis @ target.axis) for source in maps.sources]
     cameras = centres.astype(np.float32), np.array(distances, np.float32), np.array(axes, np.float32)
     settings = (target.far, unit, views, get_threads())
-    return _core.network_inputs(colours, depths, alphas, seen, fused, ray_slopes(target), cameras, *settings)
+    return _core.network_inputs(colours, depths, alphas, visibilities, fused, ray_slopes(target), cameras, *settings)

@@ -22,7 +22,7 @@ STEP = 0.8  # of the fused distance
 
 @dataclass(frozen=True)
 class FieldReading:
-    """How Eqs. 9-10 are read.
+    """Reading of Eqs. 9-10.
 
     Attributes:
         sign: the signed distance is D - z, positive in ``front`` of the surface; or z - D, as ``printed``.
@@ -103,17 +103,17 @@ def _crossings(
     """Depths before and after the first change from positive to not positive, and the rays that have one."""
     active = np.arange(target.height * target.width)
     z, before = np.full(active.size, target.near), np.full(active.size, np.nan)  # the last sample where known and positive
-    found: list[tuple[Values, Values, Rays]] = []
+    crossings: list[tuple[Values, Values, Rays]] = []
     while active.size:
         s, total = _field(cameras, active, z, tau, reading)
         crossed = (total > 0) & (s <= 0) & np.isfinite(before)
-        found.append((before[crossed], z[crossed], active[crossed]))
+        crossings.append((before[crossed], z[crossed], active[crossed]))
         positive = (total > 0) & (s > 0)
         before = np.where(positive, z, np.nan)
         z = z + tau * np.where(positive, np.maximum(STEP * s, min_step), STEP)
         going = ~crossed & (z <= target.far)
         active, z, before = active[going], z[going], before[going]
-    front, behind, hit = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    front, behind, hit = (np.concatenate(parts) for parts in zip(*crossings, strict=True))
     return front, behind, hit
 
 

@@ -22,7 +22,7 @@ SHARES = np.float32(1000)  # cv2.blendLinear adds 1e-5 to the sum of its weights
 
 @dataclass(frozen=True, eq=False)
 class _Shown:
-    """What was shown at the instant before, (H, W, 3), by which camera, and for how many instants each cell has stood still."""
+    """Output of the instant before, (H, W, 3), its camera, and for how many instants each cell has stood still."""
 
     index: int
     target: Camera
@@ -99,7 +99,7 @@ def splatted_change(splats: Sequence[Splat], beta_mask: float, lambda_t: float) 
 
 
 def stillness(change: Map) -> Map:
-    """How sure it is that nothing moves: 1 up to twice the noise, 0 from four times the noise on.
+    """Rate how sure it is that nothing moves: 1 up to twice the noise, 0 from four times the noise on.
 
     Args:
         change: of colour at each cell as the sources see it, see `splatted_change`.

@@ -68,7 +68,7 @@ def filtered(picture: Tensor, taps: Tensor) -> Tensor:
 
 
 def evidence(picture: Tensor, colours: Tensor, weights: Tensor, seen: Tensor, depth: Tensor) -> Tensor:
-    """What tells how sure the blended picture is; nothing is learned through it.
+    """Compute the channels that tell how sure the blended picture is; no gradient passes through them.
 
     Args:
         picture: weighted mean of the views, (B, 3, H, W).
@@ -84,12 +84,12 @@ def evidence(picture: Tensor, colours: Tensor, weights: Tensor, seen: Tensor, de
     with torch.no_grad():
         difference = (colours - picture[:, None]).square().mean(dim=2)  # (B, K, H, W)
         spread = ((weights * difference).sum(dim=1) / weights.sum(dim=1).clamp_min(NO_WEIGHT)).sqrt()
-        known = depth > 0
-        logarithm = torch.where(known, depth, torch.ones_like(depth)).log()
+        mask = depth > 0
+        logarithm = torch.where(mask, depth, torch.ones_like(depth)).log()
         channels = [
             COLOUR_GAIN * spread,
             seen.sum(dim=1) / ENOUGH_VIEWS,
-            DEPTH_GAIN * relief(logarithm, known),
+            DEPTH_GAIN * relief(logarithm, mask),
             DEPTH_GAIN * local_range(logarithm, 3),
             DEPTH_GAIN / 2 * local_range(logarithm, 5),
             CONTRAST_GAIN * local_range(picture.mean(dim=1), 3),

@@ -1,4 +1,4 @@
-"""What no source sees, as it was seen before: the background that moving things have uncovered, and fillings that do not boil."""
+"""Background memory: what no source sees, as it was seen before, where moving things uncovered it; fillings do not boil."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -83,7 +83,7 @@ def largest_alpha(splats: Sequence[Splat]) -> Map:
 
 
 def hole_weight(alpha: Map) -> Map:
-    """How far a pixel of that coverage is a hole: not at all where it is covered, altogether from half of that coverage down."""
+    """Return how far a pixel of that coverage is a hole: 0 from `COVERED_ALPHA` up, 1 from half of it down."""
     return np.clip((COVERED_ALPHA - alpha) / (COVERED_ALPHA * (1 - FEATHER)), 0, 1).astype(np.float32)
 
 
@@ -91,8 +91,8 @@ def _remember(memory: _Memory, image: Map, depth: Map, in_hole: NDArray[np.uint8
     """Note what is seen now where nothing behind it is remembered; what moves is no background."""
     cv2.multiply(memory.depth, FORGETTING, dst=memory.depth)
     farthest = cv2.compare(depth, cv2.multiply(memory.depth, BEHIND), cv2.CMP_GE)
-    seen = cv2.bitwise_and(cv2.bitwise_and(farthest, cv2.compare(depth, 0, cv2.CMP_GT)), cv2.bitwise_not(in_hole))
+    mask = cv2.bitwise_and(cv2.bitwise_and(farthest, cv2.compare(depth, 0, cv2.CMP_GT)), cv2.bitwise_not(in_hole))
     quiet = cv2.resize(cv2.compare(still, SURE_STILL, cv2.CMP_GE), depth.shape[::-1], interpolation=cv2.INTER_NEAREST)
-    cv2.copyTo(image, seen, memory.image)
-    cv2.copyTo(depth, seen, memory.depth)
-    memory.depth[cv2.bitwise_and(seen, cv2.bitwise_not(quiet)) > 0] = 0
+    cv2.copyTo(image, mask, memory.image)
+    cv2.copyTo(depth, mask, memory.depth)
+    memory.depth[cv2.bitwise_and(mask, cv2.bitwise_not(quiet)) > 0] = 0

@@ -68,7 +68,7 @@ def _margins(size: int) -> tuple[int, int]:
 
 
 def unet_outputs(unet: UNet, channels: Map) -> Map:
-    """What a U-Net makes of channels (inputs, H, W): (outputs, H, W), float32.
+    """Evaluate a U-Net on channels (inputs, H, W): (outputs, H, W), float32.
 
     `UNet.forward` is what training differentiates, and defines this in the tests. Torch would need one thread for equal bits:
     its convolutions sum in another order with more.

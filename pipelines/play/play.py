@@ -32,11 +32,11 @@ class Timing:
 
     def table(self) -> str:
         """One line per stage, and the frames per second of the median step and of all that was done per frame."""
-        found = self.milliseconds()
+        times = self.milliseconds()
         lines = [f"{'ms per frame':14s}{'p50':>9s}{'p95':>9s}"]
-        lines += [f"{stage:14s}{median:9.1f}{high:9.1f}" for stage, (median, high) in found.items()]
-        whole = sum(found[stage][0] for stage in ("read", "synthesis", "encode"))
-        rates = f"{1000 / found['synthesis'][0]:.2f} frames per second of synthesis, {1000 / whole:.2f} with reading and encoding"
+        lines += [f"{stage:14s}{median:9.1f}{high:9.1f}" for stage, (median, high) in times.items()]
+        whole = sum(times[stage][0] for stage in ("read", "synthesis", "encode"))
+        rates = f"{1000 / times['synthesis'][0]:.2f} frames per second of synthesis, {1000 / whole:.2f} with reading and encoding"
         return "\n".join([*lines, rates])
 
 

@@ -1,4 +1,4 @@
-"""What is played: the way of a virtual camera between the cameras of a rig, and the frames and depth that it needs."""
+"""Playback: the trajectory of a virtual camera between the cameras of a rig, and the frames and depth that it needs."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -62,7 +62,7 @@ def _places(centres: Array) -> Array:
 
 
 def _weights(places: Array, count: int) -> Array:
-    """What each camera counts in each pose, (count, N), rows of sum 1."""
+    """Return the weight of each camera in each pose, (count, N), rows of sum 1."""
     phases = 2 * np.pi * np.arange(count) / count
     at = REACH * places.max(axis=0) * np.stack([np.cos(phases), np.sin(phases)], axis=-1)  # (count, 2)
     apart = np.linalg.norm(places[:, None] - places, axis=-1)
@@ -85,7 +85,7 @@ def _view(cameras: Sequence[Camera], centres: Array, width: int | None) -> Camer
 
 @dataclass(frozen=True)
 class PlayOptions:
-    """What is played.
+    """Options of a playback.
 
     Attributes:
         k: source views; those of the run's protocol, or 4, when None.
@@ -214,7 +214,7 @@ def _prepared(
 ) -> Playback:
     """The playback with its frames in the cache, and the depth of the cameras that each instant needs in the store."""
     store, blocks = planned.store, list(blocks_of(needed, 2 * max(map(len, needed.values()))))
-    capture = cache_frames(planned.capture, _wanted(blocks, jobs, depth), store.root.with_name("frames"), workers)
+    capture = cache_frames(planned.capture, _frames_by_camera(blocks, jobs, depth), store.root.with_name("frames"), workers)
     for block, names in blocks:
         prepare_depth(capture, [jobs[name] for name in sorted(names)], block, store, depth, workers)
     return replace(planned, capture=capture)
@@ -228,23 +228,23 @@ def blocks_of(needed: Mapping[int, set[str]], most: int) -> Iterator[tuple[range
         most: cameras of a block, unless a single instant needs more.
     """
     first, names = next(iter(needed)), set[str]()
-    for instant, wanted in needed.items():
-        if names and len(names | wanted) > most:
+    for instant, cameras in needed.items():
+        if names and len(names | cameras) > most:
             yield range(first, instant), names
             first, names = instant, set()
-        names = names | wanted
+        names = names | cameras
     yield range(first, max(needed) + 1), names
 
 
-def _instants(capture: Capture, frames: range, wanted: int | None) -> list[int]:
+def _instants(capture: Capture, frames: range, n_frames: int | None) -> list[int]:
     """The frame number of each step; one instant is shown again and again."""
-    if wanted is not None and wanted < 1:
-        raise RenderError(f"{capture.path}: wanted at least 1 frame to play, got {wanted}")
+    if n_frames is not None and n_frames < 1:
+        raise RenderError(f"{capture.path}: wanted at least 1 frame to play, got {n_frames}")
     if len(frames) == 1:
-        return [frames.start] * (wanted or FRAMES_OF_STILLS)
-    if wanted is not None and wanted > len(frames):
-        raise RenderError(f"{capture.path}: wanted {wanted} frames to play, there are {len(frames)}; ask for fewer")
-    return list(frames)[:wanted]
+        return [frames.start] * (n_frames or FRAMES_OF_STILLS)
+    if n_frames is not None and n_frames > len(frames):
+        raise RenderError(f"{capture.path}: wanted {n_frames} frames to play, there are {len(frames)}; ask for fewer")
+    return list(frames)[:n_frames]
 
 
 def _checked_k(capture: Capture, k: int) -> int:
@@ -264,7 +264,7 @@ def _needed(
 
 
 def _jobs(capture: Capture, poses: Sequence[Camera], k: int, options: DepthOptions, sources: SourceChoice) -> dict[str, DepthJob]:
-    """How the depth of each source camera is computed: the same wherever the virtual camera stands."""
+    """Plan the depth of each source camera: the same wherever the virtual camera stands."""
     jobs: dict[str, DepthJob] = {}
     for pose in poses:
         if any(each.camera.name not in jobs for each in choose_sources(pose, capture.cameras, k, sources)):
@@ -272,16 +272,16 @@ def _jobs(capture: Capture, poses: Sequence[Camera], k: int, options: DepthOptio
     return jobs
 
 
-def _wanted(
+def _frames_by_camera(
     blocks: Sequence[tuple[range, set[str]]], jobs: Mapping[str, DepthJob], options: DepthOptions
 ) -> dict[str, list[int]]:
     """Which frames of which cameras take part: of sources, and of those that their depth is matched with."""
-    wanted: dict[str, set[int]] = {}
+    frames_by_camera: dict[str, set[int]] = {}
     for block, names in blocks:
         frames = range(options.time.first_needed(block.start), block.stop)
         for name in {each for source in names for each in (source, *jobs[source].partner_names)}:
-            wanted.setdefault(name, set()).update(frames)
-    return {name: sorted(frames) for name, frames in sorted(wanted.items())}
+            frames_by_camera.setdefault(name, set()).update(frames)
+    return {name: sorted(frames) for name, frames in sorted(frames_by_camera.items())}
 
 
 def _digest(capture: Capture) -> str:

@@ -126,7 +126,7 @@ class OnlineSynthesizer:
 
 
 def online_method(method: str | Callable[[], Method], device: str = "cpu") -> Callable[[], Method]:
-    """What makes a method, given its label and where its networks compute, or itself.
+    """Return the factory of a method, given its label and where its networks compute, or the factory itself.
 
     Raises:
         DeviceError: no such device here.
@@ -148,7 +148,7 @@ def _check_names(given: Mapping[str, object], names: Sequence[str], target: Came
         )
 
 
-def _source_view(source: ChosenSource, image: Image8, found: Map | DepthMap) -> SourceView:
+def _source_view(source: ChosenSource, image: Image8, source_depth: Map | DepthMap) -> SourceView:
     """A copy of what a camera gives, since methods remember it and cameras write into the same memory again."""
     camera = source.camera
     shape = (camera.height, camera.width)
@@ -158,8 +158,8 @@ def _source_view(source: ChosenSource, image: Image8, found: Map | DepthMap) -> 
             f"camera {camera.name}: wanted a uint8 image of {(*shape, 3)}, got {image.dtype} {image.shape}; "
             "resize the images, or build the rig of `camera.resized`"
         )
-    depth = _checked_depth(camera, found.depth if isinstance(found, DepthMap) else found)
-    confidence = found.confidence if isinstance(found, DepthMap) else (depth > 0).astype(np.float32)
+    depth = _checked_depth(camera, source_depth.depth if isinstance(source_depth, DepthMap) else source_depth)
+    confidence = source_depth.confidence if isinstance(source_depth, DepthMap) else (depth > 0).astype(np.float32)
     if confidence.shape != shape:
         raise DepthError(f"camera {camera.name}: wanted confidence of {shape} like its depth, got {confidence.shape}")
     return SourceView(camera, image.copy(), depth, confidence.astype(np.float32), source.share)

@@ -32,13 +32,13 @@ class Coverage:
 
     def stretches(self, label: str, view: str) -> tuple[range, ...]:
         """The same as runs of consecutive frames: what changes from frame to frame is measured inside of each."""
-        found: list[range] = []
+        stretches: list[range] = []
         for frame in self.frames(label, view):
-            if found and found[-1].stop == frame:
-                found[-1] = range(found[-1].start, frame + 1)
+            if stretches and stretches[-1].stop == frame:
+                stretches[-1] = range(stretches[-1].start, frame + 1)
             else:
-                found.append(range(frame, frame + 1))
-        return tuple(found)
+                stretches.append(range(frame, frame + 1))
+        return tuple(stretches)
 
     def require(self, run: RunFolder, views: Sequence[str], labels: Sequence[str]) -> None:
         """Refuse a run in which frames are missing that should be there.
@@ -61,18 +61,18 @@ class Coverage:
         return {name: f"{reason} (partial renders {label})" for name, reason in reasons.items() if name not in measured}
 
     def identity(self, label: str, view: str) -> dict[str, str]:
-        """What a score depends on beside the pixels: which frames they are, where these are not the protocol's."""
+        """Return what a score depends on beside the pixels: which frames they are, where these are not the protocol's."""
         return {"frames": as_ranges(list(self.frames(label, view)))} if label in self.partial else {}
 
 
 def read_coverage(run: RunFolder, wanted: range, labels: Sequence[str]) -> Coverage:
-    """What the imports of a run say of the frames they brought."""
+    """Read the coverage of a run from the records of its imports."""
     records = {label: read_import(run, label) for label in labels}
-    known = {label: record for label, record in records.items() if record}
+    imports = {label: record for label, record in records.items() if record}
     scene = run.capture_record()["scene"]
-    partial = {label: record["frames"] for label, record in known.items() if record["partial"]}
-    marks = {label: f"partial in {scene}: {known[label]['partial']}" for label in partial}
-    return Coverage(wanted, partial, marks, {label: {key: r[key] for key in SHOWN_FIELDS} for label, r in known.items()})
+    partial = {label: record["frames"] for label, record in imports.items() if record["partial"]}
+    marks = {label: f"partial in {scene}: {imports[label]['partial']}" for label in partial}
+    return Coverage(wanted, partial, marks, {label: {key: r[key] for key in SHOWN_FIELDS} for label, r in imports.items()})
 
 
 def read_import(run: RunFolder, label: str) -> dict[str, Any] | None:

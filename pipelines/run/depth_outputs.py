@@ -1,4 +1,4 @@
-"""What `ggvs-eval prepare` makes of the depth beside storing it: the depth page, a fused instant, a COLMAP workspace."""
+"""Outputs of `ggvs-eval prepare` beside the depth store: the depth page, a fused instant, a COLMAP workspace."""
 
 from pathlib import Path
 
@@ -38,7 +38,7 @@ def write_prepared_page(prepared: RunPlan, filled_confidence: float, workers: in
 
 
 def _registration(job: DepthJob, width_px: int) -> str:
-    """What was done to the sensor depth of a job, in words; empty where nothing was."""
+    """Describe the registration of a job's sensor depth in words; empty where there was none."""
     options = job.spec["options"]
     applied = options.get("registration") if isinstance(options, dict) else None
     return Registration(**applied).describe(width_px) if applied else ""

@@ -29,7 +29,7 @@ def seen_from(target: Camera, keys: Mapping[str, str]) -> dict[str, Any]:
 
 
 def is_stale(folder: Path, made_from: Mapping[str, Any]) -> bool:
-    """Whether files of a folder, if there are any, were made from something else, or from nobody knows what."""
+    """Tell whether files of a folder, if there are any, were made from something else, or from unknown inputs."""
     try:
         return read_json(folder / NOTE) != made_from
     except ResultsError:

@@ -1,4 +1,4 @@
-"""What a method decided on the way to its image, as pictures that lie beside its frames and that the page shows."""
+"""Diagnostics: what a method decided on the way to its image, as pictures beside its frames that the page shows."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What no source camera sees of a test view: where methods must invent, whatever they are."""
+"""Disocclusion: what no source camera sees of a test view, which methods must invent, whatever they are."""
 
 from collections.abc import Mapping
 from functools import partial

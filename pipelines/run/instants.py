@@ -1,4 +1,4 @@
-"""What a method is given: the sources of a target view, instant by instant; its code is part of every render's identity."""
+"""Inputs of a method: the sources of a target view, instant by instant; this code is part of every render's identity."""
 
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING

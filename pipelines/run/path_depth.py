@@ -57,7 +57,7 @@ def made_from(capture: Capture, poses: Sequence[tuple[Camera, dict[str, str]]], 
 
 
 def read_path_depth(folder: Path, pose: int) -> NDArray[np.float32]:
-    """What `write_path_depth` wrote for one pose.
+    """Read what `write_path_depth` wrote for one pose.
 
     Raises:
         DepthError: absent or damaged.

@@ -54,7 +54,7 @@ def render(prepared: RunPlan, labels: Sequence[str], workers: Workers = 1, netwo
 def render_jobs(
     prepared: RunPlan, labels: Sequence[str], workers: Workers = 1, networks: NetworkOptions = AS_SHIPPED
 ) -> list[Job]:
-    """What `render` runs: one job per method along the camera path, and one per method and test view.
+    """List the jobs that `render` runs: one per method along the camera path, and one per method and test view.
 
     Raises:
         DeviceError: no such device here.
@@ -75,9 +75,9 @@ def render_jobs(
 def note_labels(run: RunFolder, labels: Sequence[str]) -> None:
     """Remember the order in which methods were asked for; a table shows them in it."""
     order = run.root / "methods.json"
-    known = read_json(order) if order.is_file() else {}
-    merged = list(dict.fromkeys([*known.get("labels", []), *labels]))
-    if merged != known.get("labels"):
+    record = read_json(order) if order.is_file() else {}
+    merged = list(dict.fromkeys([*record.get("labels", []), *labels]))
+    if merged != record.get("labels"):
         write_json(order, {"labels": merged})
 
 
@@ -163,7 +163,7 @@ def _render_frame(method: Method, instant: Instant, path: Path) -> dict[str, flo
 
 
 def _record(label: str, seconds: Sequence[dict[str, float]], target: Camera, workers: int) -> dict[str, Any]:
-    """What job.json says beside the identity: how long each stage of each frame took, and with what."""
+    """Return what job.json records beside the identity: how long each stage of each frame took, and with what."""
     method, variant = split_label(label)
     return {
         "method": method,

@@ -52,7 +52,7 @@ class RunRequest:
 
 @dataclass(frozen=True)
 class SourcePlan:
-    """How one target view is synthesised.
+    """Plan of the synthesis of one target view.
 
     Attributes:
         target: the camera to synthesise, at synthesis size.
@@ -96,7 +96,7 @@ class RunPlan:
 
     @property
     def protocol(self) -> Protocol:
-        """What is evaluated."""
+        """Protocol of the evaluation."""
         return self.request.protocol
 
     @property
@@ -202,16 +202,16 @@ def fit_capture(capture: Capture, protocol: Protocol) -> Capture:
 
 
 def _depth_of(run: RunFolder, asked: DepthRunOptions | None) -> DepthRunOptions:
-    """How this folder's depth is found, or will be; methods of one table must have been given the same."""
+    """Return how this folder's depth is found, or will be; methods of one table must have been given the same."""
     if not run.depth_record.is_file():
         return asked or DepthRunOptions()
-    known = DepthRunOptions.from_record(read_json(run.depth_record))
-    if asked not in (None, known):
+    record = DepthRunOptions.from_record(read_json(run.depth_record))
+    if asked not in (None, record):
         raise ProtocolError(
-            f"{run.root}: holds a run whose depth is found by {known.options().matcher.name} ({run.depth_record.name}), wanted "
+            f"{run.root}: holds a run whose depth is found by {record.options().matcher.name} ({run.depth_record.name}), wanted "
             f"{asked}; choose a new folder or delete it"
         )
-    return known
+    return record
 
 
 def _camera_path(capture: Capture, protocol: Protocol) -> CameraPath:
@@ -226,9 +226,9 @@ def _camera_path(capture: Capture, protocol: Protocol) -> CameraPath:
         return CameraPath((), None, 0.0)
     if protocol.path.cameras:
         return CameraPath(_chosen_poses(protocol.path.cameras, middle), None, 0.0)
-    known = open_path(capture.path)
-    if known is not None and _shows_its_instant(capture, known):
-        return replace(known, cameras=tuple(pose.resized(*middle.size) for pose in known.cameras))
+    own_path = open_path(capture.path)
+    if own_path is not None and _shows_its_instant(capture, own_path):
+        return replace(own_path, cameras=tuple(pose.resized(*middle.size) for pose in own_path.cameras))
     neighbour = nearest_cameras(middle, capture.cameras, 2)[-1]
     span = 2 * float(np.linalg.norm(neighbour.centre - middle.centre))
     return CameraPath(tuple(translated_path(middle, span, protocol.path.poses)), None, 0.0)
@@ -244,7 +244,7 @@ def _chosen_poses(poses: Sequence[PathCamera], view: Camera) -> tuple[Camera, ..
     return tuple(camera.resized(*view.size) for camera in cameras)
 
 
-def _shows_its_instant(capture: Capture, known: CameraPath) -> bool:
-    """Whether the capture's own path was rendered at an instant that can be seen: not where another one is held still."""
+def _shows_its_instant(capture: Capture, path: CameraPath) -> bool:
+    """Tell whether the capture's own path was rendered at an instant that can be seen: not where another one is held still."""
     edit = capture.edit
-    return edit is None or not edit.hold_frames or round(known.time_s * capture.fps) == edit.hold_frame
+    return edit is None or not edit.hold_frames or round(path.time_s * capture.fps) == edit.hold_frame

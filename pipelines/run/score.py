@@ -63,7 +63,7 @@ def score(run: RunFolder, workers: Workers = 1, without: Collection[str] = (), d
 
 
 def score_jobs(run: RunFolder, labels: Sequence[str], views: Sequence[str], device: str = "cpu") -> list[Job]:
-    """What `score` runs for some methods and test views, one job per view; so that a sweep can run those of many runs at once.
+    """List the jobs of `score` for some methods and views, one per view, so that a sweep can run those of many runs at once.
 
     Raises:
         RenderError: missing frames of these.
@@ -135,12 +135,12 @@ def _derived(
 
 def _along_path(protocol: Protocol, path: dict[str, Any] | None, not_computed: dict[str, str]) -> list[tuple[Any, ...]]:
     """Rows (view, frame, metric, value) of the measures of a camera path, each over the whole path."""
-    wanted = [name for name in protocol.measurement.metrics if METRICS[name].kind == "path"]
+    names = [name for name in protocol.measurement.metrics if METRICS[name].kind == "path"]
     if path is None:
-        not_computed.update(dict.fromkeys(wanted, "no images along a camera path"))
+        not_computed.update(dict.fromkeys(names, "no images along a camera path"))
         return []
-    not_computed.update({name: reason for name, reason in path["not_computed"].items() if name in wanted})
-    return [(PATH_VIEW, -1, name, value) for name, pose, value in path["values"] if pose < 0 and name in wanted]
+    not_computed.update({name: reason for name, reason in path["not_computed"].items() if name in names})
+    return [(PATH_VIEW, -1, name, value) for name, pose, value in path["values"] if pose < 0 and name in names]
 
 
 def _provenance(protocol: Protocol, capture: dict[str, Any], renders: dict[str, str]) -> dict[str, Any]:
@@ -169,7 +169,7 @@ def _described(device: str) -> str:
 
 
 def _write_shown_names(run: RunFolder, protocol: Protocol, labels: Sequence[str]) -> None:
-    """What the report calls methods and metrics; it reads this from disk and imports neither."""
+    """Write how the report calls methods and metrics; it reads this from disk and imports neither."""
     titles = {label: METHODS[label].title if label in METHODS else label for label in labels}
     ours = [label for label in labels if label in METHODS and METHODS[label].ours]
     write_json(run.root / "methods.json", {"labels": list(labels), "names": titles, "ours": ours})

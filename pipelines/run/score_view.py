@@ -56,7 +56,7 @@ def view_job(
 
 
 def _metric_identity(metric: ViewMetric, options: MetricOptions) -> dict[str, Any]:
-    """What one metric depends on beside the frames and the measurement; the CPU goes without saying."""
+    """Return what one metric depends on beside the frames and the measurement; the CPU goes without saying."""
     code = {"code": metric_code(metric)}
     if metric.weights is None:
         return code
@@ -86,8 +86,8 @@ def _score_view(
     _folder: Path,
 ) -> dict[str, Any]:
     """Measure what is stale, methods with the same frames and stale metrics side by side; all other values stay."""
-    known = run.scores(view) / JOB_FILE
-    records = read_json(known)["methods"] if known.is_file() else {}
+    record_file = run.scores(view) / JOB_FILE
+    records = read_json(record_file)["methods"] if record_file.is_file() else {}
     methods = {label: record for label, record in records.items() if label not in asked}
     alike: dict[tuple[tuple[range, ...], tuple[str, ...]], list[str]] = defaultdict(list)
     for label, identity in identities.items():
@@ -151,7 +151,7 @@ def _score_methods(
 
 
 def metric_options(measurement: Measurement, device: str = "cpu") -> MetricOptions:
-    """What the protocol chooses about the metrics, and where their networks compute."""
+    """Return the protocol's options of the metrics, and where their networks compute."""
     return MetricOptions(
         ssim=measurement.ssim,
         lpips_net=measurement.lpips_net,
@@ -171,7 +171,7 @@ def truth_frames(run: RunFolder, view: str, frames: range, measurement: Measurem
 
 
 def _disoccluded(folder: Path, frames: range, measurement: Measurement) -> Iterator[Mask] | None:
-    """Where no source camera sees the view; None where nobody has worked it out."""
+    """Read the masks of what no source camera sees of the view; None where they have not been computed."""
     if missing_frames(folder, frames):
         return None
     return (_read_mask(frame_path(folder, index), measurement) for index in frames)
@@ -193,9 +193,9 @@ def _instants(
         images = [read_image(path) for path in paths]
         for path, image in zip(paths, images, strict=True):
             if image.shape != images[-1].shape:
-                wanted, came = images[-1].shape[1::-1], image.shape[1::-1]
+                true_size, size = images[-1].shape[1::-1], image.shape[1::-1]
                 raise RenderError(
-                    f"{path}: wanted {wanted[0]} x {wanted[1]} pixels as the truth has, got {came[0]} x {came[1]}; "
+                    f"{path}: wanted {true_size[0]} x {true_size[1]} pixels as the truth has, got {size[0]} x {size[1]}; "
                     "render at the protocol's size"
                 )
         if measurement.width:

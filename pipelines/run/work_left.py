@@ -23,7 +23,7 @@ GB = 1e9
 
 @dataclass(frozen=True)
 class WorkLeft:
-    """What one run lacks: frames, by the folders they will lie in.
+    """Remaining work of one run: missing frames, by the folders they will lie in.
 
     Attributes:
         n_pixels: of a frame.
@@ -60,14 +60,14 @@ class WorkLeft:
         return sum(self.renders.values()) + sum(self.path_renders.values())
 
     def is_nothing(self) -> bool:
-        """Whether everything is done."""
+        """Tell whether everything is done."""
         counts = (self.truth, self.disoccluded, self.scores)
         return not (self.n_depth or self.n_rendered or self.path_depth or any(sum(each.values()) for each in counts))
 
 
 @dataclass(frozen=True)
 class Workload:
-    """What stands before a run, or before several that share their frames.
+    """Remaining work of a run, or of several that share their frames.
 
     Attributes:
         title: frames, views, methods, size.
@@ -85,7 +85,7 @@ class Workload:
 
     @property
     def disk_bytes(self) -> float:
-        """What the runs will still write; what they share counts once."""
+        """Bytes that the runs will still write; what they share counts once."""
         shared: dict[Path, float] = {}
         other = 0.0
         for each in self.left:
@@ -101,7 +101,7 @@ class Workload:
         return shutil.disk_usage(_existing(self.folder)).free
 
     def is_nothing(self) -> bool:
-        """Whether everything is done."""
+        """Tell whether everything is done."""
         return all(each.is_nothing() for each in self.left)
 
     def describe(self) -> str:
@@ -119,7 +119,7 @@ class Workload:
         return "\n".join([*lines, *self._time_line()])
 
     def _time_line(self) -> list[str]:
-        """How long rendering takes, by jobs that are done; nothing where none is."""
+        """Estimate how long rendering takes, by jobs that are done; nothing where none is."""
         frames: dict[str, int] = defaultdict(int)
         for each in self.left:
             for (label, _), count in (*each.renders.items(), *each.path_renders.items()):
@@ -158,7 +158,7 @@ def count_work(plans: Sequence[RunPlan], folder: Path, jobs: int = 1) -> Workloa
     for plan in plans:
         for label in plan.request.labels:
             seconds[label] += _frame_seconds(plan, label)
-    means = {label: sum(known) / len(known) for label, known in seconds.items() if known}
+    means = {label: sum(values) / len(values) for label, values in seconds.items() if values}
     return Workload(_title(plans), tuple(work_left(plan) for plan in plans), folder, means, jobs)
 
 
@@ -211,14 +211,14 @@ def _poses_left(plan: RunPlan) -> int:
 
 def _depth_left(plan: RunPlan, store: DepthStore) -> tuple[dict[Path, int], dict[Path, int]]:
     """Missing depth maps by folder of the store: as found, and held against others."""
-    found: dict[Path, int] = {}
+    unchecked: dict[Path, int] = {}
     checked: dict[Path, int] = {}
     for jobs, frames in ((plan.view_jobs, plan.frames), (plan.path_jobs, plan.path_frames)):
         for job in jobs:
-            missing = _count(store, job.key, frames, checked if job.checked_with else found)
+            missing = _count(store, job.key, frames, checked if job.checked_with else unchecked)
             for other in (job.unchecked, *job.checked_with) if job.checked_with and missing else ():
-                _count(store, other.key, frames, found)
-    return found, checked
+                _count(store, other.key, frames, unchecked)
+    return unchecked, checked
 
 
 def _count(store: DepthStore, key: str, frames: range, counts: dict[Path, int]) -> int:
@@ -229,7 +229,7 @@ def _count(store: DepthStore, key: str, frames: range, counts: dict[Path, int]) 
 
 
 def _is_scored(run: RunFolder, view: str, labels: Sequence[str]) -> bool:
-    """Whether a view has values of these methods; whether they are still of the same frames, scoring itself finds out."""
+    """Tell whether a view has values of these methods; whether they are still of the same frames, scoring itself finds out."""
     try:
         return set(labels) <= set(read_json(run.scores(view) / JOB_FILE)["methods"])
     except (ResultsError, KeyError, TypeError):
@@ -238,18 +238,18 @@ def _is_scored(run: RunFolder, view: str, labels: Sequence[str]) -> bool:
 
 def _frame_seconds(plan: RunPlan, label: str) -> list[float]:
     """Mean seconds of a frame in each test view that a method has rendered."""
-    known = []
+    seconds = []
     for view in plan.plans:
         try:
             stages = read_json(plan.run.renders(label, view) / JOB_FILE)["seconds"].values()
-            known.append(sum(map(sum, stages)) / len(plan.frames))
+            seconds.append(sum(map(sum, stages)) / len(plan.frames))
         except (ResultsError, KeyError, TypeError, AttributeError):
             continue
-    return known
+    return seconds
 
 
 def _title(plans: Sequence[RunPlan]) -> str:
-    """What the runs are."""
+    """Describe the runs in one line."""
     first = plans[0]
     width, height = first.capture.cameras[0].size
     labels = first.request.labels

@@ -1,4 +1,4 @@
-"""What a sweep consists of: one run per capture and variant of the protocol, each with the rows that stand in it."""
+"""Cells of a sweep: one run per capture and variant of the protocol, each with the rows that stand in it."""
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
@@ -112,7 +112,7 @@ def sweep_cells(root: Path, captures: Captures, sweep: Sweep, networks: NetworkO
 
 
 def units_of(cells: list[Cell]) -> list[tuple[Cell, str]]:
-    """What can be given to different machines: (run, test view or `PATH`), in an order that they all agree on."""
+    """List the units for different machines: (run, test view or `PATH`), in an order that they all agree on."""
     return [(cell, view) for cell in cells for view in (*cell.protocol.views.test, PATH)]
 
 
@@ -125,7 +125,7 @@ def share_of(cells: list[Cell], shard: Shard) -> dict[str, set[str]]:
 
 
 def _why_not(row: SweepRow, n_captures: int, networks: NetworkOptions) -> str | None:
-    """Why a row cannot be computed; None where it can, as far as can be told before it is tried."""
+    """Return why a row cannot be computed; None where it can, as far as can be told before it is tried."""
     label = row.method
     if row.rendered is not None:
         ambiguous = n_captures > 1 and CAPTURE not in row.rendered

@@ -78,7 +78,7 @@ def _noted(options: DemoOptions, camera: Camera) -> Camera:
 
 
 def is_rendered(capture: Capture) -> bool:
-    """Whether a capture has frames that can be read."""
+    """Tell whether a capture has frames that can be read."""
     return not any(isinstance(source, FramesToRender) for source in capture.sources)
 
 

@@ -89,7 +89,7 @@ def evaluate_demos(
 
 
 def describe_outlook(root: Path, labels: Mapping[str, Sequence[str]], jobs: int) -> str:
-    """How long the demo takes and when its first page can be opened, in one line; empty where the rooms are evaluated already."""
+    """Say in one line how long the demo takes and when its first page can be opened; empty once its rooms are evaluated."""
     page = RunFolder(root).report / "index.html"
     if page.is_file() or any(name not in CORE_SECONDS for name in labels):
         return ""
@@ -127,7 +127,7 @@ def k_sweep(labels: Sequence[str]) -> Sweep:
 
 
 def capture_beside(root: Path) -> Path:
-    """Where the capture of a demo's run lies."""
+    """Return the folder of the capture of a demo's run."""
     return root.with_name(f"{root.name}-capture")
 
 

@@ -70,6 +70,6 @@ def _job(name: str, command: Sequence[str], after: Sequence[str], makes: Sequenc
 
 
 def _folders(cell: Cell, view: str) -> list[str]:
-    """Where a unit's results go."""
+    """List the folders that a unit's results go into."""
     renders = [cell.run.path(label) if view == PATH else cell.run.renders(label, view) for label in cell.synthesised]
     return [str(folder) for folder in (renders if view == PATH else [*renders, cell.run.scores(view)])]

@@ -35,7 +35,7 @@ ShowPlans = Callable[[Sequence[RunPlan]], None]
 
 @dataclass(frozen=True)
 class SweepResult:
-    """What came out of a sweep.
+    """Result of a sweep.
 
     Attributes:
         table: one line per variant and row: mean of each metric, and seconds per frame; of several captures per capture too.

@@ -77,17 +77,17 @@ class BaselineTask:
 
     @property
     def summary(self) -> str:
-        """What is trained."""
+        """Sentence of the model card on what is trained."""
         return f"The training of {self.baseline.title} ({self.baseline.source})."
 
     @property
     def data(self) -> str:
-        """What it learns from."""
+        """Sentence of the model card on the training data."""
         return f"{self.training.data}; the targets and sources of the blending network's training"
 
     @property
     def evaluated_on(self) -> str:
-        """What `validate` measures."""
+        """Sentence of the model card on what `validate` measures."""
         step = self.recipe.validated_step
         if step == 1:
             return f"PSNR (dB) and SSIM, means of whole views, single instants: {self.validation.data}."

@@ -1,4 +1,4 @@
-"""What `ggvs-eval train` is asked for, of one network or of all, and the words of the command line that ask for it."""
+"""Request to `ggvs-eval train`, for one network or for all, and the words of the command line that make it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ HOW = ("device", "precision", "workers", "compile_network")  # change nothing th
 
 @dataclass(frozen=True)
 class TrainingRequest:
-    """What is asked for.
+    """Request for the training of one network or of all.
 
     Attributes:
         steps: of the whole training, those of earlier calls included.

@@ -42,7 +42,7 @@ class Training:
 
     @property
     def log(self) -> Path:
-        """What it prints."""
+        """File of its output."""
         return self.folder / "train.log"
 
     def steps_done(self) -> int:
@@ -53,7 +53,7 @@ class Training:
 
 
 def default_jobs(device_type: str, trainings: int) -> int:
-    """How many trainings run at once: all of them on a GPU, one per two cores on a CPU."""
+    """Return how many trainings run at once: all of them on a GPU, one per two cores on a CPU."""
     return trainings if device_type == "cuda" else max(min(default_workers() // CORES_PER_TRAINING, trainings), 1)
 
 
@@ -135,7 +135,7 @@ def _lock(training: Training, log: IO[bytes]) -> None:
 
 
 def _failure(training: Training, code: int) -> dict[str, str]:
-    """What to tell of a training that ended, by its name; nothing where it ended well."""
+    """Describe why a training failed, by its name; nothing where it ended well."""
     if code == 0:
         return {}
     end = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit {code}"

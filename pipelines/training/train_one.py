@@ -48,7 +48,7 @@ def train_one(what: str, folder: Path, request: TrainingRequest) -> tuple[Path, 
 
 
 def requested_data(request: TrainingRequest) -> TrainingData:
-    """What is learned from."""
+    """Return the data that is learned from."""
     return TrainingData(
         request.rooms, request.targets, request.domains, request.captures, request.hold_back, most_views=request.views
     )

@@ -14,7 +14,7 @@ BYTES_PER_PIXEL = 3 + 4 + 4  # colour, depth, confidence
 
 
 class FrameStock:
-    """What the cameras of a playback see, at most at so many pixels, least recently used frames forgotten first.
+    """Cache of what the cameras of a playback see, at most at so many pixels; least recently used frames are dropped first.
 
     Args:
         playback: the rig, its frames and its depth.
@@ -35,13 +35,13 @@ class FrameStock:
     def _read(self, name: str, instant: int) -> tuple[Image8, DepthMap]:
         """The frame and the depth of one camera at one instant, (H, W, 3) and (H, W)."""
         image = self._playback.capture.frame(name, instant)
-        found = self._playback.store.read(self._playback.depth_keys[name], instant)
+        depth_map = self._playback.store.read(self._playback.depth_keys[name], instant)
         size = self._sizes[name]
         if size == (image.shape[1], image.shape[0]):
-            return image, found
+            return image, depth_map
         # Depths of two surfaces must not be mixed: a mean would lie on neither.
         depth, confidence = (
-            cv2.resize(each, size, interpolation=cv2.INTER_NEAREST_EXACT) for each in (found.depth, found.confidence)
+            cv2.resize(each, size, interpolation=cv2.INTER_NEAREST_EXACT) for each in (depth_map.depth, depth_map.confidence)
         )
         return cv2.resize(image, size, interpolation=cv2.INTER_AREA), DepthMap(depth, confidence)
 

@@ -1,4 +1,4 @@
-"""What one viewer sees: the picture of a pose and an instant by a method, small while something moves, whole at rest."""
+"""Live view of one viewer: the picture of a pose and an instant by a method, small while something moves, whole at rest."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace

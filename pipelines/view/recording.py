@@ -1,4 +1,4 @@
-"""What a viewer recorded: poses and instants, written as a video, or as the camera path of a protocol that `run` evaluates."""
+"""Recording of a viewer: poses and instants, written as a video, or as the camera path of a protocol that `run` evaluates."""
 
 from dataclasses import dataclass, field, replace
 from itertools import count

@@ -1,4 +1,4 @@
-"""What stands around the picture in the browser: the cameras of the rig as frusta, and the points that depth says are there."""
+"""Scene around the picture in the browser: the cameras of the rig as frusta, and the points that depth says are there."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -20,7 +20,7 @@ FRUSTUM_COLOUR = (230, 159, 0)
 
 
 def up_direction(cameras: Sequence[Camera]) -> Array:
-    """Where up is for most cameras of a rig, a unit vector in the world, (3,)."""
+    """Return the direction that is up for most cameras of a rig, a unit vector in the world, (3,)."""
     up = -np.mean([camera.rotation[1] for camera in cameras], axis=0)
     return np.asarray(up / np.linalg.norm(up))
 
@@ -45,8 +45,8 @@ def gazed_depth(stock: FrameStock, instant: int) -> float:
     """Median depth that the middle camera sees, world units; the middle of its range where nothing is known."""
     camera = middle_camera(stock.cameras)
     depth = stock.read(camera.name, instant)[1].depth
-    known = depth[depth > 0]
-    return float(np.median(known)) if known.size else float(np.sqrt(camera.near * camera.far))
+    depths = depth[depth > 0]
+    return float(np.median(depths)) if depths.size else float(np.sqrt(camera.near * camera.far))
 
 
 def cloud(stock: FrameStock, instant: int, most: int = MOST_POINTS) -> tuple[Array, Image8]:
@@ -60,13 +60,13 @@ def cloud(stock: FrameStock, instant: int, most: int = MOST_POINTS) -> tuple[Arr
     Returns:
         Points in the world (N, 3) and their colours (N, 3), RGB uint8.
     """
-    known = {camera.name: stock.read(camera.name, instant) for camera in stock.cameras}
-    step = max(int(np.ceil((sum(found.depth.size for _, found in known.values()) / most) ** 0.5)), 1)
+    frames = {camera.name: stock.read(camera.name, instant) for camera in stock.cameras}
+    step = max(int(np.ceil((sum(depth_map.depth.size for _, depth_map in frames.values()) / most) ** 0.5)), 1)
     points, colours = [], []
     for camera in stock.cameras:
-        image, found = known[camera.name]
+        image, depth_map = frames[camera.name]
         cells = np.s_[step // 2 :: step, step // 2 :: step]
-        depth = found.depth[cells]
+        depth = depth_map.depth[cells]
         usable = depth > 0
         points.append(camera.unproject(camera.pixel_centres()[cells][usable], depth[usable].astype(np.float64)))
         colours.append(image[cells][usable])

@@ -32,7 +32,7 @@ RATE_SECONDS = 2.0  # over which pictures per second are counted
 
 @dataclass(frozen=True)
 class ViewDefaults:
-    """What a window shows at first.
+    """Initial settings of a window.
 
     Attributes:
         method: label of the method.
@@ -121,7 +121,7 @@ class Session:
         return True
 
     def rests(self) -> bool:
-        """Whether nothing has changed for a while, and the whole picture has not been made yet."""
+        """Tell whether nothing has changed for a while, and the whole picture has not been made yet."""
         with self._lock:
             rested = monotonic() - self._changed_at >= REST_SECONDS
             return rested and self._shown_version == self._version != self._refined_version

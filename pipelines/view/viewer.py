@@ -36,7 +36,7 @@ MISSING = "the viewer wants the package viser; install it by `pip install 'ggvs-
 
 @dataclass(frozen=True)
 class ServerOptions:
-    """Where the page is served.
+    """Options of the server of the page.
 
     Attributes:
         host: address to listen at; 0.0.0.0 lets other machines in.
@@ -76,7 +76,7 @@ class Viewer:
 
     @property
     def address(self) -> str:
-        """What to open in a browser."""
+        """Address to open in a browser."""
         return f"http://{self.server.get_host()}:{self.server.get_port()}"
 
     def wait(self) -> None:

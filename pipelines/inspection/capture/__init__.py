@@ -1,1 +1,1 @@
-"""What would spoil results on a capture, found before it is used."""
+"""Checks of a capture: faults that would spoil results, detected before it is used."""

@@ -23,7 +23,7 @@ FRONT_SHARE = 0.5
 
 @dataclass(frozen=True)
 class PairError:
-    """How well one pair of cameras agrees with its matches.
+    """Epipolar error of one pair of cameras over its matches.
 
     Attributes:
         first: index of a camera.
@@ -49,7 +49,7 @@ def tolerances(camera: Camera) -> tuple[float, float]:
 
 
 def has_parallax(one: Camera, other: Camera) -> bool:
-    """Whether two cameras stand far enough apart for their epipolar lines to mean anything."""
+    """Tell whether two cameras stand far enough apart for their epipolar lines to mean anything."""
     depth = min(np.sqrt(camera.near * camera.far) for camera in (one, other))
     return float(np.linalg.norm(one.centre - other.centre)) > LEAST_BASELINE * depth
 
@@ -68,7 +68,7 @@ def pair_error(cameras: Sequence[Camera], pair: MatchedPair) -> PairError:
 
 
 def is_wrong(cameras: Sequence[Camera], error: PairError) -> bool:
-    """Whether a pair contradicts the calibration."""
+    """Tell whether a pair contradicts the calibration."""
     tolerance_px = max(tolerances(cameras[index])[0] for index in (error.first, error.second))
     return error.median_px > tolerance_px or error.front_share < FRONT_SHARE
 

@@ -1,4 +1,4 @@
-"""Whether sensor depth lies on its colour: displacement of its edges in pixels, and its scale."""
+"""Check of the registration of sensor depth with its colour: displacement of its edges in pixels, and its scale."""
 
 import numpy as np
 

@@ -31,7 +31,7 @@ RECALIBRATE = "calibrate again, or leave this camera out"
 
 @dataclass(frozen=True)
 class CalibrationVerdict:
-    """What the matches say about the calibration.
+    """Verdict of the matches on the calibration.
 
     Attributes:
         findings: for the rig and each camera.
@@ -65,10 +65,10 @@ def check_epipolar(
     if shared or len(trusted) < max(2, len(matched) / 2) or len(over) > len(matched) / 2:
         return replace(_doubtful_rig(cameras, pairs, errors, shared), pairs=all_pairs)
     # Suspects are compared with trusted cameras all over the rig: of two exchanged ones each sees what the other's neighbours do.
-    known = {(pair.first, pair.second) for pair in pairs}
+    matched_pairs = {(pair.first, pair.second) for pair in pairs}
     evaluates, tried = trusted[:: len(trusted) // MOST_JUDGES + 1], suspects[:MOST_EXPLAINED]
-    wanted = {(min(index, other), max(index, other)) for index in tried for other in evaluates} - known
-    added = match_pairs(cameras, records, sorted(wanted))
+    missing_pairs = {(min(index, other), max(index, other)) for index in tried for other in evaluates} - matched_pairs
+    added = match_pairs(cameras, records, sorted(missing_pairs))
     pairs = [*pairs, *(pair for pair in added if has_parallax(cameras[pair.first], cameras[pair.second]))]
     repairs = dict.fromkeys(suspects) | {index: explain_camera(cameras, pairs, index, trusted) for index in tried}
     evaluated = [_evaluate(cameras, records, pairs, index, trusted, repairs) for index in range(len(cameras))]

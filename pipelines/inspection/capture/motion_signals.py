@@ -1,4 +1,4 @@
-"""How motion seen by two cameras is compared without matching anything: by the planes that hold both centres.
+"""Comparison of the motion in two views without matching, by epipolar planes: those that hold both camera centres.
 
 Every point of the scene lies in one half-plane that is bounded by the line through the two centres, and both cameras see it in
 that same half-plane, whatever its depth. So the motion within each half-plane rises and falls in both at the same instants (the
@@ -125,6 +125,6 @@ def _correlation(one: Array, other: Array, lag: int) -> float:
 
 
 def _parabola_peak(before: float, at: float, after: float) -> float:
-    """Where the parabola through three equidistant values is highest, relative to the middle one."""
+    """Locate the maximum of the parabola through three equidistant values, relative to the middle one."""
     curvature = before - 2 * at + after
     return float(np.clip(0.5 * (before - after) / curvature, -0.5, 0.5)) if curvature < 0 else 0.0

@@ -1,4 +1,4 @@
-"""How much of each picture its neighbours see too."""
+"""Overlap of the views: how much of each picture its neighbours see too."""
 
 from collections.abc import Collection, Sequence
 
@@ -51,7 +51,7 @@ def check_overlap(cameras: Sequence[Camera], sensed: Collection[str] = ()) -> tu
 
 
 def _blindness(camera: Camera, cameras: Sequence[Camera], sensed: Collection[str]) -> Finding | None:
-    """What is to be said of a camera of which its nearest cameras can show too little for a test view."""
+    """Return the finding on a camera of which its nearest cameras can show too little for a test view; None on any other."""
     sources = nearest_cameras(camera, cameras, min(SOURCES, len(cameras) - 1))
     share = shown_share(camera, sources, cameras, sensed)
     if share >= LEAST_SHOWN:
@@ -69,8 +69,8 @@ def seen_share(camera: Camera, cameras: Sequence[Camera]) -> float:
     uv = np.stack(np.meshgrid(columns, rows), axis=-1)[None]  # (1, G, G, 2)
     depth = 1 / np.linspace(1 / camera.far, 1 / camera.near, DEPTHS)[:, None, None]
     points = camera.unproject(np.broadcast_to(uv, (DEPTHS, GRID, GRID, 2)), np.broadcast_to(depth, (DEPTHS, GRID, GRID)))
-    seen = np.zeros((DEPTHS, GRID, GRID), int)
+    n_views = np.zeros((DEPTHS, GRID, GRID), int)
     for other in others:
         at, z = other.project(points)
-        seen += (z > 0) & (at >= 0).all(axis=-1) & (at <= np.array(other.size)).all(axis=-1)
-    return float((seen >= min(LEAST_VIEWS, len(others))).mean())
+        n_views += (z > 0) & (at >= 0).all(axis=-1) & (at <= np.array(other.size)).all(axis=-1)
+    return float((n_views >= min(LEAST_VIEWS, len(others))).mean())

@@ -32,12 +32,12 @@ def match_pairs(
     cameras: Sequence[Camera], records: Sequence[CameraRecord], pairs: Iterable[tuple[int, int]]
 ) -> list[MatchedPair]:
     """Match the first frames of each pair; pairs that share too little are left out."""
-    found = []
+    matches = []
     for i, j in track(list(pairs), "matching neighbours"):
         one, other = records[i].features, records[j].features
         if one is not None and other is not None:
-            found.append(match_pair(i, j, one, other, max(*cameras[i].size, *cameras[j].size)))
-    return [pair for pair in found if pair is not None]
+            matches.append(match_pair(i, j, one, other, max(*cameras[i].size, *cameras[j].size)))
+    return [pair for pair in matches if pair is not None]
 
 
 def _remoteness(camera: Camera, other: Camera) -> float:
@@ -86,13 +86,13 @@ def largest_group(count: int, pairs: Sequence[tuple[int, int]]) -> list[int]:
     return [camera for camera in range(count) if label[camera] == largest]
 
 
-def _least_absolute(rows: Array, wanted: Array, weights: Array) -> Array:
+def _least_absolute(rows: Array, differences: Array, weights: Array) -> Array:
     """Reweighted least squares by normal equations; the common value, which differences leave open, is held at 0."""
     trust = weights.copy()
     solution: Array = np.zeros(rows.shape[1])
     for _ in range(ITERATIONS):
         weighted = rows * trust[:, None]
         normal = rows.T @ weighted + trust.mean() / rows.shape[1]
-        solution = np.asarray(np.linalg.solve(normal, weighted.T @ wanted), np.float64)
-        trust = weights / np.maximum(np.abs(rows @ solution - wanted), SMALLEST_RESIDUAL)
+        solution = np.asarray(np.linalg.solve(normal, weighted.T @ differences), np.float64)
+        trust = weights / np.maximum(np.abs(rows @ solution - differences), SMALLEST_RESIDUAL)
     return solution

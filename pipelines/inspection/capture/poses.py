@@ -43,7 +43,7 @@ def check_poses(cameras: Sequence[Camera], doubtful: Collection[int] = ()) -> tu
         for index, camera in enumerate(cameras)
     ]
     values = {"extent": round(rig_extent(cameras), 4), "target": None if target is None else [round(float(x), 4) for x in target]}
-    seen = (
+    gaze = (
         "look the same way" if target is None else f"look at one region, {np.degrees(np.median(away)):.0f} deg off at the median"
     )
     if n_outside > len(cameras) / 3:
@@ -52,7 +52,7 @@ def check_poses(cameras: Sequence[Camera], doubtful: Collection[int] = ()) -> tu
         )
         advice = "a moving or outward-looking camera? else the poses may be inverted or in other axes"
         return (Finding(RIG, QUESTION, "warn", measured, values, advice), *evaluated)
-    return (Finding(RIG, QUESTION, "ok", f"{len(cameras)} cameras {seen}, right-handed", values), *evaluated)
+    return (Finding(RIG, QUESTION, "ok", f"{len(cameras)} cameras {gaze}, right-handed", values), *evaluated)
 
 
 def look_at_point(cameras: Sequence[Camera]) -> Array | None:

@@ -1,4 +1,4 @@
-"""What a wrong calibration could be: explanations that make the epipolar errors vanish."""
+"""Explanations of a wrong calibration: those that make the epipolar errors vanish."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace

@@ -45,7 +45,7 @@ def check_scale(capture: Capture, depths: Mapping[int, Array]) -> tuple[Finding,
 
 
 def _guessed(capture: Capture, depth: float, spacing: float, values: dict[str, object]) -> Finding:
-    """What is known in world units where nothing is known in metres."""
+    """Return the finding in world units, for a capture of which nothing is known in metres."""
     near, far = min(camera.near for camera in capture.cameras), max(camera.far for camera in capture.cameras)
     measured = f"metres are not known; in world units the scene lies within {near:.3g} .. {far:.3g}, {depth:.3g} at the median"
     if np.isfinite(spacing):

@@ -1,1 +1,1 @@
-"""What is wrong with somebody's renders, and what somebody's number means."""
+"""Diagnosis of renders, whoever made them: their faults, and the conventions behind a reported number."""

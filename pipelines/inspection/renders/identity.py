@@ -60,7 +60,7 @@ def find_identity(name: str, view: ViewFrames, cameras: Mapping[str, CameraPictu
 
 
 def structure(image: Array32) -> Array32:
-    """What outlines a picture: mean of the channels without its slow changes, (h, w); no cast or tone curve undoes it."""
+    """Return the outlines of a picture: mean of the channels, band-passed, (h, w); no cast or tone curve undoes them."""
     grey = image.mean(axis=-1, dtype=np.float32)
     wide_px = max(grey.shape) / 20
     return np.asarray(cv2.GaussianBlur(grey, (0, 0), wide_px / 12) - cv2.GaussianBlur(grey, (0, 0), wide_px), dtype=np.float32)

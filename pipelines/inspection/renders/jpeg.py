@@ -33,12 +33,12 @@ def find_jpeg(name: str, view: ViewFrames) -> list[Finding]:
 
 
 def comb_strength(image: Image8) -> tuple[float, float]:
-    """How clearly block coefficients are quantised, 0 to 1, and the median step; 0 where too few are large enough to tell."""
+    """Measure how clearly block coefficients are quantised, 0 to 1, and the median step; 0 where too few are large enough."""
     crop = image[:CROP_PX, :CROP_PX].astype(np.float32)
     luma = crop @ np.array([0.299, 0.587, 0.114], np.float32) - 128
     on, off = (_coefficients(luma[start:, start:]) for start in (0, BLOCK_PX // 2))
-    found = [_comb(on[:, u, v], off[:, u, v]) for u, v in FREQUENCIES]
-    told = [one for one in found if one is not None]
+    combs = [_comb(on[:, u, v], off[:, u, v]) for u, v in FREQUENCIES]
+    told = [one for one in combs if one is not None]
     if not told:
         return 0.0, 0.0
     strength = float(np.quantile([value for value, _ in told], UNTOLD_SHARE))
@@ -56,7 +56,7 @@ def _coefficients(luma: Array32) -> NDArray[np.float64]:
 
 
 def _comb(on: NDArray[np.float64], off: NDArray[np.float64]) -> tuple[float, float] | None:
-    """How much better the best step fits on the grid than off it, less what the best step gains the other way round by chance."""
+    """Measure how much better the best step fits on the grid than off it, less its gain the other way round by chance."""
     differences: list[float] = []
     for step in STEPS:
         # Coefficients that would be rounded to zero fit any large step.

@@ -59,7 +59,7 @@ def mean_over_views(by_view: Mapping[str, float | np.floating]) -> dict[str, flo
 
 
 def changes(view: ViewFrames, between: Callable[[Image8, Image8], Image8]) -> Iterable[tuple[Image8, Image8]]:
-    """What changes from each frame to the next, rendered and true."""
+    """Yield the change from each frame to the next, rendered and true."""
     before: tuple[Image8, Image8] | None = None
     for rendered, truth in view_pairs(view):
         if before is not None:

@@ -21,7 +21,7 @@ MEDIAN_SAMPLES = 20_000
 
 @dataclass(frozen=True)
 class Placement:
-    """Where a rendered picture lies on the true one: rendered(x + shift + (scale - 1)(x - centre)) is truth(x).
+    """Registration of a rendered picture with the true one: rendered(x + shift + (scale - 1)(x - centre)) is truth(x).
 
     Attributes:
         shift_px: rightwards and downwards, at the centre.
@@ -127,7 +127,7 @@ def _gradient(image: Array32) -> tuple[Array32, Array32]:
 
 
 def _unevenness(ours: Array32, theirs: Array32, motion: NDArray[np.float64]) -> float:
-    """How far the shifts of single regions scatter about the fit, px."""
+    """Measure the scatter of the shifts of single regions about the fit, px."""
     height, width = theirs.shape
     left: list[float] = []
     for row in range(REGIONS):

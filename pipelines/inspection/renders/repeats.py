@@ -28,7 +28,7 @@ class Change:
 
 @dataclass(frozen=True)
 class Scan:
-    """What one pass over the rendered frames finds.
+    """Result of one pass over the rendered frames.
 
     Attributes:
         findings: faults of single frames.
@@ -64,7 +64,7 @@ def scan_frames(name: str, view: ViewFrames) -> Scan:
 
 
 def change(before: Array32, after: Array32) -> Change:
-    """How much two pictures (h, w, 3) differ, by the mean of each of 16 x 16 cells."""
+    """Measure how much two pictures (h, w, 3) differ, by the mean of each of 16 x 16 cells."""
     difference = np.abs(after - before).mean(axis=-1)
     cells = cv2.resize(difference, (CELLS, CELLS), interpolation=cv2.INTER_AREA)
     return Change(float(cells.max()), float(np.median(cells)))
@@ -99,13 +99,13 @@ def _repeated(name: str, view: ViewFrames, candidates: list[int]) -> list[Findin
     if not candidates:
         return []
     typical = _truth_change(view, list(view.frames)[1 :: max(len(view.frames) // 8, 1)])
-    found = [index for index in candidates if _moves(_truth_change(view, [index]), typical)]
-    if not found:
+    repeats = [index for index in candidates if _moves(_truth_change(view, [index]), typical)]
+    if not repeats:
         return []
-    whole = len(found) == len(view.frames) - 1
-    measured = f"frames {as_ranges(found)} repeat the one before while the truth moves"
+    whole = len(repeats) == len(view.frames) - 1
+    measured = f"frames {as_ranges(repeats)} repeat the one before while the truth moves"
     measured = f"all {len(view.frames)} frames show one instant while the truth moves" if whole else measured
-    values = {"n_frames": float(len(found)), "truth_change_255": typical.largest}
+    values = {"n_frames": float(len(repeats)), "truth_change_255": typical.largest}
     advice = "is time handed to the renderer? a converted frame rate or frames skipped under load repeat some"
     return [Finding(name, "repeated frames", "certain", measured, values, advice)]
 
@@ -117,5 +117,5 @@ def _truth_change(view: ViewFrames, indices: list[int]) -> Change:
 
 
 def _moves(now: Change, typical: Change) -> bool:
-    """Whether the truth changes as it usually does, and more than by noise, which all cells have alike."""
+    """Tell whether the truth changes as it usually does, and more than by noise, which all cells have alike."""
     return now.largest > max(MOVING_SHARE * typical.largest, MOVING_OVER_NOISE * now.usual, MOVING_255)

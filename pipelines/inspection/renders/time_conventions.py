@@ -133,7 +133,7 @@ def sted_conventions(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskRe
 
 def _view_values(view: ViewFrames) -> dict[str, float]:
     """Name of the convention -> value of one view; only the bands of the frames are kept."""
-    found: dict[str, float] = {}
+    values: dict[str, float] = {}
     bands = {name: [] for name in LUMAS}  # type: dict[str, list[tuple[NDArray[np.float64], NDArray[np.float64]]]]
     for pair in view_pairs(view):
         for name, weights in LUMAS.items():
@@ -144,8 +144,8 @@ def _view_values(view: ViewFrames) -> dict[str, float]:
             for pairing in get_args(StedPairing):
                 pairs = _pair_differences([(factor * a, factor * b) for a, b in of_frames], pairing)
                 for pooling, value in _pooled(pairs).items():
-                    found[f"{PAIRINGS[pairing]}, {pooling}, {luma}, {scale}"] = value
-    return found
+                    values[f"{PAIRINGS[pairing]}, {pooling}, {luma}, {scale}"] = value
+    return values
 
 
 def _pair_differences(bands: list[tuple[NDArray[np.float64], NDArray[np.float64]]], pairing: StedPairing) -> strred.StRred:

@@ -45,25 +45,25 @@ def run_job(folder: Path) -> dict[str, Any]:
     pycolmap.set_random_seed(job["seed"])
     _find_features(folder, job)
     _match(folder, job)
-    known = job["known"] or {}
-    if known and all(view["world_to_camera"] for view in known.values()):
-        found, attempt = _triangulate(folder, job), 0
+    views_by_image = job["known"] or {}
+    if views_by_image and all(view["world_to_camera"] for view in views_by_image.values()):
+        model, attempt = _triangulate(folder, job), 0
     else:
-        found, attempt = _map(folder, job)
-        if found is not None and not job["known"] and not job["shared"]:
-            found = release_lenses(folder, _images(job), found, _mapping_options(job, ATTEMPTS[attempt]))
+        model, attempt = _map(folder, job)
+        if model is not None and not job["known"] and not job["shared"]:
+            model = release_lenses(folder, _images(job), model, _mapping_options(job, ATTEMPTS[attempt]))
     features, matches = _describe_matches(folder)
-    registered = _drop_blind(found) if found is not None else {}
-    if found is not None and registered:
+    registered = _drop_blind(model) if model is not None else {}
+    if model is not None and registered:
         (folder / "sparse" / "0").mkdir(parents=True)
-        found.write_binary(folder / "sparse" / "0")
+        model.write_binary(folder / "sparse" / "0")
     return {
         "registered": registered,
         "features": features,
         "matches": matches,
         "attempt": attempt,
-        "n_points": found.num_points3D() if registered else 0,
-        "mean_reprojection_error_px": found.compute_mean_reprojection_error() if registered else 0.0,
+        "n_points": model.num_points3D() if registered else 0,
+        "mean_reprojection_error_px": model.compute_mean_reprojection_error() if registered else 0.0,
         "versions": {"pycolmap": pycolmap.__version__, "ceres": pycolmap.__ceres_version__},
     }
 
@@ -94,12 +94,12 @@ def _images(job: Mapping[str, Any]) -> list[str]:
     return [image for group in job["groups"] for image in group]
 
 
-def _set_known_intrinsics(database: Path, known: Mapping[str, Mapping[str, Any]]) -> None:
+def _set_known_intrinsics(database: Path, views_by_image: Mapping[str, Mapping[str, Any]]) -> None:
     import pycolmap
 
     opened = pycolmap.Database.open(database)
     for image in opened.read_all_images():
-        view = known[image.name]
+        view = views_by_image[image.name]
         camera = pycolmap.Camera(model=view["model"], width=view["width"], height=view["height"], params=view["params"])
         camera.camera_id = image.camera_id
         camera.has_prior_focal_length = True
@@ -144,7 +144,7 @@ def _rank(model: Any) -> tuple[int, int]:
 
 
 def _guess_focal_length(database: Path, factor: float) -> None:
-    """Where to start from, for cameras whose files say nothing of their focal length."""
+    """Set the initial focal length of cameras whose files say nothing of it."""
     import pycolmap
 
     opened = pycolmap.Database.open(database)

@@ -25,14 +25,14 @@ def find_camera_files(folder: Path) -> dict[str, CameraFiles]:
     if not folder.is_dir():
         there = "a file" if folder.exists() else "nothing there"
         raise CaptureError(f"{folder}: wanted a folder with the frames of several cameras, got {there}; check the path")
-    for found in _arrangements(folder):
-        names = [name for name, _ in found]
+    for arrangement in _arrangements(folder):
+        names = [name for name, _ in arrangement]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             listed = ", ".join(twice)
             raise CaptureError(f"{folder}: wanted one file per camera, got several called {listed}; remove or rename the others")
         if len(names) > 1:
-            return dict(sorted(found))
+            return dict(sorted(arrangement))
     raise CaptureError(
         f"{folder}: wanted the frames of two cameras or more, got none; put them in {ARRANGEMENTS} "
         "(a capture that keeps them otherwise: 'ggvs-eval undistort' writes its frames as videos)"
@@ -112,5 +112,5 @@ def _arrangements(folder: Path) -> Iterator[list[tuple[str, CameraFiles]]]:
 
 
 def _entries(folder: Path) -> list[Path]:
-    """What lies in a folder, hidden entries aside."""
+    """List the entries of a folder, hidden ones aside."""
     return sorted(entry for entry in folder.iterdir() if not entry.name.startswith(".")) if folder.is_dir() else []

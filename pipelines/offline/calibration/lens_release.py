@@ -26,9 +26,9 @@ def release_lenses(folder: Path, images: Sequence[str], shared: Any, options: An
     import pycolmap
 
     database = folder / "per_camera.db"
-    found = {image.name: image for image in shared.images.values() if image.has_pose}
-    _copy_matches(folder, database, images, {name: image.camera for name, image in found.items()})
-    model = posed_model(database, {name: image.cam_from_world() for name, image in found.items()})
+    posed_images = {image.name: image for image in shared.images.values() if image.has_pose}
+    _copy_matches(folder, database, images, {name: image.camera for name, image in posed_images.items()})
+    model = posed_model(database, {name: image.cam_from_world() for name, image in posed_images.items()})
     adjusting = pycolmap.BundleAdjustmentOptions()
     adjusting.print_summary = False
     adjusting.ceres.solver_options.num_threads = 1

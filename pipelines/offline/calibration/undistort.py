@@ -25,7 +25,7 @@ from ggvs_eval.progress import track
 
 @dataclass(frozen=True)
 class UndistortOptions:
-    """How undistorted frames are written.
+    """Options of writing undistorted frames.
 
     Attributes:
         lossless: PNG folders instead of videos.
@@ -43,7 +43,7 @@ class UndistortOptions:
 
 @dataclass(frozen=True)
 class Undistorted:
-    """What was written.
+    """Record of the undistorted frames that were written.
 
     Attributes:
         path: the folder: ``CAM.mp4`` or ``images/CAM/``, and ``intrinsics.toml``.
@@ -109,11 +109,11 @@ def _of_files(folder: Path, lens_file: Path) -> list[_Stream]:
     return streams
 
 
-def _stream(name: str, file: CameraFiles, known: LensAndTarget) -> _Stream:
-    lens, count = known.lens, file.n_frames
-    frames: FrameSource = file if lens.is_pinhole else UndistortedFrames(file, lens, known.K)
+def _stream(name: str, file: CameraFiles, lens_and_target: LensAndTarget) -> _Stream:
+    lens, count = lens_and_target.lens, file.n_frames
+    frames: FrameSource = file if lens.is_pinhole else UndistortedFrames(file, lens, lens_and_target.K)
     rate = file.fps if isinstance(file, VideoFrames) else FOLDER_FPS
-    pinhole = Lens(known.K, "opencv", (0.0,) * 4, lens.width, lens.height)
+    pinhole = Lens(lens_and_target.K, "opencv", (0.0,) * 4, lens.width, lens.height)
     return _Stream(name, partial(frames.frames, 0, count), count, rate if count > 1 else 0.0, pinhole)
 
 

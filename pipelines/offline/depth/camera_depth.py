@@ -24,7 +24,7 @@ STREAM = "ggvs_eval.pipelines.offline.depth.depth_stream"  # renews what has cha
 
 @dataclass(frozen=True)
 class TimeOptions:
-    """How depth of consecutive instants depends on each other. By default it does not.
+    """Temporal options of depth: how that of an instant depends on the instants before. By default it does not.
 
     Attributes:
         keyframe_every: instants from one that is computed from nothing to the next; what lies between may use the frame before.
@@ -48,7 +48,7 @@ class TimeOptions:
 
 @dataclass(frozen=True)
 class DepthOptions:
-    """How depth is computed.
+    """Options of depth estimation.
 
     Attributes:
         matcher: the stereo algorithm: of pairs, or the plane sweep over all partners at once.
@@ -143,15 +143,15 @@ class DepthEstimator:
             raise DepthError(f"camera {self.camera.name}: wanted {len(self.partners)} partner images, got {len(partner_images)}")
         for camera, each in zip((self.camera, *self.partners), (image, *partner_images), strict=True):
             if each.shape != (camera.height, camera.width, 3) or each.dtype != np.uint8:
-                wanted = (camera.height, camera.width, 3)
+                expected_shape = (camera.height, camera.width, 3)
                 raise DepthError(
-                    f"camera {camera.name}: wanted a uint8 image of {wanted}, got {each.dtype} {each.shape}; "
+                    f"camera {camera.name}: wanted a uint8 image of {expected_shape}, got {each.dtype} {each.shape}; "
                     "resize the capture, not single images"
                 )
 
 
 def finish(raw: DepthMap, options: DepthOptions) -> DepthMap:
-    """What every matcher's depth needs: no flying pixels, smooth surfaces, gaps filled from the background."""
+    """Post-process any matcher's depth: drop flying pixels, smooth surfaces, fill gaps from the background."""
     depth = smooth_surfaces(drop_flying_pixels(raw.depth, options.flying), options.smooth, options.smooth_radius_px)
     confidence = np.where(depth > 0, raw.confidence, np.float32(0))
     return DepthMap(*fill_background(depth, confidence, options.filled_confidence))

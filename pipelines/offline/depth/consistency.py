@@ -90,7 +90,7 @@ def check_consistency(
 
 @dataclass(frozen=True, eq=False)
 class _Verdict:
-    """What the others say of P points of the camera.
+    """Verdict of the other views on P points of the camera.
 
     Attributes:
         support: how many support each, (P,).
@@ -154,7 +154,7 @@ class _OtherView:
         self._there, self._back = _Projection(camera, other), _Projection(other, camera)
 
     def ask(self, u: Map, v: Map, depth: Map) -> tuple[Mask, Mask, Map, Map]:
-        """What this view says of points (P,) of the camera.
+        """Check points (P,) of the camera against this view.
 
         Returns:
             Whether it supports each, whether it contradicts it, the depth it would give the point, and its own confidence, (P,).
@@ -163,27 +163,27 @@ class _OtherView:
         there_u, there_v, expected = self._there.move(u, v, depth)
         inside = _inside(self._other, there_u, there_v, expected)
         there_u, there_v = np.where(inside, there_u, np.float32(0)), np.where(inside, there_v, np.float32(0))
-        found = self._look_up(there_u, there_v, expected)
-        evaluated = inside & (found > 0)
-        back_u, back_v, _ = self._back.move(there_u, there_v, found)
+        map_depth = self._look_up(there_u, there_v, expected)
+        evaluated = inside & (map_depth > 0)
+        back_u, back_v, _ = self._back.move(there_u, there_v, map_depth)
         near = np.square(back_u - u) + np.square(back_v - v) <= np.float32(options.error_px**2)
-        supports = evaluated & near & (np.abs(found - expected) <= np.float32(options.error_share) * expected)
-        conflicts = evaluated & ~supports & (found > expected)
-        theirs = depth + (found - expected) / self._there.depth_slope(u, v)
+        supports = evaluated & near & (np.abs(map_depth - expected) <= np.float32(options.error_share) * expected)
+        conflicts = evaluated & ~supports & (map_depth > expected)
+        theirs = depth + (map_depth - expected) / self._there.depth_slope(u, v)
         pixel = there_v.astype(np.int32) * np.int32(self._other.width) + there_u.astype(np.int32)
         return supports, conflicts, theirs, self._confidence[pixel]
 
-    def project(self, wanted: Mask) -> Map:
-        """This view's depth in the wanted pixels of the camera, the nearest where points meet, (H * W,); inf elsewhere."""
-        layer = np.full(wanted.shape, np.inf, np.float32)
-        known = np.flatnonzero(self._depth).astype(np.int32)
-        for start in range(0, len(known), CHUNK):
-            at = known[start : start + CHUNK]
+    def project(self, mask: Mask) -> Map:
+        """Return this view's depth in the masked pixels of the camera, the nearest where points meet, (H * W,); inf elsewhere."""
+        layer = np.full(mask.shape, np.inf, np.float32)
+        valid_pixels = np.flatnonzero(self._depth).astype(np.int32)
+        for start in range(0, len(valid_pixels), CHUNK):
+            at = valid_pixels[start : start + CHUNK]
             rows, columns = np.divmod(at, np.int32(self._other.width))
             u, v, depth = self._back.move(columns + np.float32(0.5), rows + np.float32(0.5), self._depth[at])
             inside = _inside(self._camera, u, v, depth)
             pixel = v[inside].astype(np.int32) * np.int32(self._camera.width) + u[inside].astype(np.int32)
-            hit = wanted[pixel]
+            hit = mask[pixel]
             np.minimum.at(layer, pixel[hit], depth[inside][hit])
         return layer
 
@@ -199,11 +199,11 @@ class _OtherView:
         upper, lower = taps[0] + x * (taps[1] - taps[0]), taps[2] + x * (taps[3] - taps[2])
         low, high = np.minimum.reduce(taps), np.maximum.reduce(taps)
         split = np.flatnonzero(high - low > np.float32(self._options.error_share) * expected)
-        found: Map = upper + y * (lower - upper)
+        depth: Map = upper + y * (lower - upper)
         candidates = np.stack([tap[split] for tap in taps])  # (4, S)
         closest = np.abs(candidates - expected[split]).argmin(axis=0)
-        found[split] = np.take_along_axis(candidates, closest[None], axis=0)[0]
-        return found
+        depth[split] = np.take_along_axis(candidates, closest[None], axis=0)[0]
+        return depth
 
 
 class _Projection:

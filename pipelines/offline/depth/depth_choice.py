@@ -1,4 +1,4 @@
-"""How depth is found: the matchers by name, and the few words that the command line takes and a run folder keeps."""
+"""Choice of depth estimation: the matchers by name, and the few words that the command line takes and a run folder keeps."""
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -52,7 +52,7 @@ def _raft(checkpoint: str) -> StereoMatcher:
 
 @dataclass(frozen=True)
 class DepthRunOptions:
-    """How depth is found.
+    """Options of depth estimation, as the command line takes them and a run folder keeps them.
 
     Attributes:
         matcher: sgbm, sweep, raft (compact, ships with the package) or raft:CHECKPOINT.
@@ -89,6 +89,6 @@ class DepthRunOptions:
 
     @classmethod
     def from_record(cls, record: dict[str, Any]) -> "DepthRunOptions":
-        """What `record` wrote."""
+        """Restore the options that `record` wrote."""
         weights = record.get("stereo_weights")
         return cls(**record | {"stereo_weights": None if weights is None else Path(weights)})

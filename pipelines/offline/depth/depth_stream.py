@@ -39,7 +39,7 @@ class DepthStream:
         self.options = options
         self._whole = DepthEstimator(camera, partners, options)
         self._windows: dict[tuple[int, int, int, int], DepthEstimator] = {}
-        self._known: tuple[NDArray[np.float32], DepthMap] | None = None
+        self._reference: tuple[NDArray[np.float32], DepthMap] | None = None
 
     def step(self, frame: int, image: Image8, partner_images: Sequence[Image8]) -> DepthMap:
         """Depth at one instant.
@@ -54,29 +54,29 @@ class DepthStream:
         """
         if frame == self.options.time.first_needed(frame):
             self._whole.forget()
-            self._known = None
+            self._reference = None
         if not self.options.time.reuse:
             return self._whole.estimate(image, partner_images)
         blurred = cv2.GaussianBlur(image, (0, 0), BLUR_SIGMA_PX).astype(np.float32)
-        if self._known is None:
-            found = self._whole.estimate(image, partner_images)
+        if self._reference is None:
+            depth_map = self._whole.estimate(image, partner_images)
         else:
-            blurred, found = self._renew(*self._known, blurred, image, partner_images)
-        self._known = blurred, found
-        return found
+            blurred, depth_map = self._renew(*self._reference, blurred, image, partner_images)
+        self._reference = blurred, depth_map
+        return depth_map
 
     def _renew(
         self,
-        seen: NDArray[np.float32],
-        known: DepthMap,
+        reference: NDArray[np.float32],
+        depth_map: DepthMap,
         blurred: NDArray[np.float32],
         image: Image8,
         partner_images: Sequence[Image8],
     ) -> tuple[NDArray[np.float32], DepthMap]:
         """Compute again what has changed: the pictures that depth is now of, and the depth."""
-        changed = self._changed(seen, blurred)
+        changed = self._changed(reference, blurred)
         if not changed.any():
-            return seen, known
+            return reference, depth_map
         window = _window_around(changed, self.camera.size)
         left, top, width, height = window
         if width * height > MOST_CHANGED * self.camera.width * self.camera.height:
@@ -84,15 +84,15 @@ class DepthStream:
         rows, columns = slice(top, top + height), slice(left, left + width)
         fresh = self._window_estimator(window).estimate(np.ascontiguousarray(image[rows, columns]), partner_images)
         here = changed[rows, columns]
-        depth, confidence, picture = known.depth.copy(), known.confidence.copy(), seen.copy()
+        depth, confidence, picture = depth_map.depth.copy(), depth_map.confidence.copy(), reference.copy()
         depth[rows, columns][here] = fresh.depth[here]
         confidence[rows, columns][here] = fresh.confidence[here]
         picture[rows, columns][here] = blurred[rows, columns][here]
         return picture, DepthMap(depth, confidence)
 
-    def _changed(self, seen: NDArray[np.float32], blurred: NDArray[np.float32]) -> Mask:
+    def _changed(self, reference: NDArray[np.float32], blurred: NDArray[np.float32]) -> Mask:
         options = self.options.time
-        different = np.abs(seen - blurred).max(axis=-1) > 255 * options.changed
+        different = np.abs(reference - blurred).max(axis=-1) > 255 * options.changed
         grown = cv2.dilate(different.astype(np.uint8), np.ones((2 * options.grow_px + 1,) * 2, np.uint8))
         return np.asarray(grown, bool)
 

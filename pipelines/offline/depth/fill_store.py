@@ -38,16 +38,16 @@ def plan_depth(
         DepthError: a source that no camera can be matched with.
     """
     plan = {}
-    known: dict[tuple[str, ...], DepthJob] = {}  # near targets share jobs, whose specs take a digest of every frame source
+    cache: dict[tuple[str, ...], DepthJob] = {}  # near targets share jobs, whose specs take a digest of every frame source
     for target in targets:
         chosen = [each.camera for each in choose_sources(target, capture.cameras, k, sources)]
-        found = {}
+        jobs_by_source = {}
         for source in chosen:
             names = _matched_cameras(capture, source, target, options)
-            if names not in known:
-                known[names] = depth_job(capture, source.name, names[1:], options)
-            found[source.name] = known[names]
-        plan[target.name] = {name: _checked(job, found, options) for name, job in found.items()}
+            if names not in cache:
+                cache[names] = depth_job(capture, source.name, names[1:], options)
+            jobs_by_source[source.name] = cache[names]
+        plan[target.name] = {name: _checked(job, jobs_by_source, options) for name, job in jobs_by_source.items()}
     return plan
 
 
@@ -59,14 +59,14 @@ def _matched_cameras(capture: Capture, source: Camera, target: Camera, options: 
     return (source.name, *(each.name for each in chosen))
 
 
-def _checked(job: DepthJob, found: Mapping[str, DepthJob], options: DepthOptions) -> DepthJob:
+def _checked(job: DepthJob, jobs_by_source: Mapping[str, DepthJob], options: DepthOptions) -> DepthJob:
     """A source's depth held against that of the view's other sources; in the order of names, so that near targets share it."""
-    others = tuple(found[name] for name in sorted(found) if name != job.camera_name)
+    others = tuple(jobs_by_source[name] for name in sorted(jobs_by_source) if name != job.camera_name)
     return job if options.consistency is None or not others else job.checked_against(others, options.consistency.describe())
 
 
 def _sensor(capture: Capture, name: str, options: DepthOptions) -> SensorDepthEstimator | None:
-    """What filters the depth that a sensor measured; None where there is no such depth or it is not wanted."""
+    """Return the filter of the depth that a sensor measured; None where there is no such depth or it is not wanted."""
     if options.sensor is None or capture.extras_of(name).depth is None:
         return None
     source = registered(capture, options.sensor).extras_of(name).depth
@@ -120,8 +120,8 @@ def prepare_depth(
         options = replace(options, sensor=replace(options.sensor, registration="given"))
     missing = [job for job in dict.fromkeys(jobs) if _missing(store, job.key, frames)]
     checked = [job for job in missing if job.checked_with]
-    found = [each for job in missing for each in (job.unchecked, *job.checked_with)]
-    _in_workers(_run, capture, found, frames, store, options, workers, "depth maps per camera")
+    unchecked = [each for job in missing for each in (job.unchecked, *job.checked_with)]
+    _in_workers(_run, capture, unchecked, frames, store, options, workers, "depth maps per camera")
     _in_workers(_check, capture, checked, frames, store, options, workers, "depth held against other cameras")
 
 

@@ -59,10 +59,10 @@ def read_array(path: Path) -> NDArray[np.float32]:
     if header is None:
         raise DepthError(f"{path}: wanted a map that begins with width&height&channels&, got {content[:24]!r}; export it again")
     width, height, channels = (int(number) for number in header.groups())
-    wanted, found = 4 * width * height * channels, len(content) - header.end()
-    if wanted != found or not wanted:
+    expected, size = 4 * width * height * channels, len(content) - header.end()
+    if expected != size or not expected:
         raise DepthError(
-            f"{path}: wanted {width} x {height} x {channels} numbers in {wanted} bytes, got {found}; the file is cut short or "
+            f"{path}: wanted {width} x {height} x {channels} numbers in {expected} bytes, got {size}; the file is cut short or "
             "damaged, export it again"
         )
     planes = np.frombuffer(content, "<f4", offset=header.end()).reshape(channels, height, width)
@@ -71,7 +71,7 @@ def read_array(path: Path) -> NDArray[np.float32]:
 
 @dataclass(frozen=True)
 class WorkspaceOptions:
-    """What is exported.
+    """Options of the exported workspace.
 
     Attributes:
         least_confidence: pixels below are exported as unknown: filled ones, and with four partners what one alone believes in.
@@ -126,10 +126,10 @@ def _check(cameras: Sequence[Camera], images: Sequence[Image8], depth_maps: Sequ
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise DepthError(f"{folder}: wanted a folder to make, or an empty one, found files; choose another or delete it")
     for camera, image, depth_map in zip(cameras, images, depth_maps, strict=True):
-        wanted = camera.height, camera.width
-        if image.shape != (*wanted, 3) or image.dtype != np.uint8 or depth_map.depth.shape != wanted:
+        shape = camera.height, camera.width
+        if image.shape != (*shape, 3) or image.dtype != np.uint8 or depth_map.depth.shape != shape:
             raise DepthError(
-                f"camera {camera.name}: wanted a uint8 image and a depth map of {wanted[0]} x {wanted[1]}, got {image.dtype} "
+                f"camera {camera.name}: wanted a uint8 image and a depth map of {shape[0]} x {shape[1]}, got {image.dtype} "
                 f"{image.shape} and {depth_map.depth.shape}; bring both to the size of the camera"
             )
         if TELLING.search(camera.name):
@@ -152,8 +152,8 @@ def _write_lists(cameras: Sequence[Camera], partners: Mapping[str, Sequence[str]
     names = [camera.name for camera in cameras]
     lines = []
     for name in names:
-        known = [_image(other) for other in partners.get(name, ()) if other in names]
-        lines += [_image(name), ", ".join(known) or "__auto__, 20"]
+        partner_images = [_image(other) for other in partners.get(name, ()) if other in names]
+        lines += [_image(name), ", ".join(partner_images) or "__auto__, 20"]
     (folder / "patch-match.cfg").write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
     (folder / "fusion.cfg").write_text("".join(f"{_image(name)}\n" for name in names), encoding="utf-8")
 
@@ -162,8 +162,8 @@ def _surface_points(cameras: Sequence[Camera], depths: Sequence[Map], count: int
     """Points of the depth maps in the world, evenly strewn over their known pixels, (P, 3)."""
     points = [np.zeros((0, 3))]
     for camera, depth in zip(cameras, depths, strict=True):
-        known = np.flatnonzero(depth)
-        chosen = known[np.linspace(0, len(known) - 1, min(count, len(known))).astype(np.intp)]
+        valid_pixels = np.flatnonzero(depth)
+        chosen = valid_pixels[np.linspace(0, len(valid_pixels) - 1, min(count, len(valid_pixels))).astype(np.intp)]
         row, column = np.unravel_index(chosen, depth.shape)
         centres = np.stack([column, row], axis=1).astype(np.float64) + 0.5
         points.append(camera.unproject(centres, depth[row, column].astype(np.float64)))
@@ -173,12 +173,12 @@ def _surface_points(cameras: Sequence[Camera], depths: Sequence[Map], count: int
 def _shared(
     cameras: Sequence[Camera], images: Sequence[Image8], depths: Sequence[Map], points: Array
 ) -> tuple[list[Sightings], Array]:
-    """What each camera sees of the points that two cameras or more see, and these points."""
-    seen = [_sightings(*each, points) for each in zip(cameras, images, depths, strict=True)]
-    times = np.bincount(np.concatenate([each.point for each in seen]), minlength=len(points))
+    """Return each camera's sightings of the points that two cameras or more see, and these points."""
+    sightings = [_sightings(*each, points) for each in zip(cameras, images, depths, strict=True)]
+    times = np.bincount(np.concatenate([each.point for each in sightings]), minlength=len(points))
     kept = times >= 2
     renumbered = np.cumsum(kept) - 1
-    shared = [each.rows(kept[each.point]) for each in seen]
+    shared = [each.rows(kept[each.point]) for each in sightings]
     return [each._replace(point=renumbered[each.point]) for each in shared], points[kept]
 
 
@@ -192,5 +192,5 @@ def _sightings(camera: Camera, image: Image8, depth: Map, points: Array) -> Sigh
 
 
 def _image(name: str) -> str:
-    """How the sparse model calls a camera's image."""
+    """Return the name of a camera's image in the sparse model."""
     return f"{name}.png"

@@ -22,7 +22,7 @@ SAMPLES = 20_000  # points of a camera that tell how large the scene is
 
 @dataclass(frozen=True)
 class FuseOptions:
-    """What is fused, and how finely.
+    """Options of the fusion: what is fused, and how finely.
 
     Attributes:
         voxel: edge of a voxel, world units, of the mesh and of the point cloud; 0 chooses one that suits the pixels.
@@ -39,7 +39,7 @@ class FuseOptions:
 
 @dataclass(frozen=True)
 class FusedFiles:
-    """What was written.
+    """Files that the fusion wrote.
 
     Attributes:
         points: PLY of the point cloud: places in world units, normals, colours.
@@ -60,7 +60,7 @@ class FusedFiles:
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """What one camera adds.
+    """Contribution of one camera to the fusion.
 
     Attributes:
         camera: it.
@@ -76,8 +76,8 @@ class _View:
 
     def points_world(self) -> Array:
         """Places of these pixels, (N, 3)."""
-        known = self.depth > 0
-        return self.camera.unproject(self.camera.pixel_centres()[known], self.depth[known].astype(np.float64))
+        mask = self.depth > 0
+        return self.camera.unproject(self.camera.pixel_centres()[mask], self.depth[mask].astype(np.float64))
 
 
 def fuse_instant(
@@ -145,8 +145,8 @@ def _check_sizes(cameras: Sequence[Camera], images: Sequence[Image8], depth_maps
 
 
 def _trusted(camera: Camera, image: Image8, depth_map: DepthMap, least_confidence: float) -> _View:
-    known = (depth_map.depth > 0) & (depth_map.confidence >= least_confidence)
-    depth = np.where(known, depth_map.depth, np.float32(0))
+    mask = (depth_map.depth > 0) & (depth_map.confidence >= least_confidence)
+    depth = np.where(mask, depth_map.depth, np.float32(0))
     normals = surface_normals(camera, depth)
     lies_on_surface = normals.any(axis=-1)
     depth = np.where(lies_on_surface, depth, np.float32(0))
@@ -173,10 +173,10 @@ def _point_cloud(views: Sequence[_View], voxel: float) -> Any:
     vectors, cloud = open3d.utility.Vector3dVector, open3d.geometry.PointCloud()
     for view in views:
         if view.depth.any():
-            seen = open3d.geometry.PointCloud(vectors(view.points_world()))
-            seen.normals = vectors(view.normals.astype(np.float64))
-            seen.colors = vectors(view.image[view.depth > 0] / 255.0)
-            cloud += seen.voxel_down_sample(voxel)  # camera by camera: all pixels of a rig would be gigabytes
+            view_cloud = open3d.geometry.PointCloud(vectors(view.points_world()))
+            view_cloud.normals = vectors(view.normals.astype(np.float64))
+            view_cloud.colors = vectors(view.image[view.depth > 0] / 255.0)
+            cloud += view_cloud.voxel_down_sample(voxel)  # camera by camera: all pixels of a rig would be gigabytes
     return cloud.voxel_down_sample(voxel).normalize_normals()
 
 
@@ -186,10 +186,10 @@ def _mesh(views: Sequence[_View], middle: Array, voxel: float, options: FuseOpti
 
     origin = np.rint(middle / voxel) * voxel
     cameras, images, depths = ([getattr(view, part) for view in views] for part in ("camera", "image", "depth"))
-    found = mesh_of(cameras, images, depths, voxel, options.truncation, origin)
+    surface = mesh_of(cameras, images, depths, voxel, options.truncation, origin)
     utility = open3d.utility
-    mesh = open3d.geometry.TriangleMesh(utility.Vector3dVector(found.vertices), utility.Vector3iVector(found.triangles))
-    mesh.vertex_colors = utility.Vector3dVector(found.colours)
+    mesh = open3d.geometry.TriangleMesh(utility.Vector3dVector(surface.vertices), utility.Vector3iVector(surface.triangles))
+    mesh.vertex_colors = utility.Vector3dVector(surface.colours)
     part, n_triangles, _ = (np.asarray(each) for each in mesh.cluster_connected_triangles())
     mesh.remove_triangles_by_mask(n_triangles[part] < options.fewest_triangles if len(part) else [])
     mesh.remove_unreferenced_vertices()

@@ -1,4 +1,4 @@
-"""How well a surface fits the images around it: a step that makes it fit better, and how many partners confirm it."""
+"""Photometric fit of a surface to the images around it: a step that improves it, and how many partners confirm it."""
 
 from collections.abc import Sequence
 
@@ -54,20 +54,20 @@ class SurfaceFit:
         slope, curvature = np.zeros_like(inverse_depth), np.zeros_like(inverse_depth)
         for view, image in zip(self.views, self.turned, strict=True):
             places = view.project(inverse_depth)
-            seen = self._look_up(image, places)
-            score, gain = self._correlate(seen)
+            samples = self._look_up(image, places)
+            score, gain = self._correlate(samples)
             weight = self._weight(view, inverse_depth, places, score)
             change = self._look_up(cv2.Sobel(image, cv2.CV_32F, 1, 0, scale=1 / 8), places) * places.column_slope
             change += self._look_up(cv2.Sobel(image, cv2.CV_32F, 0, 1, scale=1 / 8), places) * places.row_slope
-            moved = gain * (self._covariance(self.grey, change) - gain * self._covariance(seen, change))
+            moved = gain * (self._covariance(self.grey, change) - gain * self._covariance(samples, change))
             speed = places.column_slope**2 + places.row_slope**2
             slope += weight * moved
             curvature += weight * (gain**2 * self._covariance(change, change) + np.float32(DAMPING) * speed)
-        found = np.divide(slope, curvature, out=np.zeros_like(slope), where=curvature > 0)
-        return inverse_depth + np.clip(found, -MOST_STEP * step, MOST_STEP * step).astype(np.float32)
+        update = np.divide(slope, curvature, out=np.zeros_like(slope), where=curvature > 0)
+        return inverse_depth + np.clip(update, -MOST_STEP * step, MOST_STEP * step).astype(np.float32)
 
     def confidence(self, inverse_depth: Map) -> Map:
-        """How far all partners confirm the surface, (H, W) in [0, 1]; those that do not see it count 0.
+        """Measure how far all partners confirm the surface, (H, W) in [0, 1]; those that do not see it count 0.
 
         A partner that sees it confirms it by the correlation of its window, and a little without any: where there is no texture
         the surface comes from its surroundings, and is better than what would be guessed in its place.
@@ -76,8 +76,8 @@ class SurfaceFit:
         for view, image in zip(self.views, self.turned, strict=True):
             places = view.project(inverse_depth)
             score, _ = self._correlate(self._look_up(image, places))
-            seen = self._sees(view, inverse_depth, places)
-            total += np.where(seen, FLAT + (1 - FLAT) * _confirmation(score), np.float32(0))
+            visibility = self._sees(view, inverse_depth, places)
+            total += np.where(visibility, FLAT + (1 - FLAT) * _confirmation(score), np.float32(0))
         return total / np.float32(self.n_partners)
 
     def _weight(self, view: PartnerView, inverse_depth: Map, places: Projection, score: Map) -> Map:
@@ -87,11 +87,11 @@ class SurfaceFit:
     def _sees(self, view: PartnerView, inverse_depth: Map, places: Projection) -> NDArray[np.bool_]:
         return view.sees(places) & ~find_hidden(view, inverse_depth, self.hidden_px)
 
-    def _correlate(self, seen: Map) -> tuple[Map, Map]:
-        """Normalised cross-correlation with the reference, and the gain that takes `seen` to it; (H, W) each."""
-        mean = self._blur(seen)
-        variance = np.maximum(self._blur(seen * seen) - mean * mean, 0) + self.noise
-        covariance = self._blur(seen * self.grey) - mean * self._mean
+    def _correlate(self, samples: Map) -> tuple[Map, Map]:
+        """Normalised cross-correlation with the reference, and the gain that takes `samples` to it; (H, W) each."""
+        mean = self._blur(samples)
+        variance = np.maximum(self._blur(samples * samples) - mean * mean, 0) + self.noise
+        covariance = self._blur(samples * self.grey) - mean * self._mean
         score = covariance / np.sqrt(variance * (np.maximum(self._variance, 0) + self.noise))
         return score, np.clip(covariance / variance, 0.5, 2)
 

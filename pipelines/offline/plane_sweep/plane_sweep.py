@@ -55,7 +55,7 @@ class SweepLevel:
 
     @property
     def blind(self) -> bool:
-        """Whether no partner sees anything of what the camera sees."""
+        """True if no partner sees anything of what the camera sees."""
         return not self._views
 
     def load(self, image: Image8, partner_images: Sequence[Image8]) -> LevelImages:
@@ -82,7 +82,7 @@ class SweepLevel:
         return self.planes.inverse_depth_of(surface)
 
     def fit(self, images: LevelImages) -> SurfaceFit:
-        """What evaluates a surface by these images."""
+        """Return the fit that evaluates a surface by these images."""
         return SurfaceFit(
             images.grey,
             [view for _, _, view in self._views],

@@ -91,18 +91,18 @@ def plan_planes(camera: Camera, partners: Sequence[Camera], step_px: float, most
     """
     far, near = 1 / camera.far, 1 / camera.near
     parallax = max(_median_parallax(camera, partner, far, near) for partner in partners)
-    wanted = int(np.ceil(parallax / step_px)) + 3
-    count = max(min(-(-wanted // BLOCK) * BLOCK, most // BLOCK * BLOCK), BLOCK)
+    n_planes = int(np.ceil(parallax / step_px)) + 3
+    count = max(min(-(-n_planes // BLOCK) * BLOCK, most // BLOCK * BLOCK), BLOCK)
     step = (near - far) / (count - 3)
     return SweepPlanes(max(far - step, 0.2 * far), step, count)
 
 
 def _median_parallax(camera: Camera, partner: Camera, far: float, near: float) -> float:
-    """How far the camera's pixels move in the partner's image between two inverse depths, pixels of the camera."""
+    """Measure the median motion of pixels in the partner's image between two inverse depths, pixels of the camera."""
     towards = camera.rotation @ (partner.centre - camera.centre)
     rays = (camera.pixel_centres()[::SAMPLED_PX, ::SAMPLED_PX] - camera.K[:2, 2]) / camera.K[[0, 1], [0, 1]]
 
-    def seen(inverse_depth: float) -> Array:
+    def project(inverse_depth: float) -> Array:
         return (rays - towards[:2] * inverse_depth) / max(1 - towards[2] * inverse_depth, SMALLEST_DENOMINATOR)
 
-    return float(np.median(np.linalg.norm(seen(near) - seen(far), axis=-1))) * camera.focal_px
+    return float(np.median(np.linalg.norm(project(near) - project(far), axis=-1))) * camera.focal_px

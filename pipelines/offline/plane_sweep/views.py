@@ -57,7 +57,7 @@ class PartnerView:
         return cv2.remap(grey, self.positions, None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
 
     def project(self, inverse_depth: Map) -> "Projection":
-        """Where the reference's pixels lie in the turned image, for inverse depths (H, W)."""
+        """Project the reference's pixels into the turned image, for inverse depths (H, W)."""
         height, width = inverse_depth.shape
         columns, rows = np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32)[:, None]
         start_x, start_y, slope_x, slope_y, x, y, along = self.motion
@@ -74,7 +74,7 @@ class PartnerView:
         )
 
     def sees(self, places: "Projection") -> Mask:
-        """Whether whole windows around these places lie inside the partner's image, (H, W)."""
+        """Tell whether whole windows around these places lie inside the partner's image, (H, W)."""
         nearest = np.clip(np.rint(places.row), 0, self.size[1] - 1).astype(np.intp)
         inside = (places.row >= 0) & (places.row <= self.size[1] - 1) & places.in_front
         return inside & (places.column >= self.first[nearest]) & (places.column <= self.last[nearest])
@@ -82,7 +82,7 @@ class PartnerView:
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """Where the reference's pixels lie in a turned image; (H, W) each.
+    """Projection of the reference's pixels into a turned image; (H, W) each.
 
     Attributes:
         column: array index.
@@ -142,13 +142,13 @@ def turn_partner(camera: Camera, partner: Camera, planes: SweepPlanes, radius: i
 def _reach(camera: Camera, partner: Camera, towards: Array, planes: SweepPlanes) -> tuple[Array, Array]:
     """Window of the turned image that the planes project into and the partner sees, array indices; the upper end is excluded."""
     denominators = 1 - towards[2] * planes.inverse_depths()
-    seen = denominators >= SMALLEST_DENOMINATOR
-    if not seen.any():
+    in_front = denominators >= SMALLEST_DENOMINATOR
+    if not in_front.any():
         return np.zeros(2), np.zeros(2)
-    scale, w = 1 / denominators[seen, None, None], planes.inverse_depths()[seen, None, None]  # (P, 1, 1)
+    scale, w = 1 / denominators[in_front, None, None], planes.inverse_depths()[in_front, None, None]  # (P, 1, 1)
     corners = np.array([[0.5, 0.5], [camera.width - 0.5, camera.height - 0.5]]) - camera.K[:2, 2]
-    found = (corners - camera.K[[0, 1], [0, 1]] * towards[:2] * w) * scale + camera.K[:2, 2] - 0.5  # (P, 2, 2)
-    low, high = np.floor(found.min(axis=(0, 1))) - 2, np.ceil(found.max(axis=(0, 1))) + 3
+    positions = (corners - camera.K[[0, 1], [0, 1]] * towards[:2] * w) * scale + camera.K[:2, 2] - 0.5  # (P, 2, 2)
+    low, high = np.floor(positions.min(axis=(0, 1))) - 2, np.ceil(positions.max(axis=(0, 1))) + 3
     corners = np.array([[u, v] for u in (0, partner.width) for v in (0, partner.height)])
     rays = np.concatenate([(corners - partner.K[:2, 2]) / partner.K[[0, 1], [0, 1]], np.ones((4, 1))], axis=1)
     turned = rays @ (camera.rotation @ partner.rotation.T).T

@@ -41,15 +41,15 @@ class DepthEdges:
 def find_edges(depth: Map) -> DepthEdges:
     """Edges along the rows and the columns of a depth map, (H, W), 0 = unknown."""
     hole_px = round(HOLE * depth.shape[1])
-    found = []
+    edges = []
     for upright in (True, False):
         lines = depth if upright else depth.T
         for mirrored in (False, True):
             row, place, z = _edges_to_the_right(lines[:, ::-1] if mirrored else lines, hole_px)
             place = lines.shape[1] - place if mirrored else place
             uv = np.stack((place, row) if upright else (row, place), axis=1)
-            found.append(DepthEdges(uv, np.full(len(z), upright), z))
-    return DepthEdges(*(np.concatenate([getattr(part, name) for part in found]) for name in ("uv", "upright", "depth")))
+            edges.append(DepthEdges(uv, np.full(len(z), upright), z))
+    return DepthEdges(*(np.concatenate([getattr(part, name) for part in edges]) for name in ("uv", "upright", "depth")))
 
 
 def _edges_to_the_right(lines: Map, hole_px: int) -> tuple[Array, Array, Array]:
@@ -66,7 +66,7 @@ def _edges_to_the_right(lines: Map, hole_px: int) -> tuple[Array, Array, Array]:
 
 
 def edge_response(image: Image8, sigma_px: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """How much like an edge every pixel looks, in [0, 1): upright edges and lying ones, (H, W) each.
+    """Measure how much like an edge every pixel looks, in [0, 1): vertical edges and horizontal ones, (H, W) each.
 
     Args:
         image: RGB, (H, W, 3).

@@ -74,9 +74,9 @@ def warp_errors(pair: tuple[View, View], scales: NDArray[np.float64]) -> list[fl
     target, source = pair
     errors = []
     for scale in scales:
-        colour, seen = _warped(target, source, source.detail, float(scale))
-        error = np.minimum(np.abs(colour - target.detail), LARGEST_ERROR)[seen]
-        errors.append(float(error.mean()) if seen.mean() > LEAST_SEEN else LARGEST_ERROR)
+        colour, visibility = _warped(target, source, source.detail, float(scale))
+        error = np.minimum(np.abs(colour - target.detail), LARGEST_ERROR)[visibility]
+        errors.append(float(error.mean()) if visibility.mean() > LEAST_SEEN else LARGEST_ERROR)
     return errors
 
 
@@ -84,17 +84,17 @@ def warp_psnr_db(capture: Capture, pairs: Sequence[FramePair]) -> float:
     """Mean PSNR of frames against their warped neighbours where both see the surface; NaN without pairs."""
     values = []
     for target, source in (load_pair(capture, pair) for pair in pairs):
-        colour, seen = _warped(target, source, source.image, 1.0)
-        if seen.mean() > LEAST_SEEN:
-            values.append(-10 * np.log10(max(float(((colour - target.image)[seen] ** 2).mean()), 1e-10)))
+        colour, visibility = _warped(target, source, source.image, 1.0)
+        if visibility.mean() > LEAST_SEEN:
+            values.append(-10 * np.log10(max(float(((colour - target.image)[visibility] ** 2).mean()), 1e-10)))
     return float(np.mean(values)) if values else float("nan")
 
 
 def _warped(target: View, source: View, image: Map, scale: float) -> tuple[Map, NDArray[np.bool_]]:
     """The source's image as the target sees it, (H, W, 3), and where both see the same surface, (H, W)."""
     factor = np.float32(scale)
-    known = target.depth[target.depth > 0]
-    tolerance = TOLERANCE * float(np.median(known)) if known.size else 1.0
+    depths = target.depth[target.depth > 0]
+    tolerance = TOLERANCE * float(np.median(depths)) if depths.size else 1.0
     warped = warp(target.camera, target.depth * factor, source.camera, image, source.depth * factor, tolerance)
     return warped.colour, warped.visibility > 0.5
 

@@ -17,7 +17,7 @@ from ggvs_eval.pipelines.offline.sensor.sensor_grid import SensorGrid, SensorLin
 
 @dataclass(frozen=True)
 class Registration:
-    """What brings the depth of a sensor to its colour; zeros and a scale of 1 leave it.
+    """Registration of a sensor's depth with its colour; zeros and a scale of 1 leave it as it is.
 
     Attributes:
         right: depth belongs this far to the right of where it lies, image widths.
@@ -35,7 +35,7 @@ class Registration:
 
     @property
     def moves(self) -> bool:
-        """Whether it moves depth in the image."""
+        """True if it moves depth in the image."""
         return (self.right, self.down, self.roll_rad, self.delay_frames) != (0.0, 0.0, 0.0, 0.0)
 
     def apply(self, depth: Map, camera: Camera, taken_at: Array) -> Map:

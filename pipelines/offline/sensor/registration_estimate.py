@@ -30,7 +30,7 @@ STEPS = np.linspace(-1, 1, 9)
 
 @dataclass(frozen=True)
 class Displacement:
-    """How far sensor depth lies off its colour.
+    """Displacement of sensor depth from its colour.
 
     Attributes:
         registration: what would mend it, whether it is believed or not.
@@ -90,8 +90,8 @@ class _Edges:
         maps = self.responses[level]
         uv = self.uv + self.motion[..., : len(values)] @ values
         inside = (uv >= 0).all(axis=1) & (uv <= (maps[0].shape[1], self.height)).all(axis=1)
-        found = responses_at(maps, self.upright, uv + self.frame[:, None] * np.array([0.0, self.height]))
-        return float(np.where(inside, found, 0).mean(dtype=np.float64)) if len(found) else 0.0
+        responses = responses_at(maps, self.upright, uv + self.frame[:, None] * np.array([0.0, self.height]))
+        return float(np.where(inside, responses, 0).mean(dtype=np.float64)) if len(responses) else 0.0
 
     def displacement_px(self, values: Array) -> float:
         """Root mean square of how far the edges move."""
@@ -99,7 +99,7 @@ class _Edges:
 
 
 def measure_registration(capture: Capture, chosen: Sequence[int] | None = None) -> Displacement | None:
-    """How far the depth of a sequence lies off its colour, and what mends it.
+    """Measure how far the depth of a sequence lies off its colour, and the registration that mends it.
 
     Args:
         capture: frames of one moving camera before a still scene, each with depth.
@@ -162,7 +162,7 @@ def _reduced(capture: Capture) -> Capture:
 
 def _gather(capture: Capture, chosen: Sequence[int]) -> _Edges:
     """Edges of the chosen frames and the responses of their images."""
-    found, responses = [], []
+    edge_sets, responses = [], []
     for index in chosen:
         camera = capture.cameras[index]
         edges = find_edges(read_depth(capture, index)).thinned(EDGES_PER_FRAME)
@@ -171,18 +171,18 @@ def _gather(capture: Capture, chosen: Sequence[int]) -> _Edges:
         u, v = (edges.uv - camera.K[:2, 2]).T
         one, none = np.ones(len(u)), np.zeros(len(u))
         columns = [np.stack(pair, axis=1) for pair in ((one, none), (none, one), (-np.radians(v), np.radians(u)))]
-        found.append((edges, np.stack([*columns, _motion_per_frame(capture.cameras, index, edges)], axis=2)))
+        edge_sets.append((edges, np.stack([*columns, _motion_per_frame(capture.cameras, index, edges)], axis=2)))
     stacked = tuple(
         (np.concatenate([frame[level][0] for frame in responses]), np.concatenate([frame[level][1] for frame in responses]))
         for level in range(len(SIGMAS_PX))
     )
-    frame = np.concatenate([np.full(len(edges.uv), number) for number, (edges, _) in enumerate(found)])
-    uv, upright = (np.concatenate([getattr(edges, name) for edges, _ in found]) for name in ("uv", "upright"))
-    return _Edges(uv, upright, frame, np.concatenate([motion for _, motion in found]), stacked, capture.cameras[0].height)
+    frame = np.concatenate([np.full(len(edges.uv), number) for number, (edges, _) in enumerate(edge_sets)])
+    uv, upright = (np.concatenate([getattr(edges, name) for edges, _ in edge_sets]) for name in ("uv", "upright"))
+    return _Edges(uv, upright, frame, np.concatenate([motion for _, motion in edge_sets]), stacked, capture.cameras[0].height)
 
 
 def _motion_per_frame(cameras: tuple[Camera, ...], index: int, edges: DepthEdges) -> Array:
-    """Where edges that were measured a frame later belong, less where they lie, pixels, (N, 2)."""
+    """Return where edges that were measured a frame later belong, less where they lie, pixels, (N, 2)."""
     camera = cameras[index]
     ways = []
     for frames in (-0.5, 0.5):
@@ -263,7 +263,7 @@ def _estimate_scale(capture: Capture, applied: Registration, pairs: Sequence[Fra
 
 
 def _least(scales: Array, errors: Array) -> float:
-    """Where a curve over the scales is lowest, between them by a parabola."""
+    """Locate the minimum of a curve over the scales, between them by a parabola."""
     at = int(np.clip(errors.argmin(), 1, len(scales) - 2))
     before, here, after = errors[at - 1 : at + 2]
     bend = before - 2 * here + after

@@ -23,7 +23,7 @@ OPPOSITE = ((0, 1), (1, 0), (1, 1), (1, -1))  # rows down and columns right to o
 
 @dataclass(frozen=True)
 class SensorDepthOptions:
-    """How a sensor's depth is filtered; pixels are the sensor's.
+    """Options of the filter of a sensor's depth; pixels are the sensor's.
 
     Attributes:
         step: neighbours whose depths differ by more than this share of them lie on two surfaces, ...
@@ -90,7 +90,7 @@ class SensorDepthEstimator:
         return filter_sensor_depth(next(iter(self.source.depths(frame, frame + 1))), image, self.camera, self.options)
 
     def describe(self) -> dict[str, object]:
-        """What the depth depends on beside camera and images: the options of `describe_depth`."""
+        """Describe what the depth depends on beside camera and images: the options of `describe_depth`."""
         described = self.options.describe() | {"sensor": self.source.digest}
         if isinstance(self.source, RegisteredDepth):
             described["registration"] = asdict(self.source.registration)
@@ -98,7 +98,7 @@ class SensorDepthEstimator:
 
 
 def filter_sensor_depth(depth: Map, image: Image8, camera: Camera, options: SensorDepthOptions) -> DepthMap:
-    """What a sensor measured, without mixed pixels and speckles, at the camera's size.
+    """Remove mixed pixels and speckles from the depth that a sensor measured, and bring it to the camera's size.
 
     Args:
         depth: z as measured, world units, 0 or not finite = unknown, (h, w): the camera's view at any size.
@@ -119,11 +119,11 @@ def filter_sensor_depth(depth: Map, image: Image8, camera: Camera, options: Sens
     """
     _check(depth, image, camera)
     with np.errstate(invalid="ignore"):
-        known = np.where((depth >= camera.near) & (depth <= camera.far), depth, 0).astype(np.float32)
-    grid = SensorGrid.find(known)
+        depth_in_range = np.where((depth >= camera.near) & (depth <= camera.far), depth, 0).astype(np.float32)
+    grid = SensorGrid.find(depth_in_range)
     pitch = grid.columns.pitch * camera.width / depth.shape[1]  # of the sensor's pixels, in the camera's
     step = max(options.step, float(np.tan(options.steepest_rad)) * pitch / camera.focal_px)
-    measured = drop_mixed_pixels(grid.reduce(known), step)
+    measured = drop_mixed_pixels(grid.reduce(depth_in_range), step)
     closed = drop_speckles(close_holes(measured, options.hole_px, step), options.speckle_px, step)
     smooth = smooth_surfaces(closed, options.smooth, options.smooth_radius_px) if options.smooth > 0 else closed
     result = close_edges(grid.enlarge(smooth, image, step), image, round(options.hole_px * pitch))
@@ -153,11 +153,11 @@ def drop_mixed_pixels(depth: Map, step: float) -> Map:
 
 def drop_speckles(depth: Map, speckle_px: int, step: float) -> Map:
     """Invalidate connected surfaces of fewer than `speckle_px` pixels; neighbours within the share `step` are connected."""
-    known = depth > 0
-    if speckle_px <= 1 or not known.any():
+    mask = depth > 0
+    if speckle_px <= 1 or not mask.any():
         return depth
-    logarithm = np.log(np.where(known, depth, np.float32(1)))
-    steps = np.where(known, 1 + STEPS * (logarithm - logarithm[known].min()), 0)
+    logarithm = np.log(np.where(mask, depth, np.float32(1)))
+    steps = np.where(mask, 1 + STEPS * (logarithm - logarithm[mask].min()), 0)
     labels = np.rint(np.minimum(steps, np.iinfo(np.int16).max)).astype(np.int16)
     cv2.filterSpeckles(labels, 0, speckle_px - 1, round(STEPS * step))
     return np.where(labels > 0, depth, np.float32(0))
@@ -172,14 +172,14 @@ def surface_confidence(depth: Map, camera: Camera, edge_px: float, step: float) 
         edge_px: distance from edges and holes at which they matter no more, pixels.
         step: neighbours whose depths differ by more than this share of them are an edge.
     """
-    known = depth > 0
+    mask = depth > 0
     low = cv2.erode(depth, np.ones((3, 3)), borderType=cv2.BORDER_REPLICATE)
     high = cv2.dilate(depth, np.ones((3, 3)), borderType=cv2.BORDER_REPLICATE)
-    inner = (high - low <= step * low) & known
+    inner = (high - low <= step * low) & mask
     distance = cv2.distanceTransform(np.pad(inner, 1, constant_values=True).astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1]
     range_share = np.minimum(depth / np.float32(camera.far), np.float32(1))
     confidence = np.minimum((1 + distance) / (1 + edge_px), 1) * _facing(depth, camera) / (1 + range_share**2)
-    return np.where(known, confidence, 0).astype(np.float32)
+    return np.where(mask, confidence, 0).astype(np.float32)
 
 
 def _facing(depth: Map, camera: Camera) -> Map:
@@ -210,8 +210,8 @@ def _check(depth: Map, image: Image8, camera: Camera) -> None:
             "scale the sensor's steps to world units first"
         )
     if image.shape != (camera.height, camera.width, 3) or image.dtype != np.uint8:
-        wanted = (camera.height, camera.width, 3)
+        shape = (camera.height, camera.width, 3)
         raise DepthError(
-            f"camera {camera.name}: wanted a uint8 image of {wanted}, got {image.dtype} {image.shape}; resize the capture, "
+            f"camera {camera.name}: wanted a uint8 image of {shape}, got {image.dtype} {image.shape}; resize the capture, "
             "not single images"
         )

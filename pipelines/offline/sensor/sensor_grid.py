@@ -13,7 +13,7 @@ Places = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class SensorLines:
-    """Where the sensor's columns, or rows, lie in a depth map.
+    """Positions of the sensor's columns, or rows, in a depth map.
 
     Attributes:
         length: of the map, pixels.
@@ -89,12 +89,12 @@ class SensorGrid:
         taps = [np.ix_(row, column) for row in (top, below) for column in (left, right)]
         v, u = (down - top).astype(np.float32)[:, None], (across - left).astype(np.float32)
         weights = np.stack([(1 - v) * (1 - u), (1 - v) * u, v * (1 - u), v * u])  # (4, H, W)
-        found = np.stack([depth[tap] for tap in taps])  # (4, H, W)
+        tap_depths = np.stack([depth[tap] for tap in taps])  # (4, H, W)
         unlike = np.stack([np.abs(guide[tap] - image).sum(axis=-1) for tap in taps])  # (4, H, W)
-        likest = np.take_along_axis(found, np.where(found > 0, unlike, np.inf).argmin(axis=0)[None], axis=0)[0]
-        low, high = found.min(axis=0), found.max(axis=0)
+        likest = np.take_along_axis(tap_depths, np.where(tap_depths > 0, unlike, np.inf).argmin(axis=0)[None], axis=0)[0]
+        low, high = tap_depths.min(axis=0), tap_depths.max(axis=0)
         with np.errstate(divide="ignore", invalid="ignore"):
-            between = 1 / (weights / found).sum(axis=0)
+            between = 1 / (weights / tap_depths).sum(axis=0)
         enlarged = np.where((low > 0) & (high - low <= step * low), between, likest)
         return np.where(self.repeat(depth, width, height) > 0, enlarged, np.float32(0)).astype(np.float32)
 
@@ -102,12 +102,12 @@ class SensorGrid:
 def _find_lines(depth: Map) -> SensorLines:
     """The sensor's columns; the map's own unless all are repeated equally often, give or take one."""
     length = depth.shape[1]
-    known = np.count_nonzero(depth, axis=0) > 0
+    has_depth = np.count_nonzero(depth, axis=0) > 0
     begins = np.ones(length, np.bool_)
-    begins[1:] = (depth[:, 1:] != depth[:, :-1]).any(axis=0) | ~known[1:]
+    begins[1:] = (depth[:, 1:] != depth[:, :-1]).any(axis=0) | ~has_depth[1:]
     first = np.flatnonzero(begins)
     repeated = np.diff(np.append(first, length))
-    inner = repeated[known[first]][1:-1]
+    inner = repeated[has_depth[first]][1:-1]
     if inner.size == 0 or inner.max() > MOST_REPEATED or np.ptp(inner) > 1:
         first, repeated = np.arange(length), np.ones(length, np.intp)
     return SensorLines(length, first, first + repeated / 2)
@@ -158,7 +158,7 @@ def close_edges(depth: Map, image: Image8, hole_px: int) -> Map:
         farther end always 3.9 %. Of ends of equal colour the farther one is taken.
     """
     rows, columns = np.nonzero(depth == 0)
-    found, unlike = [], []
+    end_depths, unlike = [], []
     for along_row in (True, False):
         length = depth.shape[1] if along_row else depth.shape[0]
         before, after = (ends if along_row else ends.T for ends in _ends(depth if along_row else depth.T)[1:])
@@ -167,11 +167,11 @@ def close_edges(depth: Map, image: Image8, hole_px: int) -> Map:
         for at in (np.maximum(before, 0), np.minimum(after, length - 1)):
             end = (rows, at) if along_row else (at, columns)
             colours = image[end].astype(np.int32), image[rows, columns].astype(np.int32)
-            found.append(np.where(closed, depth[end], np.float32(0)))
+            end_depths.append(np.where(closed, depth[end], np.float32(0)))
             unlike.append(np.where(closed, np.abs(colours[0] - colours[1]).sum(axis=-1), np.inf))
-    order = np.lexsort((-np.stack(found), np.stack(unlike)), axis=0)  # (4, P), the best first
+    order = np.lexsort((-np.stack(end_depths), np.stack(unlike)), axis=0)  # (4, P), the best first
     result = depth.copy()
-    result[rows, columns] = np.take_along_axis(np.stack(found), order[:1], axis=0)[0]
+    result[rows, columns] = np.take_along_axis(np.stack(end_depths), order[:1], axis=0)[0]
     return result
 
 

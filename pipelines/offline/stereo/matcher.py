@@ -1,4 +1,4 @@
-"""What matchers of rectified images have in common: their interface, the check of left against right, and subpixel steps.
+"""Common parts of matchers of rectified images: their interface, the left-right check, and subpixel refinement.
 
 Semi-global matching interpolates its costs between whole pixels and so prefers whole pixels; on short baselines that bias is the
 largest error in depth. Least squares on the images (one-dimensional Lucas-Kanade) take it away.
@@ -16,7 +16,7 @@ NOISE_SLOPE = 4.0  # mean squared slope that noise alone makes, squared grey val
 
 
 def left_right_gap(disparity: Map, disparity_right: Map) -> Map:
-    """How far the right image's disparity at the matched point is from the left one's.
+    """Measure the distance of the right image's disparity at the matched point from the left one's.
 
     Args:
         disparity: of the left image, (H, W), pixels.

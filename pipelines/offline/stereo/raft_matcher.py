@@ -71,13 +71,13 @@ def _configuration(tensors: Mapping[str, torch.Tensor], path: Path) -> RaftOptio
     nearest, fewest = "", len(shapes) + 1
     for title, config in {"compact": COMPACT, **PUBLISHED}.items():
         with torch.device("meta"):
-            wanted = {name: tuple(tensor.shape) for name, tensor in RaftStereo(config).state_dict().items()}
-        different = {name for name in shapes.keys() | wanted.keys() if shapes.get(name) != wanted.get(name)}
+            expected = {name: tuple(tensor.shape) for name, tensor in RaftStereo(config).state_dict().items()}
+        different = {name for name in shapes.keys() | expected.keys() if shapes.get(name) != expected.get(name)}
         if not different:
             return config
         if len(different) < fewest:
             name = min(different)
-            nearest = f"{len(different)} differ from '{title}', first {name}: {shapes.get(name)}, wanted {wanted.get(name)}"
+            nearest = f"{len(different)} differ from '{title}', first {name}: {shapes.get(name)}, wanted {expected.get(name)}"
             fewest = len(different)
     raise WeightsError(f"{path}: {len(shapes)} tensors of no known RAFT-Stereo; {nearest or 'none of its names is known'}")
 
@@ -97,8 +97,8 @@ def start_from_matching(left: Image8, right: Image8, d_min: int, d_max: int, fac
     """
     half_size = left.shape[1] // 2, left.shape[0] // 2
     halves = [cv2.resize(image, half_size, interpolation=cv2.INTER_AREA) for image in (left, right)]
-    found, _ = HALF.match(halves[0], halves[1], d_min // 2, -(-d_max // 2))
-    return start_from_disparity(found, factor // 2)
+    disparity, _ = HALF.match(halves[0], halves[1], d_min // 2, -(-d_max // 2))
+    return start_from_disparity(disparity, factor // 2)
 
 
 def start_from_disparity(disparity: Map, factor: int) -> Map:
@@ -124,9 +124,9 @@ def fill_from_background(disparity: Map) -> Map:
 
 def _smaller_neighbour(disparity: Map) -> Map:
     columns = np.broadcast_to(np.arange(disparity.shape[1]), disparity.shape)
-    known = disparity > 0
-    left = np.maximum.accumulate(np.where(known, columns, 0), axis=1)
-    right = np.minimum.accumulate(np.where(known, columns, disparity.shape[1] - 1)[:, ::-1], axis=1)[:, ::-1]
+    mask = disparity > 0
+    left = np.maximum.accumulate(np.where(mask, columns, 0), axis=1)
+    right = np.minimum.accumulate(np.where(mask, columns, disparity.shape[1] - 1)[:, ::-1], axis=1)[:, ::-1]
     sides = np.stack([np.take_along_axis(disparity, side, axis=1) for side in (left, right)])
     smaller = np.where(sides > 0, sides, np.inf).min(axis=0)
     return np.where(np.isfinite(smaller), smaller, 0).astype(np.float32)
@@ -185,7 +185,7 @@ class RaftMatcher:
         return refined, np.where(refined > 0, 1 - 0.5 * gap / allowed, np.float32(0)).astype(np.float32)
 
     def disparity(self, left: Image8, right: Image8, d_min: int, d_max: int, previous: Map | None = None) -> Map:
-        """What the network alone says, for every pixel.
+        """Estimate the disparity of every pixel by the network alone.
 
         Args:
             left: RGB, (H, W, 3).
@@ -200,9 +200,9 @@ class RaftMatcher:
         size = left.shape[1], left.shape[0]
         scale = 2 if max(size) > self.largest_side_px else 1
         small = [cv2.resize(image, (size[0] // scale, size[1] // scale), interpolation=cv2.INTER_AREA) for image in (left, right)]
-        known = None if previous is None else cv2.resize(previous, small[0].shape[1::-1], interpolation=cv2.INTER_NEAREST) / scale
-        found = self._at_size(small[0], small[1], d_min // scale, -(-d_max // scale), known)
-        return found if scale == 1 else _enlarge(found, left, scale)
+        start = None if previous is None else cv2.resize(previous, small[0].shape[1::-1], interpolation=cv2.INTER_NEAREST) / scale
+        disparity = self._at_size(small[0], small[1], d_min // scale, -(-d_max // scale), start)
+        return disparity if scale == 1 else _enlarge(disparity, left, scale)
 
     def _at_size(self, left: Image8, right: Image8, d_min: int, d_max: int, previous: Map | None) -> Map:
         network = load_network(self.weights)

@@ -102,7 +102,7 @@ def _head(width_in: int, width: int, norm: Norm) -> nn.Sequential:
 
 
 def normalisation(norm: Norm) -> Callable[[int], nn.Module]:
-    """What makes the normalisation of so many channels."""
+    """Return the factory of a normalisation layer, which takes its number of channels."""
     return nn.BatchNorm2d if norm == "batch" else nn.InstanceNorm2d
 
 
@@ -146,9 +146,9 @@ class RaftStereo(nn.Module):
             Horizontal flow (negative disparity) in cells after each iteration, (B, 1, H / factor, W / factor) float32 each, the
             last one in pixels, (B, 1, H, W), and the features that were correlated, (B, C, H / factor, W / factor) each.
         """
-        seen = self.features(left, right)
-        flows, weights = self._walk(*seen, iterations, initial)
-        return flows, upsample_convex(flows[-1], weights, self.config.factor), seen[:2]
+        features = self.features(left, right)
+        flows, weights = self._walk(*features, iterations, initial)
+        return flows, upsample_convex(flows[-1], weights, self.config.factor), features[:2]
 
     @torch.inference_mode()
     def flow(self, left: Tensor, right: Tensor, iterations: int, initial: Tensor | None = None) -> tuple[Tensor, Tensor]:
@@ -183,7 +183,7 @@ class RaftStereo(nn.Module):
         config = self.config
         correlation = Correlation(of_left, of_right, config.corr_levels, config.corr_radius, self.volume_bytes)
         hidden = [state for state, _ in pairs]
-        context = [_split(conv(seen)) for conv, (_, seen) in zip(self.context_zqr_convs, pairs, strict=True)]
+        context = [_split(conv(features)) for conv, (_, features) in zip(self.context_zqr_convs, pairs, strict=True)]
         batch, _, height, width = of_left.shape
         dtype = torch.promote_types(of_left.dtype, torch.float32)
         columns = torch.arange(width, device=of_left.device, dtype=dtype).expand(batch, 1, height, width)

@@ -101,12 +101,12 @@ class ConvGru(nn.Module):
     def forward(self, hidden: Tensor, context: Context, *inputs: Tensor) -> Tensor:
         """One step: h' = (1 - z) h + z q, all (B, C, H, W)."""
         for_gates, for_candidate = context
-        seen = torch.cat(inputs, dim=1)
+        features = torch.cat(inputs, dim=1)
         weight = torch.cat([self.convz.weight, self.convr.weight])  # one wide convolution is faster than two
         bias = torch.cat([gate.bias for gate in (self.convz, self.convr) if gate.bias is not None])
-        gates = functional.conv2d(torch.cat([hidden, seen], dim=1), weight, bias, padding=1)
+        gates = functional.conv2d(torch.cat([hidden, features], dim=1), weight, bias, padding=1)
         update, reset = torch.sigmoid(gates + for_gates).chunk(2, dim=1)
-        candidate = torch.tanh(self.convq(torch.cat([reset * hidden, seen], dim=1)) + for_candidate)
+        candidate = torch.tanh(self.convq(torch.cat([reset * hidden, features], dim=1)) + for_candidate)
         return torch.lerp(hidden, candidate, update)
 
 

@@ -92,8 +92,8 @@ class SgbmMatcher:
         # OpenCV leaves the first `count` columns unmatched.
         padded = [cv2.copyMakeBorder(image, 0, 0, count, 0, cv2.BORDER_REPLICATE) for image in shifted]
         sixteenths = sgbm.compute(*padded)[:, count:]
-        found = np.where(sixteenths >= 0, sixteenths.astype(np.float32) / SUBPIXEL + d_min, np.float32(0))
-        return np.pad(found, ((0, 0), (d_min, 0)))
+        disparity = np.where(sixteenths >= 0, sixteenths.astype(np.float32) / SUBPIXEL + d_min, np.float32(0))
+        return np.pad(disparity, ((0, 0), (d_min, 0)))
 
 
 def _enlarge(coarse: Map, size: tuple[int, int]) -> Map:

@@ -67,10 +67,10 @@ def _union(units: Sequence[Unit]) -> dict[str, Unit]:
     """
     chosen: dict[str, Unit] = {}
     for unit in units:
-        known = chosen.setdefault(unit.name, unit)
-        if known is not unit and (reason := same_unit(known, unit)):
+        original = chosen.setdefault(unit.name, unit)
+        if original is not unit and (reason := same_unit(original, unit)):
             raise ResultsError(
-                f"{known.source} and {unit.source} differ: {reason}; keep one of them, or prepare once and give truth/ and "
+                f"{original.source} and {unit.source} differ: {reason}; keep one of them, or prepare once and give truth/ and "
                 "depth/ of that run to every machine before it renders"
             )
     return chosen
@@ -81,9 +81,9 @@ def _require_alike(runs: Sequence[RunFolder]) -> None:
     if not runs:
         raise ResultsError("wanted run folders to merge, got none")
     first, *others = runs
-    known = _identity(first)
+    identity = _identity(first)
     for run in others:
-        differences = _differences(known, _identity(run))
+        differences = _differences(identity, _identity(run))
         if differences:
             more = f" and {len(differences) - 4} more" if len(differences) > 4 else ""
             raise ProtocolError(
@@ -93,7 +93,7 @@ def _require_alike(runs: Sequence[RunFolder]) -> None:
 
 
 def _identity(run: RunFolder) -> dict[str, Any]:
-    """What runs must have in common, by the words that a message uses."""
+    """Return what runs must have in common, by the words that a message uses."""
     record = run.capture_record()
     depth = read_json(run.depth_record) if run.depth_record.is_file() else {}
     return {
@@ -104,7 +104,7 @@ def _identity(run: RunFolder) -> dict[str, Any]:
 
 
 def _differences(one: Any, other: Any, name: str = "") -> list[str]:
-    """Where two records differ, as ``a.b: 1 and 2``."""
+    """List the differences of two records, as ``a.b: 1 and 2``."""
     if isinstance(one, Mapping) and isinstance(other, Mapping):
         keys = dict.fromkeys([*one, *other])
         return [each for key in keys for each in _differences(one.get(key), other.get(key), f"{name}.{key}".lstrip("."))]
@@ -136,9 +136,9 @@ def _write_records(runs: Sequence[RunFolder], folder: Path) -> None:
     first = runs[0]
     here = next((run for run in runs if run.capture_path().exists()), first)
     place = here.capture_path().resolve()
-    seen = {"absolute": str(place), "from_run": os.path.relpath(place, folder.resolve())}
+    place_record = {"absolute": str(place), "from_run": os.path.relpath(place, folder.resolve())}
     shutil.copy2(first.protocol_file, folder / first.protocol_file.name)
-    write_json(folder / "capture.json", here.capture_record() | {"place": seen})
+    write_json(folder / "capture.json", here.capture_record() | {"place": place_record})
     for run in runs:
         if run.depth_record.is_file():
             shutil.copy2(run.depth_record, folder / run.depth_record.name)
@@ -164,22 +164,22 @@ def merge_scores(runs: Sequence[RunFolder], folder: Path) -> None:
     for run in runs:
         for file in sorted(run.scores("").glob(f"*/{JOB_FILE}")):
             records.setdefault(file.parent.name, []).append((file, read_json(file)))
-    for view, found in records.items():
-        methods = _one_record(found)
+    for view, view_records in records.items():
+        methods = _one_record(view_records)
         identity = {label: method["identity"] for label, method in methods.items()}
         sha256 = hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()
         write_json(RunFolder(folder).scores(view) / JOB_FILE, {"sha256": sha256, "identity": identity, "methods": methods})
 
 
-def _one_record(found: Sequence[tuple[Path, dict[str, Any]]]) -> dict[str, Any]:
+def _one_record(records: Sequence[tuple[Path, dict[str, Any]]]) -> dict[str, Any]:
     """Every method of one view once."""
     methods: dict[str, Any] = {}
     origin: dict[str, Path] = {}
-    for file, record in found:
+    for file, record in records:
         for label, method in record["methods"].items():
-            known = methods.setdefault(label, method)
-            if not same_values(known, method):
-                kind = "values" if known["identity"] == method["identity"] else "frames or metrics"
+            original = methods.setdefault(label, method)
+            if not same_values(original, method):
+                kind = "values" if original["identity"] == method["identity"] else "frames or metrics"
                 raise ResultsError(f"{origin[label]} and {file} differ in the {kind} of {label}; keep one of them")
             origin.setdefault(label, file)
     return methods

@@ -39,12 +39,12 @@ def job_units(root: Path, folder: str) -> list[Unit]:
     """Every folder with the result of a job, or with imported renders, below a folder of a run."""
     imported = sorted(file.parent for file in (root / folder).glob(f"*/{IMPORT_FILE}"))
     jobs = sorted(file.parent for pattern in ("*", "*/*") for file in (root / folder).glob(f"{pattern}/{JOB_FILE}"))
-    found = [*imported, *(job for job in jobs if job.parent not in imported)]
-    return [Unit(each.relative_to(root).as_posix(), each) for each in found if not _is_hidden(each, root)]
+    folders = [*imported, *(job for job in jobs if job.parent not in imported)]
+    return [Unit(each.relative_to(root).as_posix(), each) for each in folders if not _is_hidden(each, root)]
 
 
 def same_unit(one: Unit, other: Unit) -> str:
-    """Why two units of one name are not the same; empty where they are."""
+    """Return why two units of one name are not the same; empty where they are."""
     if one.source.is_file():
         return "" if filecmp.cmp(one.source, other.source, shallow=False) else "they have different bytes"
     for record in (JOB_FILE, IMPORT_FILE):
@@ -55,7 +55,7 @@ def same_unit(one: Unit, other: Unit) -> str:
 
 
 def same_values(one: Any, other: Any) -> bool:
-    """Whether two records say the same, up to the rounding of their numbers."""
+    """Tell whether two records say the same, up to the rounding of their numbers."""
     if isinstance(one, Mapping) and isinstance(other, Mapping):
         return one.keys() == other.keys() and all(same_values(one[key], other[key]) for key in one)
     if isinstance(one, Sequence) and isinstance(other, Sequence) and not isinstance(one, str):
@@ -87,5 +87,5 @@ def _files_below(folder: Path) -> Iterator[Path]:
 
 
 def _is_hidden(path: Path, root: Path) -> bool:
-    """Whether somebody is still writing it."""
+    """Tell whether somebody is still writing a folder, whose name is hidden until it is whole."""
     return any(part.startswith(".") for part in path.relative_to(root).parts)

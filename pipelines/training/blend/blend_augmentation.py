@@ -1,4 +1,4 @@
-"""What real rigs add to a sample, drawn anew for every crop: exposures, colours, blur, views that do not quite register."""
+"""Augmentation by the flaws of real rigs, drawn anew for every crop: exposures, colours, blur, slight misregistration."""
 
 from dataclasses import dataclass, replace
 
@@ -12,7 +12,7 @@ from ggvs_eval.pipelines.training.samples.blend_samples import RawViews
 
 @dataclass(frozen=True)
 class Augmentation:
-    """How far crops are changed.
+    """Strengths of the augmentation of crops.
 
     Attributes:
         gain: standard deviation of the logarithm of one gain for sources and truth alike, per channel.

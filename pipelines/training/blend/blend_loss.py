@@ -56,7 +56,7 @@ def blend_loss(
 
 
 def depth_loss(depths: Tensor, fused_depth: Tensor, weights: Tensor) -> Tensor:
-    """How far the blended depth of the views lies from the fused one (Eq. 6).
+    """Measure how far the blended depth of the views lies from the fused one (Eq. 6).
 
     Args:
         depths: splatted depth of each view, (B, K, H, W), 0 where unknown.
@@ -75,7 +75,7 @@ def depth_loss(depths: Tensor, fused_depth: Tensor, weights: Tensor) -> Tensor:
 
 
 def mask_loss(background_weight: Tensor, alphas: Tensor) -> Tensor:
-    """How far the background's weight is from 1 where no view covers the pixel, and from 0 elsewhere.
+    """Measure how far the background's weight is from 1 where no view covers the pixel, and from 0 elsewhere.
 
     Args:
         background_weight: w_BG, (B, H, W).

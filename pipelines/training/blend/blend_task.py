@@ -1,4 +1,4 @@
-"""What the blending network learns: to make the target's picture of splatted views and fused depth."""
+"""Training task of the blending network: to make the target's picture of splatted views and fused depth."""
 
 from collections.abc import Callable, Mapping
 from copy import deepcopy
@@ -75,17 +75,17 @@ class BlendTask:
 
     @property
     def summary(self) -> str:
-        """What is trained."""
+        """Sentence of the model card on what is trained."""
         return "The training of the blending network."
 
     @property
     def data(self) -> str:
-        """What it learns from."""
+        """Sentence of the model card on the training data."""
         return f"{self.training.data}; the target takes no part in depth"
 
     @property
     def evaluated_on(self) -> str:
-        """What `validate` measures."""
+        """Sentence of the model card on what `validate` measures."""
         return (
             f"PSNR (dB) and SSIM, means of whole views, single instants, and `geometric_`: of the geometric blender on the same "
             f"views: {self.validation.data}."
@@ -136,7 +136,7 @@ class BlendTask:
 def crop_arrays(
     sample: BlendSample, window: tuple[int, int, int, int], config: BlendNetworkOptions, change: Change | None = None
 ) -> dict[str, Map]:
-    """What the network and its loss take of a window (left, top, width, height) of a sample.
+    """Return what the network and its loss take of a window (left, top, width, height) of a sample.
 
     Depths and distances are measured in the unit of the whole view, as they are when the network is used. Views that the sample
     does not have cover nothing. `change` may alter the crop's views and truth first.

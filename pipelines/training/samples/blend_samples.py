@@ -66,7 +66,7 @@ class RawViews:
         return BlendMaps(self.target, self.sources, *stacks, self.fused_depth, self.shares)
 
     def maps(self, guidance: Guidance) -> BlendMaps:
-        """What a network of that guidance works on: what `blend_maps` gives in one pass."""
+        """Return the maps that a network of that guidance works on: what `blend_maps` gives in one pass."""
         if guidance != "registered":
             return self.splatted
         colours = self.splats + self.visibilities[..., None] * (self.warps - self.splats)
@@ -122,13 +122,13 @@ class SampleMaker:
         return BlendSample(raw_views(recorder.inputs[-1]), self.truth(target), quantise(recorder.images[-1]))
 
     def instant(self, target: Camera, sources: Sequence[Camera]) -> Instant:
-        """What a method is shown of a target and its K source cameras, depth as it is prepared for that view."""
-        found = [(source, self._depth(source, target)) for source in sources]
-        views = tuple(self._view(source, depth, found[:k] + found[k + 1 :]) for k, (source, depth) in enumerate(found))
+        """Return what a method is shown of a target and its K source cameras, depth as it is prepared for that view."""
+        depths = [(source, self._depth(source, target)) for source in sources]
+        views = tuple(self._view(source, depth, depths[:k] + depths[k + 1 :]) for k, (source, depth) in enumerate(depths))
         return Instant(self._frame, target, views, self.capture.units_per_metre)
 
     def truth(self, target: Camera) -> Image8:
-        """What the target's camera saw."""
+        """Return the image that the target's camera took."""
         return self._image(target.name)
 
     def _depth(self, source: Camera, target: Camera) -> DepthMap:
@@ -161,7 +161,7 @@ class _Recorder:
         self._blender = blender
 
     def blend(self, inputs: BlendingInputs) -> Blended:
-        """What the other one makes."""
+        """Return what the other blender makes, and keep it."""
         self.inputs.append(inputs)
         blended = self._blender.blend(inputs)
         self.images.append(blended.image)

@@ -69,7 +69,7 @@ class CapturePool(Samples[Sample]):
 
     @property
     def data(self) -> str:
-        """What they show, for the model card."""
+        """Contents of the samples, for the model card."""
         scenes = ", ".join(capture.scene for capture in self._captures)
         depth = f"depth as measured or by {self.plan.matcher}" if self._kind.depth else "no depth"
         return f"{len(self)} views of the captures {scenes}, {depth}"
@@ -157,9 +157,9 @@ def _reduced(capture: Capture, plan: CapturePlan) -> Capture:
 def _check_cameras(capture: Capture, plan: CapturePlan) -> None:
     small = [camera for camera in capture.cameras if camera.width < plan.width or camera.height < plan.height]
     if small:
-        found = f"{small[0].width} x {small[0].height} of {small[0].name}"
+        size = f"{small[0].width} x {small[0].height} of {small[0].name}"
         raise TrainingError(
-            f"{capture.path}: wanted images of at least {plan.width} x {plan.height}, got {found}; lower the plan's"
+            f"{capture.path}: wanted images of at least {plan.width} x {plan.height}, got {size}; lower the plan's"
         )
     if len({camera.size for camera in capture.cameras}) > 1:
         raise TrainingError(f"{capture.path}: wanted cameras of one size to learn from, got several; resize the images")

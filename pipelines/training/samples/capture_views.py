@@ -89,7 +89,7 @@ def draw_views(capture: Capture, plan: CapturePlan, name: str, number: int) -> t
 
 
 def is_sequence(capture: Capture) -> bool:
-    """Whether its cameras are the frames of one moving camera, called by their numbers."""
+    """Tell whether the cameras of a capture are the frames of one moving camera, called by their numbers."""
     return capture.layout == "rgbd"
 
 

@@ -95,7 +95,7 @@ def film_room(folder: Path, seed: int, plan: RoomPlan) -> Capture:
 
 
 def room_options(seed: int, plan: RoomPlan) -> DemoOptions:
-    """How a room is rendered: one instant; training rooms differ in their strengths, validation rooms are as their domain."""
+    """Return a room's options: one instant; training rooms differ in their strengths, validation rooms are as their domain."""
     return domain_options(plan.domain, seed, plan.width, plan.height)
 
 

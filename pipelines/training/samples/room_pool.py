@@ -49,7 +49,7 @@ class RoomPool(Samples[Sample]):
 
     @property
     def data(self) -> str:
-        """What they show, for the model card."""
+        """Contents of the samples, for the model card."""
         depth = f"depth by {self.plan.matcher}" if self._kind.depth else "no depth"
         domain = "" if self.plan.domain == PLAIN else f" of domain {self.plan.domain}"
         return f"{len(self)} views of {self.plan.rooms} procedural rooms{domain} (ggvs_eval.synthetic), {depth}"
@@ -105,7 +105,7 @@ def _digest(plan: RoomPlan, version: int, depth: bool) -> str:
 
 
 def _describe_domain(name: str) -> dict[str, Any]:
-    """What samples depend on of their domain."""
+    """Describe what samples depend on of their domain."""
     domain = find_domain(name)
     described: dict[str, Any] = {"domain": name, "options": dict(domain.options), "strengths": dict(domain.strengths)}
     if domain.hand_held:

@@ -75,7 +75,7 @@ class CaptureSamples(CapturePool[BlendSample]):
 
 @dataclass(frozen=True)
 class InstantKind(SampleKind[InstantSample]):
-    """What a method is shown, and what the target's camera saw.
+    """Samples for methods: what a method is shown, and the image that the target's camera took.
 
     Attributes:
         depth: whether sources come with depth; methods that take none need not wait for it.

@@ -15,7 +15,7 @@ Job = Callable[[], None]  # can be sent to a worker process
 
 
 class SamplePlan(Protocol):
-    """What a task asks of a plan."""
+    """Properties that a task asks of a plan."""
 
     @property
     def most_views(self) -> int:
@@ -27,7 +27,7 @@ class SamplePlan(Protocol):
 
 
 class SampleKind(ABC, Generic[Sample]):
-    """What a sample is: how it is made of a capture, and its file.
+    """Kind of sample: how one is made of a capture, and its file.
 
     Attributes:
         depth: whether it depends on the depth of its sources.
@@ -67,7 +67,7 @@ class Samples(ABC, Generic[Sample]):
     @property
     @abstractmethod
     def data(self) -> str:
-        """What they show, for the model card."""
+        """Contents of the samples, for the model card."""
 
     @abstractmethod
     def __len__(self) -> int: ...
@@ -82,7 +82,7 @@ class Samples(ABC, Generic[Sample]):
 
     @abstractmethod
     def jobs(self) -> list[Job]:
-        """What makes the samples that are not there yet; each job is independent of the others."""
+        """List the jobs that make the samples that are not there yet; each is independent of the others."""
 
     def prepare(self, workers: int) -> None:
         """Make the samples that are not there yet; a killed preparation goes on where it stopped.
@@ -120,7 +120,7 @@ class JoinedSamples(Samples[Sample]):
 
     @property
     def data(self) -> str:
-        """What they show, for the model card."""
+        """Contents of the samples, for the model card."""
         return "; ".join(pool.data for pool in self.pools)
 
     def read(self, index: int) -> Sample:

@@ -1,4 +1,4 @@
-"""What networks learn from and are validated by: the same views for all, of rooms of many domains and of captures."""
+"""Data for training and validation of networks: the same views for all, of rooms of many domains and of captures."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -23,7 +23,7 @@ HELD_BACK = CapturePlan(targets=6, gap=0, span=4)  # of a sequence that is held 
 
 @dataclass(frozen=True)
 class TrainingData:
-    """What is learned from.
+    """Choice of training data.
 
     Attributes:
         rooms: of each domain.
@@ -58,7 +58,7 @@ class TrainingData:
         return [domain_validation_plan(name, self.views, VALIDATION_TARGETS) for name in self._domains]
 
     def halves(self) -> Iterator[tuple[Capture, Capture | None]]:
-        """What is learned from of each capture, and what is held back."""
+        """Yield the part of each capture that is learned from, and the part that is held back."""
         for path in self.captures:
             capture = open_capture(path)
             yield held_back_halves(capture) if self.hold_back else (capture, None)

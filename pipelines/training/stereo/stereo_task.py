@@ -1,4 +1,4 @@
-"""What the compact RAFT-Stereo learns: pairs of procedural rooms, from nothing or from what semi-global matching says."""
+"""Training task of the compact RAFT-Stereo: pairs of procedural rooms, started from zero or from semi-global matching."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -57,17 +57,17 @@ class StereoTask:
 
     @property
     def summary(self) -> str:
-        """What is trained."""
+        """Sentence of the model card on what is trained."""
         return "The training of RAFT-Stereo."
 
     @property
     def data(self) -> str:
-        """What it learns from."""
+        """Sentence of the model card on the training data."""
         return "pairs of procedural rooms and gardens taken on the fly (synthetic/stereo), each seen once; no captured pair"
 
     @property
     def evaluated_on(self) -> str:
-        """What `validate` measures."""
+        """Sentence of the model card on what `validate` measures."""
         return (
             f"{self.validation_pairs} pairs of 512x320 of scenes of their own, every pixel, occluded ones included: end-point "
             "error and share of pixels off by more than 1 and 3 px, from semi-global matching (8 iterations), `zero_` from "
