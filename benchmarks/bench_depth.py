@@ -92,7 +92,7 @@ def _figure(name: str, value: float, unit: str, peer_value: float | None) -> Fig
 
 
 def _in_a_child(name: str) -> dict[str, float] | None:
-    """What `_measure_here` prints in a process with two threads."""
+    """Run `_measure_here` in a process with two threads and return what it prints; None if it fails."""
     threads = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "GGVS_EVAL_THREADS"), str(CORES))
     command = [sys.executable, "-m", "benchmarks.bench_depth", name]
     done = subprocess.run(command, env=os.environ | threads, capture_output=True, text=True, check=False)
@@ -138,7 +138,7 @@ def camera_at(x: float, y: float) -> Camera:
 
 
 def look(camera: Camera, texture: NDArray[np.float32]) -> Image8:
-    """What a camera sees, RGB, (H, W, 3); the texture lies over x + z and y + z, which no surface is parallel to."""
+    """Render the view of a camera, RGB, (H, W, 3); texture lies over x + z and y + z, which no surface is parallel to."""
     rays, centre = camera.rays(), camera.centre
     with np.errstate(divide="ignore", invalid="ignore"):
         floor = (FLOOR - centre[1]) / rays[..., 1]

@@ -33,7 +33,7 @@ SMALL, LARGE, QUARTER = (480, 360), (1352, 1014), (240, 180)
 
 @dataclass(frozen=True)
 class Trial:
-    """What is timed.
+    """Timed combination of method, size and frames.
 
     Attributes:
         label: method.

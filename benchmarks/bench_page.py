@@ -1,4 +1,4 @@
-"""How long the page takes to open in a real browser, and to show another method or view: the demo's, and a long run's.
+"""Page load time in a real browser, and time to switch method or view: of the demo's page, and of a long run's.
 
 ``python -m benchmarks.bench_page`` or ``python -m benchmarks.bench_page PAGE``
 """

@@ -129,7 +129,7 @@ def speed_table() -> str:
 
 
 def domains_table() -> str:
-    """What ``python -m benchmarks.domain_validation`` printed: a row per domain, a column per method, PSNR and LPIPS."""
+    """Tabulate the output of ``python -m benchmarks.domain_validation``: a row per domain, PSNR and LPIPS per method."""
     measured = _read(OUT / "validate_domains.json")
     means, methods = measured["means"], measured["methods"]
     columns = [(metric, label) for metric in DOMAIN_METRICS if metric in means for label in methods]
@@ -143,7 +143,7 @@ def domains_table() -> str:
 
 
 def device_table() -> str:
-    """What ``python -m benchmarks.bench_device --device cuda --json out/device.json`` printed: milliseconds per frame on both."""
+    """Tabulate the times that ``benchmarks.bench_device --device cuda --json out/device.json`` wrote: ms per frame on both."""
     measured = _read(OUT / "device.json")
     rows = [f"{measured['machine']}:", "", "| ms per frame | CPU | GPU | times as fast |", "| --- | ---: | ---: | ---: |"]
     for figure in measured["figures"]:

@@ -26,7 +26,7 @@ NONE: Types = frozenset()
 
 @dataclass
 class Module:
-    """What a module defines and what names mean in it.
+    """Module of the checkout: its definitions, and the meaning of the names in it.
 
     Attributes:
         name: dotted.
@@ -103,7 +103,7 @@ class Code:
         return frozenset(found)
 
     def member(self, owners: Types, name: str) -> tuple[Types, list[str]]:
-        """What an attribute of objects of these classes is, and the methods or properties behind it."""
+        """Resolve an attribute of objects of these classes: its types, and the methods or properties behind it."""
         types, methods = set(), []
         for dotted in sorted(owners):
             module, definition = self.find_class(dotted) or (None, None)
@@ -193,12 +193,12 @@ class Walk(ast.NodeVisitor):
             self._name(target, self._types(node.value))
 
     def visit_For(self, node: ast.For) -> None:
-        """What a loop runs over."""
+        """Bind the target of a loop to what the loop runs over."""
         self._name(node.target, self._types(node.iter))
         self.generic_visit(node)
 
     def visit_comprehension(self, node: ast.comprehension) -> None:
-        """What a comprehension runs over."""
+        """Bind the target of a comprehension to what it runs over."""
         self._name(node.target, self._types(node.iter))
         self.generic_visit(node)
 
@@ -251,7 +251,7 @@ class Walk(ast.NodeVisitor):
         return frozenset().union(*(self._types(each) for each in parts))
 
     def _returned(self, node: ast.Call) -> Types:
-        """What a call gives: an object of the class, what its annotation says, or what it is a copy of or a loop over."""
+        """Infer the types that a call returns: the class itself, its annotation, or those that it copies or loops over."""
         if isinstance(node.func, ast.Name):
             dotted = self._code.resolve(self._module, node.func.id)
             if self._code.find_class(dotted):

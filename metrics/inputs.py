@@ -1,4 +1,4 @@
-"""What every metric demands of its two images, and of the number that it makes of them."""
+"""Input validation shared by all metrics: checks of the two images, and of the number computed from them."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""What ENeRF learns: where surfaces are and how views blend there, from pictures alone."""
+"""Training task of ENeRF: locate surfaces and blend the views there, learned from images alone."""
 
 from dataclasses import dataclass
 

@@ -65,7 +65,7 @@ def _first_known(depth: NDArray[np.float32]) -> Map:
 
 @dataclass(frozen=True, eq=False)
 class PointSplat:
-    """What the points look like.
+    """Rendered point cloud.
 
     Attributes:
         features: premultiplied by coverage, (C, H, W).

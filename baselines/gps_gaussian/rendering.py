@@ -18,7 +18,7 @@ RANKS_AT_ONCE, TILES_AT_ONCE = 64, 2048  # Gaussians of a tile, and tiles: some 
 
 
 class GaussianImage(NamedTuple):
-    """What the Gaussians look like before black.
+    """Rendered Gaussians, before they are composited over black.
 
     Attributes:
         colour: premultiplied by coverage, (H, W, 3), float32.

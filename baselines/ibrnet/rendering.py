@@ -69,7 +69,7 @@ def opacity_shares(density: Tensor) -> Tensor:
 
 
 def rays_at_once(views: int, samples: int, device: torch.device | None = None) -> int:
-    """How many rays of so many coarse samples may pass through the networks together on a device, the CPU unless given."""
+    """Return how many rays of so many coarse samples fit through the networks together on a device, the CPU unless given."""
     return max(1, ROWS_AT_ONCE[device.type if device else "cpu"] // (2 * samples * views))
 
 

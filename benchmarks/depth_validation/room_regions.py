@@ -13,7 +13,7 @@ REGIONS = ("texture", "untextured", "edge", "thin")
 
 @dataclass(frozen=True)
 class RegionOptions:
-    """Where one region ends and the next begins.
+    """Thresholds between the regions.
 
     Attributes:
         step: a discontinuity bends inverse depth by more than this share of it from one pixel to the next but one.

@@ -1,4 +1,4 @@
-"""What `--reuse-static` saves and what it costs: the depth of one camera over some frames, with it and without."""
+"""Savings and cost of `--reuse-static`: the depth of one camera over some frames, with it and without."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -34,7 +34,7 @@ FETCH_COMMAND = "python -m ggvs_eval.metrics.image.fetch_lpips"
 
 
 def cache_folder() -> Path:
-    """Where weights are kept: $GGVS_EVAL_CACHE, else ggvs-eval under $XDG_CACHE_HOME or ~/.cache."""
+    """Return the cache folder of the weights: $GGVS_EVAL_CACHE, else ggvs-eval under $XDG_CACHE_HOME or ~/.cache."""
     if own := os.environ.get("GGVS_EVAL_CACHE"):
         return Path(own)
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ggvs-eval"

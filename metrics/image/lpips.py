@@ -91,7 +91,7 @@ def lpips(rendered: Image, truth: Image, net: LpipsNet = "vgg") -> float:
 
 
 def lpips_features(image: Image, net: LpipsNet, device: str = "cpu") -> "list[torch.Tensor]":
-    """What LPIPS compares of a frame, so that one truth can be compared with several renders at the cost of one.
+    """Compute the LPIPS features of a frame, so that one truth can be compared with several renders at the cost of one.
 
     Args:
         image: (H, W, 3), uint8 in 0..255 or float in [0, 1].
@@ -236,7 +236,7 @@ _remembered = _Remembered(REMEMBERED_BYTES)
 
 
 def is_looked_at(index: int, options: MetricOptions) -> bool:
-    """Whether LPIPS looks at the frame of this place: one costs as much as all other metrics of many."""
+    """Tell whether LPIPS is computed for the frame at this index: it costs as much as all other metrics on many frames."""
     return (options.first_frame + index) % options.lpips_every == 0
 
 

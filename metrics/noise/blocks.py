@@ -229,7 +229,7 @@ def _octave_curves() -> tuple[Array, Array]:
 
 
 def octave_gains() -> Array:
-    """What noise of each grain is multiplied with so that its variance is 1, (S,)."""
+    """Return the factor that scales noise of each grain to variance 1, (S,)."""
     return 1 / _octave_curves()[0][0]
 
 

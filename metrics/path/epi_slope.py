@@ -21,7 +21,7 @@ NO_SLOPE = "EPI slope: no pixel has texture and a coherent line; no slope to com
 
 @dataclass(frozen=True)
 class SlopeAgreement:
-    """How well the slopes that the images show fit those that depth predicts.
+    """Agreement between the slopes that the images show and those that depth predicts.
 
     Attributes:
         median_error_px: median absolute difference over the measured pixels, px per pose step; None where none was measured.
@@ -91,7 +91,7 @@ def _inner(depth: NDArray[np.float32], lines: Lines) -> NDArray[np.float32]:
 
 
 def _is_measured(lines: Lines, options: SlopeOptions) -> NDArray[np.bool_]:
-    """Whether the texture and the coherence suffice to trust a slope."""
+    """Tell where texture and coherence suffice to trust a slope."""
     coherent = lines.across - lines.along >= options.least_coherence * (lines.across + lines.along)
     return coherent & (lines.across >= options.least_texture_255**2)
 

@@ -16,7 +16,7 @@ EVEN_PX = 0.1
 
 @dataclass(frozen=True)
 class HorizontalPath:
-    """How lines run in the epipolar plane images of a path.
+    """Slopes of the lines in the epipolar plane images of a path.
 
     Attributes:
         slope_of_unit_depth_px: dx/dv of a point at depth 1, px per pose; negative where the camera moves to its right.

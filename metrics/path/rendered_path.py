@@ -32,7 +32,7 @@ class PathPose:
 
 @dataclass(frozen=True)
 class SlopeOptions:
-    """Where the images show a slope, and when it agrees.
+    """Thresholds above which the images show a slope, and within which it agrees.
 
     Attributes:
         least_texture_255: least root mean square gradient across a line, grey levels of 255 per pixel.
@@ -67,7 +67,7 @@ def spread_rows(height: int, count: int) -> list[int]:
 
 
 class RenderedPath:
-    """What the metrics need of the poses so far: chosen rows of the images, two whole poses at most, and the steps between.
+    """State of a path so far that the metrics need: chosen image rows, at most two whole poses, and the steps between.
 
     Attributes:
         options: variants of the measures.

@@ -19,7 +19,7 @@ Pose = tuple[Camera, Image, NDArray[np.float32] | None]
 
 @dataclass(frozen=True)
 class StepError:
-    """How a pose differs from the pose before it, carried over by depth.
+    """Difference between a pose and the pose before it, carried over by depth.
 
     Attributes:
         error_255: mean absolute colour difference over co-visible pixels and channels, grey levels of 255; None where by their

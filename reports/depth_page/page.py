@@ -99,7 +99,7 @@ def _identity(capture: Capture, stored: Sequence[StoredDepth], filled_confidence
 
 
 def _is_written(folder: Path, identity: str) -> bool:
-    """Whether the folder holds this very page with all its pictures."""
+    """Tell whether the folder holds this very page with all its pictures."""
     try:
         record = read_json(folder / "index.json")
     except ResultsError:
@@ -223,7 +223,7 @@ def _matches_of(stored: StoredDepth, pairs: Pairs) -> dict[str, Array]:
 
 
 def _depth_range(statistics: Statistics, near: float, far: float) -> tuple[float, float]:
-    """What the colours span: all instants alike, so that they can be compared."""
+    """Return the depth range of the colours, the same for all instants, so that they can be compared."""
     known = [each for each in statistics if each.measured]
     nearest, farthest = min((each.near for each in known), default=near), max((each.far for each in known), default=far)
     spread = max(FLATTEST / (farthest / nearest), 1.0) ** 0.5

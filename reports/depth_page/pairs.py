@@ -189,7 +189,7 @@ def _span(inside: NDArray[np.bool_], axis: int) -> slice:
 
 
 def _scale(turns: int, rows: slice, columns: list[slice]) -> float:
-    """What brings both halves to the size of the picture; nothing is magnified."""
+    """Return the scale that fits both halves into the picture; nothing is magnified."""
     height, width = rows.stop - rows.start, max(each.stop - each.start for each in columns)
     if turns % 2 == 0:
         return min(1.0, (WIDTH_PX - GAP_PX) / 2 / width)

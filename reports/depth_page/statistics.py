@@ -18,7 +18,7 @@ FEWEST_PIXELS = 100  # that both cameras see, to compare their colours
 
 @dataclass(frozen=True)
 class DepthStatistics:
-    """What a depth map consists of. Shares are of all pixels.
+    """Statistics of a depth map. Shares are of all pixels.
 
     Attributes:
         frame: the instant.

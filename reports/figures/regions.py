@@ -1,4 +1,4 @@
-"""Where to look: the squares in which a method fails most, or in which methods differ most, found by rule."""
+"""Crop regions, chosen by rule: the squares in which a method fails most, or in which methods differ most."""
 
 import math
 from collections.abc import Sequence

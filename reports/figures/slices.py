@@ -165,7 +165,7 @@ def time_slices(run: MeasuredRun, view: str, row: int | None = None) -> Slices:
 
 
 def all_slices(run: MeasuredRun) -> Sequence[Slices]:
-    """What the page shows: the camera path if there is one, and each view over time if time passes."""
+    """Return the slices that the page shows: the camera path if there is one, and each view over time if time passes."""
     path = path_slices(run)
     over_time = [time_slices(run, view) for view in run.protocol.views.test] if len(run.frames) > 1 else []
     return ([path] if path else []) + over_time

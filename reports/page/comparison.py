@@ -55,19 +55,19 @@ def diagnostics_folders(frames: Path, label: str, indices: range) -> Iterator[tu
 
 
 def diagnostics_name(run: MeasuredRun, key: str) -> str:
-    """What to call a picture: of a method, of the truth, or of the inside of a method."""
+    """Name a picture: of a method, of the truth, or of a method's diagnostics."""
     label, _, name = key.partition("/")
     return f"{run.name(label)}: {MEANINGS[name][0]}" if name else run.name(label)
 
 
 def diagnostics_legend(keys: Sequence[str]) -> list[tuple[str, str]]:
-    """What to say of those of the pictures that show the inside of a method: name and meaning."""
+    """Return name and meaning of each diagnostic picture among the keys."""
     return [MEANINGS[key.partition("/")[2]] for key in keys if "/" in key]
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """What the comparison of one run shows.
+    """Frame comparison of one run.
 
     Attributes:
         views: test views.

@@ -34,7 +34,7 @@ class HeatMap:
     values: dict[str, dict[str, list[float | None]]]
 
     def record(self) -> dict[str, Any]:
-        """What the page carries."""
+        """Return the heat map as a JSON record for the page."""
         return {
             "unit": self.unit,
             "higher_is_better": self.higher_is_better,

@@ -1,4 +1,4 @@
-"""What moves on the page: a video per method, the frames along the camera path, and how much room each run's pictures get."""
+"""Moving pictures of the page: a video per method, the frames along the camera path, and each run's budget of bytes."""
 
 import base64
 import math
@@ -92,7 +92,7 @@ def _pictures(folders: list[Path], frames: range, width: int) -> Iterator[Image8
 
 @dataclass(frozen=True)
 class PathPictures:
-    """What the page can cut epipolar plane images from.
+    """Path frames from which the page can cut epipolar plane images.
 
     Attributes:
         poses: numbers of the poses shown, every so many-th one.

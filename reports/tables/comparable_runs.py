@@ -14,7 +14,7 @@ from ggvs_eval.run_folder import frame_path
 
 @dataclass(frozen=True)
 class PaperTerms:
-    """What the paper says of its protocol on one data set.
+    """The paper's protocol on one data set, as far as it states it.
 
     Attributes:
         dataset: name in its tables.
@@ -37,14 +37,14 @@ class PaperTerms:
     metric_size: tuple[int, int]
 
     def relation(self, run: MeasuredRun) -> str:
-        """How a run belongs to this data set: ``whole`` by its name, ``part`` of it (``DyNeRF, one instant``), or ``other``."""
+        """Relate a run to this data set: ``whole`` by its name, ``part`` of it (``DyNeRF, one instant``), or ``other``."""
         name, wanted = run.protocol.dataset.lower(), self.dataset.lower()
         if is_demo(run.folder.capture_record()):
             return "other"
         return "whole" if name == wanted else "part" if name.startswith(f"{wanted},") else "other"
 
     def departures(self, run: MeasuredRun) -> tuple[str, ...]:
-        """Where a run is not what the paper did, in words; empty where it is, as far as the paper says what it did."""
+        """List a run's departures from the paper's protocol, in words; empty where it agrees in all that the paper states."""
         capture, protocol = run.folder.capture_record(), run.protocol
         size, layout = rendered_size(run), capture.get("layout", "unknown")
         measured = (protocol.measurement.width, protocol.measurement.height) if protocol.measurement.width else size
@@ -86,7 +86,7 @@ def read_terms(dataset: str) -> PaperTerms:
 
 
 def is_demo(capture: dict[str, Any]) -> bool:
-    """Whether a capture was written by ``ggvs-eval demo``, in whatever layout and under whatever name."""
+    """Tell whether a capture was written by ``ggvs-eval demo``, in whatever layout and under whatever name."""
     return capture.get("units_origin") == DEMO_NOTES
 
 
@@ -165,7 +165,7 @@ def _departures(terms: PaperTerms, run: MeasuredRun) -> str:
 
 
 def _what_instead(runs: Sequence[MeasuredRun]) -> str:
-    """What the runs are of."""
+    """Name what the runs are of instead of the paper's data sets."""
     names = dict.fromkeys(_name(run) + (", a demo capture" if is_demo(run.folder.capture_record()) else "") for run in runs)
     return f"this report is of {'; '.join(names)}, none of the paper's data sets"
 

@@ -1,4 +1,4 @@
-"""What differs between two runs, or two methods of one run, and whether that is more than chance."""
+"""Paired comparison of two runs, or two methods of one run: differences, and whether they are significant."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -60,7 +60,7 @@ class Difference:
 
     @property
     def is_significant(self) -> bool:
-        """Whether the difference is told from chance at the level of the intervals, by a clip that is long enough for that."""
+        """True where the difference is significant at the level of the intervals, on a clip long enough to decide."""
         return not self.comparison.short and self.p_value is not None and self.p_value < 1.0 - LEVEL
 
     @property

@@ -1,4 +1,4 @@
-"""Where the error of each method lies: over views or over time; unseen, in light and colour over wide areas, or in detail."""
+"""Error budget of each method: over views or over time; in unseen areas, in light and colour over wide areas, or in detail."""
 
 import math
 import os

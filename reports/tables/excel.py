@@ -19,7 +19,7 @@ WRITTEN = re.compile(rb"<dcterms:(created|modified)[^>]*>[^<]*</dcterms:\1>")
 
 
 def has_excel() -> bool:
-    """Whether the library is installed by which pandas writes workbooks."""
+    """Tell whether the library that pandas writes workbooks with is installed."""
     return importlib.util.find_spec("openpyxl") is not None
 
 

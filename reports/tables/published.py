@@ -1,4 +1,4 @@
-"""What the paper reports: grey rows with their source and caveats, never mixed with measured ones."""
+"""Published values of the paper: grey rows with their source and caveats, never mixed with measured ones."""
 
 import csv
 from collections.abc import Sequence

@@ -22,7 +22,7 @@ PUBLISHED_GROUPS = ("quality", "consistency")
 
 @dataclass(frozen=True)
 class Certainty:
-    """What is known of one metric's numbers beside the numbers.
+    """Statistical certainty of one metric's numbers.
 
     Attributes:
         intervals: label -> interval, or why there is none.
@@ -41,12 +41,12 @@ class Certainty:
 
     @property
     def undecided(self) -> str:
-        """Why nobody is named as the best; empty where somebody is."""
+        """Reason why no method is named as the best; empty where one is."""
         return "" if self.standing is None else self.standing.short
 
     @property
     def refusal(self) -> str:
-        """Why some method has no interval; empty where all have one."""
+        """Reason why some method has no interval; empty where all have one."""
         return next((interval.note for interval in self.intervals.values() if interval.low is None), "")
 
     def interval(self, label: str) -> Interval | None:
@@ -123,7 +123,7 @@ def _told_rows(certainty: Certainty, labels: Sequence[str]) -> frozenset[int] | 
 
 
 def _certainty_captions(certain: Mapping[str, Certainty]) -> list[str]:
-    """What ± and bold mean in this table, and what has no interval."""
+    """Write captions: the meaning of ± and bold in this table, and which numbers have no interval."""
     level = f"{100 * LEVEL:.0f} %"
     known = [one for certainty in certain.values() for one in certainty.intervals.values() if one.low is not None]
     given = "".join(f", {note}" for note in dict.fromkeys(interval.note.partition(";")[0] for interval in known) if note)

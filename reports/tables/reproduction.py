@@ -104,7 +104,7 @@ def _evaluation_table(table: str, comparable_runs: dict[str, ComparableRuns | No
 
 
 def _evaluate(comparable: ComparableRuns, method: PaperMethod, metric: str, paper: str) -> tuple[Cell, Status, str]:
-    """What was measured of a published value, its standing and why."""
+    """Look up the measurement of a published value; return its cell, its status and the reason."""
     label = next(filter(None, map(method.find_label, comparable.runs)), None)
     if label is None and method.weights:
         return (
@@ -141,7 +141,7 @@ def _evaluate_metric(comparable: ComparableRuns, label: str, metric: str, paper:
 
 
 def evaluate_value(paper: str, ours: Cell, metric: str, digits: int | None = None) -> tuple[Status, str]:
-    """Whether a measured value is the published one.
+    """Decide whether a measured value reproduces the published one.
 
     Args:
         paper: value with the digits that the paper prints.

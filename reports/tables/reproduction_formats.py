@@ -41,7 +41,7 @@ class Block:
 
 @dataclass(frozen=True)
 class Line:
-    """What a reader is told of one published value, or of several that lack the same: words for each of `HEADS` but the first."""
+    """Line on one published value, or on several that lack the same: words for each of `HEADS` but the first."""
 
     method: str
     metric: str
@@ -71,7 +71,7 @@ def blocks(entries: Sequence[Reproduction]) -> tuple[Block, ...]:
 
 
 def count_words(entries: Sequence[Reproduction]) -> str:
-    """How many values have which status: ``3 reproduced, 17 data absent``."""
+    """Count the values of each status, in words: ``3 reproduced, 17 data absent``."""
     counts = Counter(entry.status for entry in entries)
     return ", ".join(f"{counts[status]} {status}" for status in STATUSES if counts[status])
 
