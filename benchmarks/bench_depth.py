@@ -76,11 +76,11 @@ def measure_networks() -> dict[str, Figure]:
 
 def measure() -> dict[str, Figure]:
     """Name -> figure; a matcher that fails, as one without weights does, is named and left out."""
-    found = {name: values for name in MATCHERS if (values := _in_a_child(name)) is not None}
+    values_of = {name: values for name in MATCHERS if (values := _in_a_child(name)) is not None}
     figures = measure_networks()
-    for name, values in found.items():
+    for name, values in values_of.items():
         for measured, unit in (("seconds", "s per depth map"), ("memory_mb", "MB at most")):
-            figures[f"depth.{measured}.{name}"] = _figure(name, values[measured], unit, found.get(PEER, {}).get(measured))
+            figures[f"depth.{measured}.{name}"] = _figure(name, values[measured], unit, values_of.get(PEER, {}).get(measured))
     return figures
 
 

@@ -114,12 +114,12 @@ def importers_of(modules: dict[str, str]) -> dict[str, set[str]]:
 
 def array_aliases(text: str) -> list[str]:
     """Names that a module gives to kinds of arrays."""
-    found = []
+    aliases = []
     for node in ast.parse(text).body:
         is_subscript = isinstance(node, ast.Assign) and isinstance(node.value, ast.Subscript)
         if is_subscript and ast.unparse(node.value.value) in ("NDArray", "npt.NDArray"):
-            found += [ast.unparse(target) for target in node.targets]
-    return found
+            aliases += [ast.unparse(target) for target in node.targets]
+    return aliases
 
 
 def described(text: str, root: Path, figures: dict[str, str]) -> str:

@@ -110,10 +110,10 @@ def depth_table() -> str:
     figures |= _read(bench) if bench.is_file() else {}
     rows = ["| | " + " | ".join(MATCHERS) + " | target |", "| --- |" + " ---: |" * (len(MATCHERS) + 1)]
     for shown, name in DEPTH_ROWS.items():
-        found = [figures.get(f"{name}.{matcher}") for matcher in MATCHERS]
-        if any(found):
-            target = next((_target(figure) for figure in found if figure and _target(figure)), "")
-            cells = [f"{figure['value']:.4g}" if figure else "not computed" for figure in found]
+        matcher_figures = [figures.get(f"{name}.{matcher}") for matcher in MATCHERS]
+        if any(matcher_figures):
+            target = next((_target(figure) for figure in matcher_figures if figure and _target(figure)), "")
+            cells = [f"{figure['value']:.4g}" if figure else "not computed" for figure in matcher_figures]
             rows.append(f"| {shown} | " + " | ".join([*cells, target]) + " |")
     return "\n".join(rows)
 
@@ -155,8 +155,8 @@ def device_table() -> str:
 
 def figures_table(file: Path, names: str = "") -> str:
     """Flat figures whose names begin with a pattern, as Markdown; a ratio above 1 means better than the peer."""
-    known = _read(file)
-    figures = {name: figure for name, figure in known.items() if re.match(names, name)}
+    all_figures = _read(file)
+    figures = {name: figure for name, figure in all_figures.items() if re.match(names, name)}
     if not figures:
         raise ResultsError(f"{file} holds no such figures")
     rows = ["| figure | value | target | peer | ratio |", "| --- | ---: | ---: | --- | ---: |"]

@@ -59,8 +59,8 @@ def select_metrics(names: Iterable[str]) -> tuple[Metric, ...]:
 def scored_by_view(names: Iterable[str]) -> tuple[ViewMetric, ...]:
     """Select the metrics that score the frames of a view: those asked for per view, and those that others are made of."""
     asked = select_metrics(names)
-    wanted = {metric.part if isinstance(metric, TableMetric) else metric.name for metric in asked}
-    return tuple(metric for metric in METRICS.values() if isinstance(metric, ViewMetric) and metric.name in wanted)
+    view_names = {metric.part if isinstance(metric, TableMetric) else metric.name for metric in asked}
+    return tuple(metric for metric in METRICS.values() if isinstance(metric, ViewMetric) and metric.name in view_names)
 
 
 def make_scorers(metrics: Sequence[ViewMetric], options: MetricOptions, colour_map: ColourMap | None) -> list[Scorer]:

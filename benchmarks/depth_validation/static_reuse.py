@@ -58,6 +58,6 @@ def _measured(
     start = process_time()
     views = estimate_views(room, camera, images, options)
     seconds = process_time() - start
-    known = truths > 0
-    errors = relative_errors(np.stack([view.depth for view in views])[known], truths[known])
+    has_truth = truths > 0
+    errors = relative_errors(np.stack([view.depth for view in views])[has_truth], truths[has_truth])
     return seconds, float(100 * (errors <= WITHIN).mean())

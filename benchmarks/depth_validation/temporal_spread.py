@@ -78,8 +78,8 @@ def estimate_views(room: RenderedRoom, camera: Camera, images: Mapping[str, Imag
     stream = DepthStream(camera, partners, options)
     views = []
     for frame in track(range(FRAMES), f"{room.name} over time"):
-        found = stream.step(frame, images[camera.name][frame], [images[partner.name][frame] for partner in partners])
-        views.append(SourceView(camera, images[camera.name][frame], found.depth, found.confidence))
+        depth_map = stream.step(frame, images[camera.name][frame], [images[partner.name][frame] for partner in partners])
+        views.append(SourceView(camera, images[camera.name][frame], depth_map.depth, depth_map.confidence))
     return views
 
 

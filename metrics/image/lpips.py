@@ -154,8 +154,8 @@ def load_weights(net: LpipsNet, device: str = "cpu") -> "dict[str, torch.Tensor]
     except SafetensorError as error:
         raise WeightsError(f"{path}: damaged ({error}); delete it and run `{FETCH_COMMAND}`") from error
     convolutions, heads = len(LAYERS[net]), sum(layer.tap for layer in LAYERS[net])
-    wanted = {f"conv{i}.{part}" for i in range(convolutions) for part in ("weight", "bias")}
-    if set(tensors) != wanted | {f"head{i}.weight" for i in range(heads)}:
+    convolution_names = {f"conv{i}.{part}" for i in range(convolutions) for part in ("weight", "bias")}
+    if set(tensors) != convolution_names | {f"head{i}.weight" for i in range(heads)}:
         raise WeightsError(f"{path}: holds the tensors of another network; delete it and run `{FETCH_COMMAND}`")
     dtype = torch.bfloat16 if net == "vgg-bf16" else torch.float32
     return {

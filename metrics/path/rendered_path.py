@@ -97,8 +97,8 @@ class RenderedPath:
             MetricError: an image that does not fit its camera, or another size than before.
         """
         if pose.image.shape != (pose.camera.height, pose.camera.width, 3):
-            wanted = f"{pose.camera.height} x {pose.camera.width} x 3"
-            raise MetricError(f"pose {pose.camera.name}: wanted an image {wanted}, got {pose.image.shape}; resize one of them")
+            size = f"{pose.camera.height} x {pose.camera.width} x 3"
+            raise MetricError(f"pose {pose.camera.name}: wanted an image {size}, got {pose.image.shape}; resize one of them")
         self.rows = self.rows or spread_rows(pose.camera.height, self.options.n_rows)
         if self.cameras and pose.camera.size != self.cameras[0].size:
             raise MetricError(

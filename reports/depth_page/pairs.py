@@ -184,8 +184,8 @@ def _turns_upright(along: Array) -> int:
 
 def _span(inside: NDArray[np.bool_], axis: int) -> slice:
     """From the first to the last row (axis 1) or column (axis 0) with anything inside."""
-    found = np.flatnonzero(inside.any(axis=axis))
-    return slice(int(found[0]), int(found[-1]) + 1) if found.size else slice(0, 1)
+    indices = np.flatnonzero(inside.any(axis=axis))
+    return slice(int(indices[0]), int(indices[-1]) + 1) if indices.size else slice(0, 1)
 
 
 def _scale(turns: int, rows: slice, columns: list[slice]) -> float:

@@ -38,10 +38,10 @@ class PaperTerms:
 
     def relation(self, run: MeasuredRun) -> str:
         """Relate a run to this data set: ``whole`` by its name, ``part`` of it (``DyNeRF, one instant``), or ``other``."""
-        name, wanted = run.protocol.dataset.lower(), self.dataset.lower()
+        name, dataset = run.protocol.dataset.lower(), self.dataset.lower()
         if is_demo(run.folder.capture_record()):
             return "other"
-        return "whole" if name == wanted else "part" if name.startswith(f"{wanted},") else "other"
+        return "whole" if name == dataset else "part" if name.startswith(f"{dataset},") else "other"
 
     def departures(self, run: MeasuredRun) -> tuple[str, ...]:
         """List a run's departures from the paper's protocol, in words; empty where it agrees in all that the paper states."""
@@ -50,7 +50,7 @@ class PaperTerms:
         measured = (protocol.measurement.width, protocol.measurement.height) if protocol.measurement.width else size
         views, frames = len(protocol.views.test), protocol.frames.count
         scenes = " and ".join(self.scenes)
-        found = {
+        departures = {
             f"layout {layout}, not {' or '.join(self.layouts)}": layout not in self.layouts,
             f"scene {run.scene}, not {scenes}": bool(self.scenes) and run.scene not in self.scenes,
             f"{_count(frames, 'frame')}, not {self.frames}": frames != self.frames,
@@ -61,7 +61,7 @@ class PaperTerms:
             f"measured at {_size(measured)}, not {_size(self.metric_size)}": size == self.size and measured != self.metric_size,
             "a frame held still or noise added": bool(capture.get("edit")),
         }
-        return tuple(words for words, applies in found.items() if applies)
+        return tuple(words for words, applies in departures.items() if applies)
 
     def missing_scenes(self, scenes: set[str]) -> tuple[str, ...]:
         """Scenes of the paper that are not among these."""

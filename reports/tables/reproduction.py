@@ -161,12 +161,12 @@ def evaluate_value(paper: str, ours: Cell, metric: str, digits: int | None = Non
     bounds = f"{100 * LEVEL:.0f} % interval {_shown(ours.low, digits)} to {_shown(ours.high, digits)}{given}"
     if f"{ours.value:.{decimals}f}" == paper:
         return "reproduced", "the same to the printed digits"
-    known = ours.low is not None and ours.high is not None
-    if known and ours.low - half_unit <= published <= ours.high + half_unit:  # type: ignore[operator]
+    has_interval = ours.low is not None and ours.high is not None
+    if has_interval and ours.low - half_unit <= published <= ours.high + half_unit:  # type: ignore[operator]
         return "reproduced", f"the paper's value lies in our {bounds}"
     better = "better" if (ours.value > published) == is_higher_better(metric) else "worse"
     by = f"{format_value(abs(ours.value - published), digits)}{' ' if metric in UNITS else ''}{UNITS.get(metric, '')}"
-    return "differs", f"{better} by {by}; {bounds if known else f'no interval{given}'}"
+    return "differs", f"{better} by {by}; {bounds if has_interval else f'no interval{given}'}"
 
 
 def _shown(value: float | None, digits: int | None) -> str:

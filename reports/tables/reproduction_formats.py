@@ -121,11 +121,11 @@ def _table(entries: Sequence[Reproduction]) -> Table:
     table, dataset = entries[0].table, entries[0].dataset
     columns = tuple(_column(entry) for entry in {entry.metric: entry for entry in entries}.values())
     methods = dict.fromkeys(entry.method for entry in entries)
-    found = {(entry.method, entry.metric): entry for entry in entries}
-    published = [Row(name, tuple(_paper_cell(found.get((name, column.name))) for column in columns)) for name in methods]
+    entry_of = {(entry.method, entry.metric): entry for entry in entries}
+    published = [Row(name, tuple(_paper_cell(entry_of.get((name, column.name))) for column in columns)) for name in methods]
     rows: list[Row] = []
     for name, row in zip(methods, rank(columns, published), strict=True):
-        here = tuple(_our_cell(found.get((name, column.name))) for column in columns)
+        here = tuple(_our_cell(entry_of.get((name, column.name))) for column in columns)
         rows += [replace(row, name=f"{name} (paper)", kind="published"), Row(f"{name}, here", here)]
     summary = count_words(entries)
     caption = f"{summary[0].upper()}{summary[1:]}; reproduction.csv says why. Paper: {SOURCE}."
