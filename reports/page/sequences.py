@@ -13,10 +13,11 @@ from tempfile import TemporaryDirectory
 from ggvs_eval.arrays import Image8
 from ggvs_eval.files.images import read_image
 from ggvs_eval.files.video import write_video
+from ggvs_eval.reports.figures.slices import path_folders
 from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.reports.page.comparison import FRAME_BYTES, FRAMES_AT_MOST, diagnostics_folders, diagnostics_label
 from ggvs_eval.reports.page.data_uri import fitting_width, shrink, webp_uri
-from ggvs_eval.run_folder import frame_path, require_frames
+from ggvs_eval.run_folder import frame_path
 
 VIDEO_BYTES = 3_000_000
 VIDEO_FRAMES_AT_MOST = 300
@@ -115,11 +116,9 @@ def path_pictures(run: MeasuredRun, byte_budget: int = PATH_BYTES) -> PathPictur
     Raises:
         RenderError: poses are missing.
     """
-    folders = {key: run.folder.path(key) for key in ("truth", *run.pictured) if run.folder.path(key).is_dir()}
-    count = max((len(list(folder.glob("*.png"))) for folder in folders.values()), default=0)
+    folders, count = path_folders(run, run.pictured)
     if not count:
         return None
-    require_frames({f"{run.name(key)} on the path": folder for key, folder in folders.items()}, range(count))
     poses = range(0, count, math.ceil(count * len(folders) / POSES_AT_MOST))
     told = diagnostics_label(run)
     if told in folders:
