@@ -1,4 +1,4 @@
-"""What a learned baseline is: its entry in the registry, and what it adds to the training that all of them share."""
+"""Learned baselines: the registry entry of each, and what it adds to the training that all of them share."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
@@ -69,7 +69,7 @@ class LearnedBaseline:
         return f"{self.name}.safetensors"
 
     def label(self, rendition: Rendition) -> str:
-        """What the command line and the folders call one of its renditions."""
+        """Return the label of a rendition, on the command line and in folders."""
         return f"{self.name}+{rendition.variant}" if rendition.variant else self.name
 
     def make_method(self, weights: Path, **options: Any) -> Method:
@@ -83,7 +83,7 @@ class LearnedBaseline:
         return method(weights, **options)
 
     def make_recipe(self, configuration: str = "compact", seed: int = 0) -> "TrainingRecipe[Any]":
-        """How a configuration of its network is trained.
+        """Make the training recipe of a configuration of its network.
 
         Raises:
             TrainingError: a configuration that cannot be trained here.

@@ -76,11 +76,11 @@ def measure_networks() -> dict[str, Figure]:
 
 def measure() -> dict[str, Figure]:
     """Name -> figure; a matcher that fails, as one without weights does, is named and left out."""
-    found = {name: values for name in MATCHERS if (values := _in_a_child(name)) is not None}
+    values_of = {name: values for name in MATCHERS if (values := _in_a_child(name)) is not None}
     figures = measure_networks()
-    for name, values in found.items():
+    for name, values in values_of.items():
         for measured, unit in (("seconds", "s per depth map"), ("memory_mb", "MB at most")):
-            figures[f"depth.{measured}.{name}"] = _figure(name, values[measured], unit, found.get(PEER, {}).get(measured))
+            figures[f"depth.{measured}.{name}"] = _figure(name, values[measured], unit, values_of.get(PEER, {}).get(measured))
     return figures
 
 
@@ -92,7 +92,7 @@ def _figure(name: str, value: float, unit: str, peer_value: float | None) -> Fig
 
 
 def _in_a_child(name: str) -> dict[str, float] | None:
-    """What `_measure_here` prints in a process with two threads."""
+    """Run `_measure_here` in a process with two threads and return what it prints; None if it fails."""
     threads = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "GGVS_EVAL_THREADS"), str(CORES))
     command = [sys.executable, "-m", "benchmarks.bench_depth", name]
     done = subprocess.run(command, env=os.environ | threads, capture_output=True, text=True, check=False)
@@ -138,7 +138,7 @@ def camera_at(x: float, y: float) -> Camera:
 
 
 def look(camera: Camera, texture: NDArray[np.float32]) -> Image8:
-    """What a camera sees, RGB, (H, W, 3); the texture lies over x + z and y + z, which no surface is parallel to."""
+    """Render the view of a camera, RGB, (H, W, 3); texture lies over x + z and y + z, which no surface is parallel to."""
     rays, centre = camera.rays(), camera.centre
     with np.errstate(divide="ignore", invalid="ignore"):
         floor = (FLOOR - centre[1]) / rays[..., 1]

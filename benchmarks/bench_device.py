@@ -33,7 +33,7 @@ SMALL, LARGE, QUARTER = (480, 360), (1352, 1014), (240, 180)
 
 @dataclass(frozen=True)
 class Trial:
-    """What is timed.
+    """Timed combination of method, size and frames.
 
     Attributes:
         label: method.
@@ -117,13 +117,13 @@ def scene(width: int, height: int) -> list[Instant]:
     """Two instants of a wall that bends around the cameras, the same but for noise."""
     cameras = [_camera(number, width, height) for number in range(K + 1)]
     target = cameras.pop(K // 2)
-    seen = [_look(camera) for camera in cameras]
+    pictures = [_look(camera) for camera in cameras]
     random = np.random.default_rng(0)
     instants = []
     for index in range(2):
         sources = tuple(
             SourceView(camera, _noisy(image, random), depth, np.ones_like(depth))
-            for camera, (image, depth) in zip(cameras, seen, strict=True)
+            for camera, (image, depth) in zip(cameras, pictures, strict=True)
         )
         instants.append(Instant(index, target, sources, units_per_metre=1.0))
     return instants
@@ -163,8 +163,8 @@ def main() -> None:
     device = compute_device(options.device)
     machine = f"{describe_device(device)}, torch {torch.__version__}, {get_threads()} threads of the CPU"
     print(machine)
-    wanted = [trial for trial in TRIALS if not options.only or trial.label in options.only]
-    shrunk = [Trial(each.label, _shrunk(each.size, options.shrink), each.frames, each.cpu_frames) for each in wanted]
+    trials = [trial for trial in TRIALS if not options.only or trial.label in options.only]
+    shrunk = [Trial(each.label, _shrunk(each.size, options.shrink), each.frames, each.cpu_frames) for each in trials]
     figures = measure(str(device), shrunk)
     if options.json:
         options.json.write_text(json.dumps({"machine": machine, "figures": figures}, indent=1))

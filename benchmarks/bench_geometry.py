@@ -145,7 +145,7 @@ def _median_error_mm(depth: NDArray, truth: NDArray) -> float:
 
 
 def _twins_ms() -> tuple[float, float]:
-    """What the twins would take for one splat and one TSDF depth at full size, from a 64 x 48 run."""
+    """Estimate the time of the twins for one splat and one TSDF depth at full size, from a 64 x 48 run."""
     splat_twin, tsdf_twin = (importlib.import_module(f"helpers.twins.{name}") for name in ("splat", "tsdf"))
     scene = make_scene(64)
     source = scene.source(0)

@@ -75,7 +75,7 @@ def _strred_figures() -> dict[str, Figure]:
 
 
 def _variant_figures() -> dict[str, Figure]:
-    """What a protocol may ask for besides: masked SSIM, colour correction."""
+    """Time optional variants that a protocol may request: masked SSIM, colour correction."""
     rendered, truth = _frame_pair()
     mask = np.zeros(truth.shape[:2], dtype=bool)
     mask[100:600, 200:900] = True
@@ -91,7 +91,7 @@ def _variant_figures() -> dict[str, Figure]:
 
 
 def _memory_figures() -> dict[str, Figure]:
-    """How far the memory of processes that score short and long views rises while they do it; a pair of frames is 8.2 MB."""
+    """Measure by how much scoring short and long views raises a process's memory; a pair of frames is 8.2 MB."""
     short_mb, long_mb = (_peak_mb(frames, "seven") for frames in (SHORT, LONG))
     figures = {
         "metrics.seven_memory_mb": _figure(short_mb, "MB", None),
@@ -108,7 +108,7 @@ def _peak_mb(frames: int, which: str) -> float:
 
 
 def _score_and_print_peak(frames: int, which: str) -> None:
-    """What the process of `_peak_mb` does: everything imported and the weights read, then the peak set to what is held now."""
+    """Print the peak memory of scoring, as the child of `_peak_mb`: weights are read and the peak is reset before it."""
     names = METRICS_OF_A_VIEW if which == "all" else SEVEN
     rendered, truth = _frame_pair()
     score_view([(rendered[:64, :64], truth[:64, :64])] * 2, names)

@@ -92,7 +92,7 @@ class _Recorder:
     inputs: list[BlendingInputs] = field(default_factory=list)
 
     def blend(self, inputs: BlendingInputs) -> Blended:
-        """What the geometric blender makes."""
+        """Keep the inputs, and return the geometric blender's result."""
         self.inputs.append(inputs)
         return GeometricBlender().blend(inputs)
 

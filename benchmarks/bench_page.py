@@ -1,4 +1,4 @@
-"""How long the page takes to open in a real browser, and to show another method or view: the demo's, and a long run's.
+"""Page load time in a real browser, and time to switch method or view: of the demo's page, and of a long run's.
 
 ``python -m benchmarks.bench_page`` or ``python -m benchmarks.bench_page PAGE``
 """
@@ -114,6 +114,6 @@ def _figure(value: float, unit: str, target: float | None = None) -> Figure:
 
 
 if __name__ == "__main__":
-    found = measure_page("given", Path(sys.argv[1])) if len(sys.argv) > 1 else measure()
-    for name, figure in found.items():
+    figures = measure_page("given", Path(sys.argv[1])) if len(sys.argv) > 1 else measure()
+    for name, figure in figures.items():
         print(name, *(f"{key}={value}" for key, value in figure.items() if value not in (None, COMMAND)), sep="  ")

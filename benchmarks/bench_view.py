@@ -62,7 +62,7 @@ def measured(address: str, playback: Playback) -> dict[str, float]:
 
 
 def _poses(playback: Playback) -> Iterator[bytes]:
-    """What a browser sends as its camera goes round."""
+    """Yield the messages that a browser sends as its camera goes round."""
     width, height = WINDOW
     for camera in camera_loop(playback.capture.cameras, 300):
         turned = Rotation.from_matrix(camera.rotation.T).as_quat(scalar_first=True)

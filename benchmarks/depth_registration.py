@@ -25,7 +25,7 @@ ROOM = DemoOptions(layout="rgbd", n_frames=24, fps=10, width=480, height=360)
 
 @dataclass(frozen=True)
 class Fault:
-    """What is wrong with depth: moved by pixels, turned about its middle, multiplied, or of a later frame."""
+    """Misregistration of depth: shifted by pixels, turned about its middle, multiplied, or of a later frame."""
 
     right_px: float = 0.0
     down_px: float = 0.0

@@ -135,7 +135,7 @@ def write_scores(path: Path, scores: pd.DataFrame, methods: list[str], not_compu
 
 
 def _features(truth: Image8) -> object | None:
-    """What LPIPS compares of a truth; None where its weights have not been fetched."""
+    """Compute the LPIPS features of a truth; None where its weights have not been fetched."""
     try:
         return lpips_features(truth, LPIPS_NET)
     except WeightsError:

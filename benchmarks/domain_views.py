@@ -68,7 +68,7 @@ class View:
     files: tuple[Path, ...]
 
     def samples(self) -> Iterator[InstantSample]:
-        """What a method is shown of it, instant by instant, and what the target's camera saw."""
+        """Yield, instant by instant, what a method is given of the view and what the target's camera saw."""
         for index, file in enumerate(self.files):
             sample = read_view(file)
             yield replace(sample, instant=replace(sample.instant, index=index))

@@ -59,7 +59,7 @@ class HangError(BaseException):
 
 @dataclass(frozen=True)
 class FuzzOptions:
-    """What is run.
+    """Options of a fuzzing run.
 
     Attributes:
         inputs: how many, over all kinds.
@@ -117,7 +117,7 @@ def run_kind(kind: str, seed: int, numbers: range) -> list[Outcome]:
 
 
 def listen(process: subprocess.Popen[bytes]) -> tuple[list[Outcome], str]:
-    """What a process tells, and why it tells no more."""
+    """Collect the outcomes that a process reports, and the reason why it stopped reporting."""
     told: list[Outcome] = []
     buffer, output = b"", process.stdout
     while output is not None:
@@ -182,7 +182,7 @@ def _spoil(file: Path, content: bytes, random: Random) -> str:
 
 
 def _try(read: Any) -> Outcome:
-    """What came of one input, how long it took and the most memory meanwhile."""
+    """Read one input and return the outcome, the time it took and the peak memory."""
     Path("/proc/self/clear_refs").write_text("5")  # the peak is counted anew
     begun_s = time.monotonic()
     signal.setitimer(signal.ITIMER_REAL, LONGEST_S)

@@ -1,4 +1,4 @@
-"""How often 95 % intervals of means of correlated clips hold the truth, how wide they are, and how often equal methods differ.
+"""Coverage of 95 % intervals of means of correlated clips, their width, and how often equal methods are told apart.
 
     python -m benchmarks.interval_coverage [--repetitions 4000] [--package-repetitions 300]
 
@@ -37,7 +37,7 @@ HalfWidths = Callable[[Array], Array]  # series (R, T) -> half widths (R,)
 
 @dataclass(frozen=True)
 class Options:
-    """How long it takes.
+    """Numbers of repetitions, which set how long it takes.
 
     Attributes:
         repetitions: clips of each kind for the methods in question.

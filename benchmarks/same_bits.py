@@ -1,4 +1,4 @@
-"""What another processor would compute: ``python -m benchmarks.same_bits``.
+"""Bit-equality of results across processors: ``python -m benchmarks.same_bits``.
 
 Libraries choose their code by the instruction sets that they find. Their own variables make them believe in an older processor: a
 small demo is filmed, its depth found, rendered and scored under each setting, and everything is compared with what this processor
@@ -67,7 +67,7 @@ KEY = ["method", "view", "metric", "frame"]
 
 @dataclass(frozen=True)
 class Difference:
-    """How far something is from what it is compared with.
+    """Difference between something and its reference.
 
     Attributes:
         equal: of all values or files.

@@ -62,8 +62,8 @@ def validate_calibration(capture: Path, out: Path) -> Figures:
     shutil.rmtree(out, ignore_errors=True)
     given = open_capture(capture)
     start = time.perf_counter()
-    found = measure_against(given, calibrate(capture / "images", out, CalibrationOptions(shared_intrinsics=True)))
-    found["seconds"] = time.perf_counter() - start
+    errors = measure_against(given, calibrate(capture / "images", out, CalibrationOptions(shared_intrinsics=True)))
+    errors["seconds"] = time.perf_counter() - start
     targets: dict[str, tuple[float | None, bool]] = {
         "n_registered": (float(len(given.cameras)), True),
         "mean_reprojection_error_px": (1.0, False),
@@ -72,10 +72,10 @@ def validate_calibration(capture: Path, out: Path) -> Figures:
         "seconds": (None, False),
     }
     units = dict(zip(targets, ("cameras", "px", "% of the extent", "deg", "s"), strict=True))
-    print(pd.Series({name: found[name] for name in targets}, name="calibration").round(4).to_string())
+    print(pd.Series({name: errors[name] for name in targets}, name="calibration").round(4).to_string())
     return {
         f"calibration.{name}": {
-            "value": found[name],
+            "value": errors[name],
             "unit": units[name],
             "target": target,
             "higher_is_better": higher,
@@ -94,8 +94,8 @@ def validate_real_frame(capture: Path, run: Path, protocol: str) -> Figures:
         if metric not in results.not_computed:
             print(_shown(results.per_view(metric), metric))
     means = _means(results)
-    wanted: Targets = {metric: (value, metric in HIGHER_IS_BETTER) for metric, value in PAPER_DYNERF.items()}
-    figures = _compared(protocol, means, wanted, OURS, GEOMETRIC)
+    targets: Targets = {metric: (value, metric in HIGHER_IS_BETTER) for metric, value in PAPER_DYNERF.items()}
+    figures = _compared(protocol, means, targets, OURS, GEOMETRIC)
     return figures | _compared(protocol, means, {"PSNR": (None, True)}, PEERS[0], PEERS[1])
 
 
@@ -108,10 +108,10 @@ def validate_demo(run: Path) -> Figures:
     evaluate(run, open_capture(capture), load_protocol("demo"), usual_methods(), default_workers())
     means = _means(Results.read(run))
     print(means.round(4).to_string())
-    wanted: Targets = {"PSNR": (None, True), "TCC": (None, True), "STED": (None, False)}
+    targets: Targets = {"PSNR": (None, True), "TCC": (None, True), "STED": (None, False)}
     figures: Figures = {}
     for peer in PEERS:
-        figures |= _compared("demo", means, wanted, OURS, peer)
+        figures |= _compared("demo", means, targets, OURS, peer)
     return figures | _compared("demo", means, {"STED": (None, False)}, OURS, NO_TEMPORAL)
 
 
@@ -119,10 +119,10 @@ def _means(results: Results) -> pd.DataFrame:
     return results.summary().droplevel("dataset")
 
 
-def _compared(data: str, means: pd.DataFrame, wanted: Targets, ours: tuple[str, str], peer: tuple[str, str]) -> Figures:
+def _compared(data: str, means: pd.DataFrame, targets: Targets, ours: tuple[str, str], peer: tuple[str, str]) -> Figures:
     """Figures of one method against one peer; without a target of its own, the peer's value is the target."""
     figures = {}
-    for metric, (target, higher) in wanted.items():
+    for metric, (target, higher) in targets.items():
         if metric not in means.columns:
             continue
         value, other = (float(means[metric].to_dict()[method]) for method in (ours, peer))

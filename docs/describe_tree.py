@@ -40,7 +40,7 @@ def main() -> None:
 
 
 def tree_figures(root: Path) -> dict[str, str]:
-    """What is counted, by its row in the table.
+    """Count the figures of the tree, by row in the table.
 
     Args:
         root: a checkout.
@@ -80,7 +80,7 @@ def tree_figures(root: Path) -> dict[str, str]:
 
 
 def walk_figures(root: Path) -> dict[str, str]:
-    """How far capture and protocol are handed on, by row: stays in modules and, of these, returns to one; see value_walk.py."""
+    """Count how capture and protocol are handed on, by row: stays in modules and, of these, returns; see value_walk.py."""
     follow = runpy.run_path(str(ROOT / "docs" / "value_walk.py"))
     code, figures = follow["Code"](root), {}
     for value in follow["FOLLOWED"]:
@@ -114,12 +114,12 @@ def importers_of(modules: dict[str, str]) -> dict[str, set[str]]:
 
 def array_aliases(text: str) -> list[str]:
     """Names that a module gives to kinds of arrays."""
-    found = []
+    aliases = []
     for node in ast.parse(text).body:
         is_subscript = isinstance(node, ast.Assign) and isinstance(node.value, ast.Subscript)
         if is_subscript and ast.unparse(node.value.value) in ("NDArray", "npt.NDArray"):
-            found += [ast.unparse(target) for target in node.targets]
-    return found
+            aliases += [ast.unparse(target) for target in node.targets]
+    return aliases
 
 
 def described(text: str, root: Path, figures: dict[str, str]) -> str:

@@ -93,8 +93,8 @@ def wobbling(poses: list[PathPose]) -> list[PathPose]:
         pose = poses[index]
         depth = np.asarray(pose.depth, np.float32) * np.float32(factors[index])
         first_depth = np.asarray(first.depth, np.float32)
-        seen = warp(pose.camera, depth, first.camera, colours, first_depth, 0.1 * float(np.median(depth)), bicubic=True)
-        return np.where(seen.visibility[..., None] > 0.5, seen.colour, image)
+        warped = warp(pose.camera, depth, first.camera, colours, first_depth, 0.1 * float(np.median(depth)), bicubic=True)
+        return np.where(warped.visibility[..., None] > 0.5, warped.colour, image)
 
     return changed(poses, render)
 

@@ -90,8 +90,8 @@ def drawn(run: RunFolder, told: str, row: int, shown: float, file_of: Callable[[
         draw.line([(left, line), (left + WIDTH - 1, line)], fill=MARK, width=1)
         cut = Image.fromarray(np.asarray(slices[label][:, LEFT : LEFT + CROP_WIDTH]))
         cut = cut.resize((WIDTH, SLICE_HEIGHT), Image.Resampling.BILINEAR)
-        seen = round(SLICE_HEIGHT * shown)
-        canvas.paste(cut.crop((0, 0, WIDTH, seen)), (left, TITLE + HEIGHT + GAP))
+        height_px = round(SLICE_HEIGHT * shown)
+        canvas.paste(cut.crop((0, 0, WIDTH, height_px)), (left, TITLE + HEIGHT + GAP))
     draw.text((2, canvas.height - CAPTION + 3), told, fill=INK, font=font)
     return np.asarray(canvas, dtype=np.uint8)
 

@@ -110,10 +110,10 @@ def depth_table() -> str:
     figures |= _read(bench) if bench.is_file() else {}
     rows = ["| | " + " | ".join(MATCHERS) + " | target |", "| --- |" + " ---: |" * (len(MATCHERS) + 1)]
     for shown, name in DEPTH_ROWS.items():
-        found = [figures.get(f"{name}.{matcher}") for matcher in MATCHERS]
-        if any(found):
-            target = next((_target(figure) for figure in found if figure and _target(figure)), "")
-            cells = [f"{figure['value']:.4g}" if figure else "not computed" for figure in found]
+        matcher_figures = [figures.get(f"{name}.{matcher}") for matcher in MATCHERS]
+        if any(matcher_figures):
+            target = next((_target(figure) for figure in matcher_figures if figure and _target(figure)), "")
+            cells = [f"{figure['value']:.4g}" if figure else "not computed" for figure in matcher_figures]
             rows.append(f"| {shown} | " + " | ".join([*cells, target]) + " |")
     return "\n".join(rows)
 
@@ -129,7 +129,7 @@ def speed_table() -> str:
 
 
 def domains_table() -> str:
-    """What ``python -m benchmarks.domain_validation`` printed: a row per domain, a column per method, PSNR and LPIPS."""
+    """Tabulate the output of ``python -m benchmarks.domain_validation``: a row per domain, PSNR and LPIPS per method."""
     measured = _read(OUT / "validate_domains.json")
     means, methods = measured["means"], measured["methods"]
     columns = [(metric, label) for metric in DOMAIN_METRICS if metric in means for label in methods]
@@ -143,7 +143,7 @@ def domains_table() -> str:
 
 
 def device_table() -> str:
-    """What ``python -m benchmarks.bench_device --device cuda --json out/device.json`` printed: milliseconds per frame on both."""
+    """Tabulate the times that ``benchmarks.bench_device --device cuda --json out/device.json`` wrote: ms per frame on both."""
     measured = _read(OUT / "device.json")
     rows = [f"{measured['machine']}:", "", "| ms per frame | CPU | GPU | times as fast |", "| --- | ---: | ---: | ---: |"]
     for figure in measured["figures"]:
@@ -155,8 +155,8 @@ def device_table() -> str:
 
 def figures_table(file: Path, names: str = "") -> str:
     """Flat figures whose names begin with a pattern, as Markdown; a ratio above 1 means better than the peer."""
-    known = _read(file)
-    figures = {name: figure for name, figure in known.items() if re.match(names, name)}
+    all_figures = _read(file)
+    figures = {name: figure for name, figure in all_figures.items() if re.match(names, name)}
     if not figures:
         raise ResultsError(f"{file} holds no such figures")
     rows = ["| figure | value | target | peer | ratio |", "| --- | ---: | ---: | --- | ---: |"]

@@ -56,7 +56,7 @@ def beside_paper_table(run: Path) -> str:
 
 
 def ceilings_table(run: Path) -> str:
-    """What perfect renderings would score on the capture of one run, as Markdown."""
+    """Tabulate the scores of perfect renderings on the capture of one run, as Markdown."""
     entries = [entry for entry in read_json(run / "references.json") if entry["group"] == "consistency"]
     columns = list(entries[0]["values"])
     values = [[entry["values"][column] for column in columns] for entry in entries]
@@ -102,7 +102,7 @@ def k_table(sweep: Path, metrics: Sequence[str]) -> str:
 
 
 def budget_rows(run: Path) -> str:
-    """Where the squared error of the first method shown lies, view by view, as Markdown."""
+    """Tabulate where the squared error of the first method shown lies, view by view, as Markdown."""
     table = budget_table(read_run(run))
     if table is None:
         raise ResultsError(f"{run} has no pictures")

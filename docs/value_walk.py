@@ -26,7 +26,7 @@ NONE: Types = frozenset()
 
 @dataclass
 class Module:
-    """What a module defines and what names mean in it.
+    """Module of the checkout: its definitions, and the meaning of the names in it.
 
     Attributes:
         name: dotted.
@@ -92,18 +92,18 @@ class Code:
         """The classes of this package that an annotation names."""
         if annotation is None:
             return NONE
-        found = set()
+        types = set()
         for node in ast.walk(annotation):
             if isinstance(node, ast.Constant) and isinstance(node.value, str):
                 with suppress(SyntaxError):  # words of a Literal
-                    found |= self.named(module, ast.parse(node.value, mode="eval").body)
+                    types |= self.named(module, ast.parse(node.value, mode="eval").body)
             dotted = self.resolve(module, node.id) if isinstance(node, ast.Name) else ""
             if self.find_class(dotted):
-                found.add(dotted)
-        return frozenset(found)
+                types.add(dotted)
+        return frozenset(types)
 
     def member(self, owners: Types, name: str) -> tuple[Types, list[str]]:
-        """What an attribute of objects of these classes is, and the methods or properties behind it."""
+        """Resolve an attribute of objects of these classes: its types, and the methods or properties behind it."""
         types, methods = set(), []
         for dotted in sorted(owners):
             module, definition = self.find_class(dotted) or (None, None)
@@ -166,7 +166,7 @@ class Walk(ast.NodeVisitor):
         self.path: list[tuple[str, str]] = []
         self._within: tuple[tuple[str, str], ...] = ()
         self._code, self._followed = code, followed
-        self._module, self._known = Module(""), dict[str, Types]()
+        self._module, self._types_of = Module(""), dict[str, Types]()
 
     def enter(self, module: Module, name: str, handed: bool) -> None:
         """Go through a function, but not into what calls it; it is on the path if it is handed the value."""
@@ -175,16 +175,16 @@ class Walk(ast.NodeVisitor):
             self.path.append(step)
         if step in self._within:
             return
-        outside = self._module, self._known, self._within
+        outside = self._module, self._types_of, self._within
         self._within = (*self._within, step)
         function, owner = module.functions[name], name.rpartition(".")[0]
         self._module = module
-        self._known = {each.arg: self._code.named(module, each.annotation) for each in _parameters(function)}
+        self._types_of = {each.arg: self._code.named(module, each.annotation) for each in _parameters(function)}
         if owner in module.classes:
-            self._known["self"] = self._known["cls"] = frozenset({f"{module.name}.{owner}"})
+            self._types_of["self"] = self._types_of["cls"] = frozenset({f"{module.name}.{owner}"})
         for node in function.body:
             self.visit(node)
-        self._module, self._known, self._within = outside
+        self._module, self._types_of, self._within = outside
 
     def visit_Assign(self, node: ast.Assign) -> None:
         """A variable is what is assigned to it."""
@@ -193,12 +193,12 @@ class Walk(ast.NodeVisitor):
             self._name(target, self._types(node.value))
 
     def visit_For(self, node: ast.For) -> None:
-        """What a loop runs over."""
+        """Bind the target of a loop to what the loop runs over."""
         self._name(node.target, self._types(node.iter))
         self.generic_visit(node)
 
     def visit_comprehension(self, node: ast.comprehension) -> None:
-        """What a comprehension runs over."""
+        """Bind the target of a comprehension to what it runs over."""
         self._name(node.target, self._types(node.iter))
         self.generic_visit(node)
 
@@ -222,9 +222,9 @@ class Walk(ast.NodeVisitor):
         receiver = [function.value] if isinstance(function, ast.Attribute) else []
         handed = any(self._types(each) & self._followed for each in [*arguments, *receiver])
         for dotted in self._callees(function):
-            found = self._code.find_function(dotted)
-            if found:
-                self.enter(*found, handed)
+            definition = self._code.find_function(dotted)
+            if definition:
+                self.enter(*definition, handed)
 
     def _callees(self, function: ast.expr) -> list[str]:
         if isinstance(function, ast.Name):
@@ -238,7 +238,7 @@ class Walk(ast.NodeVisitor):
     def _types(self, node: ast.expr) -> Types:
         """The classes that an expression may be of."""
         if isinstance(node, ast.Name):
-            return self._known.get(node.id, NONE)
+            return self._types_of.get(node.id, NONE)
         if isinstance(node, ast.Attribute):
             return self._code.member(self._types(node.value), node.attr)[0]
         if isinstance(node, ast.Call):
@@ -251,15 +251,15 @@ class Walk(ast.NodeVisitor):
         return frozenset().union(*(self._types(each) for each in parts))
 
     def _returned(self, node: ast.Call) -> Types:
-        """What a call gives: an object of the class, what its annotation says, or what it is a copy of or a loop over."""
+        """Infer the types that a call returns: the class itself, its annotation, or those that it copies or loops over."""
         if isinstance(node.func, ast.Name):
             dotted = self._code.resolve(self._module, node.func.id)
             if self._code.find_class(dotted):
                 return frozenset({dotted})
             if node.func.id in ("replace", "tuple", "list", "sorted", "zip", "enumerate", "partial", "reversed"):
                 return frozenset().union(*(self._types(each) for each in node.args))
-            found = self._code.find_function(dotted)
-            return self._code.named(found[0], found[0].functions[found[1]].returns) if found else NONE
+            definition = self._code.find_function(dotted)
+            return self._code.named(definition[0], definition[0].functions[definition[1]].returns) if definition else NONE
         if isinstance(node.func, ast.Attribute):
             types, methods = self._code.member(self._types(node.func.value), node.func.attr)
             is_of_dict = not methods and node.func.attr in ("items", "values", "get", "pop")
@@ -270,7 +270,7 @@ class Walk(ast.NodeVisitor):
         """Note what the names of a target are."""
         for node in ast.walk(target):
             if isinstance(node, ast.Name):
-                self._known[node.id] = types
+                self._types_of[node.id] = types
 
 
 def _module(name: str, tree: ast.Module) -> Module:

@@ -1,4 +1,4 @@
-"""What every metric demands of its two images, and of the number that it makes of them."""
+"""Input validation shared by all metrics: checks of the two images, and of the number computed from them."""
 
 from typing import Any
 
@@ -25,8 +25,8 @@ def check_pair(rendered: Image, truth: Image, ndim: int = 3) -> None:
     if rendered.shape != truth.shape:
         raise MetricError(f"rendered is {rendered.shape}, truth is {truth.shape}; resize or render again, metrics never resample")
     if rendered.ndim != ndim or rendered.shape[-1] != 3 or 0 in rendered.shape:
-        wanted = "(height, width, 3)" if ndim == 3 else "(frames, height, width, 3)"
-        raise MetricError(f"wanted RGB of shape {wanted}, got {rendered.shape}")
+        expected_shape = "(height, width, 3)" if ndim == 3 else "(frames, height, width, 3)"
+        raise MetricError(f"wanted RGB of shape {expected_shape}, got {rendered.shape}")
     for name, image in (("rendered", rendered), ("truth", truth)):
         if image.dtype != np.uint8 and not np.issubdtype(image.dtype, np.floating):
             raise MetricError(f"{name}: wanted uint8 in 0..255 or float in [0, 1], got {image.dtype}")

@@ -1,4 +1,4 @@
-"""What a metric is: its definition, who scores a view with it, how its number is pooled, and where it stands in the tables."""
+"""Metrics as objects: definition, scorer of a view, pooling of the number, and place in the tables."""
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
@@ -39,7 +39,7 @@ FURTHER = Group("further", "Further measures")
 
 @dataclass(frozen=True)
 class MetricOptions:
-    """What a protocol may choose about the metrics.
+    """Metric options that a protocol may set.
 
     Attributes:
         ssim: which SSIM, see `ssim_variants.SSIM_VARIANTS`; regions and colour-corrected frames take the default one.

@@ -11,7 +11,7 @@ from ggvs_eval.metrics.registry import METRICS
 
 @dataclass(frozen=True)
 class PathScores:
-    """What could be measured on a path, and why the rest could not.
+    """Scores of a path, and the reasons for those that could not be computed.
 
     Attributes:
         values: (measure, pose, value). The whole path has pose None; ``reprojection`` and ``reprojection_visible`` come for

@@ -57,10 +57,10 @@ def select_metrics(names: Iterable[str]) -> tuple[Metric, ...]:
 
 
 def scored_by_view(names: Iterable[str]) -> tuple[ViewMetric, ...]:
-    """What the frames of a view are scored with: those of the metrics that are of a view, and what others are made of."""
+    """Select the metrics that score the frames of a view: those asked for per view, and those that others are made of."""
     asked = select_metrics(names)
-    wanted = {metric.part if isinstance(metric, TableMetric) else metric.name for metric in asked}
-    return tuple(metric for metric in METRICS.values() if isinstance(metric, ViewMetric) and metric.name in wanted)
+    view_names = {metric.part if isinstance(metric, TableMetric) else metric.name for metric in asked}
+    return tuple(metric for metric in METRICS.values() if isinstance(metric, ViewMetric) and metric.name in view_names)
 
 
 def make_scorers(metrics: Sequence[ViewMetric], options: MetricOptions, colour_map: ColourMap | None) -> list[Scorer]:
@@ -108,7 +108,7 @@ def derived_rows(
 
 
 def metric_notes(names: Iterable[str], options: MetricOptions | None = None) -> dict[str, dict[str, Any]]:
-    """What a report says about metrics, as JSON values: reports read run folders and import no metric."""
+    """Describe metrics for a report, as JSON values: reports read run folders and import no metric."""
     options = options or MetricOptions()
     return {
         metric.name: {
@@ -125,7 +125,7 @@ def metric_notes(names: Iterable[str], options: MetricOptions | None = None) -> 
 
 
 def pooling_records(names: Iterable[str], options: MetricOptions) -> dict[str, dict[str, Any]]:
-    """How the number of each metric is made of views and frames, as JSON values that the results carry."""
+    """Describe how each metric is pooled over views and frames, as JSON values that the results carry."""
     return {metric.name: metric.pooling(options).record() for metric in select_metrics(names)}
 
 

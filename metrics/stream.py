@@ -14,7 +14,7 @@ from ggvs_eval.metrics.registry import derived_rows, make_scorers, scored_by_vie
 
 @dataclass(frozen=True)
 class ViewScores:
-    """What could be measured on one view, and why the rest could not.
+    """Scores of a view, and the reasons for those that could not be computed.
 
     Attributes:
         values: (metric, frame, value); the frame counts from 0, None stands for the whole view. The value of a pair of frames

@@ -64,7 +64,7 @@ def _where(table: Table, group: RunGroup) -> str:
 
 
 def _notes(groups: Sequence[RunGroup]) -> list[str]:
-    """What holds for whole files: protocols, and where published values come from."""
+    """Write the notes that hold for whole files: protocols, and the source of published values."""
     called = [f"{one.protocol.name} ({one.name})" if len(groups) > 1 else one.protocol.name for one in groups]
     notes = [f"Protocol {name}, sha256 {one.protocol.sha256}" for name, one in zip(called, groups, strict=True)]
     if any(row.kind == "published" for group in groups for table in group.tables for row in table.rows):

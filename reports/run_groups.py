@@ -72,7 +72,7 @@ class RunGroup:
 
     @property
     def titles(self) -> str:
-        """What a reader knows the captured scenes by."""
+        """Titles of the captured scenes, as readers know them."""
         return ", ".join(dict.fromkeys(section.run.title for section in self.sections))
 
     @property
@@ -124,7 +124,7 @@ def _read_section(root: Path, scored: str) -> RunSection:
 
 
 def _name_groups(firsts: Sequence[MeasuredRun], scenes: Sequence[str]) -> list[str]:
-    """What tells the groups apart: scene, protocol and K, with the protocol's hash where these are the same."""
+    """Name the groups so that they differ: scene, protocol and K, with the protocol's hash where these are the same."""
     names = [f"{scene}, {run.protocol.name}, K = {run.protocol.synthesis.k}" for run, scene in zip(firsts, scenes, strict=True)]
     hashes = [run.protocol.sha256[:HASH_DIGITS] for run in firsts]
     return [f"{name}, {digest}" if names.count(name) > 1 else name for name, digest in zip(names, hashes, strict=True)]

@@ -64,11 +64,15 @@ class ENeRF:
         started = clock_s(self._device)
         with rendering_on(self._device):
             views = [see(self._networks.feature_net, source, unit) for source in instant.sources]
-            seen = clock_s(self._device)
+            features_end_s = clock_s(self._device)
             grid = target_grid(instant.target, unit)
             surface = find_surface(self._networks, views, grid, near * unit, far * unit, self._coarse_planes)
-            found = clock_s(self._device)
+            volumes_end_s = clock_s(self._device)
             image, depth = render_surface(self._networks, views, surface, instant.target, unit, self._pixels_per_chunk)
         rendered = np.ascontiguousarray(image.permute(1, 2, 0).clamp(0, 1).numpy(force=True))
-        seconds = {"features": seen - started, "volumes": found - seen, "rays": clock_s(self._device) - found}
+        seconds = {
+            "features": features_end_s - started,
+            "volumes": volumes_end_s - features_end_s,
+            "rays": clock_s(self._device) - volumes_end_s,
+        }
         return Rendering(rendered, depth.numpy(force=True), seconds)

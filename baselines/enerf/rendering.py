@@ -37,9 +37,9 @@ def render_pixels(
     near, far = (bound[pixels][:, None] for bound in (surface.near, surface.far))
     depths = near + (far - near) * torch.linspace(0, 1, SAMPLES)  # (N, S)
     points_world = (centre + depths[..., None] * rays[:, None]).reshape(-1, 3)
-    seen = torch.stack([view.look_up(points_world) for view in views], dim=1)
+    view_features = torch.stack([view.look_up(points_world) for view in views], dim=1)
     directions = torch.stack([view.directions(points_world, centre) for view in views], dim=1)
-    colours, density = networks.nerf_1(_fine_voxels(surface, pixels, depths), seen, directions)
+    colours, density = networks.nerf_1(_fine_voxels(surface, pixels, depths), view_features, directions)
     return composite(colours.view(-1, SAMPLES, 3), density.view(-1, SAMPLES).float(), depths)
 
 
@@ -117,9 +117,9 @@ def render_coarsely(
     near, far = (bound[:height, :width].reshape(-1, 1) for bound in surface.range_at(2))
     depths = near + (far - near) * torch.linspace(0, 1, COARSE_SAMPLES)  # (N, S)
     points_world = (centre + depths[..., None] * rays.reshape(-1, 1, 3)).reshape(-1, 3)
-    seen = torch.stack([view.look_up(points_world) for view in views], dim=1)
+    view_features = torch.stack([view.look_up(points_world) for view in views], dim=1)
     directions = torch.stack([view.directions(points_world, centre) for view in views], dim=1)
-    colours, density = networks.nerf_0(_coarse_voxels(surface, depths, height, width), seen, directions)
+    colours, density = networks.nerf_0(_coarse_voxels(surface, depths, height, width), view_features, directions)
     return composite(colours.view(-1, COARSE_SAMPLES, 3), density.view(-1, COARSE_SAMPLES).float(), depths)
 
 

@@ -1,4 +1,4 @@
-"""What ENeRF learns: where surfaces are and how views blend there, from pictures alone."""
+"""Training task of ENeRF: locate surfaces and blend the views there, learned from images alone."""
 
 from dataclasses import dataclass
 
@@ -47,10 +47,10 @@ class EnerfRecipe(TrainingRecipe[Networks]):
         centre = torch.as_tensor(target.centre * unit).float()
         rays = torch.as_tensor(target.rays()[::COARSE_FACTOR, ::COARSE_FACTOR]).float()
         rough, _ = render_coarsely(network, coarse_views(views), coarse, centre, rays)
-        wanted = functional.avg_pool2d(truth, COARSE_FACTOR).flatten(1).T
+        coarse_truth = functional.avg_pool2d(truth, COARSE_FACTOR).flatten(1).T
         terms = {
             "squared_loss": (image - truth).square().mean(),
-            "coarse_loss": (rough - wanted).square().mean(),
+            "coarse_loss": (rough - coarse_truth).square().mean(),
             "ssim_loss": structural_loss(image[None], truth[None]),
         }
         loss = terms["squared_loss"] + COARSE_WEIGHT * terms["coarse_loss"] + STRUCTURE_WEIGHT * terms["ssim_loss"]

@@ -38,7 +38,7 @@ class TargetGrid:
 
 @dataclass(frozen=True)
 class Surface:
-    """What the volumes found.
+    """Surface estimate of both cost volumes.
 
     Attributes:
         features: of the fine volume's cells, (8, D, H / 2, W / 2).
@@ -57,7 +57,7 @@ class Surface:
 
 @dataclass(frozen=True)
 class CoarseSurface:
-    """What the coarse volume found.
+    """Surface estimate of the coarse cost volume.
 
     Attributes:
         features: of its cells, (8, D, H / 8, W / 8).

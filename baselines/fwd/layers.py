@@ -82,11 +82,11 @@ class DepthCompletion(nn.Module):
         """
         height, width = images.shape[2:]
         margins = (0, -width % COMPLETED_MULTIPLE, 0, -height % COMPLETED_MULTIPLE)
-        seen = [functional.pad(torch.cat([images, inverse_depth], dim=1), margins)]
+        skips = [functional.pad(torch.cat([images, inverse_depth], dim=1), margins)]
         for convolution in self.down:
-            seen.append(functional.leaky_relu(convolution(seen[-1]), 0.2))
-        features = seen.pop()
-        for convolution, before in zip(reversed(self.up), reversed(seen), strict=True):
+            skips.append(functional.leaky_relu(convolution(skips[-1]), 0.2))
+        features = skips.pop()
+        for convolution, before in zip(reversed(self.up), reversed(skips), strict=True):
             grown = functional.interpolate(features, scale_factor=2, mode="bilinear", align_corners=False)
             features = functional.relu(convolution(torch.cat([grown, before], dim=1)))
         share = torch.sigmoid(self.last(features))[:, :, :height, :width]

@@ -103,7 +103,7 @@ class FwdNetwork(nn.Module):
 
 
 def direction_change(to_source: Tensor, to_target: Tensor) -> Tensor:
-    """How the viewing direction of points changes from one camera to another.
+    """Compute the change of viewing direction from one camera to another, for each point.
 
     Args:
         to_source: from the source camera to each point, (N, 3), any length above 0.

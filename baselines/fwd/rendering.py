@@ -57,15 +57,15 @@ def halved_camera(camera: Camera, multiple: int) -> Camera:
 
 def _first_known(depth: NDArray[np.float32]) -> Map:
     """(2 H, 2 W) to (H, W)."""
-    known = np.zeros_like(depth[::2, ::2])
+    first_depth = np.zeros_like(depth[::2, ::2])
     for row, column in ((0, 0), (0, 1), (1, 0), (1, 1)):
-        known = np.where(known > 0, known, depth[row::2, column::2])
-    return np.ascontiguousarray(known, np.float32)
+        first_depth = np.where(first_depth > 0, first_depth, depth[row::2, column::2])
+    return np.ascontiguousarray(first_depth, np.float32)
 
 
 @dataclass(frozen=True, eq=False)
 class PointSplat:
-    """What the points look like.
+    """Rendered point cloud.
 
     Attributes:
         features: premultiplied by coverage, (C, H, W).
@@ -109,9 +109,9 @@ def splat_points(
 
 def _pairs(points: Tensor, target: Camera, near: float, radius_px: float) -> tuple[Tensor, Tensor, Tensor]:
     """Every pixel that a point covers, by pixel and nearest point first: flat pixel, index of the point, alpha; (M,) each."""
-    seen = torch.nonzero(points[:, 2] > near)[:, 0]
-    seen = seen[torch.sort(points[seen, 2], stable=True).indices]
-    x, y, z = points[seen].unbind(dim=1)
+    indices = torch.nonzero(points[:, 2] > near)[:, 0]
+    indices = indices[torch.sort(points[indices, 2], stable=True).indices]
+    x, y, z = points[indices].unbind(dim=1)
     centres = torch.stack([x / z * target.K[0, 0] + target.K[0, 2], y / z * target.K[1, 1] + target.K[1, 2]], dim=1) - 0.5
     steps = torch.arange(math.ceil(2 * radius_px))
     places = torch.ceil(centres - radius_px)[:, :, None] + steps  # (N, 2, n)
@@ -122,7 +122,7 @@ def _pairs(points: Tensor, target: Camera, near: float, radius_px: float) -> tup
     pixels = (rows * target.width + columns)[covered].long()
     alphas = (1 - torch.sqrt(square[covered].clamp(min=TINY)) / radius_px).float()
     order = torch.sort(pixels, stable=True).indices
-    return pixels[order], seen[owner[order]], alphas[order]
+    return pixels[order], indices[owner[order]], alphas[order]
 
 
 def warp_view(
@@ -148,8 +148,8 @@ def warp_view(
     points = centre + torch.where(depth > 0, depth, torch.ones(()))[:, None] * rays  # (N, 3)
     directions = direction_change(rays, points).float().T.view(1, -1, *view.depth.shape)
     features = network.view_features(images, directions)[0].flatten(1).T.float()  # (N, width)
-    known = torch.nonzero(depth > 0)[:, 0]
-    return splat_points(points[known], features[known], target, near, count=count)
+    indices = torch.nonzero(depth > 0)[:, 0]
+    return splat_points(points[indices], features[indices], target, near, count=count)
 
 
 def _completed(network: FwdNetwork, images: Tensor, depth: Tensor, smallest: float) -> Tensor:

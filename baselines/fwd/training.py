@@ -1,4 +1,4 @@
-"""What FWD learns: to make the target's picture of features that given depth carries there."""
+"""Training task of FWD: decode the target image from source features that given depth warps there."""
 
 from dataclasses import dataclass
 

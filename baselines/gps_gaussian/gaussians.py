@@ -77,18 +77,18 @@ def footprints(gaussians: Gaussians, target: Camera, near: float) -> Footprints:
     """
     rotation = torch.as_tensor(np.array(target.rotation))
     points = gaussians.centres @ rotation.T + torch.as_tensor(np.array(target.translation))  # (N, 3)
-    seen = torch.nonzero(points[:, 2] > near)[:, 0]
-    points = points[seen]
+    indices = torch.nonzero(points[:, 2] > near)[:, 0]
+    points = points[indices]
     focal, middle = (torch.as_tensor(np.array(values)) for values in (target.K[[0, 1], [0, 1]], target.K[:2, 2]))
     centres = (points[:, :2] / points[:, 2:] * focal + middle - 0.5).float()
-    covariance = _image_covariance(points.float(), gaussians.axes[seen], gaussians.scales[seen], target)
+    covariance = _image_covariance(points.float(), gaussians.axes[indices], gaussians.scales[indices], target)
     conics, radii = _conics(covariance)
     reach = (centres + radii[:, None] >= 0) & (centres - radii[:, None] < torch.tensor(target.size) + TILE)
     kept = torch.nonzero(reach.all(dim=1) & (radii > 0))[:, 0]
     depths, order = torch.sort(points[kept, 2].float(), stable=True)
     kept = kept[order]
     return Footprints(
-        centres[kept], conics[kept], radii[kept], depths, gaussians.opacities[seen[kept]], gaussians.colours[seen[kept]]
+        centres[kept], conics[kept], radii[kept], depths, gaussians.opacities[indices[kept]], gaussians.colours[indices[kept]]
     )
 
 

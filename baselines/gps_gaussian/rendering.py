@@ -18,7 +18,7 @@ RANKS_AT_ONCE, TILES_AT_ONCE = 64, 2048  # Gaussians of a tile, and tiles: some 
 
 
 class GaussianImage(NamedTuple):
-    """What the Gaussians look like before black.
+    """Rendered Gaussians, before they are composited over black.
 
     Attributes:
         colour: premultiplied by coverage, (H, W, 3), float32.
@@ -55,27 +55,27 @@ def blend_gaussians(gaussians: Gaussians, target: Camera, near: float) -> Tensor
         deviations around it touches, an alpha is at most 0.99 and ignored below 1/255, and a pixel is done before the Gaussian
         that would leave less than 1e-4 of its light. Principal points need not be central.
     """
-    seen = footprints(gaussians, target, near)
+    splats = footprints(gaussians, target, near)
     columns, rows = -(-target.width // TILE), -(-target.height // TILE)
-    members, starts = _tiles(seen, columns, rows)
-    features = torch.cat([seen.colours, seen.depths[:, None], torch.ones_like(seen.depths)[:, None]], dim=1)  # (N, 5)
+    members, starts = _tiles(splats, columns, rows)
+    features = torch.cat([splats.colours, splats.depths[:, None], torch.ones_like(splats.depths)[:, None]], dim=1)  # (N, 5)
     if features.device.type == "cuda":
-        canvas = blend_batches(seen, features, members, starts, columns).view(rows, columns, TILE, TILE, -1)
+        canvas = blend_batches(splats, features, members, starts, columns).view(rows, columns, TILE, TILE, -1)
     else:
         canvas = torch.zeros(rows, columns, TILE, TILE, features.shape[1])
         for tile, (first, last) in enumerate(pairwise(starts.tolist())):
             if first < last:
                 row, column = divmod(tile, columns)
-                canvas[row, column] = _blend_tile(seen, features, members[first:last], column * TILE, row * TILE)
+                canvas[row, column] = _blend_tile(splats, features, members[first:last], column * TILE, row * TILE)
     image = canvas.permute(0, 2, 1, 3, 4).reshape(rows * TILE, columns * TILE, -1)
     return image[: target.height, : target.width]
 
 
-def _tiles(seen: Footprints, columns: int, rows: int) -> tuple[Tensor, Tensor]:
+def _tiles(splats: Footprints, columns: int, rows: int) -> tuple[Tensor, Tensor]:
     """Indices of the Gaussians of each tile, nearest first, (M,), and where each tile's begin, (columns * rows + 1,)."""
     most = torch.tensor([columns, rows])
-    low = torch.floor((seen.centres - seen.radii[:, None]) / TILE).clamp(min=0).long().minimum(most)  # (N, 2)
-    high = torch.floor((seen.centres + seen.radii[:, None] + TILE - 1) / TILE).clamp(min=0).long().minimum(most)
+    low = torch.floor((splats.centres - splats.radii[:, None]) / TILE).clamp(min=0).long().minimum(most)  # (N, 2)
+    high = torch.floor((splats.centres + splats.radii[:, None] + TILE - 1) / TILE).clamp(min=0).long().minimum(most)
     spans = (high - low).clamp(min=0)
     counts = spans[:, 0] * spans[:, 1]
     members = torch.repeat_interleave(torch.arange(len(counts)), counts)  # (M,), still nearest first
@@ -88,12 +88,12 @@ def _tiles(seen: Footprints, columns: int, rows: int) -> tuple[Tensor, Tensor]:
     return members[order], starts
 
 
-def _blend_tile(seen: Footprints, features: Tensor, members: Tensor, left: int, top: int) -> Tensor:
+def _blend_tile(splats: Footprints, features: Tensor, members: Tensor, left: int, top: int) -> Tensor:
     """Features of one tile, (TILE, TILE, C), its Gaussians blended front to back."""
     light = torch.ones(TILE * TILE)
     blended = torch.zeros(TILE * TILE, features.shape[1])
     for chunk in members.split(CHUNK):
-        alpha = _tile_alphas(seen, chunk, left, top)  # (TILE**2, n)
+        alpha = _tile_alphas(splats, chunk, left, top)  # (TILE**2, n)
         after = light[:, None] * torch.cumprod(1 - alpha, dim=1)
         before = torch.cat([light[:, None], after[:, :-1]], dim=1)
         weights = torch.where(after >= MIN_LIGHT, alpha * before, torch.zeros(()))  # once dark, a pixel stays dark
@@ -104,15 +104,15 @@ def _blend_tile(seen: Footprints, features: Tensor, members: Tensor, left: int, 
     return blended.view(TILE, TILE, -1)
 
 
-def _tile_alphas(seen: Footprints, chunk: Tensor, left: int, top: int) -> Tensor:
+def _tile_alphas(splats: Footprints, chunk: Tensor, left: int, top: int) -> Tensor:
     """Alpha of some Gaussians at each pixel of a tile, (TILE**2, n)."""
-    centres, conics = seen.centres[chunk], seen.conics[chunk]
+    centres, conics = splats.centres[chunk], splats.conics[chunk]
     steps = torch.arange(TILE, dtype=torch.float32)[:, None]
     across, down = left + steps - centres[:, 0], top + steps - centres[:, 1]  # (TILE, n) each
     power = (-0.5 * conics[:, 0] * across**2)[None] + (-0.5 * conics[:, 2] * down**2)[:, None]  # (rows, columns, n)
     power = power - (conics[:, 1] * across)[None] * down[:, None]
     wrong = power > 0  # by rounding alone
-    alpha = (torch.exp(power.clamp(min=NEGLIGIBLE)) * seen.opacities[chunk]).clamp(max=MAX_ALPHA)
+    alpha = (torch.exp(power.clamp(min=NEGLIGIBLE)) * splats.opacities[chunk]).clamp(max=MAX_ALPHA)
     return alpha.masked_fill(wrong | (alpha < MIN_ALPHA), 0).view(TILE * TILE, -1)
 
 
@@ -152,14 +152,14 @@ def blend_batches(seen: Footprints, features: Tensor, members: Tensor, starts: T
     return blended.view(len(counts), TILE, TILE, -1)
 
 
-def _batch_alphas(seen: Footprints, chunk: Tensor, left: Tensor, top: Tensor) -> Tensor:
+def _batch_alphas(splats: Footprints, chunk: Tensor, left: Tensor, top: Tensor) -> Tensor:
     """Alpha of Gaussians (t, n) at each pixel of their tiles, (t, TILE**2, n); tiles begin at pixels left, top, (t,)."""
-    centres, conics = seen.centres[chunk], seen.conics[chunk, None]  # (t, n, 2), (t, n, 1, 3)
+    centres, conics = splats.centres[chunk], splats.conics[chunk, None]  # (t, n, 2), (t, n, 1, 3)
     xx, xy, yy = conics.transpose(1, 2).unbind(dim=-1)  # (t, 1, n) each
     steps = torch.arange(TILE)
     across = (left[:, None] + steps)[..., None] - centres[:, None, :, 0]  # (t, TILE, n)
     down = (top[:, None] + steps)[..., None] - centres[:, None, :, 1]
     power = (-0.5 * xx * across**2)[:, None] + (-0.5 * yy * down**2)[:, :, None]  # (t, rows, columns, n)
     power = power - (xy * across)[:, None] * down[:, :, None]
-    alpha = (torch.exp(power.clamp(min=NEGLIGIBLE)) * seen.opacities[chunk][:, None, None]).clamp(max=MAX_ALPHA)
+    alpha = (torch.exp(power.clamp(min=NEGLIGIBLE)) * splats.opacities[chunk][:, None, None]).clamp(max=MAX_ALPHA)
     return alpha.masked_fill((power > 0) | (alpha < MIN_ALPHA), 0).flatten(1, 2)  # above 0 by rounding alone

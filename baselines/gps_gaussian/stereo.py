@@ -70,13 +70,13 @@ class ConvGru(nn.Module):
         self.convr = nn.Conv2d(HIDDEN + width_in, HIDDEN, 3, padding=1)
         self.convq = nn.Conv2d(HIDDEN + width_in, HIDDEN, 3, padding=1)
 
-    def forward(self, hidden: Tensor, context: Tensor, seen: Tensor) -> Tensor:
+    def forward(self, hidden: Tensor, context: Tensor, motion: Tensor) -> Tensor:
         """One step: h' = (1 - z) h + z q, (B, HIDDEN, H, W); context is (B, 3 HIDDEN, H, W) for z, r and q."""
         for_update, for_reset, for_candidate = context.chunk(3, dim=1)
-        both = torch.cat([hidden, seen], dim=1)
+        both = torch.cat([hidden, motion], dim=1)
         update = torch.sigmoid(self.convz(both) + for_update)
         reset = torch.sigmoid(self.convr(both) + for_reset)
-        candidate = torch.tanh(self.convq(torch.cat([reset * hidden, seen], dim=1)) + for_candidate)
+        candidate = torch.tanh(self.convq(torch.cat([reset * hidden, motion], dim=1)) + for_candidate)
         return (1 - update) * hidden + update * candidate
 
 
@@ -193,12 +193,12 @@ def look_up(rows: list[Tensor], columns: Tensor) -> Tensor:
         (B, LEVELS * (2 * RADIUS + 1), H, W), linear between cells, 0 outside the image.
     """
     offsets = torch.arange(-RADIUS, RADIUS + 2)  # one more than is returned, for the interpolation
-    found = []
+    correlations = []
     for level, products in enumerate(rows):
         centre = columns / 2**level
         below = torch.floor(centre)
         share = (centre - below)[..., None]  # (B, H, W, 1)
         index = below.clamp(RADIUS - MARGIN, products.shape[-1] - MARGIN - RADIUS - 2).long()
         cells = torch.gather(products, -1, (index + MARGIN)[..., None] + offsets)  # (B, H, W, 2 * RADIUS + 2)
-        found.append(torch.lerp(cells[..., :-1], cells[..., 1:], share))
-    return torch.cat(found, dim=-1).permute(0, 3, 1, 2)
+        correlations.append(torch.lerp(cells[..., :-1], cells[..., 1:], share))
+    return torch.cat(correlations, dim=-1).permute(0, 3, 1, 2)

@@ -1,4 +1,4 @@
-"""What GPS-Gaussian learns: shapes and opacities of Gaussians whose places and colours are given."""
+"""Training task of GPS-Gaussian: shapes and opacities of Gaussians whose positions and colours are given."""
 
 from dataclasses import dataclass
 

@@ -109,11 +109,11 @@ class GaussianRegressor(nn.Module):
         decoded = _double(self.decoder3(eighth))
         decoded = _double(self.decoder2(torch.cat([decoded, quarter], dim=1)))
         decoded = _double(self.decoder1(torch.cat([decoded, half], dim=1)))
-        seen = functional.relu(self.out_conv(torch.cat([decoded, images, inverse_depth], dim=1)))
+        features = functional.relu(self.out_conv(torch.cat([decoded, images, inverse_depth], dim=1)))
         return GaussianMaps(
-            functional.normalize(self.rot_head(seen), dim=1),
-            functional.softplus(self.scale_head(seen), beta=100).clamp(max=MAX_SCALE_M),
-            torch.sigmoid(self.opacity_head(seen)),
+            functional.normalize(self.rot_head(features), dim=1),
+            functional.softplus(self.scale_head(features), beta=100).clamp(max=MAX_SCALE_M),
+            torch.sigmoid(self.opacity_head(features)),
         )
 
 

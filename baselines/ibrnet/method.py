@@ -50,9 +50,9 @@ class IBRNet:
         started = clock_s(self._device)
         with rendering_on(self._device):
             views = see(self._networks, instant.sources)
-            seen = clock_s(self._device)
+            features_end_s = clock_s(self._device)
             image, depth = self._render(instant, views)
-        seconds = {"features": seen - started, "rays": clock_s(self._device) - seen}
+        seconds = {"features": features_end_s - started, "rays": clock_s(self._device) - features_end_s}
         return Rendering(image.numpy(force=True), depth.numpy(force=True), seconds)
 
     def _render(self, instant: Instant, views: list[SeenView]) -> tuple[Tensor, Tensor]:

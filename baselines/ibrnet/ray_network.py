@@ -30,29 +30,29 @@ class RayNetwork(nn.Module):
         self.out_geometry_fc = _layers(WIDTH, 16, 1, last=nn.ReLU())
         self.rgb_fc = _layers(37, 16, 8, 1)
 
-    def forward(self, seen: Tensor, directions: Tensor, visible: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, view_features: Tensor, directions: Tensor, visible: Tensor) -> tuple[Tensor, Tensor]:
         """Colour and density of each sample.
 
         Args:
-            seen: RGB in [0, 1] and 32 features of each view, (R, S, K, 35), samples in the order of the ray.
+            view_features: RGB in [0, 1] and 32 features of each view, (R, S, K, 35), samples in the order of the ray.
             directions: unit difference of the target's and the view's ray, and their dot product, (R, S, K, 4).
             visible: whether the sample lies in the view's image, (R, S, K, 1), bool.
 
         Returns:
             RGB, (R, S, 3), and density per sample, not per length, (R, S).
         """
-        mask = visible.to(seen.dtype)
-        features, visibility = self._per_view(seen, directions, mask)
+        mask = visible.to(view_features.dtype)
+        features, visibility = self._per_view(view_features, directions, mask)
         weights = visibility / (visibility.sum(dim=2, keepdim=True) + EPSILON)
         mean, variance = weighted_moments(features, weights)
         pooled = torch.cat([mean, variance, weights.mean(dim=2, keepdim=True)], dim=-1)[:, :, 0]  # (R, S, 65)
         density = self._density(pooled, visible.sum(dim=2))
         scores = self.rgb_fc(torch.cat([features, visibility, directions], dim=-1)).masked_fill(~visible, -1e9)
-        return (torch.softmax(scores, dim=2) * seen[..., :3]).sum(dim=2), density
+        return (torch.softmax(scores, dim=2) * view_features[..., :3]).sum(dim=2), density
 
-    def _per_view(self, seen: Tensor, directions: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+    def _per_view(self, view_features: Tensor, directions: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
         """Features (R, S, K, 32) and visibility (R, S, K, 1) of each view, each knowing what the others see."""
-        features = seen + self.ray_dir_fc(directions)
+        features = view_features + self.ray_dir_fc(directions)
         weights = self._direction_weights(directions[..., 3:], mask)
         features = self._base(torch.cat(weighted_moments(features, weights), dim=-1), features)
         residual, visibility = self.vis_fc(features * weights).split([32, 1], dim=-1)

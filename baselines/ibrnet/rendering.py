@@ -69,7 +69,7 @@ def opacity_shares(density: Tensor) -> Tensor:
 
 
 def rays_at_once(views: int, samples: int, device: torch.device | None = None) -> int:
-    """How many rays of so many coarse samples may pass through the networks together on a device, the CPU unless given."""
+    """Return how many rays of so many coarse samples fit through the networks together on a device, the CPU unless given."""
     return max(1, ROWS_AT_ONCE[device.type if device else "cpu"] // (2 * samples * views))
 
 
@@ -81,10 +81,10 @@ def _shade(
         return shade_by_kernel(network, views, of_pass, centre, rays, depths)
     points_world = centre + depths[..., None] * rays[:, None]  # (R, S, 3)
     looked_up = [view.look_up(points_world, of_pass) for view in views]
-    seen = torch.stack([values for values, _ in looked_up], dim=2)
+    view_features = torch.stack([values for values, _ in looked_up], dim=2)
     visible = torch.stack([inside for _, inside in looked_up], dim=2)
     differences = torch.stack([directions(points_world, centre, view.centre) for view in views], dim=2)
-    colours, density = network(seen, differences, visible)
+    colours, density = network(view_features, differences, visible)
     return colours.float(), density.float()
 
 
@@ -162,13 +162,13 @@ def shade_by_kernel(
     """
     from ggvs_eval.kernels import _core
 
-    seen = [(view.pixels["image"], view.pixels[of_pass], view.projection.numpy(), view.centre.numpy()) for view in views]
+    packed_views = [(view.pixels["image"], view.pixels[of_pass], view.projection.numpy(), view.centre.numpy()) for view in views]
     norm = network.ray_attention.layer_norm
     colours, density = _core.pool_views(
         packed_layers(network),
         np.stack([norm.weight.detach().numpy(), norm.bias.detach().numpy()]),
         abs(float(network.s)),
-        seen,
+        packed_views,
         centre.numpy(),
         rays.contiguous().numpy(),
         depths.contiguous().numpy(),

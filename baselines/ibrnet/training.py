@@ -1,4 +1,4 @@
-"""What IBRNet learns: density along rays and how views blend there, from pictures alone."""
+"""Training task of IBRNet: density along rays and blending of the views there, learned from images alone."""
 
 from dataclasses import dataclass
 from typing import ClassVar

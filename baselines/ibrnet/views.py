@@ -1,4 +1,4 @@
-"""What the source views show at points of the world."""
+"""Source views, looked up at points of the world."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -68,7 +68,7 @@ class SeenView:
 
 
 def directions(points_world: Tensor, target_centre: Tensor, source_centre: Tensor) -> Tensor:
-    """How differently target and source look at points: unit difference of their rays and their dot product, (..., 4)."""
+    """Compare the viewing directions of target and source at points: unit difference of the rays and dot product, (..., 4)."""
     of_target = _unit(target_centre - points_world)
     of_source = _unit(source_centre - points_world)
     difference = of_target - of_source

@@ -1,4 +1,4 @@
-"""How far depth lies from the truth: the share of pixels within 2 %, the median relative error, the share rejected."""
+"""Depth errors against the truth: the share of pixels within 2 %, the median relative error, the share rejected."""
 
 from collections.abc import Sequence
 

@@ -38,8 +38,8 @@ def validate_depth(data: Path, out: Path, matchers: Sequence[str], only: Collect
     """
     unknown = sorted(set(only) - set(PARTS))
     if unknown or not matchers:
-        found = f"parts {', '.join(unknown)}" if unknown else "no matcher"
-        raise DepthError(f"depth validation: wanted a matcher and parts of {', '.join(PARTS)}, got {found}; correct the name")
+        request = f"parts {', '.join(unknown)}" if unknown else "no matcher"
+        raise DepthError(f"depth validation: wanted a matcher and parts of {', '.join(PARTS)}, got {request}; correct the name")
     options = {name: depth_options(name) for name in dict.fromkeys(matchers)}
     figures: Figures = {}
     if "motorcycle" in only:

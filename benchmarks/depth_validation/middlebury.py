@@ -85,12 +85,12 @@ def score_disparity(disparity: Map, truth: Map, whole: Map | None = None) -> dic
     Raises:
         DepthError: shapes differ, or no disparity is known.
     """
-    known = truth > 0
-    if disparity.shape != truth.shape or not known.any():
-        found = f"{disparity.shape} against {truth.shape} with {np.count_nonzero(known)} known pixels"
-        raise DepthError(f"disparity errors: wanted two maps of one size and a known pixel, got {found}")
-    errors = np.abs((fill_disparity(disparity) if whole is None else whole) - truth)[known]
-    kept = disparity[known] > 0
+    has_truth = truth > 0
+    if disparity.shape != truth.shape or not has_truth.any():
+        sizes = f"{disparity.shape} against {truth.shape} with {np.count_nonzero(has_truth)} known pixels"
+        raise DepthError(f"disparity errors: wanted two maps of one size and a known pixel, got {sizes}")
+    errors = np.abs((fill_disparity(disparity) if whole is None else whole) - truth)[has_truth]
+    kept = disparity[has_truth] > 0
     return {
         "epe_px": float(errors.mean()),
         "bad_2_percent": float(100 * (errors > 2).mean()),

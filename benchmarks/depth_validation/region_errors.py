@@ -40,8 +40,8 @@ def evaluate_rooms(rooms: Sequence[RenderedRoom], options: Mapping[str, DepthOpt
         truth, image = read_exact_depth(room.capture.path, camera.name, FRAME), room.capture.frame(camera.name, FRAME)
         masks = find_regions(truth, image, RegionOptions()) | {WHOLE: truth > 0}
         for matcher, each in options.items():
-            found = estimate_depth(room.capture, camera, image, each)
-            for region, (evaluated, rejected) in errors_by_region(found, truth, masks, each.filled_confidence).items():
+            depth_map = estimate_depth(room.capture, camera, image, each)
+            for region, (evaluated, rejected) in errors_by_region(depth_map, truth, masks, each.filled_confidence).items():
                 errors.setdefault((room.name, region, matcher), []).append((evaluated, rejected))
     table = _table(rooms, list(options), errors)
     return table, _figures(table)

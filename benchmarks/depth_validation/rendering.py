@@ -55,7 +55,7 @@ def evaluate_rendering(
 
 
 def _preparation_seconds(root: Path, seconds: float) -> float:
-    """How long a run folder took to prepare from nothing; NaN, not measured, where a killed call had done a part of it.
+    """Return the time a run folder took to prepare from nothing; NaN, not measured, where a killed call had done part of it.
 
     A later call finds the depth there and takes no time, so the first one's is kept.
     """

@@ -13,7 +13,7 @@ REGIONS = ("texture", "untextured", "edge", "thin")
 
 @dataclass(frozen=True)
 class RegionOptions:
-    """Where one region ends and the next begins.
+    """Thresholds between the regions.
 
     Attributes:
         step: a discontinuity bends inverse depth by more than this share of it from one pixel to the next but one.
@@ -51,13 +51,13 @@ def find_regions(depth: Map, image: Image8, options: RegionOptions) -> dict[str,
     """
     if image.shape != (*depth.shape, 3):
         raise DepthError(f"regions: wanted an RGB image of {depth.shape}, the size of the depth, got {image.shape}")
-    known = depth > 0
-    thin = known & thin_structures(depth, options.thin_px, options.thin_step)
+    has_depth = depth > 0
+    thin = has_depth & thin_structures(depth, options.thin_px, options.thin_step)
     reach = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * options.edge_px + 1,) * 2)
     beside = cv2.dilate(discontinuities(depth, options.step).astype(np.uint8), reach) > 0
-    edge = known & beside & ~thin
-    plain = known & ~thin & ~edge & (slope_of_grey(image, options.slope_window_px) < options.slope)
-    return {"texture": known & ~thin & ~edge & ~plain, "untextured": plain, "edge": edge, "thin": thin}
+    edge = has_depth & beside & ~thin
+    plain = has_depth & ~thin & ~edge & (slope_of_grey(image, options.slope_window_px) < options.slope)
+    return {"texture": has_depth & ~thin & ~edge & ~plain, "untextured": plain, "edge": edge, "thin": thin}
 
 
 def discontinuities(depth: Map, step: float) -> Mask:
@@ -68,10 +68,10 @@ def discontinuities(depth: Map, step: float) -> Mask:
     """
     inverse = np.divide(1, depth, out=np.zeros(depth.shape, np.float64), where=depth > 0)
     jumps = np.zeros(depth.shape, bool)
-    for values, found in ((inverse, jumps), (inverse.T, jumps.T)):
+    for values, mask in ((inverse, jumps), (inverse.T, jumps.T)):
         bend = np.abs(values[:, :-2] - 2 * values[:, 1:-1] + values[:, 2:])
         largest = np.maximum(np.maximum(values[:, :-2], values[:, 1:-1]), values[:, 2:])
-        found[:, 1:-1] |= bend > step * np.maximum(largest, 1e-12)
+        mask[:, 1:-1] |= bend > step * np.maximum(largest, 1e-12)
     return jumps
 
 

@@ -42,9 +42,9 @@ def film_rooms(out: Path, seeds: Sequence[int] = VALIDATION_SEEDS) -> list[Rende
         out: folder of the rooms; the demo capture lies where `make validate` and `ggvs-eval run` keep it.
         seeds: of the validation rooms.
     """
-    wanted = {f"room {seed}": (out / "rooms" / f"seed{seed}", room_options(seed)) for seed in seeds}
-    wanted[DEMO] = (out / "demo-capture", DemoOptions())
-    return [RenderedRoom(name, options, open_capture(write_demo(folder, options))) for name, (folder, options) in wanted.items()]
+    plans = {f"room {seed}": (out / "rooms" / f"seed{seed}", room_options(seed)) for seed in seeds}
+    plans[DEMO] = (out / "demo-capture", DemoOptions())
+    return [RenderedRoom(name, options, open_capture(write_demo(folder, options))) for name, (folder, options) in plans.items()]
 
 
 def room_options(seed: int) -> DemoOptions:

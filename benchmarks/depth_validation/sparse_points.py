@@ -40,7 +40,7 @@ MEASURES = (
 
 @dataclass(frozen=True, eq=False)
 class SparsePoints:
-    """What one camera saw of the points.
+    """Sparse points observed by one camera.
 
     Attributes:
         uv: where, pixels of that camera, (N, 2).

@@ -37,12 +37,12 @@ def read_observations(folder: Path) -> dict[str, NDArray[np.float64]]:
 
 def _observed(model: Any, image: Any) -> NDArray[np.float64]:
     camera = model.cameras[image.camera_id]
-    seen = [observation for observation in image.points2D if observation.has_point3D()]
-    points = [model.points3D[observation.point3D_id] for observation in seen]
+    observations = [observation for observation in image.points2D if observation.has_point3D()]
+    points = [model.points3D[observation.point3D_id] for observation in observations]
     pose = image.cam_from_world() if callable(image.cam_from_world) else image.cam_from_world
     world_to_camera = np.asarray(pose.matrix())  # (3, 4)
     depth = np.array([point.xyz for point in points]).reshape(-1, 3) @ world_to_camera[2, :3] + world_to_camera[2, 3]
-    share = np.array([observation.xy for observation in seen]).reshape(-1, 2) / (camera.width, camera.height)
+    share = np.array([observation.xy for observation in observations]).reshape(-1, 2) / (camera.width, camera.height)
     return np.column_stack([share, depth, [point.track.length() for point in points], [point.error for point in points]])
 
 

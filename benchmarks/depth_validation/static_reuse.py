@@ -1,4 +1,4 @@
-"""What `--reuse-static` saves and what it costs: the depth of one camera over some frames, with it and without."""
+"""Savings and cost of `--reuse-static`: the depth of one camera over some frames, with it and without."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -58,6 +58,6 @@ def _measured(
     start = process_time()
     views = estimate_views(room, camera, images, options)
     seconds = process_time() - start
-    known = truths > 0
-    errors = relative_errors(np.stack([view.depth for view in views])[known], truths[known])
+    has_truth = truths > 0
+    errors = relative_errors(np.stack([view.depth for view in views])[has_truth], truths[has_truth])
     return seconds, float(100 * (errors <= WITHIN).mean())

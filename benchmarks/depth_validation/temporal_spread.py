@@ -1,4 +1,4 @@
-"""How much the depth of things that stand still flickers, before and after the temporal filter of the online half.
+"""Depth flicker of static surfaces, before and after the temporal filter of the online half.
 
 A static pixel shows the same surface in the same light at all instants: its exact depth and its noise-free colour never change.
 Whatever its depth does over time comes from the sensor's noise, the video's coding, and what moves elsewhere in the pictures.
@@ -66,7 +66,7 @@ def evaluate_temporal(rooms: Sequence[RenderedRoom], options: Mapping[str, Depth
 
 
 def estimate_views(room: RenderedRoom, camera: Camera, images: Mapping[str, Image8], options: DepthOptions) -> list[SourceView]:
-    """What the online half is shown of one camera, frame by frame.
+    """Estimate the source views of one camera that the online half is given, frame by frame.
 
     Args:
         room: the room.
@@ -78,8 +78,8 @@ def estimate_views(room: RenderedRoom, camera: Camera, images: Mapping[str, Imag
     stream = DepthStream(camera, partners, options)
     views = []
     for frame in track(range(FRAMES), f"{room.name} over time"):
-        found = stream.step(frame, images[camera.name][frame], [images[partner.name][frame] for partner in partners])
-        views.append(SourceView(camera, images[camera.name][frame], found.depth, found.confidence))
+        depth_map = stream.step(frame, images[camera.name][frame], [images[partner.name][frame] for partner in partners])
+        views.append(SourceView(camera, images[camera.name][frame], depth_map.depth, depth_map.confidence))
     return views
 
 
@@ -120,7 +120,7 @@ def temporal_spread(depths: Map, static: Mask) -> float:
 
 
 def film_static(room: RenderedRoom, camera: Camera) -> Mask:
-    """Where nothing changes while the first frames are rendered, (H, W): seen without gain and noise."""
+    """Mask the pixels that do not change over the first frames, (H, W): filmed without gain and noise."""
     shot = next(shot for shot in rig_shots(room.options) if shot.camera.name == camera.name)
     noise_free = replace(shot, sensor=None, instants=shot.instants[:FRAMES])
     frames = list(track(Footage(room.options, noise_free, _lit(room)).frames(), f"{room.name} without noise", FRAMES))

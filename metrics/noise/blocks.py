@@ -32,8 +32,8 @@ def check_frame(frame: Image8, shape: tuple[int, ...] = ()) -> None:
         MetricError: with what was wanted and what came.
     """
     if frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[-1] != 3 or min(frame.shape[:2]) < 2 * BLOCK_PX:
-        wanted = f"(height, width, 3) uint8, sides at least {2 * BLOCK_PX}"
-        raise MetricError(f"wanted frames {wanted}, got {frame.shape} {frame.dtype}; give 8-bit RGB frames")
+        expected_shape = f"(height, width, 3) uint8, sides at least {2 * BLOCK_PX}"
+        raise MetricError(f"wanted frames {expected_shape}, got {frame.shape} {frame.dtype}; give 8-bit RGB frames")
     if shape and frame.shape != shape:
         raise MetricError(f"frames of one view: {shape} before, {frame.shape} now; give all frames one size")
 
@@ -120,20 +120,21 @@ class ChangeTable:
     def variances(self, limits: NDArray[np.int64], axes: Array) -> Array:
         """Variance along each axis of noise averaged over squares of each of `SCALES_PX`, (S, 3), grey levels squared."""
         sums = self._fine[_within(limits)].sum(axis=0)
-        found = [_along(plane, axes) for plane in sums[1:].reshape(-1, 6) / max(sums[0], 1)]
+        variances = [_along(plane, axes) for plane in sums[1:].reshape(-1, 6) / max(sums[0], 1)]
         for table in self._coarse:
             sums = table[_within(limits)].sum(axis=0)
             finer, coarser = (_along(plane, axes) for plane in sums[1:].reshape(2, 6))
-            known = (sums[0] >= MIN_SQUARES) & (finer > 0)
-            found.append(found[-1] * np.where(known, coarser / np.where(known, finer, 1), 0.25))  # a quarter: white noise
-        return np.array(found)
+            enough = (sums[0] >= MIN_SQUARES) & (finer > 0)
+            ratio = np.where(enough, coarser / np.where(enough, finer, 1), 0.25)  # a quarter: white noise
+            variances.append(variances[-1] * ratio)
+        return np.array(variances)
 
     def variance_by_level(self, limits: NDArray[np.int64]) -> Array:
         """Variance of each channel at each brightness of that channel, (N_LEVELS, 3); interpolated where none was seen."""
         counts, squares = self._by_level[:, _within(limits)].sum(axis=1).transpose(2, 1, 0)  # (N_LEVELS, 3) each
         enough = counts >= np.minimum(MIN_BLOCKS, counts.max(axis=0))
-        known = [(np.flatnonzero(enough[:, c]), squares[enough[:, c], c] / counts[enough[:, c], c]) for c in range(3)]
-        return np.stack([np.interp(np.arange(N_LEVELS), *curve) for curve in known], axis=-1)
+        curves = [(np.flatnonzero(enough[:, c]), squares[enough[:, c], c] / counts[enough[:, c], c]) for c in range(3)]
+        return np.stack([np.interp(np.arange(N_LEVELS), *curve) for curve in curves], axis=-1)
 
     def _add_fine(self, bins: NDArray[np.int64], colours: NDArray, products: list[Field]) -> None:
         luma = levels_of(colours.mean(axis=-1))
@@ -229,7 +230,7 @@ def _octave_curves() -> tuple[Array, Array]:
 
 
 def octave_gains() -> Array:
-    """What noise of each grain is multiplied with so that its variance is 1, (S,)."""
+    """Return the factor that scales noise of each grain to variance 1, (S,)."""
     return 1 / _octave_curves()[0][0]
 
 

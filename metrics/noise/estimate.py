@@ -163,12 +163,12 @@ class NoiseEstimator:
         if self._frames < 2:
             raise MetricError(f"noise is seen in the change between frames: {self._frames} frame; needs 2")
         limits = (self._long if self._long.n_blocks >= MIN_BLOCKS else self._short).limits()
-        used, seen = self._short.n_within(limits), self._short.n_blocks
-        if used < max(MIN_BLOCKS, MIN_STATIC_SHARE * seen):
-            wanted = f"wanted at least {MIN_STATIC_SHARE:.0%} of the blocks and {MIN_BLOCKS} of them to stand still"
-            raise MetricError(f"noise: {wanted}, got {used} of {seen}; give more frames, or a view with static content")
+        used, n_blocks = self._short.n_within(limits), self._short.n_blocks
+        if used < max(MIN_BLOCKS, MIN_STATIC_SHARE * n_blocks):
+            requirement = f"wanted at least {MIN_STATIC_SHARE:.0%} of the blocks and {MIN_BLOCKS} of them to stand still"
+            raise MetricError(f"noise: {requirement}, got {used} of {n_blocks}; give more frames, or a view with static content")
         slow = self._long if self._long.n_within(limits) >= MIN_BLOCKS else self._short
-        return self._model(slow, limits, used / seen)
+        return self._model(slow, limits, used / n_blocks)
 
     def _model(self, slow: "ChangeTable", limits: NDArray[np.int64], static_share: float) -> NoiseModel:
         _, axes = np.linalg.eigh(slow.covariance(limits))

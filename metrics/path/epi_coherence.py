@@ -19,7 +19,7 @@ NAMES = ("EPI_coherence", "EPI_line_texture")
 
 @dataclass(frozen=True)
 class EpiCoherence:
-    """How straight the lines are.
+    """Straightness of the lines in epipolar plane images.
 
     Attributes:
         coherence: 1 for straight lines, 0 where as much changes along the lines as across them, down to -1.

@@ -21,7 +21,7 @@ NO_SLOPE = "EPI slope: no pixel has texture and a coherent line; no slope to com
 
 @dataclass(frozen=True)
 class SlopeAgreement:
-    """How well the slopes that the images show fit those that depth predicts.
+    """Agreement between the slopes that the images show and those that depth predicts.
 
     Attributes:
         median_error_px: median absolute difference over the measured pixels, px per pose step; None where none was measured.
@@ -61,7 +61,7 @@ def slope_agreement(
     low, high = path.slope_range_px
     slope_range_px = min(low, 0.0) - WIDER_PX, max(high, 0.0) + WIDER_PX
     bins = np.zeros(int((slope_range_px[1] - slope_range_px[0]) / BIN_PX) + 2, np.int64)
-    known = agreeing = 0
+    n_with_depth = agreeing = 0
     predicted_sum = 0.0
     for epi, depth in epis:
         if depth.shape != epi.shape[:2]:
@@ -71,12 +71,12 @@ def slope_agreement(
         has_depth = predicted != 0
         error = np.abs(lines.slope_px - predicted)[has_depth & _is_measured(lines, options)]
         bins += np.bincount(np.minimum(error / BIN_PX, len(bins) - 1).astype(np.int64), minlength=len(bins))
-        known += int(np.count_nonzero(has_depth))
+        n_with_depth += int(np.count_nonzero(has_depth))
         agreeing += int(np.count_nonzero(error <= options.tolerance_px))
         predicted_sum += float(np.abs(predicted).sum(dtype=np.float64))
-    if not known:
+    if not n_with_depth:
         raise MetricError("EPI slope: no depth along the path; give depth maps of the poses to compare slopes with")
-    return SlopeAgreement(_median(bins), agreeing / known, int(bins.sum()) / known, predicted_sum / known)
+    return SlopeAgreement(_median(bins), agreeing / n_with_depth, int(bins.sum()) / n_with_depth, predicted_sum / n_with_depth)
 
 
 def _median(bins: NDArray[np.int64]) -> float | None:
@@ -91,7 +91,7 @@ def _inner(depth: NDArray[np.float32], lines: Lines) -> NDArray[np.float32]:
 
 
 def _is_measured(lines: Lines, options: SlopeOptions) -> NDArray[np.bool_]:
-    """Whether the texture and the coherence suffice to trust a slope."""
+    """Tell where texture and coherence suffice to trust a slope."""
     coherent = lines.across - lines.along >= options.least_coherence * (lines.across + lines.along)
     return coherent & (lines.across >= options.least_texture_255**2)
 

@@ -16,7 +16,7 @@ EVEN_PX = 0.1
 
 @dataclass(frozen=True)
 class HorizontalPath:
-    """How lines run in the epipolar plane images of a path.
+    """Slopes of the lines in the epipolar plane images of a path.
 
     Attributes:
         slope_of_unit_depth_px: dx/dv of a point at depth 1, px per pose; negative where the camera moves to its right.
@@ -34,8 +34,8 @@ class HorizontalPath:
 
     def slope_px(self, depth: NDArray[np.float32]) -> NDArray[np.float32]:
         """dx/dv = -f * step / z in px per pose; 0 where the depth is 0, that is unknown."""
-        known = depth > 0
-        return np.where(known, self.slope_of_unit_depth_px / np.where(known, depth, 1.0), 0.0).astype(np.float32)
+        has_depth = depth > 0
+        return np.where(has_depth, self.slope_of_unit_depth_px / np.where(has_depth, depth, 1.0), 0.0).astype(np.float32)
 
     @property
     def slope_range_px(self) -> tuple[float, float]:

@@ -32,7 +32,7 @@ class PathPose:
 
 @dataclass(frozen=True)
 class SlopeOptions:
-    """Where the images show a slope, and when it agrees.
+    """Thresholds above which the images show a slope, and within which it agrees.
 
     Attributes:
         least_texture_255: least root mean square gradient across a line, grey levels of 255 per pixel.
@@ -67,7 +67,7 @@ def spread_rows(height: int, count: int) -> list[int]:
 
 
 class RenderedPath:
-    """What the metrics need of the poses so far: chosen rows of the images, two whole poses at most, and the steps between.
+    """State of a path so far that the metrics need: chosen image rows, at most two whole poses, and the steps between.
 
     Attributes:
         options: variants of the measures.
@@ -97,8 +97,8 @@ class RenderedPath:
             MetricError: an image that does not fit its camera, or another size than before.
         """
         if pose.image.shape != (pose.camera.height, pose.camera.width, 3):
-            wanted = f"{pose.camera.height} x {pose.camera.width} x 3"
-            raise MetricError(f"pose {pose.camera.name}: wanted an image {wanted}, got {pose.image.shape}; resize one of them")
+            size = f"{pose.camera.height} x {pose.camera.width} x 3"
+            raise MetricError(f"pose {pose.camera.name}: wanted an image {size}, got {pose.image.shape}; resize one of them")
         self.rows = self.rows or spread_rows(pose.camera.height, self.options.n_rows)
         if self.cameras and pose.camera.size != self.cameras[0].size:
             raise MetricError(

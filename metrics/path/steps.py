@@ -19,7 +19,7 @@ Pose = tuple[Camera, Image, NDArray[np.float32] | None]
 
 @dataclass(frozen=True)
 class StepError:
-    """How a pose differs from the pose before it, carried over by depth.
+    """Difference between a pose and the pose before it, carried over by depth.
 
     Attributes:
         error_255: mean absolute colour difference over co-visible pixels and channels, grey levels of 255; None where by their
@@ -73,10 +73,10 @@ def reprojection_step(before: Pose, after: Pose, depth_tolerance: float = DEPTH_
     depths = [_checked_depth(camera, depth) for camera, _, depth in (before, after)]
     images = [_checked_image(camera, image) for camera, image, _ in (before, after)]
     check_pair(before[1], after[1])
-    known = depths[1][depths[1] > 0]
-    if not known.size:
+    valid_depths = depths[1][depths[1] > 0]
+    if not valid_depths.size:
         return StepError(None, 0.0, None)
-    tolerance = depth_tolerance * float(np.median(known))
+    tolerance = depth_tolerance * float(np.median(valid_depths))
     carried = warp(cameras[1], depths[1], cameras[0], images[0], depths[0], tolerance, bicubic=True)
     weight = float(carried.visibility.sum(dtype=np.float64))
     if not weight:

@@ -1,4 +1,4 @@
-"""Whether the picture jumps where other source cameras take over: the abrupt changes that the paper's EPI figure points at."""
+"""Jumps of the picture where other source cameras take over: the abrupt changes that the paper's EPI figure points at."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ class SwitchScore:
 
 
 def switch_steps(sources: Sequence[Collection[str]]) -> list[bool]:
-    """Whether the set of source cameras differs between each pose and the next; their order does not matter."""
+    """Tell for each step between poses whether the set of source cameras changes; their order does not matter."""
     sets = [frozenset(names) for names in sources]
     return [before != after for before, after in pairwise(sets)]
 

@@ -99,8 +99,8 @@ class FlickerMeter:
         """
         if self._pairs < 1:
             raise MetricError(f"flicker is a change between frames: {int(self._previous is not None)} frame; needs 2")
-        known = self._static[:, 0].sum() >= MIN_BLOCKS
-        if not known:
+        has_static = self._static[:, 0].sum() >= MIN_BLOCKS
+        if not has_static:
             self._moving, self._static = self._moving + self._static, np.zeros((N_LEVELS, 4))
         static, moving, noise = self._static.sum(axis=0), self._moving.sum(axis=0), self._noise_of_moving()
         excess, missed = moving[1] - (moving[2] - noise), max(moving[3] - noise, 0.0)
@@ -108,10 +108,10 @@ class FlickerMeter:
         return Flicker(
             excess=_signed_root((static[1] + excess) / blocks),
             error=_signed_root((static[1] + missed) / blocks),
-            on_static=_signed_root(static[1] / static[0]) if known else None,
+            on_static=_signed_root(static[1] / static[0]) if has_static else None,
             on_moving=_signed_root(excess / moving[0]) if moving[0] else None,
             with_noise=_signed_root((static[1] + moving[1] - static[2] - moving[2]) / blocks),
-            noise=_signed_root(static[2] / static[0]) if known else None,
+            noise=_signed_root(static[2] / static[0]) if has_static else None,
             static_share=float(static[0] / blocks),
             n_pairs=self._pairs,
         )

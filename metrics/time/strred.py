@@ -40,7 +40,7 @@ class Entropies(NamedTuple):
 
 
 class PairDifference(NamedTuple):
-    """How far the entropies of one rendered pair of frames are from the true ones; `single` pools before the absolute value."""
+    """Entropy differences between a rendered pair of frames and the true one; `single` pools before the absolute value."""
 
     spatial: float
     temporal: float

@@ -1,1 +1,1 @@
-"""What a person should look at before trusting depth: pictures of maps, confidence and rectified pairs, in one page."""
+"""Depth page: maps, confidence and rectified pairs for a person to look at before trusting depth."""

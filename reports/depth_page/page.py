@@ -99,7 +99,7 @@ def _identity(capture: Capture, stored: Sequence[StoredDepth], filled_confidence
 
 
 def _is_written(folder: Path, identity: str) -> bool:
-    """Whether the folder holds this very page with all its pictures."""
+    """Tell whether the folder holds this very page with all its pictures."""
     try:
         record = read_json(folder / "index.json")
     except ResultsError:
@@ -132,9 +132,9 @@ def examine_depth(
         for number, index in enumerate(shown)
     ]
     pictures = _all(pool, drawing, "pictures of the depth")
-    known = list(zip(stored, statistics, strict=True))
+    stored_statistics = list(zip(stored, statistics, strict=True))
     cameras = [
-        CameraRecord(name, tuple(each for each in known if each[0].job.camera_name == name), of_camera)
+        CameraRecord(name, tuple(each for each in stored_statistics if each[0].job.camera_name == name), of_camera)
         for name, of_camera in zip([stored[index].job.camera_name for index in shown], pictures, strict=True)
     ]
     matched = {partner for each in stored for partner in each.job.partner_names}
@@ -152,28 +152,28 @@ def _all(pool: Executor, running: list[Future[Any]], doing: str) -> list[Any]:
 
 def _measure_pairs(pool: Executor, capture: Capture, stored: Sequence[StoredDepth]) -> Pairs:
     """Errors and matches of every pair, once, whichever of the two the depth was computed of."""
-    wanted: dict[tuple[str, str], int] = {}
+    frame_of: dict[tuple[str, str], int] = {}
     for each in stored:
         for partner in each.job.partner_names:
-            if (partner, each.job.camera_name) not in wanted:
-                wanted.setdefault((each.job.camera_name, partner), each.frames[0])
-    instants = sorted({(name, frame) for pair, frame in wanted.items() for name in pair})
+            if (partner, each.job.camera_name) not in frame_of:
+                frame_of.setdefault((each.job.camera_name, partner), each.frames[0])
+    instants = sorted({(name, frame) for pair, frame in frame_of.items() for name in pair})
     features = dict(zip(instants, _all(pool, [pool.submit(_find, capture, *each) for each in instants], "features"), strict=True))
     running = [
         pool.submit(measure_pair, capture.camera(one), capture.camera(two), features[one, frame], features[two, frame])
-        for (one, two), frame in wanted.items()
+        for (one, two), frame in frame_of.items()
     ]
-    return dict(zip(wanted, _all(pool, running, "matching features"), strict=True))
+    return dict(zip(frame_of, _all(pool, running, "matching features"), strict=True))
 
 
 def _least_measured(capture: Capture, stored: Sequence[StoredDepth], statistics: Sequence[Statistics]) -> list[int]:
     """Of each camera, in the order of the capture, the job that measured least."""
-    found: dict[str, int] = {}
+    index_of: dict[str, int] = {}
     for index, each in enumerate(stored):
         name = each.job.camera_name
-        if name not in found or statistics[index][0].measured < statistics[found[name]][0].measured:
-            found[name] = index
-    return [found[name] for name in capture.camera_names if name in found]
+        if name not in index_of or statistics[index][0].measured < statistics[index_of[name]][0].measured:
+            index_of[name] = index
+    return [index_of[name] for name in capture.camera_names if name in index_of]
 
 
 def _describe(store: DepthStore, stored: StoredDepth, filled_confidence: float) -> Statistics:
@@ -213,18 +213,18 @@ def _draw(
 
 def _matches_of(stored: StoredDepth, pairs: Pairs) -> dict[str, Array]:
     """Partners that the camera can be rectified with -> matched pixels of the camera and of it, (M, 2, 2)."""
-    name, found = stored.job.camera_name, {}
+    name, matches = stored.job.camera_name, {}
     for partner in stored.job.partner_names:
         is_first = (name, partner) in pairs  # whichever of the two was measured first
         errors, uv = pairs[name, partner] if is_first else pairs[partner, name]
         if not errors.obstacle:
-            found[partner] = uv if is_first else uv[:, ::-1]
-    return found
+            matches[partner] = uv if is_first else uv[:, ::-1]
+    return matches
 
 
 def _depth_range(statistics: Statistics, near: float, far: float) -> tuple[float, float]:
-    """What the colours span: all instants alike, so that they can be compared."""
-    known = [each for each in statistics if each.measured]
-    nearest, farthest = min((each.near for each in known), default=near), max((each.far for each in known), default=far)
+    """Return the depth range of the colours, the same for all instants, so that they can be compared."""
+    measured = [each for each in statistics if each.measured]
+    nearest, farthest = min((each.near for each in measured), default=near), max((each.far for each in measured), default=far)
     spread = max(FLATTEST / (farthest / nearest), 1.0) ** 0.5
     return nearest / spread, farthest * spread

@@ -184,12 +184,12 @@ def _turns_upright(along: Array) -> int:
 
 def _span(inside: NDArray[np.bool_], axis: int) -> slice:
     """From the first to the last row (axis 1) or column (axis 0) with anything inside."""
-    found = np.flatnonzero(inside.any(axis=axis))
-    return slice(int(found[0]), int(found[-1]) + 1) if found.size else slice(0, 1)
+    indices = np.flatnonzero(inside.any(axis=axis))
+    return slice(int(indices[0]), int(indices[-1]) + 1) if indices.size else slice(0, 1)
 
 
 def _scale(turns: int, rows: slice, columns: list[slice]) -> float:
-    """What brings both halves to the size of the picture; nothing is magnified."""
+    """Return the scale that fits both halves into the picture; nothing is magnified."""
     height, width = rows.stop - rows.start, max(each.stop - each.start for each in columns)
     if turns % 2 == 0:
         return min(1.0, (WIDTH_PX - GAP_PX) / 2 / width)

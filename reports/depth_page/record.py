@@ -1,4 +1,4 @@
-"""What the depth page tells, as it is kept beside it in ``index.json``."""
+"""Record of the depth page, kept beside it in ``index.json``."""
 
 from dataclasses import dataclass
 

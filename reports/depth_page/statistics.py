@@ -18,7 +18,7 @@ FEWEST_PIXELS = 100  # that both cameras see, to compare their colours
 
 @dataclass(frozen=True)
 class DepthStatistics:
-    """What a depth map consists of. Shares are of all pixels.
+    """Statistics of a depth map. Shares are of all pixels.
 
     Attributes:
         frame: the instant.
@@ -58,8 +58,8 @@ def measured_pixels(depth_map: DepthMap, filled_confidence: float) -> NDArray[np
 
 def describe_map(frame: int, depth_map: DepthMap, filled_confidence: float) -> DepthStatistics:
     """Count the pixels of a depth map; parameters as for `measured_pixels`."""
-    measured, known = measured_pixels(depth_map, filled_confidence), depth_map.depth > 0
-    depths, shares = depth_map.depth[measured], (measured.mean(), (known & ~measured).mean(), (~known).mean())
+    measured, has_depth = measured_pixels(depth_map, filled_confidence), depth_map.depth > 0
+    depths, shares = depth_map.depth[measured], (measured.mean(), (has_depth & ~measured).mean(), (~has_depth).mean())
     near, median, far = np.percentile(depths, (1, 50, 99)) if depths.size else (0.0, 0.0, 0.0)
     confidence = np.median(depth_map.confidence[measured]) if depths.size else 0.0
     return DepthStatistics(frame, *(float(value) for value in (*shares, confidence, near, median, far)))
@@ -106,13 +106,14 @@ def resynthesise(camera: Camera, depth: Map, image: Image8, other: Camera, other
         What the other camera cannot see is found by this very depth map, seen from there, not by the other's own: then only one
         depth map is held at a time. The gain is the median ratio of the images, so that exposure does not pass for wrong depth.
     """
-    known = depth > 0
-    tolerance = SAME_SURFACE * float(np.median(depth[known])) if known.any() else SAME_SURFACE * camera.near
+    has_depth = depth > 0
+    tolerance = SAME_SURFACE * float(np.median(depth[has_depth])) if has_depth.any() else SAME_SURFACE * camera.near
     seen_from_there = _depth_from(camera, depth, other)
-    found = warp(camera, depth, other, other_image.astype(np.float32) / np.float32(255), seen_from_there, tolerance, bicubic=True)
-    is_seen = known & (found.visibility > 0.5)
-    gain = _gain(image[is_seen], found.colour[is_seen] * 255)
-    colour = found.colour * np.asarray(gain, np.float32)
+    other_colours = other_image.astype(np.float32) / np.float32(255)
+    warped = warp(camera, depth, other, other_colours, seen_from_there, tolerance, bicubic=True)
+    is_seen = has_depth & (warped.visibility > 0.5)
+    gain = _gain(image[is_seen], warped.colour[is_seen] * 255)
+    colour = warped.colour * np.asarray(gain, np.float32)
     difference = np.abs(np.clip(colour, 0, 1) * 255 - image).mean(axis=-1, dtype=np.float32)
     return Resynthesis(quantise(colour), is_seen, np.where(is_seen, difference, np.float32(0)), gain)
 
@@ -123,9 +124,9 @@ def _depth_from(camera: Camera, depth: Map, other: Camera) -> Map:
     return np.where(view.alpha > COVERED_ALPHA, view.depth, np.float32(0))
 
 
-def _gain(truth: NDArray[np.uint8], found: NDArray[np.float32]) -> tuple[float, float, float]:
+def _gain(truth: NDArray[np.uint8], warped: NDArray[np.float32]) -> tuple[float, float, float]:
     """Median ratio of the pixels (N, 3) per channel; dark pixels tell only noise."""
-    bright = (truth > 16) & (found > 16)
-    ratios = [truth[:, c][bright[:, c]] / found[:, c][bright[:, c]] for c in range(3)]
+    bright = (truth > 16) & (warped > 16)
+    ratios = [truth[:, c][bright[:, c]] / warped[:, c][bright[:, c]] for c in range(3)]
     red, green, blue = (float(np.median(each)) if each.size >= FEWEST_PIXELS else 1.0 for each in ratios)
     return red, green, blue

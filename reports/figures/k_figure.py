@@ -29,7 +29,7 @@ def read_k_table(sweep: Path) -> pd.DataFrame:
     table = pd.read_csv(file)
     if "capture" in table:
         table = table[table["capture"] == "mean"]
-    table["K"] = [int(found[1]) if (found := re.fullmatch(r"k(\d+)", str(name))) else -1 for name in table["variant"]]
+    table["K"] = [int(match[1]) if (match := re.fullmatch(r"k(\d+)", str(name))) else -1 for name in table["variant"]]
     table = table[table["K"] > 0]
     if table["K"].nunique() < 2:
         raise ResultsError(f"{file}: wanted at least two numbers of source views, got {table['K'].nunique()}; {AN_EXAMPLE}")
@@ -55,11 +55,11 @@ def draw_k(sweep: Path, out: Path, metrics: tuple[str, ...] = ()) -> Path:
     from matplotlib.ticker import MaxNLocator
 
     table = read_k_table(sweep)
-    wanted = metrics or tuple(name for name in USUAL if name in table)
-    absent = [name for name in wanted if name not in table]
+    names = metrics or tuple(name for name in USUAL if name in table)
+    absent = [name for name in names if name not in table]
     if absent:
         raise ResultsError(f"{sweep / SWEEP_FILE}: no {', '.join(absent)}; it has {', '.join(table.columns)}")
-    panels = (*wanted, *((SECONDS,) if SECONDS in table and SECONDS not in wanted else ()))
+    panels = (*names, *((SECONDS,) if SECONDS in table and SECONDS not in names else ()))
     figure = Figure(figsize=(PANEL_IN[0] * len(panels), PANEL_IN[1]), layout="constrained")
     for axes, metric in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
         for number, method in enumerate(dict.fromkeys(table.index.get_level_values("method"))):

@@ -1,4 +1,4 @@
-"""Where to look: the squares in which a method fails most, or in which methods differ most, found by rule."""
+"""Crop regions, chosen by rule: the squares in which a method fails most, or in which methods differ most."""
 
 import math
 from collections.abc import Sequence
@@ -122,18 +122,18 @@ def _search(run: MeasuredRun, rule: Rule, label: str, view: str, frame: int, cou
     errors = read_errors(run, view, frame)
     scores, side = score_map(errors, rule, label), square_side(errors[label].shape)
     left_over = scores.copy()
-    found: list[Region] = []
-    while len(found) < count and np.isfinite(left_over).any():
+    regions: list[Region] = []
+    while len(regions) < count and np.isfinite(left_over).any():
         top, left = (int(at) for at in np.unravel_index(int(np.argmax(left_over)), left_over.shape))
-        found.append(Region(view, frame, top, left, side, float(scores[top, left])))
+        regions.append(Region(view, frame, top, left, side, float(scores[top, left])))
         left_over[max(0, top - side + 1) : top + side, max(0, left - side + 1) : left + side] = -np.inf
-    return tuple(found)
+    return tuple(regions)
 
 
 def _check(run: MeasuredRun, rule: Rule, label: str, views: Sequence[str], frames: Sequence[int]) -> None:
-    known = run.protocol.views.test
-    if views[0] not in known:
-        raise ResultsError(f"{run.folder.root}: no test view {views[0]!r}; use one of {', '.join(known)}")
+    test_views = run.protocol.views.test
+    if views[0] not in test_views:
+        raise ResultsError(f"{run.folder.root}: no test view {views[0]!r}; use one of {', '.join(test_views)}")
     if frames[0] not in run.frames:
         raise ResultsError(f"{run.folder.root}: no frame {frames[0]}; use {run.frames[0]} to {run.frames[-1]}")
     if label not in run.pictured:

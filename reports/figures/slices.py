@@ -119,6 +119,25 @@ def most_textured_row(images: Iterable[Image8]) -> int:
     return int(np.argmax(strength))
 
 
+def path_folders(run: MeasuredRun, labels: Iterable[str]) -> tuple[dict[str, Path], int]:
+    """Find the frames along the camera path: the folders of the truth and of methods, and the number of poses.
+
+    Args:
+        run: a scored run.
+        labels: the methods; those without a path are left out.
+
+    Returns:
+        Label -> folder, and the number of poses, 0 where the run has no path.
+
+    Raises:
+        RenderError: poses are missing.
+    """
+    folders = {label: run.folder.path(label) for label in ("truth", *labels) if run.folder.path(label).is_dir()}
+    n_poses = max((len(list(folder.glob("*.png"))) for folder in folders.values()), default=0)
+    require_frames({f"{run.name(label)} on the path": folder for label, folder in folders.items()}, range(n_poses))
+    return folders, n_poses
+
+
 def path_slices(run: MeasuredRun, row: int | None = None) -> Slices | None:
     """Epipolar plane images of the truth and every method; None where the run has no camera path.
 
@@ -130,11 +149,9 @@ def path_slices(run: MeasuredRun, row: int | None = None) -> Slices | None:
         RenderError: poses are missing.
         ResultsError: no such row.
     """
-    folders = {label: run.folder.path(label) for label in ("truth", *run.labels) if run.folder.path(label).is_dir()}
-    n_poses = max((len(list(folder.glob("*.png"))) for folder in folders.values()), default=0)
+    folders, n_poses = path_folders(run, run.labels)
     if not n_poses:
         return None
-    require_frames({f"{run.name(label)} on the path": folder for label, folder in folders.items()}, range(n_poses))
     middle = {label: read_image(frame_path(folder, n_poses // 2)) for label, folder in folders.items()}
     of_truth = "truth" in folders
     chosen_by = _asked(row) or (
@@ -169,7 +186,7 @@ def time_slices(run: MeasuredRun, view: str, row: int | None = None) -> Slices:
 
 
 def all_slices(run: MeasuredRun) -> Sequence[Slices]:
-    """What the page shows: the camera path if there is one, and each view over time if time passes."""
+    """Return the slices that the page shows: the camera path if there is one, and each view over time if time passes."""
     path = path_slices(run)
     over_time = [time_slices(run, view) for view in run.protocol.views.test] if len(run.frames) > 1 else []
     return ([path] if path else []) + over_time

@@ -1,1 +1,1 @@
-"""What a report is about, before it has a format: the measured run, grey references, a table of cells."""
+"""Report model, independent of any format: the measured run, grey references, a table of cells."""

@@ -1,4 +1,4 @@
-"""What a report says about a metric: the score step writes it into the run folder, so that reports import no metric."""
+"""Description of a metric in reports: the score step writes it into the run folder, so that reports import no metric."""
 
 import dataclasses
 from collections.abc import Sequence

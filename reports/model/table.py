@@ -78,7 +78,7 @@ class Row:
 
     @property
     def is_grey(self) -> bool:
-        """Whether it only stands beside what was measured, and competes with nothing."""
+        """True for a row that only stands beside what was measured, and is not ranked."""
         return self.kind in ("published", "reference")
 
 

@@ -55,19 +55,19 @@ def diagnostics_folders(frames: Path, label: str, indices: range) -> Iterator[tu
 
 
 def diagnostics_name(run: MeasuredRun, key: str) -> str:
-    """What to call a picture: of a method, of the truth, or of the inside of a method."""
+    """Name a picture: of a method, of the truth, or of a method's diagnostics."""
     label, _, name = key.partition("/")
     return f"{run.name(label)}: {MEANINGS[name][0]}" if name else run.name(label)
 
 
 def diagnostics_legend(keys: Sequence[str]) -> list[tuple[str, str]]:
-    """What to say of those of the pictures that show the inside of a method: name and meaning."""
+    """Return name and meaning of each diagnostic picture among the keys."""
     return [MEANINGS[key.partition("/")[2]] for key in keys if "/" in key]
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """What the comparison of one run shows.
+    """Frame comparison of one run.
 
     Attributes:
         views: test views.
@@ -139,12 +139,12 @@ def _fit(run: MeasuredRun, samples: list[Image8], byte_budget: int) -> tuple[int
 def _diagnostics(run: MeasuredRun) -> dict[str, dict[str, Path]]:
     """View -> key -> folder of a method's diagnostics, the same keys for every view."""
     label = diagnostics_label(run)
-    found = {
+    folders_of = {
         view: {} if label is None else dict(diagnostics_folders(run.folder.renders(label, view), label, run.frames))
         for view in run.protocol.views.test
     }
-    common = set.intersection(*(set(folders) for folders in found.values()))
-    return {view: {key: folder for key, folder in folders.items() if key in common} for view, folders in found.items()}
+    common = set.intersection(*(set(folders) for folders in folders_of.values()))
+    return {view: {key: folder for key, folder in folders.items() if key in common} for view, folders in folders_of.items()}
 
 
 def _compress(
@@ -176,9 +176,10 @@ def error_map(rendered: Image8, truth: Image8, file: Path) -> Image8:
         RenderError: shapes differ.
     """
     if rendered.shape != truth.shape:
-        wanted, came = truth.shape[1::-1], rendered.shape[1::-1]
+        truth_size, rendered_size = truth.shape[1::-1], rendered.shape[1::-1]
         raise RenderError(
-            f"{file}: wanted {wanted[0]} x {wanted[1]} pixels as the truth has, got {came[0]} x {came[1]}; render it again"
+            f"{file}: wanted {truth_size[0]} x {truth_size[1]} pixels as the truth has, "
+            f"got {rendered_size[0]} x {rendered_size[1]}; render it again"
         )
     difference = cv2.absdiff(rendered, truth).mean(axis=2)  # (H, W), 0..255
     scaled = np.rint(np.minimum(difference / ERROR_FULL_SCALE, 1.0) * 255).astype(np.uint8)

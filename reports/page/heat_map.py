@@ -34,7 +34,7 @@ class HeatMap:
     values: dict[str, dict[str, list[float | None]]]
 
     def record(self) -> dict[str, Any]:
-        """What the page carries."""
+        """Return the heat map as a JSON record for the page."""
         return {
             "unit": self.unit,
             "higher_is_better": self.higher_is_better,
@@ -46,8 +46,8 @@ class HeatMap:
 
 def heat_maps(run: MeasuredRun) -> tuple[HeatMap, ...]:
     """One per metric that has a finite value for any view and frame, in the order of the protocol."""
-    found = (_heat_map(run, metric) for metric in run.protocol.measurement.metrics)
-    return tuple(heat_map for heat_map in found if heat_map)
+    maps = (_heat_map(run, metric) for metric in run.protocol.measurement.metrics)
+    return tuple(heat_map for heat_map in maps if heat_map)
 
 
 def _heat_map(run: MeasuredRun, metric: str) -> HeatMap | None:

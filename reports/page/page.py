@@ -60,7 +60,7 @@ def page_script(names: Sequence[str] = SCRIPTS) -> str:
 
 
 def script_digest(script: str) -> str:
-    """What the page's policy knows a script by: SHA-256 of the text in UTF-8, in base64."""
+    """Return the digest by which the page's policy allows a script: SHA-256 of the text in UTF-8, in base64."""
     return base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii")
 
 
@@ -138,7 +138,7 @@ def render_page(groups: Sequence[RunGroup], reproduced: Sequence[Reproduction] =
 
 
 def _groups(groups: Sequence[RunGroup]) -> list[dict[str, Any]]:
-    """What the templates need of each group; places in the page have the same names in all groups, behind the group's own."""
+    """Build the template context of each group; places have the same names in all groups, behind the group's own."""
     rooms = enumerate(share_room([section.run for group in groups for section in group.sections]))
     names = _tab_names(groups)
     tabs = zip(names, _addresses(names), strict=True)
@@ -174,7 +174,7 @@ def _parts(group: RunGroup) -> list[Part]:
 
 
 def _tab_names(groups: Sequence[RunGroup]) -> list[str]:
-    """What each run is called where one is chosen: its title, with as much more as it takes to tell all runs apart."""
+    """Name each run for the run selector: its title, with as much more as it takes to tell all runs apart."""
     runs = [(group, section.run) for group in groups for section in group.sections]
     names = [
         [run.title for _, run in runs],
@@ -215,7 +215,7 @@ def reproduce(run: MeasuredRun, capture: str) -> list[str]:
 def _section(
     index: int, room: PictureRoom, title: str, address: str, section: RunSection, verdict: Verdict | None
 ) -> dict[str, Any]:
-    """What the templates need of one run, pictures as data addresses."""
+    """Build the template context of one run, pictures as data URIs."""
     run, maps = section.run, heat_maps(section.run)
     comparison = compare_frames(run, room.frames)
     path = path_pictures(run, room.path)
@@ -247,7 +247,7 @@ def _section(
 
 
 def _facts(capture: dict[str, Any]) -> dict[str, str | int | float]:
-    """What is said of the capture, notes about what was left out included."""
+    """List the facts about the capture, including notes about what was left out."""
     plain = {key: value for key, value in capture.items() if key != "path" and isinstance(value, str | int | float)}
     facts = {FACT_NAMES.get(key, key.replace("_", " ")): value for key, value in plain.items()}
     facts |= {"cameras": len(capture["cameras"])} if capture.get("cameras") else {}

@@ -1,4 +1,4 @@
-"""What moves on the page: a video per method, the frames along the camera path, and how much room each run's pictures get."""
+"""Moving pictures of the page: a video per method, the frames along the camera path, and each run's budget of bytes."""
 
 import base64
 import math
@@ -13,10 +13,11 @@ from tempfile import TemporaryDirectory
 from ggvs_eval.arrays import Image8
 from ggvs_eval.files.images import read_image
 from ggvs_eval.files.video import write_video
+from ggvs_eval.reports.figures.slices import path_folders
 from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.reports.page.comparison import FRAME_BYTES, FRAMES_AT_MOST, diagnostics_folders, diagnostics_label
 from ggvs_eval.reports.page.data_uri import fitting_width, shrink, webp_uri
-from ggvs_eval.run_folder import frame_path, require_frames
+from ggvs_eval.run_folder import frame_path
 
 VIDEO_BYTES = 3_000_000
 VIDEO_FRAMES_AT_MOST = 300
@@ -92,7 +93,7 @@ def _pictures(folders: list[Path], frames: range, width: int) -> Iterator[Image8
 
 @dataclass(frozen=True)
 class PathPictures:
-    """What the page can cut epipolar plane images from.
+    """Path frames from which the page can cut epipolar plane images.
 
     Attributes:
         poses: numbers of the poses shown, every so many-th one.
@@ -115,11 +116,9 @@ def path_pictures(run: MeasuredRun, byte_budget: int = PATH_BYTES) -> PathPictur
     Raises:
         RenderError: poses are missing.
     """
-    folders = {key: run.folder.path(key) for key in ("truth", *run.pictured) if run.folder.path(key).is_dir()}
-    count = max((len(list(folder.glob("*.png"))) for folder in folders.values()), default=0)
+    folders, count = path_folders(run, run.pictured)
     if not count:
         return None
-    require_frames({f"{run.name(key)} on the path": folder for key, folder in folders.items()}, range(count))
     poses = range(0, count, math.ceil(count * len(folders) / POSES_AT_MOST))
     told = diagnostics_label(run)
     if told in folders:

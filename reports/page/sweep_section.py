@@ -22,7 +22,7 @@ RUNS_ELSEWHERE = "; intervals and pictures of the single runs: `ggvs-eval report
 
 @dataclass(frozen=True)
 class SweepSection:
-    """What the page shows of one sweep.
+    """Section of the page about one sweep.
 
     Attributes:
         name: of its folder.
@@ -47,7 +47,7 @@ class SweepSection:
 
 
 def is_sweep(root: Path) -> bool:
-    """Whether a folder is a sweep's with its table, and no run's."""
+    """Tell whether a folder holds a sweep and its table, and is not a run itself."""
     return (root / SWEEP_FILE).is_file() and not RunFolder(root).protocol_file.is_file()
 
 

@@ -14,7 +14,7 @@ from ggvs_eval.run_folder import frame_path
 
 @dataclass(frozen=True)
 class PaperTerms:
-    """What the paper says of its protocol on one data set.
+    """The paper's protocol on one data set, as far as it states it.
 
     Attributes:
         dataset: name in its tables.
@@ -37,20 +37,20 @@ class PaperTerms:
     metric_size: tuple[int, int]
 
     def relation(self, run: MeasuredRun) -> str:
-        """How a run belongs to this data set: ``whole`` by its name, ``part`` of it (``DyNeRF, one instant``), or ``other``."""
-        name, wanted = run.protocol.dataset.lower(), self.dataset.lower()
+        """Relate a run to this data set: ``whole`` by its name, ``part`` of it (``DyNeRF, one instant``), or ``other``."""
+        name, dataset = run.protocol.dataset.lower(), self.dataset.lower()
         if is_demo(run.folder.capture_record()):
             return "other"
-        return "whole" if name == wanted else "part" if name.startswith(f"{wanted},") else "other"
+        return "whole" if name == dataset else "part" if name.startswith(f"{dataset},") else "other"
 
     def departures(self, run: MeasuredRun) -> tuple[str, ...]:
-        """Where a run is not what the paper did, in words; empty where it is, as far as the paper says what it did."""
+        """List a run's departures from the paper's protocol, in words; empty where it agrees in all that the paper states."""
         capture, protocol = run.folder.capture_record(), run.protocol
         size, layout = rendered_size(run), capture.get("layout", "unknown")
         measured = (protocol.measurement.width, protocol.measurement.height) if protocol.measurement.width else size
         views, frames = len(protocol.views.test), protocol.frames.count
         scenes = " and ".join(self.scenes)
-        found = {
+        departures = {
             f"layout {layout}, not {' or '.join(self.layouts)}": layout not in self.layouts,
             f"scene {run.scene}, not {scenes}": bool(self.scenes) and run.scene not in self.scenes,
             f"{_count(frames, 'frame')}, not {self.frames}": frames != self.frames,
@@ -61,7 +61,7 @@ class PaperTerms:
             f"measured at {_size(measured)}, not {_size(self.metric_size)}": size == self.size and measured != self.metric_size,
             "a frame held still or noise added": bool(capture.get("edit")),
         }
-        return tuple(words for words, applies in found.items() if applies)
+        return tuple(words for words, applies in departures.items() if applies)
 
     def missing_scenes(self, scenes: set[str]) -> tuple[str, ...]:
         """Scenes of the paper that are not among these."""
@@ -86,7 +86,7 @@ def read_terms(dataset: str) -> PaperTerms:
 
 
 def is_demo(capture: dict[str, Any]) -> bool:
-    """Whether a capture was written by ``ggvs-eval demo``, in whatever layout and under whatever name."""
+    """Tell whether a capture was written by ``ggvs-eval demo``, in whatever layout and under whatever name."""
     return capture.get("units_origin") == DEMO_NOTES
 
 
@@ -165,7 +165,7 @@ def _departures(terms: PaperTerms, run: MeasuredRun) -> str:
 
 
 def _what_instead(runs: Sequence[MeasuredRun]) -> str:
-    """What the runs are of."""
+    """Name what the runs are of instead of the paper's data sets."""
     names = dict.fromkeys(_name(run) + (", a demo capture" if is_demo(run.folder.capture_record()) else "") for run in runs)
     return f"this report is of {'; '.join(names)}, none of the paper's data sets"
 

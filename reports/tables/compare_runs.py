@@ -1,4 +1,4 @@
-"""What differs between two runs, or two methods of one run, and whether that is more than chance."""
+"""Paired comparison of two runs, or two methods of one run: differences, and whether they are significant."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -60,7 +60,7 @@ class Difference:
 
     @property
     def is_significant(self) -> bool:
-        """Whether the difference is told from chance at the level of the intervals, by a clip that is long enough for that."""
+        """True where the difference is significant at the level of the intervals, on a clip long enough to decide."""
         return not self.comparison.short and self.p_value is not None and self.p_value < 1.0 - LEVEL
 
     @property
@@ -102,10 +102,10 @@ def run_sides(first: Path, second: Path) -> tuple[tuple[Side, Side], ...]:
     results = Results.read(first), Results.read(second)
     _require_alike(first, second, *results)
     names = read_json(first / METHODS_FILE)["names"]
-    found = _labels(results[0]), _labels(results[1])
-    shared = [label for label in found[0] if label in found[1]]
+    labels = _labels(results[0]), _labels(results[1])
+    shared = [label for label in labels[0] if label in labels[1]]
     if not shared:
-        raise ResultsError(f"{first} has {', '.join(found[0])}, {second} {', '.join(found[1])}: no method in common to compare")
+        raise ResultsError(f"{first} has {', '.join(labels[0])}, {second} {', '.join(labels[1])}: no method in common to compare")
     return tuple((Side(names.get(label, label), label, results[0]), Side(str(second), label, results[1])) for label in shared)
 
 
@@ -127,21 +127,21 @@ def differences(one: Side, other: Side, run: Path) -> tuple[Difference, ...]:
         if len(having) == len(SIDES):
             whole[metric] = compare(both, metric, *SIDES, dataset)
     p_values = _corrected(whole)
-    found: list[Difference] = []
+    rows: list[Difference] = []
     for metric, comparison in whole.items():
         means = both.summary().loc[dataset][metric]
         numbers = float(means[SIDES[0], ""]), float(means[SIDES[1], ""])
-        found.append(Difference(notes[metric], "", *numbers, comparison, p_values[metric]))
-        found += _per_view(both, dataset, notes[metric])
-    return tuple(found)
+        rows.append(Difference(notes[metric], "", *numbers, comparison, p_values[metric]))
+        rows += _per_view(both, dataset, notes[metric])
+    return tuple(rows)
 
 
 def _per_view(both: Results, dataset: str, note: MetricNote) -> list[Difference]:
     """The same in each test view by itself; nothing for what belongs to the whole rig or to the camera path."""
     means = both.per_view(note.name)
-    wanted = both.provenance.get("protocol", {}).get("views", {}).get("test", means.columns)
+    test_views = both.provenance.get("protocol", {}).get("views", {}).get("test", means.columns)
     compared = {
-        str(view): compare(_view_alone(both, view), note.name, *SIDES, dataset) for view in wanted if view in means.columns
+        str(view): compare(_view_alone(both, view), note.name, *SIDES, dataset) for view in test_views if view in means.columns
     }
     p_values = _corrected(compared)
     numbers = {view: means[view].loc[[(side, "") for side in SIDES]].astype(float).tolist() for view in compared}

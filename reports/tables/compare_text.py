@@ -66,13 +66,13 @@ def write_comparison(first: str, second: str, run: Path | None, views: bool = Fa
     require_runs(first, second, run)
     pairs = run_sides(Path(first), Path(second)) if run is None else (method_sides(run, first, second),)
     notes = what_else_differs(Path(first), Path(second)) if run is None else []
-    found = {
+    by_pair = {
         one.name if run is None else f"{one.name} against {other.name}": differences(one, other, run or Path(first))
         for one, other in pairs
     }
     if out is not None:
-        write_text(out, differences_csv(found))
-    parts = [f"{name}\n{differences_text([one for one in each if views or not one.view])}" for name, each in found.items()]
+        write_text(out, differences_csv(by_pair))
+    parts = [f"{name}\n{differences_text([one for one in each if views or not one.view])}" for name, each in by_pair.items()]
     return "\n\n".join([f"first: {first}, second: {second}", *notes, *parts])
 
 

@@ -1,4 +1,4 @@
-"""Where the error of each method lies: over views or over time; unseen, in light and colour over wide areas, or in detail."""
+"""Error budget of each method: over views or over time; in unseen areas, in light and colour over wide areas, or in detail."""
 
 import math
 import os
@@ -99,16 +99,16 @@ def error_budget(image: Image8, truth: Image8, unseen: Mask | None) -> ErrorBudg
         error, unless there is next to nothing to take.
     """
     difference = image.astype(np.float32) - truth.astype(np.float32)
-    seen = np.ones(truth.shape[:2], np.float32) if unseen is None else (~unseen).astype(np.float32)
+    coverage = np.ones(truth.shape[:2], np.float32) if unseen is None else (~unseen).astype(np.float32)
     sigma = WIDE_SHARE * truth.shape[1]
-    shown = difference * seen[..., None]
-    blurred = (cv2.GaussianBlur(values, (0, 0), sigma, borderType=cv2.BORDER_REFLECT) for values in (shown, seen))
+    shown = difference * coverage[..., None]
+    blurred = (cv2.GaussianBlur(values, (0, 0), sigma, borderType=cv2.BORDER_REFLECT) for values in (shown, coverage))
     mean = next(blurred) / np.maximum(next(blurred), np.float32(1e-6))[..., None]
     squared = np.square(difference).mean(axis=2, dtype=np.float64)
     left = np.square(difference - mean).mean(axis=2, dtype=np.float64)
     hidden = None if unseen is None else float((squared * unseen).mean())
-    detail = float((left * seen).mean())
-    return ErrorBudget(hidden, float((squared * seen).mean()) - detail, detail)
+    detail = float((left * coverage).mean())
+    return ErrorBudget(hidden, float((squared * coverage).mean()) - detail, detail)
 
 
 def budget_table(run: MeasuredRun) -> Table | None:
@@ -119,13 +119,13 @@ def budget_table(run: MeasuredRun) -> Table | None:
     frames = run.frames[:: math.ceil(len(run.frames) / FRAMES_AT_MOST)]
     instants = [(view, frame) for view in run.protocol.views.test for frame in frames]
     with ThreadPoolExecutor(os.cpu_count()) as pool:  # OpenCV releases the GIL
-        found = dict(zip(instants, pool.map(partial(_budgets, run), instants), strict=True))
+        budgets = dict(zip(instants, pool.map(partial(_budgets, run), instants), strict=True))
     rows = [
-        Row(run.name(label), _share_cells([each[label] for each in found.values()]), "ours" if label in run.ours else "measured")
+        Row(run.name(label), _share_cells([one[label] for one in budgets.values()]), "ours" if label in run.ours else "measured")
         for label in run.pictured
     ]
     for view in run.protocol.views.test:
-        rows.append(Row(f"{run.name(shown)} in {view}", _share_cells([found[view, frame][shown] for frame in frames])))
+        rows.append(Row(f"{run.name(shown)} in {view}", _share_cells([budgets[view, frame][shown] for frame in frames])))
     return Table("error_budget", "Where the error lies", CAPTION, COLUMNS, tuple(rows), run.title)
 
 

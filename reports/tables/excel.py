@@ -19,7 +19,7 @@ WRITTEN = re.compile(rb"<dcterms:(created|modified)[^>]*>[^<]*</dcterms:\1>")
 
 
 def has_excel() -> bool:
-    """Whether the library is installed by which pandas writes workbooks."""
+    """Tell whether the library that pandas writes workbooks with is installed."""
     return importlib.util.find_spec("openpyxl") is not None
 
 
@@ -77,9 +77,9 @@ def _number_format(cell: Cell) -> str:
     return f"0.{'0' * decimals}" if decimals else "0"
 
 
-def _sheet_name(wanted: str, taken: Sequence[str]) -> str:
+def _sheet_name(title: str, taken: Sequence[str]) -> str:
     """A name that Excel accepts and no other sheet has."""
-    clean = re.sub(r"[\[\]:*?/\\']", "-", wanted).strip()[:LONGEST_NAME]
+    clean = re.sub(r"[\[\]:*?/\\']", "-", title).strip()[:LONGEST_NAME]
     count, name = 1, clean
     while name.lower() in {other.lower() for other in taken}:
         count += 1

@@ -36,14 +36,14 @@ def leaders(tables: Sequence[Table], wanted: Sequence[str] = HEADLINES) -> tuple
         tables: whose columns are metrics.
         wanted: names of metrics.
     """
-    found = [leader for table in tables for leader in _leaders_of(table)]
-    chosen = tuple(leader for leader in found if leader.column.name in wanted)
-    return chosen or tuple(found[: len(tables[0].columns)] if tables else ())
+    all_leaders = [leader for table in tables for leader in _leaders_of(table)]
+    chosen = tuple(leader for leader in all_leaders if leader.column.name in wanted)
+    return chosen or tuple(all_leaders[: len(tables[0].columns)] if tables else ())
 
 
 def _leaders_of(table: Table) -> list[Leader]:
     """One per column in which somebody is marked as best, or in which there is one method alone."""
-    found = []
+    column_leaders = []
     for at, column in enumerate(table.columns):
         having = [row for row in table.rows if not row.is_grey and row.kind != "partial" and row.cells[at].value is not None]
         best = having if len(having) == 1 else [row for row in having if row.cells[at].best]
@@ -51,8 +51,8 @@ def _leaders_of(table: Table) -> list[Leader]:
             first = max(best, key=lambda row: _goodness(row, at, column))  # stable: of equals the upper one
             ties = tuple(row.name for row in best if row is not first)
             undecided = table.undecided.get(column.name, "") if ties else ""
-            found.append(Leader(column, table.dataset, first.name, first.cells[at], ties, undecided))
-    return found
+            column_leaders.append(Leader(column, table.dataset, first.name, first.cells[at], ties, undecided))
+    return column_leaders
 
 
 def _goodness(row: Row, at: int, column: Column) -> float:

@@ -1,4 +1,4 @@
-"""What the paper reports: grey rows with their source and caveats, never mixed with measured ones."""
+"""Published values of the paper: grey rows with their source and caveats, never mixed with measured ones."""
 
 import csv
 from collections.abc import Sequence
@@ -49,7 +49,7 @@ def is_higher_better(metric: str) -> bool:
 
 def published_rows(name: str, dataset: str, metrics: Sequence[str]) -> tuple[Row, ...]:
     """The paper's rows for one dataset, to stand in grey below measured ones; none for a dataset that it does not have."""
-    names = {known.lower(): known for known in read_published(name)}
+    names = {dataset_name.lower(): dataset_name for dataset_name in read_published(name)}
     methods = read_published(name).get(names.get(dataset.lower(), ""), {})
     return tuple(
         Row(f"{method} (paper)", tuple(_cell(values.get(metric)) for metric in metrics), "published")

@@ -22,7 +22,7 @@ PUBLISHED_GROUPS = ("quality", "consistency")
 
 @dataclass(frozen=True)
 class Certainty:
-    """What is known of one metric's numbers beside the numbers.
+    """Statistical certainty of one metric's numbers.
 
     Attributes:
         intervals: label -> interval, or why there is none.
@@ -41,22 +41,22 @@ class Certainty:
 
     @property
     def undecided(self) -> str:
-        """Why nobody is named as the best; empty where somebody is."""
+        """Reason why no method is named as the best; empty where one is."""
         return "" if self.standing is None else self.standing.short
 
     @property
     def refusal(self) -> str:
-        """Why some method has no interval; empty where all have one."""
+        """Reason why some method has no interval; empty where all have one."""
         return next((interval.note for interval in self.intervals.values() if interval.low is None), "")
 
     def interval(self, label: str) -> Interval | None:
         """Interval of a method; its note also says why it was not compared with the best."""
-        found = self.intervals.get(label)
+        interval = self.intervals.get(label)
         why = "" if self.standing is None else self.standing.untested.get(label, "")
-        if found is None or not why or why == found.note:
-            return found
-        note = "; ".join(filter(None, (found.note, f"not compared with the best: {why}")))
-        return Interval(found.value, found.low, found.high, note)
+        if interval is None or not why or why == interval.note:
+            return interval
+        note = "; ".join(filter(None, (interval.note, f"not compared with the best: {why}")))
+        return Interval(interval.value, interval.low, interval.high, note)
 
 
 def main_tables(runs: Sequence[MeasuredRun], results: Results) -> tuple[Table, ...]:
@@ -104,10 +104,10 @@ def _main_table(
 
 def _certainty(note: MetricNote, results: Results, dataset: str, partial: Collection[str]) -> Certainty:
     whole = without_partial(results, partial)
-    found = intervals(whole, note.name, dataset)
-    several = sum(not math.isnan(one.value) for one in found.values()) > 1
+    interval_of = intervals(whole, note.name, dataset)
+    several = sum(not math.isnan(one.value) for one in interval_of.values()) > 1
     standing = rank_methods(whole, note.name, note.higher_is_better, dataset) if several else None
-    return Certainty(found, standing)
+    return Certainty(interval_of, standing)
 
 
 def without_partial(results: Results, partial: Collection[str]) -> Results:
@@ -123,11 +123,11 @@ def _told_rows(certainty: Certainty, labels: Sequence[str]) -> frozenset[int] | 
 
 
 def _certainty_captions(certain: Mapping[str, Certainty]) -> list[str]:
-    """What ± and bold mean in this table, and what has no interval."""
+    """Write captions: the meaning of ± and bold in this table, and which numbers have no interval."""
     level = f"{100 * LEVEL:.0f} %"
-    known = [one for certainty in certain.values() for one in certainty.intervals.values() if one.low is not None]
-    given = "".join(f", {note}" for note in dict.fromkeys(interval.note.partition(";")[0] for interval in known) if note)
-    captions = [f"±: {level} interval, by the correlation over time that each clip allows{given}."] if known else []
+    bounded = [one for certainty in certain.values() for one in certainty.intervals.values() if one.low is not None]
+    given = "".join(f", {note}" for note in dict.fromkeys(interval.note.partition(";")[0] for interval in bounded) if note)
+    captions = [f"±: {level} interval, by the correlation over time that each clip allows{given}."] if bounded else []
     ranked = [certainty for certainty in certain.values() if certainty.standing]
     if any(certainty.told for certainty in ranked):
         captions.append(f"Bold: best, and what cannot be told from it (paired, {level}).")

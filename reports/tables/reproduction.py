@@ -104,7 +104,7 @@ def _evaluation_table(table: str, comparable_runs: dict[str, ComparableRuns | No
 
 
 def _evaluate(comparable: ComparableRuns, method: PaperMethod, metric: str, paper: str) -> tuple[Cell, Status, str]:
-    """What was measured of a published value, its standing and why."""
+    """Look up the measurement of a published value; return its cell, its status and the reason."""
     label = next(filter(None, map(method.find_label, comparable.runs)), None)
     if label is None and method.weights:
         return (
@@ -141,7 +141,7 @@ def _evaluate_metric(comparable: ComparableRuns, label: str, metric: str, paper:
 
 
 def evaluate_value(paper: str, ours: Cell, metric: str, digits: int | None = None) -> tuple[Status, str]:
-    """Whether a measured value is the published one.
+    """Decide whether a measured value reproduces the published one.
 
     Args:
         paper: value with the digits that the paper prints.
@@ -161,12 +161,12 @@ def evaluate_value(paper: str, ours: Cell, metric: str, digits: int | None = Non
     bounds = f"{100 * LEVEL:.0f} % interval {_shown(ours.low, digits)} to {_shown(ours.high, digits)}{given}"
     if f"{ours.value:.{decimals}f}" == paper:
         return "reproduced", "the same to the printed digits"
-    known = ours.low is not None and ours.high is not None
-    if known and ours.low - half_unit <= published <= ours.high + half_unit:  # type: ignore[operator]
+    has_interval = ours.low is not None and ours.high is not None
+    if has_interval and ours.low - half_unit <= published <= ours.high + half_unit:  # type: ignore[operator]
         return "reproduced", f"the paper's value lies in our {bounds}"
     better = "better" if (ours.value > published) == is_higher_better(metric) else "worse"
     by = f"{format_value(abs(ours.value - published), digits)}{' ' if metric in UNITS else ''}{UNITS.get(metric, '')}"
-    return "differs", f"{better} by {by}; {bounds if known else f'no interval{given}'}"
+    return "differs", f"{better} by {by}; {bounds if has_interval else f'no interval{given}'}"
 
 
 def _shown(value: float | None, digits: int | None) -> str:

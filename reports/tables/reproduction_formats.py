@@ -41,7 +41,7 @@ class Block:
 
 @dataclass(frozen=True)
 class Line:
-    """What a reader is told of one published value, or of several that lack the same: words for each of `HEADS` but the first."""
+    """Line on one published value, or on several that lack the same: words for each of `HEADS` but the first."""
 
     method: str
     metric: str
@@ -71,7 +71,7 @@ def blocks(entries: Sequence[Reproduction]) -> tuple[Block, ...]:
 
 
 def count_words(entries: Sequence[Reproduction]) -> str:
-    """How many values have which status: ``3 reproduced, 17 data absent``."""
+    """Count the values of each status, in words: ``3 reproduced, 17 data absent``."""
     counts = Counter(entry.status for entry in entries)
     return ", ".join(f"{counts[status]} {status}" for status in STATUSES if counts[status])
 
@@ -121,11 +121,11 @@ def _table(entries: Sequence[Reproduction]) -> Table:
     table, dataset = entries[0].table, entries[0].dataset
     columns = tuple(_column(entry) for entry in {entry.metric: entry for entry in entries}.values())
     methods = dict.fromkeys(entry.method for entry in entries)
-    found = {(entry.method, entry.metric): entry for entry in entries}
-    published = [Row(name, tuple(_paper_cell(found.get((name, column.name))) for column in columns)) for name in methods]
+    entry_of = {(entry.method, entry.metric): entry for entry in entries}
+    published = [Row(name, tuple(_paper_cell(entry_of.get((name, column.name))) for column in columns)) for name in methods]
     rows: list[Row] = []
     for name, row in zip(methods, rank(columns, published), strict=True):
-        here = tuple(_our_cell(found.get((name, column.name))) for column in columns)
+        here = tuple(_our_cell(entry_of.get((name, column.name))) for column in columns)
         rows += [replace(row, name=f"{name} (paper)", kind="published"), Row(f"{name}, here", here)]
     summary = count_words(entries)
     caption = f"{summary[0].upper()}{summary[1:]}; reproduction.csv says why. Paper: {SOURCE}."

@@ -97,10 +97,10 @@ def evaluate_time(runs: Sequence[MeasuredRun], label: str, key: str, paper_ms: f
     timing = TIMINGS[key]
     if timing.stage is None:
         return None, timing.why_not
-    found = [value for run in runs if (value := _stage_ms(run, label, timing.stage)) is not None]
-    if not found:
+    times_ms = [value for run in runs if (value := _stage_ms(run, label, timing.stage)) is not None]
+    if not times_ms:
         return None, f"no time of stage {timing.stage} recorded"
-    value = float(np.mean(found))
+    value = float(np.mean(times_ms))
     ratio = f"{value / paper_ms:.2g} times the paper's" if paper_ms else "the paper has 0"
     return Cell(
         f"{value:.1f}", value

@@ -85,10 +85,10 @@ def evaluate_verdict(runs: Sequence[MeasuredRun], results: Results, tables: Sequ
         The paper names no single measure of quality. The first one of its own tables that was measured is the headline (PSNR,
         if it was), and who leads the others is said beside it.
     """
-    found = leaders(tables)
-    if not found:
+    all_leaders = leaders(tables)
+    if not all_leaders:
         return None
-    first = min(found, key=lambda one: HEADLINES.index(one.column.name) if one.column.name in HEADLINES else len(HEADLINES))
+    first = min(all_leaders, key=lambda one: HEADLINES.index(one.column.name) if one.column.name in HEADLINES else len(HEADLINES))
     table = next(one for one in tables if one.dataset == first.dataset and first.column in one.columns)
     at, labels = table.columns.index(first.column), _labels(runs, results, first.dataset)
     competing = [
@@ -105,7 +105,7 @@ def evaluate_verdict(runs: Sequence[MeasuredRun], results: Results, tables: Sequ
     )
     headline, margin = _words(first, contenders, runs, results)
     others: dict[str, list[str]] = {}
-    for leader in found:
+    for leader in all_leaders:
         if leader is not first:
             others.setdefault("" if leader.undecided or leader.ties else leader.name, []).append(leader.column.name)
     tied = tuple(others.pop("", ()))
