@@ -8,6 +8,7 @@
 #include "contested.hpp"
 #include "filter.hpp"
 #include "push_pull.hpp"
+#include "shade.hpp"
 
 namespace ggvs {
 namespace {
@@ -137,6 +138,18 @@ py::array_t<float> settle_depth_of(const py::handle& target, const py::handle& f
     return out;
 }
 
+py::array_t<uint8_t> shade_of(const py::array& image, const py::handle& gain, const py::handle& down, const py::handle& across,
+                              int threads) {
+    const auto [height, width] = size_of(image, "image");
+    const Shading job{data_of<uint8_t>(image, "image", {height, width, 3}), data_of<float>(gain, "gain", {3}),
+                      data_of<float>(down, "down", {height}), data_of<float>(across, "across", {width}), width, height};
+    py::array_t<uint8_t> out({height, width, 3});
+    uint8_t* data = out.mutable_data();
+    py::gil_scoped_release released;
+    ggvs::shade(job, data, threads);
+    return out;
+}
+
 py::array_t<float> push_pull_of(const py::array& colour, const py::handle& known, int threads) {
     const auto [height, width] = size_of(colour, "colour");
     const HoledImage image{data_of<float>(colour, "colour", {height, width, 3}),
@@ -158,6 +171,7 @@ void bind_images(py::module_& m) {
     m.def("look_up", &look_up_of, "target"_a, "depth"_a, "views"_a, "background"_a, "tolerance"_a, "threads"_a, "level"_a);
     m.def("settle_depth", &settle_depth_of, "target"_a, "fused"_a, "views"_a, "tolerance"_a, "least_alpha"_a, "least_share"_a,
           "ratio"_a, "threads"_a);
+    m.def("shade", &shade_of, "image"_a, "gain"_a, "down"_a, "across"_a, "threads"_a);
     m.def("push_pull", &push_pull_of, "colour"_a, "known"_a, "threads"_a);
 }
 

@@ -69,7 +69,8 @@ class OnlineOptions:
         normalised_field: see `FieldReading`; the march is slow without.
         recurrent_limit: largest weight of the previous output where nothing moves, below 1, see `RecurrentOutput`; 0 for none,
             as in the paper.
-        compensated: sources are brought to one colour before they are blended, see `ExposureCompensation`; not in the paper.
+        compensated: sources are brought to one colour before they are blended, gains and the fall-off of lenses alike, see
+            `ExposureCompensation`; not in the paper.
         settled: fused depth that most views contradict gives way where their colours do, see `settle_depth`; not in the paper.
         remembered: what no source sees is shown as it was seen before, see `RememberedBackground`; not in the paper.
 
@@ -173,7 +174,7 @@ class GeometryGuided:
         known = np.zeros((target.height, target.width), np.float32) if depth is None else depth
         blended = self.blender.blend(BlendingInputs(filtered, splats, known, self._tau(filtered)))
         diagnostics = diagnostics_maps(depth, splats, still, blended.weights)
-        image = blended.image
+        image = self._compensation.finish(blended.image, target) if chosen.compensated else blended.image
         if self._background is not None:
             image = self._background.step(index, target, image, known, splats, still)
         return self._output.step(index, target, image, still), diagnostics
