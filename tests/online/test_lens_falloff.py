@@ -72,7 +72,8 @@ def test_fields_of_their_own_do_not_pass_for_a_lens():
     tilts = (0.04, -0.03, 0.0, 0.03)
     ramp = np.linspace(-1, 1, TARGET.width)[:, None]
     sources = [
-        replace(view, image=quantise(view.image / 255.0 * (1 + tilt * ramp))) for view, tilt in zip(seen.sources, tilts, strict=True)
+        replace(view, image=quantise(view.image / 255.0 * (1 + tilt * ramp)))
+        for view, tilt in zip(seen.sources, tilts, strict=True)
     ]
     assert slope_of(replace(seen, sources=tuple(sources))) == 0
 
@@ -81,9 +82,8 @@ def test_the_picture_is_better_for_it():
     """A target at the side of its sources, behind such a lens itself, is nearer to the truth by half a decibel."""
     planted = np.log(0.75) / CORNER
     truth = look(TARGET)[0] / 255.0 * field(TARGET, planted)
-    scores = [
-        psnr_db(GeometryGuided(OnlineOptions(compensated=on)).step(seen_through([planted] * 4)).image, truth) for on in (True, False)
-    ]
+    seen = seen_through([planted] * 4)
+    scores = [psnr_db(GeometryGuided(OnlineOptions(compensated=on)).step(seen).image, truth) for on in (True, False)]
     assert scores[0] > scores[1] + 0.5
 
 
