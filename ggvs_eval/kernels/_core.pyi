@@ -71,6 +71,17 @@ def look_up(
     threads: int,
     level: int,
 ) -> Image: ...
+def settle_depth(
+    target: Pinhole,
+    fused: Image,
+    views: Sequence[tuple[Pinhole, Matrix, Image8, Image, Image, float]],  # camera, from_target, image, alpha, depth, weight
+    tolerance: float,
+    least_alpha: float,
+    least_share: float,
+    ratio: float,
+    threads: int,
+) -> Image: ...
+def shade(image: Image8, gain: Image, down: Image, across: Image, threads: int) -> Image8: ...
 def push_pull(colour: Image, known: NDArray[np.bool_], threads: int) -> Image: ...
 def register_views(
     target: Pinhole,

@@ -5,8 +5,10 @@
 
 #include "blend.hpp"
 #include "camera_arguments.hpp"
+#include "contested.hpp"
 #include "filter.hpp"
 #include "push_pull.hpp"
+#include "shade.hpp"
 
 namespace ggvs {
 namespace {
@@ -116,6 +118,38 @@ py::array_t<float> look_up_of(const py::handle& target, const py::handle& depth,
     return out;
 }
 
+py::array_t<float> settle_depth_of(const py::handle& target, const py::handle& fused, const py::sequence& views, float tolerance,
+                                float least_alpha, float least_share, float ratio, int threads) {
+    const Pinhole to = pinhole_of(target);
+    Contest contest{to, image_of(fused, "fused", to), tolerance, least_alpha, least_share, ratio, {}};
+    if (py::len(views) > kMostWitnesses) throw py::value_error("settle_depth: more than 64 views");
+    for (const py::handle& item : views) {
+        const py::tuple view = py::cast<py::tuple>(item);
+        const Pinhole from = pinhole_of(view[0]);
+        if (from.width < 2 || from.height < 2) throw py::value_error("settle_depth: wanted images of at least 2 x 2 pixels");
+        contest.views.push_back({from, data_of<double>(view[1], "from_target", {4, 4}),
+                                 data_of<uint8_t>(view[2], "image", {from.height, from.width, 3}), image_of(view[3], "alpha", to),
+                                 image_of(view[4], "splatted depth", to), py::cast<float>(view[5]), {}});
+    }
+    py::array_t<float> out = empty({to.height, to.width});
+    float* data = out.mutable_data();
+    py::gil_scoped_release released;
+    ggvs::settle_depth(contest, data, threads);
+    return out;
+}
+
+py::array_t<uint8_t> shade_of(const py::array& image, const py::handle& gain, const py::handle& down, const py::handle& across,
+                              int threads) {
+    const auto [height, width] = size_of(image, "image");
+    const Shading job{data_of<uint8_t>(image, "image", {height, width, 3}), data_of<float>(gain, "gain", {3}),
+                      data_of<float>(down, "down", {height}), data_of<float>(across, "across", {width}), width, height};
+    py::array_t<uint8_t> out({height, width, 3});
+    uint8_t* data = out.mutable_data();
+    py::gil_scoped_release released;
+    ggvs::shade(job, data, threads);
+    return out;
+}
+
 py::array_t<float> push_pull_of(const py::array& colour, const py::handle& known, int threads) {
     const auto [height, width] = size_of(colour, "colour");
     const HoledImage image{data_of<float>(colour, "colour", {height, width, 3}),
@@ -135,6 +169,9 @@ void bind_images(py::module_& m) {
     m.def("weighted_mean", &weighted_mean_of, "views"_a, "size"_a, "threads"_a);
     m.def("largest_feature", &largest_feature_of, "views"_a, "channel"_a, "size"_a, "least_alpha"_a, "otherwise"_a, "threads"_a);
     m.def("look_up", &look_up_of, "target"_a, "depth"_a, "views"_a, "background"_a, "tolerance"_a, "threads"_a, "level"_a);
+    m.def("settle_depth", &settle_depth_of, "target"_a, "fused"_a, "views"_a, "tolerance"_a, "least_alpha"_a, "least_share"_a,
+          "ratio"_a, "threads"_a);
+    m.def("shade", &shade_of, "image"_a, "gain"_a, "down"_a, "across"_a, "threads"_a);
     m.def("push_pull", &push_pull_of, "colour"_a, "known"_a, "threads"_a);
 }
 

@@ -100,6 +100,12 @@ DOMAINS: dict[str, Domain] = {
         {"processing": 1.0, "defocus_px": 0.8, "jpeg_quality": 88, "noise_sigma_255": 0.0},
         {"processing": (0.5, 1.5), "defocus_px": (0.0, 1.6), "jpeg_quality": (80, 95), "exposure_spread": (0.0, 0.03)},
     ),
+    "vignetting": Domain(
+        "vignetting",
+        "lenses that darken the corners of their pictures, each a little differently",
+        {"vignetting": 0.2},
+        {**USUAL, "vignetting": (0.05, 0.3)},
+    ),
 }
 
 

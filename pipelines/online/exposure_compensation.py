@@ -1,4 +1,4 @@
-"""One colour for what several cameras see: the gain of each source, estimated online where sources see the same surface."""
+"""One colour for what several cameras see: gains and lens fall-off, estimated online where sources see the same surface."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,6 +13,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.geometry.per_pixel import view_weights
 from ggvs_eval.geometry.pinhole import rigid_between
 from ggvs_eval.method import Instant, SourceView
+from ggvs_eval.pipelines.online.lens_falloff import LensFallOff, corner_of, fallen_off, flattened
 
 REDUCTION = 4  # of the images that are compared, so that a registration that is off by a pixel does not matter
 LATTICE_ROWS = 32  # of look-ups in a source, at least, if it has as many
@@ -27,8 +28,9 @@ class ExposureCompensation:
     """Gains, one per source camera and channel, that make the sources agree about the surfaces they share.
 
     A lattice of pixels of each source is looked up in every other source that sees the same surface. The median ratio of two
-    sources' colours tells their gains apart; least squares over all pairs gives every source's. State: the mean ratio of each
-    pair of cameras that were sources together, since the last gap in time.
+    sources' colours tells their gains apart; least squares over all pairs gives every source's. How the ratio changes with the
+    angles from the two axes tells the fall-off of the lens that all share, see `LensFallOff`. State: the mean ratio of each pair
+    of cameras that were sources together, and the mean fall-off, since the last gap in time.
 
     Args:
         memory: instants that a ratio is the mean of, at most; 1 for none but the present one.
@@ -45,18 +47,24 @@ class ExposureCompensation:
     def __init__(self, memory: int = 10) -> None:
         self._memory = memory
         self._ratios: dict[tuple[str, str], tuple[int, Array]] = {}
+        self._falloff = LensFallOff(memory)
         self._index: int | None = None
+        self.slope, self._corner = 0.0, 1.0
 
     def step(self, instant: Instant, tolerance: float) -> Instant:
-        """The instant with its source images multiplied by `gains`; they stay in 8 bit, and nobody else need know."""
+        """The instant with its source images multiplied by `gains` and without fall-off; they stay in 8 bit."""
         gains = self.gains(instant, tolerance)
-        gained = (
-            replace(source, image=gained_image(source.image, gain)) for source, gain in zip(instant.sources, gains, strict=True)
-        )
-        return replace(instant, sources=tuple(gained))
+        sources = [
+            replace(source, image=self._compensated(source, gain)) for source, gain in zip(instant.sources, gains, strict=True)
+        ]
+        return replace(instant, sources=tuple(sources))
+
+    def finish(self, image: Map, target: Camera) -> Map:
+        """What was blended of the sources of the last step as the target's lens would show it, in place."""
+        return fallen_off(image, target, self.slope, self._corner)
 
     def gains(self, instant: Instant, tolerance: float) -> Map:
-        """Factors that turn the colours of each source into those of the target, (K, 3).
+        """Factors that turn the colours of each source into those of the target, (K, 3), but for the fall-off of lenses.
 
         Args:
             instant: source views, target camera.
@@ -64,29 +72,29 @@ class ExposureCompensation:
         """
         if self._index is not None and instant.index != self._index + 1:
             self._ratios.clear()  # stale history is worse than none
+            self._falloff.forget()
         self._index = instant.index
-        log_gains = self._solve(instant.sources, tolerance)
         cameras, shares = [source.camera for source in instant.sources], [source.share for source in instant.sources]
+        self._corner = corner_of([instant.target, *cameras])
+        log_gains = self._solve(instant.sources, tolerance)
         weights = view_weights(instant.target, cameras, shares).astype(np.float64) ** GAUGE_POWER
         log_gains -= weights @ log_gains / weights.sum()
         return np.exp(-np.clip(log_gains, -LARGEST_LOG_GAIN, LARGEST_LOG_GAIN)).astype(np.float32)
 
+    def _compensated(self, source: SourceView, gain: Map) -> Image8:
+        if not self.slope:
+            return gained_image(source.image, gain)
+        return flattened(source.image, source.camera, gain, self.slope, self._corner)
+
     def _solve(self, sources: Sequence[SourceView], tolerance: float) -> Array:
         """Logarithm of every source's gain, (K, 3), whose mean is about 0: weighted least squares over all pairs."""
-        pictures = [reduced(source.image) for source in sources]
-        lattices = [lattice(source, picture) for source, picture in zip(sources, pictures, strict=True)]
+        pairs, samples = shared_looks(sources, tolerance)
+        self.slope = self._falloff.step([(looks[:, :3].mean(axis=1), looks[:, 3]) for looks in pairs.values()], self._corner)
         normal, right = PRIOR * np.eye(len(sources)), np.zeros((len(sources), 3))
-        for j, k in combinations(range(len(sources)), 2):
-            shared = np.concatenate(
-                [
-                    log_ratios(lattices[j], sources[j].camera, sources[k], pictures[k], tolerance),
-                    -log_ratios(lattices[k], sources[k].camera, sources[j], pictures[j], tolerance),
-                ]
-            )
-            if len(shared) < FEWEST:
-                continue
-            ratio = self._remembered(sources[j].camera.name, sources[k].camera.name, np.median(shared, axis=0))
-            weight = len(shared) / (len(lattices[j][0]) + len(lattices[k][0]))
+        for (j, k), looks in pairs.items():
+            ratios = looks[:, :3] - np.float32(self.slope) * looks[:, 3:] if self.slope else looks[:, :3]
+            ratio = self._remembered(sources[j].camera.name, sources[k].camera.name, np.median(ratios, axis=0))
+            weight = len(looks) / (samples[j] + samples[k])
             normal[[j, k], [j, k]] += weight
             normal[[j, k], [k, j]] -= weight
             right[j] += weight * ratio
@@ -102,6 +110,28 @@ class ExposureCompensation:
         mean = mean + ((-ratio if swapped else ratio) - mean) / seen
         self._ratios[key] = (seen, mean)
         return -mean if swapped else mean
+
+
+def shared_looks(sources: Sequence[SourceView], tolerance: float) -> tuple[dict[tuple[int, int], Map], list[int]]:
+    """What every two sources see together, at the lattices of both.
+
+    Args:
+        sources: the views.
+        tolerance: depths that differ by less are the same surface, world units.
+
+    Returns:
+        Of the pairs that share enough, by their numbers: `log_ratios` of the first to the second, (N, 4). And how many points
+        the lattice of each source has.
+    """
+    pictures = [reduced(source.image) for source in sources]
+    lattices = [lattice(source, picture) for source, picture in zip(sources, pictures, strict=True)]
+    pairs = {}
+    for j, k in combinations(range(len(sources)), 2):
+        there = log_ratios(lattices[j], sources[j].camera, sources[k], pictures[k], tolerance)
+        back = log_ratios(lattices[k], sources[k].camera, sources[j], pictures[j], tolerance)
+        if len(there) + len(back) >= FEWEST:
+            pairs[j, k] = np.concatenate([there, -back])
+    return pairs, [len(points) for points, _ in lattices]
 
 
 def lattice(source: SourceView, picture: Map) -> tuple[Map, Map]:
@@ -128,7 +158,9 @@ def lattice(source: SourceView, picture: Map) -> tuple[Map, Map]:
 
 
 def log_ratios(points_of: tuple[Map, Map], camera: Camera, other: SourceView, picture: Map, tolerance: float) -> Map:
-    """Logarithms of one source's colours less those of another one, (M, 3), at the points that both see.
+    """Logarithms of one source's colours less those of another one, at the points that both see, (M, 4).
+
+    The last column is the difference of the squared tangents of the angles from their axes.
 
     Args:
         points_of: the first source's `lattice`.
@@ -148,7 +180,15 @@ def log_ratios(points_of: tuple[Map, Map], camera: Camera, other: SourceView, pi
     agrees = np.abs(other.depth[v.astype(np.intp), u.astype(np.intp)] - z) < tolerance
     colours = sampled(picture, u[agrees] / REDUCTION - 0.5, v[agrees] / REDUCTION - 0.5)
     counts = linear(colours)
-    return np.asarray(logarithms[chosen[agrees][counts]] - np.log(colours[counts]), np.float32)
+    both = chosen[agrees][counts]
+    own, others = points[both], np.stack([x[both], y[both], z[agrees][counts]], axis=-1)
+    spans = _squared_tangents(own) - _squared_tangents(others)
+    return np.concatenate([logarithms[both] - np.log(colours[counts]), spans[:, None]], axis=1, dtype=np.float32)
+
+
+def _squared_tangents(points: Map) -> Map:
+    """Squared tangents of the angles from the axis of points in a camera's frame, (N, 3)."""
+    return np.asarray((points[:, 0] ** 2 + points[:, 1] ** 2) / points[:, 2] ** 2, np.float32)
 
 
 def linear(colours: Map) -> NDArray[np.bool_]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Map
 from ggvs_eval.camera import Camera
+from ggvs_eval.geometry.contested_depth import settle_depth
 from ggvs_eval.geometry.per_pixel import largest_feature
 from ggvs_eval.geometry.splat import COVERED_ALPHA, Splat, splat, splat_points
 from ggvs_eval.geometry.tsdf import PreviousDepth, RayMarch, fusion_weights, ray_march
@@ -21,6 +22,8 @@ from ggvs_eval.pipelines.online.exposure_compensation import ExposureCompensatio
 from ggvs_eval.pipelines.online.printed_march import FieldReading, printed_march
 from ggvs_eval.pipelines.online.recurrent_output import REDUCTION, RecurrentOutput, splatted_change, stillness
 from ggvs_eval.pipelines.online.remembered_background import RememberedBackground
+
+SAME_SURFACE_TAU = 2.0  # truncation distances within which a view's depth and the fused one are the same surface
 
 
 def diagnostics_maps(depth: Map | None, splats: Sequence[Splat], still: Map, weights: Map | None) -> dict[str, Map]:
@@ -66,7 +69,9 @@ class OnlineOptions:
         normalised_field: see `FieldReading`; the march is slow without.
         recurrent_limit: largest weight of the previous output where nothing moves, below 1, see `RecurrentOutput`; 0 for none,
             as in the paper.
-        compensated: sources are brought to one colour before they are blended, see `ExposureCompensation`; not in the paper.
+        compensated: sources are brought to one colour before they are blended, gains and the fall-off of lenses alike, see
+            `ExposureCompensation`; not in the paper.
+        settled: fused depth that most views contradict gives way where their colours do, see `settle_depth`; not in the paper.
         remembered: what no source sees is shown as it was seen before, see `RememberedBackground`; not in the paper.
 
     Reading:
@@ -96,6 +101,7 @@ class OnlineOptions:
     normalised_field: bool = True
     recurrent_limit: float = 0.85
     compensated: bool = True
+    settled: bool = True
     remembered: bool = True
 
 
@@ -140,7 +146,7 @@ class GeometryGuided:
         marks.append(perf_counter())
         splats = self._splat(instant, filtered, masks)
         marks.append(perf_counter())
-        depth = self._march(filtered, weights, splats).depth if self.options.fused else None
+        depth = self._fused_depth(filtered, weights, splats) if self.options.fused else None
         marks.append(perf_counter())
         image, diagnostics = self._blend(filtered, splats, depth)
         marks.append(perf_counter())
@@ -168,7 +174,7 @@ class GeometryGuided:
         known = np.zeros((target.height, target.width), np.float32) if depth is None else depth
         blended = self.blender.blend(BlendingInputs(filtered, splats, known, self._tau(filtered)))
         diagnostics = diagnostics_maps(depth, splats, still, blended.weights)
-        image = blended.image
+        image = self._compensation.finish(blended.image, target) if chosen.compensated else blended.image
         if self._background is not None:
             image = self._background.step(index, target, image, known, splats, still)
         return self._output.step(index, target, image, still), diagnostics
@@ -183,6 +189,13 @@ class GeometryGuided:
             else:
                 splats.append(splat([shown], target, near=near, extras=[mask], scale=chosen.gaussian_scale_px))
         return splats
+
+    def _fused_depth(self, filtered: Instant, weights: list[Map], splats: list[Splat]) -> Map:
+        """The depth of the ray march, settled by colours where most views contradict it."""
+        depth = self._march(filtered, weights, splats).depth
+        if not self.options.settled:
+            return depth
+        return settle_depth(filtered.target, depth, filtered.sources, splats, SAME_SURFACE_TAU * self._tau(filtered))
 
     def _march(self, filtered: Instant, weights: list[Map], splats: list[Splat]) -> RayMarch:
         """Fuse the filtered depths, and the previous fused depth, in the target view (Eqs. 3, 9-14)."""

@@ -261,6 +261,22 @@ def compensated() -> None:
     assert ratio[0] == pytest.approx(1.0, abs=0.03)
 
 
+def settled() -> None:
+    """Where views show a surface that the ray march has voted away, their colours bring it back, or it stays away."""
+    frame, true_depth = still(1, depth_noise=0.0)[0], look(TARGET)[1]
+
+    def march_behind(*views: Any, **settings: Any) -> RayMarch:
+        return RayMarch(1.3 * true_depth, np.ones_like(true_depth))
+
+    depths = []
+    for value in (True, False):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(geometry_guided, "ray_march", march_behind)
+            depths.append(np.asarray(GeometryGuided(OnlineOptions(settled=value)).step(frame).depth))
+    assert (np.abs(depths[0] - true_depth) < 0.1).mean() > 0.8
+    np.testing.assert_array_equal(depths[1], 1.3 * true_depth)
+
+
 def remembered() -> None:
     """What no source sees any more is shown as it was seen, though all else has changed, or filled from its surroundings."""
     first, second, third = still(3, depth_noise=0.0)
@@ -295,7 +311,7 @@ CASES: dict[str, Case] = {
     for each in (
         *(temporal, fused, lambda_t, beta_mask, history_tolerance, beta_temporal, eta, tau_m, depth_noise_m),
         *(mask_channels, mask_views, splatted_depth, splatted_as, gaussian_scale_px, min_step),
-        *(signed_distance, normalised_field, recurrent_limit, compensated, remembered),
+        *(signed_distance, normalised_field, recurrent_limit, compensated, settled, remembered),
     )
 }
 

@@ -20,6 +20,7 @@ LATER = (
     "defocus_px",
     "processing",
     "jpeg_quality",
+    "vignetting",
     "depth_offset_px",
     "depth_rotation_rad",
     "depth_delay_s",
@@ -61,6 +62,8 @@ class DemoOptions:
         processing: how strongly each camera makes its own picture of a mosaic of colours: shot noise, denoising and sharpening
             at 1 as a telephone's; 0 for none of it.
         jpeg_quality: at which each camera compresses its pictures, 1 to 100; 0 for no compression.
+        vignetting: how much darker the corners of the pictures are than their middle, share of the sRGB values; of a rig's lenses
+            each differs from it by a fifth; 0 for lenses without fall-off.
         depth_offset_px: rgbd: depth is of a sensor whose picture is shifted by so many pixels of the colour image, in a
             direction that the seed chooses. What is written down says nothing of it, nor of the next three.
         depth_rotation_rad: rgbd: the sensor of depth is turned by so much about an axis that the seed chooses.
@@ -94,6 +97,7 @@ class DemoOptions:
     defocus_px: float = 0.0
     processing: float = 0.0
     jpeg_quality: int = 0
+    vignetting: float = 0.0
     depth_offset_px: float = 0.0
     depth_rotation_rad: float = 0.0
     depth_delay_s: float = 0.0
@@ -121,6 +125,8 @@ class DemoOptions:
             least = 1e-3 if name == "spacing" else 0.0
             if not least <= getattr(self, name) < math.inf:
                 raise CaptureError(f"demo: {name} must be at least {least:g}, got {getattr(self, name):g}")
+        if self.vignetting > 0.5:
+            raise CaptureError(f"demo: vignetting must be at most 0.5, corners half as bright, got {self.vignetting:g}")
         if self.jpeg_quality > 100:
             raise CaptureError(f"demo: jpeg_quality must be 1 to 100, or 0 for none, got {self.jpeg_quality}")
         if self.layout != "rgbd":

@@ -22,6 +22,8 @@ SHARPENING, SHARPENED_PX = 0.8, 1.0
 # Share of red, green and blue in brightness.
 LUMA: Array32 = np.array([0.299, 0.587, 0.114], np.float32)
 LARGEST = np.iinfo(np.uint16).max
+# Standard deviation of the lenses' vignetting around what is asked for, share of it.
+LENS_SPREAD = 0.2
 # The lowest raw level, of the largest: noise around black must not be cut off.
 BLACK_LEVEL = 0.02
 
@@ -139,6 +141,7 @@ class Sensor:
         defocus_px: radius of the disc of a point out of focus, pixels.
         processing: how strongly the camera makes its own picture, see `DemoOptions`.
         jpeg_quality: of its own pictures, 0 for none.
+        vignetting: how much darker its lens makes the corners, share of the sRGB values.
     """
 
     gain: Array32
@@ -147,6 +150,7 @@ class Sensor:
     defocus_px: float = 0.0
     processing: float = 0.0
     jpeg_quality: int = 0
+    vignetting: float = 0.0
 
     def noise(self, stream: int) -> np.random.Generator:
         """The noise from the first picture on; each kind of pictures has a stream of its own."""
@@ -155,7 +159,15 @@ class Sensor:
     def expose(self, image: Array32, noise: np.random.Generator) -> Image8:
         """The next picture, (H, W, 3) in [0, 1], as 8 bit with gain and noise."""
         grain = noise.standard_normal(image.shape, np.float32) * (self.noise_sigma_255 / 255)
-        return compress(quantise(self._developed(image * self.gain, noise) + grain), self.jpeg_quality)
+        return compress(quantise(self._developed(self._shaded(image) * self.gain, noise) + grain), self.jpeg_quality)
+
+    def _shaded(self, image: Array32) -> Array32:
+        """The picture behind a lens that falls off with the squared distance from the middle."""
+        if not self.vignetting:
+            return image
+        down, across = (((np.arange(size) + 0.5) / size * 2 - 1) * size for size in image.shape[:2])
+        share = (down[:, None] ** 2 + across**2) / (image.shape[0] ** 2 + image.shape[1] ** 2)
+        return image * (1 - self.vignetting * share).astype(np.float32)[..., None]
 
     def _developed(self, image: Array32, noise: np.random.Generator) -> Array32:
         """The picture after lens, mosaic, demosaicing, denoising and sharpening, sRGB, (H, W, 3)."""
@@ -172,7 +184,11 @@ def rig_sensors(options: DemoOptions) -> list[Sensor]:
     """The sensors of all cameras, in their order."""
     gains = camera_gains(options)
     picture = (options.defocus_px, options.processing, options.jpeg_quality)
-    return [Sensor(gain, options.noise_sigma_255, (options.seed, number), *picture) for number, gain in enumerate(gains)]
+    lenses = options.vignetting * (1 + LENS_SPREAD * np.random.default_rng([options.seed, 15]).standard_normal(len(gains)))
+    return [
+        Sensor(gain, options.noise_sigma_255, (options.seed, number), *picture, vignetting=float(max(lens, 0.0)))
+        for number, (gain, lens) in enumerate(zip(gains, lenses, strict=True))
+    ]
 
 
 def camera_gains(options: DemoOptions) -> Array32:
