@@ -1,0 +1,88 @@
+"""How a video was coded, as its encoder wrote into it: enough to code another one in the same way."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from ggvs_eval.errors import CaptureError
+from ggvs_eval.files.video import VideoFrames
+
+X264 = re.compile(rb"x264 - core \d+.*?options: ([ -~]*)")
+RATE_FACTOR = re.compile(r"\bcrf=([0-9.]+)")
+PIXEL_FORMATS = ("yuv420p", "yuvj420p")
+# As x264 prints a setting -> as it is told; what is left out does not change what frames look like, or is printed otherwise.
+SETTINGS = {
+    "ref": "ref",
+    "subme": "subme",
+    "trellis": "trellis",
+    "8x8dct": "8x8dct",
+    "psy_rd": "psy-rd",
+    "bframes": "bframes",
+    "weightp": "weightp",
+    "keyint": "keyint",
+    "keyint_min": "min-keyint",
+    "scenecut": "scenecut",
+    "rc_lookahead": "rc-lookahead",
+    "mbtree": "mbtree",
+    "qcomp": "qcomp",
+    "ip_ratio": "ipratio",
+    "pb_ratio": "pbratio",
+}
+
+
+@dataclass(frozen=True)
+class Coding:
+    """How the frames of a camera were coded before they were measured.
+
+    Attributes:
+        size: of the coded frames, (width, height), pixels.
+        crf: x264's constant rate factor.
+        settings: other settings of x264, as it is told them.
+        unknown: why frames cannot be coded again in the same way; empty where they can.
+    """
+
+    size: tuple[int, int] = (0, 0)
+    crf: float = 0.0
+    settings: str = ""
+    unknown: str = ""
+
+    @property
+    def step_255(self) -> float:
+        """Step of the quantiser, grey levels of 255: H.264's at a quantiser equal to the rate factor; 0 for lossless."""
+        return float(2 ** ((self.crf - 4) / 6)) if self.crf > 0 else 0.0
+
+
+def read_coding(path: Path) -> Coding:
+    """Read how a video was coded.
+
+    Args:
+        path: MP4 or MOV file.
+
+    Returns:
+        What x264 wrote into the first frame; `Coding.unknown` says what is missing where it did not, or was told a bit rate.
+
+    Raises:
+        CaptureError: the file is no video that can be decoded.
+    """
+    import av
+    from av.sidedata.sidedata import Type
+
+    size = VideoFrames(path).size
+    try:
+        with av.open(str(path), metadata_errors="replace") as container:
+            frame = next(container.decode(video=0))
+            notes = [bytes(note) for note in frame.side_data if note.type == Type.SEI_UNREGISTERED]
+            pixels = frame.format.name
+    except (av.error.FFmpegError, StopIteration) as error:
+        raise CaptureError(f"{path}: wanted a video, got data that do not decode; copy or encode it again") from error
+    told = next((match[1].decode() for note in notes if (match := X264.search(note))), "")
+    factor = RATE_FACTOR.search(told)
+    if not factor:
+        return Coding(size, unknown="coded to a bit rate" if told else "coded by another encoder than x264")
+    if pixels not in PIXEL_FORMATS:
+        return Coding(size, unknown=f"coded as {pixels}, not as {PIXEL_FORMATS[0]}")
+    values = dict(setting.split("=", 1) for setting in told.split() if "=" in setting)
+    settings = [f"{name}={values[key]}" for key, name in SETTINGS.items() if key in values]
+    mode, _, strength = values.get("aq", "0").partition(":")
+    settings += [f"aq-mode={mode}", *([f"aq-strength={strength}"] if strength else [])]
+    return Coding(size, float(factor[1]), ":".join(settings))
