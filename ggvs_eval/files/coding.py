@@ -8,7 +8,7 @@ from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.video import VideoFrames
 
 X264 = re.compile(rb"x264 - core \d+.*?options: ([ -~]*)")
-RATE_FACTOR = re.compile(r"\bcrf=([0-9.]+)")
+RATE_FACTOR = re.compile(r"\bcrf=([0-9.]+)|\brc=cqp.* qp=(0)\b")  # x264 turns a rate factor of 0 into lossless
 PIXEL_FORMATS = ("yuv420p", "yuvj420p")
 # As x264 prints a setting -> as it is told; what is left out does not change what frames look like, or is printed otherwise.
 SETTINGS = {
@@ -38,12 +38,14 @@ class Coding:
         size: of the coded frames, (width, height), pixels.
         crf: x264's constant rate factor.
         settings: other settings of x264, as it is told them.
+        frame_bytes: of each measured frame that is coded by its difference from others; of all frames where none is.
         unknown: why frames cannot be coded again in the same way; empty where they can.
     """
 
     size: tuple[int, int] = (0, 0)
     crf: float = 0.0
     settings: str = ""
+    frame_bytes: tuple[int, ...] = ()
     unknown: str = ""
 
     @property
@@ -52,11 +54,12 @@ class Coding:
         return float(2 ** ((self.crf - 4) / 6)) if self.crf > 0 else 0.0
 
 
-def read_coding(path: Path) -> Coding:
+def read_coding(path: Path, frames: range) -> Coding:
     """Read how a video was coded.
 
     Args:
         path: MP4 or MOV file.
+        frames: those that are measured.
 
     Returns:
         What x264 wrote into the first frame; `Coding.unknown` says what is missing where it did not, or was told a bit rate.
@@ -73,16 +76,24 @@ def read_coding(path: Path) -> Coding:
             frame = next(container.decode(video=0))
             notes = [bytes(note) for note in frame.side_data if note.type == Type.SEI_UNREGISTERED]
             pixels = frame.format.name
+            container.seek(0)
+            packets = sorted((one.pts, one.size, one.is_keyframe) for one in container.demux(video=0) if one.pts is not None)
     except (av.error.FFmpegError, StopIteration) as error:
         raise CaptureError(f"{path}: wanted a video, got data that do not decode; copy or encode it again") from error
     told = next((match[1].decode() for note in notes if (match := X264.search(note))), "")
     factor = RATE_FACTOR.search(told)
     if not factor:
-        return Coding(size, unknown="coded to a bit rate" if told else "coded by another encoder than x264")
+        return Coding(size, unknown="coded without a rate factor" if told else "coded by another encoder than x264")
     if pixels not in PIXEL_FORMATS:
         return Coding(size, unknown=f"coded as {pixels}, not as {PIXEL_FORMATS[0]}")
+    measured = packets[frames.start : frames.stop]
+    differences = tuple(n_bytes for _, n_bytes, is_key in measured if not is_key) or tuple(packet[1] for packet in measured)
+    return Coding(size, float(factor[1] or 0), _settings(told), differences)
+
+
+def _settings(told: str) -> str:
+    """What x264 printed as it is told."""
     values = dict(setting.split("=", 1) for setting in told.split() if "=" in setting)
     settings = [f"{name}={values[key]}" for key, name in SETTINGS.items() if key in values]
     mode, _, strength = values.get("aq", "0").partition(":")
-    settings += [f"aq-mode={mode}", *([f"aq-strength={strength}"] if strength else [])]
-    return Coding(size, float(factor[1]), ":".join(settings))
+    return ":".join([*settings, f"aq-mode={mode}", *([f"aq-strength={strength}"] if strength else [])])

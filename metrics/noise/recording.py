@@ -1,0 +1,93 @@
+"""Further recordings of a coded video: its clean frames, with the sensor's noise, through the same codec."""
+
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from ggvs_eval.arrays import Image8
+from ggvs_eval.files.coding import Coding, read_coding
+from ggvs_eval.files.video import X264, VideoFrames, write_video
+from ggvs_eval.metrics.noise.blocks import Field
+from ggvs_eval.metrics.noise.clean_video import CleanFrame, clean_frames, observe, rounded
+from ggvs_eval.metrics.noise.colour_detail import with_colour_detail
+
+STILL_STEPS = 2.0  # changes that a codec makes where nothing moves, over the variance of rounding to its steps
+TRIAL_FRAMES = 24  # on which the sensor's noise is found
+TRIALS = 5
+CLOSE = 0.01  # relative
+TRIAL = 9  # number of the recordings on which it is found
+MAX_SIGMA_255 = 12.0
+FPS = 30.0
+
+
+class Recorder:
+    """A camera that films the clean frames of a captured view again.
+
+    Args:
+        frames: gives the captured frames of the view, from the first on each time it is called.
+        coding: how they were coded.
+        seed: of the noise.
+        folder: for the videos it films.
+
+    Raises:
+        MetricError: see `NoiseEstimator`.
+    """
+
+    def __init__(self, frames: Callable[[], Iterable[Image8]], coding: Coding, seed: int, folder: Path) -> None:
+        self._frames, self._coding, self._seed, self._folder = frames, coding, seed, folder
+        self.noise, self._background = observe(frames())
+        self.sigma_255, self.share_of_bits = self._find_sensor_noise()
+
+    def clean(self) -> Iterator[CleanFrame]:
+        """The clean frames, one by one, with the detail of colour that the codec took."""
+        variance = STILL_STEPS * self._coding.step_255**2 / 12
+        for _, clean in clean_frames(self._frames(), self.noise, self._background, variance):
+            shown, mean = with_colour_detail(clean.shown), with_colour_detail(clean.mean)
+            yield clean._replace(shown=shown, mean=mean)
+
+    def film(self, number: int, sigma_255: float) -> VideoFrames:
+        """Recording of that number with noise of this deviation; other numbers have other noise."""
+        return self._film(self.clean(), sigma_255, number)
+
+    def _film(self, clean: Iterable[CleanFrame], sigma_255: float, number: int) -> VideoFrames:
+        random = np.random.default_rng([self._seed, number])
+        path = self._folder / f"{number}.mp4"
+        noisy = (_expose(frame.mean, sigma_255, random) for frame in clean)
+        write_video(path, noisy, FPS, self._coding.crf, f"{self._coding.settings}:{X264}")
+        return VideoFrames(path)
+
+    def _find_sensor_noise(self) -> tuple[float, float]:
+        """Standard deviation of the noise before the codec, grey levels of 255, and its share of the bits.
+
+        Reading:
+            What a codec leaves of weak noise changes from frame to frame no more than what the codec does by itself, but every
+            noisy block costs bits: of two recordings with the same settings, the one with more noise is longer. The clean
+            frames are filmed with noise of several strengths until the film is as long as the capture.
+        """
+        clean = list(islice(self.clean(), TRIAL_FRAMES))
+        wanted = float(np.mean(self._coding.frame_bytes[:TRIAL_FRAMES]))
+        sigmas, lengths = [0.0], [self._length(clean, 0.0)]
+        guess = float(np.median(self.noise.sigma_255)) + 0.5
+        for _ in range(TRIALS):
+            if wanted <= lengths[0]:
+                return 0.0, 0.0
+            sigmas.append(guess)
+            lengths.append(self._length(clean, guess))
+            if abs(lengths[-1] - wanted) < CLOSE * wanted:
+                break
+            order = np.argsort(sigmas)
+            guess = float(np.interp(wanted, np.maximum.accumulate(np.take(lengths, order)), np.take(sigmas, order)))
+            if wanted > max(lengths):
+                guess = min(1.7 * max(sigmas), MAX_SIGMA_255)
+        return guess, 1 - lengths[0] / wanted
+
+    def _length(self, clean: list[CleanFrame], sigma_255: float) -> float:
+        film = self._film(clean, sigma_255, TRIAL)
+        return float(np.mean(read_coding(film.path, range(len(clean))).frame_bytes))
+
+
+def _expose(clean: Field, sigma_255: float, random: np.random.Generator) -> Image8:
+    return rounded(clean + np.float32(sigma_255) * random.standard_normal(clean.shape, np.float32))
