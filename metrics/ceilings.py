@@ -19,7 +19,9 @@ from ggvs_eval.metrics.noise.recording import Recorder
 from ggvs_eval.metrics.registry import METRICS
 from ggvs_eval.metrics.stream import ViewScores, score_views
 
-CONTENT_STEPS = 0.55  # noise of this many steps of the codec keeps it from taking detail away
+MARGINS = {"PSNR": 1.0, "SSIM": 0.005}  # of a bound, for the colour that is put back where 4:2:0 took it
+OF_CHANGE = ("TCC", "STED")  # of the clean room they are bounds behind every codec with loss: it softens what moves
+KEEPING_STEPS = 0.55  # noise of this many steps of the codec keeps it from taking detail away
 FINEST_GRAIN = 0.4  # share of single pixels in the noise of colour; 4:2:0 leaves none
 LEAST_VARIANCE = 0.05  # of noise whose grain can be told, grey levels squared
 
@@ -79,9 +81,10 @@ def ceilings(
 
         What a codec takes from every frame is not seen in its frames. The clean frames are therefore filmed twice more, with
         the sensor's noise and through the same codec, and the first of these recordings is the truth. Noise of at least
-        `CONTENT_STEPS` steps of the codec keeps detail from being lost, and what is lost twice is what was lost once. Under
-        weaker noise a codec takes detail that no second coding loses again: the noise-free row then is a bound, of a film
-        without noise, and what a second recording would score is not known.
+        `KEEPING_STEPS` steps of the codec keeps detail from being lost, and what is lost twice is what was lost once; only what
+        moves, which no average restores, is softer in the clean frames than it was, so that the noise-free TCC and STED are
+        bounds. Under weaker noise a codec takes detail that no second coding loses again: all of the noise-free row then is a
+        bound, of a film without noise, and what a second recording would score is not known.
     """
     return _of_sensor(frames, metrics, options, seed) if coding is None else _of_coded(frames, metrics, options, seed, coding)
 
@@ -113,7 +116,7 @@ def _of_coded(
         raise MetricError(f"ceilings: what the codec took is unknown: coded at {coded}, measured at {width} x {height}")
     with tempfile.TemporaryDirectory() as folder:
         recorder = Recorder(frames, coding, seed, Path(folder))
-        is_known = recorder.sigma_255 >= CONTENT_STEPS * coding.step_255
+        lossless, is_known = coding.step_255 == 0, recorder.sigma_255 >= KEEPING_STEPS * coding.step_255
         sigma_255 = recorder.sigma_255 if is_known else 0.0
         truth, second = (recorder.film(number, sigma_255) for number in (1, 2))
         averaged: list[float] = []
@@ -121,20 +124,20 @@ def _of_coded(
         noise_free, again = score_views(instants, metrics, options)
     not_computed = {**again.not_computed, **noise_free.not_computed}
     scores, share = _means(noise_free), float(np.mean(averaged))
+    bounded = [name for name in scores if name in METRICS and not (is_known and (lossless or name not in OF_CHANGE))]
+    bounds: dict[str, Bound] = {name: "at most" if METRICS[name].higher_is_better else "at least" for name in bounded}
     if is_known:
-        return Ceilings(recorder.noise, scores, _means(again), share, not_computed)
-    bounds: dict[str, Bound] = {
-        name: "at most" if METRICS[name].higher_is_better else "at least" for name in scores if name in METRICS
-    }
-    hidden = f"below {CONTENT_STEPS * coding.step_255:.1f} grey levels x264 hides it at crf {coding.crf:g}"
+        return Ceilings(recorder.noise, scores, _means(again), share, not_computed, bounds)
+    hidden = f"below {KEEPING_STEPS * coding.step_255:.1f} grey levels x264 hides it at crf {coding.crf:g}"
     reason = f"noise of the sensor is too weak to be seen behind the codec: {hidden}"
-    return Ceilings(recorder.noise, scores, {}, share, not_computed, bounds, reason)
+    at_best = {name: value + MARGINS.get(name, 0.0) for name, value in scores.items()}
+    return Ceilings(recorder.noise, at_best, {}, share, not_computed, bounds, reason)
 
 
 def _beside(
     recorder: Recorder, truth: Iterable[Image8], second: Iterable[Image8], averaged: list[float]
 ) -> Iterator[tuple[tuple[Image8, Image8], Image8]]:
-    """For each instant: (noise-free rendering, second recording), and the first recording; notes the shares that were averaged."""
+    """For each instant: (noise-free rendering, second recording), and the first; notes the shares that were averaged."""
     for clean, first, again in zip(recorder.clean(), truth, second, strict=True):
         averaged.append(float(clean.averaged.mean()))
         yield (rounded(clean.shown), again), first

@@ -27,7 +27,8 @@ def coding_of(source: FrameSource, frames: range) -> Coding | None:
     while hasattr(stored, "source"):  # undistorted, held still, or with noise added
         stored = stored.source
     if isinstance(stored, VideoFrames):
-        return read_coding(stored.path, frames) if stored is source else Coding(unknown="frames were changed after they were coded")
+        changed = Coding(unknown="frames were changed after they were coded")
+        return read_coding(stored.path, frames) if stored is source else changed
     if isinstance(stored, ImageFrames) and Path(stored.files[0]).suffix.lower() in JPEG:
         return Coding(unknown="frames are JPEG images")
     return None

@@ -53,9 +53,7 @@ def write_video(path: Path, frames: Iterable[Image8], fps: float, crf: float = 1
         _encode(container, path, frames, fps, crf, settings)
 
 
-def _encode(
-    container: "OutputContainer", path: Path, frames: Iterable[Image8], fps: float, crf: float, settings: str
-) -> None:
+def _encode(container: "OutputContainer", path: Path, frames: Iterable[Image8], fps: float, crf: float, settings: str) -> None:
     stream: VideoStream | None = None
     size = (0, 0)
     for index, image in enumerate(frames):

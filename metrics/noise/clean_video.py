@@ -106,7 +106,7 @@ def _clean_moving(
     variance: Field,
     noise: NoiseModel,
 ) -> Field:
-    """A frame where it moves: averaged over the neighbours in which a block has not changed yet, smoothed where there are none."""
+    """A frame where it moves: averaged over neighbours while a block does not change, smoothed where it does at once."""
     total, count = frame.astype(np.float32), np.ones(blocks.shape, np.float32)
     for side in neighbours:
         unchanged = blocks

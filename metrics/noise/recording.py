@@ -1,6 +1,5 @@
 """Further recordings of a coded video: its clean frames, with the sensor's noise, through the same codec."""
 
-import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from itertools import islice
 from pathlib import Path

@@ -62,7 +62,13 @@ def write_references(run: RunFolder, paths: Mapping[str, dict[str, Any]], found:
     for name in ceiling_metrics():
         groups.setdefault(METRICS[name].group.key, []).append(name)
     entries = [
-        {"group": group, "name": name, "note": NOTES[name], "values": _means(found, kind, metrics)} | _bounds(found, kind, metrics)
+        {
+            "group": group,
+            "name": name,
+            "note": NOTES[name],
+            "values": _means(found, kind, metrics),
+            "bounds": _bounds(found, kind, metrics),
+        }
         for group, metrics in groups.items()
         for name, kind in ((NOISE_FREE, "noise_free"), (SECOND, "second_recording"))
         if found
@@ -85,10 +91,10 @@ def _means(found: Mapping[str, dict[str, Any]], kind: str, metrics: Sequence[str
     return means
 
 
-def _bounds(found: Mapping[str, dict[str, Any]], kind: str, metrics: Sequence[str]) -> dict[str, dict[str, str]]:
+def _bounds(found: Mapping[str, dict[str, Any]], kind: str, metrics: Sequence[str]) -> dict[str, str]:
     """Sides on which means are bounds, because one of the views has no more than a bound."""
-    bounds = {name: side for record in found.values() for name, side in record.get("bounds", {}).items() if name in metrics}
-    return {"bounds": bounds} if bounds and kind == "noise_free" else {}
+    sides = (record.get(f"{kind}_bounds", {}) for record in found.values())
+    return {name: side for of_view in sides for name, side in of_view.items() if name in metrics}
 
 
 def _job(run: RunFolder, view: str, frames: range, metrics: Sequence[str], measurement: Measurement) -> Job:
@@ -124,7 +130,7 @@ def _estimate(
         "noise_free": found.noise_free,
         "second_recording": found.second_recording,
         "not_computed": found.not_computed,
-        "bounds": found.bounds,
+        "noise_free_bounds": found.bounds,
         "no_second_recording": dict.fromkeys(metrics, found.second_unknown) if found.second_unknown else {},
         "sigma_255": float(np.median(found.noise.sigma_255)),
         "averaged_share": found.averaged_share,

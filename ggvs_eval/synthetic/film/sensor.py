@@ -172,7 +172,8 @@ def rig_sensors(options: DemoOptions) -> list[Sensor]:
     """The sensors of all cameras, in their order."""
     gains = camera_gains(options)
     picture = (options.defocus_px, options.processing, options.jpeg_quality)
-    return [Sensor(gain, options.noise_sigma_255, (options.seed, number, *options.recording), *picture) for number, gain in enumerate(gains)]
+    seeds = [(options.seed, number, *options.recording) for number in range(len(gains))]
+    return [Sensor(gain, options.noise_sigma_255, seed, *picture) for gain, seed in zip(gains, seeds, strict=True)]
 
 
 def camera_gains(options: DemoOptions) -> Array32:
