@@ -104,7 +104,7 @@ def compare(clean: Sequence[Image8], first: Sequence[Image8], second: Sequence[I
     ]
     return {
         "noise-free": Comparison(real[0], found.noise_free, dict(found.bounds)),
-        "second": Comparison(real[1], found.second_recording, {}),
+        "second": Comparison(real[1], found.second_recording, dict(found.second_bounds)),
     }
 
 

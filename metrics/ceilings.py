@@ -16,12 +16,12 @@ from ggvs_eval.metrics.noise.blocks import Field
 from ggvs_eval.metrics.noise.clean_video import clean_frames, observe, rounded
 from ggvs_eval.metrics.noise.estimate import NoiseModel, NoiseStream
 from ggvs_eval.metrics.noise.recording import Recorder
-from ggvs_eval.metrics.registry import METRICS
+from ggvs_eval.metrics.registry import METRICS, ceiling_metrics
 from ggvs_eval.metrics.stream import ViewScores, score_views
 
+SOFTENED, SOFTENED_TWICE = ("TCC", "STED"), ("STED",)  # bounds behind every codec with loss: it softens what moves
 MARGINS = {"PSNR": 1.0, "SSIM": 0.005}  # of a bound, for the colour that is put back where 4:2:0 took it
-OF_CHANGE = ("TCC", "STED")  # of the clean room they are bounds behind every codec with loss: it softens what moves
-KEEPING_STEPS = 0.55  # noise of this many steps of the codec keeps it from taking detail away
+MARGIN_SHARES = {"STED": 0.85}  # by which a bound is multiplied, for the noise that is drawn
 FINEST_GRAIN = 0.4  # share of single pixels in the noise of colour; 4:2:0 leaves none
 LEAST_VARIANCE = 0.05  # of noise whose grain can be told, grey levels squared
 
@@ -40,6 +40,7 @@ class Ceilings:
             the frame alone.
         not_computed: metric -> reason.
         bounds: metric -> that its noise-free score is a bound, and on which side; empty where scores are estimates.
+        second_bounds: the same of the second recording.
         second_unknown: why there is no second recording; empty where there is one.
     """
 
@@ -49,6 +50,7 @@ class Ceilings:
     averaged_share: float
     not_computed: dict[str, str]
     bounds: dict[str, Bound] = field(default_factory=dict)
+    second_bounds: dict[str, Bound] = field(default_factory=dict)
     second_unknown: str = ""
 
 
@@ -80,11 +82,12 @@ def ceilings(
         that of the noise (once for the noise-free rendering, twice the variance for the second recording).
 
         What a codec takes from every frame is not seen in its frames. The clean frames are therefore filmed twice more, with
-        the sensor's noise and through the same codec, and the first of these recordings is the truth. Noise of at least
-        `KEEPING_STEPS` steps of the codec keeps detail from being lost, and what is lost twice is what was lost once; only what
-        moves, which no average restores, is softer in the clean frames than it was, so that the noise-free TCC and STED are
-        bounds. Under weaker noise a codec takes detail that no second coding loses again: all of the noise-free row then is a
-        bound, of a film without noise, and what a second recording would score is not known.
+        the sensor's noise, taken for white, and through the same codec, and the first of these recordings is the truth. Noise
+        of more than half a step of the codec keeps detail from being lost, and what is lost twice is what was lost once; only
+        what moves, which no average restores, is softer in the clean frames than it was, so that the noise-free TCC and STED,
+        and the second recording's STED, are bounds. Under weaker noise a codec takes detail that no second coding loses again:
+        all of the noise-free row then is a bound, of a film without noise, and what a second recording would score is not
+        known.
     """
     return _of_sensor(frames, metrics, options, seed) if coding is None else _of_coded(frames, metrics, options, seed, coding)
 
@@ -116,22 +119,34 @@ def _of_coded(
         raise MetricError(f"ceilings: what the codec took is unknown: coded at {coded}, measured at {width} x {height}")
     with tempfile.TemporaryDirectory() as folder:
         recorder = Recorder(frames, coding, seed, Path(folder))
-        lossless, is_known = coding.step_255 == 0, recorder.sigma_255 >= KEEPING_STEPS * coding.step_255
-        sigma_255 = recorder.sigma_255 if is_known else 0.0
+        doubt = recorder.doubt()
+        sigma_255 = 0.0 if doubt else recorder.sigma_255
         truth, second = (recorder.film(number, sigma_255) for number in (1, 2))
         averaged: list[float] = []
         instants = _beside(recorder, truth.frames(0, truth.n_frames), second.frames(0, second.n_frames), averaged)
         noise_free, again = score_views(instants, metrics, options)
-    not_computed = {**again.not_computed, **noise_free.not_computed}
-    scores, share = _means(noise_free), float(np.mean(averaged))
-    bounded = [name for name in scores if name in METRICS and not (is_known and (lossless or name not in OF_CHANGE))]
-    bounds: dict[str, Bound] = {name: "at most" if METRICS[name].higher_is_better else "at least" for name in bounded}
-    if is_known:
-        return Ceilings(recorder.noise, scores, _means(again), share, not_computed, bounds)
-    hidden = f"below {KEEPING_STEPS * coding.step_255:.1f} grey levels x264 hides it at crf {coding.crf:g}"
-    reason = f"noise of the sensor is too weak to be seen behind the codec: {hidden}"
-    at_best = {name: value + MARGINS.get(name, 0.0) for name, value in scores.items()}
-    return Ceilings(recorder.noise, at_best, {}, share, not_computed, bounds, reason)
+    first_bounded = ceiling_metrics() if doubt else SOFTENED if coding.step_255 else ()
+    second_bounded = SOFTENED_TWICE if coding.step_255 else ()
+    return Ceilings(
+        recorder.noise,
+        _with_margins(_means(noise_free), first_bounded),
+        {} if doubt else _with_margins(_means(again), second_bounded),
+        float(np.mean(averaged)),
+        {**again.not_computed, **noise_free.not_computed},
+        _sides(first_bounded),
+        _sides(second_bounded),
+        doubt,
+    )
+
+
+def _sides(bounded: Sequence[str]) -> dict[str, Bound]:
+    return {name: "at most" if METRICS[name].higher_is_better else "at least" for name in bounded}
+
+
+def _with_margins(scores: dict[str, float], bounded: Sequence[str]) -> dict[str, float]:
+    """Scores, those that are bounds moved outwards."""
+    shares = {name: MARGIN_SHARES.get(name, 1.0) if name in bounded else 1.0 for name in scores}
+    return {name: value * shares[name] + (MARGINS.get(name, 0.0) if name in bounded else 0.0) for name, value in scores.items()}
 
 
 def _beside(

@@ -74,13 +74,14 @@ def read_coding(path: Path, frames: range) -> Coding:
     try:
         with av.open(str(path), metadata_errors="replace") as container:
             frame = next(container.decode(video=0))
-            notes = [bytes(note) for note in frame.side_data if note.type == Type.SEI_UNREGISTERED]
+            note = frame.side_data.get(Type.SEI_UNREGISTERED)
             pixels = frame.format.name
             container.seek(0)
             packets = sorted((one.pts, one.size, one.is_keyframe) for one in container.demux(video=0) if one.pts is not None)
     except (av.error.FFmpegError, StopIteration) as error:
         raise CaptureError(f"{path}: wanted a video, got data that do not decode; copy or encode it again") from error
-    told = next((match[1].decode() for note in notes if (match := X264.search(note))), "")
+    match = X264.search(bytes(note)) if note is not None else None
+    told = match[1].decode() if match else ""
     factor = RATE_FACTOR.search(told)
     if not factor:
         return Coding(size, unknown="coded without a rate factor" if told else "coded by another encoder than x264")
@@ -94,6 +95,7 @@ def read_coding(path: Path, frames: range) -> Coding:
 def _settings(told: str) -> str:
     """What x264 printed as it is told."""
     values = dict(setting.split("=", 1) for setting in told.split() if "=" in setting)
-    settings = [f"{name}={values[key]}" for key, name in SETTINGS.items() if key in values]
+    # Settings stand between colons, so that none may have one inside.
+    settings = [f"{name}={values[key].replace(':', ',')}" for key, name in SETTINGS.items() if key in values]
     mode, _, strength = values.get("aq", "0").partition(":")
     return ":".join([*settings, f"aq-mode={mode}", *([f"aq-strength={strength}"] if strength else [])])

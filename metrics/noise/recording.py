@@ -12,11 +12,16 @@ from ggvs_eval.files.video import X264, VideoFrames, write_video
 from ggvs_eval.metrics.noise.blocks import Field
 from ggvs_eval.metrics.noise.clean_video import CleanFrame, clean_frames, observe, rounded
 from ggvs_eval.metrics.noise.colour_detail import with_colour_detail
+from ggvs_eval.metrics.noise.estimate import estimate_noise
 
 STILL_STEPS = 2.0  # changes that a codec makes where nothing moves, over the variance of rounding to its steps
 TRIAL_FRAMES = 24  # on which the sensor's noise is found
 TRIALS = 5
 CLOSE = 0.01  # relative
+KEEPING_STEPS = 0.55  # noise of this many steps of the codec keeps it from taking detail away
+LARGEST_MISMATCH = 0.25  # logarithm of the ratio of variances
+LARGEST_GRAIN = 0.12  # difference of the correlations of neighbouring pixels
+LEAST_SIGMA = 0.05  # grey levels
 TRIAL = 9  # number of the recordings on which it is found
 MAX_SIGMA_255 = 12.0
 FPS = 30.0
@@ -50,6 +55,22 @@ class Recorder:
     def film(self, number: int, sigma_255: float) -> VideoFrames:
         """Recording of that number with noise of this deviation; other numbers have other noise."""
         return self._film(self.clean(), sigma_255, number)
+
+    def doubt(self) -> str:
+        """Why nobody knows what another recording would look like; empty where it is known."""
+        weakest = KEEPING_STEPS * self._coding.step_255
+        if self.sigma_255 < weakest:
+            hidden = f"below {weakest:.1f} grey levels x264 hides it at crf {self._coding.crf:g}"
+            return f"noise of the sensor is too weak to be seen behind the codec: {hidden}"
+        film = self._film(islice(self.clean(), TRIAL_FRAMES), self.sigma_255, TRIAL)
+        again = estimate_noise(film.frames(0, film.n_frames))
+        captured = estimate_noise(islice(self._frames(), TRIAL_FRAMES))
+        strength = np.log(again.octave_variance.sum() / captured.octave_variance.sum())
+        by_level = 2 * np.log(np.maximum(again.sigma_255, LEAST_SIGMA) / np.maximum(captured.sigma_255, LEAST_SIGMA))
+        grain = again.spatial_correlation - captured.spatial_correlation
+        if max(abs(strength), np.median(np.abs(by_level))) > LARGEST_MISMATCH or abs(grain) > LARGEST_GRAIN:
+            return "noise is not white and of one strength at every brightness"
+        return ""
 
     def _film(self, clean: Iterable[CleanFrame], sigma_255: float, number: int) -> VideoFrames:
         random = np.random.default_rng([self._seed, number])

@@ -124,7 +124,7 @@ def _capture_record(capture: Capture, root: Path) -> dict[str, Any]:
 def _coding_record(capture: Capture, protocol: Protocol) -> dict[str, dict[str, Any] | None]:
     """How the frames of each test view were coded; see `coding_of`."""
     codings = {view: coding_of(capture.source(view), protocol.frames.numbers) for view in protocol.views.test}
-    return {view: coding and asdict(coding) for view, coding in codings.items()}
+    return {view: None if coding is None else asdict(coding) for view, coding in codings.items()}
 
 
 def _write_path_truth(prepared: RunPlan) -> None:

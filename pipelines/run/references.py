@@ -131,6 +131,7 @@ def _estimate(
         "second_recording": found.second_recording,
         "not_computed": found.not_computed,
         "noise_free_bounds": found.bounds,
+        "second_recording_bounds": found.second_bounds,
         "no_second_recording": dict.fromkeys(metrics, found.second_unknown) if found.second_unknown else {},
         "sigma_255": float(np.median(found.noise.sigma_255)),
         "averaged_share": found.averaged_share,
