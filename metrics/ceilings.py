@@ -16,7 +16,6 @@ from ggvs_eval.metrics.noise.blocks import Field
 from ggvs_eval.metrics.noise.clean_video import clean_frames, observe, rounded
 from ggvs_eval.metrics.noise.estimate import NoiseModel, NoiseStream
 from ggvs_eval.metrics.noise.recording import Recorder
-from ggvs_eval.metrics.registry import METRICS, ceiling_metrics
 from ggvs_eval.metrics.stream import ViewScores, score_views
 
 SOFTENED, SOFTENED_TWICE = ("TCC", "STED"), ("STED",)  # bounds behind every codec with loss: it softens what moves
@@ -26,6 +25,7 @@ FINEST_GRAIN = 0.4  # share of single pixels in the noise of colour; 4:2:0 leave
 LEAST_VARIANCE = 0.05  # of noise whose grain can be told, grey levels squared
 
 Bound = Literal["at most", "at least"]
+SIDES: dict[str, Bound] = {"PSNR": "at most", "SSIM": "at most", "TCC": "at most", "STED": "at least"}  # a perfect score's
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ def _of_coded(
         averaged: list[float] = []
         instants = _beside(recorder, truth.frames(0, truth.n_frames), second.frames(0, second.n_frames), averaged)
         noise_free, again = score_views(instants, metrics, options)
-    first_bounded = ceiling_metrics() if doubt else SOFTENED if coding.step_255 else ()
+    first_bounded = tuple(SIDES) if doubt else SOFTENED if coding.step_255 else ()
     second_bounded = SOFTENED_TWICE if coding.step_255 else ()
     return Ceilings(
         recorder.noise,
@@ -133,14 +133,10 @@ def _of_coded(
         {} if doubt else _with_margins(_means(again), second_bounded),
         float(np.mean(averaged)),
         {**again.not_computed, **noise_free.not_computed},
-        _sides(first_bounded),
-        _sides(second_bounded),
+        {name: SIDES[name] for name in first_bounded if name in metrics},
+        {} if doubt else {name: SIDES[name] for name in second_bounded if name in metrics},
         doubt,
     )
-
-
-def _sides(bounded: Sequence[str]) -> dict[str, Bound]:
-    return {name: "at most" if METRICS[name].higher_is_better else "at least" for name in bounded}
 
 
 def _with_margins(scores: dict[str, float], bounded: Sequence[str]) -> dict[str, float]:
