@@ -74,14 +74,14 @@ def read_coding(path: Path, frames: range) -> Coding:
     try:
         with av.open(str(path), metadata_errors="replace") as container:
             frame = next(container.decode(video=0))
-            note = frame.side_data.get(Type.SEI_UNREGISTERED)
+            beside = [frame.side_data[index] for index in range(len(frame.side_data))]
+            notes = [bytes(note) for note in beside if note.type == Type.SEI_UNREGISTERED]
             pixels = frame.format.name
             container.seek(0)
             packets = sorted((one.pts, one.size, one.is_keyframe) for one in container.demux(video=0) if one.pts is not None)
     except (av.error.FFmpegError, StopIteration) as error:
         raise CaptureError(f"{path}: wanted a video, got data that do not decode; copy or encode it again") from error
-    match = X264.search(bytes(note)) if note is not None else None
-    told = match[1].decode() if match else ""
+    told = next((match[1].decode() for note in notes if (match := X264.search(note))), "")
     factor = RATE_FACTOR.search(told)
     if not factor:
         return Coding(size, unknown="coded without a rate factor" if told else "coded by another encoder than x264")

@@ -1,6 +1,7 @@
 """Further recordings of a coded video: its clean frames, with the sensor's noise, through the same codec."""
 
 from collections.abc import Callable, Iterable, Iterator
+from functools import cached_property
 from itertools import islice
 from pathlib import Path
 
@@ -43,10 +44,18 @@ class Recorder:
     def __init__(self, frames: Callable[[], Iterable[Image8]], coding: Coding, seed: int, folder: Path) -> None:
         self._frames, self._coding, self._seed, self._folder = frames, coding, seed, folder
         self.noise, self._background = observe(frames())
-        self.sigma_255, self.share_of_bits = self._find_sensor_noise()
+        self.sigma_255 = self._find_sensor_noise()
 
     def clean(self) -> Iterator[CleanFrame]:
         """The clean frames, one by one, with the detail of colour that the codec took."""
+        return iter(self._start) if self.noise.n_frames <= TRIAL_FRAMES else self._clean()
+
+    @cached_property
+    def _start(self) -> list[CleanFrame]:
+        """The first of them, which are filmed most often."""
+        return list(islice(self._clean(), TRIAL_FRAMES))
+
+    def _clean(self) -> Iterator[CleanFrame]:
         variance = STILL_STEPS * self._coding.step_255**2 / 12
         for _, clean in clean_frames(self._frames(), self.noise, self._background, variance):
             shown, mean = with_colour_detail(clean.shown), with_colour_detail(clean.mean)
@@ -62,11 +71,12 @@ class Recorder:
         if self.sigma_255 < weakest:
             hidden = f"below {weakest:.1f} grey levels x264 hides it at crf {self._coding.crf:g}"
             return f"noise of the sensor is too weak to be seen behind the codec: {hidden}"
-        film = self._film(islice(self.clean(), TRIAL_FRAMES), self.sigma_255, TRIAL)
+        film = self._film(self._start, self.sigma_255, TRIAL)
         again = estimate_noise(film.frames(0, film.n_frames))
         captured = estimate_noise(islice(self._frames(), TRIAL_FRAMES))
-        strength = np.log(again.octave_variance.sum() / captured.octave_variance.sum())
-        by_level = 2 * np.log(np.maximum(again.sigma_255, LEAST_SIGMA) / np.maximum(captured.sigma_255, LEAST_SIGMA))
+        sums = [max(noise.octave_variance.sum(), LEAST_SIGMA**2) for noise in (again, captured)]
+        levels = [np.maximum(noise.sigma_255, LEAST_SIGMA) for noise in (again, captured)]
+        strength, by_level = np.log(sums[0] / sums[1]), 2 * np.log(levels[0] / levels[1])
         grain = again.spatial_correlation - captured.spatial_correlation
         if max(abs(strength), np.median(np.abs(by_level))) > LARGEST_MISMATCH or abs(grain) > LARGEST_GRAIN:
             return "noise is not white and of one strength at every brightness"
@@ -79,34 +89,33 @@ class Recorder:
         write_video(path, noisy, FPS, self._coding.crf, f"{self._coding.settings}:{X264}")
         return VideoFrames(path)
 
-    def _find_sensor_noise(self) -> tuple[float, float]:
-        """Standard deviation of the noise before the codec, grey levels of 255, and its share of the bits.
+    def _find_sensor_noise(self) -> float:
+        """Standard deviation of the noise before the codec, grey levels of 255.
 
         Reading:
             What a codec leaves of weak noise changes from frame to frame no more than what the codec does by itself, but every
             noisy block costs bits: of two recordings with the same settings, the one with more noise is longer. The clean
             frames are filmed with noise of several strengths until the film is as long as the capture.
         """
-        clean = list(islice(self.clean(), TRIAL_FRAMES))
-        wanted = float(np.mean(self._coding.frame_bytes[:TRIAL_FRAMES]))
-        sigmas, lengths = [0.0], [self._length(clean, 0.0)]
+        captured = float(np.mean(self._coding.frame_bytes[:TRIAL_FRAMES]))
+        sigmas, lengths = [0.0], [self._length(0.0)]
         guess = float(np.median(self.noise.sigma_255)) + 0.5
+        if captured <= lengths[0]:
+            return 0.0
         for _ in range(TRIALS):
-            if wanted <= lengths[0]:
-                return 0.0, 0.0
             sigmas.append(guess)
-            lengths.append(self._length(clean, guess))
-            if abs(lengths[-1] - wanted) < CLOSE * wanted:
+            lengths.append(self._length(guess))
+            if abs(lengths[-1] - captured) < CLOSE * captured:
                 break
             order = np.argsort(sigmas)
-            guess = float(np.interp(wanted, np.maximum.accumulate(np.take(lengths, order)), np.take(sigmas, order)))
-            if wanted > max(lengths):
+            guess = float(np.interp(captured, np.maximum.accumulate(np.take(lengths, order)), np.take(sigmas, order)))
+            if captured > max(lengths):
                 guess = min(1.7 * max(sigmas), MAX_SIGMA_255)
-        return guess, 1 - lengths[0] / wanted
+        return guess
 
-    def _length(self, clean: list[CleanFrame], sigma_255: float) -> float:
-        film = self._film(clean, sigma_255, TRIAL)
-        return float(np.mean(read_coding(film.path, range(len(clean))).frame_bytes))
+    def _length(self, sigma_255: float) -> float:
+        film = self._film(self._start, sigma_255, TRIAL)
+        return float(np.mean(read_coding(film.path, range(len(self._start))).frame_bytes))
 
 
 def _expose(clean: Field, sigma_255: float, random: np.random.Generator) -> Image8:
