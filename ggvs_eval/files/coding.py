@@ -3,9 +3,15 @@
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, cast
 
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.video import VideoFrames
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from av.sidedata.sidedata import SideData
 
 X264 = re.compile(rb"x264 - core \d+.*?options: ([ -~]*)")
 RATE_FACTOR = re.compile(r"\bcrf=([0-9.]+)|\brc=cqp.* qp=(0)\b")  # x264 turns a rate factor of 0 into lossless
@@ -74,8 +80,8 @@ def read_coding(path: Path, frames: range) -> Coding:
     try:
         with av.open(str(path), metadata_errors="replace") as container:
             frame = next(container.decode(video=0))
-            beside = [frame.side_data[index] for index in range(len(frame.side_data))]
-            notes = [bytes(note) for note in beside if note.type == Type.SEI_UNREGISTERED]
+            beside = cast("Sequence[SideData]", frame.side_data)  # declared as a mapping
+            notes = [bytes(beside[index]) for index in range(len(beside)) if beside[index].type == Type.SEI_UNREGISTERED]
             pixels = frame.format.name
             container.seek(0)
             packets = sorted((one.pts, one.size, one.is_keyframe) for one in container.demux(video=0) if one.pts is not None)
