@@ -1,7 +1,8 @@
 """Tables of scored runs as Markdown, for `fill_tables`."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -58,9 +59,18 @@ def beside_paper_table(run: Path) -> str:
 def ceilings_table(run: Path) -> str:
     """Tabulate the scores of perfect renderings on the capture of one run, as Markdown."""
     entries = [entry for entry in read_json(run / "references.json") if entry["group"] == "consistency"]
-    columns = list(entries[0]["values"])
-    values = [[entry["values"][column] for column in columns] for entry in entries]
-    return _markdown(pd.DataFrame(values, [entry["name"] for entry in entries], columns))
+    columns = list(dict.fromkeys(column for entry in entries for column in entry["values"]))
+    rows = [f"| method | {' | '.join(columns)} |", "| --- |" + " ---: |" * len(columns)]
+    rows += [f"| {entry['name']} | {' | '.join(_ceiling(entry, column) for column in columns)} |" for entry in entries]
+    return "\n".join(rows)
+
+
+def _ceiling(entry: Mapping[str, Any], metric: str) -> str:
+    """A value, a bound, or the word that there is none."""
+    value = entry["values"].get(metric, "")
+    if isinstance(value, str):
+        return "unknown"
+    return f"{entry.get('bounds', {}).get(metric, '')} {value:.{DECIMALS[metric]}f}".strip()
 
 
 def sweep_table(root: Path, metrics: Sequence[str], timed: Path | None = None) -> str:

@@ -174,9 +174,13 @@ class Capture:
             return None
         return resize(next(source.frames(0, 1)), *self.camera(name).size, self.resize_filter)
 
+    def source(self, name: str) -> FrameSource:
+        """The frames of one camera as they lie on disk."""
+        return self.sources[self._index(name)]
+
     def digest(self, name: str) -> str:
         """Identifies the content of one camera's frames."""
-        return self.sources[self._index(name)].digest
+        return self.source(name).digest
 
     def resized(self, width: int, height: int, resize_filter: ResizeFilter) -> "Capture":
         """The same capture with every camera and frame at width x height."""

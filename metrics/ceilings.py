@@ -1,24 +1,31 @@
 """What a perfect rendering could score on a captured view: without noise, and as a second recording by the same camera."""
 
+import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8
+from ggvs_eval.errors import MetricError
+from ggvs_eval.files.coding import Coding
 from ggvs_eval.metrics.metric import MetricOptions
-from ggvs_eval.metrics.noise.blocks import BLOCK_PX, ROUNDING_VARIANCE, Field, block_means
-from ggvs_eval.metrics.noise.estimate import NoiseEstimator, NoiseModel, NoiseStream
+from ggvs_eval.metrics.noise.blocks import Field
+from ggvs_eval.metrics.noise.clean_video import clean_frames, observe, rounded
+from ggvs_eval.metrics.noise.estimate import NoiseModel, NoiseStream
+from ggvs_eval.metrics.noise.recording import Recorder
 from ggvs_eval.metrics.stream import ViewScores, score_views
 
-MEMORY_FRAMES = 30  # over which a still pixel is averaged
-MIN_AGE_FRAMES = 3  # younger averages are no better than the frame
-STEP_255 = 1.0  # an average shown in 8 bit follows by steps of at least this; rounding each would make it tremble
-SMOOTHING_PX = 7
-CONTRAST_FACTOR = 4.0  # contrast up to this multiple of the noise's variance is smoothed away
-STILL_FACTOR = 4.0  # mean squared residual of a block over the variance of its noise; a codec's noise varies by more than white
-RIM_FACTOR = 1.4  # the same beside a block that moves
+SOFTENED, SOFTENED_TWICE = ("TCC", "STED"), ("STED",)  # bounds behind every codec with loss: it softens what moves
+MARGINS = {"PSNR": 1.0, "SSIM": 0.005}  # of a bound, for the colour that is put back where 4:2:0 took it
+MARGIN_SHARES = {"STED": 0.85}  # by which a bound is multiplied, for the noise that is drawn
+FINEST_GRAIN = 0.4  # share of single pixels in the noise of colour; 4:2:0 leaves none
+LEAST_VARIANCE = 0.05  # of noise whose grain can be told, grey levels squared
+
+Bound = Literal["at most", "at least"]
+SIDES: dict[str, Bound] = {"PSNR": "at most", "SSIM": "at most", "TCC": "at most", "STED": "at least"}  # a perfect score's
 
 
 @dataclass(frozen=True)
@@ -32,6 +39,9 @@ class Ceilings:
         averaged_share: share of the pixels whose clean value is an average over time; the rest moved and were estimated from
             the frame alone.
         not_computed: metric -> reason.
+        bounds: metric -> that its noise-free score is a bound, and on which side; empty where scores are estimates.
+        second_bounds: the same of the second recording.
+        second_unknown: why there is no second recording; empty where there is one.
     """
 
     noise: NoiseModel
@@ -39,6 +49,9 @@ class Ceilings:
     second_recording: dict[str, float]
     averaged_share: float
     not_computed: dict[str, str]
+    bounds: dict[str, Bound] = field(default_factory=dict)
+    second_bounds: dict[str, Bound] = field(default_factory=dict)
+    second_unknown: str = ""
 
 
 def ceilings(
@@ -46,26 +59,47 @@ def ceilings(
     metrics: Sequence[str],
     options: MetricOptions | None = None,
     seed: int = 0,
+    coding: Coding | None = None,
 ) -> Ceilings:
     """Estimate what perfect renderings of a captured view would score.
 
     Args:
-        frames: gives the captured frames of the view, (H, W, 3) uint8, from the first on each time it is called; called twice.
+        frames: gives the captured frames of the view, (H, W, 3) uint8, from the first on each time it is called; called twice,
+            and more often where they were coded.
         metrics: names out of `registry.METRICS`, but no metric of the whole rig; see `registry.ceiling_metrics`.
         options: as for the scores that stand beside.
         seed: of the noise that is drawn; equal seeds give equal bits.
+        coding: how the frames were coded; None where each pixel is as the sensor gave it.
 
     Raises:
-        MetricError: unknown metric, fewer than 2 frames, frames that differ in size, or too little stands still.
+        MetricError: unknown metric, fewer than 2 frames, frames that differ in size, too little stands still, or frames that
+            were coded nobody knows how.
 
     Reading:
-        The captured frames, with their real noise, are the truth. Where a pixel stands still, its average over time is the
-        noise-free rendering, and the average with drawn noise is the second recording. Where it moves, no clean value is known:
-        the captured frame with drawn noise is taken instead, of the strength that makes its difference from the truth that of
-        the noise (once for the noise-free rendering, twice the variance for the second recording). What the camera does to the
-        scene in the same way in every frame, such as blur by its codec, belongs to the scene here.
+        Frames that were never coded, with their real noise, are the truth. Where a pixel stands still, its average over time is
+        the noise-free rendering, and the average with drawn noise is the second recording. Where it moves, no clean value is
+        known: the captured frame with drawn noise is taken instead, of the strength that makes its difference from the truth
+        that of the noise (once for the noise-free rendering, twice the variance for the second recording).
+
+        What a codec takes from every frame is not seen in its frames. The clean frames are therefore filmed twice more, with
+        the sensor's noise, taken for white, and through the same codec, and the first of these recordings is the truth. Noise
+        of more than half a step of the codec keeps detail from being lost, and what is lost twice is what was lost once; only
+        what moves, which no average restores, is softer in the clean frames than it was, so that the noise-free TCC and STED,
+        and the second recording's STED, are bounds. Under weaker noise a codec takes detail that no second coding loses again:
+        all of the noise-free row then is a bound, of a film without noise, and what a second recording would score is not
+        known.
     """
-    noise, background = _observe(frames())
+    return _of_sensor(frames, metrics, options, seed) if coding is None else _of_coded(frames, metrics, options, seed, coding)
+
+
+def _of_sensor(
+    frames: Callable[[], Iterable[Image8]], metrics: Sequence[str], options: MetricOptions | None, seed: int
+) -> Ceilings:
+    """Of frames as the sensor gave them: the truth is what was captured."""
+    noise, background = observe(frames())
+    if _is_coarse_in_colour(noise):
+        wanted = "wanted colour with noise in single pixels, got colour of half size, as codecs store it"
+        raise MetricError(f"ceilings: {wanted}; give the video itself instead of its frames")
     renderings = _PerfectRenderings(noise, background, np.random.default_rng([seed, 4]))
     noise_free, second = score_views(renderings.beside(frames()), metrics, options)
     return Ceilings(
@@ -73,13 +107,57 @@ def ceilings(
     )
 
 
-def _observe(frames: Iterable[Image8]) -> tuple[NoiseModel, Field]:
-    """First pass: the noise, and an average over the last frames to start the second pass from."""
-    estimator, background = NoiseEstimator(), np.zeros((1, 1, 3), np.float32)
-    for index, frame in enumerate(frames):
-        estimator.add(frame)
-        background = background + (frame - background) / np.float32(min(index + 1, MEMORY_FRAMES))
-    return estimator.finish(), background
+def _of_coded(
+    frames: Callable[[], Iterable[Image8]], metrics: Sequence[str], options: MetricOptions | None, seed: int, coding: Coding
+) -> Ceilings:
+    """Of a coded video: renderings and truth are filmed from its clean frames."""
+    if coding.unknown:
+        raise MetricError(f"ceilings: what the codec took is unknown: {coding.unknown}")
+    height, width = next(iter(frames())).shape[:2]
+    if (width, height) != tuple(coding.size):
+        coded = "{} x {}".format(*coding.size)
+        raise MetricError(f"ceilings: what the codec took is unknown: coded at {coded}, measured at {width} x {height}")
+    with tempfile.TemporaryDirectory() as folder:
+        recorder = Recorder(frames, coding, seed, Path(folder))
+        doubt = recorder.doubt()
+        sigma_255 = 0.0 if doubt else recorder.sigma_255
+        truth, second = (recorder.film(number, sigma_255) for number in (1, 2))
+        averaged: list[float] = []
+        instants = _beside(recorder, truth.frames(0, truth.n_frames), second.frames(0, second.n_frames), averaged)
+        noise_free, again = score_views(instants, metrics, options)
+    first_bounded = tuple(SIDES) if doubt else SOFTENED if coding.step_255 else ()
+    second_bounded = SOFTENED_TWICE if coding.step_255 else ()
+    return Ceilings(
+        recorder.noise,
+        _with_margins(_means(noise_free), first_bounded),
+        {} if doubt else _with_margins(_means(again), second_bounded),
+        float(np.mean(averaged)),
+        {**again.not_computed, **noise_free.not_computed},
+        {name: SIDES[name] for name in first_bounded if name in metrics},
+        {} if doubt else {name: SIDES[name] for name in second_bounded if name in metrics},
+        doubt,
+    )
+
+
+def _with_margins(scores: dict[str, float], bounded: Sequence[str]) -> dict[str, float]:
+    """Scores, those that are bounds moved outwards."""
+    shares = {name: MARGIN_SHARES.get(name, 1.0) if name in bounded else 1.0 for name in scores}
+    return {name: value * shares[name] + (MARGINS.get(name, 0.0) if name in bounded else 0.0) for name, value in scores.items()}
+
+
+def _beside(
+    recorder: Recorder, truth: Iterable[Image8], second: Iterable[Image8], averaged: list[float]
+) -> Iterator[tuple[tuple[Image8, Image8], Image8]]:
+    """For each instant: (noise-free rendering, second recording), and the first; notes the shares that were averaged."""
+    for clean, first, again in zip(recorder.clean(), truth, second, strict=True):
+        averaged.append(float(clean.averaged.mean()))
+        yield (rounded(clean.shown), again), first
+
+
+def _is_coarse_in_colour(noise: NoiseModel) -> bool:
+    """Whether noise of colour lacks the grain of single pixels, though there is noise: colours were stored at half size."""
+    colour = noise.octave_variance[:, np.abs(noise.axes.sum(axis=0)).argsort()[:2]].sum(axis=1)
+    return bool(colour.sum() > LEAST_VARIANCE and colour[0] < FINEST_GRAIN * colour.sum())
 
 
 class _PerfectRenderings:
@@ -99,66 +177,15 @@ class _PerfectRenderings:
     def beside(self, frames: Iterable[Image8]) -> Iterator[tuple[tuple[Image8, Image8], Image8]]:
         """For each captured frame: (noise-free rendering, second recording), and the recording they are compared with."""
         first, second = (NoiseStream(self._noise, random) for random in self._random.spawn(2))
-        rows, columns = (side // BLOCK_PX for side in self._background.shape[:2])
-        age = np.full((rows, columns), min(self._noise.n_frames, MEMORY_FRAMES), np.float32)
-        shown = np.rint(self._background)
-        strength = np.ones_like(age)
-        for frame in frames:
-            energy = self._residual_energy(frame, age)
-            still = _still(energy)
-            strength = np.where(still, strength + (np.clip(energy, 0, 4) - strength) * np.float32(0.2), strength)
-            local = _to_pixels(np.sqrt(strength), frame.shape)
-            averaged = _to_pixels(still & (age >= MIN_AGE_FRAMES), frame.shape)
-            self._averaged.append(float(averaged.mean()))
-            shown = np.where(np.abs(self._background - shown) > STEP_255, np.rint(self._background), shown)
-            clean = np.where(averaged, shown, _smoothed(frame, self._noise.sigma_at(frame)))
-            truth = np.where(averaged, frame, _rounded(clean + local * first.draw(clean)))
-            yield (_rounded(clean), _rounded(clean + local * second.draw(clean))), truth
-            age = np.where(still, np.minimum(age + 1, MEMORY_FRAMES), 1)
-            self._background = self._background + (frame - self._background) / _to_pixels(age, frame.shape)
-
-    def _residual_energy(self, frame: Image8, age: Field) -> Field:
-        """Mean squared difference of each block from its average, over what noise alone would make it."""
-        residual = frame - self._background
-        variance = block_means(self._noise.sigma_at(self._background) ** 2).mean(axis=-1) + ROUNDING_VARIANCE
-        return np.asarray(block_means(residual * residual).mean(axis=-1) / (variance * (1 + 1 / age)), dtype=np.float32)
-
-
-def _smoothed(frame: Image8, sigma: Field) -> Field:
-    """A frame with its noise smoothed away where the local contrast is not above it: a local linear fit to the frame itself."""
-    import cv2
-
-    window = (SMOOTHING_PX, SMOOTHING_PX)
-    image = frame.astype(np.float32)
-    mean = cv2.blur(image, window)
-    variance = cv2.blur(image * image, window) - mean * mean
-    slope = np.maximum(variance - CONTRAST_FACTOR * sigma * sigma, 0) / np.maximum(variance, 1e-3)
-    offset = mean * (1 - slope)
-    return np.asarray(cv2.blur(slope, window) * image + cv2.blur(offset, window), dtype=np.float32)
-
-
-def _still(energy: Field) -> NDArray[np.bool_]:
-    """Blocks that do not move; beside one that does, less is allowed, since a rim that moves changes little."""
-    import cv2
-
-    moving = (energy > STILL_FACTOR).astype(np.uint8)
-    beside = cv2.dilate(moving, np.ones((3, 3), np.uint8)) > 0
-    return np.asarray(energy <= np.where(beside, RIM_FACTOR, STILL_FACTOR))
-
-
-def _to_pixels(blocks: NDArray, shape: tuple[int, ...]) -> NDArray:
-    """Values of blocks at their pixels, (H, W, 1); the last blocks reach to the border."""
-    rows, columns = (np.minimum(np.arange(side) // BLOCK_PX, side // BLOCK_PX - 1) for side in shape[:2])
-    return blocks[rows][:, columns][..., None]
-
-
-def _rounded(frame: Field) -> Image8:
-    return np.rint(np.clip(frame, 0, 255)).astype(np.uint8)
+        for frame, clean in clean_frames(frames, self._noise, self._background):
+            self._averaged.append(float(clean.averaged.mean()))
+            truth = np.where(clean.averaged, frame, rounded(clean.shown + clean.strength * first.draw(clean.shown)))
+            yield (rounded(clean.shown), rounded(clean.shown + clean.strength * second.draw(clean.shown))), truth
 
 
 def _means(scores: ViewScores) -> dict[str, float]:
     """One number for each metric of the view: its own, or the mean over its frames."""
-    found: dict[str, list[float]] = {}
+    values: dict[str, list[float]] = {}
     for name, _, value in scores.values:
-        found.setdefault(name, []).append(value)
-    return {name: float(np.mean(values)) for name, values in found.items()}
+        values.setdefault(name, []).append(value)
+    return {name: float(np.mean(of_name)) for name, of_name in values.items()}

@@ -30,7 +30,7 @@ X264 = "mbtree=0:cpu-independent=1"
 LARGEST_JITTER = 0.01  # of the longest step between frames, for a rate that is taken as constant
 
 
-def write_video(path: Path, frames: Iterable[Image8], fps: float, crf: float = 12) -> None:
+def write_video(path: Path, frames: Iterable[Image8], fps: float, crf: float = 12, settings: str = X264) -> None:
     """Encode frames as H.264 (yuv420p, BT.709, limited range) in an MP4 file.
 
     One thread and fixed parameters: equal frames give equal bytes. The file appears under its name when it is whole.
@@ -40,6 +40,7 @@ def write_video(path: Path, frames: Iterable[Image8], fps: float, crf: float = 1
         frames: RGB images, all of one even size, (H, W, 3); consumed one at a time.
         fps: frames per second.
         crf: x264's constant rate factor; 12 is visually lossless, 0 the best the 4:2:0 format can do.
+        settings: more of x264's parameters, ``name=value`` with colons between them.
 
     Raises:
         CaptureError: no frames, an odd size, or frames that differ in size.
@@ -50,16 +51,16 @@ def write_video(path: Path, frames: Iterable[Image8], fps: float, crf: float = 1
         atomic_file(path) as temporary,
         av.open(str(temporary), "w", format="mp4", options={"fflags": "+bitexact"}) as container,
     ):
-        _encode(container, path, frames, fps, crf)
+        _encode(container, path, frames, fps, crf, settings)
 
 
-def _encode(container: "OutputContainer", path: Path, frames: Iterable[Image8], fps: float, crf: float) -> None:
+def _encode(container: "OutputContainer", path: Path, frames: Iterable[Image8], fps: float, crf: float, settings: str) -> None:
     stream: VideoStream | None = None
     size = (0, 0)
     for index, image in enumerate(frames):
         if stream is None:
             size = (image.shape[1], image.shape[0])
-            stream = _add_stream(container, path, size, fps, crf)
+            stream = _add_stream(container, path, size, fps, crf, settings)
         if image.shape != (size[1], size[0], 3) or image.dtype != np.uint8:
             wanted = f"wanted ({size[1]}, {size[0]}, 3) uint8 like frame 0, got {image.shape} {image.dtype}"
             raise CaptureError(f"{path}: frame {index} does not fit: {wanted}; give all frames one size")
@@ -69,7 +70,9 @@ def _encode(container: "OutputContainer", path: Path, frames: Iterable[Image8], 
     container.mux(stream.encode())
 
 
-def _add_stream(container: "OutputContainer", path: Path, size: tuple[int, int], fps: float, crf: float) -> "VideoStream":
+def _add_stream(
+    container: "OutputContainer", path: Path, size: tuple[int, int], fps: float, crf: float, settings: str
+) -> "VideoStream":
     from av.video.reformatter import ColorPrimaries, ColorRange, Colorspace, ColorTrc
 
     if size[0] % 2 or size[1] % 2:
@@ -86,7 +89,7 @@ def _add_stream(container: "OutputContainer", path: Path, size: tuple[int, int],
         "preset": "medium",
         "threads": "1",
         "g": str(KEY_FRAME_INTERVAL),
-        "x264-params": X264,
+        "x264-params": settings,
     }
     return stream
 

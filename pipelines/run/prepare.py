@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ggvs_eval.capture import Capture
+from ggvs_eval.datasets.frame_coding import coding_of
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import ProtocolError
 from ggvs_eval.files.atomic import write_text
@@ -97,7 +98,7 @@ def _claim_folder(run: RunFolder, protocol: Protocol, capture: Capture) -> None:
             f"{run.root}: holds a run of another protocol or capture ({run.protocol().name}); choose a new folder or delete it"
         )
     run.root.mkdir(parents=True, exist_ok=True)
-    write_json(run.root / "capture.json", record)
+    write_json(run.root / "capture.json", record | {"coding": _coding_record(capture, protocol)})
     write_text(run.protocol_file, protocol.to_toml())
 
 
@@ -118,6 +119,12 @@ def _capture_record(capture: Capture, root: Path) -> dict[str, Any]:
         "cameras": {camera.name: camera.to_json() for camera in capture.cameras},
         "digests": {name: capture.digest(name) for name in capture.camera_names},
     }
+
+
+def _coding_record(capture: Capture, protocol: Protocol) -> dict[str, dict[str, Any] | None]:
+    """How the frames of each test view were coded; see `coding_of`."""
+    codings = {view: coding_of(capture.source(view), protocol.frames.numbers) for view in protocol.views.test}
+    return {view: None if coding is None else asdict(coding) for view, coding in codings.items()}
 
 
 def _write_path_truth(prepared: RunPlan) -> None:

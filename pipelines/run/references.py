@@ -1,13 +1,15 @@
 """Rows that belong to no method but give its numbers a scale: noise ceilings, and the captured images along a path."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import MetricError
+from ggvs_eval.files.coding import Coding
 from ggvs_eval.jobs.job import Job
 from ggvs_eval.metrics.ceilings import ceilings
 from ggvs_eval.metrics.registry import METRICS, ceiling_metrics
@@ -19,9 +21,10 @@ from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
 
 NOISE_FREE, SECOND = "Ceiling: perfect and noise-free", "Ceiling: second recording"
 NOTES = {
-    NOISE_FREE: "estimate of what the scene without the camera's noise would score against this capture.",
+    NOISE_FREE: "estimate of what the scene without the camera's noise and codec would score against this capture.",
     SECOND: "estimate of what another recording by the same camera, with noise of its own, would score.",
 }
+UNRECORDED = "this run folder does not say; prepare it again"
 PATH_NOTE = "what a camera on the path would have seen, measured like the methods."
 
 
@@ -59,7 +62,13 @@ def write_references(run: RunFolder, paths: Mapping[str, dict[str, Any]], found:
     for name in ceiling_metrics():
         groups.setdefault(METRICS[name].group.key, []).append(name)
     entries = [
-        {"group": group, "name": name, "note": NOTES[name], "values": _means(found, kind, metrics)}
+        {
+            "group": group,
+            "name": name,
+            "note": NOTES[name],
+            "values": _means(found, kind, metrics),
+            "bounds": _bounds(found, kind, metrics),
+        }
         for group, metrics in groups.items()
         for name, kind in ((NOISE_FREE, "noise_free"), (SECOND, "second_recording"))
         if found
@@ -74,36 +83,56 @@ def _means(found: Mapping[str, dict[str, Any]], kind: str, metrics: Sequence[str
     """Mean over the views of each metric; the reason where one of them has none."""
     means: dict[str, float | str] = {}
     for metric in metrics:
-        reasons = [
-            f"{view}: {record['not_computed'][metric]}" for view, record in found.items() if metric in record["not_computed"]
-        ]
+        absent = {view: record["not_computed"] | record.get(f"no_{kind}", {}) for view, record in found.items()}
+        reasons = [f"{view}: {of_view[metric]}" for view, of_view in absent.items() if metric in of_view]
         values = [record[kind][metric] for record in found.values() if metric in record[kind]]
         if reasons or values:
             means[metric] = reasons[0] if reasons else float(np.mean(values))
     return means
 
 
+def _bounds(found: Mapping[str, dict[str, Any]], kind: str, metrics: Sequence[str]) -> dict[str, str]:
+    """Sides on which means are bounds, because one of the views has no more than a bound."""
+    sides = (record.get(f"{kind}_bounds", {}) for record in found.values())
+    return {name: side for of_view in sides for name, side in of_view.items() if name in metrics}
+
+
 def _job(run: RunFolder, view: str, frames: range, metrics: Sequence[str], measurement: Measurement) -> Job:
+    coding = run.capture_record().get("coding", {}).get(view, {"unknown": UNRECORDED})
     identity = {
         "truth": digest_frames(run.truth(view), frames),
+        "coding": coding,
         "metrics": list(metrics),
         "measurement": [str(value) for value in vars(measurement).values()],
         "code": ceilings_code(metrics),
     }
-    return Job(f"ceilings of {view}", run.ceilings(view), identity, partial(_estimate, run, view, frames, metrics, measurement))
+    work = partial(_estimate, run, view, frames, metrics, measurement, coding and Coding(**coding))
+    return Job(f"ceilings of {view}", run.ceilings(view), identity, work)
 
 
 def _estimate(
-    run: RunFolder, view: str, frames: range, metrics: Sequence[str], measurement: Measurement, _folder: Path
+    run: RunFolder,
+    view: str,
+    frames: range,
+    metrics: Sequence[str],
+    measurement: Measurement,
+    coding: Coding | None,
+    _folder: Path,
 ) -> dict[str, Any]:
+    def captured() -> Iterator[Image8]:
+        return truth_frames(run, view, frames, measurement)
+
     try:
-        found = ceilings(lambda: truth_frames(run, view, frames, measurement), metrics, metric_options(measurement))
+        found = ceilings(captured, metrics, metric_options(measurement), coding=coding)
     except MetricError as error:
         return {"noise_free": {}, "second_recording": {}, "not_computed": dict.fromkeys(metrics, str(error))}
     return {
         "noise_free": found.noise_free,
         "second_recording": found.second_recording,
         "not_computed": found.not_computed,
+        "noise_free_bounds": found.bounds,
+        "second_recording_bounds": found.second_bounds,
+        "no_second_recording": dict.fromkeys(metrics, found.second_unknown) if found.second_unknown else {},
         "sigma_255": float(np.median(found.noise.sigma_255)),
         "averaged_share": found.averaged_share,
     }

@@ -1,7 +1,7 @@
 """A scored run folder as the reports see it: who was measured, under what name, and what each number means."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from ggvs_eval.datasets.units import DEMO_NOTES
@@ -25,12 +25,14 @@ class Reference:
         name: what it is.
         note: how it was made, one sentence.
         values: metric -> value, or the reason why there is none.
+        bounds: metric -> ``at most`` or ``at least`` where its value is a bound.
     """
 
     group: str
     name: str
     note: str
     values: Mapping[str, float | str]
+    bounds: Mapping[str, str] = field(default_factory=dict)
 
 
 def read_references(folder: RunFolder) -> tuple[Reference, ...]:
@@ -42,7 +44,7 @@ def read_references(folder: RunFolder) -> tuple[Reference, ...]:
 def reference_rows(references: Sequence[Reference], group: str, notes: Sequence[MetricNote]) -> tuple[Row, ...]:
     """The rows of one table; a reference without a number in it is left out, see `reference_remarks`."""
     return tuple(
-        Row(reference.name, tuple(_cell(note, reference.values.get(note.name)) for note in notes), "reference")
+        Row(reference.name, tuple(_cell(note, reference) for note in notes), "reference")
         for reference in references
         if reference.group == group and any(isinstance(reference.values.get(note.name), float | int) for note in notes)
     )
@@ -66,10 +68,14 @@ def reference_remarks(references: Sequence[Reference], group: str, notes: Sequen
     return list(dict.fromkeys(remarks))
 
 
-def _cell(note: MetricNote, value: float | str | None) -> Cell:
+def _cell(note: MetricNote, reference: Reference) -> Cell:
+    value = reference.values.get(note.name)
     if value is None:
         return Cell("no such reference")
-    return Cell("not computed", note=value) if isinstance(value, str) else Cell(format_value(value, note.decimals), value)
+    if isinstance(value, str):
+        return Cell("not computed", note=value)
+    text, bound = format_value(value, note.decimals), reference.bounds.get(note.name)
+    return Cell(f"{bound} {text}" if bound else text, value)
 
 
 @dataclass(frozen=True)

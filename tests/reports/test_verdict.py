@@ -13,7 +13,7 @@ from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.model.measured import MeasuredRun, read_run
 from ggvs_eval.reports.tables.report_tables import main_tables
 from ggvs_eval.reports.tables.verdict import Verdict, evaluate_verdict
-from ggvs_eval.run_folder import write_json
+from ggvs_eval.run_folder import read_json, write_json
 from ggvs_eval.statistics.paired import compare
 from helpers.run_folders import LABELS, NAMES, RunShape, write_run
 
@@ -175,3 +175,15 @@ def test_a_ceiling_that_cannot_be_computed_is_one_line(tmp_path):
         ["not computed", "40.00", "no such reference"],
     ]
     assert "Ceiling: perfect: Ceiling: perfect. Ceiling: second: Ceiling: second. Not computed for SSIM: " in table.caption
+
+
+def test_a_ceiling_that_is_a_bound_says_so(tmp_path):
+    """Behind a codec a perfect rendering scores at most so much; the cell says it, and the other row stays an estimate."""
+    run = write_references(tmp_path / "bounded", {"PSNR": 40.5, "SSIM": 0.98}, {"PSNR": 40.0, "SSIM": 0.97}).folder.root
+    entries = read_json(run / "references.json")
+    entries[0]["bounds"] = {"PSNR": "at most"}
+    write_json(run / "references.json", entries)
+    measured = read_run(run)
+    (table,) = main_tables([measured], measured.results)
+    rows = [[cell.text for cell in row.cells] for row in table.rows if row.kind == "reference"]
+    assert rows == [["0.980", "at most 40.50", "no such reference"], ["0.970", "40.00", "no such reference"]]

@@ -33,6 +33,25 @@ def with_and_without(tmp_path_factory):
     return read
 
 
+def test_another_noise_seed_films_the_same_room_again(with_and_without, tmp_path):
+    """Frames differ by the noise of two recordings and by nothing else; cameras are the same, and without noise so are frames."""
+    plain, poses, *_ = with_and_without
+    films = []
+    for noise_seed, sigma in ((0, 2.0), (1, 2.0), (1, 0.0)):
+        options = replace(TINY, layout="d3dmv", depth_stride=0, noise_sigma_255=sigma, noise_seed=noise_seed)
+        folder = write_demo(tmp_path / f"{noise_seed}-{sigma}", options, workers=1)
+        with h5py.File(folder / "scene000.h5") as file:
+            films.append(file["rgb"][:].astype(float))
+        np.testing.assert_array_equal(np.load(folder / "scene000_pb.npy"), poses)
+    first, again, clean = films
+
+    np.testing.assert_array_equal(clean, plain)
+    middle = (plain > 20) & (plain < 235)
+    assert (first - plain)[middle].std() == pytest.approx(2.0, rel=0.03)
+    assert (first - again)[middle].std() == pytest.approx(2.0 * np.sqrt(2), rel=0.03)
+    assert abs(np.corrcoef((first - plain)[middle], (again - plain)[middle])[0, 1]) < 0.05
+
+
 def test_frame_offset_shows_other_instants(with_and_without):
     """Frame t of one camera is frame t + 1 of the truth, of another frame t - 1; beyond the ends time goes on."""
     plain, _, shifted, _ = with_and_without

@@ -113,7 +113,7 @@ def measured(options: DemoOptions, depth: Array32, number: int) -> Array32:
     """
     if not options.depth_noise:
         return depth
-    rng = np.random.default_rng([options.seed, 12, number])
+    rng = np.random.default_rng([options.seed, 12, number, *options.recording])
     grain = blur(rng.standard_normal(depth.shape, np.float32), CORRELATED_PX)
     grain /= max(float(grain.std()), 1e-6)
     depth_m = depth / np.float32(UNITS_PER_METRE)

@@ -25,6 +25,7 @@ LATER = (
     "depth_rotation_rad",
     "depth_delay_s",
     "depth_noise",
+    "noise_seed",
 )
 RGBD_ONLY = ("shutter_s", "depth_offset_px", "depth_rotation_rad", "depth_delay_s", "depth_noise")
 
@@ -70,6 +71,7 @@ class DemoOptions:
         depth_delay_s: rgbd: the sensor of depth measures so long before the colour camera.
         depth_noise: rgbd: standard deviation of measured depth at 1 m, metres; it grows with the square of depth, as of sensors
             that triangulate. Depth at edges is lost with it.
+        noise_seed: another value films the same room again: the noise of every sensor is another, all else is as it was.
     """
 
     layout: LayoutName = "dynerf"
@@ -102,6 +104,7 @@ class DemoOptions:
     depth_rotation_rad: float = 0.0
     depth_delay_s: float = 0.0
     depth_noise: float = 0.0
+    noise_seed: int = 0
 
     def __post_init__(self) -> None:
         """Refuse what cannot be rendered."""
@@ -162,6 +165,11 @@ class DemoOptions:
         """Names of the cameras in these options, whatever the layout calls them."""
         count = 1 if self.layout == "rgbd" else 2 * self.cameras_per_row
         return [f"cam{number:02d}" for number in range(count)]
+
+    @property
+    def recording(self) -> tuple[int, ...]:
+        """What seeds of noise end with; nothing in the first recording, so that older demos keep their bits."""
+        return (self.noise_seed,) if self.noise_seed else ()
 
     @property
     def path_frame(self) -> int:

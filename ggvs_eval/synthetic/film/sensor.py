@@ -185,9 +185,10 @@ def rig_sensors(options: DemoOptions) -> list[Sensor]:
     gains = camera_gains(options)
     picture = (options.defocus_px, options.processing, options.jpeg_quality)
     lenses = options.vignetting * (1 + LENS_SPREAD * np.random.default_rng([options.seed, 15]).standard_normal(len(gains)))
+    seeds = [(options.seed, number, *options.recording) for number in range(len(gains))]
     return [
-        Sensor(gain, options.noise_sigma_255, (options.seed, number), *picture, vignetting=float(max(lens, 0.0)))
-        for number, (gain, lens) in enumerate(zip(gains, lenses, strict=True))
+        Sensor(gain, options.noise_sigma_255, seed, *picture, vignetting=float(max(lens, 0.0)))
+        for gain, seed, lens in zip(gains, seeds, lenses, strict=True)
     ]
 
 

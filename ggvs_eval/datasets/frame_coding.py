@@ -1,0 +1,34 @@
+"""How the frames of a camera were coded, whatever they lie in."""
+
+from pathlib import Path
+
+from ggvs_eval.capture import FrameSource
+from ggvs_eval.datasets.frames import ImageFrames
+from ggvs_eval.files.coding import Coding, read_coding
+from ggvs_eval.files.video import VideoFrames
+
+JPEG = (".jpg", ".jpeg")
+
+
+def coding_of(source: FrameSource, frames: range) -> Coding | None:
+    """Say how frames were coded.
+
+    Args:
+        source: of one camera.
+        frames: those that are measured.
+
+    Returns:
+        None where every pixel is as it was given; `Coding.unknown` where it is not and nothing more is known.
+
+    Raises:
+        CaptureError: a video that does not decode.
+    """
+    stored = source
+    while hasattr(stored, "source"):  # undistorted, held still, or with noise added
+        stored = stored.source
+    if isinstance(stored, VideoFrames):
+        changed = Coding(unknown="frames were changed after they were coded")
+        return read_coding(stored.path, frames) if stored is source else changed
+    if isinstance(stored, ImageFrames) and Path(stored.files[0]).suffix.lower() in JPEG:
+        return Coding(unknown="frames are JPEG images")
+    return None

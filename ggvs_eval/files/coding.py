@@ -1,0 +1,107 @@
+"""How a video was coded, as its encoder wrote into it: enough to code another one in the same way."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+from ggvs_eval.errors import CaptureError
+from ggvs_eval.files.video import VideoFrames
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from av.sidedata.sidedata import SideData
+
+X264 = re.compile(rb"x264 - core \d+.*?options: ([ -~]*)")
+RATE_FACTOR = re.compile(r"\bcrf=([0-9.]+)|\brc=cqp.* qp=(0)\b")  # x264 turns a rate factor of 0 into lossless
+PIXEL_FORMATS = ("yuv420p", "yuvj420p")
+# As x264 prints a setting -> as it is told; what is left out does not change what frames look like, or is printed otherwise.
+SETTINGS = {
+    "ref": "ref",
+    "subme": "subme",
+    "trellis": "trellis",
+    "8x8dct": "8x8dct",
+    "psy_rd": "psy-rd",
+    "bframes": "bframes",
+    "weightp": "weightp",
+    "keyint": "keyint",
+    "keyint_min": "min-keyint",
+    "scenecut": "scenecut",
+    "rc_lookahead": "rc-lookahead",
+    "mbtree": "mbtree",
+    "qcomp": "qcomp",
+    "ip_ratio": "ipratio",
+    "pb_ratio": "pbratio",
+}
+
+
+@dataclass(frozen=True)
+class Coding:
+    """How the frames of a camera were coded before they were measured.
+
+    Attributes:
+        size: of the coded frames, (width, height), pixels.
+        crf: x264's constant rate factor.
+        settings: other settings of x264, as it is told them.
+        frame_bytes: of each measured frame that is coded by its difference from others; of all frames where none is.
+        unknown: why frames cannot be coded again in the same way; empty where they can.
+    """
+
+    size: tuple[int, int] = (0, 0)
+    crf: float = 0.0
+    settings: str = ""
+    frame_bytes: tuple[int, ...] = ()
+    unknown: str = ""
+
+    @property
+    def step_255(self) -> float:
+        """Step of the quantiser, grey levels of 255: H.264's at a quantiser equal to the rate factor; 0 for lossless."""
+        return float(2 ** ((self.crf - 4) / 6)) if self.crf > 0 else 0.0
+
+
+def read_coding(path: Path, frames: range) -> Coding:
+    """Read how a video was coded.
+
+    Args:
+        path: MP4 or MOV file.
+        frames: those that are measured.
+
+    Returns:
+        What x264 wrote into the first frame; `Coding.unknown` says what is missing where it did not, or was told a bit rate.
+
+    Raises:
+        CaptureError: the file is no video that can be decoded.
+    """
+    import av
+    from av.sidedata.sidedata import Type
+
+    size = VideoFrames(path).size
+    try:
+        with av.open(str(path), metadata_errors="replace") as container:
+            frame = next(container.decode(video=0))
+            beside = cast("Sequence[SideData]", frame.side_data)  # declared as a mapping
+            notes = [bytes(beside[index]) for index in range(len(beside)) if beside[index].type == Type.SEI_UNREGISTERED]
+            pixels = frame.format.name
+            container.seek(0)
+            packets = sorted((one.pts, one.size, one.is_keyframe) for one in container.demux(video=0) if one.pts is not None)
+    except (av.error.FFmpegError, StopIteration) as error:
+        raise CaptureError(f"{path}: wanted a video, got data that do not decode; copy or encode it again") from error
+    told = next((match[1].decode() for note in notes if (match := X264.search(note))), "")
+    factor = RATE_FACTOR.search(told)
+    if not factor:
+        return Coding(size, unknown="coded without a rate factor" if told else "coded by another encoder than x264")
+    if pixels not in PIXEL_FORMATS:
+        return Coding(size, unknown=f"coded as {pixels}, not as {PIXEL_FORMATS[0]}")
+    measured = packets[frames.start : frames.stop]
+    differences = tuple(n_bytes for _, n_bytes, is_key in measured if not is_key) or tuple(packet[1] for packet in measured)
+    return Coding(size, float(factor[1] or 0), _settings(told), differences)
+
+
+def _settings(told: str) -> str:
+    """What x264 printed as it is told."""
+    values = dict(setting.split("=", 1) for setting in told.split() if "=" in setting)
+    # Settings stand between colons, so that none may have one inside.
+    settings = [f"{name}={values[key].replace(':', ',')}" for key, name in SETTINGS.items() if key in values]
+    mode, _, strength = values.get("aq", "0").partition(":")
+    return ":".join([*settings, f"aq-mode={mode}", *([f"aq-strength={strength}"] if strength else [])])

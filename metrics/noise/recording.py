@@ -1,0 +1,122 @@
+"""Further recordings of a coded video: its clean frames, with the sensor's noise, through the same codec."""
+
+from collections.abc import Callable, Iterable, Iterator
+from functools import cached_property
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from ggvs_eval.arrays import Image8
+from ggvs_eval.files.coding import Coding, read_coding
+from ggvs_eval.files.video import X264, VideoFrames, write_video
+from ggvs_eval.metrics.noise.blocks import Field
+from ggvs_eval.metrics.noise.clean_video import CleanFrame, clean_frames, observe, rounded
+from ggvs_eval.metrics.noise.colour_detail import with_colour_detail
+from ggvs_eval.metrics.noise.estimate import estimate_noise
+
+STILL_STEPS = 2.0  # changes that a codec makes where nothing moves, over the variance of rounding to its steps
+TRIAL_FRAMES = 24  # on which the sensor's noise is found
+TRIALS = 5
+CLOSE = 0.01  # relative
+KEEPING_STEPS = 0.55  # noise of this many steps of the codec keeps it from taking detail away
+LARGEST_MISMATCH = 0.25  # logarithm of the ratio of variances
+LARGEST_GRAIN = 0.12  # difference of the correlations of neighbouring pixels
+LEAST_SIGMA = 0.05  # grey levels
+TRIAL = 9  # number of the recordings on which it is found
+MAX_SIGMA_255 = 12.0
+FPS = 30.0
+
+
+class Recorder:
+    """A camera that films the clean frames of a captured view again.
+
+    Args:
+        frames: gives the captured frames of the view, from the first on each time it is called.
+        coding: how they were coded.
+        seed: of the noise.
+        folder: for the videos it films.
+
+    Raises:
+        MetricError: see `NoiseEstimator`.
+    """
+
+    def __init__(self, frames: Callable[[], Iterable[Image8]], coding: Coding, seed: int, folder: Path) -> None:
+        self._frames, self._coding, self._seed, self._folder = frames, coding, seed, folder
+        self.noise, self._background = observe(frames())
+        self.sigma_255 = self._find_sensor_noise()
+
+    def clean(self) -> Iterator[CleanFrame]:
+        """The clean frames, one by one, with the detail of colour that the codec took."""
+        return iter(self._start) if self.noise.n_frames <= TRIAL_FRAMES else self._clean()
+
+    @cached_property
+    def _start(self) -> list[CleanFrame]:
+        """The first of them, which are filmed most often."""
+        return list(islice(self._clean(), TRIAL_FRAMES))
+
+    def _clean(self) -> Iterator[CleanFrame]:
+        variance = STILL_STEPS * self._coding.step_255**2 / 12
+        for _, clean in clean_frames(self._frames(), self.noise, self._background, variance):
+            shown, mean = with_colour_detail(clean.shown), with_colour_detail(clean.mean)
+            yield clean._replace(shown=shown, mean=mean)
+
+    def film(self, number: int, sigma_255: float) -> VideoFrames:
+        """Recording of that number with noise of this deviation; other numbers have other noise."""
+        return self._film(self.clean(), sigma_255, number)
+
+    def doubt(self) -> str:
+        """Why nobody knows what another recording would look like; empty where it is known."""
+        weakest = KEEPING_STEPS * self._coding.step_255
+        if self.sigma_255 < weakest:
+            hidden = f"below {weakest:.1f} grey levels x264 hides it at crf {self._coding.crf:g}"
+            return f"noise of the sensor is too weak to be seen behind the codec: {hidden}"
+        film = self._film(self._start, self.sigma_255, TRIAL)
+        again = estimate_noise(film.frames(0, film.n_frames))
+        captured = estimate_noise(islice(self._frames(), TRIAL_FRAMES))
+        sums = [max(noise.octave_variance.sum(), LEAST_SIGMA**2) for noise in (again, captured)]
+        levels = [np.maximum(noise.sigma_255, LEAST_SIGMA) for noise in (again, captured)]
+        strength, by_level = np.log(sums[0] / sums[1]), 2 * np.log(levels[0] / levels[1])
+        grain = again.spatial_correlation - captured.spatial_correlation
+        if max(abs(strength), np.median(np.abs(by_level))) > LARGEST_MISMATCH or abs(grain) > LARGEST_GRAIN:
+            return "noise is not white and of one strength at every brightness"
+        return ""
+
+    def _film(self, clean: Iterable[CleanFrame], sigma_255: float, number: int) -> VideoFrames:
+        random = np.random.default_rng([self._seed, number])
+        path = self._folder / f"{number}.mp4"
+        noisy = (_expose(frame.mean, sigma_255, random) for frame in clean)
+        write_video(path, noisy, FPS, self._coding.crf, f"{self._coding.settings}:{X264}")
+        return VideoFrames(path)
+
+    def _find_sensor_noise(self) -> float:
+        """Standard deviation of the noise before the codec, grey levels of 255.
+
+        Reading:
+            What a codec leaves of weak noise changes from frame to frame no more than what the codec does by itself, but every
+            noisy block costs bits: of two recordings with the same settings, the one with more noise is longer. The clean
+            frames are filmed with noise of several strengths until the film is as long as the capture.
+        """
+        captured = float(np.mean(self._coding.frame_bytes[:TRIAL_FRAMES]))
+        sigmas, lengths = [0.0], [self._length(0.0)]
+        guess = float(np.median(self.noise.sigma_255)) + 0.5
+        if captured <= lengths[0]:
+            return 0.0
+        for _ in range(TRIALS):
+            sigmas.append(guess)
+            lengths.append(self._length(guess))
+            if abs(lengths[-1] - captured) < CLOSE * captured:
+                break
+            order = np.argsort(sigmas)
+            guess = float(np.interp(captured, np.maximum.accumulate(np.take(lengths, order)), np.take(sigmas, order)))
+            if captured > max(lengths):
+                guess = min(1.7 * max(sigmas), MAX_SIGMA_255)
+        return guess
+
+    def _length(self, sigma_255: float) -> float:
+        film = self._film(self._start, sigma_255, TRIAL)
+        return float(np.mean(read_coding(film.path, range(len(self._start))).frame_bytes))
+
+
+def _expose(clean: Field, sigma_255: float, random: np.random.Generator) -> Image8:
+    return rounded(clean + np.float32(sigma_255) * random.standard_normal(clean.shape, np.float32))
