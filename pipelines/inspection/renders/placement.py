@@ -112,7 +112,7 @@ def _evaluate_zoom(name: str, placed: list[Placement], view: ViewFrames) -> list
         return []
     measured = f"picture is {'enlarged' if zoom > 0 else 'reduced'} by {abs(zoom):.1%} about its centre, alike in all parts"
     values = {"scale_x": 1 + zoom_x, "scale_y": 1 + zoom_y, "unevenness_px": uneven}
-    advice = "check fx and fy: intrinsics of another size or before undistortion? Or is the true camera's calibration off by that?"
+    advice = "check fx and fy: intrinsics of another size or before undistortion, or is the true camera's calibration off?"
     return [Finding(name, "focal length", "likely", measured, values, advice)]
 
 

@@ -16,6 +16,7 @@ from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames
 
 Planes = NDArray[np.float64]
 Levels = NDArray[Any]
+Preparation = Callable[[Image8, Image8], tuple[Levels, Levels]]
 GAUSSIAN: dict[str, Any] = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
 OUR_SSIM = "Gaussian 11 x 11, valid positions, range 1"
 UNIFORM_RANGE_1 = "uniform 7 x 7, range 1 (scikit-image on uint8)"
@@ -55,13 +56,17 @@ def frame_measures() -> dict[str, FrameMeasure]:
         "uniform 11 x 11, population covariance, range 1": partial(similarity, win_size=11, use_sample_covariance=False),
         "uniform 7 x 7, range 1, without a border of 10 % (ENeRF)": lambda *pair: similarity(*cropped(*pair)),
     } | {
-        f"{window}, {what}": lambda *pair, prepare=prepare, options=options: similarity(*prepare(*pair), **options)
+        f"{window}, {size}": partial(_prepared, prepare, **options)
         for window, options in {OUR_SSIM: GAUSSIAN, "uniform 7 x 7, range 1": {}}.items()
-        for what, prepare in PREPARATIONS.items()
+        for size, prepare in PREPARATIONS.items()
     }
 
 
-PREPARATIONS: Mapping[str, Callable[[Image8, Image8], tuple[Levels, Levels]]] = {
+def _prepared(prepare: Preparation, rendered: Image8, truth: Image8, **options: Any) -> float:
+    return similarity(*prepare(rendered, truth), **options)
+
+
+PREPARATIONS: Mapping[str, Preparation] = {
     "grey of 8 bit": lambda rendered, truth: (grey(rendered), grey(truth)),
     "both at half size": halved,
     "truth of half size enlarged": half_truth,
