@@ -10,7 +10,7 @@ from ggvs_eval.arrays import Image8
 from ggvs_eval.pipelines.inspection.renders.view_frames import FrameReader, ViewFrames
 
 Spoil = Callable[[ViewFrames], FrameReader]
-SEED = 5
+SEED = 1
 
 
 @dataclass(frozen=True)

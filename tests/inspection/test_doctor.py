@@ -29,7 +29,7 @@ VIEW, OTHER = "cam00", "cam03"
 
 @pytest.fixture(scope="module")
 def filmed(tmp_path_factory) -> dict[str, np.ndarray]:
-    """What four cameras without noise see, each (T, H, W, 3); honest renders are made of it, as the truth's noise is not theirs."""
+    """What four cameras see without noise, each (T, H, W, 3): honest renders are made of it, and have none of the truth's."""
     options = DemoOptions(
         width=SIZE[0],
         height=SIZE[1],
@@ -168,12 +168,15 @@ def test_a_fault_of_every_picture_is_found_and_no_other(planted, kind, honest, t
     assert faults(diagnose(rendered, truth)) == [fault]
 
 
-@pytest.mark.parametrize(
-    ("planted", "kind"), [(planted, ("blurred", "noisy")[i % 2]) for i, planted in enumerate(PLANTED_IN_VIEWS)]
-)
-def test_a_fault_of_a_clip_is_found_and_no_other(planted, kind, honest, truth):
+# Of a hazy picture no power law tells the gamma; a soft one does not tell a quarter of a pixel.
+SHARP = ("shift", "focal length", "reversed time")
+
+
+@pytest.mark.parametrize("planted", PLANTED_IN_VIEWS)
+def test_a_fault_of_a_clip_is_found_and_no_other(planted, honest, truth):
     """Truth in some frames or mixed into all, flicker, slight gamma, video range, small shifts and zooms, reversed time."""
-    fault, view = PLANTED_IN_VIEWS[planted], view_of(honest[kind][VIEW], truth[VIEW])
+    fault = PLANTED_IN_VIEWS[planted]
+    view = view_of(honest["noisy" if fault.question in SHARP else "blurred"][VIEW], truth[VIEW])
     findings = examine({VIEW: replace(view, rendered=fault.spoil(view))})
 
     assert set(faults(findings)) == {fault.question}

@@ -12,8 +12,8 @@ from ggvs_eval.pipelines.inspection.renders.view_frames import FrameReader, View
 # The middle of a large picture says as much as is needed.
 CROP_PX = 640
 CELL_PX = 16
-# Cells that change most of all move, and are left out.
-STEADY_SHARE = 0.8
+# The cells that change most move, and are left out: what moves within a cell is in a good rendering too.
+STEADY_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def noise_sums(view: ViewFrames, index: int) -> NoiseSums:
 
     Args:
         view: rendered and captured frames.
-        index: frame number; two frames to either side make the answer sharp.
+        index: frame number; has a neighbour at least, two to either side make the answer sharp.
     """
     near, far = ([other for other in (index - lag, index + lag) if other in view.frames] for lag in (1, 2))
     around = _mean(view.truth, near)

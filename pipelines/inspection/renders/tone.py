@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from ggvs_eval.pipelines.inspection.finding import Finding, verdict_of
 from ggvs_eval.pipelines.inspection.renders.view_frames import Sample
 
-# Levels are compared where nothing misplaced can mix them: pixels around which both pictures are flat.
-FLAT_PX, FLAT_255 = 5, 14.0
+# Levels are compared where nothing misplaced can mix them: pixels around which both pictures are flat, but for noise.
+SMOOTH_PX, FLAT_PX, FLAT_255 = 0.7, 5, 12.0
 BIN_255, FEWEST_PIXELS, FEWEST_BINS = 8, 40, 8
 # What lies at the ends may have been cut off.
 LOWEST_255, HIGHEST_255 = 3.0, 252.0
@@ -20,10 +20,10 @@ LEAST_POWER, LARGEST_SPREAD = 1.05, 1.08
 LIKELY_TONE, CERTAIN_TONE, OF_GAIN = 0.9, 0.5, 0.6
 CERTAIN_POWER = 1.5
 # Cameras differ in exposure by some per cent.
-LARGEST_GAIN = 1.1
+LARGEST_GAIN, LARGEST_RANGE_GAIN = 1.1, 1.15
 VIDEO_BLACK, VIDEO_SLOPE = 16.0, 219 / 255
 # Of the intercept, in levels: honest renders had 1.0 at most, squeezed ones 15.5 to 16.7.
-LIKELY_BLACK_255, CERTAIN_BLACK_255 = 4.0, 2.5
+LIKELY_BLACK_255, CERTAIN_BLACK_255 = 4.0, 3.0
 # Levels that noise and averaging leave beyond video black and white.
 FLOOR_255, CEILING_255 = 13.0, 238.0
 Curve = NDArray[np.float64]
@@ -60,13 +60,15 @@ def find_tone(name: str, sample: Sample) -> list[Finding]:
 def tone_curve(sample: Sample, channel: int) -> Curve:
     """Median true and rendered level of flat pixels, by bins of the true level, (bins, 2)."""
     kernel = np.ones((FLAT_PX, FLAT_PX), np.uint8)
-    flat = np.stack(
-        [
-            np.maximum(*(cv2.dilate(image, kernel) - cv2.erode(image, kernel) for image in pair)).max(axis=-1) < FLAT_255
-            for pair in zip(sample.rendered, sample.truth_now, strict=True)
-        ]
-    )
-    theirs, ours = (images[..., channel][flat] for images in (sample.truth_now, sample.rendered))
+    both = [
+        np.stack([cv2.GaussianBlur(image, (0, 0), SMOOTH_PX) for image in images])
+        for images in (sample.truth_now, sample.rendered)
+    ]
+    ranges = [
+        np.stack([(cv2.dilate(image, kernel) - cv2.erode(image, kernel)).max(axis=-1) for image in images]) for images in both
+    ]
+    flat = np.maximum(*ranges) < FLAT_255
+    theirs, ours = (images[..., channel][flat] for images in both)
     bins = (theirs // BIN_255).astype(int)
     members = [bins == number for number in range(256 // BIN_255)]
     points = [(np.median(theirs[one]), np.median(ours[one])) for one in members if np.count_nonzero(one) >= FEWEST_PIXELS]
@@ -144,7 +146,7 @@ def _video_range(name: str, sample: Sample, fits: list[ToneFit]) -> list[Finding
 def _nearness(fits: list[ToneFit], slope: float, intercept_255: float) -> float:
     """Largest deviation of the channels' intercepts, levels; infinite where a slope is none that exposure explains."""
     gains = [fit.slope / slope for fit in fits]
-    if max(gains) > LARGEST_GAIN or min(gains) < 1 / LARGEST_GAIN:
+    if max(gains) > LARGEST_RANGE_GAIN or min(gains) < 1 / LARGEST_RANGE_GAIN:
         return float("inf")
     return max(abs(fit.intercept_255 - intercept_255) for fit in fits)
 
@@ -162,4 +164,4 @@ def _is_stretched(sample: Sample) -> bool:
     dark, middle = ((low < sample.truth_now) & (sample.truth_now < high) for low, high in ((3, 13), (30, 80)))
     if np.count_nonzero(dark) < 50 or not middle.any():
         return False
-    return bool(black[dark].mean() > 0.5 and black[middle].mean() < 0.1)
+    return bool(black[dark].mean() > 0.3 and black[middle].mean() < 0.1)
