@@ -94,8 +94,10 @@ def _examine_picture(name: str, view: ViewFrames, cameras: Mapping[str, CameraPi
     findings += found
     found, view = find_channel_order(name, view, sample)
     sample = take_sample(view, count) if found else sample
-    findings += [*found, *find_tone(name, sample), *find_flicker(name, view)]
-    return _Examined(findings + find_copied(name, view) + placed.findings, placed.shift_px)
+    copied = find_copied(name, view)
+    # Copies among renders of another exposure flicker, too.
+    flicker = [] if copied else find_flicker(name, view)
+    return _Examined([*findings, *found, *find_tone(name, sample), *flicker, *copied, *placed.findings], placed.shift_px)
 
 
 def _longest_run(indices: list[int]) -> range:

@@ -168,10 +168,10 @@ def _sentence(metric: str, quoted: str, conventions: Sequence[Convention]) -> st
             share = chance(quoted, [one.value for one in tried])
             return f"{_matching(metric, quoted, matching, share)}; {len(tried)} were tried, and {_share_text(share)}"
     half_digit = tolerance(quoted, printed(quoted)[0])
-    tried = f"{len(everywhere)} conventions over all views" + (
+    count = f"{len(everywhere)} conventions over all views" + (
         f", and {len(conventions)} with those over single views," if len(conventions) > len(everywhere) else ""
     )
-    return f"none of mine gives {metric} {quoted}: {tried} were tried, and each is off by more than {half_digit:.2g}"
+    return f"none of mine gives {metric} {quoted}: {count} were tried, and each is off by more than {half_digit:.2g}"
 
 
 def _matching(metric: str, quoted: str, matching: Sequence[Convention], share: float) -> str:

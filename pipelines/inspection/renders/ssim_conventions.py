@@ -38,7 +38,7 @@ def ssim_conventions(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskRe
 
 def frame_measures() -> dict[str, FrameMeasure]:
     """Name -> SSIM of two uint8 frames."""
-    return {
+    measures: dict[str, FrameMeasure] = {
         OUR_SSIM: partial(similarity, **GAUSSIAN),
         "Gaussian 11 x 11, valid positions, range 2": partial(similarity, data_range=2.0, **GAUSSIAN),
         "Gaussian 11 x 11, valid positions, range of the true frame": partial(similarity, data_range=None, **GAUSSIAN),
@@ -55,11 +55,13 @@ def frame_measures() -> dict[str, FrameMeasure]:
         UNIFORM_11: partial(similarity, win_size=11),
         "uniform 11 x 11, population covariance, range 1": partial(similarity, win_size=11, use_sample_covariance=False),
         "uniform 7 x 7, range 1, without a border of 10 % (ENeRF)": lambda *pair: similarity(*cropped(*pair)),
-    } | {
+    }
+    sized: dict[str, FrameMeasure] = {
         f"{window}, {size}": partial(_prepared, prepare, **options)
         for window, options in {OUR_SSIM: GAUSSIAN, "uniform 7 x 7, range 1": {}}.items()
         for size, prepare in PREPARATIONS.items()
     }
+    return measures | sized
 
 
 def _prepared(prepare: Preparation, rendered: Image8, truth: Image8, **options: Any) -> float:
