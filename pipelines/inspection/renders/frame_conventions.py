@@ -54,19 +54,20 @@ def grey(image: Image8) -> Image8:
 
 def halved(rendered: Image8, truth: Image8) -> tuple[Image8, Image8]:
     """Both frames at half their size, box averages of 8 bit."""
-    first, second = (_resized(image, image.shape[1] // 2, image.shape[0] // 2, cv2.INTER_AREA) for image in (rendered, truth))
-    return first, second
+    return _half(rendered), _half(truth)
 
 
 def half_truth(rendered: Image8, truth: Image8) -> tuple[Image8, Image8]:
-    """The frame as rendered, and a truth that was kept at half size and enlarged again."""
-    height, width = truth.shape[:2]
-    small = _resized(truth, width // 2, height // 2, cv2.INTER_AREA)
-    return rendered, _resized(small, width, height, cv2.INTER_LINEAR)
+    """The frame as rendered, and a truth that was kept at half size and enlarged again, linearly."""
+    size = truth.shape[1], truth.shape[0]
+    # OpenCV does not round what it interpolates in 8 bit.
+    enlarged = cv2.resize(_half(truth).astype(np.float32), size, interpolation=cv2.INTER_LINEAR)
+    return rendered, np.rint(enlarged).astype(np.uint8)
 
 
-def _resized(image: Image8, width: int, height: int, interpolation: int) -> Image8:
-    return np.asarray(cv2.resize(image, (width, height), interpolation=interpolation), dtype=np.uint8)
+def _half(image: Image8) -> Image8:
+    size = image.shape[1] // 2, image.shape[0] // 2
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def _summed(rendered: Image8, truth: Image8) -> tuple[Planes, Planes]:
