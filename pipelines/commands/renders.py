@@ -13,7 +13,7 @@ from ggvs_eval.run_folder import RunFolder
 
 Renders = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RENDERS|RUN")]
 Quoted = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="VALUE")]
-Metric = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="{psnr,ssim,lpips,l1,tcc,sted,sdt,sdv}")]
+Metric = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="{psnr,ssim,ms-ssim,lpips,l1,rmse,tcc,sted,sdt,sdv}")]
 
 
 def doctor(
@@ -27,8 +27,9 @@ def doctor(
 ) -> None:
     """Find what is wrong with rendered frames before anybody believes their numbers.
 
-    Frame offset, wrong camera, exchanged colour channels, gamma, shifts of one or half a pixel, wrong resize, JPEG, frozen
-    frames, truth copied in. Ends with 1 where something is certain.
+    Frame offset, reversed time, wrong camera, exchanged colour channels, gamma, range of video levels, flicker, shifts down to a
+    quarter of a pixel, wrong resize or focal length, JPEG, frozen frames, truth copied into some frames or blended into all. Ends
+    with 1 where something is certain.
 
     Args:
         renders: frames in any form that `score` takes, with --capture; or a run folder, whose methods are all examined.
@@ -64,7 +65,7 @@ def explain(
     reading: Reading = BY_DEFAULT,
     jobs: int = default_workers(),
 ) -> None:
-    """Recompute a number under every convention in use and say which one gives the value that somebody quotes.
+    """Recompute a number under every convention in use and say which one gives the value that somebody quotes, if any does.
 
     Args:
         renders: frames in any form that `score` takes, with --capture; or a run folder.

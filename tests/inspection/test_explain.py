@@ -10,7 +10,15 @@ from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.image.fetch_lpips import NETS, weights_path
 from ggvs_eval.metrics.time.strred import luma, pool, strred
 from ggvs_eval.metrics.time.tcc import tcc
-from ggvs_eval.pipelines.inspection.renders.explain import Convention, explain, explanation_table, printed
+from ggvs_eval.pipelines.inspection.renders.explain import (
+    Convention,
+    chance,
+    explain,
+    explanation_table,
+    printed,
+    tolerance,
+)
+from ggvs_eval.pipelines.inspection.renders.multi_scale_ssim import multi_scale_ssim
 from ggvs_eval.pipelines.inspection.renders.recompute import ALL_VIEWS
 from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames
 
@@ -72,6 +80,23 @@ def inner(image) -> np.ndarray:
     return image[rows:-rows, columns:-columns]
 
 
+def grey_of_8_bit(image) -> np.ndarray:
+    return np.floor(grey(image) + 0.5)
+
+
+def half(image) -> np.ndarray:
+    """Means of 2 x 2 pixels, rounded as they are written."""
+    return np.floor(image.reshape(SHAPE[0] // 2, 2, SHAPE[1] // 2, 2, 3).mean(axis=(1, 3)) + 0.5)
+
+
+def enlarged(image) -> np.ndarray:
+    """Twice the size, linear between pixel centres, rounded."""
+    import torch
+
+    planes = torch.from_numpy(image).permute(2, 0, 1)[None]
+    return np.rint(torch.nn.functional.interpolate(planes, scale_factor=2, mode="bilinear")[0].permute(1, 2, 0).numpy())
+
+
 PSNR = {
     "RGB, mean of the frames' PSNR": lambda: mean_over_frames(lambda r, c: decibels(squared(r, c))),
     "RGB, PSNR of the mean squared error": lambda: decibels(mean_over_frames(squared)),
@@ -85,13 +110,26 @@ PSNR = {
     "RGB without a border of 10 %, mean of the frames' PSNR": lambda: mean_over_frames(
         lambda r, c: decibels(squared(inner(r), inner(c)))
     ),
+    "RGB, squared errors summed over channels, mean of the frames' PSNR": lambda: mean_over_frames(
+        lambda r, c: decibels(3 * squared(r, c))
+    ),
+    "RGB, both at half size, mean of the frames' PSNR": lambda: mean_over_frames(
+        lambda r, c: decibels(squared(half(r), half(c)))
+    ),
+    "RGB, truth of half size enlarged, PSNR of the mean squared error": lambda: decibels(
+        mean_over_frames(lambda r, c: squared(r, enlarged(half(c))))
+    ),
+    "grey of 8 bit, mean of the frames' PSNR": lambda: mean_over_frames(
+        lambda r, c: decibels(squared(grey_of_8_bit(r), grey_of_8_bit(c)))
+    ),
 }
 
 
 @pytest.mark.parametrize("name", PSNR)
 def test_conventions_of_psnr(name):
-    """PSNR of frames, of the mean error, of luma and without the border are told apart."""
-    assert explained("psnr", PSNR[name]()) == {name}
+    """PSNR of frames, of the mean error, of luma, of summed errors, at half size and without the border are told apart."""
+    # Where libraries round halves and fixed-point weights is their own.
+    assert explained("psnr", PSNR[name](), 2 if "8 bit" in name else 4 if "half" in name else 5) == {name}
 
 
 def test_colour_corrected_psnr_is_ours():
@@ -122,6 +160,10 @@ def box(image) -> np.ndarray:
     return ndimage.uniform_filter(image, 7, axes=(0, 1))
 
 
+def box_11(image) -> np.ndarray:
+    return ndimage.uniform_filter(image, 11, axes=(0, 1))
+
+
 def ssim_of(blur, margin, peak=1.0, factor=1.0, prepare=lambda image: image / 255):
     cut = slice(margin, -margin or None)
     return lambda: mean_over_frames(lambda r, c: ssim_map(prepare(r), prepare(c), blur, peak, factor)[cut, cut].mean())
@@ -147,6 +189,15 @@ SSIM = {
     "uniform 7 x 7, range 2 (scikit-image on float, no range given; EasyVolcap)": ssim_of(box, 3, 2, SAMPLE),
     "uniform 7 x 7, population covariance, range 1": ssim_of(box, 3),
     "uniform 7 x 7, range 1, luma": ssim_of(box, 3, 1, SAMPLE, lambda image: grey(image) / 255),
+    "uniform 11 x 11, range 1 (scikit-image, win_size 11)": ssim_of(box_11, 5, factor=121 / 120),
+    "uniform 11 x 11, population covariance, range 1": ssim_of(box_11, 5),
+    "Gaussian 11 x 11, valid positions, range 1, both at half size": ssim_of(
+        gaussian, 5, prepare=lambda image: half(image) / 255
+    ),
+    "uniform 7 x 7, range 1, both at half size": ssim_of(box, 3, 1, SAMPLE, lambda image: half(image) / 255),
+    "Gaussian 11 x 11, valid positions, range 1, grey of 8 bit": ssim_of(
+        gaussian, 5, prepare=lambda image: grey_of_8_bit(image) / 255
+    ),
     "uniform 7 x 7, range 1, without a border of 10 % (ENeRF)": ssim_of(box, 3, 1, SAMPLE, lambda image: inner(image) / 255),
 }
 
@@ -154,17 +205,50 @@ SSIM = {
 @pytest.mark.parametrize("name", SSIM)
 def test_conventions_of_ssim(name):
     """Windows, borders, data ranges, covariances and luma are told apart."""
-    assert name in explained("ssim", SSIM[name](), 6)
+    names = explained("ssim", SSIM[name](), 5 if "8 bit" in name else 6)
+
+    assert name in names
     # The photograph fills its range but for a few levels, which only the range of the true frame can be confused with.
-    assert {other for other in explained("ssim", SSIM[name](), 6) if "true frame" not in other} == {name}
+    assert {other for other in names if "true frame" not in other} == {name}
 
 
-def test_dissimilarity_is_recognised():
-    """DSSIM with data range 2 is half of what its SSIM lacks to 1."""
-    value = (1 - ssim_of(box, 3, 2, SAMPLE)()) / 2
+@pytest.mark.parametrize(("divisor", "formula"), [(1, "1 - SSIM"), (2, "DSSIM = (1 - SSIM) / 2")])
+def test_dissimilarity_is_recognised(divisor, formula):
+    """What an SSIM with data range 2 lacks to 1, whole or half, is told from similarities."""
+    value = (1 - ssim_of(box, 3, 2, SAMPLE)()) / divisor
     (name,) = explained("ssim", value, 6)
 
-    assert name.startswith("DSSIM = (1 - SSIM) / 2, uniform 7 x 7, range 2")
+    assert name.startswith(f"{formula}, uniform 7 x 7, range 2")
+
+
+def large_pair(shape=(187, 333)) -> tuple[np.ndarray, np.ndarray]:
+    """A soft, noisy, reddish photograph and the photograph; sizes are odd at several scales."""
+    truth = np.ascontiguousarray(data.astronaut()[60 : 60 + shape[0], 80 : 80 + shape[1]])
+    soft = cv2.GaussianBlur(truth, (0, 0), 1.2) * (1.04, 1, 0.97)
+    noise = np.random.default_rng(0).normal(0, 5, truth.shape)
+    return np.rint(np.clip(soft + noise, 0, 255)).astype(np.uint8), truth
+
+
+def test_multi_scale_ssim_is_that_of_its_library():
+    """MS-SSIM agrees with pytorch-msssim 1.0.0, ``ms_ssim(rendered, truth, data_range=1)`` in double precision.
+
+    The library keeps its window in single precision.
+    """
+    rendered, truth = large_pair()
+    view = {"cam00": ViewFrames(lambda t: rendered, lambda t: truth, range(1))}
+    (name,) = (one.name for one in explain("ms-ssim", "0.96505", view) if one.matches)
+
+    assert name == "MS-SSIM, five scales, Gaussian 11 x 11 (pytorch-msssim)"
+    assert multi_scale_ssim(rendered, truth) == pytest.approx(0.9650459094818808, abs=2e-6)
+    assert multi_scale_ssim(truth, truth) == 1
+
+
+def test_frames_too_small_for_five_scales_have_no_multi_scale_ssim():
+    """A window of 11 pixels does not fit into a sixteenth of 72 x 96; the other conventions are still tried."""
+    names = {one.name for one in explain("ssim", "0.9", views_of())}
+
+    assert not any("MS-SSIM" in name for name in names)
+    assert len(names) > 20
 
 
 def absolute(rendered, truth) -> float:
@@ -176,14 +260,20 @@ L1 = {
     "mean over pixels and channels, 0..1": lambda: mean_over_frames(absolute) / 255,
     "sum over channels, mean over pixels, 0..255": lambda: 3 * mean_over_frames(absolute),
     "sum over channels, mean over pixels, 0..1": lambda: 3 * mean_over_frames(absolute) / 255,
+    "grey of 8 bit, 0..1": lambda: mean_over_frames(lambda r, c: absolute(grey_of_8_bit(r), grey_of_8_bit(c))) / 255,
+    "both at half size, 0..255": lambda: mean_over_frames(lambda r, c: absolute(half(r), half(c))),
+    "mean of the frames' root mean squared error (RMSE), 0..255": lambda: mean_over_frames(lambda r, c: squared(r, c) ** 0.5),
+    "root of the mean squared error of all frames (RMSE), 0..1": lambda: mean_over_frames(squared) ** 0.5 / 255,
     "without a border of 10 %, 0..255": lambda: mean_over_frames(lambda r, c: absolute(inner(r), inner(c))),
 }
 
 
 @pytest.mark.parametrize("name", L1)
 def test_conventions_of_l1(name):
-    """Units, channel sums and the border are told apart."""
-    assert explained("l1", L1[name]()) == {name}
+    """Units, channel sums, grey, half size, the border and the root mean squared error are told apart, under either name."""
+    digits = 3 if "half" in name else 4 if "8 bit" in name else 6
+
+    assert explained("l1", L1[name](), digits) == explained("rmse", L1[name](), digits) == {name}
 
 
 def change_similarity(prepare, blur=gaussian, margin=5, peak=1.0, factor=1.0) -> float:
@@ -291,14 +381,42 @@ def test_a_value_of_one_view_names_the_view():
 
 
 def test_a_wrong_value_is_explained_by_nothing():
-    """A value that no convention gives is said to be none's, and the nearest is told."""
+    """A value that no convention gives is none of ours; how many were tried, and how near a match has to be, is told."""
     value = PSNR["RGB, mean of the frames' PSNR"]() + 7.77
-    found = explain("psnr", f"{value:.3f}", views_of())
-    text = explanation_table("psnr", f"{value:.3f}", found)
+    tried = explain("psnr", f"{value:.3f}", views_of())
+    everywhere = sum(one.views == ALL_VIEWS for one in tried)
+    text = explanation_table("psnr", f"{value:.3f}", tried)
+    sentence = " ".join(text.partition("\n\n")[0].split())
 
-    assert not any(one.matches for one in found)
-    assert text.startswith(f"none of the known conventions gives PSNR {value:.3f}; the nearest is ")
-    assert max(map(len, text.splitlines()[1:])) <= 130
+    assert not any(one.matches for one in tried)
+    assert sentence.startswith(f"none of mine gives PSNR {value:.3f}: {everywhere} conventions over all views, and {len(tried)}")
+    assert sentence.endswith("each is off by more than 0.00067")
+    assert "nearest" not in text
+    assert max(map(len, text.splitlines())) <= 130
+
+
+def test_the_chance_of_a_match_is_the_share_of_random_numbers_that_match():
+    """Of numbers drawn near the quoted one as many match something as is told; digits make a match rare."""
+    values = [one.value for one in explain("psnr", "30", views_of())]
+    rng, quoted = np.random.default_rng(0), f"{values[0]:.2f}"
+    drawn = float(quoted) * rng.uniform(0.95, 1.05, 4000)
+    meeting = np.mean([any(abs(value - one) <= tolerance(quoted, value) for value in values) for one in drawn])
+
+    assert chance(quoted, values) == pytest.approx(meeting, abs=0.03)
+    assert chance(f"{values[0]:.1f}", values) > 2 * chance(quoted, values)
+    assert chance(f"{values[0]:.5f}", values) < 0.01
+
+
+def test_a_match_that_chance_would_give_as_well_is_none():
+    """One digit is met by many conventions, and said to be no evidence; ours is still called ours."""
+    ours = [Convention("first way", ALL_VIEWS, 30.0, True, True)]
+    others = [Convention(f"way {i}", ALL_VIEWS, 28.52 + 0.1 * i, i == 14, False) for i in range(30)]
+    row = [Convention("first way", ALL_VIEWS, 35.0, False, True), *others]
+
+    assert explanation_table("psnr", "29.9", row).startswith("none of mine gives PSNR 29.9 but as chance would: way 14")
+    assert explanation_table("psnr", "30.0", [*ours, *others[:14], *others[15:]]).startswith(
+        "PSNR 30.0 is first way, as in our tables"
+    )
 
 
 def test_masked_conventions():
@@ -349,8 +467,8 @@ def test_the_table_marks_matches_and_ours():
         Convention("second way", ALL_VIEWS, 2.0, True, False),
         Convention("second way", "cam00", 3.0, False, False),
     ]
-    text = explanation_table("psnr", "2.0", conventions)
+    text = explanation_table("psnr", "2.000", conventions)
     body = text.splitlines()[4:]
 
-    assert text.startswith("PSNR 2.0 is second way")
+    assert text.startswith("PSNR 2.000 is second way")
     assert [("=" in line, "ours" in line) for line in body] == [(True, False), (False, True)]

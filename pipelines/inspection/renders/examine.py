@@ -4,13 +4,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from ggvs_eval.pipelines.inspection.finding import Finding
-from ggvs_eval.pipelines.inspection.renders.colour import find_channel_order, find_tone
+from ggvs_eval.pipelines.inspection.renders.channel_order import find_channel_order
 from ggvs_eval.pipelines.inspection.renders.copied import find_copied
+from ggvs_eval.pipelines.inspection.renders.flicker import find_flicker
 from ggvs_eval.pipelines.inspection.renders.identity import CameraPictures, find_identity, remember
 from ggvs_eval.pipelines.inspection.renders.jpeg import find_jpeg
 from ggvs_eval.pipelines.inspection.renders.offset import find_offset
 from ggvs_eval.pipelines.inspection.renders.placement import find_placement, shared_shift
 from ggvs_eval.pipelines.inspection.renders.repeats import resized, scan_frames
+from ggvs_eval.pipelines.inspection.renders.tone import find_tone
 from ggvs_eval.pipelines.inspection.renders.upscaling import find_upscaling
 from ggvs_eval.pipelines.inspection.renders.view_frames import FrameReader, ViewFrames, take_sample
 from ggvs_eval.pipelines.inspection.table import WIDTH, findings_table
@@ -92,8 +94,10 @@ def _examine_picture(name: str, view: ViewFrames, cameras: Mapping[str, CameraPi
     findings += found
     found, view = find_channel_order(name, view, sample)
     sample = take_sample(view, count) if found else sample
-    findings += found + find_tone(name, sample)
-    return _Examined(findings + find_copied(name, view) + placed.findings, placed.shift_px)
+    copied = find_copied(name, view)
+    # Copies among renders of another exposure flicker, too.
+    flicker = [] if copied else find_flicker(name, view)
+    return _Examined([*findings, *found, *find_tone(name, sample), *flicker, *copied, *placed.findings], placed.shift_px)
 
 
 def _longest_run(indices: list[int]) -> range:

@@ -1,11 +1,12 @@
 """What a quoted number means: it is recomputed under the conventions in use, and those that give it are named."""
 
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 
 from ggvs_eval.errors import MetricError, did_you_mean
-from ggvs_eval.pipelines.inspection.renders.frame_conventions import l1_conventions, lpips_conventions, psnr_conventions
+from ggvs_eval.pipelines.inspection.renders.frame_conventions import error_conventions, lpips_conventions, psnr_conventions
 from ggvs_eval.pipelines.inspection.renders.recompute import ALL_VIEWS, MaskReader, Recomputed
 from ggvs_eval.pipelines.inspection.renders.ssim_conventions import ssim_conventions
 from ggvs_eval.pipelines.inspection.renders.time_conventions import (
@@ -19,12 +20,17 @@ from ggvs_eval.pipelines.inspection.table import WIDTH, text_table
 
 # Single and double precision disagree by this share of a value; a quoted one may come from either.
 ROUNDING = 5e-6
+# Some dozen conventions lie within a decibel or two of each other: what two digits meet may be chance. A match is evidence where
+# few of the numbers near the quoted one would match something as well.
+NEIGHBOURHOOD, WEAK_CHANCE = 0.05, 0.25
 Masks = Mapping[str, MaskReader]
 FAMILIES: Mapping[str, Callable[[Mapping[str, ViewFrames], Masks], list[Recomputed]]] = {
     "psnr": psnr_conventions,
     "ssim": ssim_conventions,
+    "ms-ssim": ssim_conventions,
     "lpips": lpips_conventions,
-    "l1": l1_conventions,
+    "l1": error_conventions,
+    "rmse": error_conventions,
     "tcc": tcc_conventions,
     "sted": sted_conventions,
     "sdt": sdt_conventions,
@@ -55,7 +61,7 @@ def explain(metric: str, quoted: str, views: Mapping[str, ViewFrames], masks: Ma
     """Recompute a number under every known convention of its metric.
 
     Args:
-        metric: psnr, ssim, lpips, l1, tcc, sted, sdt or sdv, in any case.
+        metric: psnr, ssim, ms-ssim, lpips, l1, rmse, tcc, sted, sdt or sdv, in any case.
         quoted: the number as it was printed, e.g. ``31.170``; its digits say how well it has to be met.
         views: name -> rendered and captured frames.
         masks: name -> frame number -> (H, W) bool, for conventions that leave pixels out.
@@ -70,10 +76,10 @@ def explain(metric: str, quoted: str, views: Mapping[str, ViewFrames], masks: Ma
     family = metric_family(metric)
     if not views:
         raise MetricError("no views to recompute the number from; name at least one")
-    wanted, tolerance = printed(quoted)
+    number, _ = printed(quoted)
     rows = FAMILIES[family](views, masks or {})
     conventions = [
-        Convention(row.name, over, value, abs(value - wanted) <= tolerance + ROUNDING * abs(value), row.is_ours)
+        Convention(row.name, over, value, abs(value - number) <= tolerance(quoted, value), row.is_ours)
         for row in rows
         for over, value in row.values.items()
         if len(views) > 1 or over == ALL_VIEWS
@@ -110,26 +116,77 @@ def printed(quoted: str) -> tuple[float, float]:
     return float(number), 0.5 * 10.0**exponent
 
 
+def tolerance(quoted: str, value: float) -> float:
+    """How far a value may be from a printed number that it gives: half of the last digit, and what single precision loses."""
+    return printed(quoted)[1] + ROUNDING * abs(value)
+
+
+def chance(quoted: str, values: Sequence[float]) -> float:
+    """Share of the numbers near a quoted one, with as many digits, that would meet one of some values by chance.
+
+    Args:
+        quoted: as it was printed.
+        values: of all conventions that are tried.
+
+    Returns:
+        Part of the numbers within `NEIGHBOURHOOD` of the quoted one that lie within the tolerance of any value, 0 to 1.
+
+    Reading:
+        Nobody knows which numbers others might print. Taken: all near the quoted one alike.
+
+    Example:
+        >>> chance("30.0", [29.9, 30.4, 45.0]), chance("30.000", [29.9, 30.4, 45.0]) < 0.001
+        (0.06..., True)
+    """
+    number, half_digit = printed(quoted)
+    reach = max(NEIGHBOURHOOD * abs(number), half_digit)
+    first, last = number - reach, number + reach
+    covered, end = 0.0, first
+    for value in sorted(values):
+        low, high = (min(max(value + sign * tolerance(quoted, value), end), last) for sign in (-1, 1))
+        covered, end = covered + high - low, max(end, high)
+    return covered / (2 * reach)
+
+
 def explanation_table(metric: str, quoted: str, conventions: Sequence[Convention], width: int = WIDTH) -> str:
     """What was found as text: a sentence, and the conventions over all views, with those over one view that match."""
-    wanted, _ = printed(quoted)
     shown = [one for one in conventions if one.views == ALL_VIEWS or one.matches]
     rows = [
         ("=" if one.matches else "", "ours" if one.is_ours else "", f"{one.value:.6g}", one.views, one.name)
-        for one in sorted(shown, key=lambda one: (not one.matches, not one.is_ours, abs(one.value - wanted)))
+        for one in sorted(shown, key=lambda one: (not one.matches, one.views != ALL_VIEWS, not one.is_ours))
     ]
     table = text_table({"": 0, " ": 0, metric.upper(): 0, "over": 0, "convention": 1}, rows, width)
-    return f"{_sentence(metric.upper(), quoted, wanted, conventions)}\n\n{table}"
+    return f"{textwrap.fill(_sentence(metric.upper(), quoted, conventions), width)}\n\n{table}"
 
 
-def _sentence(metric: str, quoted: str, wanted: float, conventions: Sequence[Convention]) -> str:
-    matching = [one for one in conventions if one.matches]
-    if not matching:
-        nearest = min(conventions, key=lambda one: abs(one.value - wanted))
-        return f"none of the known conventions gives {metric} {quoted}; the nearest is {nearest.value:.6g}: {_full_name(nearest)}"
+def _sentence(metric: str, quoted: str, conventions: Sequence[Convention]) -> str:
+    """What the number is, told from what it may be by chance; those over all views before those over a single one."""
+    everywhere = [one for one in conventions if one.views == ALL_VIEWS]
+    for tried in (everywhere, conventions):
+        matching = [one for one in tried if one.matches]
+        if matching:
+            share = chance(quoted, [one.value for one in tried])
+            return f"{_matching(metric, quoted, matching, share)}; {len(tried)} were tried, and {_share_text(share)}"
+    half_digit = tolerance(quoted, printed(quoted)[0])
+    count = f"{len(everywhere)} conventions over all views" + (
+        f", and {len(conventions)} with those over single views," if len(conventions) > len(everywhere) else ""
+    )
+    return f"none of mine gives {metric} {quoted}: {count} were tried, and each is off by more than {half_digit:.2g}"
+
+
+def _matching(metric: str, quoted: str, matching: Sequence[Convention], share: float) -> str:
+    is_ours = any(one.is_ours and one.views == ALL_VIEWS for one in matching)
+    if share > WEAK_CHANCE and not is_ours:
+        names = _full_name(matching[0]) if len(matching) == 1 else f"{len(matching)} conventions"
+        return f"none of mine gives {metric} {quoted} but as chance would: {names}, which needs more digits to be told"
     if len(matching) == 1:
-        return f"{metric} {quoted} is {_full_name(matching[0])}{', as in our tables' if matching[0].is_ours else ''}"
+        return f"{metric} {quoted} is {_full_name(matching[0])}{', as in our tables' if is_ours else ''}"
     return f"{metric} {quoted} is what {len(matching)} conventions give; more digits or other frames would tell them apart"
+
+
+def _share_text(share: float) -> str:
+    shown = f"{share:.0%}" if share >= 0.01 else "less than 1 %"
+    return f"{shown} of the numbers within {NEIGHBOURHOOD:.0%} of it would meet one by chance"
 
 
 def _full_name(convention: Convention) -> str:

@@ -1,7 +1,9 @@
-"""Conventions of PSNR, L1 and LPIPS."""
+"""Conventions of PSNR, of L1 and the root mean squared error, and of LPIPS."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -45,6 +47,34 @@ def cropped(rendered: Image8, truth: Image8) -> tuple[Image8, Image8]:
     return rendered[inner], truth[inner]
 
 
+def grey(image: Image8) -> Image8:
+    """Luma rounded to 8 bit, (H, W), as OpenCV and Pillow convert."""
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
+
+
+def halved(rendered: Image8, truth: Image8) -> tuple[Image8, Image8]:
+    """Both frames at half their size, box averages of 8 bit."""
+    return _half(rendered), _half(truth)
+
+
+def half_truth(rendered: Image8, truth: Image8) -> tuple[Image8, Image8]:
+    """The frame as rendered, and a truth that was kept at half size and enlarged again, linearly."""
+    size = truth.shape[1], truth.shape[0]
+    # OpenCV does not round what it interpolates in 8 bit.
+    enlarged = cv2.resize(_half(truth).astype(np.float32), size, interpolation=cv2.INTER_LINEAR)
+    return rendered, np.rint(enlarged).astype(np.uint8)
+
+
+def _half(image: Image8) -> Image8:
+    size = image.shape[1] // 2, image.shape[0] // 2
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+def _summed(rendered: Image8, truth: Image8) -> tuple[Planes, Planes]:
+    """Levels whose mean squared error over channels is the sum over the channels of the given ones."""
+    return rendered * np.sqrt(3.0), truth * np.sqrt(3.0)
+
+
 def _colour_corrected(rendered: Image8, truth: Image8) -> tuple[Planes, Planes]:
     """The rendering after the affine colour map of this frame that fits best, clipped."""
     design = np.concatenate([rendered.reshape(-1, 3), np.full((truth.size // 3, 1), 255)], axis=1).astype(np.float64)
@@ -57,6 +87,10 @@ PREPARATIONS: Mapping[str, Preparation] = {
     "RGB": _rgb,
     "luma (BT.601) in 0..255": _luma,
     "luma (BT.601) in 16..235, peak 255": _video_luma,
+    "grey of 8 bit": lambda rendered, truth: _rgb(grey(rendered), grey(truth)),
+    "RGB, squared errors summed over channels": _summed,
+    "RGB, both at half size": lambda rendered, truth: _rgb(*halved(rendered, truth)),
+    "RGB, truth of half size enlarged": lambda rendered, truth: _rgb(*half_truth(rendered, truth)),
     "RGB without a border of 10 %": lambda rendered, truth: _rgb(*cropped(rendered, truth)),
     "RGB after the best affine colour map": _colour_corrected,
 }
@@ -110,24 +144,51 @@ def _masked_errors(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskRead
     return {"pixels inside the mask": inside, "frames black outside the mask": blackened}
 
 
-OUR_L1 = "mean over pixels and channels, 0..255"
+OUR_L1 = "mean over pixels and channels"
 
 
-def l1_conventions(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskReader]) -> list[Recomputed]:
-    """Mean absolute error in several units."""
+def error_conventions(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskReader]) -> list[Recomputed]:
+    """Mean absolute error and root mean squared error, in levels and in 0..1."""
+    return [row for one in [*_absolute_errors(views), *_root_squared_errors(views)] for row in _on_both_scales(one)]
+
+
+def _on_both_scales(row: Recomputed) -> list[Recomputed]:
+    scaled = {over: value / 255 for over, value in row.values.items()}
+    return [replace(row, name=f"{row.name}, 0..255"), Recomputed(f"{row.name}, 0..1", scaled)]
+
+
+def _absolute_errors(views: Mapping[str, ViewFrames]) -> list[Recomputed]:
 
     def absolute(rendered: Image8, truth: Image8) -> float:
         return float(np.abs(rendered.astype(np.float64) - truth).mean())
 
     measures: dict[str, FrameMeasure] = {
         OUR_L1: absolute,
-        "mean over pixels and channels, 0..1": lambda *pair: absolute(*pair) / 255,
-        "sum over channels, mean over pixels, 0..255": lambda *pair: 3 * absolute(*pair),
-        "sum over channels, mean over pixels, 0..1": lambda *pair: 3 * absolute(*pair) / 255,
-        "without a border of 10 %, 0..255": lambda *pair: absolute(*cropped(*pair)),
-        "without a border of 10 %, 0..1": lambda *pair: absolute(*cropped(*pair)) / 255,
+        "sum over channels, mean over pixels": lambda *pair: 3 * absolute(*pair),
+        "without a border of 10 %": lambda *pair: absolute(*cropped(*pair)),
+        "grey of 8 bit": lambda rendered, truth: absolute(grey(rendered), grey(truth)),
+        "both at half size": lambda *pair: absolute(*halved(*pair)),
+        "truth of half size enlarged": lambda *pair: absolute(*half_truth(*pair)),
     }
     return frame_means(views, measures, OUR_L1)
+
+
+def _root_squared_errors(views: Mapping[str, ViewFrames]) -> list[Recomputed]:
+    """Root before and after the mean over frames, and views."""
+    squared: dict[str, FrameMeasure] = {"": lambda *pair: float(np.square(np.subtract(*_rgb(*pair))).mean())}
+    squared["grey of 8 bit, "] = lambda rendered, truth: squared[""](grey(rendered), grey(truth))
+    tables = {
+        view: np.array([[measure(*pair) for measure in squared.values()] for pair in view_pairs(frames)])
+        for view, frames in views.items()
+    }
+    rows: list[Recomputed] = []
+    for i, kind in enumerate(squared):
+        frames = mean_over_views({view: np.sqrt(table[:, i]).mean() for view, table in tables.items()})
+        each = {view: float(np.sqrt(table[:, i].mean())) for view, table in tables.items()}
+        pooled = {ALL_VIEWS: float(np.sqrt(np.concatenate([table[:, i] for table in tables.values()]).mean()))}
+        rows.append(Recomputed(f"{kind}mean of the frames' root mean squared error (RMSE)", frames))
+        rows.append(Recomputed(f"{kind}root of the mean squared error of all frames (RMSE)", pooled | each))
+    return rows
 
 
 OUR_LPIPS = "VGG, inputs in [-1, 1]"
@@ -146,6 +207,7 @@ def lpips_conventions(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskR
         OUR_LPIPS: lambda rendered, truth: lpips(rendered, truth, "vgg"),
         "AlexNet, inputs in [-1, 1]": lambda rendered, truth: lpips(rendered, truth, "alex"),
         "VGG, inputs in [0, 1]": lambda rendered, truth: lpips(unscaled(rendered), unscaled(truth), "vgg"),
+        "VGG, inputs in [-1, 1], both at half size": lambda *pair: lpips(*halved(*pair), "vgg"),
         "AlexNet, inputs in [0, 1]": lambda rendered, truth: lpips(unscaled(rendered), unscaled(truth), "alex"),
     }
     return frame_means(views, measures, OUR_LPIPS)

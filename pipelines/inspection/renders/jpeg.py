@@ -15,7 +15,7 @@ FREQUENCIES = tuple((u, v) for u in range(BLOCK_PX) for v in range(BLOCK_PX) if 
 UNTOLD_SHARE = 0.6
 STEPS = np.arange(2.0, 40.5, 0.5)
 # Pictures that never were JPEG had 0.04 at most, quality 95 gives 0.39 and 90 gives 0.5. Quality 98 cannot be told.
-LIKELY_COMB, CERTAIN_COMB = 0.2, 0.35
+LIKELY_COMB, CERTAIN_COMB = 0.15, 0.35
 FEWEST_BLOCKS = 40
 
 

@@ -1,4 +1,7 @@
-"""Whether the rendered frames show other instants than the captured ones beside them."""
+"""Whether the rendered frames show other instants than the captured ones beside them: earlier, later, or in reversed order."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -17,31 +20,63 @@ LEAST_CORRELATION = 0.45
 AGREEING_SHARE = 0.75
 
 
+@dataclass(frozen=True)
+class _Timing:
+    """Which instants the frames show, and how well that explains them.
+
+    Attributes:
+        lag: instants later.
+        is_reversed: the last frame comes first.
+        ratio: motion left unexplained, relative to no offset on the same frames.
+        correlation: of the motion with that of the instants shown.
+        straight: correlation with that of the instants of the frames' numbers.
+        agreeing: share of the instants, each on its own, at which the former is larger.
+    """
+
+    lag: int
+    is_reversed: bool
+    ratio: float
+    correlation: float
+    straight: float
+    agreeing: float
+
+
 def find_offset(name: str, view: ViewFrames, sample: Sample) -> tuple[list[Finding], ViewFrames]:
-    """Correlate the change over time of rendered and captured frames at every lag.
+    """Correlate the change over time of rendered and captured frames at every lag, forwards and backwards.
 
     What stands still is taken out by each pixel's mean over the instants, and with it most of what is wrong with a rendering;
     the gain of the motion, which blur lowers, does not matter either.
     """
     rendered, truth = _grey(sample.rendered), _grey(sample.truth)
-    best: tuple[float, int, float, float, float] | None = None
-    for lag in range(-LARGEST_OFFSET, LARGEST_OFFSET + 1):
-        measured = _explained(rendered, truth, sample.indices.start - sample.truth_indices.start, lag) if lag else None
-        if measured is not None and (best is None or measured[0] < best[0]):
-            best = (measured[0], lag, *measured[1:])
-    if best is None:
+    lags = range(-LARGEST_OFFSET, LARGEST_OFFSET + 1)
+    turning = view.frames.start + view.frames[-1]
+    shown = {(lag, False): [index + lag for index in sample.indices] for lag in lags if lag}
+    shown |= {(lag, True): [turning - index + lag for index in sample.indices] for lag in lags}
+    tried = [_timing(sample, rendered, truth, numbers, *key) for key, numbers in shown.items()]
+    best = min((one for one in tried if one is not None), key=lambda one: one.ratio, default=None)
+    if best is None or best.ratio > LIKELY_RATIO or best.correlation < LEAST_CORRELATION or best.agreeing < AGREEING_SHARE:
         return [], view
-    ratio, lag, at_lag, at_zero, agreeing = best
-    if ratio > LIKELY_RATIO or at_lag < LEAST_CORRELATION or agreeing < AGREEING_SHARE:
-        return [], view
-    verdict = verdict_of(ratio < CERTAIN_RATIO)
-    values = {"offset_frames": float(lag), "correlation": at_lag, "correlation_without": at_zero, "agreeing_share": agreeing}
-    measured_text = (
-        f"frame t shows instant t{lag:+d}: motion correlates {at_lag:.2f} with it, {at_zero:.2f} with t, "
-        f"{agreeing:.0%} of the instants agree"
+    if best.is_reversed:
+        return [_finding(name, best)], view.reversed(best.lag)
+    return [_finding(name, best)], view.moved(best.lag)
+
+
+def _finding(name: str, timing: _Timing) -> Finding:
+    values = {
+        "offset_frames": float(timing.lag),
+        "correlation": timing.correlation,
+        "correlation_without": timing.straight,
+        "agreeing_share": timing.agreeing,
+    }
+    shown = f"the frames come in reversed order{f', {timing.lag:+d}' if timing.lag else ''}" if timing.is_reversed else ""
+    measured = (
+        f"{shown or f'frame t shows instant t{timing.lag:+d}'}: motion correlates {timing.correlation:.2f} with it, "
+        f"{timing.straight:.2f} with t, {timing.agreeing:.0%} of the instants agree"
     )
-    advice = f"renumber the frames by {lag:+d}: first frame counted from 0 or 1, or another start in the protocol?"
-    return [Finding(name, "frame offset", verdict, measured_text, values, advice)], view.moved(lag)
+    advice = f"renumber the frames by {timing.lag:+d}: first frame counted from 0 or 1, or another start in the protocol?"
+    question = "reversed time" if timing.is_reversed else "frame offset"
+    advice = "number the frames from the first instant to the last" if timing.is_reversed else advice
+    return Finding(name, question, verdict_of(timing.ratio < CERTAIN_RATIO), measured, values, advice)
 
 
 def _grey(frames: Array32) -> Array32:
@@ -49,22 +84,28 @@ def _grey(frames: Array32) -> Array32:
     return np.stack([cv2.GaussianBlur(frame.mean(axis=-1, dtype=np.float32), (0, 0), 1.0) for frame in frames])
 
 
-def _explained(rendered: Array32, truth: Array32, first: int, lag: int) -> tuple[float, float, float, float] | None:
-    """Unexplained motion at a lag relative to none, both correlations, and the share of instants that agree.
+def _timing(
+    sample: Sample, rendered: Array32, truth: Array32, numbers: Sequence[int], lag: int, is_reversed: bool
+) -> _Timing | None:
+    """How well the frames show the instants of these numbers; None where the truth has too few of them.
 
     Args:
+        sample: says which frames these are.
         rendered: (n, h, w).
-        truth: (m, h, w); the rendered frame i belongs to the truth `first` + i.
-        first: see there.
-        lag: how much later.
+        truth: (m, h, w).
+        numbers: of the instants, one for each rendered frame.
+        lag: for the record, as is `is_reversed`.
+        is_reversed: see there.
     """
-    there = [i for i in range(len(rendered)) if 0 <= first + i + lag < len(truth)]
-    if len(there) < FEWEST_FRAMES:
+    known = sample.truth_indices
+    pairs = [(i, number) for i, number in enumerate(numbers) if number in known]
+    if len(pairs) < FEWEST_FRAMES:
         return None
-    ours, now, then = rendered[there], truth[[first + i for i in there]], truth[[first + i + lag for i in there]]
+    ours = rendered[[i for i, _ in pairs]]
+    now = truth[[sample.indices[i] - known.start for i, _ in pairs]]
+    then = truth[[number - known.start for _, number in pairs]]
     ours, now, then = (frames - frames.mean(axis=0) for frames in (ours, now, then))
-    at_lag, at_zero = correlation(ours, then), correlation(ours, now)
-    each = [(correlation(a, c), correlation(a, b)) for a, b, c in zip(ours, now, then, strict=True)]
-    agreeing = float(np.mean([lagged > straight for lagged, straight in each]))
-    ratio = (1 - max(at_lag, 0.0) ** 2) / max(1 - max(at_zero, 0.0) ** 2, 1e-6)
-    return ratio, at_lag, at_zero, agreeing
+    shown, straight = correlation(ours, then), correlation(ours, now)
+    each = [correlation(a, c) > correlation(a, b) for a, b, c in zip(ours, now, then, strict=True)]
+    ratio = (1 - max(shown, 0.0) ** 2) / max(1 - max(straight, 0.0) ** 2, 1e-6)
+    return _Timing(lag, is_reversed, ratio, shown, straight, float(np.mean(each)))

@@ -14,13 +14,14 @@ from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames, shrin
 INSTANTS = 3
 # Half a pixel of a larger picture is still a quarter here, and measured to a twentieth.
 LONGEST_SIDE_PX = 960
-# Honest renders with wrong depth shifted by up to 0.3 px as a whole, unevenly over the picture.
-LEAST_SHIFT_PX = 0.4
-# Of the shift. Regions that scatter by that much leave the middle of nine known to a sixth of the shift.
-LARGEST_UNEVENNESS, EVEN = 0.5, 0.25
+# Renders with good depth lie within 0.015 px, evenly to 0.01 px. Wrong depth shifts by up to 0.5 px as a whole, its parts scatter
+# by 0.36 of that and more.
+LEAST_SHIFT_PX = 0.12
+LARGEST_UNEVENNESS, EVEN = 0.3, 0.15
 NEAR_HALF_PX = 0.12
-# The same renders grew by up to 1.7 %.
-LEAST_STRETCH = 0.025
+# Wrong depth made pictures grow by up to 1.7 %, but not alike in both directions, or unevenly: of the growth at the border.
+LEAST_STRETCH, LEAST_ZOOM = 0.025, 0.004
+LARGEST_ANISOTROPY, LARGEST_UNEVEN_GROWTH = 0.12, 0.08
 LARGEST_SCATTER_PX = 0.25  # over the instants
 FEWEST_VIEWS, VIEWS_SCATTER_PX = 3, 0.2
 
@@ -46,7 +47,7 @@ def find_placement(name: str, view: ViewFrames) -> Placed:
     for rendered, truth in view.pairs(spread(view.frames, INSTANTS)):
         factor = max(max(truth.shape[:2]) / LONGEST_SIDE_PX, 1.0)
         placed.append(place(_grey(rendered), _grey(truth)))
-    stretched = _evaluate_scale(name, placed)
+    stretched = _evaluate_scale(name, placed) or _evaluate_zoom(name, placed, view)
     if not stretched:
         x, y = (float(value) for value in np.median([one.shift_px for one in placed], axis=0))
         return Placed(_evaluate_shift(name, placed, factor), view, (factor * x, factor * y))
@@ -96,6 +97,25 @@ def _evaluate_scale(name: str, placed: list[Placement]) -> list[Finding]:
     return [Finding(name, "wrong resize", verdict, measured, {"scale_x": scale_x, "scale_y": scale_y}, advice)]
 
 
+def _evaluate_zoom(name: str, placed: list[Placement], view: ViewFrames) -> list[Finding]:
+    """A little larger or smaller about the centre, alike in both directions and all parts, as by another focal length."""
+    zooms = np.array([one.scale for one in placed]) - 1  # (instants, 2)
+    zoom_x, zoom_y = (float(value) for value in np.median(zooms, axis=0))
+    zoom = (zoom_x + zoom_y) / 2
+    height, width = view.truth(view.frames[0]).shape[:2]
+    half_px = min(max(height, width), LONGEST_SIDE_PX) / 2
+    uneven = float(np.median([one.unevenness_px for one in placed]))
+    is_even = uneven < LARGEST_UNEVEN_GROWTH * abs(zoom) * half_px
+    if abs(zoom) < LEAST_ZOOM or abs(zoom_x - zoom_y) > LARGEST_ANISOTROPY * abs(zoom) or not is_even:
+        return []
+    if float(np.ptp(zooms, axis=0).max()) > 0.3 * abs(zoom):
+        return []
+    measured = f"picture is {'enlarged' if zoom > 0 else 'reduced'} by {abs(zoom):.1%} about its centre, alike in all parts"
+    values = {"scale_x": 1 + zoom_x, "scale_y": 1 + zoom_y, "unevenness_px": uneven}
+    advice = "check fx and fy: intrinsics of another size or before undistortion, or is the true camera's calibration off?"
+    return [Finding(name, "focal length", "likely", measured, values, advice)]
+
+
 def _evaluate_shift(name: str, placed: list[Placement], factor: float) -> list[Finding]:
     shifts = factor * np.array([one.shift_px for one in placed])
     x, y = (float(value) for value in np.median(shifts, axis=0))
@@ -104,7 +124,7 @@ def _evaluate_shift(name: str, placed: list[Placement], factor: float) -> list[F
     if size < LEAST_SHIFT_PX or uneven > LARGEST_UNEVENNESS * size or np.ptp(shifts, axis=0).max() > LARGEST_SCATTER_PX * factor:
         return []
     whole = max(abs(2 * value - round(2 * value)) / 2 for value in (x, y))
-    verdict = verdict_of(whole < NEAR_HALF_PX and uneven < EVEN * size)
+    verdict = verdict_of(size > 0.5 - NEAR_HALF_PX and whole < NEAR_HALF_PX and uneven < EVEN * size)
     measured = f"the whole picture lies {x:+.2f} px right and {y:+.2f} px down, parts of it deviate by {uneven:.2f} px"
     values = {"shift_x_px": x, "shift_y_px": y, "unevenness_px": uneven}
     return [Finding(name, "shift", verdict, measured, values, _shift_advice(x, y))]
@@ -113,4 +133,6 @@ def _evaluate_shift(name: str, placed: list[Placement], factor: float) -> list[F
 def _shift_advice(x: float, y: float) -> str:
     if abs(max(abs(x), abs(y)) - 0.5) < NEAR_HALF_PX:
         return "pixel centres lie at +0.5: check cx, cy and the resize convention (align_corners)"
+    if max(abs(x), abs(y)) < 0.5:
+        return "check cx and cy, and resizes without antialiasing; or is the true camera's calibration off by that?"
     return "check cx, cy, the origin of pixel coordinates and crops by a few pixels"

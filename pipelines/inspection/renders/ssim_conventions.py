@@ -1,6 +1,6 @@
-"""Conventions of SSIM: window, border, data range, covariance, colour; and DSSIM."""
+"""Conventions of SSIM: window, border, data range, covariance, colour, size, scales; and dissimilarities."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
@@ -8,28 +8,37 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.pipelines.inspection.renders.frame_conventions import BT601, cropped
+from ggvs_eval.arrays import Image8
+from ggvs_eval.pipelines.inspection.renders.frame_conventions import BT601, cropped, grey, half_truth, halved
+from ggvs_eval.pipelines.inspection.renders.multi_scale_ssim import SMALLEST_PX, multi_scale_ssim
 from ggvs_eval.pipelines.inspection.renders.recompute import FrameMeasure, MaskReader, Recomputed, frame_means, mean_over_views
 from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames
 
 Planes = NDArray[np.float64]
 Levels = NDArray[Any]
+Preparation = Callable[[Image8, Image8], tuple[Levels, Levels]]
 GAUSSIAN: dict[str, Any] = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
 OUR_SSIM = "Gaussian 11 x 11, valid positions, range 1"
 UNIFORM_RANGE_1 = "uniform 7 x 7, range 1 (scikit-image on uint8)"
+UNIFORM_11 = "uniform 11 x 11, range 1 (scikit-image, win_size 11)"
+MULTI_SCALE = "MS-SSIM, five scales, Gaussian 11 x 11 (pytorch-msssim)"
 UNIFORM_RANGE_2 = "uniform 7 x 7, range 2 (scikit-image on float, no range given; EasyVolcap)"
 
 
 def ssim_conventions(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskReader]) -> list[Recomputed]:
     """SSIM as scikit-image, kornia and the code bases of this field compute it."""
-    rows = frame_means(views, frame_measures(), OUR_SSIM)
-    rows += [_halved(row) for row in rows if row.name in (OUR_SSIM, UNIFORM_RANGE_1, UNIFORM_RANGE_2)]
+    measures = frame_measures()
+    if all(min(view.truth(view.frames[0]).shape[:2]) >= SMALLEST_PX for view in views.values()):
+        measures[MULTI_SCALE] = multi_scale_ssim
+    rows = frame_means(views, measures, OUR_SSIM)
+    plain = [row for row in rows if row.name in (OUR_SSIM, UNIFORM_RANGE_1, UNIFORM_RANGE_2, UNIFORM_11, MULTI_SCALE)]
+    rows += [_dissimilarity(row, divisor) for divisor in (1, 2) for row in plain]
     return rows + _blackened(views, masks) if all(view in masks for view in views) else rows
 
 
 def frame_measures() -> dict[str, FrameMeasure]:
     """Name -> SSIM of two uint8 frames."""
-    return {
+    measures: dict[str, FrameMeasure] = {
         OUR_SSIM: partial(similarity, **GAUSSIAN),
         "Gaussian 11 x 11, valid positions, range 2": partial(similarity, data_range=2.0, **GAUSSIAN),
         "Gaussian 11 x 11, valid positions, range of the true frame": partial(similarity, data_range=None, **GAUSSIAN),
@@ -43,8 +52,27 @@ def frame_measures() -> dict[str, FrameMeasure]:
         "uniform 7 x 7, range of the true frame": partial(similarity, data_range=None),
         "uniform 7 x 7, population covariance, range 1": partial(similarity, use_sample_covariance=False),
         "uniform 7 x 7, range 1, luma": partial(similarity, luma=True),
+        UNIFORM_11: partial(similarity, win_size=11),
+        "uniform 11 x 11, population covariance, range 1": partial(similarity, win_size=11, use_sample_covariance=False),
         "uniform 7 x 7, range 1, without a border of 10 % (ENeRF)": lambda *pair: similarity(*cropped(*pair)),
     }
+    sized: dict[str, FrameMeasure] = {
+        f"{window}, {size}": partial(_prepared, prepare, **options)
+        for window, options in {OUR_SSIM: GAUSSIAN, "uniform 7 x 7, range 1": {}}.items()
+        for size, prepare in PREPARATIONS.items()
+    }
+    return measures | sized
+
+
+def _prepared(prepare: Preparation, rendered: Image8, truth: Image8, **options: Any) -> float:
+    return similarity(*prepare(rendered, truth), **options)
+
+
+PREPARATIONS: Mapping[str, Preparation] = {
+    "grey of 8 bit": lambda rendered, truth: (grey(rendered), grey(truth)),
+    "both at half size": halved,
+    "truth of half size enlarged": half_truth,
+}
 
 
 def similarity(rendered: Levels, truth: Levels, data_range: float | None = 1.0, luma: bool = False, **options: Any) -> float:
@@ -87,8 +115,9 @@ def padded(rendered: Levels, truth: Levels, border: int) -> float:
     return float((luminance * (2 * covariance + 0.03**2) / (variance_x + variance_y + 0.03**2)).mean())
 
 
-def _halved(row: Recomputed) -> Recomputed:
-    return Recomputed(f"DSSIM = (1 - SSIM) / 2, {row.name}", {over: (1 - value) / 2 for over, value in row.values.items()})
+def _dissimilarity(row: Recomputed, divisor: int) -> Recomputed:
+    formula = "1 - SSIM" if divisor == 1 else "DSSIM = (1 - SSIM) / 2"
+    return Recomputed(f"{formula}, {row.name}", {over: (1 - value) / divisor for over, value in row.values.items()})
 
 
 def _blackened(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskReader]) -> list[Recomputed]:

@@ -65,6 +65,12 @@ class ViewFrames:
         frames = range(there[0] + offset, there[-1] + offset + 1)
         return replace(self, rendered=lambda index: original(index - offset), frames=frames)
 
+    def reversed(self, offset: int) -> "ViewFrames":
+        """The same renders in reversed order, as frames of instants `offset` later, as far as the truth has them."""
+        original, turning = self.rendered, self.frames.start + self.frames[-1]
+        there = sorted(turning - index + offset for index in self.frames if turning - index + offset in self.known_truth)
+        return replace(self, rendered=lambda index: original(turning - index + offset), frames=range(there[0], there[-1] + 1))
+
 
 @dataclass(frozen=True, eq=False)
 class Sample:

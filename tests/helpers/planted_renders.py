@@ -1,0 +1,117 @@
+"""Faults of handling planted in the renders of a view: what a script between a method and its folder of frames does wrong."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from ggvs_eval.arrays import Image8
+from ggvs_eval.pipelines.inspection.renders.view_frames import FrameReader, ViewFrames
+
+Spoil = Callable[[ViewFrames], FrameReader]
+SEED = 1
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault and what the doctor has to call it.
+
+    Attributes:
+        question: of the finding.
+        spoil: view -> reader of its spoilt renders.
+    """
+
+    question: str
+    spoil: Spoil
+
+
+def quantised(levels: np.ndarray) -> Image8:
+    """Levels on the scale 0..255 as they are written."""
+    return np.rint(np.clip(levels, 0, 255)).astype(np.uint8)
+
+
+def each_picture(change: Callable[[Image8], np.ndarray]) -> Spoil:
+    """The same change of every rendered frame."""
+    return lambda view: lambda index: quantised(change(view.rendered(index)))
+
+
+def moved(right_px: float, down_px: float, scale: float = 1.0) -> Spoil:
+    """Shifted, or enlarged about its centre as by a longer focal length."""
+
+    def change(image: Image8) -> np.ndarray:
+        height, width = image.shape[:2]
+        x, y = (width - 1) / 2, (height - 1) / 2
+        matrix = np.array([[scale, 0, x * (1 - scale) + right_px], [0, scale, y * (1 - scale) + down_px]])
+        return cv2.warpAffine(
+            image.astype(np.float32), matrix, (width, height), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+        )
+
+    return each_picture(change)
+
+
+def tone(curve: Callable[[np.ndarray], np.ndarray]) -> Spoil:
+    """A tone curve on levels in 0..1."""
+    return each_picture(lambda image: 255 * curve(image / 255))
+
+
+def flicker(amplitude: float) -> Spoil:
+    """Every frame brighter or darker by up to a share, at random."""
+
+    def spoil(view: ViewFrames) -> FrameReader:
+        gains = 1 + np.random.default_rng(SEED).uniform(-amplitude, amplitude, len(view.frames))
+        return lambda index: quantised(view.rendered(index) * gains[index - view.frames.start])
+
+    return spoil
+
+
+def alternating(amplitude: float) -> Spoil:
+    """Every other frame brighter."""
+    return lambda view: lambda index: quantised(view.rendered(index) * (1 + amplitude * (-1) ** index))
+
+
+def blended(share: float) -> Spoil:
+    """Some of the truth in every frame."""
+    return lambda view: lambda index: quantised((1 - share) * view.rendered(index).astype(float) + share * view.truth(index))
+
+
+def copied(every: int, recode: Callable[[Image8], Image8] = lambda image: image) -> Spoil:
+    """Every so many frames the truth, written again."""
+
+    def spoil(view: ViewFrames) -> FrameReader:
+        start = view.frames.start + min(every, len(view.frames)) // 2
+        return lambda index: recode(view.truth(index)) if (index - start) % every == 0 else view.rendered(index)
+
+    return spoil
+
+
+def reversed_time(view: ViewFrames) -> FrameReader:
+    """The last frame first."""
+    return lambda index: view.rendered(view.frames.start + view.frames.stop - 1 - index)
+
+
+def jpeg(quality: int) -> Callable[[Image8], Image8]:
+    """What a JPEG file makes of a picture."""
+    return lambda image: cv2.imdecode(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1], cv2.IMREAD_COLOR)
+
+
+PLANTED: Mapping[str, Fault] = {
+    "truth in every 6th frame": Fault("truth copied in", copied(6)),
+    "truth in every 6th frame, JPEG 90": Fault("truth copied in", copied(6, jpeg(90))),
+    "truth in one frame, JPEG 90": Fault("truth copied in", copied(1000, jpeg(90))),
+    "blend with 50 % truth": Fault("truth copied in", blended(0.5)),
+    "blend with 20 % truth": Fault("truth copied in", blended(0.2)),
+    "blend with 10 % truth": Fault("truth copied in", blended(0.1)),
+    "flicker, random +-3 %": Fault("flicker", flicker(0.03)),
+    "flicker, alternating +-3 %": Fault("flicker", alternating(0.03)),
+    "gamma 1.1": Fault("tone curve", tone(lambda level: level**1.1)),
+    "gamma 1 / 1.1": Fault("tone curve", tone(lambda level: level ** (1 / 1.1))),
+    "studio range 16-235": Fault("value range", tone(lambda level: (16 + 219 * level) / 255)),
+    "stretched from 16-235": Fault("value range", tone(lambda level: (255 * level - 16) / 219)),
+    "quarter pixel right": Fault("shift", moved(0.25, 0)),
+    "quarter pixel right and down": Fault("shift", moved(0.25, 0.25)),
+    "quarter pixel left": Fault("shift", moved(-0.25, 0)),
+    "focal length + 1 %": Fault("focal length", moved(0, 0, 1.01)),
+    "focal length - 1 %": Fault("focal length", moved(0, 0, 0.99)),
+    "reversed time": Fault("reversed time", reversed_time),
+}
