@@ -29,7 +29,7 @@ TOLERANCES = {"PSNR": 1.0, "SSIM": 0.01, "TCC": 0.01, "STED": 0.3}  # STED: rela
 
 @dataclass(frozen=True)
 class Options:
-    """What is filmed.
+    """Options of what is filmed.
 
     Attributes:
         seeds: rooms; not those of the demos.
@@ -67,7 +67,7 @@ class Comparison:
     bounds: dict[str, str]
 
     def holds(self, metric: str) -> bool | None:
-        """Whether the prediction is what it says; None where it says nothing."""
+        """True if the prediction is what it says; None where it says nothing."""
         if metric not in self.estimate:
             return None
         real, predicted = self.real[metric], self.estimate[metric]
@@ -85,7 +85,7 @@ class Comparison:
 
 
 def film(options: DemoOptions, camera: int, instants: Sequence[Instant]) -> list[Image8]:
-    """What one camera of a room sees, before any codec."""
+    """Film one camera of a room, before any codec."""
     return [frame.image for frame in Footage(options, rig_shots(options)[camera], instants.__getitem__).frames()]
 
 

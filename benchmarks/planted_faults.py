@@ -36,7 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def examine_method(run: RunFolder, label: str) -> dict[str, str]:
-    """What is found in each spoilt view of a method, and in all views as they are."""
+    """Print the findings in each spoilt view of a method, and in all views as they are."""
     cameras = {name: _kept(read) for name, read in cameras_of_run(run).items()}
     views = {
         name: replace(view, rendered=_kept(view.rendered), truth=cameras[name]) for name, view in views_of_run(run, label).items()

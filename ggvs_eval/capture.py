@@ -54,7 +54,7 @@ class DepthSource(Protocol):
 
 @dataclass(frozen=True)
 class Extras:
-    """What some captures hold of a camera beside its frames; each None where there is none.
+    """Data that some captures hold of a camera beside its frames; each None where there is none.
 
     Attributes:
         background: the scene without what moves, one frame.
@@ -69,7 +69,7 @@ class Extras:
 
 @dataclass(frozen=True)
 class CaptureEdit:
-    """How a capture is shown otherwise than it was taken; `ggvs_eval.datasets.capture_edit.perturb_capture` does it.
+    """Changes to a capture as it is read; `ggvs_eval.datasets.capture_edit.perturb_capture` makes them.
 
     Attributes:
         hold_frames: number of instants for which one is held still; 0 lets time go on as it did.

@@ -42,7 +42,7 @@ class Frames:
 
 @dataclass(frozen=True)
 class Synthesis:
-    """What a method is given.
+    """Input of the methods: how many source views, which, and at which size.
 
     Attributes:
         k: number of source cameras.
@@ -96,7 +96,7 @@ class CameraPath:
 
 @dataclass(frozen=True)
 class Measurement:
-    """How the 8-bit frames on disk become numbers.
+    """Measurement of the 8-bit frames on disk.
 
     Attributes:
         metrics: names of the metrics, see `ggvs_eval.metrics.registry.METRICS`.

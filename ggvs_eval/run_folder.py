@@ -1,4 +1,4 @@
-"""Where everything of one run lies: one capture under one protocol, in a folder that any step can be resumed from.
+"""Layout of a run folder: one capture under one protocol, from which any step can be resumed.
 
 ::
 
@@ -51,7 +51,7 @@ class RunFolder:
 
     @property
     def depth_record(self) -> Path:
-        """How that depth is found."""
+        """File of the options by which that depth is found."""
         return self.root / "depth.json"
 
     @property
@@ -76,12 +76,12 @@ class RunFolder:
         return self.root / "disoccluded" / view
 
     def ceilings(self, view: str) -> Path:
-        """What perfect renderings of a test view would score."""
+        """Scores that perfect renderings of a test view would have."""
         return self.root / "ceilings" / view
 
     @property
     def path_record(self) -> Path:
-        """Where the poses of the camera path lie, and the source cameras of each."""
+        """File of the poses of the camera path and the source cameras of each."""
         return self.root / "path" / "path.json"
 
     @property
@@ -112,7 +112,7 @@ class RunFolder:
         return read_json(self.root / "capture.json")
 
     def capture_path(self) -> Path:
-        """Where the capture lies: where it lay when the run was prepared, or where it moved together with the run."""
+        """Return the capture's folder: where it lay when the run was prepared, or where it moved together with the run."""
         record = self.capture_record()
         place = record.get("place", {})  # a run of an earlier version knows only the path as it was given
         candidates = [Path(place["absolute"]), (self.root / place["from_run"]).resolve()] if place else []

@@ -1,4 +1,4 @@
-"""What a perfect rendering could score on a captured view: without noise, and as a second recording by the same camera."""
+"""Ceilings: scores of a perfect rendering on a captured view, without noise and as a second recording."""
 
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -155,7 +155,7 @@ def _beside(
 
 
 def _is_coarse_in_colour(noise: NoiseModel) -> bool:
-    """Whether noise of colour lacks the grain of single pixels, though there is noise: colours were stored at half size."""
+    """Tell whether noise of colour lacks the grain of single pixels, though there is noise: colours came at half size."""
     colour = noise.octave_variance[:, np.abs(noise.axes.sum(axis=0)).argsort()[:2]].sum(axis=1)
     return bool(colour.sum() > LEAST_VARIANCE and colour[0] < FINEST_GRAIN * colour.sum())
 

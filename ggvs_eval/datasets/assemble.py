@@ -1,4 +1,4 @@
-"""What every adapter does last: cameras and frames must fit each other before they become a `Capture`."""
+"""Assembly, the last step of every adapter: cameras and frames that fit each other become a `Capture`."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -96,7 +96,7 @@ def check_rig_size(path: Path, n_cameras: int) -> None:
 
 
 def _notes(cameras: Sequence[Camera], sources: Sequence[SizedSource]) -> list[str]:
-    """What was mended, and what nobody can mend here."""
+    """List what was mended, and what nobody can mend here."""
     notes = []
     slanted = [camera for camera in cameras if camera.deviation]
     if slanted:
@@ -111,7 +111,7 @@ def _notes(cameras: Sequence[Camera], sources: Sequence[SizedSource]) -> list[st
 
 
 def _conversion_notes(cameras: Sequence[Camera], sources: Sequence[SizedSource]) -> list[str]:
-    """What reading frames as 8-bit RGB changes."""
+    """List the changes by reading frames as 8-bit RGB."""
     by_change: dict[str, list[str]] = {}
     for camera, source in zip(cameras, sources, strict=True):
         inner = getattr(source, "source", source)  # behind an undistortion
@@ -198,12 +198,12 @@ def _arrangements(path: Path, image_names: Mapping[str, str]) -> Iterator[dict[s
 
 
 def _is_plain(name: str) -> bool:
-    """Whether a camera's name can be a file's."""
+    """Tell whether a camera's name can be a file's."""
     return _stays_inside(name) and PurePosixPath(name).name == name
 
 
 def _stays_inside(relative: str) -> bool:
-    """Whether a name in a calibration can be a file's below the capture; a hostile model must not lead out of it."""
+    """Tell whether a name in a calibration can be a file's below the capture; a hostile model must not lead out of it."""
     if not relative.isprintable() or len(relative) >= LONGEST_PATH:
         return False
     path = PurePosixPath(relative)

@@ -44,7 +44,7 @@ class Kind:
     read: Callable[[Path], list[FileCamera]]
 
     def fits(self, file: Path) -> bool:
-        """Whether a file is of this kind."""
+        """Tell whether a file is of this kind."""
         if not file.name.lower().endswith(self.suffixes):
             return False
         return self.content is None or bool(self.content.search(_text(file)))
@@ -59,7 +59,7 @@ KINDS = {
 
 @dataclass(frozen=True, eq=False)
 class CalibrationFile:
-    """What calibration files say.
+    """Cameras of calibration files.
 
     Attributes:
         cameras: by name.
@@ -71,7 +71,7 @@ class CalibrationFile:
 
 
 def refuse(kind: str, path: Path) -> str | None:
-    """Why there is no calibration of a kind; None where there is one."""
+    """Say why there is no calibration of a kind; None where there is one."""
     kinds = " or ".join(f"*{suffix}" for suffix in KINDS[kind].suffixes)
     return None if find_calibration_files(path, kind) else f"no calibration of this kind in {kinds}"
 

@@ -198,7 +198,7 @@ def _parse_xml(path: Path) -> ElementTree.Element:
 
 
 def _xml_numbers(path: Path, camera: ElementTree.Element, tag: str) -> Any:
-    """What gives the numbers of an element of a camera by their key."""
+    """Return a reader of the numbers of an element of a camera, by their key."""
     element = camera.find(tag)
 
     def number(key: str, default: float | None = None) -> float:

@@ -30,7 +30,7 @@ HEAD = """\
 
 @dataclass(frozen=True)
 class Correction:
-    """What is wrong with one camera; one ``[[camera]]`` of the file.
+    """Corrections of one camera; one ``[[camera]]`` of the file.
 
     Attributes:
         name: of the camera.
@@ -98,7 +98,7 @@ class ShiftedDepths:
 
 
 def corrections_file(path: Path) -> Path:
-    """Where the corrections of a capture lie: in its folder."""
+    """Return the file of a capture's corrections, in its folder."""
     return (path if path.is_dir() else path.parent) / FILE
 
 
@@ -191,7 +191,7 @@ def _corrected_extras(extras: Extras, start: int, correction: Correction, n_fram
 
 
 def describe_corrections(corrections: Mapping[str, Correction]) -> str:
-    """What is done, for people.
+    """Describe what is done, for people.
 
     Examples:
         >>> describe_corrections({"cam03": Correction("cam03", offset_frames=-2)})

@@ -42,7 +42,7 @@ class FileStorageYaml:
         return [_unquoted(item) for item in items]
 
     def has(self, key: str) -> bool:
-        """Whether there is such an entry."""
+        """Tell whether there is such an entry."""
         return key in self._entries
 
     def text(self, key: str) -> str:

@@ -1,4 +1,4 @@
-"""How the frames of a camera were coded, whatever they lie in."""
+"""Coding of a camera's frames, whatever they lie in."""
 
 from pathlib import Path
 

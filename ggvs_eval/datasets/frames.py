@@ -75,7 +75,7 @@ class ImageFrames:
 
     @cached_property
     def conversions(self) -> dict[str, int]:
-        """What reading them as 8-bit RGB changes -> how many images it changes; errors as of `size`."""
+        """Change by reading them as 8-bit RGB -> number of images that it changes; errors as of `size`."""
         return dict(Counter(change for header in self._headers.values() for change in header.conversions))
 
     @cached_property

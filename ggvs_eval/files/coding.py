@@ -1,4 +1,4 @@
-"""How a video was coded, as its encoder wrote into it: enough to code another one in the same way."""
+"""Coding parameters of a video, as its encoder wrote them into it: enough to code another one in the same way."""
 
 import re
 from dataclasses import dataclass
@@ -38,7 +38,7 @@ SETTINGS = {
 
 @dataclass(frozen=True)
 class Coding:
-    """How the frames of a camera were coded before they were measured.
+    """Coding of a camera's frames before they were measured.
 
     Attributes:
         size: of the coded frames, (width, height), pixels.
@@ -99,7 +99,7 @@ def read_coding(path: Path, frames: range) -> Coding:
 
 
 def _settings(told: str) -> str:
-    """What x264 printed as it is told."""
+    """Parse the options that x264 prints into a video."""
     values = dict(setting.split("=", 1) for setting in told.split() if "=" in setting)
     # Settings stand between colons, so that none may have one inside.
     settings = [f"{name}={values[key].replace(':', ',')}" for key, name in SETTINGS.items() if key in values]

@@ -71,7 +71,7 @@ def decode_image(encoded: NDArray[np.uint8], flags: int) -> NDArray[np.generic] 
 
 
 def _is_cut_png(content: bytes) -> bool:
-    """Whether a chunk of a PNG file goes on past its end: OpenCV allocates what is claimed, 4 GB for a file of 200 bytes."""
+    """Tell whether a chunk of a PNG file goes on past its end: OpenCV allocates what is claimed, 4 GB for 200 bytes."""
     at, kind = len(PNG_SIGNATURE), b""
     while content.startswith(PNG_SIGNATURE) and at + 8 <= len(content) and kind != b"IEND":
         kind = content[at + 4 : at + 8]

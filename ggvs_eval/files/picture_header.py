@@ -1,4 +1,4 @@
-"""What the header of a picture says: how it is coded, its size, and what is lost or made up when it is read as 8-bit RGB."""
+"""Headers of pictures: coding, size, and what is lost or made up when one is read as 8-bit RGB."""
 
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -11,7 +11,7 @@ COLOURS = {"1": "grey", "L": "grey", "LA": "grey", "I": "grey", "I;16": "grey", 
 
 
 class PictureHeader(NamedTuple):
-    """What the first bytes of a picture say; its name is not asked.
+    """Header of a picture by its first bytes; its name is not asked.
 
     Attributes:
         form: how it is coded.
@@ -36,12 +36,12 @@ class PictureHeader(NamedTuple):
 
     @property
     def conversions(self) -> list[str]:
-        """What reading it as 8-bit RGB changes, in a few words each."""
+        """Changes by reading it as 8-bit RGB, in a few words each."""
         return conversions_to_rgb8(self.colours, self.bits, self.has_alpha)
 
 
 def conversions_to_rgb8(colours: str, bits: int, has_alpha: bool) -> list[str]:
-    """What reading pixels as 8-bit RGB changes, arguments as of `PictureHeader`.
+    """List the changes by reading pixels as 8-bit RGB, arguments as of `PictureHeader`.
 
     Examples:
         >>> conversions_to_rgb8("grey", 16, False)

@@ -15,7 +15,7 @@ class NotPlainError(OSError):
     """A pipe, a device, a folder, or more bytes than were asked for."""
 
     def __str__(self) -> str:
-        """What it is; whoever tells names the file."""
+        """Say what was met; whoever tells names the file."""
         return str(self.strerror)
 
 
@@ -64,7 +64,7 @@ def read_plain_text(path: Path, most_bytes: int = LARGEST_TEXT) -> str:
 
 
 def why_unread(error: OSError) -> str:
-    """Why a file could not be read, in a few words."""
+    """Say in a few words why a file could not be read."""
     if isinstance(error, FileNotFoundError) and error.filename:
         return "a link to nothing" if os.path.islink(error.filename) else "no such file"
     return "no such file" if isinstance(error, FileNotFoundError) else str(error.strerror or error)

@@ -149,7 +149,7 @@ class VideoFrames:
 
     @cached_property
     def uneven(self) -> str:
-        """How far frames are apart where their rate varies; empty where it does not."""
+        """Distances between frames where their rate varies; empty where it does not."""
         with self._open() as container:
             stream = container.streams.video[0]
             times = sorted(sample.timestamp for sample in stream.index_entries if not sample.is_discard)
@@ -162,7 +162,7 @@ class VideoFrames:
 
     @cached_property
     def conversions(self) -> dict[str, int]:
-        """What reading its frames as 8-bit RGB changes -> how many frames it changes."""
+        """Change by reading frames as 8-bit RGB -> number of frames that it changes."""
         with self._open() as container:
             pixels = container.streams.video[0].format
             components = pixels.components if pixels else ()
@@ -218,7 +218,7 @@ class VideoFrames:
         raise self._damaged(index, reason)
 
     def _key_frames_before(self, start: int) -> list[int]:
-        """Where decoding may begin: at the last key frame or, where that one is not enough (intra refresh), at the first."""
+        """List where decoding may begin: at the last key frame or, where that is not enough (intra refresh), at the first."""
         last = max((index for index, frame in enumerate(self._timestamps[: start + 1]) if frame.is_key), default=0)
         return [last, 0] if last else [0]
 

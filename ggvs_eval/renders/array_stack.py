@@ -141,7 +141,7 @@ class ArrayStack:
 
 
 def _other_shape(shape: tuple[int, ...]) -> str:
-    """What an array of another shape seems to be, and what makes it (T, H, W, 3)."""
+    """Describe what an array of another shape seems to be, and what makes it (T, H, W, 3)."""
     if len(shape) == 3:
         return f"{shape}, which has no colours: save numpy.repeat(frames[..., None], 3, -1)"
     if len(shape) == 4 and shape[3] == 1:

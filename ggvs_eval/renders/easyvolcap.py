@@ -24,7 +24,7 @@ FOLDER = "RENDER"
 
 
 def refuse(path: Path, wanted: Wanted) -> str | None:
-    """Why this is not an output of EasyVolcap; None if it is."""
+    """Say why this is not an output of EasyVolcap; None if it is."""
     del wanted  # its views have numbers, not names
     if not path.is_dir():
         return "not a folder"
@@ -75,7 +75,7 @@ def find(path: Path, wanted: Wanted, is_temporary: bool) -> Found:
 
 
 def _compared(place: Path, claims: dict[tuple[str, int], Path], wanted: Wanted) -> str:
-    """What the copies of the truth say."""
+    """Compare the copies of the truth with the captured frames."""
     try:
         level = check_truth(claims, wanted)
     except RenderError as error:

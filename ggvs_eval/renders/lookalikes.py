@@ -1,4 +1,4 @@
-"""What lies where renders should lie, when people meant to bring some: names spelled otherwise, pictures in another format."""
+"""Lookalikes of renders: names spelled otherwise, pictures in another format."""
 
 import os
 import re
@@ -14,7 +14,7 @@ LOOKED_THROUGH = 10_000
 
 
 def instead_of(path: Path, view: str, wanted: Wanted) -> str:
-    """What a folder of renders holds instead of the frames of a view, and what to do; empty where nothing looks like them."""
+    """Describe what lies in place of a view's frames, and what to do; empty where nothing looks like them."""
     unread = unread_pictures(path / view)
     if unread or list_images(path / view):
         return unread and f"{view}/ holds {unread}"

@@ -18,7 +18,7 @@ from ggvs_eval.renders.wanted import Found, RenderedView, Wanted
 
 
 def refuse(path: Path, wanted: Wanted) -> str | None:
-    """Why this is not an output of NerfBaselines; None if it is."""
+    """Say why this is not an output of NerfBaselines; None if it is."""
     del wanted
     if not (path / "info.json").is_file():
         return "no info.json"

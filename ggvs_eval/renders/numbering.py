@@ -90,7 +90,7 @@ def number_views(path: Path, views: Mapping[str, Sequence[tuple[int | None, Item
 
 
 def _means_nothing(number: int | None, wanted: Wanted) -> bool:
-    """Whether the number of a picture that is the only one of its view says nothing."""
+    """Tell whether the number of a picture that is the only one of its view says nothing."""
     return number is None or (wanted.n_frames == 1 and wanted.first_frame is None)
 
 
@@ -137,7 +137,7 @@ def _first_number(used: Sequence[int], wanted: Wanted) -> int:
 
 
 def _fits(used: Sequence[int], first: int, wanted: Wanted) -> bool:
-    """Whether numbers are frames of the protocol alone, or the whole capture, if its first instant bears `first`."""
+    """Tell whether numbers are frames of the protocol alone, or the whole capture, if its first instant bears `first`."""
     shifted = _shifted(used, first)
     return shifted.issubset(wanted.frames) or shifted == set(range(wanted.n_frames))
 
@@ -179,7 +179,7 @@ def _refuse_unlike(numbers: Mapping[str, Numbers], wanted: Wanted) -> None:
 
 
 def _is_run(used: Sequence[int], count: int) -> bool:
-    """Whether these are so many numbers in a row."""
+    """Tell whether these are so many numbers in a row."""
     return len(used) == count and used[-1] - used[0] == count - 1
 
 

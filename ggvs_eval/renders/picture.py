@@ -44,7 +44,7 @@ def counted(count: int, noun: str) -> str:
 
 
 class PixelRemarks:
-    """What people should know of the pixels of a view's frames, gathered while these are read."""
+    """Notes on the pixels of a view's frames, gathered while these are read."""
 
     def __init__(self) -> None:
         self._black: list[int] = []
@@ -110,7 +110,7 @@ class PictureView:
 
 
 def _fault(path: Path, size: tuple[int, int]) -> str:
-    """Why one picture cannot be used; empty where it can."""
+    """Say why one picture cannot be used; empty where it can."""
     try:
         header = read_header(path)
     except RenderError:

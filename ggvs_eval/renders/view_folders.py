@@ -13,7 +13,7 @@ from ggvs_eval.run_folder import RunFolder
 
 
 def refuse(path: Path, wanted: Wanted) -> str | None:
-    """Why this is not one folder of pictures per view; None if it is."""
+    """Say why this is not one folder of pictures per view; None if it is."""
     if not path.is_dir():
         return "not a folder"
     if any(list_images(path / view) for view in wanted.views):
@@ -57,7 +57,7 @@ def _unexpected_files(path: Path, wanted: Wanted) -> Iterable[str]:
 
 
 def refuse_run(path: Path, wanted: Wanted) -> str | None:
-    """Why this is not a run folder of ours with renders of one method to take; None if it is."""
+    """Say why this is not a run folder of ours with renders of one method to take; None if it is."""
     run = RunFolder(path)
     if not run.protocol_file.is_file():
         return "no protocol.toml"

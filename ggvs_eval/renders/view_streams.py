@@ -33,7 +33,7 @@ class FrameStream(Protocol):
 
     @property
     def conversions(self) -> Mapping[str, int]:
-        """What reading them as RGB has changed."""
+        """List the changes by reading them as RGB."""
 
     def frames(self, start: int, stop: int) -> Iterator[NDArray[np.generic]]:
         """Frames start <= t < stop one by one, RGB (H, W, 3), uint8 or float in [0, 1]."""
@@ -86,7 +86,7 @@ class StreamView:
 
 
 def _float_notes(n_floats: int, clipped: Mapping[int, tuple[float, float]]) -> list[str]:
-    """What was done to floats."""
+    """List what was done to floats."""
     notes = [f"{counted(n_floats, 'frame')} of floats, rounded to 8 bit"] if n_floats else []
     if clipped:
         low, high = min(low for low, _ in clipped.values()), max(high for _, high in clipped.values())
@@ -96,7 +96,7 @@ def _float_notes(n_floats: int, clipped: Mapping[int, tuple[float, float]]) -> l
 
 
 def refuse_videos(path: Path, wanted: Wanted) -> str | None:
-    """Why this is not one video per view; None if it is."""
+    """Say why this is not one video per view; None if it is."""
     if not path.is_dir():
         return "not a folder"
     return None if _of_views(path, VIDEO_SUFFIXES, wanted) else f"no {wanted.views[0]}.mp4 or the like"
@@ -117,7 +117,7 @@ def find_videos(path: Path, wanted: Wanted, is_temporary: bool) -> Found:
 
 
 def refuse_arrays(path: Path, wanted: Wanted) -> str | None:
-    """Why this is not one array per view; None if it is."""
+    """Say why this is not one array per view; None if it is."""
     if path.is_file():
         return None if path.suffix == ".npz" else "not an .npz file"
     return None if _of_views(path, ARRAY_SUFFIXES, wanted) else f"no {wanted.views[0]}.npy or .npz"

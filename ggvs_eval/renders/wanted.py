@@ -1,4 +1,4 @@
-"""What renders must hold to be scored in a run: views, frames and sizes, and the captured frames they stand beside."""
+"""Fit of renders to a run: the views, frames and sizes that it asks for, and the captured frames beside them."""
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
@@ -60,7 +60,7 @@ class RenderedView(Protocol):
 
 @dataclass(frozen=True)
 class Found:
-    """What a source of renders holds.
+    """Contents of a source of renders.
 
     Attributes:
         views: test view -> its frames; a view that is not there has no entry.
@@ -82,7 +82,7 @@ class Found:
 
 
 def wanted_of(run: RunFolder, label: str, first_frame: int | None = None) -> Wanted:
-    """What a run asks of a method; `first_frame` as of `Wanted`.
+    """Return what a run asks of a method; `first_frame` as of `Wanted`.
 
     Raises:
         ResultsError: not a run folder.
@@ -102,7 +102,7 @@ def wanted_of(run: RunFolder, label: str, first_frame: int | None = None) -> Wan
 
 @dataclass(frozen=True)
 class Fit:
-    """How renders fit a protocol.
+    """Fit of renders to a protocol.
 
     Attributes:
         usable: view -> frames that can be scored, rising; views without any have no entry.
@@ -167,7 +167,7 @@ def require_whole(fitted: Fit, path: Path, numbering: str) -> None:
 
 
 def partial_text(fitted: Fit, wanted: Wanted) -> str:
-    """What a row of these renders stands on; empty where nothing is missing.
+    """Describe what a row of these renders stands on; empty where nothing is missing.
 
     Raises:
         RenderError: nothing at all fits.

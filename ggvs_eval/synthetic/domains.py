@@ -40,7 +40,7 @@ class Domain:
 
     @property
     def hand_held(self) -> bool:
-        """Whether one moving camera films it, with a sensor of depth, and no rig."""
+        """True if one moving camera films it, with a sensor of depth, and no rig."""
         return self.options.get("layout") == "rgbd"
 
 
@@ -121,7 +121,7 @@ def find_domain(name: str) -> Domain:
 
 
 def domain_options(name: str, seed: int, width: int | None = None, height: int | None = None) -> DemoOptions:
-    """How a capture of a domain is rendered.
+    """Choose the options of a capture of a domain.
 
     Args:
         name: of the domain.

@@ -51,7 +51,7 @@ def _half(plane: Field) -> Field:
 
 
 def _halved_and_back(plane: Field) -> Field:
-    """What half the size leaves of a plane, (H, W) or (H, W, C): bicubic both ways, smoothed before it is sampled."""
+    """Halve and enlarge a plane, (H, W) or (H, W, C): bicubic both ways, smoothed before it is sampled."""
     from PIL.Image import Resampling, fromarray
 
     if plane.ndim == 3:

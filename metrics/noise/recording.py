@@ -66,7 +66,7 @@ class Recorder:
         return self._film(self.clean(), sigma_255, number)
 
     def doubt(self) -> str:
-        """Why nobody knows what another recording would look like; empty where it is known."""
+        """Reason why nobody knows what another recording would look like; empty where it is known."""
         weakest = KEEPING_STEPS * self._coding.step_255
         if self.sigma_255 < weakest:
             hidden = f"below {weakest:.1f} grey levels x264 hides it at crf {self._coding.crf:g}"

@@ -29,7 +29,7 @@ Layout = Annotated[str | None, tyro.conf.arg(metavar=f"{{{','.join(DATASETS)}}}"
 
 @dataclass(frozen=True)
 class CaptureOptions:
-    """How a capture is read.
+    """Options by which a capture is read.
 
     Attributes:
         layout: on disk; detected by default.
@@ -53,7 +53,7 @@ class CaptureOptions:
 
 @dataclass(frozen=True)
 class ReadingOptions(CaptureOptions):
-    """How a capture is read and shown.
+    """Options by which a capture is read and shown.
 
     Attributes:
         hold_frames: hold one instant still for so many instants; 0 lets time go on.

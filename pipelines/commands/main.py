@@ -126,7 +126,7 @@ def run_command(arguments: list[str] | None = None) -> None:
 
 
 def _forget_output() -> None:
-    """What is still buffered must not fail again at exit."""
+    """Drop what is still buffered, which must not fail again at exit."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 

@@ -60,7 +60,7 @@ class ExposureCompensation:
         return replace(instant, sources=tuple(sources))
 
     def finish(self, image: Map, target: Camera) -> Map:
-        """What was blended of the sources of the last step as the target's lens would show it, in place."""
+        """Show what was blended of the last step's sources as the target's lens would, in place."""
         return fallen_off(image, target, self.slope, self._corner)
 
     def gains(self, instant: Instant, tolerance: float) -> Map:
@@ -113,7 +113,7 @@ class ExposureCompensation:
 
 
 def shared_looks(sources: Sequence[SourceView], tolerance: float) -> tuple[dict[tuple[int, int], Map], list[int]]:
-    """What every two sources see together, at the lattices of both.
+    """Pair every two sources by what they see together, at the lattices of both.
 
     Args:
         sources: the views.
@@ -192,7 +192,7 @@ def _squared_tangents(points: Map) -> Map:
 
 
 def linear(colours: Map) -> NDArray[np.bool_]:
-    """Where all channels of colours (..., 3) lie in the range in which a sensor is taken to be linear."""
+    """Mask colours (..., 3) whose channels all lie in the range in which a sensor is taken to be linear."""
     return np.asarray(np.logical_and.reduce((colours >= DARK) & (colours <= BRIGHT), axis=-1))
 
 

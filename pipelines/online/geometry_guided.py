@@ -160,7 +160,7 @@ class GeometryGuided:
         return self._compensation.step(filtered, self._tau(filtered)) if self.options.compensated else filtered
 
     def _weights(self, filtered: Instant) -> list[Map]:
-        """How far the filtered depths are trusted (Eqs. 11-12); none where they are not fused."""
+        """Weigh the filtered depths (Eqs. 11-12); none where they are not fused."""
         if not self.options.fused:
             return []
         noise = self.options.depth_noise_m * filtered.units_per_metre

@@ -1,4 +1,4 @@
-"""How pictures darken towards their corners by the lens: one figure for all cameras, from what they see together."""
+"""Fall-off of lenses towards the corners: one figure for all cameras, from what they see together."""
 
 from collections.abc import Sequence
 
@@ -112,7 +112,7 @@ def flattened(image: Image8, camera: Camera, gain: Map, slope: float, corner: fl
 
 
 def fallen_off(image: Map, camera: Camera, slope: float, corner: float) -> Map:
-    """What is blended of `flattened` sources as the target's lens would show it, (H, W, 3), at most 1; in place."""
+    """Show what is blended of `flattened` sources, (H, W, 3), as the target's lens would, at most 1; in place."""
     if not slope:
         return image
     down, across = squared_tangents(camera)

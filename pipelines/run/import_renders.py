@@ -124,7 +124,7 @@ def plain_label(name: str) -> str:
 
 
 def _is_taken(label: str) -> bool:
-    """Whether a name means something else in a run."""
+    """Tell whether a name means something else in a run."""
     return label in METHODS or label == "truth"
 
 
@@ -173,6 +173,6 @@ def _limits(wanted: Wanted) -> Limits:
 
 
 def _left_out(fitted: Fit) -> list[str]:
-    """What partial renders lack, for the record; nothing is cut short here."""
+    """List what partial renders lack, for the record; nothing is cut short here."""
     groups = {"missing": fitted.missing, "not usable": fitted.faulty, "not used": fitted.extras}
     return [f"{title}: {item}" for title, items in groups.items() for item in items]

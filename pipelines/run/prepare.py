@@ -103,7 +103,7 @@ def _claim_folder(run: RunFolder, protocol: Protocol, capture: Capture) -> None:
 
 
 def _capture_record(capture: Capture, root: Path) -> dict[str, Any]:
-    """What a run folder says of its capture: its path as it was given, and where it lies, seen from anywhere and from the run."""
+    """Describe a capture for its run folder: its path as given, and where it lies, seen from anywhere and from the run."""
     place = capture.path.resolve()
     return {
         "path": str(capture.path),
@@ -122,7 +122,7 @@ def _capture_record(capture: Capture, root: Path) -> dict[str, Any]:
 
 
 def _coding_record(capture: Capture, protocol: Protocol) -> dict[str, dict[str, Any] | None]:
-    """How the frames of each test view were coded; see `coding_of`."""
+    """Return the coding of each test view's frames; see `coding_of`."""
     codings = {view: coding_of(capture.source(view), protocol.frames.numbers) for view in protocol.views.test}
     return {view: None if coding is None else asdict(coding) for view, coding in codings.items()}
 

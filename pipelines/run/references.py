@@ -42,7 +42,7 @@ def ceiling_jobs(run: RunFolder, protocol: Protocol) -> list[Job]:
 
 
 def read_ceilings(jobs: Sequence[Job]) -> dict[str, dict[str, Any]]:
-    """What `ceiling_jobs` have found.
+    """Read what `ceiling_jobs` have found.
 
     Returns:
         view -> ``noise_free`` and ``second_recording``, metric -> value, and ``not_computed``, metric -> reason.

@@ -100,7 +100,7 @@ def _views(capture: Capture, synthesis: Synthesis, doubts: Mapping[str, str]) ->
 
 
 def _judge_view(capture: Capture, name: str, synthesis: Synthesis, doubts: Mapping[str, str]) -> tuple[bool, str]:
-    """Whether a camera can be a test view, and why."""
+    """Aptitude of a camera as a test view, with the reason."""
     if name in doubts:
         return False, f"the check says {doubts[name]}"
     target = capture.camera(name)
@@ -125,7 +125,7 @@ def _measured_like(base: Protocol, capture: Capture) -> Measurement:
 
 
 def _fits(capture: Capture, protocol: Protocol) -> bool:
-    """Whether a packaged protocol was made for this capture; the demos' are for demo captures alone."""
+    """Tell whether a packaged protocol was made for this capture; the demos' are for demo captures alone."""
     if protocol.name.startswith(DEMO) != (capture.units_origin == DEMO_NOTES):
         return False
     enough = protocol.frames.numbers.stop <= capture.n_frames

@@ -36,7 +36,7 @@ class Reference:
 
 
 def read_references(folder: RunFolder) -> tuple[Reference, ...]:
-    """What the score step wrote beside the results; nothing where it wrote none."""
+    """Read what the score step wrote beside the results; nothing where it wrote none."""
     file = folder.root / REFERENCES_FILE
     return tuple(Reference(**entry) for entry in read_json(file)) if file.is_file() else ()
 
@@ -51,7 +51,7 @@ def reference_rows(references: Sequence[Reference], group: str, notes: Sequence[
 
 
 def reference_remarks(references: Sequence[Reference], group: str, notes: Sequence[MetricNote]) -> list[str]:
-    """What belongs below the rows of one table: what each is, and once for all that lack the same why they have no number."""
+    """List the notes below a table: what each row is, and once for all that lack the same why they have no number."""
     mine, remarks = [reference for reference in references if reference.group == group], []
     absent: dict[str, tuple[list[str], list[str]]] = {}
     for reference in mine:
@@ -109,7 +109,7 @@ class MeasuredRun:
 
     @property
     def title(self) -> str:
-        """What a reader knows the scene by.
+        """Title by which a reader knows the scene.
 
         Reading:
             A demo capture is called like its folder or file (``demo-capture``, ``scene000``), which says nothing to a reader; its

@@ -60,7 +60,7 @@ class DepthWriter:
 
 
 def depth_path(folder: Path, camera: str) -> Path:
-    """Where a demo keeps the exact depth of a camera."""
+    """File of the exact depth of a camera of a demo."""
     return folder / "depth" / f"{camera}.h5"
 
 
@@ -83,7 +83,7 @@ def read_exact_depth(folder: Path, camera: str, frame: int) -> Array32:
 
 
 def misplaced(options: DemoOptions, camera: Camera, image_width: int) -> Camera:
-    """Where the sensor really is, of the camera it is written down as.
+    """Return the true pose of a depth sensor, of the camera it is written down as.
 
     Args:
         options: of the demo.

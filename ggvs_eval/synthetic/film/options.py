@@ -1,4 +1,4 @@
-"""What can be chosen about the demo capture."""
+"""Options of the demo capture."""
 
 import math
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ RGBD_ONLY = ("shutter_s", "depth_offset_px", "depth_rotation_rad", "depth_delay_
 
 @dataclass(frozen=True)
 class DemoOptions:
-    """What the demo capture looks like; equal options give equal bytes.
+    """Options of the demo capture; equal ones give equal bytes.
 
     Attributes:
         layout: of the files, as the data set of that name is distributed; the scene is the same in each.
@@ -168,7 +168,7 @@ class DemoOptions:
 
     @property
     def recording(self) -> tuple[int, ...]:
-        """What seeds of noise end with; nothing in the first recording, so that older demos keep their bits."""
+        """Last numbers of the seeds of noise; none in the first recording, so that older demos keep their bits."""
         return (self.noise_seed,) if self.noise_seed else ()
 
     @property

@@ -1,4 +1,4 @@
-"""What a sensor makes of a rendered picture: its gain, its noise, and its own picture-making where it has one."""
+"""Sensors: gain and noise of rendered pictures, and a camera's own picture-making where it has one."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -43,7 +43,7 @@ def defocus(linear: Array32, radius_px: float) -> Array32:
 
 
 def mosaic_and_back(linear: Array32, strength: float, noise: np.random.Generator) -> Array32:
-    """What is left of linear light, (H, W, 3), after a sensor under an RGGB mosaic and demosaicing along edges.
+    """Sample linear light, (H, W, 3), under an RGGB mosaic and demosaic it along edges.
 
     Args:
         linear: in [0, 1].

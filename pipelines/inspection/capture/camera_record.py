@@ -33,7 +33,7 @@ class Damage:
 
 @dataclass(frozen=True, eq=False)
 class CameraRecord:
-    """What one pass over the frames of a camera gives.
+    """Record of one pass over the frames of a camera.
 
     Attributes:
         name: of the camera.

@@ -66,7 +66,7 @@ class CaptureCheck:
 
     @property
     def is_usable(self) -> bool:
-        """Whether nothing was found that would spoil results."""
+        """True if nothing was found that would spoil results."""
         return all(finding.verdict != "bad" for finding in self.findings)
 
     def of(self, question: str) -> tuple[Finding, ...]:
@@ -138,7 +138,7 @@ def run_check(
 
 
 def read_doubts(file: Path) -> dict[str, str]:
-    """What a check found wrong with single cameras, the worst of each.
+    """Doubts that a check has about single cameras, the worst of each.
 
     Args:
         file: JSON that `run_check` wrote.
@@ -200,6 +200,6 @@ def examine(capture: Capture, records: list[CameraRecord]) -> tuple[Finding, ...
 
 
 def _unopened(message: str) -> tuple[Finding, ...]:
-    """What can be said of a capture that does not open."""
+    """Report what can be said of a capture that does not open."""
     first = Finding(RIG, OPENS, "bad", message, {}, "mend this first")
     return (first, *(Finding(RIG, question, "unknown", "the capture does not open") for question in QUESTIONS))

@@ -1,4 +1,4 @@
-"""What can be corrected of a capture as it is read: findings about timing and colour become corrections."""
+"""Repair of a capture as it is read: findings about timing and colour become corrections."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace

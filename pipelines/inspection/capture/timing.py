@@ -97,7 +97,7 @@ def _why_not(records: Sequence[CameraRecord]) -> str:
 
 
 def _unknown(record: CameraRecord, is_doubtful: bool, n_cameras: int, own: Sequence[Lag]) -> Finding | None:
-    """Why nothing can be said of one camera; None where something can."""
+    """Say why nothing can be said of one camera; None where something can."""
     reason = ""
     if is_doubtful:
         reason = "its calibration is in doubt, see epipolar error"

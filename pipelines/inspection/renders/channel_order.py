@@ -1,4 +1,4 @@
-"""Whether the colour channels come in another order."""
+"""Order of the colour channels."""
 
 from itertools import permutations
 

@@ -1,4 +1,4 @@
-"""Whether rendered frames, all or some, contain the captured ones: bit by bit, in each patch, or by their sensor noise."""
+"""Copies of captured frames among the rendered ones: bit by bit, in each patch, or by their sensor noise."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -51,7 +51,7 @@ def examine(
 
 
 def faults_table(findings: Sequence[Finding], width: int = WIDTH) -> str:
-    """What was found as text; views with word for word the same finding share a line."""
+    """Write the findings as text; views with word for word the same finding share a line."""
     if not findings:
         return "nothing found: no sign of any of the known faults"
     return findings_table(findings, width, ("fault", "view"), most_lines=len(findings))
@@ -84,7 +84,7 @@ def _examine_view(name: str, view: ViewFrames, cameras: Mapping[str, CameraPictu
 
 
 def _examine_picture(name: str, view: ViewFrames, cameras: Mapping[str, CameraPictures], count: int) -> _Examined:
-    """What the picture shows, and when, and in which colours, and where."""
+    """Examine a picture: what it shows, when, in which colours, and where."""
     findings, view = find_identity(name, view, cameras)
     placed = find_placement(name, view)
     view = placed.view

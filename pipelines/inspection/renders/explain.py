@@ -1,4 +1,4 @@
-"""What a quoted number means: it is recomputed under the conventions in use, and those that give it are named."""
+"""Explanation of a quoted number: recomputed under the conventions in use, of which those that give it are named."""
 
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
@@ -117,7 +117,7 @@ def printed(quoted: str) -> tuple[float, float]:
 
 
 def tolerance(quoted: str, value: float) -> float:
-    """How far a value may be from a printed number that it gives: half of the last digit, and what single precision loses."""
+    """Return the tolerance of a printed number: half of the last digit, and what single precision loses."""
     return printed(quoted)[1] + ROUNDING * abs(value)
 
 
@@ -149,7 +149,7 @@ def chance(quoted: str, values: Sequence[float]) -> float:
 
 
 def explanation_table(metric: str, quoted: str, conventions: Sequence[Convention], width: int = WIDTH) -> str:
-    """What was found as text: a sentence, and the conventions over all views, with those over one view that match."""
+    """Write the result as text: a sentence, and the conventions over all views, with those over one view that match."""
     shown = [one for one in conventions if one.views == ALL_VIEWS or one.matches]
     rows = [
         ("=" if one.matches else "", "ours" if one.is_ours else "", f"{one.value:.6g}", one.views, one.name)
@@ -160,7 +160,7 @@ def explanation_table(metric: str, quoted: str, conventions: Sequence[Convention
 
 
 def _sentence(metric: str, quoted: str, conventions: Sequence[Convention]) -> str:
-    """What the number is, told from what it may be by chance; those over all views before those over a single one."""
+    """Say what the number is, told from what it may be by chance; matches over all views before those over one."""
     everywhere = [one for one in conventions if one.views == ALL_VIEWS]
     for tried in (everywhere, conventions):
         matching = [one for one in tried if one.matches]

@@ -18,7 +18,7 @@ STEADY_SHARE = 0.5
 
 @dataclass(frozen=True)
 class TruthShare:
-    """How much of the noise of captured frames their rendering has.
+    """Share of the captured frames' noise in their rendering.
 
     Attributes:
         share: 1 for a copy, the weight of the truth in a blend, 0 for a rendering.
@@ -35,7 +35,7 @@ class TruthShare:
 
     @property
     def most(self) -> float:
-        """What the share hardly exceeds."""
+        """Upper bound that the share hardly exceeds."""
         return self.share + 5 * self.error
 
 

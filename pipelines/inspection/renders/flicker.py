@@ -1,4 +1,4 @@
-"""Whether the brightness of whole frames jumps from one to the next, relative to the truth."""
+"""Flicker: brightness of whole frames that jumps from one to the next, relative to the truth."""
 
 import cv2
 import numpy as np

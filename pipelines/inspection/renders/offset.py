@@ -1,4 +1,4 @@
-"""Whether the rendered frames show other instants than the captured ones beside them: earlier, later, or in reversed order."""
+"""Temporal offset: rendered frames that show other instants than the captured ones, earlier, later or reversed."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -87,7 +87,7 @@ def _grey(frames: Array32) -> Array32:
 def _timing(
     sample: Sample, rendered: Array32, truth: Array32, numbers: Sequence[int], lag: int, is_reversed: bool
 ) -> _Timing | None:
-    """How well the frames show the instants of these numbers; None where the truth has too few of them.
+    """Correlate the frames with the instants of these numbers; None where the truth has too few of them.
 
     Args:
         sample: says which frames these are.

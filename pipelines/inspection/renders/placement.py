@@ -1,4 +1,4 @@
-"""Whether the rendered picture as a whole lies where the true one does: shifted, stretched, cropped."""
+"""Placement of the rendered picture as a whole: shifted, stretched or cropped against the true one."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ FEWEST_VIEWS, VIEWS_SCATTER_PX = 3, 0.2
 
 @dataclass(frozen=True)
 class Placed:
-    """Where the picture of a view lies.
+    """Placement of the picture of a view.
 
     Attributes:
         findings: what is wrong with it.

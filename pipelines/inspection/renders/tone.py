@@ -31,7 +31,7 @@ Curve = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ToneFit:
-    """What maps true levels to rendered ones in one channel.
+    """Tone curve of one channel: true levels to rendered ones.
 
     Attributes:
         power: of the best power law with a gain; of levels in 0..1.
@@ -152,14 +152,14 @@ def _nearness(fits: list[ToneFit], slope: float, intercept_255: float) -> float:
 
 
 def _is_squeezed(sample: Sample) -> bool:
-    """Whether the rendering keeps between video black and white, to which the truth does not."""
+    """Tell whether the rendering keeps between video black and white, to which the truth does not."""
     low, high = np.quantile(sample.rendered, [0.0005, 0.9995])
     true_low, true_high = np.quantile(sample.truth_now, [0.0005, 0.9995])
     return bool(low > FLOOR_255 and high < CEILING_255 and (true_low < FLOOR_255 - 2 or true_high > CEILING_255 + 2))
 
 
 def _is_stretched(sample: Sample) -> bool:
-    """Whether what is dark in the truth, but not black, is black in the rendering, and holes are not why."""
+    """Tell whether what is dark in the truth, but not black, is black in the rendering, and holes are not why."""
     black = sample.rendered < 1.5
     dark, middle = ((low < sample.truth_now) & (sample.truth_now < high) for low, high in ((3, 13), (30, 80)))
     if np.count_nonzero(dark) < 50 or not middle.any():

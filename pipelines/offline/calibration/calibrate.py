@@ -37,7 +37,7 @@ MOST_CAMERAS = 60  # pairs grow with the square
 
 @dataclass(frozen=True)
 class CalibrationOptions:
-    """How to calibrate.
+    """Options of a calibration.
 
     Attributes:
         frame: the instant, from 0.
@@ -77,7 +77,7 @@ class CalibrationOptions:
 
 @dataclass(frozen=True)
 class Calibration:
-    """What `calibrate` found.
+    """Result of a calibration.
 
     Attributes:
         path: the capture it wrote.
@@ -138,7 +138,7 @@ def calibrate(frames_folder: Path, out: Path, options: CalibrationOptions) -> Ca
 
 
 def measure_against(given: Capture, calibration: Calibration) -> dict[str, float]:
-    """How far a calibration lies from the cameras of a capture, after aligning the centres by a similarity.
+    """Compare a calibration with the cameras of a capture, after aligning the centres by a similarity.
 
     Args:
         given: cameras to compare with, matched by name, at any size of the same frames.
@@ -171,7 +171,7 @@ def measure_against(given: Capture, calibration: Calibration) -> dict[str, float
 
 
 def _known(files: Mapping[str, CameraFiles], options: CalibrationOptions) -> dict[str, KnownCamera] | None:
-    """What the user knows of the cameras, at the size of the frames; None where nothing."""
+    """Read what the user knows of the cameras, at the size of the frames; None where nothing."""
     path = options.known_poses or options.known_intrinsics
     sizes = {name: file.size for name, file in files.items()}
     if path is None:
@@ -194,7 +194,7 @@ def _job(
     known: Mapping[str, KnownCamera] | None,
     options: CalibrationOptions,
 ) -> dict[str, Any]:
-    """What the child process is told; see `calibration_worker.run_job`."""
+    """Describe the work to the child process; see `calibration_worker.run_job`."""
     path, with_poses = options.known_poses or options.known_intrinsics or Path(), options.known_poses is not None
     described = describe_known(path, known or {}, with_poses=with_poses)
     groups: dict[tuple[int, int], list[str]] = {}
@@ -239,7 +239,7 @@ def _read(unfinished: Path, out: Path, missing: Mapping[str, str], result: Mappi
 
 
 def _record(folder: Path, calibration: Calibration, result: Mapping[str, Any], options: CalibrationOptions) -> dict[str, Any]:
-    """What was done and found, for ``calibration.json``."""
+    """Record what was done and found, for ``calibration.json``."""
     chosen = {key: str(value) if isinstance(value, Path) else value for key, value in asdict(options).items()}
     return {
         "frames": str(folder.resolve()),

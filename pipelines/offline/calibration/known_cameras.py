@@ -1,4 +1,4 @@
-"""What is known of cameras before they are calibrated: lenses, and perhaps poses, from any file or capture that says so."""
+"""Prior knowledge of cameras: lenses, and perhaps poses, from any file or capture that says so."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -24,7 +24,7 @@ INTRINSICS = "intrinsics.toml"
 
 @dataclass(frozen=True, eq=False)
 class KnownCamera:
-    """What is known of one camera.
+    """Prior knowledge of one camera.
 
     Attributes:
         lens: intrinsics and distortion.

@@ -96,7 +96,7 @@ def _from_d3dmv(path: Path, sizes: Mapping[str, Size]) -> dict[str, LensAndTarge
 
 
 def read_pickle(path: Path) -> Any:
-    """What a ``calib_*.pkl`` holds; nothing in it is run.
+    """Read a ``calib_*.pkl``; nothing in it is run.
 
     Raises:
         CaptureError: absent, too large, cut, or holding more than plain numbers and arrays.

@@ -26,7 +26,7 @@ RECTIFIED_SCALE = 4
 
 @dataclass(frozen=True, eq=False)
 class Partner:
-    """How well a candidate serves a camera.
+    """Worth of a candidate to a camera.
 
     Attributes:
         camera: the candidate.
@@ -81,7 +81,7 @@ def _sample_view(camera: Camera) -> Array:
 
 
 def _evaluate(camera: Camera, other: Camera, points: Array) -> Partner | None:
-    """What `other` is worth to `camera`; None where a match makes no sense."""
+    """Evaluate what `other` is worth to `camera`; None where a match makes no sense."""
     uv, depth = other.project(points)
     inside = (depth > 0) & ((uv > 0) & (uv < other.size)).all(axis=-1)  # (S,)
     angle = np.arccos(np.clip(camera.axis @ other.axis, -1, 1))
@@ -96,7 +96,7 @@ def _evaluate(camera: Camera, other: Camera, points: Array) -> Partner | None:
 
 
 def _can_rectify(camera: Camera, other: Camera) -> bool:
-    """Whether the pair can be rectified: with wide lenses near surfaces can lie farther apart than the images are wide.
+    """Tell whether the pair can be rectified: with wide lenses near surfaces can lie farther apart than images are wide.
 
     Tried on small images, which differ from the large ones by less than a pixel of theirs.
     """
