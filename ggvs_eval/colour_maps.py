@@ -79,6 +79,8 @@ def difference_scale() -> Scale:
 
 def with_checks(image: Image8, is_known: Mask) -> Image8:
     """The image with checks where it shows nothing, (H, W, 3)."""
+    if is_known.all():
+        return image.copy()
     return np.where(is_known[..., None], image, _checks(is_known.shape))
 
 
@@ -89,7 +91,7 @@ def _share(values: Map, low: float, high: float) -> Map:
 def coloured(share: Map, name: str, is_known: Mask) -> Image8:
     """Values from 0 to 1 in a colour map of Matplotlib, checks where there is none, (H, W, 3)."""
     colours = _table(name)
-    return with_checks(colours[np.clip(np.rint(share * 255), 0, 255).astype(np.intp)], is_known)
+    return with_checks(colours.take(np.clip(np.rint(share * 255), 0, 255).astype(np.intp), axis=0), is_known)
 
 
 def _table(name: str) -> Image8:

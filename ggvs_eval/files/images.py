@@ -15,6 +15,7 @@ from ggvs_eval.files.plain import LARGEST_PICTURE, read_plain, why_unread
 ResizeFilter = Literal["area", "lanczos", "bicubic", "bilinear"]
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
+PNG_LEVEL = 1  # two thirds of the time that level 3 takes, for files 4 % larger
 
 
 def quantise(image: NDArray[np.floating]) -> Image8:
@@ -89,7 +90,7 @@ def write_image(path: Path, image: Image8) -> None:
         ...     read_image(Path(folder) / "0000.png").shape
         (2, 3, 3)
     """
-    _, encoded = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_PNG_COMPRESSION, 3])
+    _, encoded = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL])
     write_bytes(path, encoded.tobytes())
 
 

@@ -26,7 +26,7 @@ from ggvs_eval.synthetic.film.options import DemoOptions
 K_PROTOCOL = "demo-k"
 FEW = ("no-blending", "distance-based", "ours")
 # Seconds of filming and evaluating each room by the usual methods, and over K, times the two cores on which they were measured.
-CORE_SECONDS = {MAIN: 680.0, "demo-enerf-outdoor": 120.0, "demo-d3dmv": 470.0, K_PROTOCOL: 220.0}
+CORE_SECONDS = {MAIN: 380.0, "demo-enerf-outdoor": 100.0, "demo-d3dmv": 240.0, K_PROTOCOL: 130.0}
 # What the small rooms are evaluated by where nobody names methods: the smaller one by all that the paper compares itself with.
 SMALL_ROOMS_METHODS = {
     "demo-enerf-outdoor": FEW,

@@ -63,7 +63,8 @@ def method_videos(run: MeasuredRun, fps: float, byte_budget: int = VIDEO_BYTES) 
     views = run.protocol.views.test[: max(1, VIDEO_FRAMES_AT_MOST // len(run.frames))]
     keys = ("truth", *run.pictured)
     for width in WIDTHS:
-        videos = [_encode(run, key, views, width, fps or DEFAULT_FPS) for key in keys]
+        with ThreadPoolExecutor(os.cpu_count()) as pool:  # codecs release the GIL
+            videos = list(pool.map(partial(_encode, run, views, width, fps or DEFAULT_FPS), keys))
         if sum(len(video) for video, *_ in videos) <= byte_budget:
             break
     addresses = ["data:video/mp4;base64," + base64.b64encode(video).decode("ascii") for video, *_ in videos]
@@ -73,7 +74,7 @@ def method_videos(run: MeasuredRun, fps: float, byte_budget: int = VIDEO_BYTES) 
     )
 
 
-def _encode(run: MeasuredRun, key: str, views: tuple[str, ...], width: int, fps: float) -> tuple[bytes, int, int]:
+def _encode(run: MeasuredRun, views: tuple[str, ...], width: int, fps: float, key: str) -> tuple[bytes, int, int]:
     """One video as bytes, its width and height."""
     folders = [run.frame_folders(view)[key] for view in views]
     first = next(_pictures(folders[:1], run.frames, width))
