@@ -7,7 +7,6 @@ import cv2
 import numpy as np
 import pytest
 
-from benchmarks.ceiling_accuracy import compare, film
 from ggvs_eval.errors import MetricError
 from ggvs_eval.files.coding import Coding, read_coding
 from ggvs_eval.metrics.ceilings import ceilings
@@ -55,7 +54,13 @@ def test_ceilings_are_the_scores_of_perfect_renderings(sigma):
 
 
 @pytest.fixture(scope="module")
-def filmed_twice():
+def accuracy():
+    """The benchmark of ceilings, whose films and comparisons these tests share: it is no part of the wheel."""
+    return pytest.importorskip("benchmarks.ceiling_accuracy", reason="benchmarks lie beside the package")
+
+
+@pytest.fixture(scope="module")
+def filmed_twice(accuracy):
     """Clean frames of a small room, and recordings of it with noise of two seeds: strength -> pair; lit once for all."""
     room = DemoOptions(seed=15, width=256, height=192, n_frames=16)
     with pytest.MonkeyPatch.context() as patch:
@@ -64,27 +69,27 @@ def filmed_twice():
     recordings = {}
     for sigma in (0.5, 2, 4):
         noisy_room = replace(room, noise_sigma_255=sigma)
-        recordings[sigma] = [film(replace(noisy_room, noise_seed=number), 3, instants) for number in (1, 2)]
-    return film(replace(room, noise_sigma_255=0), 3, instants), recordings
+        recordings[sigma] = [accuracy.film(replace(noisy_room, noise_seed=number), 3, instants) for number in (1, 2)]
+    return accuracy.film(replace(room, noise_sigma_255=0), 3, instants), recordings
 
 
 @pytest.mark.parametrize(("crf", "sigma"), [(0, 0.5), (0, 4), (12, 2), (12, 4)])
-def test_ceilings_of_a_room_filmed_twice_and_coded(filmed_twice, crf, sigma):
+def test_ceilings_of_a_room_filmed_twice_and_coded(accuracy, filmed_twice, crf, sigma):
     """From one coded film alone: PSNR within 1 dB, TCC within 0.01, STED within 30 % of what perfect renderings score.
 
     Behind a codec with loss TCC of the clean room and STED are bounds.
     """
     clean, recordings = filmed_twice
-    for kind, comparison in compare(clean, *recordings[sigma], crf).items():
+    for kind, comparison in accuracy.compare(clean, *recordings[sigma], crf).items():
         assert set(comparison.bounds) == (set() if crf == 0 else {"noise-free": {"TCC", "STED"}, "second": {"STED"}}[kind])
         assert all(comparison.holds(name) for name in ceiling_metrics()), (kind, comparison)
 
 
 @pytest.mark.parametrize(("crf", "sigma"), [(12, 0.5), (23, 2)])
-def test_noise_that_the_codec_hides_leaves_bounds(filmed_twice, crf, sigma):
+def test_noise_that_the_codec_hides_leaves_bounds(accuracy, filmed_twice, crf, sigma):
     """What is lost cannot be lost again: the noise-free row is a bound that holds, and no second recording is predicted."""
     clean, recordings = filmed_twice
-    compared = compare(clean, *recordings[sigma], crf)
+    compared = accuracy.compare(clean, *recordings[sigma], crf)
     bounded = compared["noise-free"]
     assert bounded.bounds == {name: "at most" if METRICS[name].higher_is_better else "at least" for name in ceiling_metrics()}
     assert all(bounded.holds(name) for name in ceiling_metrics()), bounded
