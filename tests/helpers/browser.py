@@ -144,6 +144,7 @@ class Browser:
         for key in keys:
             chain = ActionChains(self.driven)
             (chain.key_down(held).send_keys(key).key_up(held) if held else chain.send_keys(key)).perform()
+        self._settle()
 
     def focus(self, selector: str) -> None:
         """Put the focus on the first element that a selector finds."""
