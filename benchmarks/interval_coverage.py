@@ -1,6 +1,6 @@
 """Coverage of 95 % intervals of means of correlated clips, their width, and how often equal methods are told apart.
 
-    python -m benchmarks.interval_coverage [--repetitions 4000] [--package-repetitions 300]
+    python -m benchmarks.interval_coverage [--repetitions 4000] [--package-repetitions 1000]
 
 First the methods in question on one series, then the package's own on views and on pairs of methods.
 """
@@ -45,7 +45,7 @@ class Options:
     """
 
     repetitions: int = 4000
-    package_repetitions: int = 300
+    package_repetitions: int = 1000
 
 
 def autoregressive(generator: Generator, count: int, frames: int, correlation: float, heavy: bool = False) -> Array:
@@ -187,10 +187,10 @@ def compare_methods(repetitions: int) -> Iterator[str]:
                 )
 
 
-def scene(values: Array, pool: Pool) -> PooledScene:
+def scene(values: Array, pool: Pool, squares: bool = False) -> PooledScene:
     """A number of (V, T) values; one view stands for the whole rig."""
     views = tuple(f"cam{view}" for view in range(len(values))) if len(values) > 1 else (None,)
-    return PooledScene("room", views, tuple(range(values.shape[1])), pool)
+    return PooledScene("room", views, tuple(range(values.shape[1])), pool, squares=squares)
 
 
 def rig(generator: Generator, views: int, frames: int, correlation: float, heavy_tails: bool) -> Array:
@@ -213,11 +213,12 @@ def check_package(repetitions: int) -> Iterator[str]:
         for _ in range(repetitions):
             shared, first, second = (rig(generator, views, frames, correlation, tails) for _ in range(3))
             held.append(measure_spread([scene(first, pool_mean(first))]).p_value() >= 1.0 - LEVEL)
-            own = measure_spread([scene(first, pool_sdt(first))])
+            own = measure_spread([scene(first, pool_sdt(first), squares=True)])
             deviations.append(own.value)
             halves.append(own.half_width(LEVEL))
             one, other = shared + first, shared + second
-            pairs = [(scene(one, pool(one)), scene(other, pool(other))) for pool in (pool_mean, pool_sdt)]
+            pools = ((pool_mean, False), (pool_sdt, True))
+            pairs = [(scene(one, pool(one), squares), scene(other, pool(other), squares)) for pool, squares in pools]
             mean, deviation = (measure_spread([ours.minus(theirs)]) for ours, theirs in pairs)
             short.append(bool(mean.short))
             alarms.append(mean.p_value() < 1.0 - LEVEL and not mean.undecided())

@@ -78,12 +78,19 @@ class ErrorOfMean:
         return cls(np.ones(1), np.array([scale]), len(values) - 1.0)
 
     @classmethod
-    def of_series(cls, series: Array, known: Array | float = 0.0, count: int = 1) -> "ErrorOfMean":
-        """Error of the mean of a series, less a variance (under each model) that is counted elsewhere, over `count`."""
+    def of_series(cls, series: Array, known: Array | float = 0.0, count: int = 1, squares: bool = False) -> "ErrorOfMean":
+        """Error of the mean of a series or of squares, less a variance counted elsewhere (under each model), over `count`.
+
+        Reading:
+            Given a model, the scale of normal values is known by all of them. Squares are not normal, and their scale is known by
+            the independent ones alone (Satterthwaite's degrees of freedom): 6 % of false alarms at T = 100 and a correlation of
+            0.9 in place of 7 to 8.
+        """
         posterior = correlation_posterior(series)
         scales = np.sqrt(np.maximum(np.square(posterior.scales) - known, 0.0)) / count
         short = f"clip too short for its correlation: {len(series)} frames are worth ~{posterior.worth:.1f}"
-        return cls(posterior.weights, scales, posterior.freedom, short if posterior.worth < FEWEST_WORTH else "")
+        freedom = max(float(posterior.worth) - 1.0, 1.0) if squares else posterior.freedom
+        return cls(posterior.weights, scales, freedom, short if posterior.worth < FEWEST_WORTH else "")
 
     def tail(self, size: float) -> float:
         """Probability of an error of at least this size, up or down."""

@@ -158,7 +158,7 @@ def _errors_of_scene(scene: PooledScene, scenes: int) -> list[ErrorOfMean]:
         errors.append(ErrorOfMean.of_sample(_influence(scene, views, lambda nudged: scene.pool(nudged, frames)), scenes))
     if by_time:
         of_frames = _influence(scene, frames, partial(scene.pool, views))
-        errors.append(ErrorOfMean.of_series(of_frames, _rest(scene) if by_view else 0.0, scenes))
+        errors.append(ErrorOfMean.of_series(of_frames, _rest(scene) if by_view else 0.0, scenes, scene.squares))
     return errors
 
 

@@ -1,7 +1,7 @@
 """A metric's number for one scene as a function of how much each view and each frame counts."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,6 +27,7 @@ class PooledScene:
         frames: numbers of the frames, -1 alone where values belong to the whole sequence.
         pool: (weights of the views (R, V) or (1, V), weights of the frames (R, T) or (1, T), rows sum to 1) -> numbers (R,).
         views_given: whether its views are no sample of others, however many there are.
+        squares: whether what each frame moves is a square of its errors, and so never as even as they are.
     """
 
     scene: str
@@ -34,6 +35,7 @@ class PooledScene:
     frames: tuple[int, ...]
     pool: Pool
     views_given: bool = False
+    squares: bool = False
 
     @property
     def value(self) -> float:
@@ -54,7 +56,7 @@ class PooledScene:
         if (self.views, self.frames) != (other.views, other.frames):
             sizes = " and ".join(f"{len(scene.views)} x {len(scene.frames)}" for scene in (self, other))
             raise ResultsError(f"{self.scene}: not the same views and frames ({sizes}); score both methods alike")
-        return PooledScene(self.scene, self.views, self.frames, lambda v, f: self.pool(v, f) - other.pool(v, f), self.views_given)
+        return replace(self, pool=lambda v, f: self.pool(v, f) - other.pool(v, f))
 
 
 def pool_scene(cells: "Mapping[str, pd.DataFrame]", metric: str, pooling: Pooling, scene: str, what: str) -> PooledScene:
@@ -79,7 +81,7 @@ def pool_scene(cells: "Mapping[str, pd.DataFrame]", metric: str, pooling: Poolin
     if any((panel.views, panel.frames) != (first.views, first.frames) for panel in panels):
         raise ResultsError(f"{metric} of {what}: its parts are of different views or frames; score again")
     pool = pooling.pool(*(panel.values for panel in panels))
-    pooled = PooledScene(scene, first.views, first.frames, pool, pooling.takes_views_as_given)
+    pooled = PooledScene(scene, first.views, first.frames, pool, pooling.takes_views_as_given, pooling.squares)
     if pooling.parts:
         _check_same(pooled, make_panel(cells[metric], f"{metric} of {what}"), f"{metric} of {what}")
     return pooled

@@ -40,9 +40,14 @@ class Pooling:
         Reading:
             The deviation of a short correlated clip is too small on average and its square has a long tail: intervals of it cover
             85 to 95 % for normal errors and 80 to 85 % for heavy-tailed ones at any length. In the difference of two methods both
-            cancel: 4 to 8 % of false alarms (`benchmarks/interval_coverage.py`).
+            cancel: 3 to 7 % of false alarms (`benchmarks/interval_coverage.py`).
         """
-        return "a deviation of correlated frames, whose intervals cover too seldom" if self.rule == OVER_FRAMES else ""
+        return "a deviation of correlated frames, whose intervals cover too seldom" if self.squares else ""
+
+    @property
+    def squares(self) -> bool:
+        """True if what a frame moves is a square of its errors."""
+        return self.rule == OVER_FRAMES
 
     @property
     def takes_views_as_given(self) -> bool:
