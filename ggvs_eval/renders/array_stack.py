@@ -126,8 +126,8 @@ class ArrayStack:
             reason = " ".join(str(error).split())[:120]
             raise RenderError(f"{self.name}: wanted an array of numbers, got: {reason}; save it again") from error
         if dtype.hasobject or is_fortran:
-            found = "Python objects, which are never unpickled" if dtype.hasobject else "Fortran order"
-            raise RenderError(f"{self.name}: wanted numbers in C order, got {found}; save numpy.ascontiguousarray(frames)")
+            contents = "Python objects, which are never unpickled" if dtype.hasobject else "Fortran order"
+            raise RenderError(f"{self.name}: wanted numbers in C order, got {contents}; save numpy.ascontiguousarray(frames)")
         return shape, dtype
 
     def _checked(self, frame: np.ndarray, index: int) -> NDArray[np.generic]:

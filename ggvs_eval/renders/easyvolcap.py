@@ -15,17 +15,17 @@ from ggvs_eval.datasets.frames import list_images
 from ggvs_eval.errors import RenderError
 from ggvs_eval.renders.numbering import number_views
 from ggvs_eval.renders.picture import PictureView
+from ggvs_eval.renders.request import FrameRequest, RenderedView, RenderSet
 from ggvs_eval.renders.truth_match import check_truth
 from ggvs_eval.renders.view_folders import names_of
-from ggvs_eval.renders.wanted import Found, RenderedView, Wanted
 
 NAME = re.compile(r"frame(\d+)_camera(\d+)(_gt|_error)?")
 FOLDER = "RENDER"
 
 
-def refuse(path: Path, wanted: Wanted) -> str | None:
+def refuse(path: Path, request: FrameRequest) -> str | None:
     """Say why this is not an output of EasyVolcap; None if it is."""
-    del wanted  # its views have numbers, not names
+    del request  # its views have numbers, not names
     if not path.is_dir():
         return "not a folder"
     places = _places(path)
@@ -36,21 +36,21 @@ def refuse(path: Path, wanted: Wanted) -> str | None:
     return None
 
 
-def files(path: Path, wanted: Wanted) -> list[Path]:
+def files(path: Path, request: FrameRequest) -> list[Path]:
     """The renders and the copies of the truth."""
-    del wanted
+    del request
     (place,) = _places(path)
     return [file for file, _, _, suffix in _pictures(place) if suffix != "_error"]
 
 
-def find(path: Path, wanted: Wanted, is_temporary: bool) -> Found:
+def find(path: Path, request: FrameRequest, is_temporary: bool) -> RenderSet:
     """The renders by view and frame, after their copies of the truth were compared with the captured frames.
 
     Raises:
         RenderError: a camera number that the capture does not have, or copies of the truth that are not its frames.
     """
     (place,) = _places(path)
-    names = sorted(wanted.cameras)
+    names = sorted(request.cameras)
     by_view: dict[str, list[tuple[int | None, Path]]] = {}
     for file, frame, camera, suffix in _pictures(place):
         if suffix:
@@ -61,23 +61,25 @@ def find(path: Path, wanted: Wanted, is_temporary: bool) -> Found:
             )
         by_view.setdefault(names[camera], []).append((frame, file))
     extras = [
-        f"camera {names.index(view)} ({view}, {len(some)} pictures)" for view, some in by_view.items() if view not in wanted.views
+        f"camera {names.index(view)} ({view}, {len(some)} pictures)"
+        for view, some in by_view.items()
+        if view not in request.views
     ]
-    places = ", ".join(f"{names.index(view)} = {view}" for view in wanted.views)
-    numbered = number_views(path, {view: by_view[view] for view in wanted.views if view in by_view}, wanted)
+    places = ", ".join(f"{names.index(view)} = {view}" for view in request.views)
+    numbered = number_views(path, {view: by_view[view] for view in request.views if view in by_view}, request)
     views: dict[str, RenderedView] = {view: PictureView(frames, is_temporary) for view, frames in numbered.frames.items()}
     extras += [file.name for some in numbered.extras.values() for file in some]
     placed = {(view, frame): file for view, frames in numbered.frames.items() for frame, file in frames.items()}
     claims = {place: copy for place, file in placed.items() if (copy := _copy(file)).is_file()}
-    notes = (f"cameras are taken by their place among the sorted names: {places}", _compared(place, claims, wanted))
+    notes = (f"cameras are taken by their place among the sorted names: {places}", _compared(place, claims, request))
     doubles = {view: names_of(by_frame) for view, by_frame in numbered.doubles.items()}
-    return Found(views, tuple(extras), notes, numbered.note, numbered.first, doubles)
+    return RenderSet(views, tuple(extras), notes, numbered.note, numbered.first, doubles)
 
 
-def _compared(place: Path, claims: dict[tuple[str, int], Path], wanted: Wanted) -> str:
+def _compared(place: Path, claims: dict[tuple[str, int], Path], request: FrameRequest) -> str:
     """Compare the copies of the truth with the captured frames."""
     try:
-        level = check_truth(claims, wanted)
+        level = check_truth(claims, request)
     except RenderError as error:
         raise RenderError(f"{place}: {error}") from None
     if not claims:
@@ -98,4 +100,4 @@ def _places(path: Path) -> list[Path]:
 def _pictures(folder: Path) -> list[tuple[Path, int, int, str]]:
     """Pictures with the frame, the camera and the suffix of their names."""
     matched = [(file, NAME.fullmatch(file.stem)) for file in list_images(folder)]
-    return [(file, int(found[1]), int(found[2]), found[3] or "") for file, found in matched if found]
+    return [(file, int(match[1]), int(match[2]), match[3] or "") for file, match in matched if match]

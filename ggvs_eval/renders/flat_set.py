@@ -14,13 +14,13 @@ from ggvs_eval.datasets.frames import list_images
 from ggvs_eval.errors import RenderError
 from ggvs_eval.renders.numbering import last_number
 from ggvs_eval.renders.picture import PictureView
+from ggvs_eval.renders.request import FrameRequest, RenderedView, RenderSet
 from ggvs_eval.renders.truth_match import check_truth, find_order
-from ggvs_eval.renders.wanted import Found, RenderedView, Wanted
 
 
-def refuse(path: Path, wanted: Wanted) -> str | None:
+def refuse(path: Path, request: FrameRequest) -> str | None:
     """Return the reason why this is not a flat list of renders beside the truth, or None if it is one."""
-    del wanted  # its views have no names here
+    del request  # its views have no names here
     if not path.is_dir():
         return "not a folder"
     places = _places(path)
@@ -31,14 +31,14 @@ def refuse(path: Path, wanted: Wanted) -> str | None:
     return None
 
 
-def files(path: Path, wanted: Wanted) -> list[Path]:
+def files(path: Path, request: FrameRequest) -> list[Path]:
     """The pictures of both lists."""
-    del wanted
+    del request
     (place,) = _places(path)
     return [*list_images(place / "renders"), *list_images(place / "gt")]
 
 
-def find(path: Path, wanted: Wanted, is_temporary: bool) -> Found:
+def find(path: Path, request: FrameRequest, is_temporary: bool) -> RenderSet:
     """The renders by view and frame.
 
     Raises:
@@ -49,22 +49,22 @@ def find(path: Path, wanted: Wanted, is_temporary: bool) -> Found:
     if set(rendered) != set(copies):
         listed = ", ".join(str(number) for number in sorted(set(rendered) ^ set(copies))[:20])
         raise RenderError(f"{place}: wanted the same numbers in renders/ and gt/, one of them lacks {listed}; render them again")
-    return found_in_order([rendered[n] for n in sorted(rendered)], [copies[n] for n in sorted(copies)], wanted, is_temporary)
+    return found_in_order([rendered[n] for n in sorted(rendered)], [copies[n] for n in sorted(copies)], request, is_temporary)
 
 
-def found_in_order(rendered: list[Path], copies: list[Path], wanted: Wanted, is_temporary: bool) -> Found:
+def found_in_order(rendered: list[Path], copies: list[Path], request: FrameRequest, is_temporary: bool) -> RenderSet:
     """Flat renders by view and frame, as the copies of the truth tell.
 
     Args:
         rendered: pictures in the list's order.
         copies: of the truth, same order.
-        wanted: what the run asks for.
+        request: what the run asks for.
         is_temporary: see `PictureView`.
     """
     root = copies[0].parent
     try:
-        order = find_order(copies, wanted)
-        level = check_truth({place: copies[index] for index, place in order.places.items()}, wanted)
+        order = find_order(copies, request)
+        level = check_truth({place: copies[index] for index, place in order.places.items()}, request)
     except RenderError as error:
         raise RenderError(f"{root}: {error}") from None
     by_view: dict[str, dict[int, Path]] = {}
@@ -73,7 +73,7 @@ def found_in_order(rendered: list[Path], copies: list[Path], wanted: Wanted, is_
     views: dict[str, RenderedView] = {view: PictureView(frames, is_temporary) for view, frames in by_view.items()}
     note = f"order found by comparing {root.name}/ with the captured frames ({level:.1f} levels of 255 apart): {order.describe}"
     unused = len(rendered) - len(order.places)
-    return Found(views, (), (note, *([f"{unused} pictures of other frames of the capture are not used"] if unused else [])))
+    return RenderSet(views, (), (note, *([f"{unused} pictures of other frames of the capture are not used"] if unused else [])))
 
 
 def _places(path: Path) -> list[Path]:

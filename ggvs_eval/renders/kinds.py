@@ -7,7 +7,7 @@ from pathlib import Path
 from ggvs_eval.errors import RenderError
 from ggvs_eval.renders import easyvolcap, flat_set, nerfbaselines, view_folders, view_streams
 from ggvs_eval.renders.lookalikes import instead_of_all
-from ggvs_eval.renders.wanted import Found, Wanted
+from ggvs_eval.renders.request import FrameRequest, RenderSet
 
 
 @dataclass(frozen=True)
@@ -22,9 +22,9 @@ class Kind:
     """
 
     describe: str
-    refuse: Callable[[Path, Wanted], str | None]
-    files: Callable[[Path, Wanted], list[Path]]
-    find: Callable[[Path, Wanted, bool], Found]
+    refuse: Callable[[Path, FrameRequest], str | None]
+    files: Callable[[Path, FrameRequest], list[Path]]
+    find: Callable[[Path, FrameRequest, bool], RenderSet]
 
 
 KINDS = {
@@ -38,21 +38,21 @@ KINDS = {
 }
 
 
-def detect(path: Path, wanted: Wanted) -> str:
+def detect(path: Path, request: FrameRequest) -> str:
     """The kind of some renders, a key of `KINDS`.
 
     Raises:
         RenderError: none fits, with the reason of each; or several do.
     """
-    reasons = {name: kind.refuse(path, wanted) for name, kind in KINDS.items()}
+    reasons = {name: kind.refuse(path, request) for name, kind in KINDS.items()}
     fitting = [name for name, reason in reasons.items() if reason is None]
     if len(fitting) == 1:
         return fitting[0]
     if fitting:
         listed = " and ".join(KINDS[name].describe for name in fitting)
         raise RenderError(f"{path}: holds {listed} at once; give a folder that holds one of them")
-    instead = instead_of_all(path, wanted)
+    instead = instead_of_all(path, request)
     if instead:
-        raise RenderError(f"{path}: no renders of {', '.join(wanted.views)} that can be read: {instead}")
+        raise RenderError(f"{path}: no renders of {', '.join(request.views)} that can be read: {instead}")
     listed = "; ".join(f"{KINDS[name].describe}: {reason}" for name, reason in reasons.items())
-    raise RenderError(f"{path}: no renders of {', '.join(wanted.views)} that can be read: {listed}")
+    raise RenderError(f"{path}: no renders of {', '.join(request.views)} that can be read: {listed}")

@@ -7,13 +7,13 @@ from itertools import islice
 from pathlib import Path
 
 from ggvs_eval.datasets.frames import UNREAD_PICTURES, list_images, unread_pictures
-from ggvs_eval.renders.wanted import Wanted
+from ggvs_eval.renders.request import FrameRequest
 
 UNREAD_VIDEOS = (".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
 LOOKED_THROUGH = 10_000
 
 
-def instead_of(path: Path, view: str, wanted: Wanted) -> str:
+def instead_of(path: Path, view: str, request: FrameRequest) -> str:
     """Describe what lies in place of a view's frames, and what to do; empty where nothing looks like them."""
     unread = unread_pictures(path / view)
     if unread or list_images(path / view):
@@ -24,12 +24,12 @@ def instead_of(path: Path, view: str, wanted: Wanted) -> str:
     video = next((file.name for file in entries if file.stem == view and file.suffix.lower() in UNREAD_VIDEOS), "")
     if video:
         return f"{video} is there, which is not read: convert it to .mp4"
-    return respelled(view, {file.name if file.is_dir() else file.stem: file.name for file in entries}, wanted)
+    return respelled(view, {file.name if file.is_dir() else file.stem: file.name for file in entries}, request)
 
 
-def instead_of_all(path: Path, wanted: Wanted) -> str:
+def instead_of_all(path: Path, request: FrameRequest) -> str:
     """The same where no view is there at all."""
-    hints = [hint for view in wanted.views if (hint := instead_of(path, view, wanted))]
+    hints = [hint for view in request.views if (hint := instead_of(path, view, request))]
     if hints:
         return "; ".join(dict.fromkeys(hints))
     below = ((Path(folder), Path(file).suffix.lower()) for folder, _, files in os.walk(path) for file in files)
@@ -37,15 +37,15 @@ def instead_of_all(path: Path, wanted: Wanted) -> str:
     return f"{folders[0].name}/ holds {unread_pictures(folders[0])}" if folders else ""
 
 
-def respelled(view: str, names: Mapping[str, str], wanted: Wanted) -> str:
+def respelled(view: str, names: Mapping[str, str], request: FrameRequest) -> str:
     """The name that was meant to be a view's, and what to do; empty where there is none.
 
     Args:
         view: name of the capture.
         names: what there is, and how it is shown.
-        wanted: knows the other cameras.
+        request: knows the other cameras.
     """
-    others = {name: shown for name, shown in names.items() if name not in wanted.cameras}
+    others = {name: shown for name, shown in names.items() if name not in request.cameras}
     for name, shown in others.items():
         if name.casefold() == view.casefold():
             return f"there is {shown}: upper and lower case are told apart, write {view}"

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Generic, TypeVar
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.renders.wanted import Wanted
+from ggvs_eval.renders.request import FrameRequest
 from ggvs_eval.run_folder import as_ranges
 
 Item = TypeVar("Item")
@@ -53,23 +53,23 @@ def name_as_word(view: str) -> str:
     return rf"(?<![A-Za-z0-9]){re.escape(view)}(?![A-Za-z0-9])"
 
 
-def number_views(path: Path, views: Mapping[str, Sequence[tuple[int | None, Item]]], wanted: Wanted) -> Numbered[Item]:
+def number_views(path: Path, views: Mapping[str, Sequence[tuple[int | None, Item]]], request: FrameRequest) -> Numbered[Item]:
     """Give the items of all views the protocol's frame numbers.
 
     Args:
         path: where they lie, for messages.
         views: view -> number in the name, and item, of each of its items.
-        wanted: frames of the protocol and of the capture, and what the user says of the numbers.
+        request: frames of the protocol and of the capture, and what the user says of the numbers.
 
     Raises:
         RenderError: views that are numbered differently, or numbers that fit in several ways or in none.
     """
-    if len(wanted.frames) == 1 and all(len(items) == 1 and _means_nothing(items[0][0], wanted) for items in views.values()):
-        alone = {view: {wanted.frames[0]: items[0][1]} for view, items in views.items()}
-        return Numbered(alone, {}, {}, 0, f"the only frame of each view is taken as the instant {wanted.frames[0]}")
+    if len(request.frames) == 1 and all(len(items) == 1 and _means_nothing(items[0][0], request) for items in views.values()):
+        alone = {view: {request.frames[0]: items[0][1]} for view, items in views.items()}
+        return Numbered(alone, {}, {}, 0, f"the only frame of each view is taken as the instant {request.frames[0]}")
     numbers = {view: {number for number, _ in items if number is not None} for view, items in views.items()}
     try:
-        first, note = _decide(numbers, wanted)
+        first, note = _decide(numbers, request)
     except RenderError as error:
         raise RenderError(f"{path}: {error}") from None
     frames: dict[str, dict[int, Item]] = {}
@@ -80,97 +80,97 @@ def number_views(path: Path, views: Mapping[str, Sequence[tuple[int | None, Item
         for number, item in items:
             if number is not None:
                 by_frame[number - first].append(item)
-        frames[view] = {frame: some[0] for frame, some in by_frame.items() if frame in wanted.frames and len(some) == 1}
-        doubles[view] = {frame: some for frame, some in by_frame.items() if frame in wanted.frames and len(some) > 1}
-        is_clear = wanted.first_frame is not None or set(by_frame) == set(range(wanted.n_frames))
-        allowed = range(wanted.n_frames) if is_clear else wanted.frames
+        frames[view] = {frame: some[0] for frame, some in by_frame.items() if frame in request.frames and len(some) == 1}
+        doubles[view] = {frame: some for frame, some in by_frame.items() if frame in request.frames and len(some) > 1}
+        is_clear = request.first_frame is not None or set(by_frame) == set(range(request.n_frames))
+        allowed = range(request.n_frames) if is_clear else request.frames
         beyond = [item for frame, some in by_frame.items() if frame not in allowed for item in some]
         extras[view] = [item for number, item in items if number is None] + beyond
     return Numbered(frames, extras, doubles, first, note)
 
 
-def _means_nothing(number: int | None, wanted: Wanted) -> bool:
+def _means_nothing(number: int | None, request: FrameRequest) -> bool:
     """Tell whether the number of a picture that is the only one of its view says nothing."""
-    return number is None or (wanted.n_frames == 1 and wanted.first_frame is None)
+    return number is None or (request.n_frames == 1 and request.first_frame is None)
 
 
-def _decide(numbers: Mapping[str, Numbers], wanted: Wanted) -> tuple[int, str]:
+def _decide(numbers: Mapping[str, Numbers], request: FrameRequest) -> tuple[int, str]:
     """The number that the capture's first instant bears, and the line that says so."""
     used = sorted(set().union(*numbers.values()))
     if not used:
         return 0, "no frame has a number in its name"
-    if wanted.first_frame is not None:
-        first = wanted.first_frame - wanted.frames.start
-        return first, f"numbered as --first-frame {wanted.first_frame} says: {_taken(used, first, wanted)}"
-    _refuse_unlike(numbers, wanted)
-    first = _first_number(used, wanted)
+    if request.first_frame is not None:
+        first = request.first_frame - request.frames.start
+        return first, f"numbered as --first-frame {request.first_frame} says: {_taken(used, first, request)}"
+    _refuse_unlike(numbers, request)
+    first = _first_number(used, request)
     origin = f"numbered from {first}:" if first else "frames" if len(used) > 1 else "frame"
-    return first, f"{origin} {_taken(used, first, wanted)}"
+    return first, f"{origin} {_taken(used, first, request)}"
 
 
-def _first_number(used: Sequence[int], wanted: Wanted) -> int:
+def _first_number(used: Sequence[int], request: FrameRequest) -> int:
     """The number of the capture's first instant, from the numbers of all views.
 
     Raises:
         RenderError: there are two, or there is none.
     """
-    if used[0] > wanted.n_frames:
-        return _beyond(used, wanted)
-    from_0, from_1 = (_fits(used, first, wanted) for first in (0, 1))
-    lacks_0, lacks_1 = (not _shifted(used, first).issuperset(wanted.frames) for first in (0, 1))
-    ends_past = used[-1] == wanted.n_frames  # the last of a capture that is numbered from 1
-    if _is_run(used, len(wanted.frames)) and lacks_0 and lacks_1:
+    if used[0] > request.n_frames:
+        return _beyond(used, request)
+    from_0, from_1 = (_fits(used, first, request) for first in (0, 1))
+    lacks_0, lacks_1 = (not _shifted(used, first).issuperset(request.frames) for first in (0, 1))
+    ends_past = used[-1] == request.n_frames  # the last of a capture that is numbered from 1
+    if _is_run(used, len(request.frames)) and lacks_0 and lacks_1:
         raise RenderError(
             f"frames are numbered {as_ranges(list(used))}, the protocol asks for the instants "
-            f"{as_ranges(list(wanted.frames))} of 0-{wanted.n_frames - 1}; render these, or give --first-frame {used[0]} "
-            f"if number {used[0]} shows instant {wanted.frames.start}"
+            f"{as_ranges(list(request.frames))} of 0-{request.n_frames - 1}; render these, or give --first-frame {used[0]} "
+            f"if number {used[0]} shows instant {request.frames.start}"
         )
     if used[0] == 0 or (from_0 and not lacks_0):
         return 0
     if (from_1 and not from_0) or (lacks_0 and not lacks_1):
-        if wanted.frames.start == 0 or ends_past:
+        if request.frames.start == 0 or ends_past:
             return 1
-        raise _ambiguous(used, wanted)
+        raise _ambiguous(used, request)
     if (from_0 and from_1) or not (lacks_0 or lacks_1 or ends_past):
-        raise _ambiguous(used, wanted)
+        raise _ambiguous(used, request)
     return 1 if ends_past else 0
 
 
-def _fits(used: Sequence[int], first: int, wanted: Wanted) -> bool:
+def _fits(used: Sequence[int], first: int, request: FrameRequest) -> bool:
     """Tell whether numbers are frames of the protocol alone, or the whole capture, if its first instant bears `first`."""
     shifted = _shifted(used, first)
-    return shifted.issubset(wanted.frames) or shifted == set(range(wanted.n_frames))
+    return shifted.issubset(request.frames) or shifted == set(range(request.n_frames))
 
 
-def _beyond(used: Sequence[int], wanted: Wanted) -> int:
+def _beyond(used: Sequence[int], request: FrameRequest) -> int:
     """The first of numbers of which none can be an instant."""
     shifted = _shifted(used, used[0])
-    if shifted == set(range(wanted.n_frames)) or (wanted.frames.start == 0 and shifted == set(wanted.frames)):
+    if shifted == set(range(request.n_frames)) or (request.frames.start == 0 and shifted == set(request.frames)):
         return used[0]
     raise RenderError(
-        f"frames are numbered {as_ranges(list(used))}, the capture has the instants 0-{wanted.n_frames - 1}; number them by "
-        f"instant, or say with --first-frame which number shows instant {wanted.frames.start}"
+        f"frames are numbered {as_ranges(list(used))}, the capture has the instants 0-{request.n_frames - 1}; number them by "
+        f"instant, or say with --first-frame which number shows instant {request.frames.start}"
     )
 
 
-def _ambiguous(used: Sequence[int], wanted: Wanted) -> RenderError:
+def _ambiguous(used: Sequence[int], request: FrameRequest) -> RenderError:
     """Numbers that may be counted from 0 or from 1."""
-    start = wanted.frames.start
+    start = request.frames.start
     return RenderError(
         f"frames are numbered {as_ranges(list(used))}, which may be the instants {as_ranges(list(used))} or, counted from 1, "
-        f"{as_ranges([number - 1 for number in used])}, and the protocol asks for {as_ranges(list(wanted.frames))}; name them by "
-        f"instant, or give --first-frame {start} if number {start} shows instant {start}, --first-frame {start + 1} if number "
+        f"{as_ranges([number - 1 for number in used])}, and the protocol asks for {as_ranges(list(request.frames))}; name them "
+        f"by instant, or give --first-frame {start} if number {start} shows instant {start}, --first-frame {start + 1} if number "
         f"{start + 1} does"
     )
 
 
-def _refuse_unlike(numbers: Mapping[str, Numbers], wanted: Wanted) -> None:
+def _refuse_unlike(numbers: Mapping[str, Numbers], request: FrameRequest) -> None:
     """Refuse views of which each holds what is wanted under numbers of its own."""
     firsts = {}
     for view, used in numbers.items():
-        if _is_run(sorted(used), len(wanted.frames)):
-            firsts[view] = min(used) - wanted.frames.start
-        elif _is_run(sorted(used), wanted.n_frames):
+        if _is_run(sorted(used), len(request.frames)):
+            firsts[view] = min(used) - request.frames.start
+        elif _is_run(sorted(used), request.n_frames):
             firsts[view] = min(used)
     if len(set(firsts.values())) > 1:
         odd = list({first: view for view, first in firsts.items()}.values())
@@ -187,27 +187,27 @@ def _shifted(used: Numbers, first: int) -> set[int]:
     return {number - first for number in used}
 
 
-def _taken(used: Sequence[int], first: int, wanted: Wanted) -> str:
+def _taken(used: Sequence[int], first: int, request: FrameRequest) -> str:
     """Which numbers are taken as which instants."""
-    inside = [number for number in used if number - first in wanted.frames]
+    inside = [number for number in used if number - first in request.frames]
     instants = as_ranges([number - first for number in inside])
     if not inside:
         return f"{as_ranges(list(used))} are taken as the instants {as_ranges(sorted(_shifted(used, first)))} of the capture"
     if len(inside) == 1 == len(used):
         return f"{inside[0]} is taken as the instant {instants} of the capture"
-    if _shifted(used, first) == set(range(wanted.n_frames)) and len(inside) < len(used):
+    if _shifted(used, first) == set(range(request.n_frames)) and len(inside) < len(used):
         of = f"of {as_ranges(list(used))}, the whole capture, {as_ranges(inside)} are used"
         return f"{of} as the instants {instants}" if first else of
     return f"{as_ranges(inside)} are taken as the instants {instants} of the capture"
 
 
-def number_streams(path: Path, counts: Mapping[str, int], wanted: Wanted) -> Numbered[int]:
+def number_streams(path: Path, counts: Mapping[str, int], request: FrameRequest) -> Numbered[int]:
     """Give the frames of videos or stacks, which have an order and no numbers, the protocol's frame numbers.
 
     Args:
         path: where they lie, for messages.
         counts: view -> how many frames there are.
-        wanted: frames of the protocol and of the capture; ``first_frame`` is a place in the stream here.
+        request: frames of the protocol and of the capture; ``first_frame`` is a place in the stream here.
 
     Returns:
         View -> frame number -> index in the stream.
@@ -216,9 +216,9 @@ def number_streams(path: Path, counts: Mapping[str, int], wanted: Wanted) -> Num
         RenderError: more frames than the protocol's, but not the whole capture, while the protocol starts inside it, or the whole
             capture in some views alone: nobody can tell which are meant.
     """
-    start, n_wanted, n_frames = wanted.frames.start, len(wanted.frames), wanted.n_frames
+    start, n_wanted, n_frames = request.frames.start, len(request.frames), request.n_frames
     is_whole = n_wanted < n_frames and all(count == n_frames for count in counts.values())
-    asked = wanted.first_frame
+    asked = request.first_frame
     if asked is None and start and not is_whole and any(count > n_wanted for count in counts.values()):
         listed = ", ".join(f"{view} {count}" for view, count in counts.items())
         raise RenderError(
@@ -227,9 +227,9 @@ def number_streams(path: Path, counts: Mapping[str, int], wanted: Wanted) -> Num
             f"{start}"
         )
     first = asked - start if asked is not None else 0 if is_whole else -start  # index of the capture's first instant
-    frames = {v: {frame: frame + first for frame in wanted.frames if 0 <= frame + first < count} for v, count in counts.items()}
+    frames = {v: {frame: frame + first for frame in request.frames if 0 <= frame + first < count} for v, count in counts.items()}
     unused = {view: [] if is_whole or asked is not None else list(range(n_wanted, count)) for view, count in counts.items()}
-    used = as_ranges(list(wanted.frames))
+    used = as_ranges(list(request.frames))
     note = f"the frames of each view are taken, in order, as the instants {used}"
     if asked is not None:
         note = f"as --first-frame {asked} says, frame {asked} of each view (counted from 0) shows instant {start}"

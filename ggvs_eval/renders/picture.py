@@ -29,8 +29,8 @@ def read_header(path: Path) -> PictureHeader:
     try:
         return read_picture_header(path)
     except Exception as error:  # the parser raises whatever a damaged header makes it stumble over
-        found = "other bytes or a damaged header"
-        raise RenderError(f"{path}: wanted a PNG or JPEG picture, got {found}; render this frame again") from error
+        contents = "other bytes or a damaged header"
+        raise RenderError(f"{path}: wanted a PNG or JPEG picture, got {contents}; render this frame again") from error
 
 
 def counted(count: int, noun: str) -> str:
@@ -83,8 +83,8 @@ class PictureView:
 
     def faults(self, size: tuple[int, int]) -> dict[int, str]:
         """Frames that are damaged, of another size, or not of 8 bits."""
-        found = {number: _fault(path, size) for number, path in sorted(self.pictures.items())}
-        return {number: fault for number, fault in found.items() if fault}
+        faults = {number: _fault(path, size) for number, path in sorted(self.pictures.items())}
+        return {number: fault for number, fault in faults.items() if fault}
 
     def write(self, folder: Path, numbers: tuple[int, ...]) -> list[str]:
         """Link RGB in PNG under its frame numbers and decode the rest; says what was decoded, and what is black or grey."""

@@ -13,7 +13,7 @@ import numpy as np
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import read_image
-from ggvs_eval.renders.wanted import Wanted
+from ggvs_eval.renders.request import FrameRequest
 
 # On frames of Neural 3D Video another resize filter moves a picture by up to 0.9 levels of 255, one pixel by 0.9, another decoder
 # by 1.2, BT.601 taken for BT.709 by 2.3; studio range taken for full by 6.9, gamma 1.1 by 6.7, the next camera by 17.8.
@@ -34,12 +34,12 @@ def difference(one: Image8, other: Image8) -> float:
     return float(cv2.norm(one, other, cv2.NORM_L1)) / one.size
 
 
-def check_truth(claims: Claims, wanted: Wanted) -> float:
+def check_truth(claims: Claims, request: FrameRequest) -> float:
     """Refuse renders whose own copy of the truth is not what was captured.
 
     Args:
         claims: (view, frame) -> their picture of it; views and frames of the protocol.
-        wanted: knows the captured frames.
+        request: knows the captured frames.
 
     Returns:
         Their mean difference in levels of 255.
@@ -48,7 +48,7 @@ def check_truth(claims: Claims, wanted: Wanted) -> float:
         RenderError: copies of another size, that are too far from the captured frame, or nearer to the instant beside it; the
             message names them and how far they are.
     """
-    checked = [_check_view(view, claims, wanted) for view in wanted.views]
+    checked = [_check_view(view, claims, request) for view in request.views]
     wrong = [complaint for _, complaints in checked for complaint in complaints]
     if wrong:
         more = f" and {len(wrong) - LISTED} more" if len(wrong) > LISTED else ""
@@ -60,7 +60,7 @@ def check_truth(claims: Claims, wanted: Wanted) -> float:
     return float(np.mean(levels)) if levels else 0.0
 
 
-def _check_view(view: str, claims: Claims, request: Wanted) -> tuple[list[float], list[str]]:
+def _check_view(view: str, claims: Claims, request: FrameRequest) -> tuple[list[float], list[str]]:
     """Measure how far the copies of one view are from what they are said to show, and list what is wrong with them."""
     frames = sorted(frame for claimed, frame in claims if claimed == view)
     distances = _ViewDistances(request, view)
@@ -84,7 +84,7 @@ def _describe(path: Path, view: str, frame: int, level: float) -> str:
 class _ViewDistances:
     """Distances of one view's copies to the captured frames of the same instant, one earlier and one later."""
 
-    def __init__(self, request: Wanted, view: str) -> None:
+    def __init__(self, request: FrameRequest, view: str) -> None:
         self._request = request
         self._truth = lru_cache(maxsize=3)(lambda frame: request.truth(view, frame))
         self._sums = {-1: np.zeros(2), 1: np.zeros(2)}  # offset -> distance at the instant, distance at the neighbour
@@ -118,12 +118,12 @@ class Order:
     places: Mapping[int, tuple[str, int]]
 
 
-def find_order(copies: Sequence[Path], wanted: Wanted) -> Order:
+def find_order(copies: Sequence[Path], request: FrameRequest) -> Order:
     """Find out by the pictures which view and frame each place of a flat list is.
 
     Args:
         copies: their copies of the truth, in the list's order.
-        wanted: knows the captured frames.
+        request: knows the captured frames.
 
     Returns:
         The order whose places fit best, which may be badly.
@@ -131,14 +131,14 @@ def find_order(copies: Sequence[Path], wanted: Wanted) -> Order:
     Raises:
         RenderError: a count that no order has, or two orders that fit alike.
     """
-    orders = list(_possible_orders(len(copies), wanted))
+    orders = list(_possible_orders(len(copies), request))
     if not orders:
-        counts = {len(views) * n for views in (wanted.views, wanted.views[:1]) for n in (len(wanted.frames), wanted.n_frames)}
+        counts = {len(views) * n for views in (request.views, request.views[:1]) for n in (len(request.frames), request.n_frames)}
         raise RenderError(
             f"wanted {', '.join(map(str, sorted(counts)))} pictures (all test views or one, the protocol's frames or the whole "
             f"capture), got {len(copies)}; name the files <view>/<frame>.png"
         )
-    truth = lru_cache(maxsize=2 * SAMPLED)(wanted.truth)
+    truth = lru_cache(maxsize=2 * SAMPLED)(request.truth)
     copy = lru_cache(maxsize=2 * SAMPLED)(lambda index: read_image(copies[index]))
     scored = []
     for order in orders:
@@ -154,7 +154,7 @@ def find_order(copies: Sequence[Path], wanted: Wanted) -> Order:
     return scored[0][1]
 
 
-def _possible_orders(count: int, request: Wanted) -> Iterable[Order]:
+def _possible_orders(count: int, request: FrameRequest) -> Iterable[Order]:
     """Every different order with that many pictures."""
     rankings = [request.views, tuple(sorted(request.views)), tuple(name for name in request.cameras if name in request.views)]
     earlier_orders: list[Mapping[int, tuple[str, int]]] = []

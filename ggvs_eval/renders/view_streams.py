@@ -15,7 +15,7 @@ from ggvs_eval.renders.array_stack import ArrayStack, npz_members
 from ggvs_eval.renders.lookalikes import instead_of, respelled
 from ggvs_eval.renders.numbering import number_streams
 from ggvs_eval.renders.picture import PixelRemarks, counted
-from ggvs_eval.renders.wanted import Found, RenderedView, Wanted
+from ggvs_eval.renders.request import FrameRequest, RenderedView, RenderSet
 from ggvs_eval.run_folder import as_ranges, frame_path
 
 VIDEO_SUFFIXES = (".mp4", ".mov")
@@ -95,69 +95,69 @@ def _float_notes(n_floats: int, clipped: Mapping[int, tuple[float, float]]) -> l
     return notes
 
 
-def refuse_videos(path: Path, wanted: Wanted) -> str | None:
+def refuse_videos(path: Path, request: FrameRequest) -> str | None:
     """Say why this is not one video per view; None if it is."""
     if not path.is_dir():
         return "not a folder"
-    return None if _of_views(path, VIDEO_SUFFIXES, wanted) else f"no {wanted.views[0]}.mp4 or the like"
+    return None if _of_views(path, VIDEO_SUFFIXES, request) else f"no {request.views[0]}.mp4 or the like"
 
 
-def video_files(path: Path, wanted: Wanted) -> list[Path]:
+def video_files(path: Path, request: FrameRequest) -> list[Path]:
     """The videos of the views."""
-    return _of_views(path, VIDEO_SUFFIXES, wanted)
+    return _of_views(path, VIDEO_SUFFIXES, request)
 
 
-def find_videos(path: Path, wanted: Wanted, is_temporary: bool) -> Found:
+def find_videos(path: Path, request: FrameRequest, is_temporary: bool) -> RenderSet:
     """The views' videos: frame t of each is frame start + t, or t where all hold the whole capture."""
     del is_temporary  # decoded either way
-    by_view = _one_each(path, VIDEO_SUFFIXES, wanted)
+    by_view = _one_each(path, VIDEO_SUFFIXES, request)
     streams = {view: (file.name, VideoFrames(file)) for view, file in by_view.items()}
     counted = {view: (name, video, video.n_frames) for view, (name, video) in streams.items()}
-    return _found(path, counted, _unexpected_files(path, VIDEO_SUFFIXES, wanted), VIDEO_NOTE, wanted)
+    return _found(path, counted, _unexpected_files(path, VIDEO_SUFFIXES, request), VIDEO_NOTE, request)
 
 
-def refuse_arrays(path: Path, wanted: Wanted) -> str | None:
+def refuse_arrays(path: Path, request: FrameRequest) -> str | None:
     """Say why this is not one array per view; None if it is."""
     if path.is_file():
         return None if path.suffix == ".npz" else "not an .npz file"
-    return None if _of_views(path, ARRAY_SUFFIXES, wanted) else f"no {wanted.views[0]}.npy or .npz"
+    return None if _of_views(path, ARRAY_SUFFIXES, request) else f"no {request.views[0]}.npy or .npz"
 
 
-def array_files(path: Path, wanted: Wanted) -> list[Path]:
+def array_files(path: Path, request: FrameRequest) -> list[Path]:
     """The files that hold the arrays."""
-    return [path] if path.is_file() else _of_views(path, ARRAY_SUFFIXES, wanted)
+    return [path] if path.is_file() else _of_views(path, ARRAY_SUFFIXES, request)
 
 
-def find_arrays(path: Path, wanted: Wanted, is_temporary: bool) -> Found:
+def find_arrays(path: Path, request: FrameRequest, is_temporary: bool) -> RenderSet:
     """The views' stacks (T, H, W, 3): ``<view>.npy``, ``<view>.npz`` with one array, or one ``.npz`` with an array per view."""
     del is_temporary  # written to PNG either way
     if path.is_file():
         members = npz_members(path)
         _refuse_twice(path, members)
-        stacks = {view: ArrayStack(path, view) for view in wanted.views if view in members}
-        unexpected = [f"{path.name}[{member}]" for member in members if member not in wanted.views]
+        stacks = {view: ArrayStack(path, view) for view in request.views if view in members}
+        unexpected = [f"{path.name}[{member}]" for member in members if member not in request.views]
     else:
-        stacks = {view: _stack(file) for view, file in _one_each(path, ARRAY_SUFFIXES, wanted).items()}
-        unexpected = list(_unexpected_files(path, ARRAY_SUFFIXES, wanted))
+        stacks = {view: _stack(file) for view, file in _one_each(path, ARRAY_SUFFIXES, request).items()}
+        unexpected = list(_unexpected_files(path, ARRAY_SUFFIXES, request))
     counted = {view: (stack.name, stack, stack.n_frames) for view, stack in stacks.items()}
-    return _found(path, counted, unexpected, ARRAY_NOTE, wanted)
+    return _found(path, counted, unexpected, ARRAY_NOTE, request)
 
 
 def _found(
-    path: Path, counted: Mapping[str, tuple[str, FrameStream, int]], unexpected: Iterable[str], note: str, wanted: Wanted
-) -> Found:
+    path: Path, counted: Mapping[str, tuple[str, FrameStream, int]], unexpected: Iterable[str], note: str, request: FrameRequest
+) -> RenderSet:
     """Streams with their frames numbered."""
     unexpected = list(unexpected)
-    numbered = number_streams(path, {view: count for view, (_, _, count) in counted.items()}, wanted)
+    numbered = number_streams(path, {view: count for view, (_, _, count) in counted.items()}, request)
     views: dict[str, RenderedView] = {
         view: StreamView(stream, numbered.frames[view], note) for view, (_, stream, _) in counted.items() if numbered.frames[view]
     }
     unused = {Path(name).name: numbered.extras[view] for view, (name, _, _) in counted.items()}
-    extras = [f"{name}: {len(some)} frames after the first {len(wanted.frames)}" for name, some in unused.items() if some]
+    extras = [f"{name}: {len(some)} frames after the first {len(request.frames)}" for name, some in unused.items() if some]
     members = {name.partition("[")[2].rstrip("]"): name for name in unexpected if "[" in name}
-    absent = [view for view in wanted.views if view not in views]
-    hints = {view: respelled(view, members, wanted) or instead_of(path, view, wanted) for view in absent}
-    return Found(views, (*unexpected, *extras), numbering=numbered.note, hints=hints)
+    absent = [view for view in request.views if view not in views]
+    hints = {view: respelled(view, members, request) or instead_of(path, view, request) for view in absent}
+    return RenderSet(views, (*unexpected, *extras), numbering=numbered.note, hints=hints)
 
 
 def _stack(file: Path) -> ArrayStack:
@@ -166,8 +166,8 @@ def _stack(file: Path) -> ArrayStack:
         return ArrayStack(file)
     members = npz_members(file)
     if len(members) != 1:
-        found = ", ".join(members[:9]) or "none"
-        raise RenderError(f"{file}: wanted one array, got {found}; save frames (T, H, W, 3) alone")
+        contents = ", ".join(members[:9]) or "none"
+        raise RenderError(f"{file}: wanted one array, got {contents}; save frames (T, H, W, 3) alone")
     return ArrayStack(file, members[0])
 
 
@@ -177,27 +177,27 @@ def _refuse_twice(path: Path, members: list[str]) -> None:
         raise RenderError(f"{path}: wanted one array per view, got several called {', '.join(twice)}; save it again")
 
 
-def _one_each(path: Path, suffixes: tuple[str, ...], wanted: Wanted) -> dict[str, Path]:
+def _one_each(path: Path, suffixes: tuple[str, ...], request: FrameRequest) -> dict[str, Path]:
     """View -> its file.
 
     Raises:
         RenderError: two files for one view.
     """
     by_view: dict[str, Path] = {}
-    for file in _of_views(path, suffixes, wanted):
+    for file in _of_views(path, suffixes, request):
         if file.stem in by_view:
             raise RenderError(f"{path}: wanted one file for {file.stem}, got {by_view[file.stem].name}, {file.name}; keep one")
         by_view[file.stem] = file
     return by_view
 
 
-def _of_views(path: Path, suffixes: tuple[str, ...], wanted: Wanted) -> list[Path]:
+def _of_views(path: Path, suffixes: tuple[str, ...], request: FrameRequest) -> list[Path]:
     """Files that bear the name of a view."""
-    return [file for file in _all(path, suffixes) if file.stem in wanted.views]
+    return [file for file in _all(path, suffixes) if file.stem in request.views]
 
 
-def _unexpected_files(path: Path, suffixes: tuple[str, ...], wanted: Wanted) -> list[str]:
-    return [file.name for file in _all(path, suffixes) if file.stem not in wanted.views]
+def _unexpected_files(path: Path, suffixes: tuple[str, ...], request: FrameRequest) -> list[str]:
+    return [file.name for file in _all(path, suffixes) if file.stem not in request.views]
 
 
 def _all(path: Path, suffixes: tuple[str, ...]) -> list[Path]:

@@ -14,7 +14,7 @@ from ggvs_eval.pipelines.methods.registry import METHODS
 from ggvs_eval.pipelines.run.coverage import IMPORT_FILE, read_import
 from ggvs_eval.renders.archive import Limits, is_archive, unpack
 from ggvs_eval.renders.kinds import KINDS, detect
-from ggvs_eval.renders.wanted import Fit, Found, RenderedView, Wanted, fit, partial_text, require_whole, wanted_of
+from ggvs_eval.renders.request import Fit, FrameRequest, RenderedView, RenderSet, fit, partial_text, request_of, require_whole
 from ggvs_eval.run_folder import RunFolder, as_ranges, frame_path, write_json
 
 NAME = re.compile(r"\w[\w.+-]*")
@@ -50,7 +50,7 @@ def import_renders(
             extra or of wrong size is listed.
     """
     _check_label(label)
-    wanted = wanted_of(run, label, first_frame)
+    request = request_of(run, label, first_frame)
     target = run.root / "renders" / label
     if not path.exists():
         raise RenderError(f"{path}: wanted renders, there is no such folder or file; check the path")
@@ -60,40 +60,42 @@ def import_renders(
         raise RenderError(f"{target} exists already; choose another name for these renders")
     remove_leftovers(target)
     with scratch_folder(target.with_name(f"{label}.unpacked")) as unpacked:
-        return _import(run, wanted, path, unpacked, allow_partial, workers)
+        return _import(run, request, path, unpacked, allow_partial, workers)
 
 
-def _import(run: RunFolder, wanted: Wanted, path: Path, unpacked: Path, allow_partial: bool, workers: int) -> dict[str, Any]:
+def _import(
+    run: RunFolder, request: FrameRequest, path: Path, unpacked: Path, allow_partial: bool, workers: int
+) -> dict[str, Any]:
     """Understand, check and put in place, unless it is there."""
     packed = is_archive(path)
-    kind = "" if packed else detect(path, wanted)
-    sources = [path] if packed else KINDS[kind].files(path, wanted)
-    identity = _identity(wanted, path, sources, allow_partial)
-    known = read_import(run, wanted.label)
-    if known and known["identity"] == identity and _is_whole(run, wanted.label, known["frames"]):
+    kind = "" if packed else detect(path, request)
+    sources = [path] if packed else KINDS[kind].files(path, request)
+    identity = _identity(request, path, sources, allow_partial)
+    known = read_import(run, request.label)
+    if known and known["identity"] == identity and _is_whole(run, request.label, known["frames"]):
         return known
-    root = unpack(path, unpacked, _limits(wanted)) if packed else path
-    kind = kind or detect(root, wanted)
-    found = KINDS[kind].find(root, wanted, packed)
-    fitted = fit(found, wanted)
+    root = unpack(path, unpacked, _limits(request)) if packed else path
+    kind = kind or detect(root, request)
+    renders = KINDS[kind].find(root, request, packed)
+    fitted = fit(renders, request)
     if not allow_partial:
-        require_whole(fitted, path, found.numbering)
+        require_whole(fitted, path, renders.numbering)
     record = {
         "kind": KINDS[kind].describe + (" in an archive" if packed else ""),
         "source": path.resolve().name,
         "sha256": digest_values(*identity["files"], *identity["files"].values()),
-        "partial": partial_text(fitted, wanted),
-        "notes": [*filter(None, [found.numbering]), *found.notes, *_left_out(fitted), *_black_truth(wanted)],
+        "partial": partial_text(fitted, request),
+        "notes": [*filter(None, [renders.numbering]), *renders.notes, *_left_out(fitted), *_black_truth(request)],
         "frames": {view: list(frames) for view, frames in fitted.usable.items()},
         "identity": identity,
     }
-    return _put(run.root / "renders" / wanted.label, found, fitted, record, workers)
+    return _put(run.root / "renders" / request.label, renders, fitted, record, workers)
 
 
-def _put(target: Path, found: Found, fitted: Fit, record: dict[str, Any], workers: int) -> dict[str, Any]:
+def _put(target: Path, renders: RenderSet, fitted: Fit, record: dict[str, Any], workers: int) -> dict[str, Any]:
     """Fill a folder beside the target, then let it take the target's place."""
     with atomic_folder(target) as temporary:
-        views = {view: (found.views[view], frames) for view, frames in fitted.usable.items()}
+        views = {view: (renders.views[view], frames) for view, frames in fitted.usable.items()}
         notes = _write(views, temporary, workers)
         record["notes"] += [f"{view}: {note}" for view, lines in notes.items() for note in lines]
         write_json(temporary / IMPORT_FILE, record)
@@ -136,26 +138,26 @@ def _check_label(label: str) -> None:
     raise RenderError(f"renders cannot be called {label!r}, {reason}; give another: --renders {plain_label(label)}=PATH")
 
 
-def _identity(wanted: Wanted, path: Path, sources: list[Path], allow_partial: bool) -> dict[str, Any]:
+def _identity(request: FrameRequest, path: Path, sources: list[Path], allow_partial: bool) -> dict[str, Any]:
     """Everything that the import depends on."""
     names = [file.relative_to(path).as_posix() if file != path else path.name for file in sources]
     return {
         "files": {name: digest_files([file]) for name, file in zip(names, sources, strict=True)},
-        "frames": [wanted.frames.start, wanted.frames.stop],
-        "sizes": {view: list(wanted.sizes[view]) for view in wanted.views},
+        "frames": [request.frames.start, request.frames.stop],
+        "sizes": {view: list(request.sizes[view]) for view in request.views},
         "allow_partial": allow_partial,
-        "first_frame": wanted.first_frame,
+        "first_frame": request.first_frame,
     }
 
 
-def _black_truth(wanted: Wanted) -> list[str]:
+def _black_truth(request: FrameRequest) -> list[str]:
     """Captured frames of which every pixel is 0; the size of their files gives them away."""
     notes = []
-    for view in wanted.views:
-        width, height = wanted.sizes[view]
-        files = {frame: frame_path(wanted.truth_root / view, frame) for frame in wanted.frames}
+    for view in request.views:
+        width, height = request.sizes[view]
+        files = {frame: frame_path(request.truth_root / view, frame) for frame in request.frames}
         small = (frame for frame, file in files.items() if file.is_file() and file.stat().st_size < width * height / SMALL + 1000)
-        black = [frame for frame in small if not wanted.truth(view, frame).any()]
+        black = [frame for frame in small if not request.truth(view, frame).any()]
         notes += [f"captured frames of {view} are all zero: {as_ranges(black)}"] if black else []
     return notes
 
@@ -164,11 +166,11 @@ def _is_whole(run: RunFolder, label: str, frames: Mapping[str, list[int]]) -> bo
     return all(frame_path(run.renders(label, view), frame).is_file() for view, there in frames.items() for frame in there)
 
 
-def _limits(wanted: Wanted) -> Limits:
+def _limits(request: FrameRequest) -> Limits:
     """More than any renders of the whole capture need."""
-    n_frames = max(wanted.n_frames, len(wanted.frames))
-    n_pixels = n_frames * sum(width * height for width, height in wanted.sizes.values())
-    n_files = n_frames * len(wanted.views) * ARCHIVE_FILES_PER_FRAME + ARCHIVE_SLACK_FILES
+    n_frames = max(request.n_frames, len(request.frames))
+    n_pixels = n_frames * sum(width * height for width, height in request.sizes.values())
+    n_files = n_frames * len(request.views) * ARCHIVE_FILES_PER_FRAME + ARCHIVE_SLACK_FILES
     return Limits(n_files, n_pixels * ARCHIVE_BYTES_PER_PIXEL + ARCHIVE_SLACK_BYTES)
 
 

@@ -10,16 +10,16 @@ from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import read_image
 from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.renders.numbering import Numbered, last_number, number_streams, number_views
-from ggvs_eval.renders.wanted import Wanted
+from ggvs_eval.renders.request import FrameRequest
 from ggvs_eval.run_folder import frame_path
 from helpers.render_folders import FRAMES, N_FRAMES, VIEWS, make_run, rendered, write_folders, write_videos
 
 PLACE = Path("theirs")
 
 
-def wanted(frames: range, n_frames: int, first_frame: int | None = None) -> Wanted:
+def request(frames: range, n_frames: int, first_frame: int | None = None) -> FrameRequest:
     sizes = dict.fromkeys(VIEWS, (64, 48))
-    return Wanted("mine", VIEWS, frames, n_frames, sizes, ("cam00", "cam01", "cam02"), Path(), first_frame)
+    return FrameRequest("mine", VIEWS, frames, n_frames, sizes, ("cam00", "cam01", "cam02"), Path(), first_frame)
 
 
 def numbered(
@@ -27,7 +27,7 @@ def numbered(
 ) -> Numbered[str]:
     by_view = numbers if isinstance(numbers, Mapping) else dict.fromkeys(VIEWS, numbers)
     items = {view: [(number, f"{number:04d}") for number in some] for view, some in by_view.items()}
-    return number_views(PLACE, items, wanted(frames, n_frames, first_frame))
+    return number_views(PLACE, items, request(frames, n_frames, first_frame))
 
 
 # Numbers, frames of the protocol and of the capture; the number of instant 0 and what is told.
@@ -240,14 +240,14 @@ def test_a_second_meaning_replaces_the_first(tmp_path):
 
 def test_streams_are_understood_alike_in_all_views():
     """The whole capture in each view, or the protocol's frames in each; a mixture is refused where it matters."""
-    start_inside, from_0 = wanted(range(2, 5), 7), wanted(range(3), 7)
+    start_inside, from_0 = request(range(2, 5), 7), request(range(3), 7)
 
     assert number_streams(PLACE, {"cam00": 7, "cam02": 7}, start_inside).frames["cam02"] == {2: 2, 3: 3, 4: 4}
     assert number_streams(PLACE, {"cam00": 3, "cam02": 2}, start_inside).frames["cam02"] == {2: 0, 3: 1}
     assert number_streams(PLACE, {"cam00": 7, "cam02": 3}, from_0).frames["cam00"] == {0: 0, 1: 1, 2: 2}
     with pytest.raises(RenderError, match="got cam00 7, cam02 3; cut them to the protocol's frames, or say with --first-frame"):
         number_streams(PLACE, {"cam00": 7, "cam02": 3}, start_inside)
-    settled = number_streams(PLACE, {"cam00": 7, "cam02": 5}, wanted(range(2, 5), 7, first_frame=2))
+    settled = number_streams(PLACE, {"cam00": 7, "cam02": 5}, request(range(2, 5), 7, first_frame=2))
     assert settled.frames == {view: {2: 2, 3: 3, 4: 4} for view in VIEWS}
     assert settled.note == "as --first-frame 2 says, frame 2 of each view (counted from 0) shows instant 2"
 

@@ -16,7 +16,7 @@ LISTED = 20
 
 
 @dataclass(frozen=True)
-class Wanted:
+class FrameRequest:
     """Everything that a run asks of a method's frames.
 
     Attributes:
@@ -59,7 +59,7 @@ class RenderedView(Protocol):
 
 
 @dataclass(frozen=True)
-class Found:
+class RenderSet:
     """Contents of a source of renders.
 
     Attributes:
@@ -81,8 +81,8 @@ class Found:
     hints: Mapping[str, str] = field(default_factory=dict)
 
 
-def wanted_of(run: RunFolder, label: str, first_frame: int | None = None) -> Wanted:
-    """Return what a run asks of a method; `first_frame` as of `Wanted`.
+def request_of(run: RunFolder, label: str, first_frame: int | None = None) -> FrameRequest:
+    """Return what a run asks of a method; `first_frame` as of `FrameRequest`.
 
     Raises:
         ResultsError: not a run folder.
@@ -97,7 +97,9 @@ def wanted_of(run: RunFolder, label: str, first_frame: int | None = None) -> Wan
         if not file.is_file():
             raise RenderError(f"{file}: wanted a captured frame to compare with, there is none; run `ggvs-eval prepare`")
         sizes[view] = read_header(file).size
-    return Wanted(label, views, frames, record["n_frames"], sizes, tuple(record["cameras"]), run.root / "truth", first_frame)
+    return FrameRequest(
+        label, views, frames, record["n_frames"], sizes, tuple(record["cameras"]), run.root / "truth", first_frame
+    )
 
 
 @dataclass(frozen=True)
@@ -117,35 +119,35 @@ class Fit:
     extras: tuple[str, ...]
 
 
-def fit(found: Found, wanted: Wanted) -> Fit:
+def fit(renders: RenderSet, request: FrameRequest) -> Fit:
     """Hold what was found against what is wanted."""
     usable, missing, faulty = {}, [], []
-    for view in wanted.views:
-        rendered = found.views.get(view)
+    for view in request.views:
+        rendered = renders.views.get(view)
         there = rendered.numbers if rendered else ()
-        faults = rendered.faults(wanted.sizes[view]) if rendered else {}
-        doubles = found.doubles.get(view, {})
-        absent = [frame for frame in wanted.frames if frame not in there and frame not in doubles]
+        faults = rendered.faults(request.sizes[view]) if rendered else {}
+        doubles = renders.doubles.get(view, {})
+        absent = [frame for frame in request.frames if frame not in there and frame not in doubles]
         if absent:
-            missing.append(f"{wanted.label} in {view} lacks {_absent(absent, view, found, wanted)}")
+            missing.append(f"{request.label} in {view} lacks {_absent(absent, view, renders, request)}")
         if doubles:
             example = f"several pictures of one frame: {' and '.join(doubles[min(doubles)])}; keep one"
-            faulty.append(f"{wanted.label} in {view}: {as_ranges(sorted(doubles))} ({example})")
+            faulty.append(f"{request.label} in {view}: {as_ranges(sorted(doubles))} ({example})")
         by_fault: dict[str, list[int]] = defaultdict(list)
         for frame, fault in faults.items():
             by_fault[fault].append(frame)
-        faulty += [f"{wanted.label} in {view}: {as_ranges(frames)} ({fault})" for fault, frames in by_fault.items()]
+        faulty += [f"{request.label} in {view}: {as_ranges(frames)} ({fault})" for fault, frames in by_fault.items()]
         good = tuple(frame for frame in there if frame not in faults)
         if good:
             usable[view] = good
-    return Fit(usable, tuple(missing), tuple(faulty), found.extras)
+    return Fit(usable, tuple(missing), tuple(faulty), renders.extras)
 
 
-def _absent(frames: list[int], view: str, found: Found, wanted: Wanted) -> str:
+def _absent(frames: list[int], view: str, renders: RenderSet, request: FrameRequest) -> str:
     """Frames that are not there, how they would be numbered, and what is there instead."""
-    numbered = f" (numbered {as_ranges([frame + found.first for frame in frames])})" if found.first else ""
-    lacking = f"all {len(frames)} frames" if len(frames) == len(wanted.frames) else as_ranges(frames) + numbered
-    return f"{lacking}, but {found.hints[view]}" if found.hints.get(view) else lacking
+    numbered = f" (numbered {as_ranges([frame + renders.first for frame in frames])})" if renders.first else ""
+    lacking = f"all {len(frames)} frames" if len(frames) == len(request.frames) else as_ranges(frames) + numbered
+    return f"{lacking}, but {renders.hints[view]}" if renders.hints.get(view) else lacking
 
 
 def require_whole(fitted: Fit, path: Path, numbering: str) -> None:
@@ -166,7 +168,7 @@ def require_whole(fitted: Fit, path: Path, numbering: str) -> None:
         raise RenderError(f"{path}: {'; '.join([*told, *listed])}; put this right, or give --allow-partial to score what fits")
 
 
-def partial_text(fitted: Fit, wanted: Wanted) -> str:
+def partial_text(fitted: Fit, request: FrameRequest) -> str:
     """Describe what a row of these renders stands on; empty where nothing is missing.
 
     Raises:
@@ -174,14 +176,14 @@ def partial_text(fitted: Fit, wanted: Wanted) -> str:
     """
     if not fitted.usable:
         raise RenderError(
-            f"{wanted.label}: not a single frame fits the protocol: {_listed((*fitted.missing, *fitted.faulty))}; "
+            f"{request.label}: not a single frame fits the protocol: {_listed((*fitted.missing, *fitted.faulty))}; "
             "check views, frames and size"
         )
-    n_whole = sum(len(frames) == len(wanted.frames) for frames in fitted.usable.values())
+    n_whole = sum(len(frames) == len(request.frames) for frames in fitted.usable.values())
     n_frames = sum(len(frames) for frames in fitted.usable.values())
-    if n_whole == len(wanted.views):
+    if n_whole == len(request.views):
         return ""
-    text = f"{n_whole} of {len(wanted.views)} views complete, {n_frames} of {len(wanted.views) * len(wanted.frames)} frames"
+    text = f"{n_whole} of {len(request.views)} views complete, {n_frames} of {len(request.views) * len(request.frames)} frames"
     return f"{text} ({', '.join(fitted.usable)})"
 
 
