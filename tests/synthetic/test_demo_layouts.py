@@ -32,7 +32,7 @@ TINY = DemoOptions(width=64, height=48, n_frames=3, cameras_per_row=2, path_pose
 # One instant; rgbd has two poses of it.
 QUICK = replace(TINY, width=32, height=24, n_frames=1, supersampling=1, path_poses=1, noise_sigma_255=0.0)
 WRONG = {"calibration_error_px": 2.0, "focal_error": (("cam00", 1.05),)}
-METRIC = ("enerf-outdoor", "rgbd")
+METRIC = ("enerf-outdoor", "rgbd", "immersive")
 # Mean absolute difference, of 255 levels, between a frame of 64 x 48 as rendered and as the codec gives it back.
 JPEG_LOSS, VIDEO_LOSS = 2.5, 5.0
 
@@ -41,11 +41,16 @@ JPEG_LOSS, VIDEO_LOSS = 2.5, 5.0
 def demo(tmp_path_factory):
     """The tiny demo in a layout, written once."""
     root = tmp_path_factory.mktemp("demo")
-    return lambda layout: write_demo(root / layout, replace(TINY, layout=layout), workers=1)
+    return lambda layout: write_demo(root / layout, tiny_options(layout), workers=1)
+
+
+def tiny_options(layout):
+    return replace(TINY, layout=layout, height=34 if layout == "technicolor" else TINY.height)
 
 
 def quick_options(layout):
-    return replace(QUICK, layout=layout, n_frames=2 if layout == "rgbd" else 1, **WRONG)
+    shape = {"width": 64, "height": 34} if layout == "technicolor" else {}
+    return replace(QUICK, layout=layout, n_frames=2 if layout == "rgbd" else 1, **WRONG, **shape)
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +69,7 @@ def recall(index):
 @cache
 def rendered(layout):
     """All frames of all cameras of a layout's `TINY` demo."""
-    options = replace(TINY, layout=layout)
+    options = tiny_options(layout)
     return [list(Footage(options, shot, recall).frames()) for shot in shots_of(options)]
 
 
@@ -101,12 +106,22 @@ def test_reading_back_gives_the_same_cameras_and_units(demo, layout):
 
     assert capture.layout == layout
     assert capture.units_per_metre == (1.0 if layout in METRIC else UNITS_PER_METRE)
-    assert_same_cameras(capture.cameras, noted_cameras(replace(TINY, layout=layout)))
+    assert_same_cameras(capture.cameras, noted_cameras(tiny_options(layout)))
 
 
-@pytest.mark.parametrize(("layout", "loss"), [("dynerf", VIDEO_LOSS), ("colmap", VIDEO_LOSS), ("rgbd", JPEG_LOSS), ("d3dmv", 0)])
+@pytest.mark.parametrize(
+    ("layout", "loss"),
+    [
+        ("dynerf", VIDEO_LOSS),
+        ("meetroom", VIDEO_LOSS),
+        ("rgbd", JPEG_LOSS),
+        ("d3dmv", 0),
+        ("technicolor", 0),
+        ("colmap", VIDEO_LOSS),
+    ],
+)
 def test_reading_back_gives_the_same_images(demo, layout, loss):
-    """Frame t of camera i is what was rendered, within the loss of the codec: none in HDF5."""
+    """Frame t of camera i is what was rendered, within the loss of the codec: none in HDF5 and PNG."""
     capture = open_capture(demo(layout))
     for name, frames in zip(capture.camera_names, rendered(layout), strict=True):
         for image, frame in zip(capture.frames(name), frames, strict=True):
