@@ -14,6 +14,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.images import quantise, read_image
+from ggvs_eval.files.video import VideoFrames
 from ggvs_eval.lens import Lens
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.film.depth import read_exact_depth
@@ -21,7 +22,7 @@ from ggvs_eval.synthetic.film.film import Footage, lit_room
 from ggvs_eval.synthetic.film.options import DemoOptions
 from ggvs_eval.synthetic.film.raycast import PixelGrid, View, render_depth
 from ggvs_eval.synthetic.film.rig import UNITS_PER_METRE, WORLD_TO_ROOM, in_metres
-from ggvs_eval.synthetic.film.shots import LENS, distorted_shots, hand_held_shots, rig_shots
+from ggvs_eval.synthetic.film.shots import FISHEYE_LENS, LENS, distorted_shots, hand_held_shots, rig_shots
 from ggvs_eval.synthetic.layouts.d3dmv import MEDIAN_FRAMES, median_background
 from ggvs_eval.synthetic.layouts.layouts import LAYOUTS
 from helpers.scenes import render_view
@@ -199,16 +200,26 @@ def test_easymocap_images_read_back_undistorted(demo):
             assert mean_difference(image, frame.image) < 0.5 * mean_difference(on_disk, frame.image)
 
 
+def test_fisheye_videos_read_back_undistorted(demo):
+    """The adapter's images are nearer to those of a pinhole than the fisheye's on disk are, at every camera and frame."""
+    capture = open_capture(demo("immersive"))
+    for name, frames in zip(capture.camera_names, rendered("d3dmv"), strict=True):
+        on_disk = VideoFrames(demo("immersive") / f"{name}.mp4").frames(0, TINY.n_frames)
+        for image, fisheye, frame in zip(capture.frames(name), on_disk, frames, strict=True):
+            assert mean_difference(image, frame.image) < 0.5 * mean_difference(fisheye, frame.image)
+
+
 @pytest.fixture(scope="module")
 def lens_camera():
     return rig_shots(replace(TINY, width=320, height=240))[0].camera
 
 
-def test_rays_of_the_lens_are_exact(lens_camera):
+@pytest.mark.parametrize(("model", "coefficients"), [("opencv", LENS), ("fisheye", FISHEYE_LENS)])
+def test_rays_of_the_lens_are_exact(lens_camera, model, coefficients):
     """Points on the rays of the distorted pixels are imaged by OpenCV's model at the centres of these pixels."""
-    rays = PixelGrid(lens_camera, LENS).rays.astype(np.float64) @ WORLD_TO_ROOM[:3, :3] * UNITS_PER_METRE**2
+    rays = PixelGrid(lens_camera, coefficients).rays.astype(np.float64) @ WORLD_TO_ROOM[:3, :3] * UNITS_PER_METRE**2
     uv, depth = lens_camera.project(lens_camera.centre + rays)
-    lens = Lens(lens_camera.K, "opencv", LENS, *lens_camera.size)
+    lens = Lens(lens_camera.K, model, coefficients, *lens_camera.size)
 
     np.testing.assert_allclose(depth, 1.0, atol=1e-6)
     np.testing.assert_allclose(lens.distort(uv, lens_camera.K), lens_camera.pixel_centres().reshape(-1, 2), atol=1e-3)
