@@ -24,7 +24,7 @@ from ggvs_eval.reports.page.sequences import PathPictures, PictureRoom, method_v
 from ggvs_eval.reports.page.sweep_section import SweepSection
 from ggvs_eval.reports.run_groups import RunGroup, RunSection
 from ggvs_eval.reports.tables.leaders import leaders
-from ggvs_eval.reports.tables.published import CAVEATS
+from ggvs_eval.reports.tables.published import CAVEATS, PAPER
 from ggvs_eval.reports.tables.reproduction import MEANING, Reproduction
 from ggvs_eval.reports.tables.reproduction_formats import HEADS, blocks, count_words, paper_tables
 from ggvs_eval.reports.tables.verdict import Verdict, evaluate_verdict
@@ -160,6 +160,7 @@ def _groups(groups: Sequence[RunGroup]) -> list[dict[str, Any]]:
             "parts": _parts(group),
             "several_datasets": len({table.dataset for table in group.tables}) > 1,
             "has_published_rows": any(row.kind == "published" for table in group.tables for row in table.rows),
+            "has_paper_rows": any(row.name.endswith(PAPER) for table in group.tables for row in table.rows),
             "sections": [_section(*next(rooms), *next(tabs), section, verdicts[at]) for section in group.sections],
         }
         for at, group in enumerate(groups)
