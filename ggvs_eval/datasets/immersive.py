@@ -3,7 +3,7 @@
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
@@ -16,7 +16,7 @@ from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.lens import Lens
 
 CAMERA = re.compile(r"camera_\d{1,6}")
-FISHEYE = "fisheye"
+FISHEYE: Final = "fisheye"
 # Number of a scene -> its nearest and farthest depth in metres, as HyperReel (Attal et al., CVPR 2023) samples it.
 SCENE_DEPTHS_M = {
     "01": (0.25, 6.0),
