@@ -9,7 +9,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size, first_sources, listed
 from ggvs_eval.datasets.colmap_model import undistorted_sources
-from ggvs_eval.datasets.depth_range import rig_depth_range
+from ggvs_eval.datasets.depth_range import given_depth_range, rig_depth_range
 from ggvs_eval.datasets.google_models import MODELS, CameraModel, load_models, read_camera_model, read_numbers
 from ggvs_eval.datasets.units import METRIC, GivenUnits, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
@@ -58,8 +58,8 @@ def load(path: Path, units: GivenUnits) -> Capture:
         The lens is the one of the data set's README: theta (1 + k1 theta^2 + k2 theta^4) focal lengths from the principal point,
         OpenCV's fisheye model with k3 = k4 = 0. The pinhole image has the fisheye image's size and focal length, without blank
         pixels, see `Lens.undistorted_K`: it shows the inner part of what the lens saw. Cameras of the file without frames are
-        left out with a note, since the data set says that some scenes lack some. Depth range: what HyperReel takes for the
-        scene by the number its folder begins with, else `rig_depth_range`.
+        left out with a note, since the data set says that some scenes lack some. Depth range: ``depth_range.toml``, else what
+        HyperReel takes for the scene by the number its folder begins with, else `rig_depth_range`.
     """
     views = _read_views(path / MODELS)
     found = first_sources(path, {view.name: view.name for view in views})
@@ -108,7 +108,7 @@ def _read_view(file: Path, index: int, model: Any) -> _View:
 
 def _cameras(path: Path, views: Sequence[_View]) -> list[Camera]:
     ranges = rig_depth_range([view.model.world_to_camera for view in views])
-    known = SCENE_DEPTHS_M.get(path.resolve().name.partition("_")[0])
+    known = given_depth_range(path) or SCENE_DEPTHS_M.get(path.resolve().name.partition("_")[0])
     cameras = []
     for view, limits in zip(views, ranges, strict=True):
         size = view.lens.width, view.lens.height

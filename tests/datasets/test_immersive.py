@@ -100,6 +100,8 @@ def test_depth_range_is_the_scenes(written, tmp_path):
     assert {(camera.near, camera.far) for camera in open_capture(written).cameras} == {SCENE_DEPTHS_M["02"]}
     other = open_capture(copied(written, tmp_path / "kitchen")).cameras[0]
     assert (other.near, other.far) not in SCENE_DEPTHS_M.values()
+    (tmp_path / "kitchen" / "depth_range.toml").write_text("near = 1.5\nfar = 4\n")
+    assert {(camera.near, camera.far) for camera in open_capture(tmp_path / "kitchen").cameras} == {(1.5, 4.0)}
 
 
 def test_cameras_without_frames_are_left_out(scene):

@@ -49,10 +49,17 @@ def test_projects_by_the_rows_formula(scene):
 
 
 def test_depth_range_is_the_scenes(scene, tmp_path):
-    """Scenes that HyperReel knows by name have its range; of others the rig says it."""
+    """Scenes that HyperReel knows by name have its range; of others the rig says it, and depth_range.toml before either."""
     assert {(camera.near, camera.far) for camera in open_capture(scene).cameras} == {(1.75, 10.0)}
-    camera = open_capture(copied(scene, tmp_path / "kitchen")).cameras[0]
+    kitchen = copied(scene, tmp_path / "kitchen")
+    camera = open_capture(kitchen).cameras[0]
     assert (camera.near, camera.far) != (1.75, 10.0)
+
+    (kitchen / "depth_range.toml").write_text("near = 2\nfar = 7.5\n")
+    assert {(camera.near, camera.far) for camera in open_capture(kitchen).cameras} == {(2.0, 7.5)}
+    for text, message in (("near = 2\nfar = 2\n", "wanted 0 < near < far in world units, got 2 and 2"), ("near = 2\n", "far")):
+        (kitchen / "depth_range.toml").write_text(text)
+        assert message in refusal(kitchen)
 
 
 @pytest.mark.parametrize(

@@ -70,6 +70,12 @@ def write_technicolor(folder: Path, names: Sequence[str] = PAIR, first: int = 1,
     return folder
 
 
+def write_technicolor_with_depth(folder: Path) -> Path:
+    """With all that may lie beside it."""
+    (write_technicolor(folder) / "depth_range.toml").write_text("near = 1.75\nfar = 10.0\n")
+    return folder
+
+
 def immersive_model(camera: Camera, name: str) -> dict[str, Any]:
     """A camera of the rig with the lens of the README's example."""
     pose = {"position": camera.centre.tolist(), "orientation": cv2.Rodrigues(camera.rotation)[0].ravel().tolist()}

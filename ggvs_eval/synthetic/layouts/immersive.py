@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ggvs_eval.camera import Camera
+from ggvs_eval.datasets.depth_range import DEPTH_RANGE_FILE, write_depth_range
 from ggvs_eval.datasets.google_models import MODELS
 from ggvs_eval.files.video import write_video
 from ggvs_eval.kernels.portable import rotation_vector
@@ -23,7 +24,7 @@ def write_film(folder: Path, footage: Footage) -> Camera:
 
 
 def finish(folder: Path, options: DemoOptions, cameras: Sequence[Camera]) -> None:
-    """Write ``models.json``."""
+    """Write ``models.json``, and ``depth_range.toml``, since that has no depth."""
     models = []
     for camera, shot in zip(cameras, fisheye_shots(options), strict=True):
         k1, k2, *_ = shot.lens
@@ -41,12 +42,13 @@ def finish(folder: Path, options: DemoOptions, cameras: Sequence[Camera]) -> Non
                 "projection_type": "fisheye",
             }
         )
+    write_depth_range(folder, min(camera.near for camera in cameras), max(camera.far for camera in cameras))
     (folder / MODELS).write_text(json.dumps(models, indent=1) + "\n", encoding="utf-8")
 
 
 def files(options: DemoOptions) -> list[str]:
     """List the files that every complete demo has."""
-    return [MODELS, *(f"{immersive_name(name)}.mp4" for name in options.camera_names)]
+    return [DEPTH_RANGE_FILE, MODELS, *(f"{immersive_name(name)}.mp4" for name in options.camera_names)]
 
 
 def immersive_name(name: str) -> str:
