@@ -1,6 +1,7 @@
 """Results for experiment trackers: TensorBoard, MLflow and Weights & Biases, each optional, all without a network."""
 
 import importlib.util
+import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -13,6 +14,9 @@ from ggvs_eval.reports.model.measured import MeasuredRun, label_of, read_scores
 Tracker = Literal["tensorboard", "mlflow", "wandb"]
 # Tracker -> the package that writes its files, which is also the extra's content.
 PACKAGES: Mapping[str, str] = {"tensorboard": "tensorboardX", "mlflow": "mlflow", "wandb": "wandb"}
+
+
+MLFLOW_FILE = "mlflow.db"
 
 
 @dataclass(frozen=True)
@@ -38,7 +42,8 @@ def track_results(roots: Sequence[Path], tracker: Tracker, out: Path) -> Path:
     Args:
         roots: run folders; frames may be absent.
         tracker: which.
-        out: folder for the tracker's files; Weights & Biases is told to stay offline unless ``WANDB_MODE`` says otherwise.
+        out: folder for the tracker's files. MLflow writes a database there unless ``MLFLOW_TRACKING_URI`` names a place, W&B
+            stays offline unless ``WANDB_MODE`` says otherwise.
 
     Returns:
         The folder.
@@ -62,19 +67,19 @@ def tracked_methods(run: MeasuredRun) -> list[TrackedMethod]:
     """List the methods of a run with what trackers are told of each."""
     table = run.results.table
     labels = [label_of(*names) for names in zip(table["method"], table["variant"], strict=True)]
-    summary = run.results.summary().droplevel("dataset")
+    means: dict[Any, dict[Any, Any]] = run.results.summary().droplevel("dataset").to_dict("index")
     protocol = {"scene": run.scene, "protocol_sha256": run.protocol.sha256, **_flat(asdict(run.protocol))}
     tracked = []
-    for (method, variant), means in summary.iterrows():
-        label = label_of(method, variant)
+    for label in run.labels:
         rows = table[[one == label for one in labels]]
-        framed = rows[rows["frame"] >= 0].groupby(["metric", "frame"], sort=False)["value"].mean()
+        method, _, variant = label.partition("+")
+        framed = rows[rows["frame"] >= 0].groupby(["metric", "frame"], sort=False)["value"].mean().reset_index()
         curves: dict[str, list[tuple[int, float]]] = {}
-        for (metric, frame), value in framed.items():
-            curves.setdefault(metric, []).append((int(frame), float(value)))
-        name = f"{run.folder.root.resolve().name}/{label}"
-        numbers = {metric: float(value) for metric, value in means.dropna().items()}
-        tracked.append(TrackedMethod(name, {**protocol, "method": run.name(label)}, numbers, curves))
+        for metric, frame, value in zip(framed["metric"], framed["frame"], framed["value"], strict=True):
+            curves.setdefault(str(metric), []).append((int(frame), float(value)))
+        settings = {**protocol, "method": run.name(label)}
+        numbers = {str(metric): float(value) for metric, value in means[(method, variant)].items() if not math.isnan(value)}
+        tracked.append(TrackedMethod(f"{run.folder.root.resolve().name}/{label}", settings, numbers, curves))
     return tracked
 
 
@@ -101,17 +106,17 @@ def _write_tensorboard(method: TrackedMethod, project: str, out: Path) -> None:
 def _write_mlflow(method: TrackedMethod, project: str, out: Path) -> None:
     from mlflow import MlflowClient
 
-    client = MlflowClient(tracking_uri=(out / "mlruns").resolve().as_uri())
+    client = MlflowClient(tracking_uri=os.environ.get("MLFLOW_TRACKING_URI", f"sqlite:///{(out / MLFLOW_FILE).resolve()}"))
     experiment = client.get_experiment_by_name(project)
     place = experiment.experiment_id if experiment else client.create_experiment(project)
     run_id = client.create_run(place, run_name=method.name).info.run_id
     for name, value in method.settings.items():
         client.log_param(run_id, name, value)
-    for metric, value in method.means.items():
-        client.log_metric(run_id, f"mean/{metric}", value)
+    for metric, mean in method.means.items():
+        client.log_metric(run_id, f"mean/{metric}", mean)
     for metric, curve in method.curves.items():
-        for frame, value in curve:
-            client.log_metric(run_id, f"frame/{metric}", value, step=frame)
+        for frame, mean in curve:
+            client.log_metric(run_id, f"frame/{metric}", mean, step=frame)
     client.set_terminated(run_id)
 
 

@@ -11,7 +11,7 @@ from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.reports.model.measured import read_scores
 from ggvs_eval.reports.page.leaderboard import write_leaderboard
 from ggvs_eval.reports.tables.report_tables import main_tables
-from ggvs_eval.reports.tracking import PACKAGES, track_results, tracked_methods
+from ggvs_eval.reports.tracking import MLFLOW_FILE, PACKAGES, track_results, tracked_methods
 from helpers.page_reader import PageReader
 from helpers.run_folders import LABELS, NAMES, RunShape, write_run
 
@@ -105,11 +105,12 @@ def read_scalars(file: Path) -> dict[tuple[str, int], float]:
     return scalars
 
 
-def test_mlflow_reads_back_what_was_written(runs, tmp_path):
+def test_mlflow_reads_back_what_was_written(runs, tmp_path, monkeypatch):
     """A run per method holds settings, means and curves."""
     mlflow = pytest.importorskip("mlflow")
+    monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
     out = track_results(runs[:1], "mlflow", tmp_path / "tracked")
-    client = mlflow.MlflowClient(tracking_uri=(out / "mlruns").resolve().as_uri())
+    client = mlflow.MlflowClient(tracking_uri=f"sqlite:///{out / MLFLOW_FILE}")
     experiment = client.get_experiment_by_name(read_scores(runs[0]).protocol.name)
     found = {run.info.run_name: run for run in client.search_runs([experiment.experiment_id])}
     for method in tracked_methods(read_scores(runs[0])):
