@@ -8,10 +8,12 @@ import pytest
 
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.pipelines.commands.main import run_command
+from ggvs_eval.protocol import load_protocol
 from ggvs_eval.reports.model.measured import read_scores
 from ggvs_eval.reports.page.leaderboard import write_leaderboard
 from ggvs_eval.reports.tables.report_tables import main_tables
 from ggvs_eval.reports.tracking import MLFLOW_FILE, PACKAGES, track_results, tracked_methods
+from ggvs_eval.results import Results, merge_results
 from helpers.page_reader import PageReader
 from helpers.run_folders import LABELS, NAMES, RunShape, write_run
 
@@ -42,17 +44,11 @@ def test_one_page_has_the_tables_of_all_protocols(runs, tmp_path):
     assert read.addresses == []
     for group in (runs[:2], runs[2:]):
         measured = [read_scores(run) for run in group]
-        for table in main_tables(measured, merged(measured)):
+        for table in main_tables(measured, merge_results([run.results for run in measured])):
             assert all(cell.text in read.texts for row in table.rows for cell in row.cells)
     missing = f"{NAMES[LABELS[2]]} was not measured on second: its means stand on other scenes and do not compare."
     assert read.texts.count(missing) == 1
     assert page.read_bytes() == write_leaderboard(runs, tmp_path / "again.html").read_bytes()
-
-
-def merged(measured):
-    from ggvs_eval.results import merge_results
-
-    return merge_results([run.results for run in measured])
 
 
 def test_a_method_measured_twice_on_a_scene_is_refused(runs, tmp_path):
@@ -145,3 +141,21 @@ def test_the_command_writes_a_leaderboard(runs, tmp_path, capsys):
     run_command(["report", *map(str, runs), "--to", "leaderboard", "--out", str(tmp_path / "board.html")])
     assert capsys.readouterr().out.strip() == str(tmp_path / "board.html")
     assert "Leaderboard" in (tmp_path / "board.html").read_text(encoding="utf-8")
+
+
+def test_published_rows_stand_on_the_page_under_their_own_protocol_alone(tmp_path):
+    """Of two scored runs, the one under n3v_4dgs has 4DGS's row in grey and its source below; the other has neither."""
+    run = write_run(tmp_path / "flame_steak", replace(SHAPE, scene="flame_steak", dataset="Neural 3D Video"))
+    other = write_leaderboard([run], tmp_path / "other.html").read_text(encoding="utf-8")
+    protocol = load_protocol("n3v_4dgs")
+    protocol = replace(protocol, measurement=replace(protocol.measurement, metrics=SHAPE.metrics))
+    (run / "protocol.toml").write_text(protocol.to_toml())
+    results = Results.read(run)
+    replace(results, provenance={**results.provenance, "protocol_sha256": protocol.sha256}).write(run)
+    page = write_leaderboard([run], tmp_path / "board.html").read_text(encoding="utf-8")
+
+    assert '<tr class="published grey">' in page
+    assert "4DGS (published, mean of 6 scenes)" in page
+    assert "Grey: Wu et al., 4D Gaussian Splatting for Real-Time Dynamic Scene Rendering, CVPR 2024" in page
+    assert "published grey" not in other
+    assert "4DGS" not in other
