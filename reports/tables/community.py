@@ -79,7 +79,7 @@ def community_rows(protocol: Protocol, scenes: Collection[str], metrics: Sequenc
     return tuple(rows)
 
 
-def describe_published(protocol: Protocol, scenes: Collection[str], metrics: Sequence[str]) -> list[str]:
+def describe_published(protocol: Protocol, scenes: Collection[str]) -> list[str]:
     """Say below a table where its published rows are from, or why it has none though its protocol's name has a table."""
     terms = published_terms().get(protocol.name)
     if terms is None:
@@ -91,7 +91,7 @@ def describe_published(protocol: Protocol, scenes: Collection[str], metrics: Seq
         f"{metric} {value} of {method} ({scene})"
         for (method, scene), values in shown.items()
         for metric, value in values.items()
-        if metric not in metrics
+        if metric not in protocol.measurement.metrics
     ]
     told = (
         f"Grey: {terms.source}; frames: {terms.frames}; LPIPS: {terms.lpips_net}; D-SSIM: {terms.dssim}. "

@@ -19,7 +19,6 @@ from ggvs_eval.statistics.paired import Standing, rank_methods
 
 CHOSEN_FOR = {"nearest": "", "coverage": ", chosen for what they see of the target"}  # words after the number of sources
 PUBLISHED_GROUPS = ("quality", "consistency")
-COMMUNITY_GROUP = "quality"
 
 
 @dataclass(frozen=True)
@@ -93,9 +92,9 @@ def _main_table(
     grey = reference_rows(references, key, notes)
     grey += published_rows(key, dataset, metrics) if key in PUBLISHED_GROUPS else ()
     protocol, scenes = runs[0].protocol, [run.scene for run in runs]
-    if key == COMMUNITY_GROUP:
-        grey += community_rows(protocol, scenes, metrics)
-    published = describe_published(protocol, scenes, metrics) if key == COMMUNITY_GROUP else []
+    community = community_rows(protocol, scenes, metrics)
+    grey += community
+    published = describe_published(protocol, scenes) if community or key == PUBLISHED_GROUPS[0] else []
     frames, views = _count(protocol.frames.count, "frame"), _count(len(protocol.views.test), "view")
     sources = f"K = {protocol.synthesis.k} source views{CHOSEN_FOR[protocol.synthesis.sources]}"
     means = f"Mean over {frames}, then {views}, then scenes; {sources}."

@@ -44,7 +44,7 @@ def test_values_of_a_scene_stand_beside_that_scene():
         "QUEEN (published, flame_steak)",
     ]
     assert rows_of(protocol, ("kitchen",)) == {}
-    assert describe_published(protocol, ("kitchen",), QUALITY) == []
+    assert describe_published(protocol, ("kitchen",)) == []
 
 
 @pytest.mark.parametrize(
@@ -62,7 +62,7 @@ def test_other_terms_have_no_published_row(change, differing):
     """What is measured otherwise under the same name does not compare, and the caption says in what it differs."""
     protocol = change(load_protocol("n3v_4dgs"))
     assert rows_of(protocol) == {}
-    (said,) = describe_published(protocol, ("flame_steak",), QUALITY)
+    (said,) = describe_published(protocol, ("flame_steak",))
     assert said == f"Published values of n3v_4dgs are not shown: this run differs from the packaged protocol in {differing}."
 
 
@@ -72,7 +72,7 @@ def test_more_metrics_and_sources_change_no_published_value():
     measurement = replace(protocol.measurement, metrics=("PSNR", "TCC"), ceilings=False)
     protocol = replace(protocol, synthesis=replace(protocol.synthesis, k=8, sources="coverage"), measurement=measurement)
     assert rows_of(protocol, metrics=("PSNR", "TCC")) == {"4DGS (published, mean of 6 scenes)": ["31.15", "not reported"]}
-    told, beyond = describe_published(protocol, ("flame_steak",), ("PSNR", "TCC"))
+    told, beyond = describe_published(protocol, ("flame_steak",))
     assert "LPIPS: alex; D-SSIM: (1 - MS-SSIM) / 2." in told
     assert beyond == "Published too: SSIM 0.940 of 4DGS (mean of 6 scenes), LPIPS 0.049 of 4DGS (mean of 6 scenes), " + (
         "D-SSIM 0.016 of 4DGS (mean of 6 scenes)."
@@ -83,7 +83,7 @@ def test_what_does_not_compare_is_withheld():
     """Google Immersive is published on fisheye images: the caption says why there is no row."""
     protocol = load_protocol("immersive_stg")
     assert rows_of(protocol, ("02_Flames",)) == {}
-    (said,) = describe_published(protocol, ("02_Flames",), QUALITY)
+    (said,) = describe_published(protocol, ("02_Flames",))
     assert said.endswith("not shown: they are of the fisheye images, and frames are undistorted here.")
 
 
