@@ -200,6 +200,10 @@ class Capture:
             notes=(*self.notes, f"{', '.join(names)} left out: {reason}"),
         )
 
+    def noted(self, note: str) -> "Capture":
+        """The same capture with one more note."""
+        return replace(self, notes=(*self.notes, note))
+
     def _index(self, name: str) -> int:
         if name not in self.camera_names:
             raise CaptureError(f"{self.path}: no camera {name!r}; the capture has {', '.join(self.camera_names)}")

@@ -21,10 +21,12 @@ class Views:
     Attributes:
         test: names of the target cameras.
         chosen_by: who chose them and by which rule; the paper gives counts only, so ours are marked ``chosen by us``.
+        keep_unsynced: cameras that are known to be out of step stay among the sources, as in the code of some authors.
     """
 
     test: tuple[str, ...]
     chosen_by: str
+    keep_unsynced: bool = False
 
 
 @dataclass(frozen=True)
@@ -166,6 +168,8 @@ class Protocol:
         A choice that came later is left out where it is as it always was, so that the hashes of older results stay valid.
         """
         values = dataclasses.asdict(self)
+        if not self.views.keep_unsynced:
+            del values["views"]["keep_unsynced"]
         if self.synthesis.sources == Synthesis.sources:
             del values["synthesis"]["sources"]
         if self.measurement.lpips_every == Measurement.lpips_every:

@@ -16,7 +16,7 @@ from ggvs_eval.reports.page.page import render_page
 from ggvs_eval.reports.page.sweep_section import is_sweep, sweep_runs, sweep_section
 from ggvs_eval.reports.run_groups import RunGroup, RunSection, read_groups
 from ggvs_eval.reports.tables.excel import has_excel, write_excel
-from ggvs_eval.reports.tables.published import CAVEATS, SOURCE
+from ggvs_eval.reports.tables.published import CAVEATS, PAPER, SOURCE
 from ggvs_eval.reports.tables.reproduction import Reproduction, reproduce
 from ggvs_eval.reports.tables.reproduction_formats import paper_tables, reproduction_csv, reproduction_markdown
 from ggvs_eval.reports.tables.table_formats import to_csv, to_latex, to_markdown
@@ -67,7 +67,7 @@ def _notes(groups: Sequence[RunGroup]) -> list[str]:
     """Write the notes that hold for whole files: protocols, and the source of published values."""
     called = [f"{one.protocol.name} ({one.name})" if len(groups) > 1 else one.protocol.name for one in groups]
     notes = [f"Protocol {name}, sha256 {one.protocol.sha256}" for name, one in zip(called, groups, strict=True)]
-    if any(row.kind == "published" for group in groups for table in group.tables for row in table.rows):
+    if any(row.name.endswith(PAPER) for group in groups for table in group.tables for row in table.rows):
         notes += [f"Grey or italic rows are published values: {SOURCE}", *CAVEATS]
     return notes
 

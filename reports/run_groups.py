@@ -1,6 +1,6 @@
 """Runs of one protocol, which alone may share a table; a report holds one group of them or several."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import starmap
@@ -88,6 +88,23 @@ def read_groups(roots: Sequence[Path]) -> tuple[RunGroup, ...]:
         ResultsError: no run, a run given twice, or a folder that is not a scored run.
         RenderError: frames are missing.
     """
+    by_protocol = runs_by_protocol(roots, read_run)
+    firsts = [runs[0] for runs in by_protocol]
+    names = _name_groups(firsts, [run.scene for run in firsts])
+    headings = _name_groups(firsts, [run.title for run in firsts])
+    return tuple(starmap(_make_group, zip(names, headings, by_protocol, strict=True)))
+
+
+def runs_by_protocol(roots: Sequence[Path], read: Callable[[Path], MeasuredRun]) -> list[list[MeasuredRun]]:
+    """Read runs and sort them by the hash of their protocol, in the order in which they are given.
+
+    Args:
+        roots: run folders.
+        read: reads one.
+
+    Raises:
+        ResultsError: no run, a run given twice, or what `read` raises.
+    """
     if not roots:
         raise ResultsError("wanted at least one run folder, got none; make one with `ggvs-eval run`")
     places = [Path(root).resolve() for root in roots]
@@ -97,12 +114,9 @@ def read_groups(roots: Sequence[Path]) -> tuple[RunGroup, ...]:
             f"{twice}: wanted each run once, it is given {places.count(Path(twice).resolve())} times; name it once"
         )
     by_protocol: dict[str, list[MeasuredRun]] = {}
-    for run in map(read_run, roots):
+    for run in map(read, roots):
         by_protocol.setdefault(run.protocol.sha256, []).append(run)
-    firsts = [runs[0] for runs in by_protocol.values()]
-    names = _name_groups(firsts, [run.scene for run in firsts])
-    headings = _name_groups(firsts, [run.title for run in firsts])
-    return tuple(starmap(_make_group, zip(names, headings, by_protocol.values(), strict=True)))
+    return list(by_protocol.values())
 
 
 def _make_group(name: str, heading: str, runs: Sequence[MeasuredRun]) -> RunGroup:

@@ -33,7 +33,7 @@ FLOORS = (
     ("reports.figures", "reports.tables", "reports.depth_page"),
     ("reports.run_groups",),
     ("reports.page",),
-    ("reports.report",),
+    ("reports.report", "reports.tracking"),
     ("pipelines.online", "pipelines.offline.stereo", "pipelines.offline.plane_sweep", "pipelines.offline.calibration"),
     ("pipelines.methods", "pipelines.offline.sensor"),
     ("pipelines.offline.depth",),

@@ -13,17 +13,19 @@ from ggvs_eval.datasets import (
     d3dmv,
     dynerf,
     easymocap,
+    immersive,
+    meetroom,
     multipleview,
     nerfstudio,
     rgbd,
     spaces,
+    technicolor,
 )
 from ggvs_eval.datasets.corrections import apply_corrections, corrections_file, read_corrections
+from ggvs_eval.datasets.known_traps import apply_known_traps
 from ggvs_eval.datasets.units import GivenUnits
 from ggvs_eval.errors import CaptureError, did_you_mean
 
-# Streams known to be out of step with the rest of their capture, (scene, camera).
-UNSYNCED = {("coffee_martini", "cam13")}
 LISTED = 8
 
 
@@ -47,9 +49,14 @@ DATASETS = {
     "capture.toml": DatasetSpec("capture.toml, a rig of one's own", capture_toml.refuse, capture_toml.load),
     "d3dmv": DatasetSpec("SCENE.h5 with SCENE_pb.npy, or frames/ and background/", d3dmv.refuse, d3dmv.load),
     "spaces": DatasetSpec("models.json with cam_XX/ (Google Spaces)", spaces.refuse, spaces.load),
+    "immersive": DatasetSpec("models.json with camera_XXXX.mp4 (Google Immersive)", immersive.refuse, immersive.load),
+    "technicolor": DatasetSpec(
+        "cameras_parameters.txt with SCENE_undist_00000_00.png (Technicolor)", technicolor.refuse, technicolor.load
+    ),
     "rgbd": DatasetSpec("color/, depth/, pose/ and intrinsic/ (ScanNet), or images/, depth/, poses.txt", rgbd.refuse, rgbd.load),
     "multipleview": DatasetSpec("sparse_/ with camXX/frame_00001.jpg", multipleview.refuse, multipleview.load),
     "dynerf": DatasetSpec(f"poses_bounds.npy with {dynerf.ARRANGEMENTS}", dynerf.refuse, dynerf.load),
+    "meetroom": DatasetSpec("poses_bounds.npy with cam_N.mp4 or 0000/images/camNN.png", meetroom.refuse, meetroom.load),
     "enerf-outdoor": DatasetSpec("intri.yml and extri.yml with images/XX/ (EasyMocap)", easymocap.refuse, easymocap.load),
     "colmap": DatasetSpec(f"sparse/0 with {colmap.ARRANGEMENTS}", colmap.refuse, colmap.load),
     "nerfstudio": DatasetSpec("transforms.json with one image per camera", nerfstudio.refuse, nerfstudio.load),
@@ -73,7 +80,8 @@ def open_capture(path: str | Path, layout: str | None = None, *, units: GivenUni
         CaptureError: nothing there, no layout that fits (with the reason of each), or a capture that is damaged.
 
     Reading:
-        What ``corrections.toml`` in the capture says is done to its frames, see `ggvs_eval.datasets.corrections`.
+        What ``corrections.toml`` in the capture says is done to its frames, see `ggvs_eval.datasets.corrections`. What is known
+        to be wrong with a public scene becomes a note, see `ggvs_eval.datasets.known_traps`.
 
     Examples:
         >>> import json, tempfile
@@ -99,8 +107,7 @@ def open_capture(path: str | Path, layout: str | None = None, *, units: GivenUni
     capture = spec.load(path, units)
     corrections = corrections_file(path)
     capture = apply_corrections(capture, read_corrections(corrections), corrections)
-    unsynced = [camera for scene, camera in UNSYNCED if scene == capture.scene]
-    return capture.without(unsynced, "known to be out of step with the others") if drop_unsynced else capture
+    return apply_known_traps(capture, leave_out=drop_unsynced)
 
 
 def detect_layout(path: Path, wanted: str | None = None) -> str:

@@ -14,7 +14,7 @@ from ggvs_eval.files.video import VideoFrames
 
 # Image folders do not say their rate; every capture published in this layout was recorded at this one.
 FOLDER_FPS = 30.0
-ARRANGEMENTS = "CAM.mp4, videos/CAM.mp4, images/CAM/, CAM/images/, CAM/ or one image per camera in images/"
+ARRANGEMENTS = "CAM.mp4, videos/CAM.mp4, images/CAM/, CAM/images/, CAM/images_scaled_2/, CAM/ or one image per camera in images/"
 LISTED = 24
 LARGEST_RIG = 10_000  # poses of a hand-held sequence, each of which is a camera, are some thousands
 # File systems take no longer ones.
@@ -190,7 +190,7 @@ def _arrangements(path: Path, image_names: Mapping[str, str]) -> Iterator[dict[s
     names = [name for name in image_names if _is_plain(name)]
     for pattern in ("{}.mp4", "videos/{}.mp4"):
         yield {name: VideoFrames(path / pattern.format(name)) for name in names if (path / pattern.format(name)).is_file()}
-    for pattern in ("images/{}", "{}/images", "{}"):
+    for pattern in ("images/{}", "{}/images", "{}/images_scaled_2", "{}"):
         yield {name: ImageFrames(path / pattern.format(name)) for name in names if list_images(path / pattern.format(name))}
     for parent in (path / "images", path):
         files = {name: parent / image for name, image in image_names.items() if _stays_inside(image)}

@@ -1,6 +1,7 @@
 """A depth range for cameras whose capture gives none: from where the rig looks, or from a cloud of points."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,9 @@ import numpy as np
 from ggvs_eval.arrays import Array
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.plain import check_plain
+from ggvs_eval.files.toml_tables import build_table, read_toml
+
+DEPTH_RANGE_FILE = "depth_range.toml"
 
 # The scene is assumed to lie between these multiples of the distance to the point that the rig looks at.
 NEAR_FACTOR, FAR_FACTOR = 0.25, 4.0
@@ -19,6 +23,34 @@ LARGEST_CLOUD = 256 << 20  # bytes
 # Cameras around a scene are at most twice as far apart as the middle is far, and that if they are two that face each other.
 LEAST_DEPTH_SPACINGS = 0.4
 LARGEST_MISS = 0.5
+
+
+@dataclass(frozen=True)
+class GivenDepthRange:
+    """What ``depth_range.toml`` says: least and greatest depth of the scene, world units."""
+
+    near: float
+    far: float
+
+
+def given_depth_range(path: Path) -> tuple[float, float] | None:
+    """Return near and far of all cameras as ``depth_range.toml`` in a capture's folder gives them; None without that file.
+
+    Raises:
+        CaptureError: a damaged file, or no range.
+    """
+    file = path / DEPTH_RANGE_FILE
+    if not file.exists():
+        return None
+    given = build_table(GivenDepthRange, read_toml(file, CaptureError), str(file), "", CaptureError)
+    if not 0 < given.near < given.far:
+        raise CaptureError(f"{file}: wanted 0 < near < far in world units, got {given.near:g} and {given.far:g}; correct it")
+    return given.near, given.far
+
+
+def write_depth_range(path: Path, near: float, far: float) -> None:
+    """Write a file that `given_depth_range` reads back."""
+    (path / DEPTH_RANGE_FILE).write_text(f"near = {near!r}\nfar = {far!r}\n", encoding="utf-8")
 
 
 def rig_depth_range(poses: Sequence[Array]) -> list[tuple[float, float]]:

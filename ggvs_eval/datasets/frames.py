@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -52,9 +52,7 @@ class ImageFrames:
             raise CaptureError(
                 f"{self.path}: wanted images ({', '.join(IMAGE_SUFFIXES)}), got {instead}; restore this camera's frames"
             )
-        if len(files) > 1:
-            self._check_numbers([_last_number(file) for file in files])
-        return tuple(sorted(files, key=_last_number))
+        return self._in_time({file: _last_number(file) for file in files})
 
     @cached_property
     def size(self) -> tuple[int, int]:
@@ -104,10 +102,17 @@ class ImageFrames:
                 )
             yield image
 
-    def _check_numbers(self, numbers: list[int]) -> None:
+    def _in_time(self, numbers: Mapping[Path, int]) -> tuple[Path, ...]:
+        """The files in the order of their frame numbers, which must go in even steps."""
+        if len(numbers) > 1:
+            self._check_numbers(numbers)
+        return tuple(sorted(numbers, key=numbers.__getitem__))
+
+    def _check_numbers(self, number_of: Mapping[Path, int]) -> None:
+        numbers = list(number_of.values())
         twice = sorted(number for number, count in Counter(numbers).items() if count > 1)
         if twice:
-            names = " and ".join([file.name for file in list_images(self.path) if _last_number(file) == twice[0]][:LISTED])
+            names = " and ".join([file.name for file, number in number_of.items() if number == twice[0]][:LISTED])
             listed = "no number" if twice[0] < 0 else f"the number {twice[0]}"
             raise CaptureError(
                 f"{self.path}: wanted one image per frame number, got several with {listed} ({names}); keep one of them"
@@ -122,6 +127,29 @@ class ImageFrames:
             raise CaptureError(
                 f"{self.path}: wanted frames numbered in even steps, got {found}; restore the frames or renumber them"
             )
+
+
+@dataclass(frozen=True)
+class NumberedFrames(ImageFrames):
+    """The frames of one camera where those of several share a folder, or each instant has one; else as `ImageFrames`.
+
+    Attributes:
+        path: what messages name: the folder that holds them all.
+        numbered: frame numbers and images, in any order.
+    """
+
+    numbered: tuple[tuple[int, Path], ...]
+
+    @cached_property
+    def files(self) -> tuple[Path, ...]:
+        """The images in the order of time.
+
+        Raises:
+            CaptureError: no image, two images for one instant, or a gap.
+        """
+        if not self.numbered:
+            raise CaptureError(f"{self.path}: wanted images of each camera, got none of one; restore them")
+        return self._in_time({file: number for number, file in self.numbered})
 
 
 def list_images(folder: Path) -> list[Path]:

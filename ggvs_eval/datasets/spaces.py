@@ -1,54 +1,27 @@
 """Google Spaces: a rig of 16 cameras set up at several positions before a scene that stands still."""
 
-import json
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 
-from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size
 from ggvs_eval.datasets.depth_range import rig_depth_range
 from ggvs_eval.datasets.frames import ImageFrames
+from ggvs_eval.datasets.google_models import MODELS, CameraModel, load_models, read_camera_model
 from ggvs_eval.datasets.units import METRIC, GivenUnits, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
-from ggvs_eval.files.plain import read_plain_text
-
-MODELS = "models.json"
-# What every camera of the file must say, and how many numbers each is.
-NUMBERS = {
-    "principal_point": 2,
-    "pixel_aspect_ratio": 1,
-    "focal_length": 1,
-    "position": 3,
-    "orientation": 3,
-    "width": 1,
-    "height": 1,
-}
 
 
 class _View(NamedTuple):
-    """One camera at one position of the rig.
-
-    Attributes:
-        name: ``pos00_cam03``.
-        file: its image.
-        K: intrinsics for an image of width x height.
-        world_to_camera: rigid transform, (4, 4), metres.
-        width: of the image that was calibrated, not always a whole number of pixels.
-        height: likewise.
-    """
+    """One camera at one position of the rig: its name, ``pos00_cam03``, its image and its calibration."""
 
     name: str
     file: Path
-    K: Array
-    world_to_camera: Array
-    width: float
-    height: float
+    model: CameraModel
 
 
 def refuse(path: Path) -> str | None:
@@ -86,7 +59,7 @@ def load_positions(path: Path, units: GivenUnits, positions: Sequence[int] | Non
         raise CaptureError(
             f"{path / MODELS}: wanted rig position {listed}, the scene has 0..{len(views) - 1}; choose among these"
         )
-    ranges = iter(rig_depth_range([view.world_to_camera for at in views for view in at]))
+    ranges = iter(rig_depth_range([view.model.world_to_camera for at in views for view in at]))
     ranged = [[(view, next(ranges)) for view in at] for at in views]
     taken = [each for position in chosen for each in ranged[position]]
     sources = [ImageFrames(view.file) for view, _ in taken]
@@ -97,11 +70,7 @@ def load_positions(path: Path, units: GivenUnits, positions: Sequence[int] | Non
 def _read_views(path: Path) -> list[list[_View]]:
     """The views of each position of the rig."""
     file = path / MODELS
-    try:
-        models = json.loads(read_plain_text(file))
-    except (OSError, ValueError, RecursionError) as error:
-        reason = "lists nested too deep" if isinstance(error, RecursionError) else str(error)
-        raise CaptureError(f"{file}: wanted JSON, got: {reason}; copy the scene again") from error
+    models = load_models(file)
     if not isinstance(models, list) or not models or not all(isinstance(at, list) and at for at in models):
         raise CaptureError(
             f"{file}: wanted a list over rig positions of lists of cameras, got something else; copy the scene again"
@@ -112,31 +81,9 @@ def _read_views(path: Path) -> list[list[_View]]:
 
 def _read_view(path: Path, position: int, camera: int, model: Any) -> _View:
     where = f"camera {camera} of rig position {position}"
-    values = {key: _read_numbers(path, model, key, where) for key in NUMBERS}
-    focal_px, aspect = *values["focal_length"], *values["pixel_aspect_ratio"]
-    (cx, cy), (width,), (height,) = values["principal_point"], values["width"], values["height"]
-    if width < 1 or height < 1:
-        raise CaptureError(f"{path / MODELS}: wanted a size of {where}, got {width:g} x {height:g}; copy the scene again")
-    rotation = cv2.Rodrigues(np.array(values["orientation"]))[0]
-    world_to_camera = np.eye(4)
-    world_to_camera[:3, :3] = rotation
-    world_to_camera[:3, 3] = -rotation @ values["position"]
-    K = np.array([[focal_px, 0.0, cx], [0.0, focal_px * aspect, cy], [0.0, 0.0, 1.0]])
+    calibrated = read_camera_model(path / MODELS, model, where)
     file = _read_path(path, model, f"cam_{camera:02d}/image_{position:03d}.JPG", where)
-    return _View(f"pos{position:02d}_cam{camera:02d}", file, K, world_to_camera, width, height)
-
-
-def _read_numbers(path: Path, model: Any, key: str, where: str) -> list[float]:
-    """The numbers of one key as a list, whether the file holds a list or a single one."""
-    value = model.get(key) if isinstance(model, dict) else None
-    listed: list[Any] = value if isinstance(value, list) else [value]
-    right = len(listed) == NUMBERS[key] and all(isinstance(each, int | float) and not isinstance(each, bool) for each in listed)
-    # Beyond this nothing is a length or an angle, and whole numbers may not even fit a float.
-    if not right or not all(abs(each) < 1e9 for each in listed):
-        requirement = f"{NUMBERS[key]} finite numbers" if NUMBERS[key] > 1 else "a finite number"
-        content = f"{value!r:.60}" if isinstance(model, dict) else f"{model!r:.60} for the camera"
-        raise CaptureError(f"{path / MODELS}: wanted {requirement} as {key} of {where}, got {content}; copy the scene again")
-    return [float(each) for each in listed]
+    return _View(f"pos{position:02d}_cam{camera:02d}", file, calibrated)
 
 
 def _read_path(path: Path, model: dict[str, Any], usual: str, where: str) -> Path:
@@ -160,15 +107,15 @@ def _make_camera(view: _View, source: ImageFrames, limits: tuple[float, float]) 
     """The camera at the size of its image on disk."""
     if not view.file.is_file():
         raise CaptureError(f"{view.file}: wanted the image of {view.name}, there is none; restore it or copy the scene again")
-    width, height = source.size
-    if abs(view.height * width / view.width - height) > 1:
-        calibrated = f"{view.width:g} x {view.height:g}"
+    model, (width, height) = view.model, source.size
+    if abs(model.height * width / model.width - height) > 1:
+        calibrated = f"{model.width:g} x {model.height:g}"
         raise CaptureError(
             f"{view.file}: wanted the shape of {calibrated} that {view.name} is calibrated for, got {width} x {height}; "
             "give images that are scaled but not cropped"
         )
-    K = np.diag([width / view.width, height / view.height, 1.0]) @ view.K
+    K = np.diag([width / model.width, height / model.height, 1.0]) @ model.K
     try:
-        return Camera(view.name, K, view.world_to_camera, width, height, *limits)
+        return Camera(view.name, K, model.world_to_camera, width, height, *limits)
     except CameraError as error:
         raise CaptureError(f"{view.file.parents[1] / MODELS}: {error}; copy the scene again") from error

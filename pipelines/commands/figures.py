@@ -10,19 +10,31 @@ from ggvs_eval.pipelines.commands.captures import Output, Run
 Runs = Annotated[
     tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN [RUN ...]", help_behavior_hint="(at least one)")
 ]
+Destination = Literal["page", "leaderboard", "tensorboard", "mlflow", "wandb"]
 Kind = Annotated[Literal["crops", "failures", "epi", "time", "k"], tyro.conf.Positional]
 
 
-def report(runs: Runs, out: Path | None = None) -> None:
+def report(runs: Runs, out: Path | None = None, to: Destination = "page") -> None:
     """Write the page, the tables (Markdown, CSV, LaTeX, Excel), the paper's values beside ours, and the figures of scored runs.
 
     Args:
         runs: run folders; those of one protocol share a section of the page.
-        out: folder to write; RUN/report of the first run by default.
+        out: folder to write; RUN/report of the first run by default, the file leaderboard.html, or the folder tracked.
+        to: page with all that belongs to it; leaderboard: the tables alone on one page, for which no frames are needed; or a
+            tracker, whose package must be installed: its files are written without a network.
     """
-    from ggvs_eval.pipelines.run.evaluate import report as write
+    if to == "leaderboard":
+        from ggvs_eval.reports.page.leaderboard import write_leaderboard
 
-    print(write(runs, out))
+        print(write_leaderboard(runs, out or Path("leaderboard.html")))
+    elif to == "page":
+        from ggvs_eval.pipelines.run.evaluate import report as write
+
+        print(write(runs, out))
+    else:
+        from ggvs_eval.reports.tracking import track_results
+
+        print(track_results(runs, to, out or Path("tracked")))
 
 
 def figure(

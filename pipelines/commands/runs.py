@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -63,7 +64,7 @@ def prepare(
     from ggvs_eval.pipelines.run.prepare import prepare_run
     from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
 
-    root, opened = engine.place(run), reading.open(engine.place(capture))
+    root, opened = engine.place(run), _open(reading, engine.place(capture), protocol)
     chosen = _protocol(protocol, opened)
     plan = plan_run(RunRequest(root, opened, chosen, depth=depth))
     print_plan([plan], engine.jobs, root, dry_run)
@@ -149,7 +150,7 @@ def run(
             print(outlook, file=sys.stderr, flush=True)
         print(evaluate_demos(root, labels, engine, reading.open, depth, networks, show_plans=show_plans, show=show))
         return
-    opened = reading.open(engine.place(capture)) if capture else _demo_beside(root, engine.jobs, reading, dry_run)
+    opened = _open(reading, engine.place(capture), protocol) if capture else _demo_beside(root, engine.jobs, reading, dry_run)
     chosen = _protocol(protocol, opened)
     plan = plan_run(RunRequest(root, opened, chosen, methods, depth, networks))
     print_plan([plan], engine.jobs, root, dry_run)
@@ -198,7 +199,7 @@ def sweep(
 
     definition, part = load_sweep(name), Shard.parse(shard)
     networks = _networks(weights, "cpu" if plan else device)  # planned commands may run where there is a GPU
-    given = [reading.open(engine.place(path)) for path in capture]
+    given = [_open(reading, engine.place(path), protocol) for path in capture]
     captures = given or [_demo_beside(engine.place(out), engine.jobs, reading, dry_run and not plan)]
     paths = [each.path for each in captures]
     opened = {each.path.resolve().name: each for each in captures}
@@ -281,6 +282,14 @@ def _demo_beside(run: Path, jobs: int, reading: ReadingOptions, dry_run: bool) -
 def _home(plans: Sequence[RunPlan]) -> Path:
     """The folder of one run, or of the sweep that several belong to."""
     return plans[0].run.root if len(plans) == 1 else plans[0].run.root.parent
+
+
+def _open(reading: ReadingOptions, path: Path, protocol: str | None) -> Capture:
+    """Open a capture as its protocol wants it: with the cameras that are out of step where the protocol keeps them."""
+    from ggvs_eval.protocol import load_protocol
+
+    keeps = protocol is not None and load_protocol(protocol).views.keep_unsynced
+    return (replace(reading, keep_unsynced=True) if keeps else reading).open(path)
 
 
 def _protocol(source: str | None, capture: Capture) -> Protocol:

@@ -157,6 +157,23 @@ def read_run(root: Path) -> MeasuredRun:
         ResultsError: not a run folder, not scored, or scored under another protocol than the one that lies in it.
         RenderError: frames are missing.
     """
+    run = read_scores(root)
+    folder = run.folder
+    if not folder.labels():
+        raise ResultsError(f"{folder.root}: no frames under renders/ to report on; run `ggvs-eval render` again")
+    run = replace(run, labels=tuple(folder.labels()), references=read_references(folder))
+    for view in run.protocol.views.test:
+        named = {f"{run.name(label)} in {view}": path for label, path in run.frame_folders(view).items()}
+        require_frames(named, run.frames)
+    return run
+
+
+def read_scores(root: Path) -> MeasuredRun:
+    """Read the numbers of a run: its methods are those in the results, and no frame is looked for.
+
+    Raises:
+        ResultsError: not a run folder, not scored, or scored under another protocol than the one that lies in it.
+    """
     folder = RunFolder(Path(root))
     protocol, results = folder.protocol(), Results.read(folder.root)
     if results.provenance["protocol_sha256"] != protocol.sha256:
@@ -164,16 +181,11 @@ def read_run(root: Path) -> MeasuredRun:
             f"{folder.root}: results were measured under protocol {results.provenance['protocol_sha256'][:12]}, "
             f"protocol.toml is {protocol.sha256[:12]}; run `ggvs-eval score` again"
         )
-    if not folder.labels():
-        raise ResultsError(f"{folder.root}: no frames under renders/ to report on; run `ggvs-eval render` again")
+    named = zip(results.table["method"], results.table["variant"], strict=True)
+    labels = tuple(dict.fromkeys(label_of(*names) for names in dict.fromkeys(named)))
     methods = read_json(folder.root / METHODS_FILE)
     notes = read_metric_notes(folder.root)
-    run = MeasuredRun(folder, protocol, results, tuple(folder.labels()), methods["names"], frozenset(methods["ours"]), notes)
-    run = replace(run, references=read_references(folder))
-    for view in protocol.views.test:
-        named = {f"{run.name(label)} in {view}": path for label, path in run.frame_folders(view).items()}
-        require_frames(named, run.frames)
-    return run
+    return MeasuredRun(folder, protocol, results, labels, methods["names"], frozenset(methods["ours"]), notes)
 
 
 def label_of(method: str, variant: str) -> str:

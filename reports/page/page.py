@@ -7,7 +7,7 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,11 +24,14 @@ from ggvs_eval.reports.page.sequences import PathPictures, PictureRoom, method_v
 from ggvs_eval.reports.page.sweep_section import SweepSection
 from ggvs_eval.reports.run_groups import RunGroup, RunSection
 from ggvs_eval.reports.tables.leaders import leaders
-from ggvs_eval.reports.tables.published import CAVEATS
+from ggvs_eval.reports.tables.published import CAVEATS, PAPER
 from ggvs_eval.reports.tables.reproduction import MEANING, Reproduction
 from ggvs_eval.reports.tables.reproduction_formats import HEADS, blocks, count_words, paper_tables
 from ggvs_eval.reports.tables.verdict import Verdict, evaluate_verdict
 from ggvs_eval.run_folder import JOB_FILE
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 TEMPLATES = Path(__file__).parent / "templates"
 FIRST_SCRIPTS = ("theme", "loading")  # run before anything is drawn, so that no page flashes in the wrong colours
@@ -107,34 +110,41 @@ def render_page(groups: Sequence[RunGroup], reproduced: Sequence[Reproduction] =
     Returns:
         The whole page; equal inputs give equal text.
     """
+    scripts = {"first": page_script(FIRST_SCRIPTS), "last": page_script()}
+    return (
+        template_environment()
+        .get_template("page.html.j2")
+        .render(
+            title=" · ".join(dict.fromkeys(group.titles for group in groups)),
+            css=(TEMPLATES / "page.css").read_text(encoding="utf-8"),
+            dark_css=(TEMPLATES / "dark.css").read_text(encoding="utf-8"),
+            scripts=scripts,
+            script_digests=[script_digest(script) for script in scripts.values()],
+            groups=_groups(groups),
+            sweeps=[{"id": f"sweep{at}", "title": sweep.title, **vars(sweep)} for at, sweep in enumerate(sweeps)],
+            plot=PLOT,
+            caveats=CAVEATS,
+            reproduction={
+                "heads": HEADS,
+                "tables": [_without_empty_rows(table) for table in paper_tables(reproduced)],
+                "blocks": blocks(reproduced),
+                "counts": count_words(reproduced),
+                "meaning": MEANING,
+                "values": len(reproduced),
+            },
+            error_scale=png_uri(error_scale()),
+            error_full_scale=int(ERROR_FULL_SCALE),
+            heat_scale=png_uri(heat_colours()),
+        )
+    )
+
+
+def template_environment() -> "Environment":
+    """Return the templates' environment: everything is escaped, and what is not given is an error."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-    environment = Environment(
-        loader=FileSystemLoader(TEMPLATES), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    scripts = {"first": page_script(FIRST_SCRIPTS), "last": page_script()}
-    return environment.get_template("page.html.j2").render(
-        title=" · ".join(dict.fromkeys(group.titles for group in groups)),
-        css=(TEMPLATES / "page.css").read_text(encoding="utf-8"),
-        dark_css=(TEMPLATES / "dark.css").read_text(encoding="utf-8"),
-        scripts=scripts,
-        script_digests=[script_digest(script) for script in scripts.values()],
-        groups=_groups(groups),
-        sweeps=[{"id": f"sweep{at}", "title": sweep.title, **vars(sweep)} for at, sweep in enumerate(sweeps)],
-        plot=PLOT,
-        caveats=CAVEATS,
-        reproduction={
-            "heads": HEADS,
-            "tables": [_without_empty_rows(table) for table in paper_tables(reproduced)],
-            "blocks": blocks(reproduced),
-            "counts": count_words(reproduced),
-            "meaning": MEANING,
-            "values": len(reproduced),
-        },
-        error_scale=png_uri(error_scale()),
-        error_full_scale=int(ERROR_FULL_SCALE),
-        heat_scale=png_uri(heat_colours()),
-    )
+    loader = FileSystemLoader(TEMPLATES)
+    return Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
 
 
 def _groups(groups: Sequence[RunGroup]) -> list[dict[str, Any]]:
@@ -160,6 +170,7 @@ def _groups(groups: Sequence[RunGroup]) -> list[dict[str, Any]]:
             "parts": _parts(group),
             "several_datasets": len({table.dataset for table in group.tables}) > 1,
             "has_published_rows": any(row.kind == "published" for table in group.tables for row in table.rows),
+            "has_paper_rows": any(row.name.endswith(PAPER) for table in group.tables for row in table.rows),
             "sections": [_section(*next(rooms), *next(tabs), section, verdicts[at]) for section in group.sections],
         }
         for at, group in enumerate(groups)

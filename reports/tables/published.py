@@ -13,6 +13,7 @@ CAVEATS = (
     "It gives the number of test views (9 on DyNeRF), not which; the choice moves PSNR by more than a decibel.",
     "It leaves the backbone of LPIPS and the variants of STED and SSIM open; ours are in the protocol.",
 )
+PAPER = " (paper)"  # ends the name of the paper's rows, which are not the only published ones
 UNITS = {"PSNR": "dB"}
 HIGHER_IS_BETTER = ("PSNR", "SSIM", "TCC")
 TIMING_WORDS = {
@@ -52,10 +53,11 @@ def published_rows(name: str, dataset: str, metrics: Sequence[str]) -> tuple[Row
     names = {dataset_name.lower(): dataset_name for dataset_name in read_published(name)}
     methods = read_published(name).get(names.get(dataset.lower(), ""), {})
     return tuple(
-        Row(f"{method} (paper)", tuple(_cell(values.get(metric)) for metric in metrics), "published")
+        Row(f"{method}{PAPER}", tuple(published_cell(values.get(metric)) for metric in metrics), "published")
         for method, values in methods.items()
     )
 
 
-def _cell(text: str | None) -> Cell:
+def published_cell(text: str | None) -> Cell:
+    """A published value with its own digits, or the word that there is none."""
     return Cell("not reported") if text is None else Cell(text, float(text))

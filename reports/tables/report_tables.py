@@ -11,6 +11,7 @@ import pandas as pd
 from ggvs_eval.reports.model.measured import MeasuredRun, label_of, reference_remarks, reference_rows
 from ggvs_eval.reports.model.metric_note import MetricNote, note_groups
 from ggvs_eval.reports.model.table import Cell, Column, Row, RowKind, Table, measured_cell, rank
+from ggvs_eval.reports.tables.community import community_rows, describe_published
 from ggvs_eval.reports.tables.published import published_rows
 from ggvs_eval.results import Results
 from ggvs_eval.statistics.intervals import LEVEL, Interval, intervals
@@ -90,14 +91,17 @@ def _main_table(
     references = [reference for run in runs for reference in run.references]
     grey = reference_rows(references, key, notes)
     grey += published_rows(key, dataset, metrics) if key in PUBLISHED_GROUPS else ()
-    protocol = runs[0].protocol
+    protocol, scenes = runs[0].protocol, [run.scene for run in runs]
+    community = community_rows(protocol, scenes, metrics)
+    grey += community
+    published = describe_published(protocol, scenes) if community or key == PUBLISHED_GROUPS[0] else []
     frames, views = _count(protocol.frames.count, "frame"), _count(len(protocol.views.test), "view")
     sources = f"K = {protocol.synthesis.k} source views{CHOSEN_FOR[protocol.synthesis.sources]}"
     means = f"Mean over {frames}, then {views}, then scenes; {sources}."
     if key == "path":
         means = f"Over the whole camera path, at one instant; {sources}."
     marks = [f"{label} is {mark}; it is not ranked." for label, mark in partial.items()]
-    caption = " ".join([means, *marks, *_certainty_captions(certain), *reference_remarks(references, key, notes)])
+    caption = " ".join([means, *marks, *_certainty_captions(certain), *reference_remarks(references, key, notes), *published])
     undecided = {metric: certainty.undecided for metric, certainty in certain.items()}
     return Table(key, title, caption, columns, rank(columns, rows, told) + grey, dataset, undecided)
 

@@ -58,15 +58,17 @@ def test_units_that_are_none_are_refused(dynerf, tmp_path, units, message):
 
 
 def test_what_is_left_out_is_said(tmp_path, capsys):
-    """cam13 of coffee_martini is dropped with a word about it, and kept when asked for."""
+    """cam13 of coffee_martini is dropped with a word about it, and kept with another where the user or the protocol asks."""
     names = (*NAMES, "cam13")
     scene = tmp_path / "coffee_martini"
     write_videos(scene, names)
     write_poses(scene, make_rig(names))
-    for extra, said in (((), True), (("--keep-unsynced",), False)):
+    for protocol, extra, said in (("dynerf", (), True), ("dynerf", ("--keep-unsynced",), False), ("n3v_4dgs", (), False)):
         with pytest.raises(SystemExit):
-            run("prepare", tmp_path / "run", "--capture", scene, "--protocol", "dynerf", *extra)
-        assert ("cam13 left out" in capsys.readouterr().err) == said
+            run("prepare", tmp_path / "run", "--capture", scene, "--protocol", protocol, *extra)
+        told = capsys.readouterr().err
+        assert told.count("cam13 left out") == said
+        assert told.count("known trap of Neural 3D Video, cam13 of coffee_martini, kept") == (not said)
 
 
 def test_undistort_and_calibrate_speak_in_one_line(tmp_path):

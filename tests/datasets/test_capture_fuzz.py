@@ -30,8 +30,8 @@ pytestmark = pytest.mark.fuzz
 LONGEST_S = 20
 
 
-# A COLMAP model is read in a process of its own, which takes half a second.
-EXAMPLES = {"colmap": 10, "multipleview": 4}
+# A COLMAP model is read in a process of its own, which takes half a second; videos take a while too.
+EXAMPLES = {"colmap": 10, "multipleview": 4, "immersive": 30, "meetroom": 40}
 
 
 @pytest.fixture(scope="module")

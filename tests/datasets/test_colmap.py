@@ -77,9 +77,9 @@ def test_depth_range_and_units_follow_the_points(colmap):
     assert capture.units_origin == "guess: median scene depth taken for 2 m"
 
 
-@pytest.mark.parametrize("pattern", ["{}/images", "images/{}", "{}"])
+@pytest.mark.parametrize("pattern", ["{}/images", "images/{}", "{}/images_scaled_2", "{}"])
 def test_image_folders(tmp_path, pattern):
-    """One folder of frames per camera opens under the names of the model."""
+    """One folder of frames per camera opens under the names of the model; images_scaled_2 is as QUEEN keeps Google Immersive."""
     write_colmap_model(tmp_path / "sparse", [f"{name}.png" for name in NAMES])
     write_folders(tmp_path, NAMES, pattern)
     capture = open_capture(tmp_path)

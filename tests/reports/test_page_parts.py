@@ -13,6 +13,7 @@ import pytest
 from ggvs_eval.files.images import read_image
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.model.measured import MeasuredRun, read_run
+from ggvs_eval.reports.page import leaderboard
 from ggvs_eval.reports.page.comparison import FRAME_BYTES, compare_frames
 from ggvs_eval.reports.page.data_uri import fitting_width
 from ggvs_eval.reports.page.heat_map import heat_colours, heat_maps
@@ -157,7 +158,8 @@ def test_long_runs_give_short_videos(tmp_path):
 
 def test_every_script_is_in_the_page(run, tmp_path):
     """All JavaScript files among the templates are inlined, in full, under a policy that allows exactly these two scripts."""
-    assert {f"{name}.js" for name in (*FIRST_SCRIPTS, *SCRIPTS)} == {file.name for file in TEMPLATES.glob("*.js")}
+    used = {*FIRST_SCRIPTS, *SCRIPTS, *leaderboard.SCRIPTS}
+    assert {f"{name}.js" for name in used} == {file.name for file in TEMPLATES.glob("*.js")}
     scripts = [page_script(FIRST_SCRIPTS), page_script()]
     text = write_report([Path(run.folder.root)], tmp_path / "report").read_text(encoding="utf-8")
     assert [one for one in PageReader(text).texts if one.startswith('"use strict"')] == [one.strip() for one in scripts]

@@ -7,6 +7,8 @@ import pytest
 from ggvs_eval.capture import Capture
 from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
 from ggvs_eval.protocol import load_protocol, packaged_protocols
+from ggvs_eval.reports.tables.community import published_terms
+from ggvs_eval.reports.tables.published import read_published
 from helpers.captures import make_rig
 
 
@@ -35,9 +37,22 @@ def test_protocols_are_the_papers(name, views, k, size, measured):
 
 
 @pytest.mark.parametrize("name", packaged_protocols())
-def test_chosen_views_are_marked_as_ours(name):
-    """The paper does not say which cameras it tests; every packaged list says that it is ours, and by which rule."""
-    assert load_protocol(name).views.chosen_by.startswith("chosen by us: ")
+def test_who_chose_the_views_is_said(name):
+    """The paper does not say which cameras it tests, so its lists say that they are ours; the others are their authors'."""
+    by = "the authors" if name in published_terms() else "us"
+    assert load_protocol(name).views.chosen_by.startswith(f"chosen by {by}: ")
+
+
+@pytest.mark.parametrize("name", published_terms())
+def test_community_protocols_stand_apart_from_the_papers(name):
+    """One camera is held out, at the size that is published, under a name of the data set that has no row of the paper."""
+    protocol = load_protocol(name)
+    assert len(protocol.views.test) == 1
+    assert protocol.dataset not in read_published("quality")
+    assert protocol.views.keep_unsynced == (name in ("n3v_4dgs", "n3v_stg"))
+    if name.startswith("n3v_"):
+        assert (protocol.frames.numbers, protocol.views.test) == (range(300), ("cam00",))
+        assert (protocol.synthesis.width, protocol.synthesis.height) == (1352, 1014)
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.images import quantise, read_image
+from ggvs_eval.files.video import VideoFrames
 from ggvs_eval.lens import Lens
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.film.depth import read_exact_depth
@@ -21,7 +22,7 @@ from ggvs_eval.synthetic.film.film import Footage, lit_room
 from ggvs_eval.synthetic.film.options import DemoOptions
 from ggvs_eval.synthetic.film.raycast import PixelGrid, View, render_depth
 from ggvs_eval.synthetic.film.rig import UNITS_PER_METRE, WORLD_TO_ROOM, in_metres
-from ggvs_eval.synthetic.film.shots import LENS, distorted_shots, hand_held_shots, rig_shots
+from ggvs_eval.synthetic.film.shots import FISHEYE_LENS, LENS, distorted_shots, hand_held_shots, rig_shots
 from ggvs_eval.synthetic.layouts.d3dmv import MEDIAN_FRAMES, median_background
 from ggvs_eval.synthetic.layouts.layouts import LAYOUTS
 from helpers.scenes import render_view
@@ -32,7 +33,7 @@ TINY = DemoOptions(width=64, height=48, n_frames=3, cameras_per_row=2, path_pose
 # One instant; rgbd has two poses of it.
 QUICK = replace(TINY, width=32, height=24, n_frames=1, supersampling=1, path_poses=1, noise_sigma_255=0.0)
 WRONG = {"calibration_error_px": 2.0, "focal_error": (("cam00", 1.05),)}
-METRIC = ("enerf-outdoor", "rgbd")
+METRIC = ("enerf-outdoor", "rgbd", "immersive")
 # Mean absolute difference, of 255 levels, between a frame of 64 x 48 as rendered and as the codec gives it back.
 JPEG_LOSS, VIDEO_LOSS = 2.5, 5.0
 
@@ -41,11 +42,16 @@ JPEG_LOSS, VIDEO_LOSS = 2.5, 5.0
 def demo(tmp_path_factory):
     """The tiny demo in a layout, written once."""
     root = tmp_path_factory.mktemp("demo")
-    return lambda layout: write_demo(root / layout, replace(TINY, layout=layout), workers=1)
+    return lambda layout: write_demo(root / layout, tiny_options(layout), workers=1)
+
+
+def tiny_options(layout):
+    return replace(TINY, layout=layout, height=34 if layout == "technicolor" else TINY.height)
 
 
 def quick_options(layout):
-    return replace(QUICK, layout=layout, n_frames=2 if layout == "rgbd" else 1, **WRONG)
+    shape = {"width": 64, "height": 34} if layout == "technicolor" else {}
+    return replace(QUICK, layout=layout, n_frames=2 if layout == "rgbd" else 1, **WRONG, **shape)
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +70,7 @@ def recall(index):
 @cache
 def rendered(layout):
     """All frames of all cameras of a layout's `TINY` demo."""
-    options = replace(TINY, layout=layout)
+    options = tiny_options(layout)
     return [list(Footage(options, shot, recall).frames()) for shot in shots_of(options)]
 
 
@@ -101,12 +107,22 @@ def test_reading_back_gives_the_same_cameras_and_units(demo, layout):
 
     assert capture.layout == layout
     assert capture.units_per_metre == (1.0 if layout in METRIC else UNITS_PER_METRE)
-    assert_same_cameras(capture.cameras, noted_cameras(replace(TINY, layout=layout)))
+    assert_same_cameras(capture.cameras, noted_cameras(tiny_options(layout)))
 
 
-@pytest.mark.parametrize(("layout", "loss"), [("dynerf", VIDEO_LOSS), ("colmap", VIDEO_LOSS), ("rgbd", JPEG_LOSS), ("d3dmv", 0)])
+@pytest.mark.parametrize(
+    ("layout", "loss"),
+    [
+        ("dynerf", VIDEO_LOSS),
+        ("meetroom", VIDEO_LOSS),
+        ("rgbd", JPEG_LOSS),
+        ("d3dmv", 0),
+        ("technicolor", 0),
+        ("colmap", VIDEO_LOSS),
+    ],
+)
 def test_reading_back_gives_the_same_images(demo, layout, loss):
-    """Frame t of camera i is what was rendered, within the loss of the codec: none in HDF5."""
+    """Frame t of camera i is what was rendered, within the loss of the codec: none in HDF5 and PNG."""
     capture = open_capture(demo(layout))
     for name, frames in zip(capture.camera_names, rendered(layout), strict=True):
         for image, frame in zip(capture.frames(name), frames, strict=True):
@@ -184,16 +200,26 @@ def test_easymocap_images_read_back_undistorted(demo):
             assert mean_difference(image, frame.image) < 0.5 * mean_difference(on_disk, frame.image)
 
 
+def test_fisheye_videos_read_back_undistorted(demo):
+    """The adapter's images are nearer to those of a pinhole than the fisheye's on disk are, at every camera and frame."""
+    capture = open_capture(demo("immersive"))
+    for name, frames in zip(capture.camera_names, rendered("d3dmv"), strict=True):
+        on_disk = VideoFrames(demo("immersive") / f"{name}.mp4").frames(0, TINY.n_frames)
+        for image, fisheye, frame in zip(capture.frames(name), on_disk, frames, strict=True):
+            assert mean_difference(image, frame.image) < 0.5 * mean_difference(fisheye, frame.image)
+
+
 @pytest.fixture(scope="module")
 def lens_camera():
     return rig_shots(replace(TINY, width=320, height=240))[0].camera
 
 
-def test_rays_of_the_lens_are_exact(lens_camera):
+@pytest.mark.parametrize(("model", "coefficients"), [("opencv", LENS), ("fisheye", FISHEYE_LENS)])
+def test_rays_of_the_lens_are_exact(lens_camera, model, coefficients):
     """Points on the rays of the distorted pixels are imaged by OpenCV's model at the centres of these pixels."""
-    rays = PixelGrid(lens_camera, LENS).rays.astype(np.float64) @ WORLD_TO_ROOM[:3, :3] * UNITS_PER_METRE**2
+    rays = PixelGrid(lens_camera, coefficients).rays.astype(np.float64) @ WORLD_TO_ROOM[:3, :3] * UNITS_PER_METRE**2
     uv, depth = lens_camera.project(lens_camera.centre + rays)
-    lens = Lens(lens_camera.K, "opencv", LENS, *lens_camera.size)
+    lens = Lens(lens_camera.K, model, coefficients, *lens_camera.size)
 
     np.testing.assert_allclose(depth, 1.0, atol=1e-6)
     np.testing.assert_allclose(lens.distort(uv, lens_camera.K), lens_camera.pixel_centres().reshape(-1, 2), atol=1e-3)

@@ -6,7 +6,7 @@ from typing import Literal, get_args
 
 from ggvs_eval.errors import CaptureError
 
-LayoutName = Literal["dynerf", "enerf-outdoor", "d3dmv", "colmap", "rgbd"]
+LayoutName = Literal["dynerf", "enerf-outdoor", "d3dmv", "colmap", "rgbd", "meetroom", "technicolor", "immersive"]
 RigName = Literal["rows", "arc", "grid"]
 SceneName = Literal["room", "garden"]
 LEAST = {"width": 16, "height": 16, "n_frames": 1, "cameras_per_row": 2, "supersampling": 1, "path_poses": 0, "depth_stride": 0}
@@ -27,6 +27,8 @@ LATER = (
     "depth_noise",
     "noise_seed",
 )
+# Layouts whose files hold no size, so that it must have the shape that they are distributed in.
+SHAPES = {"technicolor": (2048, 1088)}
 RGBD_ONLY = ("shutter_s", "depth_offset_px", "depth_rotation_rad", "depth_delay_s", "depth_noise")
 
 
@@ -116,6 +118,12 @@ class DemoOptions:
                 raise CaptureError(f"demo: {name} must be at least {least}, got {getattr(self, name)}")
         if self.width % 2 or self.height % 2:
             raise CaptureError(f"demo: H.264 wants an even size, got {self.width} x {self.height}; add one pixel")
+        width, height = SHAPES.get(self.layout, (self.width, self.height))
+        if self.width * height != self.height * width:
+            raise CaptureError(
+                f"demo: pictures of {self.layout} have the shape of {width} x {height}, got {self.width} x {self.height}; "
+                f"take {width // 4} x {height // 4}"
+            )
         if self.fps <= 0 or self.noise_sigma_255 < 0 or self.exposure_spread < 0:
             values = f"{self.fps:g}, {self.noise_sigma_255:g}, {self.exposure_spread:g}"
             raise CaptureError(f"demo: fps must be positive, noise and exposure spread not negative, got {values}")

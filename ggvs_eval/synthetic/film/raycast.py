@@ -17,8 +17,10 @@ from ggvs_eval.synthetic.room.geometry import Geometry
 from ggvs_eval.synthetic.room.lighting import Instant
 from ggvs_eval.synthetic.room.shading import expose, radiance, read_finish
 
-# k1 k2 p1 p2 k3 of OpenCV's model; () is a pinhole.
+# Five are k1 k2 p1 p2 k3 of OpenCV's model, four k1 .. k4 of its fisheye; () is a pinhole.
 Coefficients = tuple[float, ...]
+FISHEYE_COEFFICIENTS = 4
+NEWTON_STEPS = 20
 EXACT = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 500, 1e-12)
 
 
@@ -27,7 +29,7 @@ class PixelGrid:
 
     Args:
         camera: its K holds for the distorted picture and for the undistorted one alike.
-        lens: OpenCV's distortion coefficients.
+        lens: distortion coefficients.
 
     Attributes:
         camera: as given.
@@ -65,9 +67,24 @@ class PixelGrid:
 
 def undistorted_positions(camera: Camera, lens: Coefficients) -> Array:
     """Return the points where the rays of all distorted pixels meet the plane of depth 1, camera frame, (H * W, 2)."""
+    if len(lens) == FISHEYE_COEFFICIENTS:
+        return _fisheye_positions(camera, lens)
     uv = camera.pixel_centres().reshape(-1, 1, 2)
     positions = cv2.undistortPoints(uv, camera.K, np.array(lens), criteria=EXACT)
     return np.asarray(positions, np.float64).reshape(-1, 2)
+
+
+def _fisheye_positions(camera: Camera, lens: Coefficients) -> Array:
+    """The same for a fisheye: by Newton, the angle theta whose theta (1 + k1 theta^2 + ...) is the pixel's radius."""
+    distorted = (camera.pixel_centres().reshape(-1, 2) - camera.K[:2, 2]) / camera.K[[0, 1], [0, 1]]
+    radius = np.linalg.norm(distorted, axis=1)
+    powers = np.arange(1, 2 * len(lens) + 2, 2)  # 1, 3, 5, 7, 9
+    factors = np.array([1.0, *lens])
+    theta = radius.copy()
+    for _ in range(NEWTON_STEPS):
+        missed = (factors * theta[:, None] ** powers).sum(axis=1) - radius
+        theta -= missed / (factors * powers * theta[:, None] ** (powers - 1)).sum(axis=1)
+    return distorted * (np.tan(theta) / np.where(radius == 0, 1.0, radius))[:, None]
 
 
 class Picture(NamedTuple):

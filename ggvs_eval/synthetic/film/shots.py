@@ -17,6 +17,9 @@ BLUR_POSES = 4
 # Barrel distortion as of a wide-angle lens: k1, k2, p1, p2, k3; every lens differs a little from it.
 LENS = (-0.12, 0.03, 3e-4, -2e-4, 0.0)
 LENS_SPREAD = (0.008, 0.002, 1e-4, 1e-4, 0.0)
+# k1 .. k4 of a fisheye, as of the camera that the description of Google Immersive shows, and how its lenses differ.
+FISHEYE_LENS = (0.097, -0.017, 0.0, 0.0)
+FISHEYE_SPREAD = (0.003, 0.001, 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,10 +69,19 @@ def rig_shots(options: DemoOptions) -> list[Shot]:
 
 def distorted_shots(options: DemoOptions) -> list[Shot]:
     """The cameras of the rig, each through a lens of its own."""
+    return _through_lenses(options, LENS, LENS_SPREAD)
+
+
+def fisheye_shots(options: DemoOptions) -> list[Shot]:
+    """The cameras of the rig, each through a fisheye of its own."""
+    return _through_lenses(options, FISHEYE_LENS, FISHEYE_SPREAD)
+
+
+def _through_lenses(options: DemoOptions, lens: Coefficients, spread: Coefficients) -> list[Shot]:
     shots = []
     for number, shot in enumerate(rig_shots(options)):
         rng = np.random.default_rng([options.seed, 7, number])
-        shots.append(replace(shot, lens=tuple((np.array(LENS) + LENS_SPREAD * rng.uniform(-1, 1, 5)).tolist())))
+        shots.append(replace(shot, lens=tuple((np.array(lens) + spread * rng.uniform(-1, 1, len(lens))).tolist())))
     return shots
 
 

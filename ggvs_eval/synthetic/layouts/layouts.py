@@ -8,8 +8,8 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.synthetic.film.film import Footage
 from ggvs_eval.synthetic.film.options import DemoOptions, LayoutName
 from ggvs_eval.synthetic.film.rig import UNITS_PER_METRE
-from ggvs_eval.synthetic.film.shots import Shot, distorted_shots, hand_held_shots, rig_and_path_shots, rig_shots
-from ggvs_eval.synthetic.layouts import colmap, d3dmv, dynerf, enerf, rgbd
+from ggvs_eval.synthetic.film.shots import Shot, distorted_shots, fisheye_shots, hand_held_shots, rig_and_path_shots, rig_shots
+from ggvs_eval.synthetic.layouts import colmap, d3dmv, dynerf, enerf, immersive, meetroom, rgbd, technicolor
 
 
 @dataclass(frozen=True)
@@ -37,4 +37,7 @@ LAYOUTS: dict[LayoutName, Layout] = {
     "d3dmv": Layout(UNITS_PER_METRE, rig_shots, d3dmv.write_shot, d3dmv.finish, d3dmv.files),
     "colmap": Layout(UNITS_PER_METRE, rig_and_path_shots, colmap.write_shot, colmap.finish, colmap.files),
     "rgbd": Layout(1.0, hand_held_shots, rgbd.write_shot, rgbd.finish, rgbd.files),
+    "meetroom": Layout(UNITS_PER_METRE, rig_shots, meetroom.write_film, meetroom.finish, meetroom.files),
+    "technicolor": Layout(UNITS_PER_METRE, rig_shots, technicolor.write_shot, technicolor.finish, technicolor.files),
+    "immersive": Layout(1.0, fisheye_shots, immersive.write_film, immersive.finish, immersive.files),
 }

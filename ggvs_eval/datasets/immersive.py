@@ -1,0 +1,120 @@
+"""Google Immersive (DeepView Video): videos of a hemispherical rig of fisheye cameras, with ``models.json``."""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.capture import Capture
+from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size, first_sources, listed
+from ggvs_eval.datasets.colmap_model import undistorted_sources
+from ggvs_eval.datasets.depth_range import given_depth_range, rig_depth_range
+from ggvs_eval.datasets.google_models import MODELS, CameraModel, load_models, read_camera_model, read_numbers
+from ggvs_eval.datasets.units import METRIC, GivenUnits, choose_units
+from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.lens import Lens
+
+CAMERA = re.compile(r"camera_\d{1,6}")
+FISHEYE: Final = "fisheye"
+# Number of a scene -> its nearest and farthest depth in metres, as HyperReel (Attal et al., CVPR 2023) samples it.
+SCENE_DEPTHS_M = {
+    "01": (0.25, 6.0),
+    "02": (1.0, 10.0),
+    "04": (0.5, 10.0),
+    "05": (0.5, 45.0),
+    "07": (0.5, 50.0),
+    "09": (0.5, 30.0),
+    "10": (0.25, 6.0),
+    "11": (0.25, 6.0),
+    "12": (0.5, 20.0),
+}
+
+
+class _View(NamedTuple):
+    name: str
+    model: CameraModel
+    lens: Lens
+
+
+def refuse(path: Path) -> str | None:
+    """Return the reason why this folder is not a scene of Google Immersive, or None if it is one."""
+    if not (path / MODELS).is_file():
+        return f"no {MODELS}"
+    return None if any(path.glob("camera_*")) else f"{MODELS}, but no camera_XXXX"
+
+
+def load(path: Path, units: GivenUnits) -> Capture:
+    """Open a scene; frames are undistorted as they are read.
+
+    Args:
+        path: folder of the scene, with ``models.json`` and ``camera_XXXX.mp4``, or folders of the frames extracted from them.
+        units: world units per metre or a file that says how to measure them; the data set is metric when None.
+
+    Raises:
+        CaptureError: ``models.json`` is damaged or knows another lens, or no camera has frames.
+
+    Reading:
+        The lens is the one of the data set's README: theta (1 + k1 theta^2 + k2 theta^4) focal lengths from the principal point,
+        OpenCV's fisheye model with k3 = k4 = 0. The pinhole image has the fisheye image's size and focal length, without blank
+        pixels, see `Lens.undistorted_K`: it shows the inner part of what the lens saw. Cameras of the file without frames are
+        left out with a note, since the data set says that some scenes lack some. Depth range: ``depth_range.toml``, else what
+        HyperReel takes for the scene by the number its folder begins with, else `rig_depth_range`.
+    """
+    views = _read_views(path / MODELS)
+    found = first_sources(path, {view.name: view.name for view in views})
+    if not found:
+        raise CaptureError(f"{path}: wanted videos {views[0].name}.mp4, ..., or folders of their frames, got none; restore them")
+    filmed = [view for view in views if view.name in found]
+    sources = [found[view.name] for view in filmed]
+    cameras = _cameras(path, filmed)
+    pinhole = undistorted_sources(sources, [view.lens for view in filmed], cameras)
+    absent = [view.name for view in views if view.name not in found]
+    notes = [f"{listed(absent)} left out: in {MODELS}, but without frames"] if absent else []
+    return assemble_capture(path, "immersive", cameras, pinhole, choose_units(path, units, cameras, known=METRIC), notes=notes)
+
+
+def _read_views(file: Path) -> list[_View]:
+    models = load_models(file)
+    if not isinstance(models, list) or not models:
+        raise CaptureError(f"{file}: wanted a list of cameras, got something else; copy the scene again")
+    check_rig_size(file, len(models))
+    return [_read_view(file, index, model) for index, model in enumerate(models)]
+
+
+def _read_view(file: Path, index: int, model: Any) -> _View:
+    calibrated = read_camera_model(file, model, f"camera {index}")
+    name = model.get("name")
+    if not isinstance(name, str) or not CAMERA.fullmatch(name):
+        raise CaptureError(f"{file}: wanted camera_XXXX as name of camera {index}, got {name!r:.60}; copy the scene again")
+    if model.get("projection_type") != FISHEYE:
+        content = f"{model.get('projection_type')!r:.60}"
+        raise CaptureError(
+            f"{file}: wanted {FISHEYE!r} as projection_type of {name}, got {content}; no other lens of this data set is "
+            "documented: undistort its frames and describe them in capture.toml"
+        )
+    k1, k2, third = read_numbers(file, model, "radial_distortion", 3, name)
+    if third:
+        raise CaptureError(
+            f"{file}: wanted 0 as third radial_distortion of {name}, which the data set's camera model does not have, "
+            f"got {third:g}; copy the scene again"
+        )
+    try:
+        lens = Lens(calibrated.K, FISHEYE, (k1, k2, 0.0, 0.0), round(calibrated.width), round(calibrated.height))
+    except CameraError as error:
+        raise CaptureError(f"{file}: {name}: {error}") from error
+    return _View(name, calibrated, lens)
+
+
+def _cameras(path: Path, views: Sequence[_View]) -> list[Camera]:
+    ranges = rig_depth_range([view.model.world_to_camera for view in views])
+    known = given_depth_range(path) or SCENE_DEPTHS_M.get(path.resolve().name.partition("_")[0])
+    cameras = []
+    for view, limits in zip(views, ranges, strict=True):
+        size = view.lens.width, view.lens.height
+        try:
+            K = view.lens.undistorted_K()
+            cameras.append(Camera(view.name, K, view.model.world_to_camera, *size, *(known or limits)))
+        except CameraError as error:
+            raise CaptureError(f"{path / MODELS}: {view.name}: {error}") from error
+    return cameras

@@ -1,0 +1,84 @@
+"""MeetRoom captures (StreamRF, Li et al., NeurIPS 2022): ``cam_<N>.mp4`` with ``poses_bounds.npy``, or a folder per instant."""
+
+import re
+from pathlib import Path
+
+from ggvs_eval.capture import Capture
+from ggvs_eval.datasets.assemble import SizedSource, assemble_capture, check_rig_size, listed
+from ggvs_eval.datasets.frames import NumberedFrames, list_images
+from ggvs_eval.datasets.llff import llff_camera, read_llff_poses
+from ggvs_eval.datasets.units import GivenUnits, choose_units
+from ggvs_eval.errors import CaptureError
+from ggvs_eval.files.video import VideoFrames
+
+POSES = "poses_bounds.npy"
+VIDEO = re.compile(r"cam_(\d{1,4})")
+PICTURE = re.compile(r"cam(\d{1,4})")
+INSTANT = re.compile(r"\d{4}")
+FRAMES = ("frames", ".")
+
+
+def refuse(path: Path) -> str | None:
+    """Return the reason why this folder is no MeetRoom capture, or None if it is one."""
+    if _videos(path):
+        return None if (path / POSES).is_file() else f"cam_<N>.mp4, but no {POSES}"
+    return None if _instants(path) else f"neither cam_<N>.mp4 nor 0000/images/cam00.png with {POSES}"
+
+
+def load(path: Path, units: GivenUnits) -> Capture:
+    """Open a capture in StreamRF's arrangement; its cameras are called cam00, cam01, ... by their numbers.
+
+    Args:
+        path: folder with ``poses_bounds.npy`` and ``cam_<N>.mp4``; or what StreamRF extracts of these, a folder per instant with
+            ``images/camNN.png`` and the same ``poses_bounds.npy``, in ``frames/`` or in the folder itself.
+        units: world units per metre or a file that says how to measure them; see `choose_units`.
+
+    Raises:
+        CaptureError: rows and cameras do not match, or a file is damaged.
+
+    Reading:
+        Row i belongs to the i-th camera in the order of numbers: StreamRF writes cam_2 as cam02 before it sorts. One focal length
+        and a central principal point, as LLFF has it; the poses of the first instant count, which StreamRF copies to the others.
+    """
+    sources: dict[int, SizedSource] = dict(_videos(path))
+    poses_file = path / POSES
+    if not sources:
+        instants = _instants(path)
+        sources, poses_file = dict(_pictures(path, instants)), instants[0] / POSES
+    check_rig_size(path, len(sources))
+    poses = read_llff_poses(poses_file)
+    if len(poses) != len(sources):
+        there = listed([f"cam_{number}" for number in sorted(sources)])
+        raise CaptureError(
+            f"{poses_file}: wanted one row for each of the {len(sources)} cameras on disk ({there}), got {len(poses)}; "
+            f"restore the missing {'cameras' if len(poses) > len(sources) else 'rows'}"
+        )
+    numbers = sorted(sources)
+    cameras = [llff_camera(pose, f"cam{number:02d}", poses_file) for pose, number in zip(poses, numbers, strict=True)]
+    frames = [sources[number] for number in numbers]
+    return assemble_capture(path, "meetroom", cameras, frames, choose_units(path, units, cameras))
+
+
+def _videos(path: Path) -> dict[int, VideoFrames]:
+    """Camera number -> its video."""
+    files = [(VIDEO.fullmatch(file.stem), file) for file in sorted(path.glob("cam_*.mp4"))] if path.is_dir() else []
+    return {int(match[1]): VideoFrames(file) for match, file in files if match}
+
+
+def _instants(path: Path) -> list[Path]:
+    """Folders of the instants, in the order of time."""
+    for parent in (path / name for name in FRAMES):
+        folders = sorted(folder for folder in parent.glob("[0-9]*") if INSTANT.fullmatch(folder.name) and folder.is_dir())
+        if folders and (folders[0] / POSES).is_file() and list_images(folders[0] / "images"):
+            return folders
+    return []
+
+
+def _pictures(path: Path, instants: list[Path]) -> dict[int, NumberedFrames]:
+    """Camera number -> its pictures."""
+    numbered: dict[int, list[tuple[int, Path]]] = {}
+    for folder in instants:
+        for file in list_images(folder / "images"):
+            if match := PICTURE.fullmatch(file.stem):
+                numbered.setdefault(int(match[1]), []).append((int(folder.name), file))
+    return {number: NumberedFrames(path, tuple(files)) for number, files in numbered.items()}

@@ -1,0 +1,126 @@
+"""Technicolor's light-field videos (Sabater et al. 2017), undistorted: pictures of a rig in one folder, and its parameters."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.capture import Capture
+from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size, listed
+from ggvs_eval.datasets.depth_range import given_depth_range, rig_depth_range
+from ggvs_eval.datasets.frames import NumberedFrames, list_images
+from ggvs_eval.datasets.units import GivenUnits, choose_units
+from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.files.plain import read_plain_text
+
+PARAMETERS = "cameras_parameters.txt"
+COLUMNS = "f cu cv ar sk qw qx qy qz tx ty tz"
+N_COLUMNS = len(COLUMNS.split())
+FRAME = re.compile(r".*_undist_(\d{1,8})_(\d{1,4})")
+# The pictures are in the scene's folder, as SpacetimeGaussians expects them, or in images/, as HyperReel does.
+FOLDERS = (".", "images")
+CALIBRATED_SIZE = 2048, 1088
+LARGEST_NUMBER = 1e9
+LARGEST_SKEW_PX = 0.1  # at which no pixel of the image is off by more than 0.03 px in depth and place
+# Scene -> its nearest and farthest depth in world units, as HyperReel (Attal et al., CVPR 2023) samples it.
+SCENE_DEPTHS = {
+    "painter": (1.75, 10.0),
+    "train": (0.65, 10.0),
+    "trains": (0.65, 10.0),
+    "theater": (0.65, 10.0),
+    "fabien": (0.35, 2.0),
+    "birthday": (1.75, 10.0),
+}
+
+
+def refuse(path: Path) -> str | None:
+    """Return the reason why this folder is not a scene of Technicolor's, or None if it is one."""
+    if not (path / PARAMETERS).is_file():
+        return f"no {PARAMETERS}"
+    return None if _find_frames(path) else f"{PARAMETERS}, but no SCENE_undist_00000_00.png"
+
+
+def load(path: Path, units: GivenUnits) -> Capture:
+    """Open a scene; its cameras are called cam00, cam01, ... in the order of their rows.
+
+    Args:
+        path: folder with ``cameras_parameters.txt`` and ``SCENE_undist_<frame>_<camera>.png``, or ``images/`` with these.
+        units: world units per metre or a file that says how to measure them; see `choose_units`.
+
+    Raises:
+        CaptureError: the parameters are damaged, or pictures and rows do not match.
+
+    Reading:
+        The data set has no public description. After HyperReel's loader: row i belongs to the pictures of number i; fx = f,
+        fy = ar f at 2048 x 1088; the quaternion (w first) and t map world to camera. sk must be zero. Frames count from the
+        first picture that is there, whatever its number: Painter's begin at 0, the others' at 1. Depth range:
+        ``depth_range.toml``, else HyperReel's of the scene by its name, else `rig_depth_range`.
+    """
+    folder, by_camera = _find_frames(path) or (path, {})
+    rows = _read_rows(path / PARAMETERS)
+    unmatched = sorted(set(range(len(rows))) ^ set(by_camera))
+    if unmatched:
+        gaps = listed([f"{number:02d} ({PARAMETERS if number in range(len(rows)) else 'pictures'} only)" for number in unmatched])
+        raise CaptureError(f"{path}: wanted pictures of the camera of each row of {PARAMETERS}, got {gaps}; restore these")
+    cameras = _cameras(path, rows)
+    sources = [NumberedFrames(folder, tuple(by_camera[number])) for number in range(len(rows))]
+    return assemble_capture(path, "technicolor", cameras, sources, choose_units(path, units, cameras))
+
+
+def _find_frames(path: Path) -> tuple[Path, dict[int, list[tuple[int, Path]]]] | None:
+    """The folder with the pictures, and those of each camera with their frame numbers."""
+    for folder in (path / name for name in FOLDERS):
+        by_camera: dict[int, list[tuple[int, Path]]] = {}
+        for file in list_images(folder):
+            if match := FRAME.fullmatch(file.stem):
+                by_camera.setdefault(int(match[2]), []).append((int(match[1]), file))
+        if by_camera:
+            return folder, by_camera
+    return None
+
+
+def _read_rows(file: Path) -> np.ndarray:
+    """The parameters, (cameras, 12)."""
+    try:
+        lines = [line.split() for line in read_plain_text(file).splitlines()[1:] if line.strip()]
+    except (OSError, ValueError) as error:
+        raise CaptureError(f"{file}: wanted text, got: {error}; copy the scene again") from error
+    check_rig_size(file, len(lines))
+    rows = [_read_row(file, index, words) for index, words in enumerate(lines)]
+    if not rows:
+        raise CaptureError(f"{file}: wanted a line of names and a row per camera, got none; copy the scene again")
+    return np.array(rows)
+
+
+def _read_row(file: Path, index: int, words: list[str]) -> list[float]:
+    try:
+        row = [float(word) for word in words]
+    except ValueError:
+        row = []
+    if len(row) != N_COLUMNS or not all(abs(value) < LARGEST_NUMBER for value in row):
+        shown = " ".join(words)
+        raise CaptureError(f"{file}: wanted {COLUMNS} as finite numbers of camera {index}, got {shown:.60}; copy the scene again")
+    if abs(row[4]) > LARGEST_SKEW_PX:
+        raise CaptureError(f"{file}: wanted zero skew (sk) of camera {index}, got {row[4]:g}; undistort its pictures again")
+    if not 0.99 < float(np.linalg.norm(row[5:9])) < 1.01:
+        raise CaptureError(f"{file}: wanted a unit quaternion of camera {index}, got {row[5:9]}; copy the scene again")
+    return row
+
+
+def _cameras(path: Path, rows: np.ndarray) -> list[Camera]:
+    from scipy.spatial.transform import Rotation
+
+    poses = np.tile(np.eye(4), (len(rows), 1, 1))
+    poses[:, :3, :3] = Rotation.from_quat(rows[:, [6, 7, 8, 5]]).as_matrix()
+    poses[:, :3, 3] = rows[:, 9:12]
+    known = given_depth_range(path) or SCENE_DEPTHS.get(path.resolve().name.lower())
+    cameras = []
+    for index, (row, pose, limits) in enumerate(zip(rows, poses, rig_depth_range(list(poses)), strict=True)):
+        focal_px, cu, cv, aspect = row[:4]
+        K = np.array([[focal_px, 0.0, cu], [0.0, aspect * focal_px, cv], [0.0, 0.0, 1.0]])
+        try:
+            cameras.append(Camera(f"cam{index:02d}", K, pose, *CALIBRATED_SIZE, *(known or limits)))
+        except CameraError as error:
+            raise CaptureError(f"{path / PARAMETERS}: {error}; copy the scene again") from error
+    return cameras

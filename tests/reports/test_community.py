@@ -1,0 +1,101 @@
+"""Published tables of community protocols: whole, from somewhere, and beside runs on their own terms alone."""
+
+from dataclasses import replace
+
+import pytest
+
+from ggvs_eval.protocol import Frames, load_protocol, packaged_protocols
+from ggvs_eval.reports.model.measured import read_run
+from ggvs_eval.reports.tables.community import community_rows, describe_published, published_terms, published_values
+from ggvs_eval.reports.tables.report_tables import main_tables
+from helpers.run_folders import RunShape, write_run
+
+QUALITY = ("PSNR", "SSIM", "LPIPS")
+
+
+def rows_of(protocol, scenes=("flame_steak",), metrics=QUALITY):
+    return {row.name: [cell.text for cell in row.cells] for row in community_rows(protocol, scenes, metrics)}
+
+
+def test_every_value_has_terms_and_a_protocol():
+    """Each table is of a packaged protocol, says where it is from, and holds numbers."""
+    assert {each.protocol for each in published_values()} == set(published_terms()) <= set(packaged_protocols())
+    assert all(terms.source and terms.lpips_net and terms.frames and terms.checked for terms in published_terms().values())
+    assert all(float(each.value) > 0 for each in published_values())
+    named = [(each.protocol, each.scene, each.method, each.metric) for each in published_values()]
+    assert len(set(named)) == len(named)
+
+
+@pytest.mark.parametrize("name", packaged_protocols())
+def test_a_run_under_a_protocol_shows_its_row_and_no_other_run_does(name):
+    """4DGS's value stands in runs under n3v_4dgs, and in those of no other packaged protocol."""
+    rows = rows_of(load_protocol(name))
+    assert ("4DGS (published, mean of 6 scenes)" in rows) == (name == "n3v_4dgs")
+    if name == "n3v_4dgs":
+        assert rows == {"4DGS (published, mean of 6 scenes)": ["31.15", "0.940", "0.049"]}
+
+
+def test_values_of_a_scene_stand_beside_that_scene():
+    """QUEEN's values are given by scene; two scenes have two rows, an unknown one none."""
+    protocol = load_protocol("n3v_queen")
+    assert rows_of(protocol) == {"QUEEN (published, flame_steak)": ["34.16", "0.962", "0.125"]}
+    assert list(rows_of(protocol, ("sear_steak", "flame_steak"))) == [
+        "QUEEN (published, sear_steak)",
+        "QUEEN (published, flame_steak)",
+    ]
+    assert rows_of(protocol, ("kitchen",)) == {}
+    assert describe_published(protocol, ("kitchen",)) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "differing"),
+    [
+        (lambda protocol: replace(protocol, frames=Frames(0, 100)), "frames"),
+        (lambda protocol: replace(protocol, views=replace(protocol.views, test=("cam01",))), "views"),
+        (lambda protocol: replace(protocol, views=replace(protocol.views, keep_unsynced=False)), "views"),
+        (lambda protocol: replace(protocol, synthesis=replace(protocol.synthesis, width=676, height=507)), "synthesis"),
+        (lambda protocol: replace(protocol, measurement=replace(protocol.measurement, lpips_net="vgg")), "measurement"),
+        (lambda protocol: replace(protocol, dataset="DyNeRF"), "dataset"),
+    ],
+)
+def test_other_terms_have_no_published_row(change, differing):
+    """What is measured otherwise under the same name does not compare, and the caption says in what it differs."""
+    protocol = change(load_protocol("n3v_4dgs"))
+    assert rows_of(protocol) == {}
+    (said,) = describe_published(protocol, ("flame_steak",))
+    assert said == f"Published values of n3v_4dgs are not shown: this run differs from the packaged protocol in {differing}."
+
+
+def test_more_metrics_and_sources_change_no_published_value():
+    """K, further metrics and ceilings are the run's own; what is published beyond the columns is told."""
+    protocol = load_protocol("n3v_4dgs")
+    measurement = replace(protocol.measurement, metrics=("PSNR", "TCC"), ceilings=False)
+    protocol = replace(protocol, synthesis=replace(protocol.synthesis, k=8, sources="coverage"), measurement=measurement)
+    assert rows_of(protocol, metrics=("PSNR", "TCC")) == {"4DGS (published, mean of 6 scenes)": ["31.15", "not reported"]}
+    told, beyond = describe_published(protocol, ("flame_steak",))
+    assert "LPIPS: alex; D-SSIM: (1 - MS-SSIM) / 2." in told
+    assert beyond == "Published too: SSIM 0.940 of 4DGS (mean of 6 scenes), LPIPS 0.049 of 4DGS (mean of 6 scenes), " + (
+        "D-SSIM 0.016 of 4DGS (mean of 6 scenes)."
+    )
+
+
+def test_what_does_not_compare_is_withheld():
+    """Google Immersive is published on fisheye images: the caption says why there is no row."""
+    protocol = load_protocol("immersive_stg")
+    assert rows_of(protocol, ("02_Flames",)) == {}
+    (said,) = describe_published(protocol, ("02_Flames",))
+    assert said.endswith("not shown: they are of the fisheye images, and frames are undistorted here.")
+
+
+@pytest.mark.slow
+def test_the_row_stands_in_the_quality_table(tmp_path):
+    """In a report the row is grey, takes no part in the ranking, and the caption names its source."""
+    run = read_run(write_run(tmp_path / "run", RunShape(views=("cam00",), metrics=("PSNR", "LPIPS"), poses=0)))
+    protocol = load_protocol("n3v_4dgs")
+    protocol = replace(protocol, measurement=replace(protocol.measurement, metrics=("PSNR",)))
+    (table, *_) = main_tables([replace(run, protocol=protocol)], run.results)
+    assert table.rows[-1].name == "4DGS (published, mean of 6 scenes)"
+    assert table.rows[-1].is_grey
+    assert not table.rows[-1].cells[0].best
+    assert "Grey: Wu et al." in table.caption
+    assert all("published" not in row.name for row in main_tables([run], run.results)[0].rows)

@@ -1,0 +1,161 @@
+"""The leaderboard and what trackers are told: numbers of many runs, without their frames."""
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from ggvs_eval.errors import ResultsError
+from ggvs_eval.pipelines.commands.main import run_command
+from ggvs_eval.protocol import load_protocol
+from ggvs_eval.reports.model.measured import read_scores
+from ggvs_eval.reports.page.leaderboard import write_leaderboard
+from ggvs_eval.reports.tables.report_tables import main_tables
+from ggvs_eval.reports.tracking import MLFLOW_FILE, PACKAGES, track_results, tracked_methods
+from ggvs_eval.results import Results, merge_results
+from helpers.page_reader import PageReader
+from helpers.run_folders import LABELS, NAMES, RunShape, write_run
+
+SHAPE = RunShape(views=("cam00",), metrics=("PSNR", "LPIPS"), poses=0)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory) -> list[Path]:
+    """Two scenes under one protocol and one under another, without their frames; nobody changes them."""
+    root = tmp_path_factory.mktemp("runs")
+    shapes = {
+        "first": replace(SHAPE, scene="first"),
+        "second": replace(SHAPE, scene="second", labels=LABELS[:2]),
+        "far": replace(SHAPE, scene="first", k=3),
+    }
+    made = [write_run(root / name, shape) for name, shape in shapes.items()]
+    for run in made:
+        for folder in ("renders", "truth"):
+            shutil.rmtree(run / folder)
+    return made
+
+
+def test_one_page_has_the_tables_of_all_protocols(runs, tmp_path):
+    """Every number of each protocol's table is on the page, which loads nothing and says what does not compare."""
+    page = write_leaderboard(runs, tmp_path / "board.html")
+    read = PageReader(page.read_text(encoding="utf-8"))
+
+    assert read.addresses == []
+    for group in (runs[:2], runs[2:]):
+        measured = [read_scores(run) for run in group]
+        for table in main_tables(measured, merge_results([run.results for run in measured])):
+            assert all(cell.text in read.texts for row in table.rows for cell in row.cells)
+    missing = f"{NAMES[LABELS[2]]} was not measured on second: its means stand on other scenes and do not compare."
+    assert read.texts.count(missing) == 1
+    assert page.read_bytes() == write_leaderboard(runs, tmp_path / "again.html").read_bytes()
+
+
+def test_a_method_measured_twice_on_a_scene_is_refused(runs, tmp_path):
+    """Which of two values would be shown is chance."""
+    again = shutil.copytree(runs[0], tmp_path / "again")
+    with pytest.raises(ResultsError, match=f"{LABELS[0]} on first is measured in .*first and .*again; leave out all but one"):
+        write_leaderboard([runs[0], again], tmp_path / "board.html")
+    with pytest.raises(ResultsError, match="wanted at least one run folder, got none"):
+        write_leaderboard([], tmp_path / "board.html")
+
+
+def test_a_tracked_method_has_the_tables_numbers(runs):
+    """Means are the summary's, curves have a value per frame, settings name protocol, scene and method."""
+    run = read_scores(runs[0])
+    summary = run.results.summary()
+    for method, label in zip(tracked_methods(run), LABELS, strict=True):
+        name, _, variant = label.partition("+")
+        assert method.means == summary.loc[("Demo room", name, variant)].to_dict()
+        assert [frame for frame, _ in method.curves["PSNR"]] == list(run.frames)
+        assert method.name == f"first/{label}"
+        assert (method.settings["scene"], method.settings["synthesis.k"]) == ("first", "2")
+        assert method.settings["protocol_sha256"] == run.protocol.sha256
+
+
+def test_tensorboard_reads_back_what_was_written(runs, tmp_path):
+    """An event file per method holds every mean and every value per frame."""
+    pytest.importorskip("tensorboardX")
+    out = track_results(runs[:1], "tensorboard", tmp_path / "tracked")
+    method = tracked_methods(read_scores(runs[0]))[0]
+
+    scalars = read_scalars(next((out / read_scores(runs[0]).protocol.name / method.name).glob("events.*")))
+    assert scalars["mean/PSNR", 0] == pytest.approx(method.means["PSNR"])
+    assert {frame: value for (tag, frame), value in scalars.items() if tag == "frame/LPIPS"} == pytest.approx(
+        dict(method.curves["LPIPS"])
+    )
+
+
+def read_scalars(file: Path) -> dict[tuple[str, int], float]:
+    """Scalars of an event file: records of a length, its checksum, the event and its checksum."""
+    from tensorboardX.proto.event_pb2 import Event
+
+    content, at, scalars = file.read_bytes(), 0, {}
+    while at < len(content):
+        length = int.from_bytes(content[at : at + 8], "little")
+        event = Event.FromString(content[at + 12 : at + 12 + length])
+        scalars |= {
+            (value.tag, event.step): value.simple_value for value in event.summary.value if value.HasField("simple_value")
+        }
+        at += 16 + length
+    return scalars
+
+
+def test_mlflow_reads_back_what_was_written(runs, tmp_path, monkeypatch):
+    """A run per method holds settings, means and curves."""
+    mlflow = pytest.importorskip("mlflow")
+    monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
+    out = track_results(runs[:1], "mlflow", tmp_path / "tracked")
+    client = mlflow.MlflowClient(tracking_uri=f"sqlite:///{out / MLFLOW_FILE}")
+    experiment = client.get_experiment_by_name(read_scores(runs[0]).protocol.name)
+    found = {run.info.run_name: run for run in client.search_runs([experiment.experiment_id])}
+    for method in tracked_methods(read_scores(runs[0])):
+        data = found[method.name].data
+        assert data.metrics["mean/PSNR"] == pytest.approx(method.means["PSNR"])
+        assert data.params["protocol_sha256"] == method.settings["protocol_sha256"]
+        history = client.get_metric_history(found[method.name].info.run_id, "frame/PSNR")
+        assert {(point.step, point.value) for point in history} == set(method.curves["PSNR"])
+
+
+def test_wandb_writes_offline(runs, tmp_path, monkeypatch):
+    """A file per method appears, and nothing asks for an account."""
+    pytest.importorskip("wandb")
+    monkeypatch.delenv("WANDB_MODE", raising=False)
+    out = track_results(runs[:1], "wandb", tmp_path / "tracked")
+    assert len(list(out.glob("wandb/offline-run-*/run-*.wandb"))) == len(LABELS)
+
+
+@pytest.mark.parametrize("tracker", PACKAGES)
+def test_an_absent_tracker_is_named_in_one_line(runs, tmp_path, tracker, monkeypatch):
+    """Without its package the command says which one, and how to get it."""
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(SystemExit) as ended:
+        run_command(["report", str(runs[0]), "--to", tracker, "--out", str(tmp_path / "tracked")])
+    wanted = f"--to {tracker}: wanted the package {PACKAGES[tracker]}, it is not installed"
+    assert str(ended.value.code) == f"ggvs-eval: {wanted}; pip install 'ggvs-eval[{tracker}]'"
+    assert not (tmp_path / "tracked").exists()
+
+
+def test_the_command_writes_a_leaderboard(runs, tmp_path, capsys):
+    """`report --to leaderboard` prints the page that it wrote."""
+    run_command(["report", *map(str, runs), "--to", "leaderboard", "--out", str(tmp_path / "board.html")])
+    assert capsys.readouterr().out.strip() == str(tmp_path / "board.html")
+    assert "Leaderboard" in (tmp_path / "board.html").read_text(encoding="utf-8")
+
+
+def test_published_rows_stand_on_the_page_under_their_own_protocol_alone(tmp_path):
+    """Of two scored runs, the one under n3v_4dgs has 4DGS's row in grey and its source below; the other has neither."""
+    run = write_run(tmp_path / "flame_steak", replace(SHAPE, scene="flame_steak", dataset="Neural 3D Video"))
+    other = write_leaderboard([run], tmp_path / "other.html").read_text(encoding="utf-8")
+    protocol = load_protocol("n3v_4dgs")
+    protocol = replace(protocol, measurement=replace(protocol.measurement, metrics=SHAPE.metrics))
+    (run / "protocol.toml").write_text(protocol.to_toml())
+    results = Results.read(run)
+    replace(results, provenance={**results.provenance, "protocol_sha256": protocol.sha256}).write(run)
+    page = write_leaderboard([run], tmp_path / "board.html").read_text(encoding="utf-8")
+
+    assert '<tr class="published grey">' in page
+    assert "4DGS (published, mean of 6 scenes)" in page
+    assert "Grey: Wu et al., 4D Gaussian Splatting for Real-Time Dynamic Scene Rendering, CVPR 2024" in page
+    assert "published grey" not in other
+    assert "4DGS" not in other
