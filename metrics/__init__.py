@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ggvs_eval.metrics.image.corrected import psnr_colour_corrected
+    from ggvs_eval.metrics.image.iv_psnr import iv_psnr
     from ggvs_eval.metrics.image.l1 import l1
     from ggvs_eval.metrics.image.lpips import lpips
     from ggvs_eval.metrics.image.psnr import psnr
@@ -29,6 +30,7 @@ __all__ = [
     "MetricOptions",
     "PathPose",
     "flicker",
+    "iv_psnr",
     "l1",
     "lpips",
     "masked_l1",
@@ -49,6 +51,7 @@ __all__ = [
 # What is imported when a name is first used, so that the import of this package costs nothing.
 _MODULES = {
     "image.corrected": ("psnr_colour_corrected",),
+    "image.iv_psnr": ("iv_psnr",),
     "image.l1": ("l1",),
     "image.lpips": ("lpips",),
     "image.psnr": ("psnr",),

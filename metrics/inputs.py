@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Mask
 from ggvs_eval.errors import MetricError
 
 LARGEST_FLOAT = 2.0  # a little above 1 is a rendering that overshoots, more is another scale
@@ -34,6 +35,16 @@ def check_pair(rendered: Image, truth: Image, ndim: int = 3) -> None:
             raise MetricError(f"{name}: wanted float in [0, 1], got up to {image.max():.4g}; divide by 255")
     if (rendered.dtype == np.uint8) != (truth.dtype == np.uint8):
         raise MetricError(f"rendered is {rendered.dtype}, truth is {truth.dtype}; quantise both or neither")
+
+
+def check_mask(mask: Mask, shape: tuple[int, ...]) -> None:
+    """Refuse a mask that is not (H, W) of truth values.
+
+    Raises:
+        MetricError: another shape or kind.
+    """
+    if mask.shape != shape or mask.dtype != np.bool_:
+        raise MetricError(f"mask: wanted {shape} bool, got {mask.shape} {mask.dtype}")
 
 
 def white_level(image: Image) -> float:

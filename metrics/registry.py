@@ -6,6 +6,7 @@ from typing import Any
 
 from ggvs_eval.errors import MetricError, did_you_mean
 from ggvs_eval.metrics.image.corrected import LPIPS_CC, PSNR_CC, SSIM_CC
+from ggvs_eval.metrics.image.iv_psnr import IV_PSNR
 from ggvs_eval.metrics.image.l1 import L1
 from ggvs_eval.metrics.image.lpips import LPIPS
 from ggvs_eval.metrics.image.psnr import PSNR
@@ -35,6 +36,7 @@ from ggvs_eval.metrics.time.tcc import TCC
 _ALL: tuple[Metric, ...] = (
     *(PSNR, SSIM, L1, LPIPS),
     *(PSNR_CC, SSIM_CC, LPIPS_CC),
+    IV_PSNR,
     *REGION_METRICS,
     *(TCC, STED, STED_SSN, FLICKER, FLICKER_EXCESS, SDT, SDV),
     *(EPI_COHERENCE, EPI_LINE_TEXTURE, EPI_SLOPE_ERROR, EPI_SLOPE_AGREEING),

@@ -13,7 +13,7 @@ from ggvs_eval.errors import MetricError
 from ggvs_eval.geometry.difference_mask import difference_mask
 from ggvs_eval.metrics.image.psnr import decibels
 from ggvs_eval.metrics.image.ssim_variants import SSIM_VARIANTS, ssim_map
-from ggvs_eval.metrics.inputs import Image, check_pair, require_finite, same_kind, white_level
+from ggvs_eval.metrics.inputs import Image, check_mask, check_pair, require_finite, same_kind, white_level
 from ggvs_eval.metrics.metric import REGION, ColourMap, MetricOptions, SsimName, TruthFrame, Value, ViewMetric
 
 Region = Literal["static", "moving", "disoccluded"]
@@ -106,7 +106,7 @@ def masked_ssim(rendered: Image, truth: Image, mask: Mask, name: SsimName = "gau
         1.0
     """
     check_pair(rendered, truth)
-    _check_mask(mask, truth.shape[:2])
+    check_mask(mask, truth.shape[:2])
     box = _bounding_box(mask)  # no window outside it counts
     if min(mask[box].shape) < SSIM_VARIANTS[name].window_px:
         raise _no_window(name)
@@ -125,7 +125,7 @@ def ssim_inside(values: NDArray[np.float32], mask: Mask, name: SsimName = "gauss
         MetricError: the mask does not fit the map, or no window inside.
     """
     variant = SSIM_VARIANTS[name]
-    _check_mask(mask, tuple(size if variant.pads_with_zeros else size + variant.window_px - 1 for size in values.shape[:2]))
+    check_mask(mask, tuple(size if variant.pads_with_zeros else size + variant.window_px - 1 for size in values.shape[:2]))
     window, radius = np.ones((variant.window_px, variant.window_px), np.uint8), variant.window_px // 2
     inside = cv2.erode(mask.astype(np.uint8), window, borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
     chosen = values[inside if variant.pads_with_zeros else inside[radius:-radius, radius:-radius]]
@@ -150,16 +150,11 @@ def _bounding_box(mask: Mask) -> tuple[slice, slice]:
 def _norm_inside(rendered: Image, truth: Image, mask: Mask, kind: int) -> float:
     """Mean over the pixels inside and their channels of what `kind` adds up."""
     check_pair(rendered, truth)
-    _check_mask(mask, truth.shape[:2])
+    check_mask(mask, truth.shape[:2])
     n_pixels = int(np.count_nonzero(mask))
     if n_pixels < LEAST_PIXELS:
         raise MetricError(f"the region has {n_pixels} pixels; needs {LEAST_PIXELS}")
     return float(cv2.norm(*same_kind(rendered, truth), kind, mask.astype(np.uint8))) / (3 * n_pixels)
-
-
-def _check_mask(mask: Mask, shape: tuple[int, ...]) -> None:
-    if mask.shape != shape or mask.dtype != np.bool_:
-        raise MetricError(f"mask: wanted {shape} bool, got {mask.shape} {mask.dtype}")
 
 
 def region_mask(truth: TruthFrame, region: Region) -> Mask | None:

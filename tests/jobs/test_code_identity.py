@@ -43,7 +43,7 @@ CORRECTED = {"PSNR_cc", "SSIM_cc", "LPIPS_cc"}  # one scorer: a frame is correct
 WITH_SSIM = {"SSIM", "TCC", "ceilings"} | REGIONS | CORRECTED
 WITHOUT_SSIM = {"PSNR", "L1"}
 STED, FLICKER, LPIPS = {"STED", "STED_ssn"}, {"Flicker", "Flicker_excess"}, {"LPIPS"} | CORRECTED
-ALL_SCORES = WITH_SSIM | WITHOUT_SSIM | STED | FLICKER | LPIPS | {"path"}
+ALL_SCORES = WITH_SSIM | WITHOUT_SSIM | {"IV_PSNR"} | STED | FLICKER | LPIPS | {"path"}
 STEREO = {"depth by sgbm", "depth by sweep", "depth by raft"}
 ALL_DEPTH = STEREO | {"checked depth", "sensor depth"}
 
@@ -58,6 +58,7 @@ STALE: dict[str, set[str]] = {
     "method.py": ALL_METHODS | {"path"},
     "kernels/_core": SPLATTED | {"ibrnet"} | REGIONS | {"path"},
     "kernels/_ssim": WITH_SSIM,
+    "kernels/_iv_psnr": {"IV_PSNR"},
     "kernels/_stereo": {"depth by sweep"},
     **{f"baselines/ibrnet/{name}.py": {"ibrnet"} for name in IBRNET},
     "baselines/enerf/volumes.py": {"enerf"},
@@ -188,7 +189,7 @@ def load_setup() -> ModuleType:
         ("ssim.cpp", {"_ssim"}),
         ("splat_simd.hpp", {"_core"}),  # included by files that are included
         ("sgm.cpp", {"_stereo"}),
-        ("parallel.hpp", {"_core", "_ssim", "_stereo"}),
+        ("parallel.hpp", {"_core", "_ssim", "_iv_psnr", "_stereo"}),
     ],
 )
 def test_sources_of_kernels(source, rebuilt, monkeypatch, tmp_path):
@@ -205,7 +206,7 @@ def test_sources_of_kernels(source, rebuilt, monkeypatch, tmp_path):
 
 
 @checkout
-@pytest.mark.parametrize("name", ["_core", "_ssim", "_stereo"])
+@pytest.mark.parametrize("name", ["_core", "_ssim", "_iv_psnr", "_stereo"])
 def test_kernels_carry_the_hash_of_their_sources(name, monkeypatch):
     """What was built says from what, and that is what lies here; where it is not, `make clean` or setup.py builds it anew."""
     monkeypatch.chdir(ROOT)
