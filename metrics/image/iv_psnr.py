@@ -6,8 +6,7 @@ import numpy as np
 
 from ggvs_eval import kernels
 from ggvs_eval.arrays import Image8, Mask
-from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.inputs import Image, check_mask, check_pair, require_finite, white_level
+from ggvs_eval.metrics.inputs import Image, check_pair, count_inside, require_finite, white_level
 from ggvs_eval.metrics.metric import FURTHER, ViewMetric
 
 WEIGHTS = np.array([4, 1, 1]) / 6  # of Y, Cb and Cr
@@ -31,13 +30,13 @@ def iv_psnr(rendered: Image, truth: Image, mask: Mask | None = None, colours: Li
         frames have a squared error of 1 in all, not 0: 110 dB at 1352x1014.
 
     Raises:
-        MetricError: images or mask do not fit each other, or the mask is empty.
+        MetricError: images or mask do not fit each other, or fewer than 64 pixels inside.
 
     Example:
         >>> import numpy as np
         >>> truth = np.random.default_rng(0).integers(0, 255, (48, 64, 3), dtype=np.uint8)
         >>> round(iv_psnr(np.roll(truth, 1, axis=1), truth, colours="ycbcr"), 1)  # of a shift only the border remains
-        29.9
+        34.7
 
     Reading:
         The paper speaks of video, which is YCbCr; frames here are RGB. Taken: the reference software's own conversion to
@@ -47,13 +46,11 @@ def iv_psnr(rendered: Image, truth: Image, mask: Mask | None = None, colours: Li
 
     check_pair(rendered, truth)
     if mask is not None:
-        check_mask(mask, truth.shape[:2])
+        count_inside(mask, truth.shape[:2])
     images = (np.ascontiguousarray(_eight_bit(image)) for image in (rendered, truth))
     level = kernels.SIMD_LEVELS.index(kernels.get_simd_level())
     chosen = None if mask is None else np.ascontiguousarray(mask, dtype=np.uint8)
     errors, _, n_pixels = _iv_psnr.matched_errors(*images, chosen, colours == "rgb", kernels.get_threads(), level)
-    if not n_pixels:
-        raise MetricError("IV-PSNR: the region has no pixel")
     psnr_db = 10 * np.log10(WHITE**2 * n_pixels / np.maximum(errors, 1))  # (2 directions, Y Cb Cr)
     return float((psnr_db @ WEIGHTS).min())
 
@@ -78,4 +75,5 @@ IV_PSNR = ViewMetric(
         "is error of these two kinds, and noise, part of which the search matches"
     ),
     reference="Dziembowski et al. 2022; ISO/IEC MPEG immersive video",
+    inside=lambda pair, mask: iv_psnr(pair.rendered, pair.truth.image, mask),
 )

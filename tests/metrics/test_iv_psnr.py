@@ -105,7 +105,7 @@ def test_what_the_gap_to_psnr_says():
     assert gap["shift"] > 10
     assert gap["colour"] > 40
     assert gap["blur"] < 6
-    assert gap["noise"] > 5
+    assert gap["noise"] > 2
 
 
 def test_regions_that_cannot_be_measured_say_so():
@@ -114,7 +114,7 @@ def test_regions_that_cannot_be_measured_say_so():
     for mask, reason in [
         (np.ones((20, 31), bool), "wanted \\(20, 30\\) bool"),
         (np.ones((20, 30), np.uint8), "got \\(20, 30\\) uint8"),
-        (np.zeros((20, 30), bool), "no pixel"),
+        (np.zeros((20, 30), bool), "0 pixels; needs 64"),
     ]:
         with pytest.raises(MetricError, match=reason):
             iv_psnr(truth, truth, mask)
