@@ -10,9 +10,6 @@ from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.inputs import Image, check_pair, count_inside, require_finite, white_level
 from ggvs_eval.metrics.metric import FURTHER, FramePair, ViewMetric
 
-# Of the library: a monitor 0.7 m wide, 3840 pixels, at 0.7 m.
-PIXELS_PER_DEGREE = 67.02
-
 
 def flip(rendered: Image, truth: Image) -> float:
     """Mean FLIP error of one frame (Andersson et al. 2020), seen at 67 pixels per degree.
@@ -34,13 +31,14 @@ def flip(rendered: Image, truth: Image) -> float:
         0.0
 
     Reading:
-        The library's own viewing conditions, whatever the size of the frame: a frame of 1352x1014 is seen 20 degrees wide.
+        The library's own viewing conditions, a monitor 0.7 m wide of 3840 pixels at 0.7 m, whatever the size of the frame: one of
+        1352x1014 is seen 20 degrees wide.
     """
     return float(flip_map(rendered, truth).mean(dtype=np.float64))
 
 
-def flip_map(rendered: Image, truth: Image) -> NDArray[np.float32]:
-    """FLIP error of each pixel, (H, W), 0 to 1.
+def flip_map(rendered: Image, truth: Image, pixels_per_degree: float | None = None) -> NDArray[np.float32]:
+    """FLIP error of each pixel, (H, W), 0 to 1; at the library's own 67.02 pixels per degree where nothing else is said.
 
     Raises:
         MetricError: as of `flip`.
@@ -53,7 +51,8 @@ def flip_map(rendered: Image, truth: Image) -> NDArray[np.float32]:
     for image in (rendered, truth):
         require_finite(float(image.sum(dtype=np.float64)), "FLIP")
     images = (_unit_range(image) for image in (truth, rendered))
-    errors, *_ = flip_evaluator.evaluate(*images, "LDR", applyMagma=False, computeMeanError=False)
+    conditions = {} if pixels_per_degree is None else {"ppd": pixels_per_degree}
+    errors, *_ = flip_evaluator.evaluate(*images, "LDR", applyMagma=False, computeMeanError=False, parameters=conditions)
     return np.asarray(errors[..., 0], dtype=np.float32)
 
 

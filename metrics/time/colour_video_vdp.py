@@ -21,12 +21,19 @@ DISPLAY = "standard_4k"
 FRAMES_PER_SECOND = 30.0
 
 
-def colour_video_vdp(pairs: Iterable[tuple[Image8, Image8]], device: str = "cpu") -> float:
+def colour_video_vdp(
+    pairs: Iterable[tuple[Image8, Image8]],
+    device: str = "cpu",
+    display: str = DISPLAY,
+    frames_per_second: float = FRAMES_PER_SECOND,
+) -> float:
     """ColorVideoVDP of one view (Mantiuk et al. 2024).
 
     Args:
         pairs: rendered and captured frame of each instant, in order, (H, W, 3) uint8, sRGB; spooled to disk.
         device: where it computes.
+        display: a display model of the package.
+        frames_per_second: of the video.
 
     Returns:
         Just-objectionable differences: 10 for equal videos, 1 less where 3 of 4 viewers prefer the captured one; higher is
@@ -49,19 +56,19 @@ def colour_video_vdp(pairs: Iterable[tuple[Image8, Image8]], device: str = "cpu"
         for rendered, truth in pairs:
             check_pair(rendered, truth)
             frames.add(rendered, truth)
-        return _quality(frames, device)
+        return _quality(frames, device, display, frames_per_second)
 
 
-def _quality(frames: SpooledFrames, device: str) -> float:
+def _quality(frames: SpooledFrames, device: str, display: str = DISPLAY, frames_per_second: float = FRAMES_PER_SECOND) -> float:
     import torch
 
     if not frames.count:
         raise MetricError("ColorVideoVDP: no frames to measure")
     package = load_package()
-    metric = package.cvvdp(display_name=DISPLAY, quiet=True, device=torch.device(device))
+    metric = package.cvvdp(display_name=display, quiet=True, device=torch.device(device))
     rendered, truth = frames.videos()
 
-    class Videos(package.video_source_dm):  # type: ignore[misc,name-defined]
+    class Videos(package.video_source_dm):  # type: ignore[name-defined]
         """Both videos, read frame by frame."""
 
         def get_video_size(self) -> tuple[int, int, int]:
@@ -71,7 +78,7 @@ def _quality(frames: SpooledFrames, device: str) -> float:
             return 1
 
         def get_frames_per_second(self) -> float:
-            return FRAMES_PER_SECOND if frames.count > 1 else 0
+            return frames_per_second if frames.count > 1 else 0
 
         def get_test_frame(self, frame: int, device: Any, colorspace: str) -> "torch.Tensor":
             return self._shown(rendered[frame], device, colorspace)

@@ -14,16 +14,17 @@ from ggvs_eval.metrics.metric import FURTHER, ColourMap, MetricOptions, TruthFra
 from ggvs_eval.metrics.time.spooled_frames import SpooledFrames
 
 MODEL = "vmaf_v0.6.1"
-TO_LUMA = "scale=out_color_matrix=bt709:out_range=tv,format=yuv420p"
 MIN_SIDE_PX = 32  # below, VMAF's pyramid has no coarsest scale
 TIMEOUT_S = 3600
 
 
-def vmaf(pairs: Iterable[tuple[Image8, Image8]]) -> list[float]:
+def vmaf(pairs: Iterable[tuple[Image8, Image8]], model: str = MODEL, matrix: str = "bt709") -> list[float]:
     """VMAF of each frame of one view.
 
     Args:
         pairs: rendered and captured frame of each instant, in order, (H, W, 3) uint8; spooled to disk.
+        model: version of one that is built in, e.g. ``vmaf_v0.6.1neg``.
+        matrix: which YCbCr luma is taken from, ``bt709`` or ``bt601``.
 
     Returns:
         One value per frame, 0 to 100; higher is better.
@@ -45,18 +46,19 @@ def vmaf(pairs: Iterable[tuple[Image8, Image8]]) -> list[float]:
         for rendered, truth in pairs:
             check_pair(rendered, truth)
             frames.add(rendered, truth)
-        return _vmaf_of(frames)
+        return _vmaf_of(frames, model, matrix)
 
 
-def _vmaf_of(frames: SpooledFrames) -> list[float]:
+def _vmaf_of(frames: SpooledFrames, model: str = MODEL, matrix: str = "bt709") -> list[float]:
     if not frames.count or min(frames.shape[:2]) < MIN_SIDE_PX:
         raise MetricError(f"VMAF needs frames of at least {MIN_SIDE_PX} pixels a side, got {frames.count} of {frames.shape[:2]}")
     with TemporaryDirectory(prefix="ggvs-eval-vmaf-") as folder:
         log = Path(folder) / "vmaf.json"
         height, width = frames.shape[:2]
         raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-video_size", f"{width}x{height}", "-framerate", "30"]
-        measure = f"libvmaf=log_fmt=json:log_path={log.name}:model=version={MODEL}:n_threads={kernels.get_threads()}"
-        graph = f"[0:v]{TO_LUMA}[rendered];[1:v]{TO_LUMA}[truth];[rendered][truth]{measure}"
+        measure = f"libvmaf=log_fmt=json:log_path={log.name}:model=version={model}:n_threads={kernels.get_threads()}"
+        to_luma = f"scale=out_color_matrix={matrix}:out_range=tv,format=yuv420p"
+        graph = f"[0:v]{to_luma}[rendered];[1:v]{to_luma}[truth];[rendered][truth]{measure}"
         inputs = [*raw, "-i", str(frames.rendered), *raw, "-i", str(frames.truth)]
         command = [find_ffmpeg(), "-nostdin", "-loglevel", "error", *inputs, "-lavfi", graph, "-f", "null", "-"]
         try:

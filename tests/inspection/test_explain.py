@@ -447,7 +447,7 @@ def test_printed_digits_set_the_tolerance(quoted, value, tolerance):
 @pytest.mark.parametrize(
     ("metric", "quoted", "names", "message"),
     [
-        ("vmaf", "90", VIEWS, "no conventions known of 'vmaf'"),
+        ("niqe", "3.1", VIEWS, "no conventions known of 'niqe'"),
         ("psnr", "high", VIEWS, "wanted a number"),
         ("psnr", "inf", VIEWS, "wanted a number"),
         ("psnr", "30", (), "no views"),

@@ -117,7 +117,8 @@ def padded(rendered: Levels, truth: Levels, border: int) -> float:
 
 def _dissimilarity(row: Recomputed, divisor: int) -> Recomputed:
     formula = "1 - SSIM" if divisor == 1 else "DSSIM = (1 - SSIM) / 2"
-    return Recomputed(f"{formula}, {row.name}", {over: (1 - value) / divisor for over, value in row.values.items()})
+    is_ours = divisor == 2 and row.name in (UNIFORM_RANGE_1, UNIFORM_RANGE_2)  # D-SSIM 1 and 2
+    return Recomputed(f"{formula}, {row.name}", {over: (1 - value) / divisor for over, value in row.values.items()}, is_ours)
 
 
 def _blackened(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskReader]) -> list[Recomputed]:
