@@ -47,10 +47,10 @@ def iv_psnr(rendered: Image, truth: Image, mask: Mask | None = None, colours: Li
     check_pair(rendered, truth)
     if mask is not None:
         count_inside(mask, truth.shape[:2])
-    images = (np.ascontiguousarray(_eight_bit(image)) for image in (rendered, truth))
+    first, second = (np.ascontiguousarray(_eight_bit(image)) for image in (rendered, truth))
     level = kernels.SIMD_LEVELS.index(kernels.get_simd_level())
     chosen = None if mask is None else np.ascontiguousarray(mask, dtype=np.uint8)
-    errors, _, n_pixels = _iv_psnr.matched_errors(*images, chosen, colours == "rgb", kernels.get_threads(), level)
+    errors, _, n_pixels = _iv_psnr.matched_errors(first, second, chosen, colours == "rgb", kernels.get_threads(), level)
     psnr_db = 10 * np.log10(WHITE**2 * n_pixels / np.maximum(errors, 1))  # (2 directions, Y Cb Cr)
     return float((psnr_db @ WEIGHTS).min())
 

@@ -33,9 +33,10 @@ def iv_psnr_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
     """IV-PSNR on the YCbCr that a video file would hold, and the PSNR of YCbCr that its program prints beside it."""
     from ggvs_eval.metrics.image.iv_psnr import WEIGHTS, iv_psnr
 
-    def of_video(rendered: Image8, truth: Image8, matrix: str, *, headroom: bool, chroma: int) -> float:
-        first, second = (_ycbcr(image, matrix, headroom, chroma) for image in (rendered, truth))
-        return iv_psnr(first, second, colours="ycbcr")
+    def of_video(matrix: str, headroom: bool, chroma: int) -> FrameMeasure:
+        return lambda rendered, truth: iv_psnr(
+            _ycbcr(rendered, matrix, headroom, chroma), _ycbcr(truth, matrix, headroom, chroma), colours="ycbcr"
+        )
 
     def plain(rendered: Image8, truth: Image8) -> float:
         first, second = (_ycbcr(image, "BT.709", False, 1).astype(np.float64) for image in (rendered, truth))
@@ -44,10 +45,10 @@ def iv_psnr_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
 
     measures: dict[str, FrameMeasure] = {
         OUR_IV_PSNR: iv_psnr,
-        "YCbCr of BT.601 without headroom, full chroma": lambda *pair: of_video(*pair, "BT.601", headroom=False, chroma=1),
-        "YCbCr of BT.709 in 16..235, full chroma": lambda *pair: of_video(*pair, "BT.709", headroom=True, chroma=1),
-        "YCbCr of BT.709 in 16..235, chroma 4:2:0 (video)": lambda *pair: of_video(*pair, "BT.709", headroom=True, chroma=2),
-        "YCbCr of BT.601 in 16..235, chroma 4:2:0 (video)": lambda *pair: of_video(*pair, "BT.601", headroom=True, chroma=2),
+        "YCbCr of BT.601 without headroom, full chroma": of_video("BT.601", headroom=False, chroma=1),
+        "YCbCr of BT.709 in 16..235, full chroma": of_video("BT.709", headroom=True, chroma=1),
+        "YCbCr of BT.709 in 16..235, chroma 4:2:0 (video)": of_video("BT.709", headroom=True, chroma=2),
+        "YCbCr of BT.601 in 16..235, chroma 4:2:0 (video)": of_video("BT.601", headroom=True, chroma=2),
         "PSNR of YCbCr 4:1:1, BT.709, which forgives nothing": plain,
     }
     return frame_means(views, measures, OUR_IV_PSNR)
@@ -75,9 +76,14 @@ def dists_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
     """DISTS at the frames' own size, and after the shrinking of its authors' script."""
     from ggvs_eval.metrics.image.dists import dists
 
+    def of_script(rendered: Image8, truth: Image8) -> float:
+        return dists(_shrunk(rendered), _shrunk(truth))
+
     measures: dict[str, FrameMeasure] = {
         OUR_DISTS: dists,
-        "frames shrunk to 256 pixels at the shorter side (authors' script)": lambda *pair: dists(*map(_shrunk, pair)),
+        "frames shrunk to 256 pixels at the shorter side (authors' script)": lambda rendered, truth: dists(
+            _shrunk(rendered), _shrunk(truth)
+        ),
         "both at half size": lambda *pair: dists(*halved(*pair)),
     }
     return frame_means(views, measures, OUR_DISTS)
@@ -99,10 +105,15 @@ def flip_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
     """FLIP's mean and median, and its mean under other viewing conditions."""
     from ggvs_eval.metrics.image.flip import flip, flip_map
 
+    def on_full_hd(rendered: Image8, truth: Image8) -> float:
+        return float(flip_map(rendered, truth, 33.51).mean())
+
     measures: dict[str, FrameMeasure] = {
         OUR_FLIP: flip,
         "median, 67 pixels per degree": lambda *pair: float(np.median(flip_map(*pair))),
-        "mean, 33.5 pixels per degree (a full HD monitor)": lambda *pair: float(flip_map(*pair, 33.51).mean()),
+        "mean, 33.5 pixels per degree (a full HD monitor)": lambda rendered, truth: float(
+            flip_map(rendered, truth, 33.51).mean()
+        ),
         "mean, 67 pixels per degree, both at half size": lambda *pair: flip(*halved(*pair)),
     }
     return frame_means(views, measures, OUR_FLIP)
