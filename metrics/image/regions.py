@@ -1,6 +1,6 @@
 """Metrics of a part of the image: what stands still, what moves, what no source camera sees."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
 from typing import Literal, get_args
 
@@ -59,20 +59,18 @@ def region_mask(truth: TruthFrame, region: Region) -> Mask | None:
     return moving if region == "moving" else ~moving
 
 
-class RegionScorer:
-    """Metrics of one region; frames in which it is too small, or not known, have no value."""
+class PartScorer:
+    """A metric of one region; frames in which it is too small, or not known, have no value."""
 
-    def __init__(
-        self, region: Region, parts: Mapping[str, ViewMetric], options: MetricOptions, colour_map: ColourMap | None
-    ) -> None:
-        self.names = list(parts)
+    def __init__(self, name: str, region: Region, inside: Inside, options: MetricOptions, colour_map: ColourMap | None) -> None:
+        self.names = (name,)
         self._region = region
-        self._parts = parts
+        self._inside = inside
         self._options = options
         self._colour_map = colour_map
         self._previous: Image8 | None = None
-        self._reasons = {name: "no masks are known; run `ggvs-eval prepare`" for name in self.names}
-        self._measured: set[str] = set()
+        self._reason = "no masks are known; run `ggvs-eval prepare`" if region == "disoccluded" else "motion is of 2 frames"
+        self._is_measured = False
 
     def add(self, index: int, rendered: Image8, truth: TruthFrame) -> list[Value]:
         """See `Scorer`."""
@@ -81,62 +79,62 @@ class RegionScorer:
         mask = region_mask(truth, self._region)
         if mask is None:
             return []
-        values: list[Value] = []
-        for name, metric in self._parts.items():
-            value = self._value(name, metric, pair, mask)
-            if value is not None:
-                values.append((name, index - 1 if metric.kind == "pair" else index, value))
-        self._measured |= {name for name, _, _ in values}
-        return values
+        try:
+            value = self._inside(pair, mask)
+        except (MetricError, WeightsError) as error:
+            self._reason = str(error)
+            return []
+        if value is None:
+            return []
+        self._is_measured = True
+        return [(self.names[0], index, value)]
 
     def finish(self) -> list[Value]:
         """See `Scorer`."""
-        absent = [name for name in self.names if name not in self._measured]
-        if absent:
-            raise MetricError(f"{', '.join(absent)}: in no frame, {self._reasons[absent[0]]}")
+        if not self._is_measured:
+            raise MetricError(f"{self.names[0]}: in no frame, {self._reason}")
         return []
 
-    def _value(self, name: str, metric: ViewMetric, pair: FramePair, mask: Mask) -> float | None:
-        inside = metric.inside
-        try:
-            return inside(pair, mask) if inside else None
-        except (MetricError, WeightsError) as error:
-            self._reasons[name] = str(error)
-            return None
+
+class PairPartScorer(PartScorer):
+    """A metric of pairs of neighbouring frames in one region, whose values stand at the first frame."""
+
+    def add(self, index: int, rendered: Image8, truth: TruthFrame) -> list[Value]:
+        """See `Scorer`."""
+        return [(name, later - 1, value) for name, later, value in super().add(index, rendered, truth) if later is not None]
 
 
 def metrics_of_parts(metrics: Iterable[ViewMetric]) -> tuple[ViewMetric, ...]:
-    """Each metric that has an `inside`, of each region; those of one region share its mask."""
-    whole = [metric for metric in metrics if metric.inside]
-    return tuple(part for region in REGIONS for part in _metrics_of(region, whole))
+    """Each metric that has an `inside`, of each region; the mask is computed once for all."""
+    whole = tuple(metrics)
+    return tuple(_part(metric, metric.inside, region) for region in REGIONS for metric in whole if metric.inside)
 
 
-def _metrics_of(region: Region, whole: Sequence[ViewMetric]) -> Iterable[ViewMetric]:
-    scorer = partial(_region_scorer, region, {f"{metric.name}_{region}": metric for metric in whole})
-    for metric in whole:
-        inside: Inside | None = metric.inside
-        if inside is not None:
-            yield ViewMetric(
-                name=f"{metric.name}_{region}",
-                kind=metric.kind,
-                function=inside,
-                unit=metric.unit,
-                higher_is_better=metric.higher_is_better,
-                group=REGION,
-                describe=f"{metric.name} of {WORDS[region]}{metric.inside_note}",
-                note=metric.note,
-                reference="regions by the masks of Eq. 1",
-                scorer=scorer,
-                weights=metric.weights,
-                corrects_colours=metric.corrects_colours,
-            )
+def _part(metric: ViewMetric, inside: Inside, region: Region) -> ViewMetric:
+    name = f"{metric.name}_{region}"
+    return ViewMetric(
+        name=name,
+        kind=metric.kind,
+        function=inside,
+        unit=metric.unit,
+        higher_is_better=metric.higher_is_better,
+        group=REGION,
+        describe=f"{metric.name} of {WORDS[region]}{metric.inside_note}",
+        note=metric.note,
+        reference="regions by the masks of Eq. 1",
+        scorer=partial(_scorer, PairPartScorer if metric.kind == "pair" else PartScorer, name, region, inside),
+        weights=metric.weights,
+        corrects_colours=metric.corrects_colours,
+    )
 
 
-def _region_scorer(
+def _scorer(
+    kind: type[PartScorer],
+    name: str,
     region: Region,
-    parts: Mapping[str, ViewMetric],
-    names: Sequence[str],
+    inside: Inside,
+    _names: Sequence[str],
     options: MetricOptions,
     colour_map: ColourMap | None,
-) -> RegionScorer:
-    return RegionScorer(region, {name: parts[name] for name in parts if name in names}, options, colour_map)
+) -> PartScorer:
+    return kind(name, region, inside, options, colour_map)

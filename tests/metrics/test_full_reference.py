@@ -149,7 +149,8 @@ def test_what_is_absent_has_its_reason(monkeypatch, tmp_path):
     assert scores.not_computed["FLIP"] == "FLIP needs flip-evaluator; `pip install 'ggvs-eval[flip]'`"
     assert scores.not_computed["DISTS"].startswith("DISTS: no weights at")
     assert fetch_dists.FETCH_COMMAND in scores.not_computed["DISTS"]
-    assert "FLIP_disoccluded" in scores.not_computed
+    assert set(scores.not_computed) == {"FLIP", "DISTS", "FLIP_disoccluded", "DISTS_disoccluded"}
+    assert scores.not_computed["FLIP_disoccluded"].startswith("FLIP_disoccluded: in no frame, FLIP needs")
 
 
 def test_only_the_authors_file_becomes_weights(tmp_path):
