@@ -92,7 +92,7 @@ class PartScorer:
     def finish(self) -> list[Value]:
         """See `Scorer`."""
         if not self._is_measured:
-            raise MetricError(f"{self.names[0]}: in no frame, {self._reason}")
+            raise MetricError(f"in no frame: {self._reason}")
         return []
 
 
