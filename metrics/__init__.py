@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from ggvs_eval.metrics.image.dists import dists
     from ggvs_eval.metrics.image.dssim import dssim
     from ggvs_eval.metrics.image.flip import flip
-    from ggvs_eval.metrics.image.iv_psnr import iv_psnr
+    from ggvs_eval.metrics.image.iv_psnr import iv_psnr, psnr_ycbcr
     from ggvs_eval.metrics.image.l1 import l1, masked_l1
     from ggvs_eval.metrics.image.lpips import lpips
     from ggvs_eval.metrics.image.ms_ssim import ms_ssim
@@ -45,6 +45,7 @@ __all__ = [
     "ms_ssim",
     "psnr",
     "psnr_colour_corrected",
+    "psnr_ycbcr",
     "score_path",
     "score_view",
     "sdt",
@@ -61,7 +62,7 @@ _MODULES = {
     "image.dists": ("dists",),
     "image.dssim": ("dssim",),
     "image.flip": ("flip",),
-    "image.iv_psnr": ("iv_psnr",),
+    "image.iv_psnr": ("iv_psnr", "psnr_ycbcr"),
     "image.l1": ("l1", "masked_l1"),
     "image.lpips": ("lpips",),
     "image.ms_ssim": ("ms_ssim",),

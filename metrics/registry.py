@@ -9,7 +9,7 @@ from ggvs_eval.metrics.image.corrected import LPIPS_CC, PSNR_CC, SSIM_CC
 from ggvs_eval.metrics.image.dists import DISTS
 from ggvs_eval.metrics.image.dssim import DSSIM1, DSSIM2
 from ggvs_eval.metrics.image.flip import FLIP
-from ggvs_eval.metrics.image.iv_psnr import IV_PSNR
+from ggvs_eval.metrics.image.iv_psnr import IV_PSNR, PSNR_YCBCR
 from ggvs_eval.metrics.image.l1 import L1
 from ggvs_eval.metrics.image.lpips import LPIPS
 from ggvs_eval.metrics.image.ms_ssim import MS_SSIM
@@ -39,7 +39,7 @@ from ggvs_eval.metrics.time.tcc import TCC
 from ggvs_eval.metrics.time.vmaf import VMAF
 
 # In the order in which they are scored and stand in the results.
-_OF_IMAGES = (PSNR, SSIM, L1, LPIPS, PSNR_CC, SSIM_CC, LPIPS_CC, IV_PSNR, MS_SSIM, DSSIM1, DSSIM2, FLIP, DISTS)
+_OF_IMAGES = (PSNR, SSIM, L1, LPIPS, PSNR_CC, SSIM_CC, LPIPS_CC, IV_PSNR, PSNR_YCBCR, MS_SSIM, DSSIM1, DSSIM2, FLIP, DISTS)
 _ALL: tuple[Metric, ...] = (
     *_OF_IMAGES,
     *metrics_of_parts((*_OF_IMAGES, TCC)),

@@ -81,26 +81,31 @@ constexpr uint8_t level(int sum, int middle) {
     }
 }
 
-// Sums of rendered - truth over the rows, and the number of pixels that count.
-[[gnu::always_inline]] inline std::array<int64_t, kComponents + 1> difference_sums(const Frames& frames, int first, int last) {
-    std::array<int64_t, kComponents + 1> sums{};
+// Over some rows: sums of rendered - truth and of its squares, and the number of pixels that count.
+struct Differences {
+    Sums sums{}, squares{};
+    int64_t count = 0;
+};
+
+template <bool is_masked>
+[[gnu::always_inline]] inline void add_differences(const Frames& frames, int first, int last, Differences& total) {
     for (int row = first; row < last; ++row) {
         const int64_t start = static_cast<int64_t>(row) * frames.width;
-        const uint8_t* mask = frames.mask ? frames.mask + start : nullptr;
+        const uint8_t* mask = is_masked ? frames.mask + start : nullptr;
         for (int k = 0; k < kComponents; ++k) {
             const uint8_t *x = frames.rendered[k].data() + start, *y = frames.truth[k].data() + start;
             int sum = 0;
-            if (mask)
-                for (int i = 0; i < frames.width; ++i) sum += (mask[i] != 0) * (int(x[i]) - int(y[i]));
-            else
-                for (int i = 0; i < frames.width; ++i) sum += int(x[i]) - int(y[i]);
-            sums[k] += sum;
+            int64_t squares = 0;
+            for (int i = 0; i < frames.width; ++i) {
+                const int difference = (is_masked ? mask[i] != 0 : 1) * (int(x[i]) - int(y[i]));
+                sum += difference;
+                squares += difference * difference;
+            }
+            total.sums[k] += sum;
+            total.squares[k] += squares;
         }
-        int count = frames.width;
-        if (mask) count = static_cast<int>(frames.width - std::count(mask, mask + frames.width, 0));
-        sums[kComponents] += count;
+        total.count += is_masked ? frames.width - std::count(mask, mask + frames.width, 0) : frames.width;
     }
-    return sums;
 }
 
 struct Tile {
@@ -234,10 +239,10 @@ std::vector<Tile> cut_into_tiles(int height, int width) {
 }
 
 // The mean difference of the frames, rounded, and clipped to what nobody notices.
-Sums global_difference(const std::array<int64_t, kComponents + 1>& sums) {
+Sums global_difference(const Differences& total) {
     Sums difference{};
-    for (int k = 0; k < kComponents && sums[kComponents]; ++k) {
-        const double mean = static_cast<double>(sums[k]) / static_cast<double>(sums[kComponents]);
+    for (int k = 0; k < kComponents && total.count; ++k) {
+        const double mean = static_cast<double>(total.sums[k]) / static_cast<double>(total.count);
         difference[k] = std::clamp<int64_t>(std::lround(mean), -kUnnoticed, kUnnoticed);
     }
     return difference;
@@ -246,7 +251,7 @@ Sums global_difference(const std::array<int64_t, kComponents + 1>& sums) {
 struct Measured {
     TileSums sums{};
     Sums shift{};
-    int64_t count = 0;
+    Differences plain;
 };
 
 Measured measure(const Image& rendered, const Image& truth, const uint8_t* mask, int threads, const Functions& functions) {
@@ -254,19 +259,25 @@ Measured measure(const Image& rendered, const Image& truth, const uint8_t* mask,
     for (Planes* planes : {&frames.rendered, &frames.truth})
         for (auto& plane : *planes) plane.resize(static_cast<size_t>(truth.height) * truth.width);
     const int bands = (truth.height + kBandRows - 1) / kBandRows;
-    std::vector<std::array<int64_t, kComponents + 1>> differences(bands);
+    std::vector<Differences> differences(bands);
     ggvs::parallel_for(bands, threads, [&](int band, int) {
         const int first = band * kBandRows, last = std::min(first + kBandRows, truth.height);
         functions.convert(rendered, first, last, frames.rendered);
         functions.convert(truth, first, last, frames.truth);
-        differences[band] = difference_sums(frames, first, last);
+        if (mask)
+            add_differences<true>(frames, first, last, differences[band]);
+        else
+            add_differences<false>(frames, first, last, differences[band]);
     });
-    std::array<int64_t, kComponents + 1> total{};
-    for (const auto& band : differences)
-        for (int k = 0; k <= kComponents; ++k) total[k] += band[k];
     Measured result;
-    result.shift = global_difference(total);
-    result.count = total[kComponents];
+    for (const Differences& band : differences) {
+        for (int k = 0; k < kComponents; ++k) {
+            result.plain.sums[k] += band.sums[k];
+            result.plain.squares[k] += band.squares[k];
+        }
+        result.plain.count += band.count;
+    }
+    result.shift = global_difference(result.plain);
     const std::vector<Tile> tiles = cut_into_tiles(truth.height, truth.width);
     std::vector<TileSums> sums(tiles.size());
     std::vector<Workspace> workspaces(std::max(1, std::min<int>(threads, static_cast<int>(tiles.size()))));
@@ -304,7 +315,8 @@ py::tuple matched_errors(const Bytes& rendered, const Bytes& truth, const py::ob
     py::array_t<int64_t> sums({2, kComponents});
     for (int d = 0; d < 2; ++d)
         for (int k = 0; k < kComponents; ++k) sums.mutable_at(d, k) = result.sums[d][k];
-    return py::make_tuple(sums, py::array_t<int64_t>(kComponents, result.shift.data()), result.count);
+    return py::make_tuple(sums, py::array_t<int64_t>(kComponents, result.plain.squares.data()),
+                          py::array_t<int64_t>(kComponents, result.shift.data()), result.plain.count);
 }
 
 }  // namespace
@@ -313,5 +325,6 @@ PYBIND11_MODULE(_iv_psnr, module) {
     module.doc() = "Errors of a frame after matching within two pixels, for IV-PSNR.";
     module.def("matched_errors", &matched_errors, py::arg("rendered"), py::arg("truth"), py::arg("mask"), py::arg("is_rgb"),
                py::arg("threads"), py::arg("level"),
-               "Squared errors (2, 3) of YCbCr, rendered to truth and back; the global difference (3,); the number of pixels.");
+               "Squared errors (2, 3) of YCbCr, rendered to truth and back; the same (3,) of each pixel and its own place; the global "
+               "difference (3,); the number of pixels.");
 }

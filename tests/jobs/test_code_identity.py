@@ -54,7 +54,7 @@ CORRECTED = with_parts("PSNR_cc", "SSIM_cc", "LPIPS_cc")  # one scorer: a frame 
 WITH_SSIM = with_parts("SSIM", "TCC", "DSSIM1", "DSSIM2") | {"ceilings"} | CORRECTED
 STED, FLICKER = {"STED", "STED_ssn"}, {"Flicker", "Flicker_excess"}
 LPIPS = with_parts("LPIPS", "DISTS") | CORRECTED
-OTHERS = with_parts("PSNR", "L1", "IV_PSNR", "MS_SSIM", "FLIP") | {"VMAF", "CVVDP"}
+OTHERS = with_parts("PSNR", "L1", "IV_PSNR", "PSNR_YCbCr", "MS_SSIM", "FLIP") | {"VMAF", "CVVDP"}
 ALL_SCORES = WITH_SSIM | OTHERS | STED | FLICKER | LPIPS | {"path"}
 REGIONS = {name for name in ALL_SCORES if name.endswith(("_static", "_moving", "_disoccluded"))}
 STEREO = {"depth by sgbm", "depth by sweep", "depth by raft"}
@@ -71,7 +71,7 @@ STALE: dict[str, set[str]] = {
     "method.py": ALL_METHODS | {"path"},
     "kernels/_core": SPLATTED | {"ibrnet"} | REGIONS | {"path"},
     "kernels/_ssim": WITH_SSIM,
-    "kernels/_iv_psnr": with_parts("IV_PSNR"),
+    "kernels/_iv_psnr": with_parts("IV_PSNR", "PSNR_YCbCr"),
     "kernels/_stereo": {"depth by sweep"},
     **{f"baselines/ibrnet/{name}.py": {"ibrnet"} for name in IBRNET},
     "baselines/enerf/volumes.py": {"enerf"},

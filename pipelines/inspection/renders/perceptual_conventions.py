@@ -31,17 +31,12 @@ SCRIPT_SIDE_PX = 256
 
 def iv_psnr_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
     """IV-PSNR on the YCbCr that a video file would hold, and the PSNR of YCbCr that its program prints beside it."""
-    from ggvs_eval.metrics.image.iv_psnr import WEIGHTS, iv_psnr
+    from ggvs_eval.metrics.image.iv_psnr import iv_psnr, psnr_ycbcr
 
     def of_video(matrix: str, headroom: bool, chroma: int) -> FrameMeasure:
         return lambda rendered, truth: iv_psnr(
             _ycbcr(rendered, matrix, headroom, chroma), _ycbcr(truth, matrix, headroom, chroma), colours="ycbcr"
         )
-
-    def plain(rendered: Image8, truth: Image8) -> float:
-        first, second = (_ycbcr(image, "BT.709", False, 1).astype(np.float64) for image in (rendered, truth))
-        errors = np.square(first - second).mean(axis=(0, 1))
-        return float(10 * np.log10(255**2 / np.maximum(errors, 1 / truth[..., 0].size)) @ WEIGHTS)
 
     measures: dict[str, FrameMeasure] = {
         OUR_IV_PSNR: iv_psnr,
@@ -49,7 +44,7 @@ def iv_psnr_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
         "YCbCr of BT.709 in 16..235, full chroma": of_video("BT.709", headroom=True, chroma=1),
         "YCbCr of BT.709 in 16..235, chroma 4:2:0 (video)": of_video("BT.709", headroom=True, chroma=2),
         "YCbCr of BT.601 in 16..235, chroma 4:2:0 (video)": of_video("BT.601", headroom=True, chroma=2),
-        "PSNR of YCbCr 4:1:1, BT.709, which forgives nothing": plain,
+        "PSNR of YCbCr 4:1:1, BT.709, which forgives nothing": psnr_ycbcr,
     }
     return frame_means(views, measures, OUR_IV_PSNR)
 

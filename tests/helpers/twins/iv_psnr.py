@@ -10,16 +10,16 @@ LUMA_WEIGHT = 4
 BT709 = 0.2126, 0.7152, 0.0722
 
 
-def iv_psnr_twin(rendered: Image8, truth: Image8, mask: Mask | None = None) -> tuple[NDArray, NDArray, int]:
+def iv_psnr_twin(rendered: Image8, truth: Image8, mask: Mask | None = None) -> tuple[NDArray, NDArray, NDArray, int]:
     """What `_iv_psnr.matched_errors` computes of two YCbCr images."""
     x, y = rendered.astype(np.int64), truth.astype(np.int64)
     inside = np.ones(truth.shape[:2], bool) if mask is None else mask
     if not inside.any():
-        return np.zeros((2, 3), np.int64), np.zeros(3, np.int64), 0
+        return np.zeros((2, 3), np.int64), np.zeros(3, np.int64), np.zeros(3, np.int64), 0
     mean = (x - y)[inside].mean(axis=0)
     shift = np.clip(np.sign(mean) * np.floor(np.abs(mean) + 0.5), -3, 3).astype(np.int64)  # 1 % of 255, rounded
     sums = np.stack([_matched(x - shift, y, inside), _matched(y, x - shift, inside)])
-    return sums, shift, int(inside.sum())
+    return sums, ((x - y) ** 2)[inside].sum(axis=0), shift, int(inside.sum())
 
 
 def _matched(image: NDArray, candidates: NDArray, inside: Mask) -> NDArray:
