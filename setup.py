@@ -18,7 +18,13 @@ STEREO = ("stereo", "plane_sweep", "sgm", "weighted_median", "stereo_levels", "s
 FLAGS = ("-O3", "-ffp-contract=off", "-fno-math-errno", "-Wall", "-Wextra", "-pthread")
 
 
-EXTENSIONS = {"_core": SOURCES, "_ssim": ("ssim",), "_stereo": STEREO, "_film": ("film", "ray_tree")}
+EXTENSIONS = {
+    "_core": SOURCES,
+    "_ssim": ("ssim",),
+    "_iv_psnr": ("iv_psnr",),
+    "_stereo": STEREO,
+    "_film": ("film", "ray_tree"),
+}
 INCLUDED = re.compile(r'^#include "(.+)"$', re.MULTILINE)
 
 

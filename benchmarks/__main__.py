@@ -2,7 +2,16 @@
 
 from pathlib import Path
 
-from benchmarks import bench_baselines, bench_decoding, bench_depth, bench_geometry, bench_metrics, bench_online, bench_page
+from benchmarks import (
+    bench_baselines,
+    bench_decoding,
+    bench_depth,
+    bench_full_reference,
+    bench_geometry,
+    bench_metrics,
+    bench_online,
+    bench_page,
+)
 from ggvs_eval.run_folder import write_json
 
 
@@ -12,6 +21,7 @@ def main() -> None:
         bench_geometry.measure()
         | bench_online.measure()
         | bench_metrics.measure()
+        | bench_full_reference.measure()
         | bench_decoding.measure()
         | bench_depth.measure()
         | bench_page.measure()

@@ -20,8 +20,8 @@ from skimage.metrics import structural_similarity
 from ggvs_eval.metrics.image.colour_correction import ColourMoments, apply_colour_map
 from ggvs_eval.metrics.image.fetch_lpips import weights_path
 from ggvs_eval.metrics.image.lpips import lpips
-from ggvs_eval.metrics.image.regions import masked_ssim
 from ggvs_eval.metrics.image.ssim import ssim
+from ggvs_eval.metrics.image.ssim_variants import masked_ssim
 from ggvs_eval.metrics.stream import score_view, score_views
 
 COMMAND = "python -m benchmarks.bench_metrics"
@@ -139,7 +139,7 @@ def _view_ms(names: tuple[str, ...] | list[str], runs: int) -> float:
 def _two_methods_ms() -> float:
     """The same for two renderings at once; what the truth alone decides is computed once."""
     pairs = [_frame_pair(seed) for seed in range(2)]
-    frames = [((rendered, rendered), truth) for rendered, truth in pairs]
+    frames = [((rendered, rendered.copy()), truth) for rendered, truth in pairs]
     return _fastest_ms(lambda: score_views(frames, METRICS_OF_A_VIEW), runs=1)[0] / len(pairs)
 
 

@@ -1,4 +1,4 @@
-"""``python -m ggvs_eval.install``: what pip cannot do - system libraries of Open3D, weights of LPIPS. Idempotent."""
+"""``python -m ggvs_eval.install``: what pip cannot do - system libraries of Open3D, weights of LPIPS and DISTS. Idempotent."""
 
 import os
 import shutil
@@ -14,10 +14,10 @@ LOCKED = "Could not get lock"
 
 
 def main() -> None:
-    """Make Open3D importable or say how, and fetch what LPIPS needs or say what will be missing."""
+    """Make Open3D importable or say how, and fetch what LPIPS and DISTS need or say what will be missing."""
     if not _imports_open3d():
         _install_system_libraries()
-    _fetch_lpips()
+    _fetch_weights()
 
 
 def _imports_open3d() -> bool:
@@ -58,14 +58,16 @@ def run_apt(*words: str, wait_s: float = LOCK_WAIT_S) -> int:
         time.sleep(LOCK_POLL_S)
 
 
-def _fetch_lpips() -> None:
+def _fetch_weights() -> None:
     from ggvs_eval.errors import WeightsError
+    from ggvs_eval.metrics.image.fetch_dists import fetch_dists_weights
     from ggvs_eval.metrics.image.fetch_lpips import fetch_weights
 
-    try:
-        fetch_weights()
-    except WeightsError as error:
-        print(f"LPIPS will be reported as not computed: {error}", file=sys.stderr)
+    for name, fetch in {"LPIPS": fetch_weights, "DISTS": fetch_dists_weights}.items():
+        try:
+            fetch()
+        except WeightsError as error:
+            print(f"{name} will be reported as not computed: {error}", file=sys.stderr)
 
 
 if __name__ == "__main__":

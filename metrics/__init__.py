@@ -8,12 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ggvs_eval.metrics.image.corrected import psnr_colour_corrected
-    from ggvs_eval.metrics.image.l1 import l1
+    from ggvs_eval.metrics.image.dists import dists
+    from ggvs_eval.metrics.image.dssim import dssim
+    from ggvs_eval.metrics.image.flip import flip
+    from ggvs_eval.metrics.image.iv_psnr import iv_psnr, psnr_ycbcr
+    from ggvs_eval.metrics.image.l1 import l1, masked_l1
     from ggvs_eval.metrics.image.lpips import lpips
-    from ggvs_eval.metrics.image.psnr import psnr
-    from ggvs_eval.metrics.image.regions import masked_l1, masked_psnr, masked_ssim
+    from ggvs_eval.metrics.image.ms_ssim import ms_ssim
+    from ggvs_eval.metrics.image.psnr import masked_psnr, psnr
     from ggvs_eval.metrics.image.ssim import ssim
-    from ggvs_eval.metrics.image.ssim_variants import ssim_variant
+    from ggvs_eval.metrics.image.ssim_variants import masked_ssim, ssim_variant
     from ggvs_eval.metrics.metric import MetricOptions
     from ggvs_eval.metrics.path.rendered_path import PathPose
     from ggvs_eval.metrics.path_scores import score_path
@@ -28,14 +32,20 @@ __all__ = [
     "METRICS",
     "MetricOptions",
     "PathPose",
+    "dists",
+    "dssim",
     "flicker",
+    "flip",
+    "iv_psnr",
     "l1",
     "lpips",
     "masked_l1",
     "masked_psnr",
     "masked_ssim",
+    "ms_ssim",
     "psnr",
     "psnr_colour_corrected",
+    "psnr_ycbcr",
     "score_path",
     "score_view",
     "sdt",
@@ -49,12 +59,16 @@ __all__ = [
 # What is imported when a name is first used, so that the import of this package costs nothing.
 _MODULES = {
     "image.corrected": ("psnr_colour_corrected",),
-    "image.l1": ("l1",),
+    "image.dists": ("dists",),
+    "image.dssim": ("dssim",),
+    "image.flip": ("flip",),
+    "image.iv_psnr": ("iv_psnr", "psnr_ycbcr"),
+    "image.l1": ("l1", "masked_l1"),
     "image.lpips": ("lpips",),
-    "image.psnr": ("psnr",),
-    "image.regions": ("masked_l1", "masked_psnr", "masked_ssim"),
+    "image.ms_ssim": ("ms_ssim",),
+    "image.psnr": ("masked_psnr", "psnr"),
     "image.ssim": ("ssim",),
-    "image.ssim_variants": ("ssim_variant",),
+    "image.ssim_variants": ("masked_ssim", "ssim_variant"),
     "metric": ("MetricOptions",),
     "path.rendered_path": ("PathPose",),
     "path_scores": ("score_path",),

@@ -2,11 +2,14 @@
 
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Mask
 from ggvs_eval.errors import MetricError
 
+LEAST_PIXELS = 64  # of a part of an image that is measured
 LARGEST_FLOAT = 2.0  # a little above 1 is a rendering that overshoots, more is another scale
 Image = NDArray[Any]  # uint8 in 0..255 or float in [0, 1]; `check_pair` sees to it
 
@@ -36,6 +39,16 @@ def check_pair(rendered: Image, truth: Image, ndim: int = 3) -> None:
         raise MetricError(f"rendered is {rendered.dtype}, truth is {truth.dtype}; quantise both or neither")
 
 
+def check_mask(mask: Mask, shape: tuple[int, ...]) -> None:
+    """Refuse a mask that is not (H, W) of truth values.
+
+    Raises:
+        MetricError: another shape or kind.
+    """
+    if mask.shape != shape or mask.dtype != np.bool_:
+        raise MetricError(f"mask: wanted {shape} bool, got {mask.shape} {mask.dtype}")
+
+
 def white_level(image: Image) -> float:
     """The value of white: 255 for uint8, 1 for float."""
     return 255.0 if image.dtype == np.uint8 else 1.0
@@ -46,6 +59,30 @@ def same_kind(rendered: Image, truth: Image) -> tuple[Image, Image]:
     if truth.dtype == np.uint8:
         return rendered, truth
     return rendered.astype(np.float64, copy=False), truth.astype(np.float64, copy=False)
+
+
+def mean_inside(rendered: Image, truth: Image, mask: Mask, norm: int) -> float:
+    """Mean over the pixels inside a mask and their channels of what one of OpenCV's norms adds up.
+
+    Raises:
+        MetricError: images or mask do not fit each other, or fewer than `LEAST_PIXELS` inside.
+    """
+    check_pair(rendered, truth)
+    n_pixels = count_inside(mask, truth.shape[:2])
+    return float(cv2.norm(*same_kind(rendered, truth), norm, mask.astype(np.uint8))) / (3 * n_pixels)
+
+
+def count_inside(mask: Mask, shape: tuple[int, ...]) -> int:
+    """Number of pixels inside a mask.
+
+    Raises:
+        MetricError: see `check_mask`, or fewer than `LEAST_PIXELS`.
+    """
+    check_mask(mask, shape)
+    n_pixels = int(np.count_nonzero(mask))
+    if n_pixels < LEAST_PIXELS:
+        raise MetricError(f"the region has {n_pixels} pixels; needs {LEAST_PIXELS}")
+    return n_pixels
 
 
 def require_finite(value: float, metric: str) -> float:

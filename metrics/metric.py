@@ -90,6 +90,37 @@ class TruthFrame:
         return result
 
 
+@dataclass(frozen=True)
+class FramePair:
+    """A rendered and a captured frame, for a metric of a part of them.
+
+    Attributes:
+        index: which frame of those that are measured.
+        rendered: (H, W, 3).
+        truth: the captured frame.
+        previous: the rendered frame before; None for the first.
+        options: variants of the metrics.
+        colour_map: of the view where colours are corrected per view.
+    """
+
+    index: int
+    rendered: Image8
+    truth: TruthFrame
+    previous: Image8 | None
+    options: MetricOptions
+    colour_map: ColourMap | None = None
+
+    def once(self, key: Hashable, compute: Callable[[], T]) -> T:
+        """The result of `compute`, which depends on both frames: the first one under this key; see `shared_by_parts`."""
+        return shared_by_parts(self.rendered, self.truth, key, compute)
+
+
+def shared_by_parts(rendered: NDArray[Any], truth: TruthFrame, key: Hashable, compute: Callable[[], T]) -> T:
+    """What a metric and its parts derive from the same two frames, computed once; it lives as long as the captured frame does."""
+    # The frame is kept beside the result, so that no other one can come to have its identity.
+    return truth.once((key, id(rendered)), lambda: (rendered, compute()))[1]
+
+
 class Scorer(Protocol):
     """One or several metrics of a view, fed frame by frame; what it raises as `MetricError` is the reason for their absence."""
 
@@ -172,6 +203,8 @@ class Metric:
         return tuple(sorted({function.__module__ for function in functions}))
 
 
+# The metric of the pixels inside a mask (H, W); None where it does not look at this frame. Too small a mask is a `MetricError`.
+Inside = Callable[[FramePair, Mask], float | None]
 ScorerFactory = Callable[[Sequence[str], MetricOptions, ColourMap | None], Scorer]
 
 
@@ -182,11 +215,16 @@ class ViewMetric(Metric):
     Attributes:
         scorer: makes the scorer of a view from the names that are asked for, the options and the colour map of the view; metrics
             with one factory share a scorer. None calls `function` on each frame.
+        inside: the metric of a part of the image, of which `regions.metrics_of_parts` makes one metric for each part; None where
+            there is none.
+        inside_note: what that adds to the line that describes the part.
         corrects_colours: whether it wants that colour map.
         weights: file of trained weights that it needs; None where it needs none.
     """
 
     scorer: ScorerFactory | None = None
+    inside: Inside | None = None
+    inside_note: str = ""
     corrects_colours: bool = False
     weights: Callable[[MetricOptions], Path] | None = None
 

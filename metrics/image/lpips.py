@@ -7,13 +7,25 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from ggvs_eval.arrays import Image8
+from ggvs_eval.arrays import Image8, Mask
 from ggvs_eval.errors import MetricError, WeightsError
 from ggvs_eval.metrics.image.fetch_lpips import FETCH_COMMAND, weights_path
-from ggvs_eval.metrics.inputs import Image, check_pair, require_finite, white_level
-from ggvs_eval.metrics.metric import QUALITY, ColourMap, LpipsNet, MetricOptions, TruthFrame, Value, ViewMetric
+from ggvs_eval.metrics.inputs import Image, check_pair, count_inside, require_finite, white_level
+from ggvs_eval.metrics.metric import (
+    QUALITY,
+    ColourMap,
+    FramePair,
+    LpipsNet,
+    MetricOptions,
+    TruthFrame,
+    Value,
+    ViewMetric,
+    shared_by_parts,
+)
 
 if TYPE_CHECKING:
     import torch
@@ -114,11 +126,43 @@ def lpips_features(image: Image, net: LpipsNet, device: str = "cpu") -> "list[to
     weights = load_weights(net, device)
     # On a GPU without rounded factors, and with equal bits from call to call.
     with torch.inference_mode(), torch.backends.cudnn.flags(enabled=True, deterministic=True, allow_tf32=False):
-        features = _network_input(image)[None].to(weights["conv0.weight"]).contiguous(memory_format=torch.channels_last)
+        features = network_input(image)[None].to(weights["conv0.weight"]).contiguous(memory_format=torch.channels_last)
         return [tap.float() for tap in _tapped_layers(features, LAYERS[net], weights)]
 
 
+@dataclass(frozen=True)
+class LpipsDistance:
+    """LPIPS of two frames.
+
+    Attributes:
+        value: the distance.
+        maps: of each compared layer the distance at every place of its own size, (H', W'); the sum of their means is the value.
+    """
+
+    value: float
+    maps: tuple[NDArray[np.float32], ...]
+
+    def inside(self, mask: Mask) -> float:
+        """The distance of a part of the frame, (H, W) bool; a place of a layer counts by the share of its pixels that lie inside.
+
+        Raises:
+            MetricError: the part has fewer than 64 pixels.
+        """
+        count_inside(mask, mask.shape)
+        weight = mask.astype(np.float32)
+        total = 0.0
+        for distances in self.maps:
+            share = cv2.resize(weight, distances.shape[::-1], interpolation=cv2.INTER_AREA)
+            total += float((distances * share).sum(dtype=np.float64) / share.sum(dtype=np.float64))
+        return total
+
+
 def lpips_between(rendered: "list[torch.Tensor]", truth: "list[torch.Tensor]", net: LpipsNet) -> float:
+    """`compare_features`, the value alone."""
+    return compare_features(rendered, truth, net).value
+
+
+def compare_features(rendered: "list[torch.Tensor]", truth: "list[torch.Tensor]", net: LpipsNet) -> LpipsDistance:
     """LPIPS of two frames from their `lpips_features`; those of an 8-bit truth serve float renders too.
 
     Raises:
@@ -131,8 +175,9 @@ def lpips_between(rendered: "list[torch.Tensor]", truth: "list[torch.Tensor]", n
     weights = load_weights(net, str(truth[0].device))
     with torch.inference_mode():
         pairs = enumerate(zip(rendered, truth, strict=True))
-        distance = sum(_feature_distance(ours, theirs, weights[f"head{i}.weight"]) for i, (ours, theirs) in pairs)
-    return require_finite(distance, f"LPIPS-{net}")
+        layers = [_feature_distance(ours, theirs, weights[f"head{i}.weight"]) for i, (ours, theirs) in pairs]
+    value = require_finite(sum(distance for distance, _ in layers), f"LPIPS-{net}")
+    return LpipsDistance(value, tuple(distances for _, distances in layers))
 
 
 @lru_cache(maxsize=2)
@@ -171,7 +216,7 @@ def _kernel(tensor: "torch.Tensor") -> "torch.Tensor":
     return tensor.contiguous(memory_format=torch.channels_last) if tensor.ndim == 4 else tensor
 
 
-def _network_input(image: Image) -> "torch.Tensor":
+def network_input(image: Image) -> "torch.Tensor":
     """A frame as the networks were trained on it, (3, H, W) float32."""
     import torch
 
@@ -196,16 +241,19 @@ def _tapped_layers(
     return taps
 
 
-def _feature_distance(rendered: "torch.Tensor", truth: "torch.Tensor", channel_weights: "torch.Tensor") -> float:
-    """Weighted squared difference of the unit feature vectors of two frames, each (1, C, H, W), mean over the pixels."""
+def _feature_distance(
+    rendered: "torch.Tensor", truth: "torch.Tensor", channel_weights: "torch.Tensor"
+) -> tuple[float, NDArray[np.float32]]:
+    """Weighted squared difference of the unit feature vectors of two frames (1, C, H, W): mean over the pixels, and (H, W)."""
     import torch
 
-    total = 0.0
+    total, maps = 0.0, []
     for rows in zip(rendered.split(ROWS_AT_ONCE, dim=2), truth.split(ROWS_AT_ONCE, dim=2), strict=True):
         ours, theirs = (row / (torch.linalg.vector_norm(row, dim=1, keepdim=True) + 1e-10) for row in rows)
         squared = (ours - theirs).square_()  # (1, C, rows, W)
         total += float(torch.einsum("nchw,c->", squared, channel_weights))
-    return total / (truth.shape[2] * truth.shape[3])
+        maps.append(torch.einsum("nchw,c->hw", squared, channel_weights).cpu().numpy())
+    return total / (truth.shape[2] * truth.shape[3]), np.concatenate(maps)
 
 
 def truth_features(truth: TruthFrame, options: MetricOptions) -> "list[torch.Tensor]":
@@ -246,6 +294,22 @@ def frames_note(options: MetricOptions) -> str:
     return precision + (f", of one frame in {options.lpips_every}" if options.lpips_every > 1 else "")
 
 
+def distance_to_truth(rendered: Image, truth: TruthFrame, options: MetricOptions) -> LpipsDistance:
+    """LPIPS of a frame, once for the metric and its parts."""
+
+    def compute() -> LpipsDistance:
+        features = lpips_features(rendered, options.lpips_net, options.device)
+        return compare_features(features, truth_features(truth, options), options.lpips_net)
+
+    return shared_by_parts(rendered, truth, (compare_features, options.lpips_net), compute)
+
+
+def _inside(pair: FramePair, mask: Mask) -> float | None:
+    if not is_looked_at(pair.index, pair.options):
+        return None
+    return distance_to_truth(pair.rendered, pair.truth, pair.options).inside(mask)
+
+
 class LpipsScorer:
     """LPIPS; the truth's features are shared by all methods."""
 
@@ -258,9 +322,7 @@ class LpipsScorer:
         """See `Scorer`."""
         if not is_looked_at(index, self._options):
             return []
-        net = self._options.lpips_net
-        features = lpips_features(rendered, net, self._options.device)
-        return [("LPIPS", index, lpips_between(features, truth_features(truth, self._options), net))]
+        return [("LPIPS", index, distance_to_truth(rendered, truth, self._options).value)]
 
     def finish(self) -> list[Value]:
         """See `Scorer`."""
@@ -283,5 +345,7 @@ LPIPS = ViewMetric(
     note=frames_note,
     reference="Zhang et al. 2018",
     scorer=LpipsScorer,
+    inside=_inside,
+    inside_note=", by the features whose pixels lie in it",
     weights=weights_file,
 )

@@ -3,7 +3,8 @@
 import cv2
 import numpy as np
 
-from ggvs_eval.metrics.inputs import Image, check_pair, require_finite, same_kind, white_level
+from ggvs_eval.arrays import Mask
+from ggvs_eval.metrics.inputs import Image, check_pair, mean_inside, require_finite, same_kind, white_level
 from ggvs_eval.metrics.metric import QUALITY, ViewMetric
 
 PSNR_CEILING_DB = 100.0
@@ -36,6 +37,29 @@ def psnr(rendered: Image, truth: Image) -> float:
     return decibels(_mean_squared_error(rendered, truth), white_level(truth))
 
 
+def masked_psnr(rendered: Image, truth: Image, mask: Mask) -> float:
+    """PSNR of the pixels inside a mask, dB, at most 100.
+
+    Args:
+        rendered: (H, W, 3), uint8 in 0..255 or float in [0, 1].
+        truth: same shape and kind.
+        mask: (H, W).
+
+    Raises:
+        MetricError: images or mask do not fit each other, or fewer than 64 pixels inside.
+
+    Example:
+        >>> import numpy as np
+        >>> truth = np.full((16, 16, 3), 100, np.uint8)
+        >>> rendered, left = truth.copy(), np.arange(16) < 8
+        >>> rendered[:, ~left] = 0
+        >>> masked_psnr(rendered, truth, np.tile(left, (16, 1)))
+        100.0
+    """
+    mean_squared_error = mean_inside(rendered, truth, mask, cv2.NORM_L2SQR)
+    return decibels(mean_squared_error, white_level(truth))
+
+
 def decibels(mean_squared_error: float, white: float) -> float:
     """PSNR of a mean squared error of images whose white is `white`, at most `PSNR_CEILING_DB`.
 
@@ -61,4 +85,5 @@ PSNR = ViewMetric(
     describe="peak signal-to-noise ratio of the 8-bit frame",
     reference="Ha et al. 2025, section 4",
     has_ceiling=True,
+    inside=lambda pair, mask: masked_psnr(pair.rendered, pair.truth.image, mask),
 )

@@ -8,9 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ggvs_eval.arrays import Mask
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.image.ssim import ssim
-from ggvs_eval.metrics.inputs import Image, check_pair, require_finite, white_level
+from ggvs_eval.metrics.inputs import Image, check_mask, check_pair, require_finite, white_level
 from ggvs_eval.metrics.metric import QUALITY, ColourMap, FrameScorer, MetricOptions, SsimName, ViewMetric
 
 Plane = NDArray[np.float32]
@@ -101,6 +102,85 @@ def ssim_variant(rendered: Image, truth: Image, name: SsimName) -> float:
     return require_finite(float(ssim_map(rendered, truth, name).mean(dtype=np.float64)), "SSIM")
 
 
+def masked_ssim(rendered: Image, truth: Image, mask: Mask, name: SsimName = "gaussian-valid") -> float:
+    """SSIM over the windows that lie wholly inside a mask.
+
+    Windows that reach outside would compare what is not asked about, and windows in a blackened outside score 1: at 5 % coverage
+    that turns 0.87 into 0.99.
+
+    Args:
+        rendered: (H, W, 3), uint8 in 0..255 or float in [0, 1].
+        truth: same shape and kind.
+        mask: (H, W).
+        name: which SSIM; windows that reach over the border of the image are left out of any of them.
+
+    Raises:
+        MetricError: images or mask do not fit each other, or no window inside.
+
+    Example:
+        >>> import numpy as np
+        >>> truth = np.full((32, 32, 3), 100, np.uint8)
+        >>> rendered, left = truth.copy(), np.arange(32) < 16
+        >>> rendered[:, ~left] = 0
+        >>> masked_ssim(rendered, truth, np.tile(left, (32, 1)))
+        1.0
+    """
+    return require_finite(float(windows_inside(rendered, truth, mask, name).mean(dtype=np.float64)), "SSIM")
+
+
+def windows_inside(rendered: Image, truth: Image, mask: Mask, name: SsimName = "gaussian-valid") -> NDArray[np.float32]:
+    """SSIM of each window that lies wholly inside a mask, (N, 3); arguments as of `masked_ssim`.
+
+    Raises:
+        MetricError: images or mask do not fit each other, or no window inside.
+    """
+    check_pair(rendered, truth)
+    check_mask(mask, truth.shape[:2])
+    box = _bounding_box(mask)  # no window outside it counts
+    if min(mask[box].shape) < SSIM_VARIANTS[name].window_px:
+        raise _no_window(name)
+    return _chosen(ssim_map(rendered[box], truth[box], name), mask[box], name)
+
+
+def ssim_inside(values: NDArray[np.float32], mask: Mask, name: SsimName = "gaussian-valid") -> float:
+    """Mean of a map over the windows inside a mask, so that one `ssim_map` serves several regions.
+
+    Args:
+        values: `ssim_map` of the frame.
+        mask: (H, W) of the frame.
+        name: which SSIM the map is of.
+
+    Raises:
+        MetricError: the mask does not fit the map, or no window inside.
+    """
+    return require_finite(float(_chosen(values, mask, name).mean(dtype=np.float64)), "SSIM")
+
+
+def _chosen(values: Plane, mask: Mask, name: SsimName) -> Plane:
+    """Those values of a map whose windows lie inside a mask, (N, 3)."""
+    variant = SSIM_VARIANTS[name]
+    check_mask(mask, tuple(size if variant.pads_with_zeros else size + variant.window_px - 1 for size in values.shape[:2]))
+    window, radius = np.ones((variant.window_px, variant.window_px), np.uint8), variant.window_px // 2
+    inside = cv2.erode(mask.astype(np.uint8), window, borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
+    chosen = values[inside if variant.pads_with_zeros else inside[radius:-radius, radius:-radius]]
+    if not chosen.size:
+        raise _no_window(name)
+    return chosen
+
+
+def _no_window(name: SsimName) -> MetricError:
+    side = SSIM_VARIANTS[name].window_px
+    return MetricError(f"no window of {side} x {side} pixels lies wholly inside the region")
+
+
+def _bounding_box(mask: Mask) -> tuple[slice, slice]:
+    """Rows and columns of the smallest rectangle around what is true; empty where nothing is."""
+    rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+    if not rows.size:
+        return slice(0, 0), slice(0, 0)
+    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+
+
 def _unit_range(image: Image, variant: SsimVariant) -> Plane:
     """The frame as floats in [0, 1], with the black border that the variant wants."""
     unit = image.astype(np.float32) / np.float32(white_level(image))
@@ -147,4 +227,6 @@ SSIM = ViewMetric(
     reference="Wang et al. 2004",
     has_ceiling=True,
     scorer=_scorer,
+    inside=lambda pair, mask: masked_ssim(pair.rendered, pair.truth.image, mask),
+    inside_note=" in windows wholly inside it",
 )

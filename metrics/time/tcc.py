@@ -5,11 +5,12 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from ggvs_eval.arrays import Image8
+from ggvs_eval.arrays import Image8, Mask
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.image.ssim import ssim_per_channel
+from ggvs_eval.metrics.image.ssim_variants import windows_inside
 from ggvs_eval.metrics.inputs import Image, check_pair, require_finite, same_kind
-from ggvs_eval.metrics.metric import CONSISTENCY, ColourMap, MetricOptions, TruthFrame, Value, ViewMetric
+from ggvs_eval.metrics.metric import CONSISTENCY, ColourMap, FramePair, MetricOptions, TruthFrame, Value, ViewMetric
 
 
 def tcc(rendered: Sequence[Image] | Image, truth: Sequence[Image] | Image) -> float:
@@ -74,6 +75,14 @@ def _change(first: Image, second: Image) -> Image:
     return cv2.absdiff(*same_kind(first, second))
 
 
+def _inside(pair: FramePair, mask: Mask) -> float | None:
+    """The term of the frame and the one before over the windows inside a mask."""
+    if pair.previous is None or pair.truth.previous is None:
+        return None
+    changes = _change(pair.previous, pair.rendered), _change(pair.truth.previous, pair.truth.image)
+    return float(np.maximum(windows_inside(*changes, mask).mean(axis=0, dtype=np.float64), 0.0).mean())
+
+
 class ChangeScorer:
     """TCC; keeps the frame before."""
 
@@ -109,4 +118,6 @@ TCC = ViewMetric(
     reference="Ha et al. 2025, Eq. 8",
     has_ceiling=True,
     scorer=ChangeScorer,
+    inside=_inside,
+    inside_note=" in windows wholly inside it",
 )

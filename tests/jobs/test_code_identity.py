@@ -38,12 +38,25 @@ OURS = LEARNED | {label for label in METHODS if label.startswith("ours-geometric
 GPS_GAUSSIAN = {"gps-gaussian", "gps-gaussian+given-depth"}
 SPLATTED = OURS | {"no-blending", "distance-based"}
 ALL_METHODS = SPLATTED | GPS_GAUSSIAN | {"fwd", "ibrnet", "enerf"}
-REGIONS = {f"{measure}_{region}" for measure in ("PSNR", "SSIM", "L1") for region in ("static", "moving", "disoccluded")}
-CORRECTED = {"PSNR_cc", "SSIM_cc", "LPIPS_cc"}  # one scorer: a frame is corrected once for all of them
-WITH_SSIM = {"SSIM", "TCC", "ceilings"} | REGIONS | CORRECTED
-WITHOUT_SSIM = {"PSNR", "L1"}
-STED, FLICKER, LPIPS = {"STED", "STED_ssn"}, {"Flicker", "Flicker_excess"}, {"LPIPS"} | CORRECTED
-ALL_SCORES = WITH_SSIM | WITHOUT_SSIM | STED | FLICKER | LPIPS | {"path"}
+
+
+def parts(*measures: str) -> set[str]:
+    """Measures of the parts of an image."""
+    return {f"{measure}_{region}" for measure in measures for region in ("static", "moving", "disoccluded")}
+
+
+def with_parts(*measures: str) -> set[str]:
+    """Measures, and those of the parts."""
+    return {*measures, *parts(*measures)}
+
+
+CORRECTED = with_parts("PSNR_cc", "SSIM_cc", "LPIPS_cc")  # one scorer: a frame is corrected once for all of them
+WITH_SSIM = with_parts("SSIM", "TCC", "DSSIM1", "DSSIM2") | {"ceilings"} | CORRECTED
+STED, FLICKER = {"STED", "STED_ssn"}, {"Flicker", "Flicker_excess"}
+LPIPS = with_parts("LPIPS", "DISTS") | CORRECTED
+OTHERS = with_parts("PSNR", "L1", "IV_PSNR", "PSNR_YCbCr", "MS_SSIM", "FLIP") | {"VMAF", "CVVDP"}
+ALL_SCORES = WITH_SSIM | OTHERS | STED | FLICKER | LPIPS | {"path"}
+REGIONS = {name for name in ALL_SCORES if name.endswith(("_static", "_moving", "_disoccluded"))}
 STEREO = {"depth by sgbm", "depth by sweep", "depth by raft"}
 ALL_DEPTH = STEREO | {"checked depth", "sensor depth"}
 
@@ -58,6 +71,7 @@ STALE: dict[str, set[str]] = {
     "method.py": ALL_METHODS | {"path"},
     "kernels/_core": SPLATTED | {"ibrnet"} | REGIONS | {"path"},
     "kernels/_ssim": WITH_SSIM,
+    "kernels/_iv_psnr": with_parts("IV_PSNR", "PSNR_YCbCr"),
     "kernels/_stereo": {"depth by sweep"},
     **{f"baselines/ibrnet/{name}.py": {"ibrnet"} for name in IBRNET},
     "baselines/enerf/volumes.py": {"enerf"},
@@ -75,7 +89,8 @@ STALE: dict[str, set[str]] = {
     "pipelines/offline/sensor/sensor_grid.py": {"sensor depth"},
     "metrics/image/lpips.py": LPIPS,
     "metrics/time/strred.py": STED | {"ceilings"},
-    "metrics/time/tcc.py": {"TCC", "ceilings"},
+    "metrics/time/tcc.py": with_parts("TCC") | {"ceilings"},
+    "metrics/image/dists.py": with_parts("DISTS"),
     "metrics/time/flicker.py": FLICKER,
     "metrics/image/regions.py": REGIONS,
     "metrics/noise/estimate.py": {"ceilings"},
@@ -188,7 +203,7 @@ def load_setup() -> ModuleType:
         ("ssim.cpp", {"_ssim"}),
         ("splat_simd.hpp", {"_core"}),  # included by files that are included
         ("sgm.cpp", {"_stereo"}),
-        ("parallel.hpp", {"_core", "_ssim", "_stereo"}),
+        ("parallel.hpp", {"_core", "_ssim", "_iv_psnr", "_stereo"}),
     ],
 )
 def test_sources_of_kernels(source, rebuilt, monkeypatch, tmp_path):
@@ -205,7 +220,7 @@ def test_sources_of_kernels(source, rebuilt, monkeypatch, tmp_path):
 
 
 @checkout
-@pytest.mark.parametrize("name", ["_core", "_ssim", "_stereo"])
+@pytest.mark.parametrize("name", ["_core", "_ssim", "_iv_psnr", "_stereo"])
 def test_kernels_carry_the_hash_of_their_sources(name, monkeypatch):
     """What was built says from what, and that is what lies here; where it is not, `make clean` or setup.py builds it anew."""
     monkeypatch.chdir(ROOT)

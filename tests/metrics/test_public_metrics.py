@@ -11,7 +11,7 @@ from ggvs_eval import metrics
 
 FUNCTIONS = [name for name in metrics.__all__ if inspect.isfunction(getattr(metrics, name))]
 PUBLIC = {name: getattr(metrics, name) for name in metrics.__all__}
-NEEDS_WEIGHTS = {"lpips"}
+NEEDS_FILES = {"lpips", "dists", "flip"}  # weights, or a package of an extra
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
@@ -21,7 +21,7 @@ def test_examples_say_what_comes_out(name):
     result = doctest.DocTestRunner().run(example)
     assert example.examples
     assert result.failed == 0
-    assert name in NEEDS_WEIGHTS or not any(doctest.SKIP in one.options for one in example.examples)
+    assert name in NEEDS_FILES or not any(doctest.SKIP in one.options for one in example.examples)
 
 
 def test_names_are_imported_when_they_are_used():

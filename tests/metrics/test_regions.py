@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 from skimage import data
 
 from ggvs_eval.errors import MetricError
-from ggvs_eval.metrics.image.l1 import l1
-from ggvs_eval.metrics.image.psnr import psnr
-from ggvs_eval.metrics.image.regions import masked_l1, masked_psnr, masked_ssim, moving_mask, ssim_inside
+from ggvs_eval.metrics.image.l1 import l1, masked_l1
+from ggvs_eval.metrics.image.psnr import masked_psnr, psnr
+from ggvs_eval.metrics.image.regions import moving_mask
 from ggvs_eval.metrics.image.ssim import ssim
-from ggvs_eval.metrics.image.ssim_variants import ssim_map, ssim_variant
+from ggvs_eval.metrics.image.ssim_variants import masked_ssim, ssim_inside, ssim_map, ssim_variant
 
 MASKED = {masked_psnr: psnr, masked_l1: l1, masked_ssim: ssim}
 

@@ -7,6 +7,13 @@ from decimal import Decimal, InvalidOperation
 
 from ggvs_eval.errors import MetricError, did_you_mean
 from ggvs_eval.pipelines.inspection.renders.frame_conventions import error_conventions, lpips_conventions, psnr_conventions
+from ggvs_eval.pipelines.inspection.renders.perceptual_conventions import (
+    dists_conventions,
+    flip_conventions,
+    iv_psnr_conventions,
+    vdp_conventions,
+    vmaf_conventions,
+)
 from ggvs_eval.pipelines.inspection.renders.recompute import ALL_VIEWS, MaskReader, Recomputed
 from ggvs_eval.pipelines.inspection.renders.ssim_conventions import ssim_conventions
 from ggvs_eval.pipelines.inspection.renders.time_conventions import (
@@ -26,9 +33,15 @@ NEIGHBOURHOOD, WEAK_CHANCE = 0.05, 0.25
 Masks = Mapping[str, MaskReader]
 FAMILIES: Mapping[str, Callable[[Mapping[str, ViewFrames], Masks], list[Recomputed]]] = {
     "psnr": psnr_conventions,
+    "iv-psnr": iv_psnr_conventions,
     "ssim": ssim_conventions,
     "ms-ssim": ssim_conventions,
+    "dssim": ssim_conventions,
     "lpips": lpips_conventions,
+    "dists": dists_conventions,
+    "flip": flip_conventions,
+    "vmaf": vmaf_conventions,
+    "cvvdp": vdp_conventions,
     "l1": error_conventions,
     "rmse": error_conventions,
     "tcc": tcc_conventions,
@@ -61,7 +74,7 @@ def explain(metric: str, quoted: str, views: Mapping[str, ViewFrames], masks: Ma
     """Recompute a number under every known convention of its metric.
 
     Args:
-        metric: psnr, ssim, ms-ssim, lpips, l1, rmse, tcc, sted, sdt or sdv, in any case.
+        metric: a key of `FAMILIES`, in any case.
         quoted: the number as it was printed, e.g. ``31.170``; its digits say how well it has to be met.
         views: name -> rendered and captured frames.
         masks: name -> frame number -> (H, W) bool, for conventions that leave pixels out.
@@ -71,7 +84,7 @@ def explain(metric: str, quoted: str, views: Mapping[str, ViewFrames], masks: Ma
 
     Raises:
         MetricError: an unknown metric, a quoted value that is no number, no views, or frames that the metric cannot have.
-        WeightsError: LPIPS without its weights.
+        WeightsError: LPIPS or DISTS without weights.
     """
     family = metric_family(metric)
     if not views:

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8
+from ggvs_eval.metrics.image.ms_ssim import SMALLEST_PX, ms_ssim
 from ggvs_eval.pipelines.inspection.renders.frame_conventions import BT601, cropped, grey, half_truth, halved
-from ggvs_eval.pipelines.inspection.renders.multi_scale_ssim import SMALLEST_PX, multi_scale_ssim
 from ggvs_eval.pipelines.inspection.renders.recompute import FrameMeasure, MaskReader, Recomputed, frame_means, mean_over_views
 from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames
 
@@ -29,7 +29,7 @@ def ssim_conventions(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskRe
     """SSIM as scikit-image, kornia and the code bases of this field compute it."""
     measures = frame_measures()
     if all(min(view.truth(view.frames[0]).shape[:2]) >= SMALLEST_PX for view in views.values()):
-        measures[MULTI_SCALE] = multi_scale_ssim
+        measures[MULTI_SCALE] = ms_ssim
     rows = frame_means(views, measures, OUR_SSIM)
     plain = [row for row in rows if row.name in (OUR_SSIM, UNIFORM_RANGE_1, UNIFORM_RANGE_2, UNIFORM_11, MULTI_SCALE)]
     rows += [_dissimilarity(row, divisor) for divisor in (1, 2) for row in plain]
@@ -117,7 +117,8 @@ def padded(rendered: Levels, truth: Levels, border: int) -> float:
 
 def _dissimilarity(row: Recomputed, divisor: int) -> Recomputed:
     formula = "1 - SSIM" if divisor == 1 else "DSSIM = (1 - SSIM) / 2"
-    return Recomputed(f"{formula}, {row.name}", {over: (1 - value) / divisor for over, value in row.values.items()})
+    is_ours = divisor == 2 and row.name in (UNIFORM_RANGE_1, UNIFORM_RANGE_2)  # D-SSIM 1 and 2
+    return Recomputed(f"{formula}, {row.name}", {over: (1 - value) / divisor for over, value in row.values.items()}, is_ours)
 
 
 def _blackened(views: Mapping[str, ViewFrames], masks: Mapping[str, MaskReader]) -> list[Recomputed]:

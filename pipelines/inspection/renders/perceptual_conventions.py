@@ -1,0 +1,148 @@
+"""Conventions of IV-PSNR, DISTS, FLIP, VMAF and ColorVideoVDP: colour spaces, sizes, viewing conditions, models, averages."""
+
+from collections.abc import Callable, Mapping
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.arrays import Image8
+from ggvs_eval.pipelines.inspection.renders.frame_conventions import halved
+from ggvs_eval.pipelines.inspection.renders.recompute import (
+    FrameMeasure,
+    MaskReader,
+    Recomputed,
+    frame_means,
+    mean_over_views,
+    view_pairs,
+)
+from ggvs_eval.pipelines.inspection.renders.view_frames import ViewFrames
+
+Views = Mapping[str, ViewFrames]
+Masks = Mapping[str, MaskReader]
+LUMA = {"BT.709": (0.2126, 0.7152, 0.0722), "BT.601": (0.299, 0.587, 0.114)}
+OUR_IV_PSNR = "YCbCr of BT.709 without headroom, full chroma"
+OUR_DISTS = "frames at their own size"
+OUR_FLIP = "mean, 67 pixels per degree"
+OUR_VMAF = "vmaf_v0.6.1, BT.709, mean over frames"
+OUR_VDP = "standard_4k, 30 frames per second"
+SCRIPT_SIDE_PX = 256
+
+
+def iv_psnr_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
+    """IV-PSNR on the YCbCr that a video file would hold, and the PSNR of YCbCr that its program prints beside it."""
+    from ggvs_eval.metrics.image.iv_psnr import iv_psnr, psnr_ycbcr
+
+    def of_video(matrix: str, headroom: bool, chroma: int) -> FrameMeasure:
+        return lambda rendered, truth: iv_psnr(
+            _ycbcr(rendered, matrix, headroom, chroma), _ycbcr(truth, matrix, headroom, chroma), colours="ycbcr"
+        )
+
+    measures: dict[str, FrameMeasure] = {
+        OUR_IV_PSNR: iv_psnr,
+        "YCbCr of BT.601 without headroom, full chroma": of_video("BT.601", headroom=False, chroma=1),
+        "YCbCr of BT.709 in 16..235, full chroma": of_video("BT.709", headroom=True, chroma=1),
+        "YCbCr of BT.709 in 16..235, chroma 4:2:0 (video)": of_video("BT.709", headroom=True, chroma=2),
+        "YCbCr of BT.601 in 16..235, chroma 4:2:0 (video)": of_video("BT.601", headroom=True, chroma=2),
+        "PSNR of YCbCr 4:1:1, BT.709, which forgives nothing": psnr_ycbcr,
+    }
+    return frame_means(views, measures, OUR_IV_PSNR)
+
+
+def _ycbcr(image: Image8, matrix: str, headroom: bool, chroma: int) -> Image8:
+    """8-bit YCbCr, (H, W, 3); chroma averaged over so many pixels a side and repeated."""
+    red, green, blue = LUMA[matrix]
+    r, g, b = np.moveaxis(image.astype(np.float64), -1, 0)
+    y = red * r + green * g + blue * b
+    scale, offset = (219 / 255, 16) if headroom else (1.0, 0)
+    chroma_scale = 224 / 255 if headroom else 1.0
+    planes = [offset + scale * y, *(128 + chroma_scale * (one - y) / (2 * (1 - share)) for one, share in ((b, blue), (r, red)))]
+    planes[1:] = [_coarse(plane, chroma) for plane in planes[1:]]
+    return np.rint(np.clip(np.stack(planes, axis=-1), 0, 255)).astype(np.uint8)
+
+
+def _coarse(plane: NDArray[np.float64], side: int) -> NDArray[np.float64]:
+    height, width = plane.shape
+    small = cv2.resize(plane, (max(width // side, 1), max(height // side, 1)), interpolation=cv2.INTER_AREA)
+    return plane if side == 1 else np.asarray(cv2.resize(np.rint(small), (width, height), interpolation=cv2.INTER_NEAREST))
+
+
+def dists_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
+    """DISTS at the frames' own size, and after the shrinking of its authors' script."""
+    from ggvs_eval.metrics.image.dists import dists
+
+    def of_script(rendered: Image8, truth: Image8) -> float:
+        return dists(_shrunk(rendered), _shrunk(truth))
+
+    measures: dict[str, FrameMeasure] = {
+        OUR_DISTS: dists,
+        "frames shrunk to 256 pixels at the shorter side (authors' script)": lambda rendered, truth: dists(
+            _shrunk(rendered), _shrunk(truth)
+        ),
+        "both at half size": lambda *pair: dists(*halved(*pair)),
+    }
+    return frame_means(views, measures, OUR_DISTS)
+
+
+def _shrunk(image: Image8) -> Image8:
+    """The frame as Pillow shrinks it, bilinear, where its shorter side is longer than that of the script."""
+    from PIL import Image
+
+    height, width = image.shape[:2]
+    factor = SCRIPT_SIDE_PX / min(height, width)
+    if factor >= 1:
+        return image
+    size = int(width * factor), int(height * factor)
+    return np.asarray(Image.fromarray(image).resize(size, Image.Resampling.BILINEAR), dtype=np.uint8)
+
+
+def flip_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
+    """FLIP's mean and median, and its mean under other viewing conditions."""
+    from ggvs_eval.metrics.image.flip import flip, flip_map
+
+    def on_full_hd(rendered: Image8, truth: Image8) -> float:
+        return float(flip_map(rendered, truth, 33.51).mean())
+
+    measures: dict[str, FrameMeasure] = {
+        OUR_FLIP: flip,
+        "median, 67 pixels per degree": lambda *pair: float(np.median(flip_map(*pair))),
+        "mean, 33.5 pixels per degree (a full HD monitor)": lambda rendered, truth: float(
+            flip_map(rendered, truth, 33.51).mean()
+        ),
+        "mean, 67 pixels per degree, both at half size": lambda *pair: flip(*halved(*pair)),
+    }
+    return frame_means(views, measures, OUR_FLIP)
+
+
+def vmaf_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
+    """VMAF of either model and matrix, its frames averaged in three ways."""
+    from ggvs_eval.metrics.time.vmaf import vmaf
+
+    averages: Mapping[str, Callable[[NDArray[np.float64]], float]] = {
+        "mean over frames": lambda values: float(values.mean()),
+        "harmonic mean over frames": lambda values: float(1 / np.mean(1 / (values + 1)) - 1),
+        "worst frame": lambda values: float(values.min()),
+    }
+    rows = []
+    for model in ("vmaf_v0.6.1", "vmaf_v0.6.1neg"):
+        for matrix in ("bt709", "bt601"):
+            frames = {name: np.array(vmaf(view_pairs(view), model, matrix)) for name, view in views.items()}
+            for average, pool in averages.items():
+                name = f"{model}, {matrix.replace('bt', 'BT.')}, {average}"
+                values = mean_over_views({view: pool(of_view) for view, of_view in frames.items()})
+                rows.append(Recomputed(name, values, name == OUR_VMAF))
+    return rows
+
+
+def vdp_conventions(views: Views, _masks: Masks) -> list[Recomputed]:
+    """ColorVideoVDP on two displays and at three rates."""
+    from ggvs_eval.metrics.time.colour_video_vdp import colour_video_vdp
+
+    rows = []
+    for display, rate in (("standard_4k", 30), ("standard_fhd", 30), ("standard_4k", 24), ("standard_4k", 60)):
+        name = f"{display}, {rate} frames per second"
+        values = {
+            view: colour_video_vdp(view_pairs(frames), display=display, frames_per_second=rate) for view, frames in views.items()
+        }
+        rows.append(Recomputed(name, mean_over_views(values), name == OUR_VDP))
+    return rows

@@ -1,0 +1,97 @@
+"""VMAF and ColorVideoVDP against outside runs of their programs, and what happens where these are absent."""
+
+import sys
+
+import cv2
+import numpy as np
+import pytest
+from skimage import data
+
+from ggvs_eval.errors import MetricError
+from ggvs_eval.metrics.stream import score_view
+from ggvs_eval.metrics.time import colour_video_vdp as vdp
+from ggvs_eval.metrics.time import vmaf as vmaf_module
+from ggvs_eval.metrics.time.vmaf import vmaf
+
+FRAMES, HEIGHT, WIDTH = 6, 120, 160
+
+
+def video(frames=FRAMES):
+    """A pan over a photograph, and the same blurred and with noise; pairs of uint8."""
+    photograph, random = data.astronaut(), np.random.default_rng(0)
+    pairs = []
+    for t in range(frames):
+        truth = np.ascontiguousarray(photograph[100 + t : 100 + t + HEIGHT, 150 + 2 * t : 150 + 2 * t + WIDTH])
+        blurred = cv2.GaussianBlur(truth, (0, 0), 1.0) + random.normal(0, 6, truth.shape)
+        pairs.append((np.rint(np.clip(blurred, 0, 255)).astype(np.uint8), truth))
+    return pairs
+
+
+def test_vmaf_equals_a_run_of_ffmpeg_on_the_same_pictures():
+    """The values per frame of a run by hand, November 2026, on the frames below as PNG files, read by ffmpeg itself.
+
+    ffmpeg of imageio-ffmpeg 0.8.1 (libvmaf 3): ``ffmpeg -i r%03d.png -i t%03d.png -lavfi "[0:v]C[a];[1:v]C[b];[a][b]libvmaf=
+    log_fmt=csv:log_path=v.csv" -f null -`` with ``C`` for ``scale=out_color_matrix=bt709:out_range=tv,format=yuv420p``.
+    """
+    pytest.importorskip("imageio_ffmpeg")
+    pairs = video()
+    by_hand = [70.069538, 79.177140, 78.509543, 78.456714, 79.103893, 78.698894]
+
+    scores = score_view(pairs, ["VMAF"])
+
+    assert scores.not_computed == {}
+    assert [frame for _, frame, _ in scores.values] == list(range(FRAMES))
+    assert [value for _, _, value in scores.values] == pytest.approx(by_hand, abs=1e-4)
+
+
+def test_vmaf_that_cannot_run_says_why(monkeypatch):
+    """No package, a program that fails, frames that are too small: one reason each, and no traceback."""
+    pairs = video(2)
+    monkeypatch.setattr(vmaf_module, "find_ffmpeg", lambda: sys.executable)
+    with pytest.raises(MetricError, match="VMAF: ffmpeg failed: "):
+        vmaf(pairs)
+    monkeypatch.undo()
+    with pytest.raises(MetricError, match="at least 32 pixels a side"):
+        vmaf([(truth[:20], truth[:20]) for _, truth in pairs])
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    scores = score_view(pairs, ["VMAF", "PSNR"])
+    assert scores.not_computed == {"VMAF": "VMAF needs the ffmpeg of imageio-ffmpeg; `pip install 'ggvs-eval[vmaf]'`"}
+    assert {name for name, _, _ in scores.values} == {"PSNR"}
+
+
+@pytest.mark.slow
+def test_colour_video_vdp_equals_its_package():
+    """9.0416346 JOD of three frames.
+
+    Outside run, November 2026: cvvdp 0.5.7 imported whole, with torchvision 0.28.0's own blur:
+    ``pycvvdp.cvvdp(display_name="standard_4k").predict(rendered, truth, dim_order="FHWC", frames_per_second=30)``, which calls
+    itself v0.5.7, 75.4 pix/deg, Lpeak=200, Lblack=0.2, Lrefl=0.3979 cd/m^2.
+    """
+    try:
+        vdp.load_package()
+    except MetricError as error:
+        pytest.skip(str(error))
+    scores = score_view(video(3), ["CVVDP"])
+    assert scores.not_computed == {}
+    ((name, frame, value),) = scores.values
+    assert (name, frame) == ("CVVDP", None)
+    assert value == pytest.approx(9.041634560, abs=1e-5)
+
+
+def test_colour_video_vdp_that_is_absent_says_so(monkeypatch):
+    """No package: not computed, with the extra that brings it."""
+    monkeypatch.setattr(vdp, "find_spec", lambda name: None)
+    vdp.load_package.cache_clear()
+    scores = score_view(video(2), ["CVVDP"])
+    vdp.load_package.cache_clear()
+    assert scores.not_computed == {"CVVDP": "ColorVideoVDP needs cvvdp; `pip install 'ggvs-eval[cvvdp]'`"}
+
+
+def test_the_substituted_blur_is_a_gaussian_one():
+    """Against scipy's, mirrored at the border without repeating its edge."""
+    import torch
+    from scipy.ndimage import gaussian_filter
+
+    image = np.random.default_rng(0).random((40, 50))
+    blurred = vdp.GaussianBlur(13, 3.0).forward(torch.from_numpy(image)[None, None])
+    np.testing.assert_allclose(blurred[0, 0].numpy(), gaussian_filter(image, 3.0, mode="mirror", radius=6), atol=1e-12)
