@@ -20,7 +20,7 @@ FLOORS = (
     ("files", "lens", "compute_device", "method"),
     ("geometry", "capture", "colour_maps"),
     ("depth_store", "protocol", "gaussians"),
-    ("run_folder", "results", "sweep"),
+    ("run_folder", "results", "scene_fitter", "sweep"),
     ("statistics", "datasets", "jobs", "synthetic.room", "training"),
     ("synthetic.film", "renders"),
     ("synthetic.layouts", "synthetic.stereo"),
