@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from ggvs_eval.errors import RenderError
@@ -37,6 +38,18 @@ def configured_fit(label: str, spec: MethodSpec, variant: str) -> MethodSpec:
     configured = replace(spec, title=f"{spec.title}, {variant.replace('+', ', ')}", fitter_options=values, seed=seed)
     configured.make_fitter()
     return configured
+
+
+def splats_method(label: str, path: Path) -> MethodSpec:
+    """A method that renders Gaussians which others have fitted.
+
+    Args:
+        label: how tables call it, too.
+        path: of their files, see `ggvs_eval.pipelines.methods.splats.splats_files`.
+    """
+    describe = f"3D Gaussians that others have fitted, {path.name}, rendered by the splat of this package"
+    modules = ("ggvs_eval.pipelines.methods.splats",)
+    return MethodSpec(label, describe, partial(_no_step, label), modules, online=False, usual=False, splats=path)
 
 
 def _no_step(title: str, **_: Any) -> Method:
