@@ -16,7 +16,7 @@ from ggvs_eval.baselines.fitted.points import Points
 from ggvs_eval.gaussians.cloud import GaussianCloud
 
 MotionName = Literal["hexplane", "polynomial", "linear"]
-STEADY_DURATION = 2.0  # of the clip, of what is there all the time: nearly as opaque at its ends as in its middle
+PLANE_RATE, LAYER_RATE = 5e-3, 5e-4  # of Adam, of a field's planes and of its layers
 
 
 class Motion(nn.Module, ABC):
@@ -24,19 +24,21 @@ class Motion(nn.Module, ABC):
 
     Attributes:
         rates: learning rate of each tensor that it keeps per Gaussian.
-        travels: which of them are lengths, whose rate counts in extents of the rig and falls with that of the means.
-        shared_rates: name before the first dot of a shared parameter -> its learning rate.
+        lengths: which of them are lengths, whose rate counts in extents of the rig and falls with that of the means.
         has_coarse_stage: whether Gaussians are first fitted to all times together, without motion.
     """
 
     rates: Mapping[str, float] = {}
-    travels: tuple[str, ...] = ()
-    shared_rate: float = 0.0
+    lengths: tuple[str, ...] = ()
     has_coarse_stage = False
 
     def start(self, points: Points) -> dict[str, Tensor]:  # noqa: ARG002  # most keep something
         """What it keeps per Gaussian, when nothing moves yet."""
         return {}
+
+    def shared_rate(self, name: str) -> float:  # noqa: ARG002  # most share nothing
+        """Learning rate of a parameter that all Gaussians share."""
+        return 0.0
 
     @abstractmethod
     def cloud(self, gaussians: Mapping[str, Tensor], time: float) -> GaussianCloud:
@@ -74,9 +76,7 @@ class HexPlaneMotion(Motion):
         scene in millimetres is learned as fast as one in metres; the authors scale their learning rates instead.
     """
 
-    shared_rate = 1.6e-3
     has_coarse_stage = True
-    FIELD_RATE, PLANE_RATE = 1.6e-3, 8e-3
 
     def __init__(self, network: DeformationNetwork, reach: float = 1.0) -> None:
         super().__init__()
@@ -98,6 +98,10 @@ class HexPlaneMotion(Motion):
         if "shs" in moved:
             values["sh"] = cloud.sh + moved["shs"].view(len(cloud), -1, 3)[:, : cloud.sh.shape[1]]
         return GaussianCloud(**values)
+
+    def shared_rate(self, name: str) -> float:
+        """Return the learning rate of planes, or that of layers."""
+        return PLANE_RATE if ".grids." in name else LAYER_RATE
 
     def penalty(self) -> Tensor:
         """Return the penalty on planes that bend."""
@@ -127,7 +131,7 @@ class ExplicitMotion(Motion):
         self.rates = {"velocities": 10 * position_rate, "times": 1e-4, "log_durations": 0.03}
         if not self.is_linear:
             self.rates = {**self.rates, "velocities": position_rate, "turns": 1e-4}
-        self.travels = ("velocities",)
+        self.lengths = ("velocities",)
 
     def start(self, points: Points) -> dict[str, Tensor]:
         """Return each point's own time and duration, and no velocity."""

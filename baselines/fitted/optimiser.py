@@ -1,20 +1,18 @@
 """The one optimiser of all fitted methods: image by image, Adam on Gaussians and their motion, with density control."""
 
-from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from ggvs_eval.baselines.fitted.density import DensityOptions, control_density, watch_gradients
-from ggvs_eval.baselines.fitted.motion import Motion, canonical
+from ggvs_eval.baselines.fitted.motion import canonical
 from ggvs_eval.baselines.fitted.photometric import photometric_loss
 from ggvs_eval.baselines.fitted.shots import Shot, Shots
 from ggvs_eval.baselines.fitted.state import RATES, SHARED, FitState
-from ggvs_eval.gaussians.render import GaussianImage, render_gaussians
+from ggvs_eval.gaussians.render import render_gaussians
 from ggvs_eval.method import NEAR_M
 from ggvs_eval.scene_fitter import Progress
 from ggvs_eval.training.log import TrainingLog, draw_curves
@@ -31,7 +29,6 @@ class OptimiserOptions:
         steps: images that are looked at.
         coarse_steps: of these, without motion, where the motion has a coarse stage.
         rate: times the learning rates.
-        learned: names of the Gaussians' tensors that move; all where empty.
         density: when Gaussians are added and taken away; None for never.
         save_every: steps between checkpoints.
         measure_every: steps between points of the curve.
@@ -113,7 +110,28 @@ def _step(state: FitState, shot: Shot, options: OptimiserOptions, extent: float,
     state.optimiser.zero_grad(set_to_none=True)
     total.backward()
     if bool(torch.isfinite(total)):  # one bad step must not spoil the Gaussians for ever; the log shows it
-        assert_gradient(offsets)
-        watch_gradients(state, offsets.grad, picture.radii, shot.camera)
+        if offsets.grad is not None:
+            watch_gradients(state, offsets.grad, picture.radii, shot.camera)
         state.optimiser.step()
     return float(loss.detach())
+
+
+def _set_rates(state: FitState, options: OptimiserOptions, extent: float) -> None:
+    """Learning rates of a step: lengths count in extents, and fall log-linearly with what all Gaussians share."""
+    share = state.step / max(1, options.steps - 1)
+    for group in state.optimiser.param_groups:
+        name = group["name"]
+        if name.startswith(SHARED):
+            rate = state.motion.shared_rate(name) * LAST_SHARED_RATE**share
+        else:
+            rate = (RATES | dict(state.motion.rates))[name]
+            if name == "means" or name in state.motion.lengths:
+                rate *= extent * LAST_LENGTH_RATE**share
+        group["lr"] = options.rate * rate
+
+
+@torch.no_grad()
+def _squared_error(state: FitState, shot: Shot, near: float) -> float:
+    """Mean squared error of one training image."""
+    image = render_gaussians(state.motion.cloud(state.gaussians, shot.time), shot.camera, near=near).image
+    return float((image.clamp(max=1) - shot.image).square().mean())
