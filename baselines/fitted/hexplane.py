@@ -108,16 +108,17 @@ class _Field(nn.Module):
         super().__init__()
         width = configuration.width
         self.grid = PlaneGrid(box, configuration)
-        self.feature_out = nn.Sequential(_linear(len(configuration.levels) * configuration.channels, width))
+        self.feature_out = nn.Sequential(linear(len(configuration.levels) * configuration.channels, width))
         for head in configuration.heads:
-            last = _linear(width, HEADS[head])
+            last = linear(width, HEADS[head])
             if not configuration.is_published:
                 nn.init.zeros_(last.weight)
-            layers = nn.Sequential(nn.ReLU(), _linear(width, width), nn.ReLU(), last)
+            layers = nn.Sequential(nn.ReLU(), linear(width, width), nn.ReLU(), last)
             self.add_module(f"{head}_deform", layers)
 
 
-def _linear(inputs: int, outputs: int) -> nn.Linear:
+def linear(inputs: int, outputs: int) -> nn.Linear:
+    """A layer with the authors' first weights."""
     layer = nn.Linear(inputs, outputs)
     nn.init.xavier_uniform_(layer.weight)
     nn.init.zeros_(layer.bias)

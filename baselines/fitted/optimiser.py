@@ -13,7 +13,6 @@ from ggvs_eval.baselines.fitted.photometric import photometric_loss
 from ggvs_eval.baselines.fitted.shots import Shot, Shots
 from ggvs_eval.baselines.fitted.state import RATES, SHARED, FitState
 from ggvs_eval.gaussians.render import render_gaussians
-from ggvs_eval.method import NEAR_M
 from ggvs_eval.scene_fitter import Progress
 from ggvs_eval.training.log import TrainingLog, draw_curves
 
@@ -31,7 +30,7 @@ class OptimiserOptions:
         rate: times the learning rates.
         density: when Gaussians are added and taken away; None for never.
         save_every: steps between checkpoints.
-        measure_every: steps between points of the curve.
+        measure_every: steps between points of the curve; 0 for none.
     """
 
     steps: int
@@ -49,25 +48,26 @@ class Journal:
         folder: gets ``log.csv``, ``validation.csv`` and the picture.
         name: of the picture.
         steps: of all fits together.
-        done: steps that are done.
+        before: steps of the fits before the present one.
+        done: steps of the present one that are done.
         progress: is told of each.
     """
 
-    def __init__(self, folder: Path, name: str, steps: int, done: int, progress: Progress) -> None:
+    def __init__(self, folder: Path, name: str, steps: int, before: int, done: int, progress: Progress) -> None:
         self._folder, self._name, self._steps, self._progress = folder, name, steps, progress
-        self.begun = done  # steps of the fits before the present one
-        self._log = TrainingLog(folder, done)
+        self._before = before
+        self._log = TrainingLog(folder, before + done)
 
     def step(self, step: int, loss: float, count: int, seconds: float) -> None:
         """Note one step."""
-        self._log.step(self.begun + step, {"loss": loss, "gaussians": count, "seconds": seconds})
-        self._progress(self.begun + step + 1, self._steps)
+        self._log.step(self._before + step, {"loss": loss, "gaussians": count, "seconds": seconds})
+        self._progress(self._before + step + 1, self._steps)
 
-    def measure(self, state: FitState, shots: Shots, near: float) -> None:
+    def measure(self, state: FitState, shots: Shots) -> None:
         """Note the PSNR of a few training images, and draw the curve."""
-        errors = [_squared_error(state, shot, near) for shot in shots.evenly(min(WATCHED, len(shots)))]
+        errors = [_squared_error(state, shot, shots.near) for shot in shots.evenly(min(WATCHED, len(shots)))]
         figures = {"PSNR_training_dB": -10 * float(np.log10(np.mean(errors))), "gaussians": float(len(state))}
-        self._log.validation(self.begun + state.step, figures)
+        self._log.validation(self._before + state.step, figures)
         draw_curves(self._folder, self._name)
 
 
@@ -81,19 +81,18 @@ def optimise(state: FitState, shots: Shots, options: OptimiserOptions, journal: 
         journal: is told of every step.
         checkpoint: file of the state, for going on after a kill; None where the fit is too short to be worth one.
     """
-    near = NEAR_M * shots.footage.units_per_metre
     while state.step < options.steps:
         started = perf_counter()
         shot = shots.at(state.step)
-        loss = _step(state, shot, options, shots.extent, near)
+        loss = _step(state, shot, options, shots.extent, shots.near)
         journal.step(state.step, loss, len(state), perf_counter() - started)
         state.step += 1
         if options.density is not None and options.density.is_due(state.step):
             seed = int(np.random.default_rng([shots.footage.seed, shots.salt, state.step]).integers(2**62))
             control_density(state, shots.extent, options.density, seed)
         last = state.step == options.steps
-        if last or state.step % options.measure_every == 0:
-            journal.measure(state, shots, near)
+        if options.measure_every and (last or state.step % options.measure_every == 0):
+            journal.measure(state, shots)
         if checkpoint is not None and (last or state.step % options.save_every == 0):
             state.write(checkpoint)
 

@@ -13,6 +13,7 @@ from ggvs_eval.arrays import Image8
 from ggvs_eval.baselines.fitted.points import clip_times
 from ggvs_eval.camera import Camera
 from ggvs_eval.files.atomic import atomic_file
+from ggvs_eval.method import NEAR_M
 from ggvs_eval.scene_fitter import Footage
 
 EXTENT_MARGIN = 1.1
@@ -57,6 +58,11 @@ class Shots:
         centres = np.stack([camera.centre for camera in self.footage.cameras])
         reach = float(np.linalg.norm(centres - centres.mean(axis=0), axis=1).max())
         return EXTENT_MARGIN * reach or self.footage.cameras[0].near
+
+    @property
+    def near(self) -> float:
+        """Depth from which on Gaussians are rendered, world units."""
+        return NEAR_M * self.footage.units_per_metre
 
     def __len__(self) -> int:
         """Number of images."""

@@ -2,7 +2,6 @@
 
 import io
 import pickle
-from dataclasses import dataclass
 from pathlib import Path
 
 import torch
@@ -37,12 +36,18 @@ def first_gaussians(points: Points, degree: int, motion: Motion) -> Gaussians:
     return {**values, "sh_base": sh[:, :1].clone(), "sh_rest": sh[:, 1:].clone(), **motion.start(points)}
 
 
+def box_of(means: Tensor) -> Tensor:
+    """Bounding box of points (N, 3), the larger corner first, (2, 3)."""
+    return torch.stack([means.amax(dim=0), means.amin(dim=0)])
+
+
 class FitState:
     """A fit between two steps.
 
     Args:
         gaussians: first values; none of them is changed.
         motion: how they move.
+        learns_gaussians: whether they are learned, or only what the motion shares.
 
     Attributes:
         gaussians: name -> leaf tensor, a row per Gaussian.
@@ -53,12 +58,13 @@ class FitState:
         step: steps done.
     """
 
-    def __init__(self, gaussians: Gaussians, motion: Motion) -> None:
-        self.gaussians = {name: tensor.detach().clone().requires_grad_() for name, tensor in gaussians.items()}
+    def __init__(self, gaussians: Gaussians, motion: Motion, *, learns_gaussians: bool = True) -> None:
+        self.gaussians = {name: tensor.detach().clone().requires_grad_(learns_gaussians) for name, tensor in gaussians.items()}
         self.motion = motion
         self.step = 0
         shared = {f"{SHARED}{name}": value for name, value in motion.named_parameters() if value.requires_grad}
-        groups = [{"name": name, "params": [tensor], "lr": 0.0} for name, tensor in (self.gaussians | shared).items()]
+        learned = (self.gaussians if learns_gaussians else {}) | shared
+        groups = [{"name": name, "params": [tensor], "lr": 0.0} for name, tensor in learned.items()]
         self.optimiser = torch.optim.Adam(groups, eps=EPSILON, fused=True)
         self.forget_gradients()
 
