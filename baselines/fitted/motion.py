@@ -261,7 +261,6 @@ def motion_of(kind: str, sizes: Mapping[str, Any]) -> Motion:
 def faded(logits: Tensor, fading: Tensor) -> Tensor:
     """Logits of opacities sigmoid(logits) exp(-fading), both (N,).
 
-    With p the opacity, logit(p e^-f) = l - f - log(1 - p e^-f) + log(1 - p), where 1 - p e^-f = (1 - p) + p (1 - e^-f).
+    With p the opacity, 1 - p e^-f = (1 - p) (1 + (1 - e^-f) p / (1 - p)), where p / (1 - p) = e^logit.
     """
-    opacity = torch.sigmoid(logits)
-    return logits - fading - torch.log1p(-torch.expm1(-fading) * opacity * torch.exp(torch.nn.functional.softplus(logits)))
+    return logits - fading - torch.log1p(-torch.expm1(-fading) * torch.exp(logits))
