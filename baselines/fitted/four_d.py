@@ -62,9 +62,8 @@ class FourD(SceneFitter):
         cloud: CloudOptions | None = None,
     ) -> None:
         if motion not in get_args(MotionName):
-            raise RenderError(
-                f"4dgs: wanted a motion of {', '.join(get_args(MotionName))}, got {motion!r}{did_you_mean(motion, get_args(MotionName))}"
-            )
+            names = get_args(MotionName)
+            raise RenderError(f"4dgs: wanted a motion of {', '.join(names)}, got {motion!r}{did_you_mean(motion, names)}")
         self.motion = motion
         self.name = "4dgs" if motion == "hexplane" else f"4dgs+{motion}"
         self.options = options or OptimiserOptions(steps=8000, coarse_steps=2000)
@@ -102,8 +101,9 @@ class FourD(SceneFitter):
     def _points(self, footage: Footage) -> Points:
         """First points; a cloud that a field moves is that of one instant, with the background of all."""
         indices = self.depth_indices(footage.indices)
-        points = initial_points(footage, indices, self.cloud.points)
-        if self.motion != "hexplane" or len(indices) == 1:
+        is_one_instant = self.motion == "hexplane" and len(indices) > 1
+        points = initial_points(footage, indices, 2 * self.cloud.points if is_one_instant else self.cloud.points)
+        if not is_one_instant:
             return points
         moving = points.times[~points.steady].unique()
         return points.select(points.steady | (points.times == moving[len(moving) // 2])) if len(moving) else points

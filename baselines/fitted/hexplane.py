@@ -1,4 +1,4 @@
-"""The deformation field of 4DGS (Wu et al., CVPR 2024): features from planes through space and time, and heads that move Gaussians.
+"""The deformation field of 4DGS (Wu et al., CVPR 2024): features from planes in space and time, heads that move Gaussians.
 
 Names and shapes are those of the authors' ``deformation.pth``, so that their files load strictly.
 """

@@ -1,4 +1,4 @@
-"""How Gaussians move: by a deformation field (4DGS), along polynomials (Spacetime Gaussians), along lines (FreeTimeGS), not at all.
+"""How Gaussians move: by a field (4DGS), along polynomials (Spacetime Gaussians), along lines (FreeTimeGS), or not at all.
 
 What a motion keeps per Gaussian stands beside the canonical properties under names of its own, and is thinned and split with
 them; what all Gaussians share are the parameters of the module.
@@ -249,10 +249,9 @@ def quaternion_product(left: Tensor, right: Tensor) -> Tensor:
 def motion_of(kind: str, sizes: Mapping[str, Any]) -> Motion:
     """A motion of a kind, with parameters that are to be replaced by those of a file."""
     if kind == HexPlaneMotion.kind:
-        field = FieldConfiguration(
-            **{name: tuple(value) if isinstance(value, list) else value for name, value in sizes["field"].items()}
-        )
-        return HexPlaneMotion(DeformationNetwork(torch.zeros(2, 3), field), sizes["reach"])
+        field = sizes["field"]
+        field |= {"levels": tuple(field["levels"]), "heads": tuple(field["heads"])}
+        return HexPlaneMotion(DeformationNetwork(torch.zeros(2, 3), FieldConfiguration(**field)), sizes["reach"])
     if kind == TransformationMotion.kind:
         return TransformationMotion(torch.zeros(2, 3), sizes["reach"], seed=0)
     return {motion.kind: motion for motion in (NoMotion, LinearMotion, PolynomialMotion)}[kind]()

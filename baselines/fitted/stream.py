@@ -60,9 +60,9 @@ class Stream(SceneFitter):
         cloud: what the first instant begins with.
 
     Reading:
-        Not as published: first points from estimated depth, a field of three dense planes at two resolutions instead of hash grids
-        (the same at the size of a room, and without tiny-cuda-nn), its box that of the first points instead of set by hand, and
-        spherical harmonics that do not turn with their Gaussians.
+        Not as published: first points from estimated depth, a field of three dense planes at two resolutions instead of hash
+        grids (the same at the size of a room, and without tiny-cuda-nn), its box that of all Gaussians instead of set by hand,
+        and spherical harmonics that do not turn with their Gaussians.
     """
 
     name = "3dgstream"

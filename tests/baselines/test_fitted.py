@@ -66,7 +66,9 @@ def test_a_cloud_with_known_linear_motion_is_recovered(tmp_path):
     velocities = torch.from_numpy(random.normal(0, 0.15, (len(cloud), 3)).astype(np.float32)) * torch.tensor([1.0, 1.0, 0.3])
     footage = footage_of(lambda time: replace(cloud, means=cloud.means + (time - 0.5) * velocities), tmp_path, instants=5)
     count = len(cloud)
-    points = Points(cloud.means, torch.full((count, 3), 0.5), torch.full((count,), 0.5), torch.full((count,), 1e6), torch.ones(count) > 0)
+    points = Points(
+        cloud.means, torch.full((count, 3), 0.5), torch.full((count,), 0.5), torch.full((count,), 1e6), torch.ones(count) > 0
+    )
     gaussians = first_gaussians(points, 1, LinearMotion()) | {
         name: tensor for name, tensor in cloud.parameters().items() if name != "sh"
     }

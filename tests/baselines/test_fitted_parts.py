@@ -44,7 +44,9 @@ def published_tensors() -> dict[str, torch.Tensor]:
 def points_of(means: torch.Tensor, steady: bool = True) -> Points:
     """Grey points of the middle of the clip, which last through all of it."""
     count = len(means)
-    return Points(means, torch.full((count, 3), 0.5), torch.full((count,), 0.5), torch.full((count,), 1e6), torch.full((count,), steady))
+    return Points(
+        means, torch.full((count, 3), 0.5), torch.full((count,), 0.5), torch.full((count,), 1e6), torch.full((count,), steady)
+    )
 
 
 def test_files_of_the_authors_load_strictly(tmp_path):
@@ -58,7 +60,9 @@ def test_files_of_the_authors_load_strictly(tmp_path):
     assert sum(value.numel() for value in network.parameters()) + 18 == 2_462_561 + 18  # buffers are no parameters
     assert all(torch.equal(value, tensors[name]) for name, value in network.state_dict().items())
     torch.save(tensors | {"deformation_net.feature_out.0.weight": torch.zeros(128, 16)}, tmp_path / "other.pth")
-    with pytest.raises(WeightsError, match=r"other.pth: 1 tensors differ from 4DGS .*feature_out.0.weight: wanted \(128, 32\), got"):
+    with pytest.raises(
+        WeightsError, match=r"other.pth: 1 tensors differ from 4DGS .*feature_out.0.weight: wanted \(128, 32\), got"
+    ):
         read_deformation(tmp_path / "other.pth")
 
 
@@ -81,7 +85,9 @@ def test_features_are_products_of_bilinear_planes():
             product = np.ones(16)
             for plane, (first, second) in zip(planes, grid.axes, strict=True):
                 nodes = plane.detach().numpy()[0]
-                column, line = ((place[axis] + 1) / 2 * (size - 1) for axis, size in ((first, nodes.shape[2]), (second, nodes.shape[1])))
+                column, line = (
+                    (place[axis] + 1) / 2 * (size - 1) for axis, size in ((first, nodes.shape[2]), (second, nodes.shape[1]))
+                )
                 i, j = min(int(column), nodes.shape[2] - 2), min(int(line), nodes.shape[1] - 2)
                 a, b = column - i, line - j
                 product *= (1 - b) * ((1 - a) * nodes[:, j, i] + a * nodes[:, j, i + 1]) + b * (
@@ -126,7 +132,9 @@ def test_explicit_motions_are_their_formulas():
     ahead = (0.7 - gaussians["times"])[:, None]
 
     curved = PolynomialMotion().cloud(gaussians, 0.7)
-    straight = LinearMotion().cloud({**gaussians, "velocities": gaussians["velocities"][:, :1]} | {"turns": torch.zeros(300, 4)}, 0.7)
+    straight = LinearMotion().cloud(
+        {**gaussians, "velocities": gaussians["velocities"][:, :1]} | {"turns": torch.zeros(300, 4)}, 0.7
+    )
 
     powers = sum(gaussians["velocities"][:, power] * ahead ** (power + 1) for power in range(3))
     share = (ahead[:, 0] / gaussians["log_durations"].exp()) ** 2
@@ -158,8 +166,12 @@ def test_rotations_are_those_of_scipy():
 
     product = quaternion_product(torch.from_numpy(left), torch.from_numpy(right)).numpy()
 
-    np.testing.assert_allclose(Rotation.from_quat(product, scalar_first=True).as_matrix(), (first * second).as_matrix(), atol=1e-12)
-    np.testing.assert_allclose(rotated(torch.from_numpy(left), torch.from_numpy(vectors)).numpy(), first.apply(vectors), atol=1e-12)
+    np.testing.assert_allclose(
+        Rotation.from_quat(product, scalar_first=True).as_matrix(), (first * second).as_matrix(), atol=1e-12
+    )
+    np.testing.assert_allclose(
+        rotated(torch.from_numpy(left), torch.from_numpy(vectors)).numpy(), first.apply(vectors), atol=1e-12
+    )
 
 
 def test_the_loss_and_its_gradient_are_those_of_kornia():
