@@ -22,8 +22,8 @@ def basis(directions: torch.Tensor, degree: int) -> torch.Tensor:
         splatting.
 
     Examples:
-        >>> basis(torch.tensor([[0.0, 0.0, 1.0]]), degree=1).double().numpy().round(3).tolist()
-        [[0.282, 0.0, 0.489, 0.0]]
+        >>> basis(torch.tensor([[0.0, 0.0, 1.0]]), degree=1)[0, ::2].tolist()
+        [0.28209..., 0.48860...]
     """
     x, y, z = directions.unbind(-1)
     terms = [torch.full_like(x, CONSTANT)]

@@ -65,7 +65,7 @@ def render_gaussians(
         pixel stops before its transmittance falls below 1e-4, z up to 0.2 is left out. Different from it are the principal point,
         which fields of view lose, and the end of a Gaussian, which is not cut at the borders of tiles (`torch_splat.splat`).
     """
-    from ggvs_eval.gaussians.torch_splat import splat
+    from ggvs_eval.gaussians import compiled, torch_splat
 
     if screen_offsets is not None and screen_offsets.shape != (len(cloud), 2):
         raise RenderError(f"Gaussian splat: wanted screen offsets {(len(cloud), 2)}, got {tuple(screen_offsets.shape)}")
@@ -74,7 +74,10 @@ def render_gaussians(
         raise RenderError(f"Gaussian splat: wanted a background of three numbers, got {tuple(behind.shape)}")
     if not near > 0:
         raise RenderError(f"Gaussian splat: near must be positive, got {near:g}")
-    colour, alpha, depth_sum, radii = splat(cloud, camera, near, screen_offsets)
+    in_kernel = cloud.means.device.type == "cpu" and cloud.means.dtype == torch.float32
+    splat = compiled.splat if in_kernel else torch_splat.splat
+    colour, transmittance, depth_sum, radii = splat(cloud, camera, near, screen_offsets)
+    alpha = 1 - transmittance
     covered = alpha > 0
     depth = torch.where(covered, depth_sum / torch.where(covered, alpha, 1), 0)
-    return GaussianImage(colour + (1 - alpha)[..., None] * behind, alpha, depth, radii)
+    return GaussianImage(colour + transmittance[..., None] * behind, alpha, depth, radii)

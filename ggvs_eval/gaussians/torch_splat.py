@@ -30,8 +30,8 @@ def splat(
         screen_offsets: added to the centres in the image, pixels, (N, 2); or None.
 
     Returns:
-        Sums of colour (H, W, 3), alpha (H, W) and sums of depth (H, W), both sums weighted by what each Gaussian covers; radii
-        in pixels, (N,) int32.
+        Sums of colour (H, W, 3) weighted by what each Gaussian covers, transmittance (H, W) to what lies behind all, sums of
+        depth (H, W), weighted likewise, and radii in pixels, (N,) int32.
 
     Reading:
         A Gaussian ends where its alpha falls below 1/255. The reference cuts it also at the border of the 16-pixel tiles that a
@@ -57,7 +57,7 @@ def splat(
         tiles = tiles.index_copy(0, torch.cat(chosen), torch.cat(blended))
     picture = tiles.reshape(down, across, TILE, TILE, 5).transpose(1, 2).reshape(down * TILE, across * TILE, 5)
     picture = picture[: camera.height, : camera.width]
-    return picture[..., :3], 1 - picture[..., 4], picture[..., 3], ellipses.radii
+    return picture[..., :3], picture[..., 4], picture[..., 3], ellipses.radii
 
 
 def _listed(ellipses: Ellipses, across: int, down: int) -> tuple[torch.Tensor, torch.Tensor]:
@@ -103,7 +103,7 @@ def _blend(shape: torch.Tensor, lists: torch.Tensor, tiles: torch.Tensor, across
     rows = (tiles // across * TILE)[:, None] + pixel // TILE
     dx, dy = columns[:, None] - u[..., None], rows[:, None] - v[..., None]  # (G, M, P)
     quadratic = xx[..., None] * dx * dx + 2 * xy[..., None] * dx * dy + yy[..., None] * dy * dy
-    alpha = (opacity[..., None] * torch.exp(-quadratic / 2)).clamp_max(MOST_ALPHA)
+    alpha = (opacity[..., None] * torch.exp(-quadratic.clamp_min(0) / 2)).clamp_max(MOST_ALPHA)
     alpha = torch.where((alpha >= LEAST_ALPHA) & (lists >= 0)[..., None], alpha, 0)
     alpha = torch.where(torch.cumprod(1 - alpha.detach(), 1) >= LEAST_TRANSMITTANCE, alpha, 0)
     transmittance = torch.cumprod(1 - alpha, 1)
