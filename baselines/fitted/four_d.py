@@ -32,7 +32,7 @@ class CloudOptions:
         degree: of the spherical harmonics.
     """
 
-    points: int = 40_000
+    points: int = 30_000
     degree: int = 1
 
 

@@ -47,7 +47,7 @@ PUBLISHED = FieldConfiguration((64, 128), 150, 16, 128, tuple(HEADS), is_publish
 
 def compact(instants: int) -> FieldConfiguration:
     """The small field for a clip of so many instants, with half as many nodes in time, as the authors advise."""
-    return FieldConfiguration((32, 64), max(2, -(-instants // 2)), 16, 32, ("pos", "rotations", "opacity"))
+    return FieldConfiguration((32, 64), max(2, -(-instants // 2)), 8, 32, ("pos", "rotations", "opacity"))
 
 
 class PlaneGrid(nn.Module):
