@@ -94,7 +94,7 @@ def render(
     from ggvs_eval.pipelines.run.render import render as synthesise
 
     networks = _networks(weights, device)
-    prepared = reopen(engine.place(run), engine)
+    prepared = reopen(engine.place(run), engine, methods, networks)
     print(f"{synthesise(prepared, methods, engine, networks)} jobs rendered in {run}")
 
 

@@ -4,7 +4,6 @@ Each view is one job for all methods, because what the truth alone decides is th
 ``RUN/scores/<view>/job.json``, and a method that is there already, with the same frames, is not measured again.
 """
 
-import dataclasses
 from collections.abc import Collection, Sequence
 from typing import Any
 
@@ -145,7 +144,7 @@ def _along_path(protocol: Protocol, path: dict[str, Any] | None, not_computed: d
 
 def _provenance(protocol: Protocol, capture: dict[str, Any], renders: dict[str, str]) -> dict[str, Any]:
     return {
-        "protocol": dataclasses.asdict(protocol),
+        "protocol": protocol.values(),
         "protocol_sha256": protocol.sha256,
         "inputs": {f"{capture['scene']}/{name}": digest for name, digest in capture["digests"].items()},
         "renders": renders,

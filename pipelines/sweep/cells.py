@@ -76,10 +76,8 @@ class Cell:
             networks: with which weights and where networks compute.
             views: units that are worked on; none where the run is only prepared.
         """
-        labels = self.synthesised if views else ()
-        return RunRequest(
-            self.run.root, self.capture, self.protocol, labels, depth, networks, self.root / self.folder, views or None
-        )
+        shared = self.root / self.folder
+        return RunRequest(self.run.root, self.capture, self.protocol, self.synthesised, depth, networks, shared, views or ())
 
     def share_folders(self) -> None:
         """Let all variants of a capture have their frames and depth in common, so that K = 2 finds what K = 6 has computed."""
@@ -133,7 +131,7 @@ def _why_not(row: SweepRow, n_captures: int, networks: NetworkOptions) -> str | 
     if label not in METHODS and "=" not in label:
         return f"this version has no method {label!r}"
     try:
-        find_method(label, networks).make()
+        find_method(label, networks).require()
     except (RenderError, WeightsError) as error:
         return str(error)
     return None

@@ -1,0 +1,43 @@
+"""Methods that are fitted to one capture: offline references, and what optimises frame by frame."""
+
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+from ggvs_eval.errors import RenderError
+from ggvs_eval.method import Method
+from ggvs_eval.pipelines.methods.spec import MethodSpec, option_values
+
+FITTED: dict[str, MethodSpec] = {}
+
+
+def fitted_method(title: str, describe: str, fitter: str, online: bool = False) -> MethodSpec:
+    """A method by its `SceneFitter`.
+
+    Args:
+        title: how tables call it.
+        describe: one line for the help and the report.
+        fitter: ``module:class``, a frozen dataclass of its options.
+        online: whether it sees nothing of the future.
+    """
+    module = fitter.partition(":")[0]
+    return MethodSpec(title, describe, partial(_no_step, title), (module,), online=online, usual=False, fitter=fitter)
+
+
+def configured_fit(label: str, spec: MethodSpec, variant: str) -> MethodSpec:
+    """A fitted method with the options and the seed that its label names.
+
+    Raises:
+        RenderError: an option that it has not, or a seed that is none.
+    """
+    values = option_values(variant)
+    seed = values.pop("seed", 0)
+    if type(seed) is not int or seed < 0:
+        raise RenderError(f"method {label}: seed must be a whole number of 0 or more, got {seed!r}")
+    configured = replace(spec, title=f"{spec.title}, {variant.replace('+', ', ')}", fitter_options=values, seed=seed)
+    configured.make_fitter()
+    return configured
+
+
+def _no_step(title: str, **_: Any) -> Method:
+    raise RenderError(f"{title} is fitted to a whole capture and cannot be shown frame by frame; render it with `ggvs-eval run`")
