@@ -10,42 +10,36 @@ import torch
 
 from ggvs_eval.baselines.fitted.hexplane import DeformationNetwork, compact
 from ggvs_eval.baselines.fitted.motion import HexPlaneMotion, LinearMotion, Motion, MotionName, PolynomialMotion
-from ggvs_eval.baselines.fitted.optimiser import Journal, OptimiserOptions, optimise
+from ggvs_eval.baselines.fitted.optimiser import Journal, clip_options, optimise
+from ggvs_eval.baselines.fitted.photometric import STRUCTURE
 from ggvs_eval.baselines.fitted.points import Points, initial_points
-from ggvs_eval.baselines.fitted.scene import SCENE, MovingScene, write_scene
+from ggvs_eval.baselines.fitted.scene import SCENE, MovingScene, require_counts, write_scene
 from ggvs_eval.baselines.fitted.shots import Shots
 from ggvs_eval.baselines.fitted.state import FitState, box_of, first_gaussians
 from ggvs_eval.compute_device import compute_device, computing_on, one_thread
 from ggvs_eval.errors import RenderError, did_you_mean
-from ggvs_eval.scene_fitter import FittedScene, Footage, LookAhead, Progress, SceneFitter
+from ggvs_eval.scene_fitter import FittedScene, Footage, Progress, SceneFitter
 
 DEPTH_INSTANTS = 6  # whose depth gives the first points
 STATE = "state.pt"
 
 
 @dataclass(frozen=True)
-class CloudOptions:
-    """What a fit begins with.
-
-    Attributes:
-        points: at most.
-        degree: of the spherical harmonics.
-    """
-
-    points: int = 30_000
-    degree: int = 1
-
-
 class FourD(SceneFitter):
     """4DGS (compact): canonical Gaussians and a HexPlane field, or an explicit motion of each Gaussian, from one optimiser.
 
-    Args:
+    Attributes:
         motion: ``hexplane`` (4DGS), ``polynomial`` (Spacetime Gaussians, lite) or ``linear`` (as FreeTimeGS).
-        options: how the optimiser runs.
-        cloud: what it begins with.
+        steps: images that are looked at, a quarter of them without motion where a field moves the Gaussians.
+        points: first points at most.
+        most: Gaussians at most.
+        degree: of the spherical harmonics.
+        structure: share of 1 - SSIM in the loss; 0 for L1 alone, as the authors.
+        save_every: steps between checkpoints.
+        device: where it is fitted and rendered.
 
     Raises:
-        RenderError: no such motion.
+        RenderError: no such motion, or numbers that make no sense.
 
     Reading:
         Not as published: first points from estimated depth; spherical harmonics of degree 1 from the first step on; a smaller
@@ -53,21 +47,24 @@ class FourD(SceneFitter):
         0.2 (1 - SSIM); explicit motions keep three colours, without the network of Spacetime Gaussians' full form.
     """
 
-    look_ahead: LookAhead = "sequence"
+    motion: MotionName = "hexplane"
+    steps: int = 8000
+    points: int = 30_000
+    most: int = 60_000
+    degree: int = 1
+    structure: float = STRUCTURE
+    save_every: int = 500
+    device: str = "cpu"
+    name = "4dgs"
+    look_ahead = "sequence"
 
-    def __init__(
-        self,
-        motion: MotionName = "hexplane",
-        options: OptimiserOptions | None = None,
-        cloud: CloudOptions | None = None,
-    ) -> None:
-        if motion not in get_args(MotionName):
-            names = get_args(MotionName)
-            raise RenderError(f"4dgs: wanted a motion of {', '.join(names)}, got {motion!r}{did_you_mean(motion, names)}")
-        self.motion = motion
-        self.name = "4dgs" if motion == "hexplane" else f"4dgs+{motion}"
-        self.options = options or OptimiserOptions(steps=8000, coarse_steps=2000)
-        self.cloud = cloud or CloudOptions()
+    def __post_init__(self) -> None:
+        """Refuse options that no fit could follow."""
+        names = get_args(MotionName)
+        if self.motion not in names:
+            mend = did_you_mean(self.motion, names)
+            raise RenderError(f"4dgs: wanted a motion of {', '.join(names)}, got {self.motion!r}{mend}")
+        require_counts(self, "steps", "points", "most", "save_every")
 
     def depth_indices(self, indices: range) -> Sequence[int]:
         """Return a few instants, spread over the clip."""
@@ -75,18 +72,19 @@ class FourD(SceneFitter):
 
     def fit(self, footage: Footage, folder: Path, progress: Progress) -> None:
         """Fit one cloud to the clip."""
-        device = compute_device("auto")
+        device = compute_device(self.device)
         shots = Shots(footage, footage.indices, folder)
+        options = clip_options(self.steps, self.steps // 4, self.most, self.structure, self.save_every)
         with one_thread(), computing_on(device):
             state = self._state(footage, shots, folder / STATE, device)
-            journal = Journal(folder, "fit", self.options.steps, 0, state.step, progress)
-            optimise(state, shots, self.options, journal, folder / STATE)
+            journal = Journal(folder, "fit", self.steps, 0, state.step, progress)
+            optimise(state, shots, options, journal, folder / STATE)
         write_scene(folder / SCENE, state.gaussians, state.motion, footage)
         shots.remove_frames()
 
     def load(self, folder: Path) -> FittedScene:
         """Read back the cloud and its motion."""
-        return MovingScene(folder)
+        return MovingScene(folder, self.device)
 
     def _state(self, footage: Footage, shots: Shots, checkpoint: Path, device: torch.device) -> FitState:
         """The state that a killed fit has left, or a fresh one."""
@@ -95,14 +93,14 @@ class FourD(SceneFitter):
         with torch.device("cpu"):
             points = self._points(footage)
             motion = self._motion(footage, shots, box_of(points.means))
-            gaussians = first_gaussians(points, self.cloud.degree, motion)
+            gaussians = first_gaussians(points, self.degree, motion)
         return FitState({name: tensor.to(device) for name, tensor in gaussians.items()}, motion.to(device))
 
     def _points(self, footage: Footage) -> Points:
         """First points; a cloud that a field moves is that of one instant, with the background of all."""
         indices = self.depth_indices(footage.indices)
         is_one_instant = self.motion == "hexplane" and len(indices) > 1
-        points = initial_points(footage, indices, 2 * self.cloud.points if is_one_instant else self.cloud.points)
+        points = initial_points(footage, indices, 2 * self.points if is_one_instant else self.points)
         if not is_one_instant:
             return points
         moving = points.times[~points.steady].unique()

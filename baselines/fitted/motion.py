@@ -163,7 +163,7 @@ class LinearMotion(ExplicitMotion):
 
     kind = "linear"
     degree, steepness = 1, 0.5
-    rates = MappingProxyType({"velocities": 10 * VELOCITY_RATE, "times": 1e-4, "log_durations": 0.03})
+    rates = MappingProxyType({"velocities": 20 * VELOCITY_RATE, "times": 1e-4, "log_durations": 0.03})
 
 
 class PolynomialMotion(ExplicitMotion):

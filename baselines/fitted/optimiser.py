@@ -9,7 +9,7 @@ import torch
 
 from ggvs_eval.baselines.fitted.density import DensityOptions, control_density, watch_gradients
 from ggvs_eval.baselines.fitted.motion import canonical
-from ggvs_eval.baselines.fitted.photometric import photometric_loss
+from ggvs_eval.baselines.fitted.photometric import STRUCTURE, photometric_loss
 from ggvs_eval.baselines.fitted.shots import Shot, Shots
 from ggvs_eval.baselines.fitted.state import RATES, SHARED, FitState
 from ggvs_eval.gaussians.render import render_gaussians
@@ -29,6 +29,7 @@ class OptimiserOptions:
         coarse_steps: of these, without motion, where the motion has a coarse stage.
         rate: times the learning rates.
         density: when Gaussians are added and taken away; None for never.
+        structure: share of 1 - SSIM in the loss; the rest is L1, all of it where this is 0.
         save_every: steps between checkpoints.
         measure_every: steps between points of the curve; 0 for none.
     """
@@ -37,8 +38,23 @@ class OptimiserOptions:
     coarse_steps: int = 0
     rate: float = 1.0
     density: DensityOptions | None = field(default_factory=DensityOptions)
+    structure: float = STRUCTURE
     save_every: int = 500
     measure_every: int = 500
+
+
+def clip_options(steps: int, coarse_steps: int, most: int, structure: float, save_every: int) -> OptimiserOptions:
+    """Options of a fit from first points to the end: density control in the first half, less often only in long fits.
+
+    Args:
+        steps: images that are looked at.
+        coarse_steps: of these, without motion.
+        most: Gaussians at most.
+        structure: share of 1 - SSIM in the loss.
+        save_every: steps between checkpoints.
+    """
+    density = DensityOptions(every=max(1, min(100, steps // 40)), first=min(500, steps // 10), last=steps // 2, most=most)
+    return OptimiserOptions(steps, coarse_steps, density=density, structure=structure, save_every=save_every)
 
 
 class Journal:
@@ -104,7 +120,7 @@ def _step(state: FitState, shot: Shot, options: OptimiserOptions, extent: float,
     cloud = canonical(state.gaussians) if is_coarse else state.motion.cloud(state.gaussians, shot.time)
     offsets = torch.zeros(len(cloud), 2, requires_grad=True)
     picture = render_gaussians(cloud, shot.camera, screen_offsets=offsets, near=near)
-    loss = photometric_loss(picture.image, shot.image)
+    loss = photometric_loss(picture.image, shot.image, options.structure)
     total = loss if is_coarse else loss + state.motion.penalty()
     state.optimiser.zero_grad(set_to_none=True)
     total.backward()

@@ -16,22 +16,25 @@ MARGIN = WINDOW // 2
 C1, C2 = 0.01**2, 0.03**2
 
 
-def photometric_loss(image: Tensor, truth: Tensor) -> Tensor:
-    """0.8 times the mean absolute difference plus 0.2 times 1 - SSIM.
+def photometric_loss(image: Tensor, truth: Tensor, share: float = STRUCTURE) -> Tensor:
+    """The mean absolute difference, mixed with 1 - SSIM.
 
     Args:
         image: rendered, (H, W, 3), at least 11 x 11.
         truth: captured, same shape, in [0, 1].
+        share: of 1 - SSIM.
 
     Reading:
         SSIM is that of the metric (11 x 11 Gaussian window, whole windows only), where the published codes pad with zeros.
     """
     difference = (image - truth).abs().mean()
+    if not share:
+        return difference
     if image.device.type == "cpu":
         structure = 1 - _MeanSsim.apply(image, truth)
     else:
         structure = structural_loss(image.permute(2, 0, 1)[None], truth.permute(2, 0, 1)[None])
-    return (1 - STRUCTURE) * difference + STRUCTURE * structure
+    return (1 - share) * difference + share * structure
 
 
 class _MeanSsim(torch.autograd.Function):

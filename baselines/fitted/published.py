@@ -6,6 +6,7 @@ from ggvs_eval.baselines.fitted.hexplane import read_deformation
 from ggvs_eval.baselines.fitted.motion import HexPlaneMotion
 from ggvs_eval.baselines.fitted.scene import render_cloud
 from ggvs_eval.camera import Camera
+from ggvs_eval.compute_device import compute_device
 from ggvs_eval.errors import RenderError
 from ggvs_eval.gaussians import GaussianCloud
 from ggvs_eval.gaussians.ply import read_ply
@@ -13,7 +14,6 @@ from ggvs_eval.method import Rendering
 from ggvs_eval.scene_fitter import FittedScene
 
 CLOUD, FIELD = "point_cloud.ply", "deformation.pth"
-OWNER = "4DGS"
 
 
 class PublishedScene(FittedScene):
@@ -24,6 +24,7 @@ class PublishedScene(FittedScene):
             last one is taken.
         instants: frame numbers of the clip that it was fitted to.
         near: Gaussians at or before this depth are not rendered, world units.
+        device: where it is rendered.
 
     Raises:
         RenderError: no such files, or a cloud that cannot be read.
@@ -34,13 +35,13 @@ class PublishedScene(FittedScene):
         beside the files that their program fills with yes.
     """
 
-    def __init__(self, folder: Path, instants: range, near: float) -> None:
+    def __init__(self, folder: Path, instants: range, near: float, device: str = "cpu") -> None:
         self._folder = _iteration(folder)
-        self._motion = HexPlaneMotion(read_deformation(self._folder / FIELD))
-        values = read_ply(self._folder / CLOUD).parameters()
+        self._motion = HexPlaneMotion(read_deformation(self._folder / FIELD)).to(compute_device(device))
+        values = read_ply(self._folder / CLOUD).to(compute_device(device)).parameters()
         sh = values.pop("sh")
         self._gaussians = {**values, "sh_base": sh[:, :1], "sh_rest": sh[:, 1:]}
-        self._instants, self._near = instants, near
+        self._instants, self._near, self._device = instants, near, device
 
     def cloud(self, index: int) -> GaussianCloud:
         """The Gaussians of an instant.
@@ -54,7 +55,7 @@ class PublishedScene(FittedScene):
 
     def render(self, index: int, target: Camera) -> Rendering:
         """Render one instant."""
-        return render_cloud(lambda: self.cloud(index), target, self._near)
+        return render_cloud(lambda: self.cloud(index), target, self._near, self._device)
 
     @property
     def size_bytes(self) -> int:
@@ -68,4 +69,6 @@ def _iteration(folder: Path) -> Path:
     for place in (folder, *sorted(iterations, key=lambda path: int(path.name.removeprefix("iteration_")), reverse=True)):
         if (place / CLOUD).is_file() and (place / FIELD).is_file():
             return place
-    raise RenderError(f"{folder}: wanted {CLOUD} and {FIELD} of {OWNER}, there or below point_cloud/iteration_N; give its output folder")
+    raise RenderError(
+        f"{folder}: wanted {CLOUD} and {FIELD}, there or below point_cloud/iteration_N; give an output folder of 4DGS"
+    )

@@ -44,6 +44,7 @@ class StoredScene:
 
     Args:
         path: what `write_scene` wrote.
+        device: where its tensors are to lie.
 
     Attributes:
         gaussians: name -> a row per Gaussian.
@@ -55,15 +56,16 @@ class StoredScene:
         WeightsError: absent, damaged, or no scene.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, device: str = "cpu") -> None:
         notes = _notes(path)
         tensors = read_tensors(path, of="a fitted scene")
-        self.gaussians = {
-            name.removeprefix("gaussians."): tensor for name, tensor in tensors.items() if name.startswith("gaussians.")
-        }
+        place = compute_device(device)
+        rows = {name.removeprefix("gaussians."): each for name, each in tensors.items() if name.startswith("gaussians.")}
+        self.gaussians = {name: tensor.to(place) for name, tensor in rows.items()}
         self.motion = motion_of(notes["motion"], notes["sizes"])
         parameters = {name.removeprefix("motion."): tensor for name, tensor in tensors.items() if name.startswith("motion.")}
         load_strict(parameters, self.motion, path, "a fitted scene")
+        self.motion.to(place)
         self.first, self.last, self.near = notes["first"], notes["last"], notes["near"]
 
     def cloud(self, index: int) -> GaussianCloud:
@@ -87,12 +89,26 @@ def _notes(path: Path) -> Any:
         ) from error
 
 
-def render_cloud(cloud_of: Callable[[], GaussianCloud], target: Camera, near: float) -> Rendering:
-    """Render what a function gives, on the GPU where there is one, with the time of both."""
-    device = compute_device("auto")
+def require_counts(options: object, *names: str) -> None:
+    """Refuse options of a fit that must be 1 or more and are not, and spherical harmonics of no degree from 0 to 3.
+
+    Raises:
+        RenderError: which one.
+    """
+    name = getattr(options, "name", "")
+    for each in names:
+        if getattr(options, each) < 1:
+            raise RenderError(f"{name}: {each} must be 1 or more, got {getattr(options, each)}")
+    if options.degree not in range(4):
+        raise RenderError(f"{name}: degree must be 0, 1, 2 or 3, got {options.degree}")
+
+
+def render_cloud(cloud_of: Callable[[], GaussianCloud], target: Camera, near: float, device_name: str) -> Rendering:
+    """Render what a function gives on a device, with the time of both."""
+    device = compute_device(device_name)
     with rendering_on(device):
         started = perf_counter()
-        cloud = cloud_of().to(device)
+        cloud = cloud_of()
         moved = clock_s(device)
         picture = render_gaussians(cloud, target, near=near)
         image, depth = picture.image.clamp(max=1).numpy(force=True), picture.depth.numpy(force=True)
@@ -101,15 +117,20 @@ def render_cloud(cloud_of: Callable[[], GaussianCloud], target: Camera, near: fl
 
 
 class MovingScene(FittedScene):
-    """One cloud that moves through the whole clip; `folder` is that of its fit."""
+    """One cloud that moves through the whole clip.
 
-    def __init__(self, folder: Path) -> None:
-        self._path = folder / SCENE
-        self._scene = StoredScene(self._path)
+    Args:
+        folder: of its fit.
+        device: where it is rendered.
+    """
+
+    def __init__(self, folder: Path, device: str) -> None:
+        self._path, self._device = folder / SCENE, device
+        self._scene = StoredScene(self._path, device)
 
     def render(self, index: int, target: Camera) -> Rendering:
         """Render one instant."""
-        return render_cloud(lambda: self._scene.cloud(index), target, self._scene.near)
+        return render_cloud(lambda: self._scene.cloud(index), target, self._scene.near, self._device)
 
     @property
     def size_bytes(self) -> int:

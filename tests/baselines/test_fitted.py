@@ -7,23 +7,20 @@ import pytest
 import torch
 
 from ggvs_eval import kernels
-from ggvs_eval.baselines.fitted.density import DensityOptions
-from ggvs_eval.baselines.fitted.four_d import CloudOptions, FourD
+from ggvs_eval.baselines.fitted.four_d import FourD
 from ggvs_eval.baselines.fitted.motion import LinearMotion
 from ggvs_eval.baselines.fitted.optimiser import Journal, OptimiserOptions, optimise
 from ggvs_eval.baselines.fitted.per_instant import PerInstant
-from ggvs_eval.baselines.fitted.points import Points
 from ggvs_eval.baselines.fitted.scene import SCENE, StoredScene
 from ggvs_eval.baselines.fitted.shots import Shots
-from ggvs_eval.baselines.fitted.state import FitState, first_gaussians
-from ggvs_eval.baselines.fitted.stream import Stream, StreamOptions
+from ggvs_eval.baselines.fitted.state import FitState
+from ggvs_eval.baselines.fitted.stream import Stream
+from ggvs_eval.compute_device import one_thread
 from ggvs_eval.errors import RenderError, TrainingError, WeightsError
+from ggvs_eval.gaussians import render_gaussians
 from helpers.fitted_footage import footage_of, psnr_db, rig, wall
 
-CLOUD = CloudOptions(points=400)
-SHORT = OptimiserOptions(
-    24, coarse_steps=8, density=DensityOptions(every=6, first=6, last=18, most=450), save_every=10, measure_every=12
-)
+SHORT = {"steps": 24, "points": 400, "most": 450, "save_every": 10}
 
 
 def sliding(time: float):
@@ -60,36 +57,29 @@ def quiet(folder, steps):
 
 @pytest.mark.slow
 def test_a_cloud_with_known_linear_motion_is_recovered(tmp_path):
-    """From places in the middle of the clip and no velocities, pictures come to more than 40 dB and velocities to within 5 %."""
+    """From places in the middle of the clip, other colours and no velocities, to more than 40 dB, velocities within 5 %."""
     random = np.random.default_rng(8)
-    cloud = wall(across=14, down=10)
-    velocities = torch.from_numpy(random.normal(0, 0.15, (len(cloud), 3)).astype(np.float32)) * torch.tensor([1.0, 1.0, 0.3])
+    cloud = wall(across=14, down=10, colours=random.uniform(0.1, 0.9, (140, 3)), scale=0.12)
+    velocities = torch.from_numpy(random.normal(0, (0.15, 0.15, 0.05), (140, 3)).astype(np.float32))  # units per clip
     footage = footage_of(lambda time: replace(cloud, means=cloud.means + (time - 0.5) * velocities), tmp_path, instants=5)
-    count = len(cloud)
-    points = Points(
-        cloud.means, torch.full((count, 3), 0.5), torch.full((count,), 0.5), torch.full((count,), 1e6), torch.ones(count) > 0
-    )
-    gaussians = first_gaussians(points, 1, LinearMotion()) | {
-        name: tensor for name, tensor in cloud.parameters().items() if name != "sh"
-    }
-    gaussians["sh_base"] = cloud.sh[:, :1] + 0.1
-    state = FitState(gaussians, LinearMotion())
+    canonical = {name: tensor for name, tensor in cloud.parameters().items() if name != "sh"}
+    lasting = {"times": torch.full((140,), 0.5), "log_durations": torch.full((140,), 9.0), "velocities": torch.zeros(140, 1, 3)}
+    colours = {"sh_base": cloud.sh[:, :1] + 0.1, "sh_rest": cloud.sh[:, 1:]}
+    state = FitState({**canonical, **lasting, **colours}, LinearMotion())
     shots = Shots(footage, footage.indices, tmp_path)
 
-    optimise(state, shots, OptimiserOptions(1500, density=None, measure_every=0), quiet(tmp_path, 1500), None)
+    with one_thread():
+        optimise(state, shots, OptimiserOptions(1500, density=None, measure_every=0), quiet(tmp_path, 1500), None)
 
+    errors = []
     with torch.no_grad():
-        from ggvs_eval.gaussians import render_gaussians
-
-        pictures = [shots.shot(ordinal) for ordinal in range(len(shots))]
-        errors = [
-            (render_gaussians(state.motion.cloud(state.gaussians, shot.time), shot.camera).image - shot.image).square().mean()
-            for shot in pictures
-        ]
-    seen = (cloud.means.abs() < torch.tensor([1.4, 1.0, 9.0])).all(dim=1)  # by all cameras, all the time
-    wrong = (state.gaussians["velocities"][:, 0].detach() - velocities)[seen].norm() / velocities[seen].norm()
-    print(-10 * np.log10(float(torch.stack(errors).mean())), float(wrong), int(seen.sum()))
-    assert -10 * np.log10(float(torch.stack(errors).mean())) > 40
+        for shot in (shots.shot(ordinal) for ordinal in range(len(shots))):
+            picture = render_gaussians(state.motion.cloud(state.gaussians, shot.time), shot.camera)
+            errors.append(float((picture.image - shot.image).square().mean()))
+    visible = (cloud.means.abs() < torch.tensor([1.4, 1.0, 9.0])).all(dim=1)  # to all cameras, all the time
+    wrong = (state.gaussians["velocities"][:, 0].detach() - velocities)[visible].norm() / velocities[visible].norm()
+    assert int(visible.sum()) > 20
+    assert -10 * np.log10(np.mean(errors)) > 40
     assert float(wrong) < 0.05
 
 
@@ -99,9 +89,7 @@ def test_moving_footage_is_learned_in_each_motion(motion, sliding_footage, tmp_p
     """A camera that was held out is rendered better at every instant than by the best that stands still."""
     held = sliding_footage.cameras[2]
     footage = replace(sliding_footage, cameras=tuple(camera for camera in sliding_footage.cameras if camera is not held))
-    options = OptimiserOptions(400, coarse_steps=100, density=DensityOptions(every=50, first=50, last=250, most=600))
-
-    scene = fitted(FourD(motion, options, CLOUD), footage, tmp_path / motion)
+    scene = fitted(FourD(motion, steps=400, points=400, most=600), footage, tmp_path / motion)
 
     scores = [psnr_db(scene.render(index, held).image, sliding_footage.image(held.name, index)) for index in range(4)]
     print(motion, scores)
@@ -111,7 +99,7 @@ def test_moving_footage_is_learned_in_each_motion(motion, sliding_footage, tmp_p
 @pytest.mark.slow
 def test_a_static_capture_gives_next_to_no_deformation(still_footage, tmp_path):
     """Where nothing moves, the field moves nothing by as much as a hundredth of what Gaussians are apart."""
-    fitted(FourD("hexplane", replace(SHORT, steps=120, coarse_steps=40), CLOUD), still_footage, tmp_path)
+    fitted(FourD(**SHORT | {"steps": 160}), still_footage, tmp_path)
 
     scene = StoredScene(tmp_path / SCENE)
     with torch.no_grad():
@@ -124,7 +112,7 @@ def test_a_static_capture_gives_next_to_no_deformation(still_footage, tmp_path):
 @pytest.mark.parametrize("motion", ["hexplane", "linear"])
 def test_a_killed_fit_goes_on_with_equal_bits(motion, sliding_footage, tmp_path, kernel_settings):
     """A fit that was killed after a checkpoint, and goes on with another number of threads, leaves the same bytes and curve."""
-    fitter = FourD(motion, SHORT, CLOUD)
+    fitter = FourD(motion, **SHORT)
     whole = fitted(fitter, sliding_footage, tmp_path / "whole")
 
     def kill(done: int, steps: int) -> None:
@@ -143,7 +131,7 @@ def test_a_killed_fit_goes_on_with_equal_bits(motion, sliding_footage, tmp_path,
     assert (tmp_path / "killed" / SCENE).read_bytes() == (tmp_path / "whole" / SCENE).read_bytes()
     curves = [(tmp_path / name / "validation.csv").read_text() for name in ("whole", "killed")]
     assert curves[0] == curves[1]
-    assert len(curves[0].splitlines()) == 3
+    assert len(curves[0].splitlines()) == 2
     assert (tmp_path / "whole" / "fit.png").is_file()
     assert not list((tmp_path / "whole").glob("*.npy"))
     assert whole.size_bytes == (tmp_path / "whole" / SCENE).stat().st_size
@@ -151,7 +139,7 @@ def test_a_killed_fit_goes_on_with_equal_bits(motion, sliding_footage, tmp_path,
 
 def test_each_instant_alone_depends_on_no_other(sliding_footage, tmp_path):
     """`3dgs-per-instant` gives an instant the same bytes, whatever the others are; it works on a single one."""
-    fitter = PerInstant(replace(SHORT, steps=12), CLOUD)
+    fitter = PerInstant(**SHORT | {"steps": 12})
     (tmp_path / "all").mkdir()
 
     def kill(done: int, steps: int) -> None:
@@ -174,8 +162,7 @@ def test_each_instant_alone_depends_on_no_other(sliding_footage, tmp_path):
 
 def test_a_stream_goes_from_instant_to_instant(sliding_footage, tmp_path):
     """`3dgstream` follows what moves, goes on after a kill with equal bytes, and renders its instants in any order."""
-    first = OptimiserOptions(60, density=DensityOptions(every=10, first=10, last=40, most=500))
-    fitter = Stream(first, StreamOptions(transforming=12, spawning=8, most=40), CLOUD)
+    fitter = Stream(steps=60, transforming=12, spawning=8, spawned=40, points=400, most=500)
     whole = fitted(fitter, sliding_footage, tmp_path / "whole")
 
     def kill(done: int, steps: int) -> None:
@@ -202,14 +189,16 @@ def test_a_stream_goes_from_instant_to_instant(sliding_footage, tmp_path):
 
 def test_what_cannot_be_is_said_in_a_line(sliding_footage, tmp_path):
     """An unknown motion, a damaged state, a file that is no scene, and an instant that was not fitted are errors one can mend."""
-    with pytest.raises(RenderError, match="wanted a motion of hexplane, polynomial, linear, got 'liner'; did you mean linear"):
+    with pytest.raises(RenderError, match="4dgs: steps must be 1 or more, got 0"):
+        FourD(steps=0)
+    with pytest.raises(RenderError, match="wanted a motion of hexplane, .*, got 'liner'; did you mean linear"):
         FourD("liner")  # type: ignore[arg-type]
     (tmp_path / "state.pt").write_bytes(b"no state")
     with pytest.raises(TrainingError, match=r"state.pt: not the state of this fit .* delete it, and the fit begins anew"):
-        FourD(options=SHORT, cloud=CLOUD).fit(sliding_footage, tmp_path, lambda done, steps: None)
+        FourD(**SHORT).fit(sliding_footage, tmp_path, lambda done, steps: None)
     (tmp_path / SCENE).write_bytes(b"no scene")
     with pytest.raises(WeightsError, match=r"scene.safetensors: wanted a fitted scene"):
         FourD().load(tmp_path)
-    fitted(FourD("linear", replace(SHORT, steps=1), CLOUD), sliding_footage, tmp_path / "short")
+    fitted(FourD("linear", **SHORT | {"steps": 1}), sliding_footage, tmp_path / "short")
     with pytest.raises(RenderError, match=r"fitted scene: wanted instants 0..3, got 4"):
         FourD().load(tmp_path / "short").render(4, rig()[0])

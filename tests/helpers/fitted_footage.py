@@ -54,15 +54,23 @@ def rig(count: int = 6) -> tuple[Camera, ...]:
     return tuple(cameras)
 
 
-def wall(seed: int = 0, across: int = 20, down: int = 15) -> GaussianCloud:
-    """A wall of opaque Gaussians in smooth colours, wider than what the cameras of `rig` see of it; its middle stands out."""
-    random = np.random.default_rng(seed)
+def wall(across: int = 20, down: int = 15, colours: np.ndarray | None = None, scale: float = 0.16) -> GaussianCloud:
+    """A wall of opaque Gaussians, wider than what the cameras of `rig` see of it; its middle stands out.
+
+    Args:
+        across: how many side by side.
+        down: how many rows.
+        colours: of each, (across x down, 3); smooth ones by default.
+        scale: their standard deviation.
+    """
+    random = np.random.default_rng(0)
     x, y = np.meshgrid(np.linspace(-2.6, 2.6, across), np.linspace(-2.0, 2.0, down))
     depth = np.where(x**2 + y**2 < 0.5, -0.6, 0.0)
     places = np.stack([x, y, depth], axis=-1).reshape(-1, 3) + random.normal(0, 0.02, (across * down, 3))
     waves = np.stack([np.sin(3 * x + y), np.sin(2 * y - 2 * x + 1), np.cos(2 * x + 3 * y)], axis=-1).reshape(-1, 3)
-    means, colours = (torch.as_tensor(values, dtype=torch.float32) for values in (places, 0.5 + 0.35 * waves))
-    return GaussianCloud.of_points(means, colours, scale=0.16, opacity=0.9, degree=1)
+    paint = 0.5 + 0.35 * waves if colours is None else colours
+    means, painted = (torch.as_tensor(values, dtype=torch.float32) for values in (places, paint))
+    return GaussianCloud.of_points(means, painted, scale=scale, opacity=0.9, degree=1)
 
 
 def footage_of(
