@@ -9,8 +9,6 @@ from ggvs_eval.errors import RenderError
 from ggvs_eval.method import Method
 from ggvs_eval.pipelines.methods.spec import MethodSpec, option_values
 
-FITTED: dict[str, MethodSpec] = {}
-
 
 def fitted_method(title: str, describe: str, fitter: str, online: bool = False) -> MethodSpec:
     """A method by its `SceneFitter`.
@@ -23,6 +21,27 @@ def fitted_method(title: str, describe: str, fitter: str, online: bool = False) 
     """
     module = fitter.partition(":")[0]
     return MethodSpec(title, describe, partial(_no_step, title), (module,), online=online, usual=False, fitter=fitter)
+
+
+FITTED: dict[str, MethodSpec] = {
+    "4dgs": fitted_method(
+        "4DGS (compact)",
+        "one cloud of Gaussians, moved by a HexPlane field or (motion=linear, polynomial) each by itself, fitted to the whole clip",
+        "ggvs_eval.baselines.fitted.four_d:FourD",
+    ),
+    "3dgs-per-instant": fitted_method(
+        "3DGS per Instant",
+        "a cloud of Gaussians fitted to each instant alone: the best of one instant, with nothing that ties it to the next",
+        "ggvs_eval.baselines.fitted.per_instant:PerInstant",
+        online=True,
+    ),
+    "3dgstream": fitted_method(
+        "3DGStream (compact)",
+        "the cloud of the previous instant, moved by a small field and completed, with seconds of fitting per instant",
+        "ggvs_eval.baselines.fitted.stream:Stream",
+        online=True,
+    ),
+}
 
 
 def configured_fit(label: str, spec: MethodSpec, variant: str) -> MethodSpec:
