@@ -10,6 +10,10 @@ from ggvs_eval.method import Method
 from ggvs_eval.pipelines.methods.spec import MethodSpec, option_values
 
 
+def _no_step(title: str, **_: Any) -> Method:
+    raise RenderError(f"{title} is fitted to a whole capture and cannot be shown frame by frame; render it with `ggvs-eval run`")
+
+
 def fitted_method(title: str, describe: str, fitter: str, online: bool = False) -> MethodSpec:
     """A method by its `SceneFitter`.
 
@@ -26,7 +30,7 @@ def fitted_method(title: str, describe: str, fitter: str, online: bool = False) 
 FITTED: dict[str, MethodSpec] = {
     "4dgs": fitted_method(
         "4DGS (compact)",
-        "one cloud of Gaussians, moved by a HexPlane field or (motion=linear, polynomial) each by itself, fitted to the whole clip",
+        "a cloud of Gaussians, moved by a HexPlane field or (motion=linear, polynomial) each by itself, fit to the whole clip",
         "ggvs_eval.baselines.fitted.four_d:FourD",
     ),
     "3dgs-per-instant": fitted_method(
@@ -69,7 +73,3 @@ def splats_method(label: str, path: Path) -> MethodSpec:
     describe = f"3D Gaussians that others have fitted, {path.name}, rendered by the splat of this package"
     modules = ("ggvs_eval.pipelines.methods.splats",)
     return MethodSpec(label, describe, partial(_no_step, label), modules, online=False, usual=False, splats=path)
-
-
-def _no_step(title: str, **_: Any) -> Method:
-    raise RenderError(f"{title} is fitted to a whole capture and cannot be shown frame by frame; render it with `ggvs-eval run`")

@@ -20,8 +20,8 @@ PREFIX = "splats:"
 CLOUD, DEFORMATION = "point_cloud.ply", "deformation.pth"
 ITERATION = re.compile(r"iteration_(\d+)")
 KINDS = (
-    "a .ply of 3D Gaussian splatting, a folder with one .ply per instant (its frame number in its name), or an output folder "
-    f"with point_cloud/iteration_N/{CLOUD}"
+    "a .ply of 3D Gaussian splatting, a folder with one .ply per instant (its frame number in its name), or an output folder of "
+    f"it or of 4DGS, with point_cloud/iteration_N/{CLOUD}"
 )
 
 
@@ -32,7 +32,7 @@ class SplatsScene(FittedScene):
         path: see `splats_files`.
 
     Raises:
-        RenderError: neither.
+        RenderError: neither, or the first of them cannot be read.
 
     Reading:
         Gaussians stand in the world of the capture's cameras. What lies at z <= 0.2 of the capture's units is left out, as 3D
@@ -45,6 +45,7 @@ class SplatsScene(FittedScene):
         self._files = splats_files(path)
         self._by_number = _numbered(self._files, path) if len(self._files) > 1 else {}
         self._read = lru_cache(maxsize=1)(_read)
+        self._read(self._files[0])  # what is broken shows before anything is rendered
 
     def cloud(self, index: int) -> "GaussianCloud":
         """The Gaussians of an instant.
@@ -83,24 +84,29 @@ def _read(path: Path) -> "GaussianCloud":
     return read_ply(path)
 
 
-def open_splats(path: Path) -> FittedScene:
+def open_splats(path: Path, instants: range = range(1)) -> FittedScene:
     """Open the Gaussians that others have fitted.
 
     Args:
         path: see `splats_files`.
+        instants: frame numbers of the clip that they were fitted to; Gaussians of 4DGS move by the share of it that has passed.
 
     Raises:
-        RenderError: nothing there that is known; or of a sequence two files of one number.
+        RenderError: nothing there that is known, a cloud that cannot be read, or in a sequence two files of one number.
+        WeightsError: a deformation field of other names or shapes than 4DGS writes.
     """
-    return SplatsScene(path)
+    from ggvs_eval.baselines.fitted.published import PublishedScene
+
+    files = splats_files(path)
+    return PublishedScene(files[0].parent, instants, NEAR_M) if files[-1].name == DEFORMATION else SplatsScene(path)
 
 
 def splats_files(path: Path) -> list[Path]:
     """List the files of which a scene is made.
 
     Args:
-        path: a ``.ply``; a folder of them, one per instant; or the output folder of 3D Gaussian splatting, whose last iteration
-            is taken.
+        path: a ``.ply``; a folder of them, one per instant; or the output folder of 3D Gaussian splatting or of 4DGS, whose last
+            iteration is taken.
 
     Raises:
         RenderError: none of these.
@@ -115,11 +121,7 @@ def splats_files(path: Path) -> list[Path]:
         raise RenderError(f"{path}: wanted {KINDS}; it cannot be listed: {why_unread(error)}") from error
     if not files:
         raise RenderError(f"{path}: wanted {KINDS}; there is {'none of them' if path.is_dir() else 'no such file or folder'}")
-    if (place / DEFORMATION).is_file():
-        raise RenderError(
-            f"{place}: its Gaussians move by {DEFORMATION}, which this version does not read; give a .ply per instant instead"
-        )
-    return files
+    return [*files, place / DEFORMATION] if (place / DEFORMATION).is_file() else files
 
 
 def _numbered(files: Sequence[Path], path: Path) -> Mapping[int, Path]:

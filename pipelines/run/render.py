@@ -105,7 +105,7 @@ def _view_job(prepared: RunPlan, label: str, spec: MethodSpec, view: str, worker
         shots = [(index, index, plan.target) for index in frames]
         return _scene_job(prepared, name, folder, fit_of_view(prepared, label, view), spec, shots, workers)
     if spec.splats:
-        return _splats_job(name, folder, label, spec, [(index, index, plan.target) for index in frames], workers)
+        return _splats_job(prepared, name, folder, label, spec, [(index, index, plan.target) for index in frames], workers)
     work = partial(_render_view, label, spec, prepared.capture, plan, frames, prepared.run.depth, workers)
     return Job(name, folder, _identity(prepared, label, spec, [plan]), work)
 
@@ -118,7 +118,7 @@ def _path_job(prepared: RunPlan, label: str, spec: MethodSpec, workers: int) -> 
         return _scene_job(prepared, name, folder, fit_of_path(prepared, label), spec, shots, workers)
     if spec.splats:
         shots = [(pose, prepared.path_frame, plan.target) for pose, plan in enumerate(prepared.path)]
-        return _splats_job(name, folder, label, spec, shots, workers)
+        return _splats_job(prepared, name, folder, label, spec, shots, workers)
     work = partial(_render_path, label, spec, prepared.capture, prepared.path, prepared.path_frame, prepared.run.depth, workers)
     return Job(name, folder, _identity(prepared, label, spec, prepared.path), work)
 
@@ -138,16 +138,19 @@ def _scene_job(
     return Job(name, folder, identity, partial(_render_scene, fit.label, spec, scene.entry, shots, workers))
 
 
-def _splats_job(name: str, folder: Path, label: str, spec: MethodSpec, shots: Sequence[Shot], workers: int) -> Job:
+def _splats_job(
+    prepared: RunPlan, name: str, folder: Path, label: str, spec: MethodSpec, shots: Sequence[Shot], workers: int
+) -> Job:
     """The job that renders Gaussians which others have fitted."""
-    path = Path(spec.splats or "")
+    path, instants = Path(spec.splats or ""), range(prepared.capture.n_frames)
     identity = {
         "method": label,
         "code": method_code(spec),
         "splats": digest_files(splats_files(path)),
+        "instants": [instants.start, instants.stop],
         "shots": [[number, frame, *_camera_values(target)] for number, frame, target in shots],
     }
-    return Job(name, folder, identity, partial(_render_splats, label, path.resolve(), shots, workers))
+    return Job(name, folder, identity, partial(_render_splats, label, path.resolve(), instants, shots, workers))
 
 
 def _identity(prepared: RunPlan, label: str, spec: MethodSpec, plans: Sequence[SourcePlan]) -> dict[str, Any]:
@@ -220,9 +223,9 @@ def _render_scene(label: str, spec: MethodSpec, fit: Entry, shots: Sequence[Shot
     return record | {"fit": took}
 
 
-def _render_splats(label: str, path: Path, shots: Sequence[Shot], workers: int, folder: Path) -> dict[str, Any]:
+def _render_splats(label: str, path: Path, instants: range, shots: Sequence[Shot], workers: int, folder: Path) -> dict[str, Any]:
     """Open the files once and render every shot of them."""
-    return _render_shots(label, open_splats(path), shots, workers, folder)
+    return _render_shots(label, open_splats(path, instants), shots, workers, folder)
 
 
 def _render_shots(label: str, scene: FittedScene, shots: Sequence[Shot], workers: int, folder: Path) -> dict[str, Any]:

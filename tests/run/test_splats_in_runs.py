@@ -1,14 +1,16 @@
 """``splats:PATH``: Gaussians that others have fitted are a method of a run, rendered by our splat."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+from ggvs_eval.baselines.fitted.hexplane import PUBLISHED, DeformationNetwork
 from ggvs_eval.capture import Capture
-from ggvs_eval.errors import RenderError
+from ggvs_eval.errors import RenderError, WeightsError
 from ggvs_eval.files.images import quantise, read_image
 from ggvs_eval.gaussians import GaussianCloud, render_gaussians, write_ply
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions
@@ -18,6 +20,7 @@ from ggvs_eval.pipelines.run.render import render_jobs
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
 from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthesis, Views
 from ggvs_eval.run_folder import frame_path, read_json
+from helpers.gaussian_clouds import random_cloud
 from helpers.stereo_scenes import write_capture
 
 PROTOCOL = Protocol(
@@ -118,7 +121,7 @@ def test_what_is_no_scene(tmp_path, capture, sequence):
         "empty": "there is none of them",
         "unnumbered": r"b\.ply: wanted a frame number in the name",
         "double": r"1\.ply and x01\.ply are both of frame 1",
-        "deformed": r"move by deformation\.pth, which this version does not read",
+        "deformed": r"point_cloud\.ply: wanted a \.ply file|deformation\.pth: not a file of tensors",
     }
     for name, files in (("unnumbered", ("a1", "b")), ("double", ("1", "x01")), ("deformed", ("point_cloud",)), ("empty", ())):
         (tmp_path / name).mkdir()
@@ -126,7 +129,43 @@ def test_what_is_no_scene(tmp_path, capture, sequence):
             (tmp_path / name / f"{file}.ply").touch()
     (tmp_path / "deformed" / "deformation.pth").touch()
     for name, message in messages.items():
-        with pytest.raises(RenderError, match=message):
+        with pytest.raises((RenderError, WeightsError), match=message):
             open_splats(tmp_path / name)
     with pytest.raises(RenderError, match="wanted a cloud of frame 5, there are 2 of 0 to 1; number the files"):
         open_splats(sequence).render(5, capture.cameras[0])
+
+
+class Intruder:
+    """What a hostile checkpoint holds: reading it as a pickle would leave a file behind."""
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+
+    def __reduce__(self) -> tuple:
+        return Path.touch, (self.file,)
+
+
+def test_output_of_4dgs(capture, tmp_path):
+    """Gaussians are moved by the field, whose file is loaded strictly and never run."""
+    folder = tmp_path / "output" / "point_cloud" / "iteration_14000"
+    folder.mkdir(parents=True)
+    cloud, camera = random_cloud(30, dtype=torch.float32), capture.cameras[0]
+    write_ply(folder / "point_cloud.ply", cloud)
+    field = DeformationNetwork(torch.tensor([[2.0, 2, 6], [-2, -2, 0]]), PUBLISHED)
+    with torch.no_grad():
+        for head in PUBLISHED.heads:
+            last = getattr(field.deformation_net, f"{head}_deform")[-1]
+            last.weight.zero_()
+            last.bias.fill_(0.1 if head == "pos" else 0.0)
+    torch.save(field.state_dict(), folder / "deformation.pth")
+    expected = render_gaussians(replace(cloud, means=cloud.means + 0.1), camera).image.clamp(max=1)
+
+    scene = open_splats(tmp_path / "output", range(4))
+    np.testing.assert_allclose(scene.render(3, camera).image, expected, atol=1e-5)
+    assert expected.max() > 0.2
+    assert scene.size_bytes == sum(file.stat().st_size for file in folder.iterdir())
+
+    torch.save({"deformation_net.grid.aabb": Intruder(tmp_path / "ran")}, folder / "deformation.pth")
+    with pytest.raises(WeightsError, match=r"deformation\.pth: not a file of tensors alone"):
+        open_splats(tmp_path / "output", range(4))
+    assert not (tmp_path / "ran").exists()
