@@ -46,8 +46,8 @@ class _Splat(torch.autograd.Function):
         from ggvs_eval.kernels import _gaussians
 
         tensors = ctx.saved_tensors
-        by_arrays = [gradient.contiguous().numpy() for gradient in by_pictures[:3]]
-        gradients = _gaussians.gradients(ctx.frame, _arrays(tensors), *by_arrays, *_settings())
+        by_colour, by_transmittance, by_depth = (gradient.contiguous().numpy() for gradient in by_pictures[:3])
+        gradients = _gaussians.gradients(ctx.frame, _arrays(tensors), by_colour, by_transmittance, by_depth, *_settings())
         needed = ctx.needs_input_grad[2:]
         return None, None, *(torch.from_numpy(each) if asked else None for each, asked in zip(gradients, needed, strict=True))
 

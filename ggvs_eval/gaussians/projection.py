@@ -52,8 +52,10 @@ def project(cloud: GaussianCloud, camera: Camera, near: float) -> Ellipses:
         tan(fov / 2). With the principal point off the middle the same margin is kept beyond each border of the image: for a
         principal point in the middle both are the same.
     """
-    to = {"dtype": cloud.means.dtype, "device": cloud.means.device}
-    rotation, shift = torch.as_tensor(camera.rotation.copy(), **to), torch.as_tensor(camera.translation.copy(), **to)
+    rotation, shift, centre = (
+        torch.tensor(part, dtype=cloud.means.dtype, device=cloud.means.device)
+        for part in (camera.rotation, camera.translation, camera.centre)
+    )
     x, y, z = (cloud.means @ rotation.T + shift).unbind(-1)
     in_front = z > near
     z = torch.where(in_front, z, 1)  # what is left out may lie at 0
@@ -77,12 +79,11 @@ def project(cloud: GaussianCloud, camera: Camera, near: float) -> Ellipses:
     # alpha = o exp(-q / 2) >= 1/255 holds up to q = 2 ln(255 o); the bound is a little generous, alpha itself decides.
     furthest = (2 * (opacities.detach().log() - log(LEAST_ALPHA)) + 0.01).clamp_min(0)
     reach = (furthest[:, None] * torch.stack([var_x, var_y], -1).detach()).sqrt()
-    last = torch.tensor([camera.width - 1, camera.height - 1], **to)
+    last = torch.tensor([camera.width - 1, camera.height - 1], device=reach.device)
     inside = ((centres.detach() + reach >= 0) & (centres.detach() - reach <= last)).all(-1)
     visible = in_front & inside & (opacities >= LEAST_ALPHA) & determinant.isfinite()
     radii = torch.where(visible, _radii(var_x.detach(), var_y.detach(), determinant.detach()), 0).to(torch.int32)
 
-    centre = torch.as_tensor(camera.centre.copy(), **to)
     directions = torch.nn.functional.normalize(cloud.means - centre, dim=-1)
     seen_colours = colours(cloud.sh, directions)
     return Ellipses(centres, conics, reach, radii, opacities, seen_colours, z, visible)

@@ -4,6 +4,7 @@
 
 #include "camera_arguments.hpp"
 #include "gaussian_splat.hpp"
+#include "sources.hpp"
 
 namespace {
 

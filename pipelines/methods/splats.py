@@ -153,7 +153,8 @@ def named_splats(labels: Sequence[str]) -> tuple[tuple[str, ...], dict[str, Path
         >>> named_splats(["ours", "splats:out/room/point_cloud.ply", "mine=splats:/tmp/clouds"])
         (('ours', 'splats-point_cloud', 'mine'), {'splats-point_cloud': PosixPath('out/room/point_cloud.ply'), 'mine': ...})
     """
-    plain, paths = [], {}
+    plain: list[str] = []
+    paths: dict[str, Path] = {}
     for label in labels:
         name, separator, text = label.rpartition(PREFIX)
         if not separator or (name and not name.endswith("=")):
