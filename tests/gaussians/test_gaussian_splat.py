@@ -1,5 +1,6 @@
 """The splat of 3D Gaussians: the facts of the field's rasteriser in closed form, and gradients against finite differences."""
 
+import json
 from dataclasses import replace
 from math import exp, log, pi, sqrt
 
@@ -11,7 +12,9 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
 from ggvs_eval.gaussians import GaussianCloud, render_gaussians
 from ggvs_eval.gaussians.harmonics import basis
+from ggvs_eval.gaussians.projection import project
 from helpers.gaussian_clouds import random_cloud, view_of
+from helpers.places import DATA_FOLDER
 
 WIDTH, HEIGHT, FOCAL = 40, 30, 50.0
 WHITE = torch.ones(1, 3, dtype=torch.float64)
@@ -126,6 +129,18 @@ def test_harmonics_are_those_of_scipy():
             value = sph_harm_y(degree, abs(order), polar, azimuth)
             real = value.real if order == 0 else sqrt(2) * (value.imag if order < 0 else value.real)
             np.testing.assert_allclose(basis(directions, 4)[:, degree * degree + degree + order], real, atol=1e-12)
+
+
+def test_projection_is_that_of_gsplat():
+    """Centres, inverse covariances and colours as gsplat 1.5.3's torch implementation gives them (`gsplat.cuda._torch_impl`:
+    `_fully_fused_projection` with eps2d 0.3, `_spherical_harmonics`; 2026-11-23), whose pixel centres lie at halves.
+    """
+    golden = json.loads((DATA_FOLDER / "gsplat_projection.json").read_text())
+    ellipses = project(random_cloud(12), view_of(75, 50, cx=40.2, turned=True), near=0.2)
+
+    assert ellipses.visible.nonzero()[:, 0].tolist() == golden["gaussians"]
+    for name, ours in (("means2d", ellipses.centres + 0.5), ("conics", ellipses.conics), ("colours", ellipses.colours)):
+        np.testing.assert_allclose(ours[golden["gaussians"]], golden[name], rtol=1e-8, atol=1e-8, err_msg=name)
 
 
 def test_gradients_are_those_of_finite_differences():
