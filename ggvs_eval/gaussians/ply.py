@@ -66,7 +66,7 @@ def write_ply(path: Path, cloud: GaussianCloud) -> None:
     """
     parts = [tensor.detach().to("cpu", torch.float32).numpy() for tensor in cloud.parameters().values()]
     means, log_scales, quaternions, logits, sh = parts
-    rest = sh[:, 1:].transpose(0, 2, 1).reshape(len(cloud), -1)  # channel after channel
+    rest = sh[:, 1:].transpose(0, 2, 1).reshape(len(cloud), 3 * (sh.shape[1] - 1))  # channel after channel
     names = [*MEANS, "nx", "ny", "nz", *COLOURS, *(f"f_rest_{n}" for n in range(rest.shape[1])), "opacity", *SCALES, *TURNS]
     table = np.concatenate([means, np.zeros_like(means), sh[:, 0], rest, logits[:, None], log_scales, quaternions], axis=1)
     properties = "".join(f"property float {name}\n" for name in names)
@@ -144,6 +144,6 @@ def _cloud(table: NDArray[np.void], path: Path) -> GaussianCloud:
 
     names = table.dtype.names or ()
     rest = columns(*(f"f_rest_{n}" for n in range(sum(name.startswith("f_rest_") for name in names))))
-    sh = np.concatenate([columns(*COLOURS)[:, None], rest.reshape(len(table), 3, -1).transpose(0, 2, 1)], axis=1)
+    sh = np.concatenate([columns(*COLOURS)[:, None], rest.reshape(len(table), 3, rest.shape[1] // 3).transpose(0, 2, 1)], axis=1)
     parts = (columns(*MEANS), columns(*SCALES), columns(*TURNS), columns("opacity")[:, 0], sh)
     return GaussianCloud(*(torch.from_numpy(np.ascontiguousarray(part)) for part in parts))

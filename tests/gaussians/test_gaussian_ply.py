@@ -28,6 +28,8 @@ def test_round_trip(degree, tmp_path):
     read = read_ply(tmp_path / "cloud.ply")
 
     assert all(torch.equal(read.parameters()[name], tensor) for name, tensor in cloud.parameters().items())
+    write_ply(tmp_path / "nothing.ply", random_cloud(0, degree, dtype=torch.float32))
+    assert len(read_ply(tmp_path / "nothing.ply")) == 0
 
 
 def test_layout_is_that_of_the_field(tmp_path):
