@@ -28,10 +28,10 @@ def everything(splat: Callable[..., tuple[torch.Tensor, ...]], cloud: GaussianCl
     return {"pictures": pictures.detach(), "radii": radii, **gradients}
 
 
-@pytest.mark.parametrize("degree", [0, 3, 4])
+@pytest.mark.parametrize("degree", [1, 4])
 def test_kernel_and_twin_agree(degree):
     """Of long, thin, turned, hidden and half visible Gaussians, with the twin in double precision."""
-    cloud, camera = random_cloud(600, degree, seed=degree, dtype=torch.float32), view_of(WIDTH, HEIGHT, cx=40.2, turned=True)
+    cloud, camera = random_cloud(250, degree, seed=degree, dtype=torch.float32), view_of(WIDTH, HEIGHT, cx=40.2, turned=True)
     ours, twin = everything(compiled.splat, cloud, camera), everything(torch_splat.splat, cloud.to(dtype=torch.float64), camera)
 
     assert ours.keys() == twin.keys()
@@ -45,7 +45,7 @@ def test_kernel_and_twin_agree(degree):
 @pytest.mark.parametrize("level", kernels.available_levels())
 def test_bits_depend_on_neither_threads_nor_instruction_set(level):
     """Pictures and gradients of 1, 2 and 7 threads at any level are those of one thread at the lowest."""
-    cloud, camera = random_cloud(601, dtype=torch.float32), view_of(WIDTH, HEIGHT)
+    cloud, camera = random_cloud(251, dtype=torch.float32), view_of(WIDTH, HEIGHT)
     kernels.set_simd_level("baseline")
     kernels.set_threads(1)
     plain = everything(compiled.splat, cloud, camera)
