@@ -25,7 +25,7 @@ def fitted_method(title: str, describe: str, fitter: str, online: bool = False) 
 FITTED: dict[str, MethodSpec] = {
     "4dgs": fitted_method(
         "4DGS (compact)",
-        "one cloud of Gaussians, moved by a HexPlane field or (motion=linear, polynomial) each by itself, fitted to the whole clip",
+        "a cloud of Gaussians, moved by a HexPlane field or (motion=linear, polynomial) each by itself, fit to the whole clip",
         "ggvs_eval.baselines.fitted.four_d:FourD",
     ),
     "3dgs-per-instant": fitted_method(
