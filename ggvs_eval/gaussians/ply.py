@@ -1,7 +1,7 @@
 """Clouds of Gaussians as ``.ply`` files in the layout of 3D Gaussian splatting, read with suspicion and written whole.
 
-One element ``vertex`` of scalar properties: x y z, f_dc_0..2, f_rest_0.. (all coefficients of red, then green, then blue), opacity
-(logit), scale_0..2 (logarithms), rot_0..3 (w first). Normals and anything else that a program has added are passed over.
+One element ``vertex`` of scalar properties: x y z, f_dc_0..2, f_rest_0.. (all coefficients of red, then of green, then of blue),
+opacity (logit), scale_0..2 (logarithms), rot_0..3 (w first). Normals and what else a program has added are passed over.
 """
 
 from pathlib import Path
@@ -46,8 +46,8 @@ def read_ply(path: Path) -> GaussianCloud:
             head = file.tell()
             if count > MOST_GAUSSIANS or head + count * row.itemsize > size:
                 raise RenderError(
-                    f"{path}: its header says {count} Gaussians of {row.itemsize} bytes, the file has {max(size - head, 0)} bytes "
-                    f"for them (at most {MOST_GAUSSIANS} are read); copy or save it again"
+                    f"{path}: its header says {count} Gaussians of {row.itemsize} bytes, the file has {max(size - head, 0)} "
+                    f"bytes for them (at most {MOST_GAUSSIANS} are read); copy or save it again"
                 )
             table = np.fromfile(file, row, count)
     except OSError as error:
@@ -86,7 +86,7 @@ def _read_header(file: IO[bytes], path: Path) -> tuple[int, np.dtype]:
     elements = [n for n, words in enumerate(lines) if words[:1] == ["element"]]
     first = lines[elements[0]] if elements else []
     if first[1:2] != ["vertex"] or len(first) != 3 or not first[2].isdecimal() or len(first[2]) > 18:
-        raise RenderError(f"{path}: wanted its Gaussians as the first element, `element vertex N`, got {' '.join(first)!r}; {MEND}")
+        raise RenderError(f"{path}: wanted `element vertex N` with its Gaussians first, got {' '.join(first)!r}; {MEND}")
     fields = []
     for words in lines[elements[0] + 1 : elements[1] if len(elements) > 1 else None]:
         if words[:1] in (["comment"], ["obj_info"], []):
@@ -137,8 +137,8 @@ def _cloud(table: NDArray[np.void], path: Path) -> GaussianCloud:
         broken = ~np.isfinite(values).all(axis=1)
         if broken.any():
             raise RenderError(
-                f"{path}: {np.count_nonzero(broken)} of {len(table)} Gaussians have {names[0]}.. that are not finite, first number "
-                f"{int(np.argmax(broken))}; the fit that wrote it has diverged, or the file is damaged"
+                f"{path}: {np.count_nonzero(broken)} of {len(table)} Gaussians have a {names[0]}.. that is not finite, first "
+                f"number {int(np.argmax(broken))}; the fit that wrote it has diverged, or the file is damaged"
             )
         return values.astype(np.float32)
 

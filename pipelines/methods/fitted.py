@@ -2,11 +2,16 @@
 
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from ggvs_eval.errors import RenderError
 from ggvs_eval.method import Method
 from ggvs_eval.pipelines.methods.spec import MethodSpec, option_values
+
+
+def _no_step(title: str, **_: Any) -> Method:
+    raise RenderError(f"{title} is fitted to a whole capture and cannot be shown frame by frame; render it with `ggvs-eval run`")
 
 
 def fitted_method(title: str, describe: str, fitter: str, online: bool = False) -> MethodSpec:
@@ -58,5 +63,13 @@ def configured_fit(label: str, spec: MethodSpec, variant: str) -> MethodSpec:
     return configured
 
 
-def _no_step(title: str, **_: Any) -> Method:
-    raise RenderError(f"{title} is fitted to a whole capture and cannot be shown frame by frame; render it with `ggvs-eval run`")
+def splats_method(label: str, path: Path) -> MethodSpec:
+    """A method that renders Gaussians which others have fitted.
+
+    Args:
+        label: how tables call it, too.
+        path: of their files, see `ggvs_eval.pipelines.methods.splats.splats_files`.
+    """
+    describe = f"3D Gaussians that others have fitted, {path.name}, rendered by the splat of this package"
+    modules = ("ggvs_eval.pipelines.methods.splats",)
+    return MethodSpec(label, describe, partial(_no_step, label), modules, online=False, usual=False, splats=path)

@@ -11,14 +11,14 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
 from ggvs_eval.gaussians import GaussianCloud, render_gaussians
 from ggvs_eval.gaussians.harmonics import basis
+from helpers.gaussian_clouds import random_cloud, view_of
 
 WIDTH, HEIGHT, FOCAL = 40, 30, 50.0
 WHITE = torch.ones(1, 3, dtype=torch.float64)
 
 
-def camera_of(cx: float = WIDTH / 2, cy: float = HEIGHT / 2, pose: np.ndarray | None = None) -> Camera:
-    K = np.array([[FOCAL, 0, cx], [0, FOCAL, cy], [0, 0, 1]])
-    return Camera("view", K, np.eye(4) if pose is None else pose, WIDTH, HEIGHT, near=0.5, far=50.0)
+def camera_of(cx: float = WIDTH / 2, cy: float = HEIGHT / 2) -> Camera:
+    return view_of(WIDTH, HEIGHT, cx=cx, cy=cy)
 
 
 def point(z: float = 2.0, *, scale: float = 0.05, opacity: float = 0.9, colour: torch.Tensor = WHITE) -> GaussianCloud:
@@ -30,21 +30,6 @@ def joined(*clouds: GaussianCloud) -> GaussianCloud:
     return GaussianCloud(
         *(torch.cat(tensors) for tensors in zip(*(cloud.parameters().values() for cloud in clouds), strict=True))
     )
-
-
-def random_cloud(count: int, degree: int = 3, seed: int = 0, dtype: torch.dtype = torch.float64) -> GaussianCloud:
-    """Long, thin and turned Gaussians, some behind the camera and some beside the image."""
-    draw = torch.Generator().manual_seed(seed)
-
-    def normal(*shape: int) -> torch.Tensor:
-        return torch.randn(*shape, generator=draw, dtype=torch.float64)
-
-    z = 0.5 + 4 * torch.rand(count, 1, generator=draw, dtype=torch.float64)
-    means = torch.cat([normal(count, 2) * z * 0.3, z], 1)
-    means[::11, 2] *= -1
-    sh = 0.3 * normal(count, (degree + 1) ** 2, 3)
-    cloud = GaussianCloud(means, -2.5 + 0.7 * normal(count, 3), normal(count, 4), 2 * normal(count), sh)
-    return cloud.to(dtype=dtype)
 
 
 def test_footprint_in_closed_form():
