@@ -2,7 +2,16 @@
 
 from pathlib import Path
 
-from benchmarks import bench_baselines, bench_decoding, bench_depth, bench_geometry, bench_metrics, bench_online, bench_page
+from benchmarks import (
+    bench_baselines,
+    bench_decoding,
+    bench_depth,
+    bench_gaussians,
+    bench_geometry,
+    bench_metrics,
+    bench_online,
+    bench_page,
+)
 from ggvs_eval.run_folder import write_json
 
 
@@ -10,6 +19,7 @@ def main() -> None:
     """Measure everything; one line per figure."""
     figures = (
         bench_geometry.measure()
+        | bench_gaussians.measure()
         | bench_online.measure()
         | bench_metrics.measure()
         | bench_decoding.measure()

@@ -19,7 +19,7 @@ FLOORS = (
     ("camera", "progress"),
     ("files", "lens", "compute_device", "method"),
     ("geometry", "capture", "colour_maps"),
-    ("depth_store", "protocol"),
+    ("depth_store", "protocol", "gaussians"),
     ("run_folder", "results", "scene_fitter", "sweep"),
     ("statistics", "datasets", "jobs", "synthetic.room", "training"),
     ("synthetic.film", "renders"),

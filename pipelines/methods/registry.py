@@ -8,7 +8,7 @@ from pathlib import Path
 from ggvs_eval.errors import RenderError, did_you_mean
 from ggvs_eval.files.toml_tables import build_table
 from ggvs_eval.pipelines.methods.baselines import baseline_methods
-from ggvs_eval.pipelines.methods.fitted import FITTED, configured_fit
+from ggvs_eval.pipelines.methods.fitted import FITTED, configured_fit, splats_method
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
 from ggvs_eval.pipelines.methods.ours import OURS
 from ggvs_eval.pipelines.methods.spec import MethodSpec, option_values
@@ -38,6 +38,8 @@ def find_method(label: str, networks: NetworkOptions = AS_SHIPPED) -> MethodSpec
     Raises:
         RenderError: unknown; the message names the nearest known one.
     """
+    if label in networks.splats:
+        return splats_method(label, networks.splats[label])
     return _found(label, networks.checkpoints).on(networks.device)
 
 

@@ -42,6 +42,7 @@ class MethodSpec:
             of its options. Such a method makes no step; `make` says so.
         fitter_options: the options that a label such as ``4dgs+motion=linear`` sets.
         seed: of the fit, ``4dgs+seed=1``.
+        splats: of Gaussians that others have fitted, their files; such a method makes no step either.
     """
 
     title: str
@@ -60,6 +61,7 @@ class MethodSpec:
     fitter: str = ""
     fitter_options: Mapping[str, Any] = field(default_factory=dict)
     seed: int = 0
+    splats: Path | None = None
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -77,7 +79,11 @@ class MethodSpec:
         Raises:
             GgvsError: why not.
         """
-        if self.is_fitted:
+        from ggvs_eval.pipelines.methods.splats import open_splats
+
+        if self.splats:
+            open_splats(self.splats)
+        elif self.is_fitted:
             self.make_fitter()
         else:
             self.make()

@@ -10,6 +10,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import RenderError
+from ggvs_eval.files.digest import digest_files
 from ggvs_eval.files.images import quantise, write_image
 from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.engine import Workers, as_engine
@@ -20,6 +21,7 @@ from ggvs_eval.method import Instant, Method
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
 from ggvs_eval.pipelines.methods.registry import find_method, split_label
 from ggvs_eval.pipelines.methods.spec import MethodSpec
+from ggvs_eval.pipelines.methods.splats import open_splats, splats_files
 from ggvs_eval.pipelines.run.diagnostics import write_diagnostics
 from ggvs_eval.pipelines.run.fit import fit_job, fit_jobs, fit_of_path, fit_of_view
 from ggvs_eval.pipelines.run.folds import FitPlan
@@ -27,6 +29,7 @@ from ggvs_eval.pipelines.run.instants import path_instants, view_instants
 from ggvs_eval.pipelines.run.run_plan import RunPlan, SourcePlan
 from ggvs_eval.results import installed_versions
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, read_json, write_json
+from ggvs_eval.scene_fitter import FittedScene
 
 Shot = tuple[int, int, Camera]  # number of the frame in its folder, instant, target
 
@@ -101,6 +104,8 @@ def _view_job(prepared: RunPlan, label: str, spec: MethodSpec, view: str, worker
     if spec.is_fitted:
         shots = [(index, index, plan.target) for index in frames]
         return _scene_job(prepared, name, folder, fit_of_view(prepared, label, view), spec, shots, workers)
+    if spec.splats:
+        return _splats_job(prepared, name, folder, label, spec, [(index, index, plan.target) for index in frames], workers)
     work = partial(_render_view, label, spec, prepared.capture, plan, frames, prepared.run.depth, workers)
     return Job(name, folder, _identity(prepared, label, spec, [plan]), work)
 
@@ -111,6 +116,9 @@ def _path_job(prepared: RunPlan, label: str, spec: MethodSpec, workers: int) -> 
     if spec.is_fitted:
         shots = [(pose, prepared.path_frame, plan.target) for pose, plan in enumerate(prepared.path)]
         return _scene_job(prepared, name, folder, fit_of_path(prepared, label), spec, shots, workers)
+    if spec.splats:
+        shots = [(pose, prepared.path_frame, plan.target) for pose, plan in enumerate(prepared.path)]
+        return _splats_job(prepared, name, folder, label, spec, shots, workers)
     work = partial(_render_path, label, spec, prepared.capture, prepared.path, prepared.path_frame, prepared.run.depth, workers)
     return Job(name, folder, _identity(prepared, label, spec, prepared.path), work)
 
@@ -128,6 +136,21 @@ def _scene_job(
         **({} if spec.device == "cpu" else {"device": _described(spec.device)}),
     }
     return Job(name, folder, identity, partial(_render_scene, fit.label, spec, scene.entry, shots, workers))
+
+
+def _splats_job(
+    prepared: RunPlan, name: str, folder: Path, label: str, spec: MethodSpec, shots: Sequence[Shot], workers: int
+) -> Job:
+    """The job that renders Gaussians which others have fitted."""
+    path, instants = Path(spec.splats or ""), range(prepared.capture.n_frames)
+    identity = {
+        "method": label,
+        "code": method_code(spec),
+        "splats": digest_files(splats_files(path)),
+        "instants": [instants.start, instants.stop],
+        "shots": [[number, frame, *_camera_values(target)] for number, frame, target in shots],
+    }
+    return Job(name, folder, identity, partial(_render_splats, label, path.resolve(), instants, shots, workers))
 
 
 def _identity(prepared: RunPlan, label: str, spec: MethodSpec, plans: Sequence[SourcePlan]) -> dict[str, Any]:
@@ -195,14 +218,24 @@ def _render_scene(label: str, spec: MethodSpec, fit: Entry, shots: Sequence[Shot
     """Load a fitted scene once and render every shot of it."""
     if not fit.is_done():
         raise RenderError(f"{fit.name}: its scene is not in {fit.folder}; render again, which fits it first")
-    scene, seconds = spec.make_fitter().load(fit.folder), []
+    record = _render_shots(label, spec.make_fitter().load(fit.folder), shots, workers, folder)
+    took = {name: value for name, value in read_json(fit.folder / JOB_FILE).items() if name not in ("sha256", "identity")}
+    return record | {"fit": took}
+
+
+def _render_splats(label: str, path: Path, instants: range, shots: Sequence[Shot], workers: int, folder: Path) -> dict[str, Any]:
+    """Open the files once and render every shot of them."""
+    return _render_shots(label, open_splats(path, instants), shots, workers, folder)
+
+
+def _render_shots(label: str, scene: FittedScene, shots: Sequence[Shot], workers: int, folder: Path) -> dict[str, Any]:
+    seconds = []
     for number, frame, target in shots:
         rendering = scene.render(frame, target)
         write_image(frame_path(folder, number), quantise(rendering.image))
         write_diagnostics(folder, number, rendering.diagnostics, target)
         seconds.append(rendering.seconds)
-    took = {name: value for name, value in read_json(fit.folder / JOB_FILE).items() if name not in ("sha256", "identity")}
-    return _record(label, seconds, shots[0][2], workers) | {"fit": took}
+    return _record(label, seconds, shots[0][2], workers)
 
 
 def _render_frame(method: Method, instant: Instant, path: Path) -> dict[str, float]:

@@ -114,7 +114,7 @@ def render_cells(
     jobs: dict[tuple[str, str], list[Job]] = {}
     for cell in cells:
         for label in cell.synthesised if cell.name in ready else ():
-            made = render_jobs(ready[cell.name], [label], engine, networks)
+            made = render_jobs(ready[cell.name], [label], engine, cell.networks(networks))
             mine = [job for job in made if _view_of(job, cell) in share[cell.name]]
             jobs[cell.name, label] = [replace(job, name=f"{cell.name}: {job.name}") for job in mine]
     tried = _attempt_all(cells, "render", [job for some in jobs.values() for job in some], engine, "rendering")
@@ -134,7 +134,7 @@ def _fit_cells(
     """Fit what the rendered share needs, for all runs together; variants of a capture have their fits in common."""
     jobs: dict[Path, Job] = {}
     for cell in (each for each in cells if each.name in ready):
-        for job in fit_jobs(ready[cell.name], cell.synthesised, engine, networks, share[cell.name]):
+        for job in fit_jobs(ready[cell.name], cell.synthesised, engine, cell.networks(networks), share[cell.name]):
             jobs.setdefault(job.folder, replace(job, name=f"{cell.folder}: {job.name}" if cell.folder else job.name))
     return list(_attempt_all(cells, "fit", list(jobs.values()), engine, "fitting").failures) if jobs else []
 
