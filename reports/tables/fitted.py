@@ -132,9 +132,10 @@ def price_tables(runs: Sequence[MeasuredRun], results: Results) -> tuple[Table, 
     for dataset in dict.fromkeys(str(name) for name in results.table["dataset"]):
         cells = {label: tuple(_price(note, results, label, ours[0], dataset) for note in notes) for label in fitted}
         columns = tuple(Column(f"{note.name} {note.arrow}", note.unit, None, note.describe) for note in notes)
+        name, k = runs[0].name(ours[0]), runs[0].protocol.synthesis.k
         caption = (
-            f"Each fitted method minus {runs[0].name(ours[0])}, which sees {runs[0].protocol.synthesis.k} views and nothing of the "
-            f"future; ±: {100 * LEVEL:.0f} % interval of the paired difference. Arrows: where the fitted method is better."
+            f"Each fitted method minus {name}, which sees {k} views and nothing of the future; "
+            f"±: {100 * LEVEL:.0f} % interval of the paired difference. Arrows: where the fitted method is better."
         )
         rows = tuple(Row(runs[0].name(label), of_label) for label, of_label in cells.items())
         tables.append(Table("price", "Price of being online", caption, columns, rows, dataset))
