@@ -15,6 +15,7 @@ from ggvs_eval.statistics.paired import compare
 
 MEGABYTE = 1e6
 NOT_FITTED = "not fitted"
+UNKNOWN = Cell("unknown: others made it")
 COST_COLUMNS = (
     Column("cameras used", describe="of how many the capture has; a fit sees all but those of its fold"),
     Column("look-ahead", describe="instants of the future that a frame depends on"),
@@ -51,8 +52,8 @@ def _cost_table(run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]]) -> T
     rows = []
     for label in run.labels:
         looks = fits[label][0]["look_ahead"] == "sequence" if label in fits else label in ahead
-        look = Cell("sequence") if looks else Cell("0", 0.0)
-        own = _fit_cells(fits[label], n_cameras) if label in fits else _other_cells(run, n_cameras)
+        own = _fit_cells(fits[label], n_cameras) if label in fits else _other_cells(run, label, n_cameras)
+        look = UNKNOWN if own[0] is UNKNOWN else Cell("sequence") if looks else Cell("0", 0.0)
         seeds = 1 + len(run.replicas.get(label, ()))
         rendering, last = _rendering_cell(run, label), Cell(str(seeds), float(seeds)) if label in fits else Cell(NOT_FITTED)
         rows.append(Row(run.name(label), (own[0], look, own[1], own[2], rendering, own[3], last), _kind(run, label)))
@@ -74,8 +75,11 @@ def _fit_cells(fits: Sequence[dict[str, Any]], n_cameras: int) -> tuple[Cell, Ce
     return cameras, Cell(format_value(seconds), seconds), Cell("; ".join(machines)), Cell(format_value(megabytes), megabytes)
 
 
-def _other_cells(run: MeasuredRun, n_cameras: int) -> tuple[Cell, Cell, Cell, Cell]:
-    """The same of a method that renders each instant from its sources."""
+def _other_cells(run: MeasuredRun, label: str, n_cameras: int) -> tuple[Cell, Cell, Cell, Cell]:
+    """The same of a method that renders each instant from its sources; of what others made nobody knows."""
+    records = render_records(run, label)
+    if not records or "splats" in records[0].get("identity", {}):
+        return UNKNOWN, UNKNOWN, UNKNOWN, UNKNOWN
     k = run.protocol.synthesis.k
     return Cell(f"{k} of {n_cameras}", float(k)), Cell(NOT_FITTED), Cell(NOT_FITTED), Cell(NOT_FITTED)
 
