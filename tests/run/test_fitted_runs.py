@@ -211,6 +211,20 @@ def test_a_second_call_fits_nothing(finished):
     assert render(prepare_run(plan_run(finished.request)), finished.request.labels) == 0
 
 
+def test_a_scene_may_go_when_its_frames_are_there(finished, tmp_path):
+    """Without its fits a run is still done; a frame that is missing wants its own fold fitted again, and no other."""
+    shutil.copytree(finished.run.root, tmp_path / "run")
+    shutil.rmtree(tmp_path / "run" / "fits")
+    request = replace(finished.request, root=tmp_path / "run")
+    assert count_work([plan_run(request)], tmp_path).is_nothing()
+    assert render(prepare_run(plan_run(request)), request.labels) == 0
+    shutil.rmtree(tmp_path / "run" / "renders" / LABEL / "cam03")
+    assert render(prepare_run(plan_run(request)), request.labels) == 1
+    assert [folder.relative_to(tmp_path / "run" / "fits").as_posix() for folder in (tmp_path / "run" / "fits").glob("*/*")] == [
+        f"{LABEL}/fold2"
+    ]
+
+
 def test_the_plan_counts_fits(capture, tmp_path):
     """Before anything is done: three scenes; for one view, its own fold alone. Nothing is written."""
     request = RunRequest(tmp_path / "run", capture, PROTOCOL, (LABEL,))
