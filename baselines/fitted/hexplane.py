@@ -159,9 +159,10 @@ class DeformationNetwork(nn.Module):
             The authors take second differences along a plane's height alone, which for planes of time is time; so do we.
         """
         grid = self.deformation_net.grid
-        steady = sum(_bend(plane) for plane in grid.planes(spatial=True))
-        moving = sum(1e-3 * _bend(plane) + 1e-4 * (1 - plane).abs().mean() for plane in grid.planes(spatial=False))
-        return 2e-4 * steady + moving
+        spatial, temporal = grid.planes(spatial=True), grid.planes(spatial=False)
+        bent = 2e-4 * torch.stack([_bend(plane) for plane in spatial]).sum()
+        moving = torch.stack([1e-3 * _bend(plane) + 1e-4 * (1 - plane).abs().mean() for plane in temporal]).sum()
+        return bent + moving
 
 
 def _bend(plane: Tensor) -> Tensor:

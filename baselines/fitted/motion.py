@@ -60,9 +60,10 @@ class Motion(nn.Module, ABC):
 
 def canonical(gaussians: Mapping[str, Tensor]) -> GaussianCloud:
     """The Gaussians as they are kept."""
-    sh = torch.cat([gaussians["sh_base"], gaussians["sh_rest"]], dim=1)
     names = ("means", "log_scales", "quaternions", "opacity_logits")
-    return GaussianCloud(*(gaussians[name] for name in names), sh)
+    return GaussianCloud(
+        **{name: gaussians[name] for name in names}, sh=torch.cat([gaussians["sh_base"], gaussians["sh_rest"]], dim=1)
+    )
 
 
 class NoMotion(Motion):
@@ -198,8 +199,9 @@ class TransformationMotion(Motion):
             self.grid = PlaneGrid(box.cpu(), self.CONFIGURATION, axes=((0, 1), (0, 2), (1, 2)))
             width = self.CONFIGURATION.width
             features = len(self.CONFIGURATION.levels) * self.CONFIGURATION.channels
-            self.layers = nn.Sequential(linear(features, width), nn.ReLU(), linear(width, width), nn.ReLU(), linear(width, 7))
-            nn.init.zeros_(self.layers[-1].weight)
+            last = linear(width, 7)
+            nn.init.zeros_(last.weight)
+            self.layers = nn.Sequential(linear(features, width), nn.ReLU(), linear(width, width), nn.ReLU(), last)
 
     def shared_rate(self, name: str) -> float:  # one for all
         """Return the published learning rate."""

@@ -5,9 +5,9 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
-from ggvs_eval.arrays import Map
 from ggvs_eval.training.losses import structural_loss
 
 STRUCTURE = 0.2  # its share in the loss
@@ -64,11 +64,11 @@ class _MeanSsim(torch.autograd.Function):
         return torch.tensor(ssim[inside].mean(dtype=np.float64), dtype=torch.float32)
 
     @staticmethod
-    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None]:  # type: ignore[override]
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor, None]:
         """Return the derivative times what comes from above."""
         (gradient,) = ctx.saved_tensors
         return upstream * gradient, None
 
 
-def _blurred(image: Map) -> Map:
+def _blurred(image: NDArray[np.floating]) -> NDArray[np.floating]:
     return cv2.GaussianBlur(np.ascontiguousarray(image), (WINDOW, WINDOW), SIGMA_PX, borderType=cv2.BORDER_CONSTANT)

@@ -66,7 +66,7 @@ class MethodSpec:
     @property
     def settings(self) -> dict[str, Any]:
         """Options of its classes that the label fixes, by name; neither files nor the device, which are recorded apart."""
-        return _settings(self.make) | self.fitter_options
+        return {**_settings(self.make), **self.fitter_options}
 
     @property
     def is_fitted(self) -> bool:

@@ -1,7 +1,7 @@
 """Render: every test view, and a camera path, by every method; one job per (method, view)."""
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from ggvs_eval.pipelines.methods.registry import find_method, split_label
 from ggvs_eval.pipelines.methods.spec import MethodSpec
 from ggvs_eval.pipelines.methods.splats import open_splats, splats_files
 from ggvs_eval.pipelines.run.diagnostics import write_diagnostics
-from ggvs_eval.pipelines.run.fit import fit_job, fit_jobs, fit_of_path, fit_of_view
+from ggvs_eval.pipelines.run.fit import PATH_UNIT, fit_job, fit_jobs, fit_of_path, fit_of_view
 from ggvs_eval.pipelines.run.folds import FitPlan
 from ggvs_eval.pipelines.run.instants import path_instants, view_instants
 from ggvs_eval.pipelines.run.run_plan import RunPlan, SourcePlan
@@ -51,7 +51,7 @@ def render(prepared: RunPlan, labels: Sequence[str], workers: Workers = 1, netwo
         RenderError: unknown method, or jobs that failed; each is listed.
         WeightsError: a method lacks its weights, or they are not its own.
     """
-    fits = fit_jobs(prepared, labels, workers, networks)
+    fits = needed_fits(prepared, labels, workers, networks)
     fitted = {fit.label for fit in prepared.fits}
     swift = render_jobs(prepared, [label for label in labels if label not in fitted], workers, networks)
     slow = render_jobs(prepared, [label for label in labels if label in fitted], workers, networks)
@@ -86,6 +86,33 @@ def render_jobs(
     in_views = [_view_job(prepared, label, spec, view, at_once) for label, spec in specs.items() for view in views]
     # The longest first, so that all workers end at about the same time.
     return along_path + in_views if len(prepared.path) > len(prepared.frames) else in_views + along_path
+
+
+def needed_fits(
+    prepared: RunPlan,
+    labels: Sequence[str],
+    workers: Workers = 1,
+    networks: NetworkOptions = AS_SHIPPED,
+    units: Collection[str] | None = None,
+) -> list[Job]:
+    """List the fits that are done, or that something is still to be rendered from: a scene may go when its frames are there.
+
+    Args:
+        prepared: the run.
+        labels: methods.
+        workers: where jobs run.
+        networks: with which weights and where networks compute.
+        units: test views, or ``path``, that are rendered; None for all.
+    """
+    needed = []
+    for label in dict.fromkeys(fit.label for fit in prepared.fits if fit.label in labels):
+        missing = [job for job in render_jobs(prepared, [label], workers, networks) if not job.is_done()]
+        left = {PATH_UNIT if job.folder == prepared.run.path(label) else job.folder.name for job in missing}
+        asked = left if units is None else left.intersection(units)
+        open_folders = {job.folder for job in fit_jobs(prepared, [label], workers, networks, asked)}
+        fits = fit_jobs(prepared, [label], workers, networks, units)
+        needed += [job for job in fits if job.folder in open_folders or job.is_done()]
+    return needed
 
 
 def note_labels(run: RunFolder, labels: Sequence[str]) -> None:

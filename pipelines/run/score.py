@@ -171,6 +171,8 @@ def _write_shown_names(run: RunFolder, protocol: Protocol, labels: Sequence[str]
     """Write how the report calls methods and metrics; it reads this from disk and imports neither."""
     titles = {label: METHODS[label].title if label in METHODS else label for label in labels}
     ours = [label for label in labels if label in METHODS and METHODS[label].ours]
-    write_json(run.root / "methods.json", {"labels": list(labels), "names": titles, "ours": ours})
+    looks = [label for label in labels if label in METHODS and not METHODS[label].online]
+    ahead = {"look_ahead": looks} if looks else {}
+    write_json(run.root / "methods.json", {"labels": list(labels), "names": titles, "ours": ours} | ahead)
     notes = metric_notes(protocol.measurement.metrics, metric_options(protocol.measurement))
     write_json(run.root / "metrics.json", notes)

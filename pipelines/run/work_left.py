@@ -10,8 +10,7 @@ from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import ProtocolError, ResultsError
 from ggvs_eval.pipelines.run import disocclusion, path_depth
 from ggvs_eval.pipelines.run.derived_files import is_stale
-from ggvs_eval.pipelines.run.fit import fit_jobs
-from ggvs_eval.pipelines.run.render import render_jobs
+from ggvs_eval.pipelines.run.render import needed_fits, render_jobs
 from ggvs_eval.pipelines.run.run_plan import RunPlan
 from ggvs_eval.progress import duration
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, missing_frames, read_json
@@ -196,7 +195,9 @@ def work_left(plan: RunPlan) -> WorkLeft:
         path_renders,
         {run.scores(view): len(plan.frames) for view in unscored},
         {run.ceilings(view): len(plan.frames) for view in without},
-        frozenset(job.folder for job in fit_jobs(plan, request.labels, 1, request.networks, request.views) if not job.is_done()),
+        frozenset(
+            job.folder for job in needed_fits(plan, request.labels, 1, request.networks, request.views) if not job.is_done()
+        ),
     )
 
 

@@ -12,10 +12,9 @@ from ggvs_eval.jobs.job import Attempt, Job, attempt_jobs
 from ggvs_eval.jobs.ledger import Failure, Ledger
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
-from ggvs_eval.pipelines.run.fit import fit_jobs
 from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.pipelines.run.prepare import prepare_run
-from ggvs_eval.pipelines.run.render import note_labels, render_jobs
+from ggvs_eval.pipelines.run.render import needed_fits, note_labels, render_jobs
 from ggvs_eval.pipelines.run.run_plan import RunPlan, plan_run
 from ggvs_eval.pipelines.run.score import score_jobs
 from ggvs_eval.pipelines.sweep.cells import PATH, Cell
@@ -134,7 +133,7 @@ def _fit_cells(
     """Fit what the rendered share needs, for all runs together; variants of a capture have their fits in common."""
     jobs: dict[Path, Job] = {}
     for cell in (each for each in cells if each.name in ready):
-        for job in fit_jobs(ready[cell.name], cell.synthesised, engine, cell.networks(networks), share[cell.name]):
+        for job in needed_fits(ready[cell.name], cell.synthesised, engine, cell.networks(networks), share[cell.name]):
             jobs.setdefault(job.folder, replace(job, name=f"{cell.folder}: {job.name}" if cell.folder else job.name))
     return list(_attempt_all(cells, "fit", list(jobs.values()), engine, "fitting").failures) if jobs else []
 

@@ -191,7 +191,7 @@ def test_what_cannot_be_is_said_in_a_line(sliding_footage, tmp_path):
     """An unknown motion, a damaged state, a file that is no scene, and an instant that was not fitted are errors one can mend."""
     with pytest.raises(RenderError, match="4dgs: steps must be 1 or more, got 0"):
         FourD(steps=0)
-    with pytest.raises(RenderError, match="wanted a motion of hexplane, .*, got 'liner'; did you mean linear"):
+    with pytest.raises(RenderError, match=r"wanted a motion of hexplane, .*, got 'liner'; did you mean linear"):
         FourD("liner")  # type: ignore[arg-type]
     (tmp_path / "state.pt").write_bytes(b"no state")
     with pytest.raises(TrainingError, match=r"state.pt: not the state of this fit .* delete it, and the fit begins anew"):

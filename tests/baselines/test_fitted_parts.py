@@ -22,9 +22,11 @@ from ggvs_eval.baselines.fitted.motion import (
 )
 from ggvs_eval.baselines.fitted.photometric import photometric_loss
 from ggvs_eval.baselines.fitted.points import Points, initial_points
+from ggvs_eval.baselines.fitted.published import PublishedScene
 from ggvs_eval.baselines.fitted.state import FitState, box_of, first_gaussians
-from ggvs_eval.errors import DepthError, WeightsError
+from ggvs_eval.errors import DepthError, RenderError, WeightsError
 from ggvs_eval.gaussians import GaussianCloud, render_gaussians
+from ggvs_eval.gaussians.ply import write_ply
 from ggvs_eval.training.losses import structural_loss
 from helpers.fitted_footage import footage_of, rig, wall
 
@@ -275,3 +277,25 @@ def test_opacity_that_a_published_field_gives_is_added_before_the_sigmoid():
     torch.testing.assert_close(cloud.quaternions - gaussians["quaternions"], moved["rotations"])
     torch.testing.assert_close(cloud.opacity_logits - gaussians["opacity_logits"], moved["opacity"][:, 0])
     torch.testing.assert_close(cloud.sh - canonical(gaussians).sh, moved["shs"].view(-1, 16, 3))
+
+
+def test_an_output_folder_of_the_authors_renders(tmp_path):
+    """Their point cloud is moved by their field at raw times: the first instant is time 0, and the last one is not yet 1."""
+    means = wall().means
+    cloud = canonical(first_gaussians(points_of(means), 3, NoMotion()))
+    iteration = tmp_path / "point_cloud" / "iteration_14000"
+    iteration.mkdir(parents=True)
+    write_ply(iteration / "point_cloud.ply", cloud)
+    torch.save(published_tensors(), iteration / "deformation.pth")
+
+    scene = PublishedScene(tmp_path, range(10, 14), near=0.2)
+
+    network = read_deformation(iteration / "deformation.pth")
+    for index, time in ((10, 0.0), (13, 0.75)):
+        torch.testing.assert_close(scene.cloud(index).means, means + network(means, time)["pos"])
+    assert scene.render(11, rig()[0]).image.shape == (48, 64, 3)
+    assert scene.size_bytes > 9_850_000  # the field alone
+    with pytest.raises(RenderError, match=r"wanted instants 10\.\.13, got 14"):
+        scene.cloud(14)
+    with pytest.raises(RenderError, match=r"wanted point_cloud\.ply and deformation.pth, there or below"):
+        PublishedScene(iteration.parent, range(4), near=0.2)

@@ -14,6 +14,8 @@ from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import CameraError, RenderError
 from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.jobs.job import run_jobs
+from ggvs_eval.jobs.shard import Shard
+from ggvs_eval.jobs.status import describe_status
 from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.run.evaluate import measure
 from ggvs_eval.pipelines.run.fit import FitClock, fit_job, fit_jobs, fit_of_view
@@ -22,9 +24,11 @@ from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.render import render
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
 from ggvs_eval.pipelines.run.work_left import count_work
+from ggvs_eval.pipelines.sweep.run_sweep import run_sweep
 from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthesis, Views
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder, read_json
+from ggvs_eval.sweep import Sweep, SweepRow
 from helpers import nearest_camera
 from helpers.nearest_camera import LABEL
 from helpers.stereo_scenes import write_capture
@@ -211,6 +215,20 @@ def test_a_second_call_fits_nothing(finished):
     assert render(prepare_run(plan_run(finished.request)), finished.request.labels) == 0
 
 
+def test_a_scene_may_go_when_its_frames_are_there(finished, tmp_path):
+    """Without its fits a run is still done; a frame that is missing wants its own fold fitted again, and no other."""
+    shutil.copytree(finished.run.root, tmp_path / "run")
+    shutil.rmtree(tmp_path / "run" / "fits")
+    request = replace(finished.request, root=tmp_path / "run")
+    assert count_work([plan_run(request)], tmp_path).is_nothing()
+    assert render(prepare_run(plan_run(request)), request.labels) == 0
+    shutil.rmtree(tmp_path / "run" / "renders" / LABEL / "cam03")
+    assert render(prepare_run(plan_run(request)), request.labels) == 1
+    assert [folder.relative_to(tmp_path / "run" / "fits").as_posix() for folder in (tmp_path / "run" / "fits").glob("*/*")] == [
+        f"{LABEL}/fold2"
+    ]
+
+
 def test_the_plan_counts_fits(capture, tmp_path):
     """Before anything is done: three scenes; for one view, its own fold alone. Nothing is written."""
     request = RunRequest(tmp_path / "run", capture, PROTOCOL, (LABEL,))
@@ -258,3 +276,18 @@ def test_what_is_fitted_cannot_be_shown_frame_by_frame():
     with pytest.raises(RenderError, match=r"seed must be a whole number of 0 or more, got 1\.5"):
         find_method(f"{LABEL}+seed=1.5")
     assert find_method(f"{LABEL}+noise=2.5+seed=3").settings == {"noise": 2.5}
+
+
+def test_variants_of_a_sweep_share_their_fits(finished, capture, tmp_path):
+    """K moves no fit: two runs of a sweep, one scene per fold beside them; each has its row, and a shard fits what it renders."""
+    rows = (SweepRow("Nearest", LABEL), SweepRow("No Blending", "no-blending"))
+    sweep, protocol = Sweep("k", "two", rows, k=(1, 2)), replace(PROTOCOL, path=CameraPath(0))
+    root = lend(finished, tmp_path)
+    run_sweep(root, capture, sweep, protocol, 1, shard=Shard.parse("1/8"))  # k1 in the first view
+    assert [folder.name for folder in (root / "fits" / LABEL).iterdir()] == ["fold1"]
+    result = run_sweep(root, capture, sweep, protocol, 1)
+    assert not result.failures
+    assert sorted(folder.name for folder in (root / "fits" / LABEL).iterdir()) == ["fold1", "fold2"]
+    psnr_db = result.table["PSNR"]
+    assert psnr_db["k1", "Nearest"] == psnr_db["k2", "Nearest"]
+    assert "fit: 2 done, 0 running, 0 failed, 0 missing" in describe_status(root)
