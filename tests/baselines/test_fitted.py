@@ -90,7 +90,7 @@ def test_moving_footage_is_learned_in_each_motion(motion, sliding_footage, tmp_p
     held = sliding_footage.cameras[2]
     footage = replace(sliding_footage, cameras=tuple(camera for camera in sliding_footage.cameras if camera is not held))
 
-    scene = fitted(FourD(motion, steps=200, points=400, most=500), footage, tmp_path / motion)
+    scene = fitted(FourD(motion, steps=250, points=400, most=500), footage, tmp_path / motion)
 
     first, last = (psnr_db(scene.render(index, held).image, sliding_footage.image(held.name, 3)) for index in (0, 3))
     assert last > 22
