@@ -11,6 +11,10 @@ SOURCES = (
     *("images", "filter", "blend", "push_pull", "contested", "shade", "register", "compose", "refine", "learned"),
     *("unet", "unet_bindings", "memory", "overview", "network_inputs", "ray_pooling", "ray_pooling_bindings"),
 )
+GAUSSIANS = (
+    *("gaussian_bindings", "gaussian_splat", "gaussian_levels", "gaussian_baseline", "gaussian_avx2", "gaussian_avx512"),
+    "memory",
+)
 STEREO = ("stereo", "plane_sweep", "sgm", "weighted_median", "stereo_levels", "stereo_baseline", "stereo_avx2", "stereo_avx512")
 
 # No -march: the instruction set is chosen when the program runs (dispatch.cpp), so that one wheel serves every machine.
@@ -24,6 +28,7 @@ EXTENSIONS = {
     "_iv_psnr": ("iv_psnr",),
     "_stereo": STEREO,
     "_film": ("film", "ray_tree"),
+    "_gaussians": GAUSSIANS,
 }
 INCLUDED = re.compile(r'^#include "(.+)"$', re.MULTILINE)
 

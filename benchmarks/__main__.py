@@ -7,6 +7,7 @@ from benchmarks import (
     bench_decoding,
     bench_depth,
     bench_full_reference,
+    bench_gaussians,
     bench_geometry,
     bench_metrics,
     bench_online,
@@ -19,6 +20,7 @@ def main() -> None:
     """Measure everything; one line per figure."""
     figures = (
         bench_geometry.measure()
+        | bench_gaussians.measure()
         | bench_online.measure()
         | bench_metrics.measure()
         | bench_full_reference.measure()

@@ -22,11 +22,16 @@ class Views:
         test: names of the target cameras.
         chosen_by: who chose them and by which rule; the paper gives counts only, so ours are marked ``chosen by us``.
         keep_unsynced: cameras that are known to be out of step stay among the sources, as in the code of some authors.
+        sources: names of the cameras that any method may see, in images or in depth; every camera where empty.
+        folds: test cameras that are held out together from a method that is fitted to the capture, one fit per fold. Where it is
+            empty and such a method is run, the run states those of `ggvs_eval.pipelines.run.folds.choose_folds`.
     """
 
     test: tuple[str, ...]
     chosen_by: str
     keep_unsynced: bool = False
+    sources: tuple[str, ...] = ()
+    folds: tuple[tuple[str, ...], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -148,6 +153,15 @@ class Protocol:
     measurement: Measurement
     path: CameraPath = CameraPath()
 
+    def with_folds(self, folds: tuple[tuple[str, ...], ...]) -> "Protocol":
+        """The protocol with these folds stated, or with none."""
+        return dataclasses.replace(self, views=dataclasses.replace(self.views, folds=folds))
+
+    def agrees_with(self, other: "Protocol") -> bool:
+        """Tell whether one run folder can serve both: they are equal, or one of them leaves its folds open."""
+        same = self.with_folds(()) == other.with_folds(())
+        return same and (not self.views.folds or not other.views.folds or self.views.folds == other.views.folds)
+
     def shortened(self, frames: int | None, path_poses: int | None) -> "Protocol":
         """The protocol over the first so many of its instants, and with a camera path of so many poses; None keeps either.
 
@@ -167,9 +181,7 @@ class Protocol:
 
         A choice that came later is left out where it is as it always was, so that the hashes of older results stay valid.
         """
-        values = dataclasses.asdict(self)
-        if not self.views.keep_unsynced:
-            del values["views"]["keep_unsynced"]
+        values = self.values()
         if self.synthesis.sources == Synthesis.sources:
             del values["synthesis"]["sources"]
         if self.measurement.lpips_every == Measurement.lpips_every:
@@ -178,9 +190,19 @@ class Protocol:
             values["path"] = {"poses": self.path.poses}
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
+    def values(self) -> dict[str, Any]:
+        """Every value as TOML and JSON know it, without the choices of views that are not made."""
+        values = dataclasses.asdict(self)
+        for name in ("sources", "folds"):
+            if not values["views"][name]:
+                del values["views"][name]
+        if not self.views.keep_unsynced:
+            del values["views"]["keep_unsynced"]
+        return values
+
     def to_toml(self) -> str:
         """The protocol as a TOML file that `load_protocol` reads back."""
-        values = dataclasses.asdict(self)
+        values = self.values()
         lines = [f"{key} = {_toml_value(value)}" for key, value in values.items() if not isinstance(value, dict)]
         for section, table in values.items():
             if isinstance(table, dict):
@@ -231,9 +253,11 @@ def packaged_protocols() -> list[str]:
 def _checked(protocol: Protocol, file: str) -> Protocol:
     """Refuse values of the right type that make no sense."""
     synthesis, measurement = protocol.synthesis, protocol.measurement
-    views = protocol.views.test
+    views, folded = protocol.views.test, [view for fold in protocol.views.folds for view in fold]
     rules = {
         "views.test must name each test view once, and at least one": views and len(set(views)) == len(views),
+        "views.sources must name each camera once": len(set(protocol.views.sources)) == len(protocol.views.sources),
+        "views.folds must hold each of views.test once, and nothing else": not folded or sorted(folded) == sorted(views),
         "frames.start must be at least 0 and frames.count at least 1": protocol.frames.start >= 0 and protocol.frames.count >= 1,
         "synthesis.k must be at least 1": synthesis.k >= 1,
         "path.poses must be 0 or at least 2": protocol.path.poses == 0 or protocol.path.poses >= 2,

@@ -10,7 +10,7 @@ from ggvs_eval.errors import ProtocolError, did_you_mean
 from ggvs_eval.files.toml_tables import build_table, parse_toml, read_toml
 from ggvs_eval.protocol import Protocol
 
-RENDERED = "rendered:"
+RENDERED, SPLATS = "rendered:", "splats:"
 CAPTURE = "{capture}"
 
 
@@ -21,7 +21,8 @@ class SweepRow:
     Attributes:
         title: what the paper calls it.
         method: label of the method; one that is not built yet is reported as not computed. ``rendered:PATH`` is frames that
-            others rendered, in any form that ``ggvs-eval score`` takes; ``{capture}`` in the path is the capture's name.
+            others rendered, in any form that ``ggvs-eval score`` takes, ``splats:PATH`` 3D Gaussians that others have fitted;
+            ``{capture}`` in the path is the capture's name.
         only_own_k: compute this row at the protocol's own number of source cameras and leave it out of the other variants.
     """
 
@@ -31,13 +32,19 @@ class SweepRow:
 
     @property
     def label(self) -> str:
-        """Name of its folders: the method, or the title as a plain name where others rendered."""
-        return self.method if self.rendered is None else re.sub(r"[^a-z0-9]+", "-", self.title.lower()).strip("-")
+        """Name of its folders: the method, or the title as a plain name where others rendered or fitted."""
+        return self.method if self.path is None else re.sub(r"[^a-z0-9]+", "-", self.title.lower()).strip("-")
+
+    @property
+    def path(self) -> str | None:
+        """The path of frames that others rendered, or of what they fitted; None for a method of this package."""
+        prefix = next((prefix for prefix in (RENDERED, SPLATS) if self.method.startswith(prefix)), None)
+        return None if prefix is None else self.method.removeprefix(prefix)
 
     @property
     def rendered(self) -> str | None:
         """The path of frames that others rendered; None where we render them."""
-        return self.method.removeprefix(RENDERED) if self.method.startswith(RENDERED) else None
+        return self.path if self.method.startswith(RENDERED) else None
 
     def frames_of(self, capture: str) -> Path | None:
         """Return the path of others' frames of a capture, or None for a method that is rendered here.
@@ -46,6 +53,10 @@ class SweepRow:
             capture: name of its folder.
         """
         return None if self.rendered is None else Path(self.rendered.replace(CAPTURE, capture))
+
+    def splats_of(self, capture: str) -> Path | None:
+        """Return the path of 3D Gaussians that others have fitted to a capture, or None for any other method."""
+        return Path((self.path or "").replace(CAPTURE, capture)) if self.method.startswith(SPLATS) else None
 
 
 @dataclass(frozen=True)
@@ -89,7 +100,7 @@ class Sweep:
 def load_sweep(source: str) -> Sweep:
     """Read a sweep from a TOML file, or one that ships with the package by its name (``ablations``, ``k``).
 
-    Paths of frames that others rendered are taken from the folder of the file.
+    Paths of what others rendered or fitted are taken from the folder of the file.
 
     Raises:
         ProtocolError: no such file, not TOML, or an unknown, missing or mistyped key.
@@ -111,7 +122,7 @@ def load_sweep(source: str) -> Sweep:
     sweep = build_table(Sweep, values, source, "", ProtocolError)
     if not sweep.row or any(k < 1 for k in sweep.k):
         raise ProtocolError(f"{source}: wanted at least one [[row]] and k of at least 1, got {len(sweep.row)} rows, k {sweep.k}")
-    labels = [row.label for row in sweep.row if row.rendered is not None]
+    labels = [row.label for row in sweep.row if row.path is not None]
     if "" in labels or len(set(labels)) < len(labels):
         raise ProtocolError(f"{source}: wanted titles that tell rendered frames apart by letters and digits, got {labels}")
     folder = Path(source).parent
@@ -119,7 +130,9 @@ def load_sweep(source: str) -> Sweep:
 
 
 def _resolved(row: SweepRow, folder: Path) -> SweepRow:
-    return row if row.rendered is None else dataclasses.replace(row, method=f"{RENDERED}{folder / row.rendered}")
+    if row.path is None:
+        return row
+    return dataclasses.replace(row, method=f"{row.method.removesuffix(row.path)}{folder / row.path}")
 
 
 def packaged_sweeps() -> list[str]:

@@ -14,6 +14,7 @@ from ggvs_eval.reports.figures.slices import Slices, all_slices
 from ggvs_eval.reports.model.measured import MeasuredRun, read_run
 from ggvs_eval.reports.model.table import Table
 from ggvs_eval.reports.tables.error_budget import budget_table, decomposition_table
+from ggvs_eval.reports.tables.fitted import fitted_tables, price_tables
 from ggvs_eval.reports.tables.report_tables import main_tables, view_tables
 from ggvs_eval.reports.tables.timing import timing_table
 from ggvs_eval.results import Results, merge_results
@@ -31,6 +32,7 @@ class RunSection:
         run: the run.
         view_tables: where the error lies, where it varies, and one per metric.
         timing: time per stage.
+        fitted: costs and seeds, where some method is fitted.
         slices: along the path and over time.
         panels: error curves.
     """
@@ -38,6 +40,7 @@ class RunSection:
     run: MeasuredRun
     view_tables: tuple[Table, ...]
     timing: Table
+    fitted: tuple[Table, ...]
     slices: Sequence[Slices]
     panels: tuple[Panel, ...]
 
@@ -52,6 +55,7 @@ class RunGroup:
         sections: one per run.
         results: of all runs in one.
         tables: quality, consistency and whatever else was measured, over all runs.
+        price: of being online, where some method is fitted.
     """
 
     name: str
@@ -59,6 +63,7 @@ class RunGroup:
     sections: tuple[RunSection, ...]
     results: Results
     tables: tuple[Table, ...]
+    price: tuple[Table, ...]
 
     @property
     def protocol(self) -> Protocol:
@@ -78,7 +83,8 @@ class RunGroup:
     @property
     def all_tables(self) -> tuple[Table, ...]:
         """The tables over all runs, then each run's own."""
-        return (*self.tables, *(table for one in self.sections for table in (*one.view_tables, one.timing)))
+        of_runs = (table for one in self.sections for table in (*one.view_tables, one.timing, *one.fitted))
+        return (*self.tables, *self.price, *of_runs)
 
 
 def read_groups(roots: Sequence[Path]) -> tuple[RunGroup, ...]:
@@ -121,7 +127,8 @@ def runs_by_protocol(roots: Sequence[Path], read: Callable[[Path], MeasuredRun])
 
 def _make_group(name: str, heading: str, runs: Sequence[MeasuredRun]) -> RunGroup:
     results = merge_results([run.results for run in runs])
-    return RunGroup(name, heading, tuple(map(_make_section, runs)), results, main_tables(runs, results))
+    tables, price = main_tables(runs, results), price_tables(runs, results)
+    return RunGroup(name, heading, tuple(map(_make_section, runs)), results, tables, price)
 
 
 def _make_section(run: MeasuredRun) -> RunSection:
@@ -134,7 +141,8 @@ def _read_section(root: Path, scored: str) -> RunSection:
     """The section of a run with these results: a page that grows with every run reads the frames of the earlier ones once."""
     run = read_run(root)
     taken_apart = tuple(table for table in (budget_table(run), decomposition_table(run)) if table)
-    return RunSection(run, taken_apart + view_tables(run), timing_table(run), all_slices(run), curve_panels(run))
+    tables = taken_apart + view_tables(run), timing_table(run), fitted_tables(run)
+    return RunSection(run, *tables, all_slices(run), curve_panels(run))
 
 
 def _name_groups(firsts: Sequence[MeasuredRun], scenes: Sequence[str]) -> list[str]:

@@ -1,26 +1,32 @@
 """Jobs: a folder of results that exists whole or not at all, and is made once.
 
 A job's identity is everything its result depends on. Its folder carries a ``job.json`` with that identity, so what exists is not
-run again and what was killed is: results are written under a temporary name beside the folder and renamed when complete.
+run again and what was killed is: results are written under a temporary name beside the folder and renamed when complete. Work
+that takes hours goes on where it was killed: what it has left is kept beside the folder for the same job.
 """
 
+import glob
 import hashlib
 import json
 import shutil
 import socket
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.files.atomic import remove_leftovers, scratch_folder
+from ggvs_eval.files.atomic import locked, remove_leftovers, scratch_folder
 from ggvs_eval.jobs.code_identity import package_digest
 from ggvs_eval.jobs.engine import Workers, as_engine
 from ggvs_eval.jobs.ledger import Entry, Failure, Ledger, LostJob
 from ggvs_eval.progress import track
 from ggvs_eval.run_folder import JOB_FILE, write_json
+
+UNFINISHED = "unfinished"  # what a job that resumes has left: .<name>.<hash>.unfinished
+KEPT_OF_HASH = 16  # digits
 
 
 @dataclass(frozen=True)
@@ -33,12 +39,14 @@ class Job:
         identity: everything the result depends on, as JSON values.
         work: called with a temporary folder to fill; returns what job.json shall say beside the identity. It travels to another
             process, so it is a module-level function or a `functools.partial` of one.
+        resumes: the work goes on from what it has left in its folder when it was killed; it must tell by that how far it was.
     """
 
     name: str
     folder: Path
     identity: dict[str, Any]
     work: Callable[[Path], dict[str, Any]]
+    resumes: bool = False
 
     @property
     def sha256(self) -> str:
@@ -56,10 +64,26 @@ class Job:
 
     def run(self) -> None:
         """Do the work and put its result in place."""
-        with scratch_folder(self.folder) as temporary:
+        with scratch_folder(self.folder) as scratch, self._workspace(scratch) as temporary:
+            if self.resumes and self.is_done():  # by another process, while this one waited for the workspace
+                return
             record = self.work(temporary)
             write_json(temporary / JOB_FILE, {"sha256": self.sha256, "identity": self.identity, **record})
             self._put_in_place(temporary)
+
+    @contextmanager
+    def _workspace(self, scratch: Path) -> Iterator[Path]:
+        """The folder to work in: a scratch folder, or one that outlives a kill and that one process at a time works in."""
+        if not self.resumes:
+            yield scratch
+            return
+        kept = self.folder.with_name(f".{self.folder.name}.{self.sha256[:KEPT_OF_HASH]}.{UNFINISHED}")
+        for other in self.folder.parent.glob(f".{glob.escape(self.folder.name)}.*.{UNFINISHED}"):
+            if other != kept:  # of a job that is no longer wanted
+                shutil.rmtree(other, ignore_errors=True)
+        kept.mkdir(parents=True, exist_ok=True)
+        with locked(kept):
+            yield kept
 
     def _put_in_place(self, temporary: Path) -> None:
         shutil.rmtree(self.folder, ignore_errors=True)

@@ -17,7 +17,7 @@ from ggvs_eval.errors import ResultsError, mendable
 from ggvs_eval.run_folder import JOB_FILE, read_json, write_json
 
 JOBS_FOLDER = "jobs"
-STAGES = ("render", "score")
+STAGES = ("fit", "render", "score")
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ class StageStatus:
     """Progress of one stage.
 
     Attributes:
-        stage: render or score.
+        stage: fit, render or score.
         done: number of jobs with a result.
         in_hand: names of jobs that a process is working on.
         failed: why jobs failed when they were last tried, and are not tried again now.

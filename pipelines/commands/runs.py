@@ -1,7 +1,7 @@
 """The verbs of the command line that make runs: prepare, render, run, sweep, status."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -25,15 +25,17 @@ from ggvs_eval.pipelines.commands.captures import (
 from ggvs_eval.pipelines.commands.print_plan import print_plan
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions, found_device
 from ggvs_eval.pipelines.methods.registry import METHODS, usual_methods
+from ggvs_eval.pipelines.methods.splats import named_splats
 from ggvs_eval.pipelines.run.run_plan import RunPlan
 from ggvs_eval.protocol import Protocol
 
-Labels = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"{{{','.join(METHODS)}}}")]
+Labels = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"{{{','.join(METHODS)},splats:PATH}}")]
 Weights = Annotated[tuple[str, ...], tyro.conf.arg(metavar="METHOD=FILE ...", help_behavior_hint=NONE)]
 Device = Annotated[str, tyro.conf.arg(metavar="{cpu,cuda,auto}")]
 Running = tyro.conf.OmitArgPrefixes[Engine]
 HERE = Engine()
 USUAL_METHODS = usual_methods()
+NO_SPLATS: Mapping[str, Path] = {}
 
 
 def prepare(
@@ -86,7 +88,7 @@ def render(
 
     Args:
         run: run folder that `prepare` has made.
-        methods: which methods; what is rendered already is left alone.
+        methods: which methods, splats:PATH for 3D Gaussians that others have fitted; what is rendered already is left alone.
         weights: METHOD=FILE of a method whose weights do not ship: the authors' checkpoint of a baseline.
         device: where networks of methods compute; on a GPU pixels may differ by a level from those of the CPU.
         engine: where jobs run.
@@ -94,8 +96,9 @@ def render(
     from ggvs_eval.pipelines.run.evaluate import reopen
     from ggvs_eval.pipelines.run.render import render as synthesise
 
-    networks = _networks(weights, device)
-    prepared = reopen(engine.place(run), engine)
+    methods, splats = named_splats(methods)
+    networks = _networks(weights, device, splats)
+    prepared = reopen(engine.place(run), engine, methods, networks)
     print(f"{synthesise(prepared, methods, engine, networks)} jobs rendered in {run}")
 
 
@@ -119,7 +122,8 @@ def run(
             main one, also over K, and small ones in the layouts of ENeRF-Outdoor and D3DMV. One page shows them all. With
             --protocol the main one alone.
         protocol: a .toml file or a packaged name; by default the packaged one that fits the capture.
-        methods: which methods; by default the demo's smallest room has the baselines too.
+        methods: which methods; by default the demo's smallest room has the baselines too. splats:PATH or NAME=splats:PATH renders
+            3D Gaussians that others have fitted: a .ply, a folder with one per frame, an output folder of 3D Gaussian splatting.
         weights: METHOD=FILE of a method whose weights do not ship: the authors' checkpoint of a baseline.
         device: where networks of methods compute; on a GPU pixels may differ by a level from those of the CPU.
         reading: how the capture is read.
@@ -132,7 +136,8 @@ def run(
     from ggvs_eval.pipelines.sweep.demo_plan import plan_demos
     from ggvs_eval.pipelines.sweep.demo_runs import describe_outlook, evaluate_demos, room_labels
 
-    root, networks = engine.place(run), _networks(weights, device)
+    methods, splats = named_splats(methods)
+    root, networks = engine.place(run), _networks(weights, device, splats)
     if capture is None and protocol is None:
         labels = room_labels(methods, USUAL_METHODS)
         if dry_run:
@@ -179,7 +184,7 @@ def sweep(
     What fails is listed at the end and does not stop the rest; the same call tries it again, and only it.
 
     Args:
-        name: a packaged sweep (ablations, ablations_short, baselines, k, online, readings, switches) or a .toml file.
+        name: a packaged sweep (ablations, ablations_short, baselines, k, offline, online, readings, switches) or a .toml file.
         out: folder of the sweep; each variant is a run folder in it, of several captures in a folder called like the capture.
         capture: folder of the capture, or of several, whose means then stand beside them; without one the demo capture is made.
         protocol: what the variants start from; by default the packaged one that fits the capture.
@@ -251,9 +256,9 @@ def _end_with(failures: tuple[Failure, ...]) -> None:
         sys.exit(f"ggvs-eval: {len(failures)} failed, listed above; the rest is done, the same call tries only these again")
 
 
-def _networks(weights: tuple[str, ...], device: str) -> NetworkOptions:
-    """METHOD=FILE, as often as wanted, and a device that is there."""
-    return NetworkOptions(_checkpoints(weights), found_device(device))
+def _networks(weights: tuple[str, ...], device: str, splats: Mapping[str, Path] = NO_SPLATS) -> NetworkOptions:
+    """METHOD=FILE, as often as wanted, files of Gaussians by their labels, and a device that is there."""
+    return NetworkOptions(_checkpoints(weights), splats, found_device(device))
 
 
 def _checkpoints(weights: tuple[str, ...]) -> dict[str, Path]:

@@ -11,10 +11,12 @@ class NetworkOptions:
 
     Attributes:
         checkpoints: method -> file of weights that the user gave, of methods whose weights do not ship.
+        splats: label -> files of 3D Gaussians that others have fitted, which become a method of that label.
         device: ``cpu``, where equal inputs give equal bits, ``cuda`` or ``cuda:N``.
     """
 
     checkpoints: Mapping[str, Path] = field(default_factory=dict)
+    splats: Mapping[str, Path] = field(default_factory=dict)
     device: str = "cpu"
 
 

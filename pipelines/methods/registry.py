@@ -1,23 +1,22 @@
 """Every method by the name that the command line and the folders use."""
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from ggvs_eval.errors import RenderError, did_you_mean
 from ggvs_eval.files.toml_tables import build_table
 from ggvs_eval.pipelines.methods.baselines import baseline_methods
+from ggvs_eval.pipelines.methods.fitted import FITTED, configured_fit, splats_method
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
 from ggvs_eval.pipelines.methods.ours import OURS
-from ggvs_eval.pipelines.methods.spec import MethodSpec
+from ggvs_eval.pipelines.methods.spec import MethodSpec, option_values
 
 
 def all_methods() -> dict[str, MethodSpec]:
     """Every method by its label, `method` or `method+variant`; its renders lie in a folder of that name."""
-    return baseline_methods() | OURS
+    return baseline_methods() | FITTED | OURS
 
 
 METHODS = all_methods()
@@ -39,6 +38,8 @@ def find_method(label: str, networks: NetworkOptions = AS_SHIPPED) -> MethodSpec
     Raises:
         RenderError: unknown; the message names the nearest known one.
     """
+    if label in networks.splats:
+        return splats_method(label, networks.splats[label])
     return _found(label, networks.checkpoints).on(networks.device)
 
 
@@ -70,22 +71,14 @@ def _configured(label: str, spec: MethodSpec, variant: str) -> MethodSpec:
     """A method with the options that its label names."""
     from ggvs_eval.pipelines.online.geometry_guided import OnlineOptions
 
+    if spec.is_fitted:
+        return configured_fit(label, spec, variant)
     if spec.make_with is None:
-        able = ", ".join(name for name, each in METHODS.items() if each.make_with)
+        able = ", ".join(name for name, each in METHODS.items() if each.make_with or each.is_fitted)
         raise RenderError(f"method {label}: {spec.title} has no options to set; these have: {able}")
-    settings = dict(part.partition("=")[::2] for part in variant.split("+"))
-    values = {name: _option_value(text) for name, text in settings.items()}
-    options = build_table(OnlineOptions, values, f"method {label}", "", RenderError)
+    options = build_table(OnlineOptions, option_values(variant), f"method {label}", "", RenderError)
     title = f"{spec.title}, {variant.replace('+', ', ')}"
     return replace(spec, title=title, make=partial(spec.make_with, options), usual=False)
-
-
-def _option_value(text: str) -> Any:
-    """A number or a truth value; anything else is a word."""
-    try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
-        return text
 
 
 def split_label(label: str) -> tuple[str, str]:

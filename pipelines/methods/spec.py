@@ -1,13 +1,18 @@
 """Specification of a method: what the command line, the folders and the tables know of it."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from importlib import resources
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
+from ggvs_eval.errors import RenderError
+from ggvs_eval.files.toml_tables import build_table
 from ggvs_eval.method import Method
+from ggvs_eval.scene_fitter import SceneFitter
 
 
 def shipped(name: str) -> Path:
@@ -33,6 +38,11 @@ class MethodSpec:
         title_from: how tables call it then, if not by `title`: weights that we trained are labelled so.
         make_with: builds one with other `OnlineOptions`, for labels such as ``ours+beta_temporal=0.6``.
         device: where its networks compute, if it has any.
+        fitter: of a method that is fitted to the capture, the class of its `SceneFitter` as ``module:class``: a frozen dataclass
+            of its options. Such a method makes no step; `make` says so.
+        fitter_options: the options that a label such as ``4dgs+motion=linear`` sets.
+        seed: of the fit, ``4dgs+seed=1``.
+        splats: of Gaussians that others have fitted, their files; such a method makes no step either.
     """
 
     title: str
@@ -48,17 +58,59 @@ class MethodSpec:
     title_from: str = ""
     make_with: Callable[..., Method] | None = None
     device: str = "cpu"
+    fitter: str = ""
+    fitter_options: Mapping[str, Any] = field(default_factory=dict)
+    seed: int = 0
+    splats: Path | None = None
 
     @property
     def settings(self) -> dict[str, Any]:
         """Options of its classes that the label fixes, by name; neither files nor the device, which are recorded apart."""
-        return _settings(self.make)
+        return {**_settings(self.make), **self.fitter_options}
+
+    @property
+    def is_fitted(self) -> bool:
+        """Tell whether it is fitted to a capture before it renders."""
+        return bool(self.fitter)
+
+    def require(self) -> None:
+        """Find out whether it can be made here: its weights, its options.
+
+        Raises:
+            GgvsError: why not.
+        """
+        from ggvs_eval.pipelines.methods.splats import open_splats
+
+        if self.splats:
+            open_splats(self.splats)
+        elif self.is_fitted:
+            self.make_fitter()
+        else:
+            self.make()
+
+    def make_fitter(self) -> SceneFitter:
+        """Make the fitter with the options of the label.
+
+        Raises:
+            RenderError: an option that it has not.
+        """
+        kind: type[SceneFitter] = resolve_name(self.fitter)
+        values = dict(self.fitter_options)
+        if self.device != "cpu":
+            values["device"] = self.device
+        return build_table(kind, values, f"method {self.title}", "", RenderError)
 
     def on(self, device: str) -> "MethodSpec":
         """The method with its networks on a device; one without networks stays as it is."""
-        if device == self.device or not (self.weights or self.checkpoint):
+        if device == self.device or not (self.weights or self.checkpoint or "device" in self._fitter_fields()):
             return self
+        if self.is_fitted:
+            return replace(self, device=device)
         return replace(self, make=partial(self.make, device=device), device=device)
+
+    def _fitter_fields(self) -> list[str]:
+        """Names of the options of its fitter; none where it is not fitted."""
+        return [each.name for each in fields(resolve_name(self.fitter))] if self.is_fitted else []
 
 
 def _settings(make: Any) -> dict[str, Any]:
@@ -67,3 +119,20 @@ def _settings(make: Any) -> dict[str, Any]:
         return {}
     inner = {name: value for each in make.args for name, value in _settings(each).items()}
     return inner | {name: value for name, value in make.keywords.items() if name != "device"}
+
+
+def option_values(variant: str) -> dict[str, Any]:
+    """Options of a variant such as ``motion=linear+seed=1``: numbers and truth values as such, anything else a word.
+
+    Examples:
+        >>> option_values("motion=linear+seed=1")
+        {'motion': 'linear', 'seed': 1}
+    """
+    return {name: _option_value(text) for name, _, text in (part.partition("=") for part in variant.split("+"))}
+
+
+def _option_value(text: str) -> Any:
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text

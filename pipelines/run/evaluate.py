@@ -14,7 +14,7 @@ from ggvs_eval.jobs.processes import kept_workers
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.run.derived_files import NOTE, digest_folder, is_stale
-from ggvs_eval.pipelines.run.prepare import prepare, prepare_run
+from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.render import render
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
 from ggvs_eval.pipelines.run.score import score
@@ -57,10 +57,18 @@ def measure(plan: RunPlan, workers: Workers) -> None:
     score(plan.run, workers, device=plan.request.networks.device)
 
 
-def reopen(root: Path, workers: Workers) -> RunPlan:
-    """Pick up a run folder that `prepare` has made, from the protocol and capture that it names."""
+def reopen(root: Path, workers: Workers, labels: Sequence[str] = (), networks: NetworkOptions = AS_SHIPPED) -> RunPlan:
+    """Pick up a run folder that `prepare` has made, from the protocol and capture that it names.
+
+    Args:
+        root: the run folder.
+        workers: where the work is done.
+        labels: methods that will be rendered: those that are fitted need more depth than others.
+        networks: with which weights and where networks compute.
+    """
     run = RunFolder(root)
-    return prepare(root, recorded_capture(run), run.protocol(), workers)
+    request = RunRequest(root, recorded_capture(run), run.protocol(), labels, networks=networks)
+    return prepare_run(plan_run(request), workers)
 
 
 def recorded_capture(run: RunFolder) -> Capture:

@@ -60,7 +60,7 @@ def prepare_run(plan: RunPlan, workers: Workers = 1) -> RunPlan:
     capture = cache_frames(plan.capture, plan.frames_of_cameras(), run.root / "truth", workers)
     prepared, store = replace(plan, capture=capture), DepthStore(run.depth)
     _write_path_truth(prepared)
-    for jobs, frames in ((plan.view_jobs, plan.frames), (plan.path_jobs, plan.path_frames)):
+    for jobs, frames in plan.depth_work():
         prepare_depth(capture, jobs, frames, store, plan.depth_options, workers)
     if any(name.endswith("_disoccluded") for name in plan.protocol.measurement.metrics):
         views = {view: (each.target, each.depth_keys) for view, each in plan.plans.items()}
@@ -93,10 +93,13 @@ def prepare_truth(root: Path, capture: Capture, protocol: Protocol, workers: Wor
 def _claim_folder(run: RunFolder, protocol: Protocol, capture: Capture) -> None:
     """Make the folder this run's, or make sure that it already is."""
     record = _capture_record(capture, run.root)
-    if run.protocol_file.is_file() and (run.protocol(), run.capture_record()["digests"]) != (protocol, record["digests"]):
-        raise ProtocolError(
-            f"{run.root}: holds a run of another protocol or capture ({run.protocol().name}); choose a new folder or delete it"
-        )
+    if run.protocol_file.is_file():
+        kept = run.protocol()
+        if not kept.agrees_with(protocol) or run.capture_record()["digests"] != record["digests"]:
+            raise ProtocolError(
+                f"{run.root}: holds a run of another protocol or capture ({kept.name}); choose a new folder or delete it"
+            )
+        protocol = protocol if protocol.views.folds else kept  # folds that were stated once stay
     run.root.mkdir(parents=True, exist_ok=True)
     write_json(run.root / "capture.json", record | {"coding": _coding_record(capture, protocol)})
     write_text(run.protocol_file, protocol.to_toml())

@@ -1,7 +1,7 @@
 """Render: every test view, and a camera path, by every method; one job per (method, view)."""
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -9,21 +9,29 @@ from typing import Any
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore
+from ggvs_eval.errors import RenderError
+from ggvs_eval.files.digest import digest_files
 from ggvs_eval.files.images import quantise, write_image
 from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.engine import Workers, as_engine
 from ggvs_eval.jobs.job import Job, run_jobs
-from ggvs_eval.jobs.ledger import Ledger
+from ggvs_eval.jobs.ledger import Entry, Ledger
 from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.method import Instant, Method
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
 from ggvs_eval.pipelines.methods.registry import find_method, split_label
 from ggvs_eval.pipelines.methods.spec import MethodSpec
+from ggvs_eval.pipelines.methods.splats import open_splats, splats_files
 from ggvs_eval.pipelines.run.diagnostics import write_diagnostics
+from ggvs_eval.pipelines.run.fit import PATH_UNIT, fit_job, fit_jobs, fit_of_path, fit_of_view
+from ggvs_eval.pipelines.run.folds import FitPlan
 from ggvs_eval.pipelines.run.instants import path_instants, view_instants
 from ggvs_eval.pipelines.run.run_plan import RunPlan, SourcePlan
 from ggvs_eval.results import installed_versions
-from ggvs_eval.run_folder import RunFolder, frame_path, read_json, write_json
+from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, read_json, write_json
+from ggvs_eval.scene_fitter import FittedScene
+
+Shot = tuple[int, int, Camera]  # number of the frame in its folder, instant, target
 
 
 def render(prepared: RunPlan, labels: Sequence[str], workers: Workers = 1, networks: NetworkOptions = AS_SHIPPED) -> int:
@@ -43,10 +51,18 @@ def render(prepared: RunPlan, labels: Sequence[str], workers: Workers = 1, netwo
         RenderError: unknown method, or jobs that failed; each is listed.
         WeightsError: a method lacks its weights, or they are not its own.
     """
-    jobs = render_jobs(prepared, labels, workers, networks)
+    fits = needed_fits(prepared, labels, workers, networks)
+    fitted = {fit.label for fit in prepared.fits}
+    swift = render_jobs(prepared, [label for label in labels if label not in fitted], workers, networks)
+    slow = render_jobs(prepared, [label for label in labels if label in fitted], workers, networks)
     ledger = Ledger(prepared.run.root, "render")
-    ledger.write([job.entry for job in jobs])
-    done = run_jobs(jobs, workers, "rendering", ledger)
+    ledger.write([job.entry for job in (*swift, *slow)])
+    done = run_jobs(swift, workers, "rendering", ledger)
+    if fits:
+        of_fits = Ledger(prepared.shared_root, "fit")
+        of_fits.write([job.entry for job in fits])
+        run_jobs(fits, workers, "fitting", of_fits)
+        done += run_jobs(slow, workers, "rendering from fitted scenes", ledger)
     note_labels(prepared.run, labels)
     return done
 
@@ -63,13 +79,40 @@ def render_jobs(
     """
     specs = {label: find_method(label, networks) for label in labels}
     for spec in specs.values():
-        spec.make()  # what is missing shows before anything is rendered
+        spec.require()  # what is missing shows before anything is rendered
     at_once = as_engine(workers).jobs
     views = prepared.protocol.views.test
     along_path = [_path_job(prepared, label, spec, at_once) for label, spec in specs.items() if prepared.path]
     in_views = [_view_job(prepared, label, spec, view, at_once) for label, spec in specs.items() for view in views]
     # The longest first, so that all workers end at about the same time.
     return along_path + in_views if len(prepared.path) > len(prepared.frames) else in_views + along_path
+
+
+def needed_fits(
+    prepared: RunPlan,
+    labels: Sequence[str],
+    workers: Workers = 1,
+    networks: NetworkOptions = AS_SHIPPED,
+    units: Collection[str] | None = None,
+) -> list[Job]:
+    """List the fits that are done, or that something is still to be rendered from: a scene may go when its frames are there.
+
+    Args:
+        prepared: the run.
+        labels: methods.
+        workers: where jobs run.
+        networks: with which weights and where networks compute.
+        units: test views, or ``path``, that are rendered; None for all.
+    """
+    needed = []
+    for label in dict.fromkeys(fit.label for fit in prepared.fits if fit.label in labels):
+        missing = [job for job in render_jobs(prepared, [label], workers, networks) if not job.is_done()]
+        left = {PATH_UNIT if job.folder == prepared.run.path(label) else job.folder.name for job in missing}
+        asked = left if units is None else left.intersection(units)
+        open_folders = {job.folder for job in fit_jobs(prepared, [label], workers, networks, asked)}
+        fits = fit_jobs(prepared, [label], workers, networks, units)
+        needed += [job for job in fits if job.folder in open_folders or job.is_done()]
+    return needed
 
 
 def note_labels(run: RunFolder, labels: Sequence[str]) -> None:
@@ -84,14 +127,57 @@ def note_labels(run: RunFolder, labels: Sequence[str]) -> None:
 def _view_job(prepared: RunPlan, label: str, spec: MethodSpec, view: str, workers: int) -> Job:
     """The job of one method in one test view over all frames of the protocol."""
     plan, frames = prepared.plans[view], prepared.frames
+    name, folder = f"{label} in {view}", prepared.run.renders(label, view)
+    if spec.is_fitted:
+        shots = [(index, index, plan.target) for index in frames]
+        return _scene_job(prepared, name, folder, fit_of_view(prepared, label, view), spec, shots, workers)
+    if spec.splats:
+        return _splats_job(prepared, name, folder, label, spec, [(index, index, plan.target) for index in frames], workers)
     work = partial(_render_view, label, spec, prepared.capture, plan, frames, prepared.run.depth, workers)
-    return Job(f"{label} in {view}", prepared.run.renders(label, view), _identity(prepared, label, spec, [plan]), work)
+    return Job(name, folder, _identity(prepared, label, spec, [plan]), work)
 
 
 def _path_job(prepared: RunPlan, label: str, spec: MethodSpec, workers: int) -> Job:
     """The job of one method along the camera path, at the one instant of the path."""
+    name, folder = f"{label} along the path", prepared.run.path(label)
+    if spec.is_fitted:
+        shots = [(pose, prepared.path_frame, plan.target) for pose, plan in enumerate(prepared.path)]
+        return _scene_job(prepared, name, folder, fit_of_path(prepared, label), spec, shots, workers)
+    if spec.splats:
+        shots = [(pose, prepared.path_frame, plan.target) for pose, plan in enumerate(prepared.path)]
+        return _splats_job(prepared, name, folder, label, spec, shots, workers)
     work = partial(_render_path, label, spec, prepared.capture, prepared.path, prepared.path_frame, prepared.run.depth, workers)
-    return Job(f"{label} along the path", prepared.run.path(label), _identity(prepared, label, spec, prepared.path), work)
+    return Job(name, folder, _identity(prepared, label, spec, prepared.path), work)
+
+
+def _scene_job(
+    prepared: RunPlan, name: str, folder: Path, fit: FitPlan, spec: MethodSpec, shots: Sequence[Shot], workers: int
+) -> Job:
+    """The job that renders from a fitted scene, which has seen none of what is rendered."""
+    scene = fit_job(prepared, fit, NetworkOptions(device=spec.device))
+    identity = {
+        "method": fit.label,
+        "code": method_code(spec),
+        "fit": scene.sha256,
+        "shots": [[number, frame, *_camera_values(target)] for number, frame, target in shots],
+        **({} if spec.device == "cpu" else {"device": _described(spec.device)}),
+    }
+    return Job(name, folder, identity, partial(_render_scene, fit.label, spec, scene.entry, shots, workers))
+
+
+def _splats_job(
+    prepared: RunPlan, name: str, folder: Path, label: str, spec: MethodSpec, shots: Sequence[Shot], workers: int
+) -> Job:
+    """The job that renders Gaussians which others have fitted."""
+    path, instants = Path(spec.splats or ""), range(prepared.capture.n_frames)
+    identity = {
+        "method": label,
+        "code": method_code(spec),
+        "splats": digest_files(splats_files(path)),
+        "instants": [instants.start, instants.stop],
+        "shots": [[number, frame, *_camera_values(target)] for number, frame, target in shots],
+    }
+    return Job(name, folder, identity, partial(_render_splats, label, path.resolve(), instants, shots, workers))
 
 
 def _identity(prepared: RunPlan, label: str, spec: MethodSpec, plans: Sequence[SourcePlan]) -> dict[str, Any]:
@@ -153,6 +239,30 @@ def _render_path(
     instants = path_instants(capture, plans, frame, DepthStore(store))
     seconds = [_render_frame(method, instant, frame_path(folder, instant.index)) for instant in instants]
     return _record(label, seconds, plans[0].target, workers)
+
+
+def _render_scene(label: str, spec: MethodSpec, fit: Entry, shots: Sequence[Shot], workers: int, folder: Path) -> dict[str, Any]:
+    """Load a fitted scene once and render every shot of it."""
+    if not fit.is_done():
+        raise RenderError(f"{fit.name}: its scene is not in {fit.folder}; render again, which fits it first")
+    record = _render_shots(label, spec.make_fitter().load(fit.folder), shots, workers, folder)
+    took = {name: value for name, value in read_json(fit.folder / JOB_FILE).items() if name not in ("sha256", "identity")}
+    return record | {"fit": took}
+
+
+def _render_splats(label: str, path: Path, instants: range, shots: Sequence[Shot], workers: int, folder: Path) -> dict[str, Any]:
+    """Open the files once and render every shot of them."""
+    return _render_shots(label, open_splats(path, instants), shots, workers, folder)
+
+
+def _render_shots(label: str, scene: FittedScene, shots: Sequence[Shot], workers: int, folder: Path) -> dict[str, Any]:
+    seconds = []
+    for number, frame, target in shots:
+        rendering = scene.render(frame, target)
+        write_image(frame_path(folder, number), quantise(rendering.image))
+        write_diagnostics(folder, number, rendering.diagnostics, target)
+        seconds.append(rendering.seconds)
+    return _record(label, seconds, shots[0][2], workers)
 
 
 def _render_frame(method: Method, instant: Instant, path: Path) -> dict[str, float]:

@@ -31,10 +31,10 @@ def run_for(root: Path | None, capture: Capture | None, protocol: str | None, wo
     run = RunFolder(root or SCORES_ROOT / (capture.path.resolve().name if capture else ""))
     known = run.protocol() if run.protocol_file.is_file() else None
     asked = load_protocol(protocol) if protocol else known
-    if known and asked != known:
+    if known and asked and not asked.agrees_with(known):
         raise ProtocolError(
             f"{run.root}: holds a run of protocol {known.name} ({known.sha256[:12]}), --protocol asks for another "
-            f"({asked.sha256[:12] if asked else ''}); give another folder with --run"
+            f"({asked.sha256[:12]}); give another folder with --run"
         )
     if capture:
         prepare_truth(run.root, capture, asked or suggest_protocol(capture), workers)

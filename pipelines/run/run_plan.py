@@ -18,11 +18,14 @@ from ggvs_eval.errors import CaptureError, ProtocolError
 from ggvs_eval.geometry.sight import require_sight
 from ggvs_eval.geometry.source_views import choose_sources
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
+from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import plan_depth
+from ggvs_eval.pipelines.run.folds import FitPlan, fill_folds, plan_fits, plan_folds, visible_cameras
 from ggvs_eval.protocol import PathCamera, Protocol
 from ggvs_eval.run_folder import RunFolder, read_json
+from ggvs_eval.scene_fitter import SceneFitter
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,7 @@ class RunPlan:
         path: poses of the camera path, each with its plan.
         path_frame: the instant at which the camera moves along the path.
         path_images: what a camera would have seen there; None where nobody knows.
+        fits: of the methods that are fitted; none where no such method is wanted.
     """
 
     request: RunRequest
@@ -93,6 +97,7 @@ class RunPlan:
     path: tuple[SourcePlan, ...]
     path_frame: int
     path_images: ImageFrames | None
+    fits: tuple[FitPlan, ...] = ()
 
     @property
     def protocol(self) -> Protocol:
@@ -119,6 +124,12 @@ class RunPlan:
         """The instant of the path, which may lie outside the protocol's frames."""
         return range(self.path_frame, self.path_frame + 1)
 
+    def depth_work(self) -> list[tuple[list[DepthJob], Sequence[int]]]:
+        """Jobs of depth with their instants, for views, path and fits; what the same maps are wanted for stands in several."""
+        of_views, of_path = (self.view_jobs, self.frames), (self.path_jobs, self.path_frames)
+        of_fits = {(fit.fold.name, fit.depth_indices): fit for fit in self.fits}
+        return [of_views, of_path, *((list(fit.fold.jobs), fit.depth_indices) for fit in of_fits.values() if fit.depth_indices)]
+
     @property
     def view_jobs(self) -> list[DepthJob]:
         """Depth that the test views need, each once."""
@@ -132,10 +143,13 @@ class RunPlan:
     def frames_of_cameras(self) -> dict[str, list[int]]:
         """Which frames of which cameras take part: test views, source cameras and those that their depth is matched with."""
         numbers: dict[str, list[int]] = {view: list(self.frames) for view in self.plans}
-        for jobs, frames in ((self.view_jobs, self.frames), (self.path_jobs, self.path_frames)):
-            needed = range(self.depth_options.time.first_needed(frames.start), frames.stop)
+        for jobs, frames in self.depth_work():
+            needed = {*frames, *range(self.depth_options.time.first_needed(frames[0]), frames[0])}
             for name in {name for job in jobs for name in (job.camera_name, *job.partner_names)}:
                 numbers[name] = sorted({*numbers.get(name, []), *needed})
+        for fit in self.fits:
+            for name in fit.fold.cameras:
+                numbers[name] = sorted({*numbers.get(name, []), *fit.indices})
         return numbers
 
 
@@ -152,16 +166,19 @@ def plan_run(request: RunRequest) -> RunPlan:
         Shares are for targets that move. A test view stands still and its sources never change, so that all count whole: with the
         path's shares, nearest sources score up to 0.17 dB less and chosen ones 0.08 to 0.18 dB (validation rooms).
     """
-    protocol, run = request.protocol, RunFolder(request.root)
+    run, fitted = RunFolder(request.root), _fitters(request)
+    request = replace(request, protocol=_state_folds(request.protocol, run, request.capture, bool(fitted)))
+    protocol = request.protocol
     capture, depth = fit_capture(request.capture, protocol), _depth_of(run, request.depth)
     options, path = depth.options(), _camera_path(capture, protocol)
+    visible = visible_cameras(capture, protocol)
     targets = [*(capture.camera(view) for view in protocol.views.test), *path.cameras]
     k, choice = protocol.synthesis.k, protocol.synthesis.sources
-    chosen = {target.name: choose_sources(target, capture.cameras, k, choice) for target in targets}
-    sensed = capture.sensed_cameras if options.sensor is not None else frozenset[str]()
+    chosen = {target.name: choose_sources(target, visible.cameras, k, choice) for target in targets}
+    sensed = visible.sensed_cameras if options.sensor is not None else frozenset[str]()
     for target in targets[: len(protocol.views.test)]:
-        require_sight(target, [each.camera for each in chosen[target.name]], capture.cameras, sensed)
-    jobs = plan_depth(capture, targets, k, options, choice)
+        require_sight(target, [each.camera for each in chosen[target.name]], visible.cameras, sensed)
+    jobs = plan_depth(visible, targets, k, options, choice)
     plans = {
         target.name: SourcePlan(
             target,
@@ -174,7 +191,24 @@ def plan_run(request: RunRequest) -> RunPlan:
     chosen_frame = protocol.path.frame if protocol.path.cameras else round(path.time_s * capture.fps)
     frame = min(max(chosen_frame, protocol.frames.start), capture.n_frames - 1)
     poses = tuple(plans[pose.name] for pose in path.cameras)
-    return RunPlan(request, run, depth, capture, views, poses, frame, path.images)
+    plan = RunPlan(request, run, depth, capture, views, poses, frame, path.images)
+    if not fitted:
+        return plan
+    folds = plan_folds(visible, protocol.views.folds, bool(poses), options)
+    return replace(plan, fits=plan_fits(fitted, folds, plan.frames, frame))
+
+
+def _fitters(request: RunRequest) -> dict[str, SceneFitter]:
+    """Label -> fitter, of the methods of a request that are fitted."""
+    specs = {label: find_method(label, request.networks) for label in request.labels}
+    return {label: spec.make_fitter() for label, spec in specs.items() if spec.is_fitted}
+
+
+def _state_folds(protocol: Protocol, run: RunFolder, capture: Capture, is_needed: bool) -> Protocol:
+    """The protocol with the folds that its run folder states, or with those by rule where a fitted method needs them."""
+    if not protocol.views.folds and run.protocol_file.is_file() and (kept := run.protocol()).agrees_with(protocol):
+        protocol = kept
+    return fill_folds(protocol, fit_capture(capture, protocol)) if is_needed else protocol
 
 
 def fit_capture(capture: Capture, protocol: Protocol) -> Capture:
@@ -183,12 +217,13 @@ def fit_capture(capture: Capture, protocol: Protocol) -> Capture:
     Raises:
         CaptureError: it lacks views or frames that the protocol asks for.
     """
-    absent = [name for name in protocol.views.test if name not in capture.camera_names]
-    if absent:
-        raise CaptureError(
-            f"{capture.path}: protocol {protocol.name} tests {', '.join(absent)}, the capture has "
-            f"{', '.join(capture.camera_names)}; choose another protocol or edit views.test"
-        )
+    for doing, names, key in (("tests", protocol.views.test, "test"), ("shows", protocol.views.sources, "sources")):
+        absent = [name for name in names if name not in capture.camera_names]
+        if absent:
+            raise CaptureError(
+                f"{capture.path}: protocol {protocol.name} {doing} {', '.join(absent)}, the capture has "
+                f"{', '.join(capture.camera_names)}; choose another protocol or edit views.{key}"
+            )
     frames = protocol.frames.numbers
     if frames.stop > capture.n_frames:
         raise CaptureError(

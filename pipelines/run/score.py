@@ -4,7 +4,6 @@ Each view is one job for all methods, because what the truth alone decides is th
 ``RUN/scores/<view>/job.json``, and a method that is there already, with the same frames, is not measured again.
 """
 
-import dataclasses
 from collections.abc import Collection, Sequence
 from typing import Any
 
@@ -145,7 +144,7 @@ def _along_path(protocol: Protocol, path: dict[str, Any] | None, not_computed: d
 
 def _provenance(protocol: Protocol, capture: dict[str, Any], renders: dict[str, str]) -> dict[str, Any]:
     return {
-        "protocol": dataclasses.asdict(protocol),
+        "protocol": protocol.values(),
         "protocol_sha256": protocol.sha256,
         "inputs": {f"{capture['scene']}/{name}": digest for name, digest in capture["digests"].items()},
         "renders": renders,
@@ -172,6 +171,8 @@ def _write_shown_names(run: RunFolder, protocol: Protocol, labels: Sequence[str]
     """Write how the report calls methods and metrics; it reads this from disk and imports neither."""
     titles = {label: METHODS[label].title if label in METHODS else label for label in labels}
     ours = [label for label in labels if label in METHODS and METHODS[label].ours]
-    write_json(run.root / "methods.json", {"labels": list(labels), "names": titles, "ours": ours})
+    looks = [label for label in labels if label in METHODS and not METHODS[label].online]
+    ahead = {"look_ahead": looks} if looks else {}
+    write_json(run.root / "methods.json", {"labels": list(labels), "names": titles, "ours": ours} | ahead)
     notes = metric_notes(protocol.measurement.metrics, metric_options(protocol.measurement))
     write_json(run.root / "metrics.json", notes)

@@ -10,7 +10,7 @@ from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import ProtocolError, ResultsError
 from ggvs_eval.pipelines.run import disocclusion, path_depth
 from ggvs_eval.pipelines.run.derived_files import is_stale
-from ggvs_eval.pipelines.run.render import render_jobs
+from ggvs_eval.pipelines.run.render import needed_fits, render_jobs
 from ggvs_eval.pipelines.run.run_plan import RunPlan
 from ggvs_eval.progress import duration
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, missing_frames, read_json
@@ -36,6 +36,7 @@ class WorkLeft:
         path_renders: (label, folder) -> poses.
         scores: frames of every test view.
         ceilings: likewise.
+        fits: scenes to fit, by their folders.
     """
 
     n_pixels: int
@@ -48,6 +49,7 @@ class WorkLeft:
     path_renders: Mapping[tuple[str, Path], int] = field(default_factory=dict)
     scores: Mapping[Path, int] = field(default_factory=dict)
     ceilings: Mapping[Path, int] = field(default_factory=dict)
+    fits: frozenset[Path] = frozenset()
 
     @property
     def n_depth(self) -> int:
@@ -62,7 +64,7 @@ class WorkLeft:
     def is_nothing(self) -> bool:
         """Tell whether everything is done."""
         counts = (self.truth, self.disoccluded, self.scores)
-        return not (self.n_depth or self.n_rendered or self.path_depth or any(sum(each.values()) for each in counts))
+        return not (self.n_depth or self.n_rendered or self.path_depth or self.fits or any(sum(each.values()) for each in counts))
 
 
 @dataclass(frozen=True)
@@ -112,8 +114,10 @@ class Workload:
         for each in self.left:
             depth_maps |= {**each.found_depth, **each.checked_depth}
         rendered = sum(each.n_rendered for each in self.left)
+        n_fits = len({folder for each in self.left for folder in each.fits})
+        fits = f", {n_fits} scene{'' if n_fits == 1 else 's'} to fit" if n_fits else ""
         lines = [
-            f"plan: {self.title}; left are {rendered} frames to render, {sum(depth_maps.values())} depth maps",
+            f"plan: {self.title}; left are {rendered} frames to render, {sum(depth_maps.values())} depth maps{fits}",
             f"disk: about {_size(self.disk_bytes)} more in {self.folder}, {_size(self.free_bytes)} free",
         ]
         return "\n".join([*lines, *self._time_line()])
@@ -191,6 +195,9 @@ def work_left(plan: RunPlan) -> WorkLeft:
         path_renders,
         {run.scores(view): len(plan.frames) for view in unscored},
         {run.ceilings(view): len(plan.frames) for view in without},
+        frozenset(
+            job.folder for job in needed_fits(plan, request.labels, 1, request.networks, request.views) if not job.is_done()
+        ),
     )
 
 
@@ -213,7 +220,7 @@ def _depth_left(plan: RunPlan, store: DepthStore) -> tuple[dict[Path, int], dict
     """Missing depth maps by folder of the store: as found, and held against others."""
     unchecked: dict[Path, int] = {}
     checked: dict[Path, int] = {}
-    for jobs, frames in ((plan.view_jobs, plan.frames), (plan.path_jobs, plan.path_frames)):
+    for jobs, frames in plan.depth_work():
         for job in jobs:
             missing = _count(store, job.key, frames, checked if job.checked_with else unchecked)
             for other in (job.unchecked, *job.checked_with) if job.checked_with and missing else ():
@@ -221,7 +228,7 @@ def _depth_left(plan: RunPlan, store: DepthStore) -> tuple[dict[Path, int], dict
     return unchecked, checked
 
 
-def _count(store: DepthStore, key: str, frames: range, counts: dict[Path, int]) -> int:
+def _count(store: DepthStore, key: str, frames: Sequence[int], counts: dict[Path, int]) -> int:
     """Missing instants of a key, noted in `counts`."""
     missing = sum(not store.has(key, frame) for frame in frames)
     counts[store.folder(key)] = max(counts.get(store.folder(key), 0), missing)

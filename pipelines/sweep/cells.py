@@ -1,7 +1,7 @@
 """Cells of a sweep: one run per capture and variant of the protocol, each with the rows that stand in it."""
 
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ggvs_eval.capture import Capture
@@ -60,13 +60,19 @@ class Cell:
     @property
     def synthesised(self) -> list[str]:
         """Those that are rendered here."""
-        return list(dict.fromkeys(row.method for row in self.rows if row.rendered is None))
+        return list(dict.fromkeys(row.label for row in self.rows if row.rendered is None))
 
     @property
     def imported(self) -> dict[str, Path]:
         """Those that others rendered, and where their frames lie."""
         name = self.capture.path.resolve().name
         return {row.label: path for row in self.rows if (path := row.frames_of(name)) is not None}
+
+    def networks(self, networks: NetworkOptions) -> NetworkOptions:
+        """The same networks, and the Gaussians that others have fitted to its capture."""
+        name = self.capture.path.resolve().name
+        splats = {row.label: path for row in self.rows if (path := row.splats_of(name)) is not None}
+        return replace(networks, splats={**networks.splats, **splats})
 
     def request(self, depth: DepthRunOptions | None, networks: NetworkOptions, views: Collection[str] | None) -> RunRequest:
         """The run to plan.
@@ -76,10 +82,9 @@ class Cell:
             networks: with which weights and where networks compute.
             views: units that are worked on; none where the run is only prepared.
         """
-        labels = self.synthesised if views else ()
-        return RunRequest(
-            self.run.root, self.capture, self.protocol, labels, depth, networks, self.root / self.folder, views or None
-        )
+        shared = self.root / self.folder
+        labels, networks = self.synthesised, self.networks(networks)
+        return RunRequest(self.run.root, self.capture, self.protocol, labels, depth, networks, shared, views or ())
 
     def share_folders(self) -> None:
         """Let all variants of a capture have their frames and depth in common, so that K = 2 finds what K = 6 has computed."""
@@ -97,7 +102,8 @@ def sweep_cells(root: Path, captures: Captures, sweep: Sweep, networks: NetworkO
     Raises:
         ProtocolError: no row has a method that can be rendered.
     """
-    absent = {row.title: reason for row in sweep.row if (reason := _why_not(row, len(captures), networks))}
+    names = [capture.path.resolve().name for capture, _ in captures.values()]
+    absent = {row.title: reason for row in sweep.row if (reason := _why_not(row, names, networks))}
     if all(row.title in absent for row in sweep.row):
         raise ProtocolError(f"sweep {sweep.name}: no row has a method of this version; known are {', '.join(METHODS)}")
     cells = []
@@ -124,16 +130,19 @@ def share_of(cells: list[Cell], shard: Shard) -> dict[str, set[str]]:
     return share
 
 
-def _why_not(row: SweepRow, n_captures: int, networks: NetworkOptions) -> str | None:
+def _why_not(row: SweepRow, captures: Sequence[str], networks: NetworkOptions) -> str | None:
     """Return why a row cannot be computed; None where it can, as far as can be told before it is tried."""
-    label = row.method
+    label = row.label
+    if row.path is not None and len(captures) > 1 and CAPTURE not in row.path:
+        return f"{row.path}: wanted {CAPTURE} in the path, as there are {len(captures)} captures"
     if row.rendered is not None:
-        ambiguous = n_captures > 1 and CAPTURE not in row.rendered
-        return f"{row.rendered}: wanted {CAPTURE} in the path, as there are {n_captures} captures" if ambiguous else None
-    if label not in METHODS and "=" not in label:
+        return None
+    if row.path is None and label not in METHODS and "=" not in label:
         return f"this version has no method {label!r}"
     try:
-        find_method(label, networks).make()
+        for path in (row.splats_of(capture) for capture in captures):
+            given = networks if path is None else replace(networks, splats={label: path})
+            find_method(label, given).require()
     except (RenderError, WeightsError) as error:
         return str(error)
     return None

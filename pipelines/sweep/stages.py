@@ -4,6 +4,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import TypeVar
 
 from ggvs_eval.jobs.engine import Engine
@@ -13,7 +14,7 @@ from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.pipelines.run.prepare import prepare_run
-from ggvs_eval.pipelines.run.render import note_labels, render_jobs
+from ggvs_eval.pipelines.run.render import needed_fits, note_labels, render_jobs
 from ggvs_eval.pipelines.run.run_plan import RunPlan, plan_run
 from ggvs_eval.pipelines.run.score import score_jobs
 from ggvs_eval.pipelines.sweep.cells import PATH, Cell
@@ -108,10 +109,11 @@ def render_cells(
     Returns:
         Name of a cell -> methods whose views are all there, as far as they are shared out; and what failed.
     """
+    failures = _fit_cells(cells, ready, engine, networks, share)
     jobs: dict[tuple[str, str], list[Job]] = {}
     for cell in cells:
         for label in cell.synthesised if cell.name in ready else ():
-            made = render_jobs(ready[cell.name], [label], engine, networks)
+            made = render_jobs(ready[cell.name], [label], engine, cell.networks(networks))
             mine = [job for job in made if _view_of(job, cell) in share[cell.name]]
             jobs[cell.name, label] = [replace(job, name=f"{cell.name}: {job.name}") for job in mine]
     tried = _attempt_all(cells, "render", [job for some in jobs.values() for job in some], engine, "rendering")
@@ -122,7 +124,18 @@ def render_cells(
             seen = {label: [job for job in jobs[cell.name, label] if _view_of(job, cell) != PATH] for label in cell.synthesised}
             whole[cell.name] = [label for label, views in seen.items() if all(job.is_done() for job in views)]
             whole[cell.name] += imported.get(cell.name, [])
-    return whole, list(tried.failures)
+    return whole, [*failures, *tried.failures]
+
+
+def _fit_cells(
+    cells: Sequence[Cell], ready: Mapping[str, RunPlan], engine: Engine, networks: NetworkOptions, share: Share
+) -> list[Failure]:
+    """Fit what the rendered share needs, for all runs together; variants of a capture have their fits in common."""
+    jobs: dict[Path, Job] = {}
+    for cell in (each for each in cells if each.name in ready):
+        for job in needed_fits(ready[cell.name], cell.synthesised, engine, cell.networks(networks), share[cell.name]):
+            jobs.setdefault(job.folder, replace(job, name=f"{cell.folder}: {job.name}" if cell.folder else job.name))
+    return list(_attempt_all(cells, "fit", list(jobs.values()), engine, "fitting").failures) if jobs else []
 
 
 def score_cells(

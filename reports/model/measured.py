@@ -1,6 +1,7 @@
 """A scored run folder as the reports see it: who was measured, under what name, and what each number means."""
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -91,6 +92,8 @@ class MeasuredRun:
         ours: labels of the paper's method and its variants.
         metrics: metric -> its note.
         references: grey rows that belong to no method.
+        replicas: label of a fitted method -> labels of the same by other seeds, which stand in no table but that of the spread.
+        all_results: what came out, with these; None where there are none.
     """
 
     folder: RunFolder
@@ -101,6 +104,8 @@ class MeasuredRun:
     ours: frozenset[str]
     metrics: Mapping[str, MetricNote]
     references: tuple[Reference, ...] = ()
+    replicas: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    all_results: Results | None = None
 
     @property
     def scene(self) -> str:
@@ -161,7 +166,9 @@ def read_run(root: Path) -> MeasuredRun:
     folder = run.folder
     if not folder.labels():
         raise ResultsError(f"{folder.root}: no frames under renders/ to report on; run `ggvs-eval render` again")
-    run = replace(run, labels=tuple(folder.labels()), references=read_references(folder))
+    hidden = {label for others in run.replicas.values() for label in others}
+    labels = tuple(label for label in folder.labels() if label not in hidden)
+    run = replace(run, labels=labels, references=read_references(folder))
     for view in run.protocol.views.test:
         named = {f"{run.name(label)} in {view}": path for label, path in run.frame_folders(view).items()}
         require_frames(named, run.frames)
@@ -185,7 +192,34 @@ def read_scores(root: Path) -> MeasuredRun:
     labels = tuple(dict.fromkeys(label_of(*names) for names in dict.fromkeys(named)))
     methods = read_json(folder.root / METHODS_FILE)
     notes = read_metric_notes(folder.root)
-    return MeasuredRun(folder, protocol, results, labels, methods["names"], frozenset(methods["ours"]), notes)
+    replicas = find_replicas(labels)
+    hidden = {label for others in replicas.values() for label in others}
+    shown, ours = tuple(label for label in labels if label not in hidden), frozenset(methods["ours"]) - hidden
+    run = MeasuredRun(folder, protocol, without_labels(results, hidden), shown, methods["names"], ours, notes, replicas=replicas)
+    return replace(run, all_results=results) if replicas else run
+
+
+def find_replicas(labels: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Label of a fitted method -> labels of the same method by other seeds.
+
+    Examples:
+        >>> find_replicas(["ours", "4dgs", "4dgs+seed=1", "4dgs+motion=linear+seed=1"])
+        {'4dgs': ('4dgs+seed=1',)}
+    """
+    replicas: dict[str, tuple[str, ...]] = {}
+    for label in labels:
+        first = re.sub(r"\+seed=\d+(?=\+|$)", "", label)
+        if first != label and first in labels:
+            replicas[first] = (*replicas.get(first, ()), label)
+    return replicas
+
+
+def without_labels(results: Results, labels: Collection[str]) -> Results:
+    """The results without some methods."""
+    if not labels:
+        return results
+    own = [label_of(*names) for names in zip(results.table["method"], results.table["variant"], strict=True)]
+    return replace(results, table=results.table[[label not in labels for label in own]])
 
 
 def label_of(method: str, variant: str) -> str:

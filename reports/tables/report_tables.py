@@ -3,12 +3,12 @@
 import math
 from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import cast
 
 import pandas as pd
 
-from ggvs_eval.reports.model.measured import MeasuredRun, label_of, reference_remarks, reference_rows
+from ggvs_eval.reports.model.measured import MeasuredRun, label_of, reference_remarks, reference_rows, without_labels
 from ggvs_eval.reports.model.metric_note import MetricNote, note_groups
 from ggvs_eval.reports.model.table import Cell, Column, Row, RowKind, Table, measured_cell, rank
 from ggvs_eval.reports.tables.community import community_rows, describe_published
@@ -107,17 +107,11 @@ def _main_table(
 
 
 def _certainty(note: MetricNote, results: Results, dataset: str, partial: Collection[str]) -> Certainty:
-    whole = without_partial(results, partial)
+    whole = without_labels(results, partial)
     interval_of = intervals(whole, note.name, dataset)
     several = sum(not math.isnan(one.value) for one in interval_of.values()) > 1
     standing = rank_methods(whole, note.name, note.higher_is_better, dataset) if several else None
     return Certainty(interval_of, standing)
-
-
-def without_partial(results: Results, partial: Collection[str]) -> Results:
-    """The results without the methods that lack views or frames."""
-    labels = [label_of(*names) for names in zip(results.table["method"], results.table["variant"], strict=True)]
-    return replace(results, table=results.table[[label not in partial for label in labels]])
 
 
 def _told_rows(certainty: Certainty, labels: Sequence[str]) -> frozenset[int] | None:

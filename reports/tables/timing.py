@@ -21,7 +21,7 @@ def timing_table(run: MeasuredRun) -> Table:
         The first frame of a view pays for caches and has no history, so it is no steady state; a run of one frame has no other
         and the caption says so.
     """
-    jobs = {label: _jobs(run, label) for label in run.labels}
+    jobs = {label: render_records(run, label) for label in run.labels}
     first = min(1, run.protocol.frames.count - 1)
     times = {label: _stage_seconds(records, first) for label, records in jobs.items()}
     stages = [*dict.fromkeys(stage for stages in times.values() for stage in stages if stage != TOTAL), TOTAL]
@@ -33,7 +33,7 @@ def timing_table(run: MeasuredRun) -> Table:
     return Table("timing", "Time per frame", _caption(run, jobs, first), columns, tuple(rows), run.scene)
 
 
-def _jobs(run: MeasuredRun, label: str) -> list[dict[str, Any]]:
+def render_records(run: MeasuredRun, label: str) -> list[dict[str, Any]]:
     """Records of the render jobs; frames that others rendered have none."""
     files = [run.folder.renders(label, view) / JOB_FILE for view in run.protocol.views.test]
     return [read_json(file) for file in files if file.is_file()]

@@ -7,10 +7,10 @@ from typing import cast
 
 import pandas as pd
 
-from ggvs_eval.reports.model.measured import MeasuredRun
+from ggvs_eval.reports.model.measured import MeasuredRun, without_labels
 from ggvs_eval.reports.model.table import Cell, Column, Table, format_value
 from ggvs_eval.reports.tables.leaders import HEADLINES, Leader, leaders
-from ggvs_eval.reports.tables.report_tables import row_labels, without_partial
+from ggvs_eval.reports.tables.report_tables import row_labels
 from ggvs_eval.results import Results
 from ggvs_eval.statistics.intervals import LEVEL
 from ggvs_eval.statistics.paired import Comparison, rank_methods
@@ -124,7 +124,7 @@ def _words(first: Leader, contenders: Sequence[Contender], runs: Sequence[Measur
     unit = f" {column.unit}" if column.unit else ""
     if len(contenders) == 1:
         return f"{best.name} was measured alone", f"{best.cell.text} {best.cell.spread}".strip() + unit
-    whole = without_partial(results, results.provenance.get("partial", {}))
+    whole = without_labels(results, results.provenance.get("partial", {}))
     standing = rank_methods(whole, column.name, bool(column.higher_is_better), first.dataset)
     rival = next((one for one in contenders[1:] if one.name in first.ties), contenders[1])
     comparison = standing.comparisons.get(rival.label)

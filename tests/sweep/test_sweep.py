@@ -5,11 +5,13 @@ import shutil
 
 import numpy as np
 import pytest
+import torch
 
 from ggvs_eval.capture import CaptureEdit
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.capture_edit import perturb_capture
 from ggvs_eval.errors import ProtocolError
+from ggvs_eval.gaussians import write_ply
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.sweep.run_sweep import run_sweep, run_sweeps
@@ -18,6 +20,7 @@ from ggvs_eval.reports.tables.published import read_published
 from ggvs_eval.sweep import Sweep, SweepRow, load_sweep, packaged_sweeps
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.film.options import DemoOptions
+from helpers.gaussian_clouds import random_cloud
 
 pytestmark = pytest.mark.slow
 
@@ -103,7 +106,10 @@ def test_every_variant_is_a_line_and_absent_methods_are_named(capture, protocol,
 
 
 def test_frames_rendered_elsewhere_are_a_row(capture, protocol, tmp_path, capsys):
-    """``rendered:PATH`` is scored as the method whose frames it holds, without a time; a wrong path stops nothing else."""
+    """``rendered:PATH`` is scored as the method whose frames it holds, without a time; a wrong path stops nothing else.
+
+    ``splats:PATH`` is rendered here, and timed.
+    """
     sweep = Sweep("one", "test", (SweepRow("Distance", "distance-based"),))
     run_sweep(tmp_path / "theirs", capture, sweep, protocol, workers=1)
     frames = tmp_path / "theirs" / protocol.name / "renders" / "distance-based"
@@ -114,12 +120,18 @@ def test_frames_rendered_elsewhere_are_a_row(capture, protocol, tmp_path, capsys
         "[[row]]\ntitle = 'Distance'\nmethod = 'distance-based'\n"
         "[[row]]\ntitle = '4DGS (theirs)'\nmethod = 'rendered:Others/{capture}'\n"
         "[[row]]\ntitle = 'Lost'\nmethod = 'rendered:nowhere'\n"
+        "[[row]]\ntitle = '3DGS (theirs)'\nmethod = 'splats:{capture}.ply'\n"
+        "[[row]]\ntitle = 'No cloud'\nmethod = 'splats:nowhere'\n"
     )
+    write_ply(tmp_path / f"{capture.path.name}.ply", random_cloud(20, dtype=torch.float32))
 
     result = run_sweep(tmp_path / "sweep", capture, load_sweep(str(file)), protocol, workers=1)
 
     lines = result.table.loc[protocol.name]
-    assert list(lines.index) == ["Distance", "4DGS (theirs)"]
+    assert list(lines.index) == ["Distance", "4DGS (theirs)", "3DGS (theirs)"]
+    assert lines.loc["3DGS (theirs)", "s/frame"] > 0
+    assert "nowhere: wanted a .ply of 3D Gaussian splatting" in result.not_computed["No cloud"]
+    assert (tmp_path / "sweep" / protocol.name / "renders" / "3dgs-theirs" / "cam00" / "job.json").is_file()
     assert lines.loc["4DGS (theirs)", "PSNR"] == lines.loc["Distance", "PSNR"]
     assert np.isnan(lines.loc["4DGS (theirs)", "s/frame"])
     assert (tmp_path / "sweep" / protocol.name / "renders" / "4dgs-theirs" / "import.json").is_file()
@@ -199,6 +211,6 @@ def test_mistakes_are_refused_in_one_line(text, message, tmp_path):
 
 def test_an_unknown_name_lists_what_is_packaged():
     """A sweep that is not packaged is refused with those that are."""
-    packaged = "ablations, ablations_short, baselines, k, online, readings"
+    packaged = "ablations, ablations_short, baselines, k, offline, online, readings"
     with pytest.raises(ProtocolError, match=rf"{packaged}.*; did you mean ablations\?"):
         load_sweep("ablation")

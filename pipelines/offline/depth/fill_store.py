@@ -51,11 +51,29 @@ def plan_depth(
     return plan
 
 
-def _matched_cameras(capture: Capture, source: Camera, target: Camera, options: DepthOptions) -> tuple[str, ...]:
-    """A source and those that it is matched with; itself alone where a sensor measured its depth."""
+def plan_rig_depth(capture: Capture, options: DepthOptions) -> tuple[DepthJob, ...]:
+    """Plan the depth of every camera of a capture, matched with the others and held against that of those it is matched with.
+
+    Args:
+        capture: the capture.
+        options: parameters.
+
+    Returns:
+        One job per camera, in the order of the capture.
+
+    Raises:
+        DepthError: a camera that no other can be matched with.
+    """
+    names = [_matched_cameras(capture, camera, None, options) for camera in capture.cameras]
+    jobs = {each[0]: depth_job(capture, each[0], each[1:], options) for each in names}
+    return tuple(_checked(jobs[name], {each: jobs[each] for each in (name, *partners)}, options) for name, *partners in names)
+
+
+def _matched_cameras(capture: Capture, source: Camera, target: Camera | None, options: DepthOptions) -> tuple[str, ...]:
+    """A source and those that it is matched with, but the target; itself alone where a sensor measured its depth."""
     if _sensor(capture, source.name, options) is not None:
         return (source.name,)
-    chosen = choose_partners(source, capture.cameras, options.partners, {target.name})
+    chosen = choose_partners(source, capture.cameras, options.partners, set() if target is None else {target.name})
     return (source.name, *(each.name for each in chosen))
 
 
@@ -96,7 +114,7 @@ def depth_job(capture: Capture, camera_name: str, partner_names: Sequence[str], 
 
 
 def prepare_depth(
-    capture: Capture, jobs: Sequence[DepthJob], frames: range, store: DepthStore, options: DepthOptions, workers: Workers
+    capture: Capture, jobs: Sequence[DepthJob], frames: Sequence[int], store: DepthStore, options: DepthOptions, workers: Workers
 ) -> None:
     """Compute the depth of every job and frame that the store does not have.
 
@@ -106,7 +124,7 @@ def prepare_depth(
     Args:
         capture: the capture.
         jobs: what to compute, see `plan_depth`; equal jobs are computed once.
-        frames: consecutive instants.
+        frames: instants, ascending.
         store: where depth maps go.
         options: parameters.
         workers: where jobs run.
@@ -126,10 +144,10 @@ def prepare_depth(
 
 
 def _in_workers(
-    work: Callable[[Capture, range, DepthStore, DepthOptions, DepthJob], None],
+    work: Callable[[Capture, Sequence[int], DepthStore, DepthOptions, DepthJob], None],
     capture: Capture,
     jobs: Sequence[DepthJob],
-    frames: range,
+    frames: Sequence[int],
     store: DepthStore,
     options: DepthOptions,
     workers: Workers,
@@ -140,7 +158,7 @@ def _in_workers(
     run_all(partial(work, capture, frames, store, options), missing, workers, title)
 
 
-def _check(capture: Capture, frames: range, store: DepthStore, options: DepthOptions, job: DepthJob) -> None:
+def _check(capture: Capture, frames: Sequence[int], store: DepthStore, options: DepthOptions, job: DepthJob) -> None:
     """Hold what was found for one camera against the others; runs in a worker."""
     key = store.write_spec(job.spec)
     own, *others = ((each.camera_name, each.key) for each in (job.unchecked, *job.checked_with))
@@ -149,7 +167,7 @@ def _check(capture: Capture, frames: range, store: DepthStore, options: DepthOpt
         store.write(key, frame, check_depth(capture.camera(own[0]), store.read(own[1], frame), views, options))
 
 
-def _run(capture: Capture, frames: range, store: DepthStore, options: DepthOptions, job: DepthJob) -> None:
+def _run(capture: Capture, frames: Sequence[int], store: DepthStore, options: DepthOptions, job: DepthJob) -> None:
     """Compute what is missing of one job; runs in a worker."""
     key = store.write_spec(job.spec)
     missing = _missing(store, key, frames)
@@ -171,5 +189,5 @@ def _run(capture: Capture, frames: range, store: DepthStore, options: DepthOptio
             store.write(key, frame, depth_map)
 
 
-def _missing(store: DepthStore, key: str, frames: range) -> set[int]:
+def _missing(store: DepthStore, key: str, frames: Sequence[int]) -> set[int]:
     return {frame for frame in frames if not store.has(key, frame)}

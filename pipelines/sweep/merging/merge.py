@@ -1,6 +1,5 @@
 """Run folders of one capture and protocol, made on several machines with different methods or views, become one."""
 
-import dataclasses
 import hashlib
 import json
 import os
@@ -97,7 +96,7 @@ def _identity(run: RunFolder) -> dict[str, Any]:
     record = run.capture_record()
     depth = read_json(run.depth_record) if run.depth_record.is_file() else {}
     return {
-        "protocol": dataclasses.asdict(run.protocol()),
+        "protocol": run.protocol().values(),
         "capture": {name: record.get(name) for name in SAME_OF_CAPTURE},
         "depth": {name: value for name, value in depth.items() if name != "stereo_weights"},
     }

@@ -1,0 +1,184 @@
+"""The deformation field of 4DGS (Wu et al., CVPR 2024): features from planes in space and time, heads that move Gaussians.
+
+Names and shapes are those of the authors' ``deformation.pth``, so that their files load strictly.
+"""
+
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from ggvs_eval.files.weights_file import load_strict, read_tensors
+
+AXES = tuple(combinations(range(4), 2))  # xy, xz, xt, yz, yt, zt: the order of the planes
+SPATIAL = (0, 1, 3)  # planes without time among them
+TIME = 3
+HEADS = {"pos": 3, "scales": 3, "rotations": 4, "opacity": 1, "shs": 48}  # name in front of `_deform` -> outputs
+OWNER = "4DGS (deformation.pth)"  # in messages
+
+
+@dataclass(frozen=True)
+class FieldConfiguration:
+    """Sizes of a deformation field.
+
+    Attributes:
+        levels: nodes of the spatial axes, one number per level; their features are concatenated.
+        time_nodes: nodes of the time axis.
+        channels: features of a level.
+        width: of the hidden layers.
+        heads: which properties move, of `HEADS`.
+        is_published: as the authors' files: with the parts of the network that they keep and never use, heads that begin with
+            random weights, and times in [0, 1) read as they are.
+    """
+
+    levels: tuple[int, ...]
+    time_nodes: int
+    channels: int
+    width: int
+    heads: tuple[str, ...]
+    is_published: bool = False
+
+
+PUBLISHED = FieldConfiguration((64, 128), 150, 16, 128, tuple(HEADS), is_published=True)
+
+
+def compact(instants: int) -> FieldConfiguration:
+    """The small field for a clip of so many instants, with half as many nodes in time, as the authors advise."""
+    return FieldConfiguration((32, 64), max(2, -(-instants // 2)), 8, 32, ("pos", "rotations", "opacity"))
+
+
+class PlaneGrid(nn.Module):
+    """Features of points from planes: bilinear in each, multiplied over planes, concatenated over levels.
+
+    Args:
+        box: corners of what the planes span, (2, 3), the larger one first: so do the authors, which mirrors the axes.
+        configuration: its sizes.
+        axes: which two axes each plane spans.
+
+    Reading:
+        Points outside the box take the border's features.
+    """
+
+    def __init__(self, box: Tensor, configuration: FieldConfiguration, axes: tuple[tuple[int, int], ...] = AXES) -> None:
+        super().__init__()
+        self.axes = axes
+        self.aabb = nn.Parameter(box.clone(), requires_grad=False)
+        self.grids = nn.ModuleList()
+        for nodes in configuration.levels:
+            sizes = (nodes, nodes, nodes, configuration.time_nodes)
+            self.grids.append(nn.ParameterList([_plane(configuration.channels, sizes, pair) for pair in axes]))
+
+    def forward(self, points: Tensor, time: float = 0.0) -> Tensor:
+        """Return the features of points (N, 3) at a time in the planes' own scale [-1, 1], (N, levels x channels)."""
+        where = (points - self.aabb[0]) * (2 / (self.aabb[1] - self.aabb[0])) - 1
+        where = torch.cat([where, torch.full_like(where[:, :1], time)], dim=1)  # (N, 4)
+        return torch.cat([self._level(planes, where) for planes in self.grids], dim=1)
+
+    def _level(self, planes: nn.Module, where: Tensor) -> Tensor:
+        product = torch.ones(())
+        for plane, pair in zip(planes, self.axes, strict=True):  # type: ignore[call-overload]  # a ParameterList
+            spots = where[None, :, None, list(pair)]  # (1, N, 1, 2)
+            features = F.grid_sample(plane, spots, mode="bilinear", padding_mode="border", align_corners=True)
+            product = product * features[0, :, :, 0]
+        return product.T
+
+    def planes(self, spatial: bool) -> list[Tensor]:
+        """The planes of space alone, or those of space and time."""
+        return [
+            plane
+            for level in self.grids
+            for plane, pair in zip(level, self.axes, strict=True)  # type: ignore[call-overload]
+            if (TIME not in pair) == spatial
+        ]
+
+
+def _plane(channels: int, sizes: tuple[int, ...], pair: tuple[int, int]) -> nn.Parameter:
+    """A plane's nodes, (1, C, second axis, first axis): time begins with 1, which changes nothing of a product."""
+    plane = nn.Parameter(torch.ones(1, channels, sizes[pair[1]], sizes[pair[0]]))
+    return plane if TIME in pair else nn.Parameter(nn.init.uniform_(plane, 0.1, 0.5))
+
+
+class _Field(nn.Module):
+    """Planes, one layer that all share, and a head per property."""
+
+    def __init__(self, box: Tensor, configuration: FieldConfiguration) -> None:
+        super().__init__()
+        width = configuration.width
+        self.grid = PlaneGrid(box, configuration)
+        self.feature_out = nn.Sequential(linear(len(configuration.levels) * configuration.channels, width))
+        for head in configuration.heads:
+            last = linear(width, HEADS[head])
+            if not configuration.is_published:
+                nn.init.zeros_(last.weight)
+            layers = nn.Sequential(nn.ReLU(), linear(width, width), nn.ReLU(), last)
+            self.add_module(f"{head}_deform", layers)
+
+
+def linear(inputs: int, outputs: int) -> nn.Linear:
+    """A layer with the authors' first weights."""
+    layer = nn.Linear(inputs, outputs)
+    nn.init.xavier_uniform_(layer.weight)
+    nn.init.zeros_(layer.bias)
+    return layer
+
+
+class DeformationNetwork(nn.Module):
+    """Position and time -> how each property of a Gaussian differs from the canonical one, before its activation.
+
+    Args:
+        box: bounding box of the initial points, (2, 3), the larger corner first.
+        configuration: sizes.
+
+    Reading:
+        The authors give times in [0, 1) to planes that span [-1, 1], so that half of the nodes are never met. Their files are
+        read so; a field of our own maps the clip to the whole span.
+    """
+
+    def __init__(self, box: Tensor, configuration: FieldConfiguration) -> None:
+        super().__init__()
+        self.configuration = configuration
+        if configuration.is_published:  # in their files, and used by nothing
+            for name, count in (("time_poc", 4), ("pos_poc", 10), ("rotation_scaling_poc", 2), ("opacity_poc", 2)):
+                self.register_buffer(name, 2.0 ** torch.arange(count))
+            self.timenet = nn.Sequential(nn.Linear(9, 64), nn.ReLU(), nn.Linear(64, 32))
+        self.deformation_net = _Field(box, configuration)
+
+    def forward(self, points: Tensor, time: float) -> dict[str, Tensor]:
+        """Return head -> differences, (N, outputs), of points (N, 3) at a time in [0, 1]."""
+        field = self.deformation_net
+        features = field.feature_out(field.grid(points, time if self.configuration.is_published else 2 * time - 1))
+        return {head: getattr(field, f"{head}_deform")(features) for head in self.configuration.heads}
+
+    def smoothness(self) -> Tensor:
+        """Penalty on planes that bend: 2e-4 in space, 1e-3 in time, and 1e-4 on planes of time that are not 1 (the authors').
+
+        Reading:
+            The authors take second differences along a plane's height alone, which for planes of time is time; so do we.
+        """
+        grid = self.deformation_net.grid
+        spatial, temporal = grid.planes(spatial=True), grid.planes(spatial=False)
+        bent = 2e-4 * torch.stack([_bend(plane) for plane in spatial]).sum()
+        moving = torch.stack([1e-3 * _bend(plane) + 1e-4 * (1 - plane).abs().mean() for plane in temporal]).sum()
+        return bent + moving
+
+
+def _bend(plane: Tensor) -> Tensor:
+    """Mean squared second difference along the height of a plane; 0 where it has no three nodes."""
+    return plane.diff(n=2, dim=2).square().mean() if plane.shape[2] > 2 else plane.new_zeros(())
+
+
+def read_deformation(path: Path) -> DeformationNetwork:
+    """The field of a ``deformation.pth`` of the authors.
+
+    Args:
+        path: the file, of their DyNeRF or MultipleView configuration.
+
+    Raises:
+        WeightsError: absent, damaged, or a name or a shape differs.
+    """
+    network = DeformationNetwork(torch.zeros(2, 3), PUBLISHED)
+    load_strict(read_tensors(path, of=OWNER), network, path, OWNER)
+    return network

@@ -1,0 +1,74 @@
+"""Scenes that the authors' program of 4DGS has fitted: their output folder, rendered by our splat."""
+
+from pathlib import Path
+
+from ggvs_eval.baselines.fitted.hexplane import read_deformation
+from ggvs_eval.baselines.fitted.motion import HexPlaneMotion
+from ggvs_eval.baselines.fitted.scene import render_cloud
+from ggvs_eval.camera import Camera
+from ggvs_eval.compute_device import compute_device
+from ggvs_eval.errors import RenderError
+from ggvs_eval.gaussians import GaussianCloud
+from ggvs_eval.gaussians.ply import read_ply
+from ggvs_eval.method import Rendering
+from ggvs_eval.scene_fitter import FittedScene
+
+CLOUD, FIELD = "point_cloud.ply", "deformation.pth"
+
+
+class PublishedScene(FittedScene):
+    """Canonical Gaussians and the deformation field of a folder that hustvl/4DGaussians has written.
+
+    Args:
+        folder: with ``point_cloud.ply`` and ``deformation.pth``, or with iterations of them below ``point_cloud``, of which the
+            last one is taken.
+        instants: frame numbers of the clip that it was fitted to.
+        near: Gaussians at or before this depth are not rendered, world units.
+        device: where it is rendered.
+
+    Raises:
+        RenderError: no such files, or a cloud that cannot be read.
+        WeightsError: a field of other names or shapes.
+
+    Reading:
+        The time of the i-th of n instants is i / n, as their loaders give it. Every Gaussian is moved; which ones are is a table
+        beside the files that their program fills with yes.
+    """
+
+    def __init__(self, folder: Path, instants: range, near: float, device: str = "cpu") -> None:
+        self._folder = _iteration(folder)
+        self._motion = HexPlaneMotion(read_deformation(self._folder / FIELD)).to(compute_device(device))
+        values = read_ply(self._folder / CLOUD).to(compute_device(device)).parameters()
+        sh = values.pop("sh")
+        self._gaussians = {**values, "sh_base": sh[:, :1], "sh_rest": sh[:, 1:]}
+        self._instants, self._near, self._device = instants, near, device
+
+    def cloud(self, index: int) -> GaussianCloud:
+        """The Gaussians of an instant.
+
+        Raises:
+            RenderError: an instant outside the clip.
+        """
+        if index not in self._instants:
+            raise RenderError(f"{self._folder}: wanted instants {self._instants[0]}..{self._instants[-1]}, got {index}")
+        return self._motion.cloud(self._gaussians, self._instants.index(index) / len(self._instants))
+
+    def render(self, index: int, target: Camera) -> Rendering:
+        """Render one instant."""
+        return render_cloud(lambda: self.cloud(index), target, self._near, self._device)
+
+    @property
+    def size_bytes(self) -> int:
+        """Bytes of both files."""
+        return sum((self._folder / name).stat().st_size for name in (CLOUD, FIELD))
+
+
+def _iteration(folder: Path) -> Path:
+    """The folder of the two files: the given one, or its last iteration."""
+    iterations = [path for path in folder.glob("point_cloud/iteration_*") if path.name.removeprefix("iteration_").isdigit()]
+    for place in (folder, *sorted(iterations, key=lambda path: int(path.name.removeprefix("iteration_")), reverse=True)):
+        if (place / CLOUD).is_file() and (place / FIELD).is_file():
+            return place
+    raise RenderError(
+        f"{folder}: wanted {CLOUD} and {FIELD}, there or below point_cloud/iteration_N; give an output folder of 4DGS"
+    )

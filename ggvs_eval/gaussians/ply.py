@@ -1,0 +1,149 @@
+"""Clouds of Gaussians as ``.ply`` files in the layout of 3D Gaussian splatting, read with suspicion and written whole.
+
+One element ``vertex`` of scalar properties: x y z, f_dc_0..2, f_rest_0.. (all coefficients of red, then of green, then of blue),
+opacity (logit), scale_0..2 (logarithms), rot_0..3 (w first). Normals and what else a program has added are passed over.
+"""
+
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ggvs_eval.arrays import Array32
+from ggvs_eval.errors import RenderError
+from ggvs_eval.files.atomic import atomic_file
+from ggvs_eval.files.plain import check_plain, why_unread
+from ggvs_eval.gaussians.cloud import HIGHEST_DEGREE, GaussianCloud
+
+LONGEST_HEADER = 64 << 10  # bytes; 3D Gaussian splatting writes 1.5 kB
+MOST_GAUSSIANS = 50_000_000  # 12 GB of degree 3; what has been published stays below 10 million
+NUMBERS = {
+    **{"char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2"},
+    **{"int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4", "double": "f8", "float64": "f8"},
+}
+ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
+MEANS, COLOURS = ("x", "y", "z"), tuple(f"f_dc_{channel}" for channel in range(3))
+SCALES, TURNS = tuple(f"scale_{axis}" for axis in range(3)), tuple(f"rot_{part}" for part in range(4))
+MEND = "give the point_cloud.ply that 3D Gaussian splatting writes"
+
+
+def read_ply(path: Path) -> GaussianCloud:
+    """Read a cloud in the layout of 3D Gaussian splatting.
+
+    Args:
+        path: a binary ``.ply``; the order of its properties does not matter.
+
+    Raises:
+        RenderError: no such file, cut short, other properties, NaN, or more Gaussians than the file has room for; nothing is
+            read then that the file does not hold.
+    """
+    try:
+        size = check_plain(path)
+        with path.open("rb") as file:
+            count, row = _read_header(file, path)
+            head = file.tell()
+            if count > MOST_GAUSSIANS or head + count * row.itemsize > size:
+                raise RenderError(
+                    f"{path}: its header says {count} Gaussians of {row.itemsize} bytes, the file has {max(size - head, 0)} "
+                    f"bytes for them (at most {MOST_GAUSSIANS} are read); copy or save it again"
+                )
+            table = np.fromfile(file, row, count)
+    except OSError as error:
+        raise RenderError(f"{path}: wanted a cloud of Gaussians (.ply), it cannot be read: {why_unread(error)}") from error
+    if len(table) < count:
+        raise RenderError(f"{path}: wanted {count} Gaussians, the file ended after {len(table)}; copy or save it again")
+    return _cloud(table, path)
+
+
+def write_ply(path: Path, cloud: GaussianCloud) -> None:
+    """Write a cloud in the layout of 3D Gaussian splatting; what is read back is the same, bit by bit.
+
+    Args:
+        path: takes the place of a file that is there.
+        cloud: on any device, written as float32.
+    """
+    parts = [tensor.detach().to("cpu", torch.float32).numpy() for tensor in cloud.parameters().values()]
+    means, log_scales, quaternions, logits, sh = parts
+    rest = sh[:, 1:].transpose(0, 2, 1).reshape(len(cloud), 3 * (sh.shape[1] - 1))  # channel after channel
+    names = [*MEANS, "nx", "ny", "nz", *COLOURS, *(f"f_rest_{n}" for n in range(rest.shape[1])), "opacity", *SCALES, *TURNS]
+    table = np.concatenate([means, np.zeros_like(means), sh[:, 0], rest, logits[:, None], log_scales, quaternions], axis=1)
+    properties = "".join(f"property float {name}\n" for name in names)
+    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(cloud)}\n{properties}end_header\n"
+    with atomic_file(path) as temporary, temporary.open("wb") as file:
+        file.write(header.encode("ascii"))
+        table.astype("<f4").tofile(file)
+
+
+def _read_header(file: IO[bytes], path: Path) -> tuple[int, np.dtype]:
+    """Number of Gaussians, and how a row of them lies in the file."""
+    lines = _header_lines(file, path)
+    order = ORDERS.get(lines[1][1] if len(lines) > 1 and lines[1][:1] == ["format"] and len(lines[1]) > 1 else "")
+    if order is None:
+        kind = " ".join(lines[1]) if len(lines) > 1 else "nothing"
+        raise RenderError(f"{path}: wanted a binary .ply, its second line says {kind!r}; {MEND}")
+    elements = [n for n, words in enumerate(lines) if words[:1] == ["element"]]
+    first = lines[elements[0]] if elements else []
+    if first[1:2] != ["vertex"] or len(first) != 3 or not first[2].isdecimal() or len(first[2]) > 18:
+        raise RenderError(f"{path}: wanted `element vertex N` with its Gaussians first, got {' '.join(first)!r}; {MEND}")
+    fields = []
+    for words in lines[elements[0] + 1 : elements[1] if len(elements) > 1 else None]:
+        if words[:1] in (["comment"], ["obj_info"], []):
+            continue
+        if len(words) != 3 or words[0] != "property" or words[1] not in NUMBERS:
+            raise RenderError(f"{path}: wanted properties of one number each, got {' '.join(words)!r}; {MEND}")
+        fields.append((words[2], order + NUMBERS[words[1]]))
+    names = [name for name, _ in fields]
+    if len(set(names)) < len(names):
+        raise RenderError(f"{path}: a property stands twice in its header; {MEND}")
+    _require_properties(names, path)
+    return int(first[2]), np.dtype(fields)
+
+
+def _header_lines(file: IO[bytes], path: Path) -> list[list[str]]:
+    """Words of each line up to ``end_header``."""
+    lines: list[list[str]] = []
+    for line in iter(lambda: file.readline(LONGEST_HEADER), b""):
+        if not lines and line.strip() != b"ply":
+            raise RenderError(f"{path}: wanted a .ply file, its first line is none of such a file; {MEND}")
+        if file.tell() > LONGEST_HEADER:
+            break
+        words = line.decode("latin-1").split()
+        if words == ["end_header"]:
+            return lines
+        lines.append(words)
+    raise RenderError(f"{path}: the header of this .ply has no end_header in its first {LONGEST_HEADER >> 10} kB; save it again")
+
+
+def _require_properties(names: list[str], path: Path) -> None:
+    absent = [name for name in (*MEANS, *COLOURS, "opacity", *SCALES, *TURNS) if name not in names]
+    if absent:
+        compressed = "; it is compressed, save it uncompressed" if any(name.startswith("packed_") for name in names) else ""
+        raise RenderError(
+            f"{path}: no cloud of Gaussians: it lacks {', '.join(absent[:4])}{'...' * (len(absent) > 4)}, its properties are "
+            f"{', '.join(names[:12])}{'...' * (len(names) > 12)}{compressed or f'; {MEND}'}"
+        )
+    rest = sum(name.startswith("f_rest_") for name in names)
+    counts = [3 * ((degree + 1) ** 2 - 1) for degree in range(HIGHEST_DEGREE + 1)]
+    if rest not in counts or any(f"f_rest_{n}" not in names for n in range(rest)):
+        raise RenderError(f"{path}: wanted f_rest_0 to f_rest_N of {', '.join(map(str, counts))} in all, got {rest}; {MEND}")
+
+
+def _cloud(table: NDArray[np.void], path: Path) -> GaussianCloud:
+    def columns(*names: str) -> Array32:
+        with np.errstate(over="ignore"):  # of doubles beyond all floats: infinite, and so refused
+            values = np.stack([table[name].astype(np.float32) for name in names], axis=1) if names else np.empty((len(table), 0))
+        broken = ~np.isfinite(values).all(axis=1)
+        if broken.any():
+            raise RenderError(
+                f"{path}: {np.count_nonzero(broken)} of {len(table)} Gaussians have a {names[0]}.. that is not finite, first "
+                f"number {int(np.argmax(broken))}; the fit that wrote it has diverged, or the file is damaged"
+            )
+        return values.astype(np.float32)
+
+    names = table.dtype.names or ()
+    rest = columns(*(f"f_rest_{n}" for n in range(sum(name.startswith("f_rest_") for name in names))))
+    sh = np.concatenate([columns(*COLOURS)[:, None], rest.reshape(len(table), 3, rest.shape[1] // 3).transpose(0, 2, 1)], axis=1)
+    parts = (columns(*MEANS), columns(*SCALES), columns(*TURNS), columns("opacity")[:, 0], sh)
+    return GaussianCloud(*(torch.from_numpy(np.ascontiguousarray(part)) for part in parts))

@@ -1,0 +1,171 @@
+"""Scenes of 3D Gaussians that others have fitted, from their files: ``splats:PATH`` renders them by our own splat."""
+
+import re
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.errors import RenderError
+from ggvs_eval.files.plain import why_unread
+from ggvs_eval.method import NEAR_M, Rendering
+from ggvs_eval.scene_fitter import FittedScene
+
+if TYPE_CHECKING:  # the command line starts without torch
+    from ggvs_eval.gaussians import GaussianCloud
+
+PREFIX = "splats:"
+CLOUD, DEFORMATION = "point_cloud.ply", "deformation.pth"
+ITERATION = re.compile(r"iteration_(\d+)")
+KINDS = (
+    "a .ply of 3D Gaussian splatting, a folder with one .ply per instant (its frame number in its name), or an output folder of "
+    f"it or of 4DGS, with point_cloud/iteration_N/{CLOUD}"
+)
+
+
+class SplatsScene(FittedScene):
+    """Clouds of Gaussians in ``.ply`` files: one for all instants, or one for each.
+
+    Args:
+        path: see `splats_files`.
+
+    Raises:
+        RenderError: neither, or the first of them cannot be read.
+
+    Reading:
+        Gaussians stand in the world of the capture's cameras. What lies at z <= 0.2 of the capture's units is left out, as 3D
+        Gaussian splatting does while it fits; the background is black. The number of a file of a sequence is the last one in its
+        name, and it is the capture's frame number, from 0.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._files = splats_files(path)
+        self._by_number = _numbered(self._files, path) if len(self._files) > 1 else {}
+        self._read = lru_cache(maxsize=1)(_read)
+        self._read(self._files[0])  # what is broken shows before anything is rendered
+
+    def cloud(self, index: int) -> "GaussianCloud":
+        """The Gaussians of an instant.
+
+        Raises:
+            RenderError: a file that cannot be read, or none of this instant.
+        """
+        if self._by_number and index not in self._by_number:
+            first, last = min(self._by_number), max(self._by_number)
+            raise RenderError(
+                f"{self._path}: wanted a cloud of frame {index}, there are {len(self._by_number)} of {first} to {last}; number "
+                "the files as the capture's frames, from 0"
+            )
+        return self._read(self._by_number.get(index, self._files[0]))
+
+    def render(self, index: int, target: Camera) -> Rendering:
+        """Render one instant."""
+        from ggvs_eval.gaussians import render_gaussians
+
+        start = perf_counter()
+        cloud = self.cloud(index)
+        read = perf_counter()
+        picture = render_gaussians(cloud, target, near=NEAR_M)
+        seconds = {"read": read - start, "splat": perf_counter() - read}
+        return Rendering(picture.image.clamp_max(1).numpy(), picture.depth.numpy(), seconds)
+
+    @property
+    def size_bytes(self) -> int:
+        """Bytes of all files."""
+        return sum(file.stat().st_size for file in self._files)
+
+
+def _read(path: Path) -> "GaussianCloud":
+    from ggvs_eval.gaussians import read_ply
+
+    return read_ply(path)
+
+
+def open_splats(path: Path, instants: range = range(1)) -> FittedScene:
+    """Open the Gaussians that others have fitted.
+
+    Args:
+        path: see `splats_files`.
+        instants: frame numbers of the clip that they were fitted to; Gaussians of 4DGS move by the share of it that has passed.
+
+    Raises:
+        RenderError: nothing there that is known, a cloud that cannot be read, or in a sequence two files of one number.
+        WeightsError: a deformation field of other names or shapes than 4DGS writes.
+    """
+    from ggvs_eval.baselines.fitted.published import PublishedScene
+
+    files = splats_files(path)
+    return PublishedScene(files[0].parent, instants, NEAR_M) if files[-1].name == DEFORMATION else SplatsScene(path)
+
+
+def splats_files(path: Path) -> list[Path]:
+    """List the files of which a scene is made.
+
+    Args:
+        path: a ``.ply``; a folder of them, one per instant; or the output folder of 3D Gaussian splatting or of 4DGS, whose last
+            iteration is taken.
+
+    Raises:
+        RenderError: none of these.
+    """
+    if path.is_file():
+        return [path]
+    try:
+        iterations = {int(found[1]): each for each in path.glob("point_cloud/*") if (found := ITERATION.fullmatch(each.name))}
+        place = iterations[max(iterations)] if iterations else path
+        files = [place / CLOUD] if (place / CLOUD).is_file() else sorted(place.glob("*.ply"))
+    except OSError as error:
+        raise RenderError(f"{path}: wanted {KINDS}; it cannot be listed: {why_unread(error)}") from error
+    if not files:
+        raise RenderError(f"{path}: wanted {KINDS}; there is {'none of them' if path.is_dir() else 'no such file or folder'}")
+    return [*files, place / DEFORMATION] if (place / DEFORMATION).is_file() else files
+
+
+def _numbered(files: Sequence[Path], path: Path) -> Mapping[int, Path]:
+    numbers: dict[int, Path] = {}
+    for file in files:
+        digits = re.findall(r"\d+", file.stem)
+        if not digits or len(digits[-1]) > 9:
+            raise RenderError(f"{file}: wanted a frame number in the name of each .ply of the sequence {path}; rename it")
+        number = int(digits[-1])
+        if number in numbers:
+            raise RenderError(f"{path}: {numbers[number].name} and {file.name} are both of frame {number}; keep one of them")
+        numbers[number] = file
+    return numbers
+
+
+def named_splats(labels: Sequence[str]) -> tuple[tuple[str, ...], dict[str, Path]]:
+    """Give each ``splats:PATH`` or ``NAME=splats:PATH`` among some methods a name that folders can bear.
+
+    Args:
+        labels: as the user wrote them.
+
+    Returns:
+        The labels, and label -> path of those that are splats: ``splats-`` and the last part of the path, or the given name.
+
+    Raises:
+        RenderError: no path, a name that is none, or one name for two.
+
+    Examples:
+        >>> named_splats(["ours", "splats:out/room/point_cloud.ply", "mine=splats:/tmp/clouds"])
+        (('ours', 'splats-point_cloud', 'mine'), {'splats-point_cloud': PosixPath('out/room/point_cloud.ply'), 'mine': ...})
+    """
+    plain: list[str] = []
+    paths: dict[str, Path] = {}
+    for label in labels:
+        name, separator, text = label.rpartition(PREFIX)
+        if not separator or (name and not name.endswith("=")):
+            plain.append(label)
+            continue
+        path = Path(text)
+        name = name[:-1] or f"splats-{re.sub(r'[^A-Za-z0-9_.-]+', '-', path.resolve().name).removesuffix('.ply')}"
+        if not text or not re.fullmatch(r"\w[\w.-]*", name):
+            raise RenderError(f"method {label}: wanted {PREFIX}PATH or NAME={PREFIX}PATH with a plain name, PATH being {KINDS}")
+        if paths.get(name, path) != path:
+            raise RenderError(f"{paths[name]} and {path} would both be called {name}; give NAME={PREFIX}PATH")
+        plain.append(name)
+        paths[name] = path
+    return tuple(plain), paths

@@ -1,0 +1,196 @@
+"""Folds of test cameras for methods that are fitted: which are held out together, and what each fit may see.
+
+A feed-forward method renders each test camera from all others at no cost. A fit takes minutes to hours, so test cameras that lie
+far apart are held out together: the neighbours of each stay training cameras.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from ggvs_eval.arrays import Array
+from ggvs_eval.camera import Camera
+from ggvs_eval.capture import Capture
+from ggvs_eval.depth_store import DepthJob
+from ggvs_eval.errors import CameraError
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
+from ggvs_eval.pipelines.offline.depth.fill_store import plan_rig_depth
+from ggvs_eval.protocol import Protocol
+from ggvs_eval.scene_fitter import SceneFitter
+
+MOST_FOLDS = 3
+ALL = "all"  # the fit that holds nothing out, for the camera path
+FEWEST_CAMERAS = 2  # of a fit: one has no depth
+
+Folds = tuple[tuple[str, ...], ...]
+
+
+@dataclass(frozen=True)
+class FoldPlan:
+    """What a fit of one fold is shown.
+
+    Attributes:
+        name: ``fold1``, ``fold2``, ... or `ALL`.
+        held_out: test cameras that are rendered from it and take no part in it; none for `ALL`, which renders the camera path.
+        jobs: depth of each training camera, matched with training cameras, in the order of the capture.
+    """
+
+    name: str
+    held_out: tuple[str, ...]
+    jobs: tuple[DepthJob, ...]
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """Names of the training cameras."""
+        return tuple(job.camera_name for job in self.jobs)
+
+
+@dataclass(frozen=True)
+class FitPlan:
+    """One fit of a method that is fitted to the capture.
+
+    Attributes:
+        label: of the method, its seed included.
+        fold: what it is shown, and what is held out.
+        indices: instants of its footage.
+        depth_indices: those at which it wants depth.
+    """
+
+    label: str
+    fold: FoldPlan
+    indices: range
+    depth_indices: tuple[int, ...]
+
+
+def choose_folds(cameras: Sequence[Camera]) -> Folds:
+    """Distribute test cameras over at most three folds of nearly equal size, so that those of a fold lie far apart.
+
+    Args:
+        cameras: the test cameras.
+
+    Returns:
+        Names by fold: a partition of the test cameras, each fold in their order.
+
+    Reading:
+        The literature fits once per test camera (4DGS, 4K4D: K = 17 of 18) or holds all out at once. Three folds cost three fits
+        whatever the number of test cameras. Cameras are dealt one by one to the fold whose nearest member is farthest away, among
+        those that are not full; then pairs change places while that brings the nearest two cameras of a fold farther apart.
+
+    Examples:
+        >>> from ggvs_eval.camera import translated_path
+        >>> K = np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]])
+        >>> camera = Camera("cam00", K, np.eye(4), width=8, height=6, near=1.0, far=9.0)
+        >>> for fold in choose_folds(translated_path(camera, span=8.0, count=9)):
+        ...     print(*fold)
+        path0000 path0003 path0006
+        path0001 path0004 path0007
+        path0002 path0005 path0008
+    """
+    centres = np.stack([camera.centre for camera in cameras])
+    distances = np.linalg.norm(centres[:, None] - centres[None], axis=-1).round(9)  # (N, N)
+    count = min(MOST_FOLDS, len(cameras))
+    capacities = [len(cameras) // count + (at < len(cameras) % count) for at in range(count)]
+    folds: list[list[int]] = [[] for _ in range(count)]
+    for camera in range(len(cameras)):
+        free = [at for at in range(count) if len(folds[at]) < capacities[at]]
+        best = max(free, key=lambda at: min((distances[camera, each] for each in folds[at]), default=np.inf))
+        folds[best].append(camera)
+    _exchange(folds, distances)
+    return tuple(tuple(cameras[each].name for each in sorted(fold)) for fold in folds)
+
+
+def _exchange(folds: list[list[int]], distances: Array) -> None:
+    """Let two cameras of different folds change places while the smallest distances within folds, ascending, grow by it."""
+    better = True
+    while better:
+        better = False
+        for one, other in combinations(range(len(folds)), 2):
+            for i in range(len(folds[one])):
+                for j in range(len(folds[other])):
+                    before = _closeness(folds, distances)
+                    folds[one][i], folds[other][j] = folds[other][j], folds[one][i]
+                    if _closeness(folds, distances) > before:
+                        better = True
+                    else:
+                        folds[one][i], folds[other][j] = folds[other][j], folds[one][i]
+
+
+def _closeness(folds: Sequence[Sequence[int]], distances: Array) -> list[float]:
+    """Distances between cameras of the same fold, ascending."""
+    return sorted(float(distances[i, j]) for fold in folds for i, j in combinations(fold, 2))
+
+
+def fill_folds(protocol: Protocol, capture: Capture) -> Protocol:
+    """State the folds of a protocol that leaves them open: those of `choose_folds`.
+
+    Test cameras that nobody may see (``views.sources``) are held out by every fit anyway, and stand in the first fold.
+    """
+    views = protocol.views
+    if views.folds:
+        return protocol
+    visible = [view for view in views.test if not views.sources or view in views.sources]
+    folds = choose_folds([capture.camera(view) for view in visible]) if visible else ((),)
+    unseen = tuple(view for view in views.test if view not in visible)
+    return protocol.with_folds(((*unseen, *folds[0]), *folds[1:]))
+
+
+def plan_folds(capture: Capture, folds: Folds, along_path: bool, options: DepthOptions) -> tuple[FoldPlan, ...]:
+    """Plan what each fit is shown.
+
+    Args:
+        capture: holds the cameras that may be seen; test cameras among them or not.
+        folds: a partition of the test cameras.
+        along_path: also plan the fit of all cameras that may be seen.
+        options: parameters of depth.
+
+    Raises:
+        CameraError: a fold that leaves fewer than two training cameras.
+        DepthError: a training camera that no other can be matched with.
+    """
+    held_out = [(f"fold{number}", fold) for number, fold in enumerate(folds, start=1)] + ([(ALL, ())] if along_path else [])
+    return tuple(FoldPlan(name, fold, _rig_depth(capture, name, fold, options)) for name, fold in held_out)
+
+
+def _rig_depth(capture: Capture, name: str, held_out: Sequence[str], options: DepthOptions) -> tuple[DepthJob, ...]:
+    """Depth of what is left when some cameras are held out; nothing of those can reach it, as they are not in the capture."""
+    training = capture.without(held_out, "held out")
+    if len(training.cameras) < FEWEST_CAMERAS:
+        raise CameraError(
+            f"{name} holds out {', '.join(held_out)} and leaves {len(training.cameras)} training cameras, wanted "
+            f"{FEWEST_CAMERAS} or more; make the folds smaller (views.folds) or let more cameras be seen (views.sources)"
+        )
+    return plan_rig_depth(training, options)
+
+
+def plan_fits(
+    fitters: Mapping[str, SceneFitter], folds: Sequence[FoldPlan], frames: range, path_frame: int
+) -> tuple[FitPlan, ...]:
+    """Plan every fit of every fitted method.
+
+    Args:
+        fitters: by label.
+        folds: see `plan_folds`.
+        frames: of the protocol.
+        path_frame: the instant of the camera path.
+    """
+    fits = []
+    for label, fitter in fitters.items():
+        for fold in folds:
+            indices = _path_instants(fitter, frames, path_frame) if fold.name == ALL else frames
+            fits.append(FitPlan(label, fold, indices, tuple(fitter.depth_indices(indices))))
+    return tuple(fits)
+
+
+def _path_instants(fitter: SceneFitter, frames: range, path_frame: int) -> range:
+    """What a fit for the camera path sees, which stands at one instant: as much of the sequence as the method looks at."""
+    if fitter.look_ahead == "none" or path_frame not in frames:
+        return range(path_frame, path_frame + 1)
+    return range(frames.start, path_frame + 1) if fitter.look_ahead == "past" else frames
+
+
+def visible_cameras(capture: Capture, protocol: Protocol) -> Capture:
+    """The capture without the cameras that nobody may see (``views.sources``)."""
+    sources = protocol.views.sources
+    return capture.without([name for name in capture.camera_names if name not in sources], "not seen") if sources else capture

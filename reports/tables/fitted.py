@@ -1,0 +1,162 @@
+"""Tables of methods that are fitted: what they cost, how far seeds move them, and what being online costs beside them."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ggvs_eval.errors import ResultsError
+from ggvs_eval.reports.model.measured import METHODS_FILE, MeasuredRun, label_of
+from ggvs_eval.reports.model.metric_note import MetricNote
+from ggvs_eval.reports.model.table import Cell, Column, Row, RowKind, Table, format_half_width, format_value
+from ggvs_eval.reports.tables.timing import TOTAL, render_records, timing_table
+from ggvs_eval.results import Results
+from ggvs_eval.run_folder import read_json
+from ggvs_eval.statistics.intervals import LEVEL
+from ggvs_eval.statistics.paired import compare
+
+MEGABYTE = 1e6
+NOT_FITTED = "not fitted"
+UNKNOWN = Cell("unknown: others made it")
+COST_COLUMNS = (
+    Column("cameras used", describe="of how many the capture has; a fit sees all but those of its fold"),
+    Column("look-ahead", describe="instants of the future that a frame depends on"),
+    Column("fitting", "s/frame", describe="of one fold, over its instants"),
+    Column("fitted on"),
+    Column("rendering", "ms/frame", describe="median, as in the table of times"),
+    Column("size", "MB/frame", describe="of the scene, over its instants"),
+    Column("seeds", describe="fits by another seed that were measured too, and the first"),
+)
+
+
+def fit_records(run: MeasuredRun) -> dict[str, list[dict[str, Any]]]:
+    """Label -> what its fits took, one record per fold; of methods that are fitted alone."""
+    records: dict[str, list[dict[str, Any]]] = {}
+    for label in run.labels:
+        fits = [record["fit"] for record in render_records(run, label) if "fit" in record]
+        if fits:
+            records[label] = [fit for at, fit in enumerate(fits) if fit not in fits[:at]]  # test views of a fold share one
+    return records
+
+
+def fitted_tables(run: MeasuredRun) -> tuple[Table, ...]:
+    """Costs of every method, and the spread over seeds where there are several; nothing where no method is fitted."""
+    fits = fit_records(run)
+    if not fits:
+        return ()
+    spread = _seed_table(run)
+    return (_cost_table(run, fits), *([spread] if spread else []))
+
+
+def _cost_table(run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]]) -> Table:
+    n_cameras = len(run.folder.capture_record()["cameras"])
+    ahead = read_json(run.folder.root / METHODS_FILE).get("look_ahead", ())
+    rows = []
+    for label in run.labels:
+        looks = fits[label][0]["look_ahead"] == "sequence" if label in fits else label in ahead
+        own = _fit_cells(fits[label], n_cameras) if label in fits else _other_cells(run, label, n_cameras)
+        look = UNKNOWN if own[0] is UNKNOWN else Cell("sequence") if looks else Cell("0", 0.0)
+        seeds = 1 + len(run.replicas.get(label, ()))
+        rendering, last = _rendering_cell(run, label), Cell(str(seeds), float(seeds)) if label in fits else Cell(NOT_FITTED)
+        rows.append(Row(run.name(label), (own[0], look, own[1], own[2], rendering, own[3], last), _kind(run, label)))
+    folds = " · ".join(", ".join(fold) for fold in run.protocol.views.folds)
+    caption = (
+        f"Fitted methods render each test view from a fit that has not seen its fold ({folds}); the others from K sources. "
+        "Fitting: mean over the folds, depth excluded as for all methods."
+    )
+    return Table("costs", "What each method sees and costs", caption, COST_COLUMNS, tuple(rows), run.scene)
+
+
+def _fit_cells(fits: Sequence[dict[str, Any]], n_cameras: int) -> tuple[Cell, Cell, Cell, Cell]:
+    """Cameras, seconds per frame, machine and megabytes per frame of a fitted method."""
+    counts = sorted({fit["cameras"] for fit in fits})
+    seconds = sum(fit["seconds"] / fit["instants"] for fit in fits) / len(fits)
+    megabytes = sum(fit["size_bytes"] / fit["instants"] for fit in fits) / len(fits) / MEGABYTE
+    machines = dict.fromkeys(f"{fit['threads']} threads, {fit['machine']}" for fit in fits)
+    cameras = Cell(f"{' to '.join(map(str, counts[:: max(len(counts) - 1, 1)]))} of {n_cameras}", float(counts[0]))
+    return cameras, Cell(format_value(seconds), seconds), Cell("; ".join(machines)), Cell(format_value(megabytes), megabytes)
+
+
+def _other_cells(run: MeasuredRun, label: str, n_cameras: int) -> tuple[Cell, Cell, Cell, Cell]:
+    """The same of a method that renders each instant from its sources; of what others made nobody knows."""
+    records = render_records(run, label)
+    if not records or "splats" in records[0].get("identity", {}):
+        return UNKNOWN, UNKNOWN, UNKNOWN, UNKNOWN
+    k = run.protocol.synthesis.k
+    return Cell(f"{k} of {n_cameras}", float(k)), Cell(NOT_FITTED), Cell(NOT_FITTED), Cell(NOT_FITTED)
+
+
+def _rendering_cell(run: MeasuredRun, label: str) -> Cell:
+    """Median time of a frame."""
+    table = timing_table(run)
+    total = next(at for at, column in enumerate(table.columns) if column.name == TOTAL)
+    cell = table.rows[run.labels.index(label)].cells[total]
+    return cell if cell.value is None else Cell(f"{cell.value:.1f}", cell.value)
+
+
+def _kind(run: MeasuredRun, label: str) -> RowKind:
+    return "ours" if label in run.ours else "measured"
+
+
+def _seed_table(run: MeasuredRun) -> Table | None:
+    """Largest minus smallest number over the seeds of a fit; None where every method has one seed."""
+    if run.all_results is None:
+        return None
+    summary = run.all_results.summary().droplevel("dataset")
+    numbers = {label_of(*names): summary.loc[names] for names in summary.index}
+    notes = [run.metrics[name] for name in run.protocol.measurement.metrics if name in summary.columns]
+    rows = []
+    for label, others in run.replicas.items():
+        values = [[float(numbers[each][note.name]) for each in (label, *others)] for note in notes]
+        rows.append(Row(run.name(label), tuple(map(_seed_cell, notes, values)), _kind(run, label)))
+    columns = tuple(Column(note.name, note.unit, None, note.describe) for note in notes)
+    caption = "Largest minus smallest number over the seeds of the fit; the other tables show the first seed."
+    return Table("seeds", "Spread over seeds", caption, columns, tuple(rows), run.scene)
+
+
+def _seed_cell(note: MetricNote, values: Sequence[float]) -> Cell:
+    spread = max(values) - min(values)
+    if spread != spread:  # NaN: a seed lacks the metric
+        return Cell("not computed: a seed without it")
+    shown = ", ".join(format_value(value, note.decimals) for value in values)
+    return Cell(format_half_width(max(values), spread, note.decimals), spread, note=shown)
+
+
+def price_tables(runs: Sequence[MeasuredRun], results: Results) -> tuple[Table, ...]:
+    """Price of being online: every fitted method minus ours, per dataset; nothing where either is missing.
+
+    Args:
+        runs: under one protocol.
+        results: their results in one.
+    """
+    fitted = list(dict.fromkeys(label for run in runs for label in fit_records(run)))
+    ours = [label for label in runs[0].ours_first if label in runs[0].ours and label not in fitted]
+    if not fitted or not ours:
+        return ()
+    notes = [runs[0].metrics[metric] for metric in runs[0].protocol.measurement.metrics]
+    tables = []
+    for dataset in dict.fromkeys(str(name) for name in results.table["dataset"]):
+        cells = {label: tuple(_price(note, results, label, ours[0], dataset) for note in notes) for label in fitted}
+        columns = tuple(Column(f"{note.name} {note.arrow}", note.unit, None, note.describe) for note in notes)
+        name, k = runs[0].name(ours[0]), runs[0].protocol.synthesis.k
+        caption = (
+            f"Each fitted method minus {name}, which sees {k} views and nothing of the future; "
+            f"±: {100 * LEVEL:.0f} % interval of the paired difference. Arrows: where the fitted method is better."
+        )
+        rows = tuple(Row(runs[0].name(label), of_label) for label, of_label in cells.items())
+        tables.append(Table("price", "Price of being online", caption, columns, rows, dataset))
+    return tuple(tables)
+
+
+def _price(note: MetricNote, results: Results, label: str, online: str, dataset: str) -> Cell:
+    """One difference with its interval, or why there is none."""
+    try:
+        comparison = compare(results, note.name, label, online, dataset)
+    except ResultsError as refusal:
+        return Cell("not computed", note=str(refusal))
+    value = comparison.difference
+    if value != value:
+        return Cell("not computed", note=results.not_computed.get(note.name, "no value"))
+    text = f"{'+' if value > 0 else ''}{format_value(value, note.decimals)}".replace("-", "−")
+    if comparison.high is None:
+        return Cell(text, value, note=comparison.note)
+    half = format_half_width(value, comparison.high - value, note.decimals)
+    return Cell(text, value, False, 0.0, f"± {half}", comparison.low, comparison.high, comparison.note)

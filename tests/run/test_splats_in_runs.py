@@ -1,0 +1,171 @@
+"""``splats:PATH``: Gaussians that others have fitted are a method of a run, rendered by our splat."""
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from ggvs_eval.baselines.fitted.hexplane import PUBLISHED, DeformationNetwork
+from ggvs_eval.capture import Capture
+from ggvs_eval.errors import RenderError, WeightsError
+from ggvs_eval.files.images import quantise, read_image
+from ggvs_eval.gaussians import GaussianCloud, render_gaussians, write_ply
+from ggvs_eval.pipelines.methods.network_options import NetworkOptions
+from ggvs_eval.pipelines.methods.splats import named_splats, open_splats
+from ggvs_eval.pipelines.run.evaluate import measure
+from ggvs_eval.pipelines.run.render import render_jobs
+from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
+from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthesis, Views
+from ggvs_eval.run_folder import frame_path, read_json
+from helpers.gaussian_clouds import random_cloud
+from helpers.stereo_scenes import write_capture
+
+PROTOCOL = Protocol(
+    "splats",
+    "plane",
+    Views(("cam00",), "by hand"),
+    Frames(0, 2),
+    Synthesis(k=2),
+    Measurement(metrics=("PSNR",), ceilings=False),
+    CameraPath(poses=2),
+)
+
+
+def cloud_before(capture: Capture, grey: float) -> GaussianCloud:
+    """Large Gaussians of one grey in front of the rig."""
+    camera = capture.cameras[0]
+    pixels = np.random.default_rng(0).uniform((0, 0), camera.size, (40, 2))
+    points = camera.unproject(pixels, np.full(40, (camera.near + camera.far) / 2))
+    means = torch.from_numpy(points).float()
+    return GaussianCloud.of_points(means, torch.full((40, 3), grey), scale=0.1 * camera.far, opacity=0.9)
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory) -> Capture:
+    return write_capture(tmp_path_factory.mktemp("rig"), n_frames=2)
+
+
+@pytest.fixture(scope="module")
+def sequence(capture, tmp_path_factory) -> Path:
+    """A cloud per frame, each of another grey."""
+    folder = tmp_path_factory.mktemp("clouds")
+    for frame, grey in enumerate((0.3, 0.7)):
+        write_ply(folder / f"scene2_{frame:05d}.ply", cloud_before(capture, grey))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def finished(capture, sequence, tmp_path_factory) -> RunPlan:
+    """A whole run of a sequence and of its second cloud alone, in an output folder of 3D Gaussian splatting."""
+    trained = tmp_path_factory.mktemp("trained") / "point_cloud"
+    for iteration, frame in ((7000, 0), (30000, 1)):
+        (trained / f"iteration_{iteration}").mkdir(parents=True)
+        shutil.copy(sequence / f"scene2_{frame:05d}.ply", trained / f"iteration_{iteration}" / "point_cloud.ply")
+    labels, paths = named_splats([f"moving=splats:{sequence}", f"still=splats:{trained.parent}"])
+    root = tmp_path_factory.mktemp("run")
+    plan = plan_run(RunRequest(root, capture, PROTOCOL, labels, networks=NetworkOptions(splats=paths)))
+    measure(plan, 1)
+    return plan
+
+
+def test_frames_are_those_of_the_splat(finished, capture):
+    """Each instant from its own cloud, or all from one; the camera path stands at its instant."""
+    for label, greys in (("moving", (0.3, 0.7)), ("still", (0.7, 0.7))):
+        for frame, grey in enumerate(greys):
+            expected = render_gaussians(cloud_before(capture, grey), finished.plans["cam00"].target).image.clamp(max=1).numpy()
+            assert np.array_equal(read_image(frame_path(finished.run.renders(label, "cam00"), frame)), quantise(expected))
+        on_path = cloud_before(capture, greys[finished.path_frame])
+        expected = render_gaussians(on_path, finished.path[1].target).image.clamp(max=1).numpy()
+        assert np.array_equal(read_image(frame_path(finished.run.path(label), 1)), quantise(expected))
+
+
+def test_they_are_scored_and_timed(finished):
+    """A row of the table like any other, with the milliseconds of the splat; a second run renders nothing."""
+    scores = read_json(finished.run.root / "results.json")
+    record = read_json(finished.run.renders("moving", "cam00") / "job.json")
+
+    assert {"moving", "still"} <= set(finished.run.labels())
+    assert "moving" in str(scores)
+    assert set(record["seconds"]) == {"read", "splat"}
+    assert all(job.is_done() for job in render_jobs(finished, ["moving", "still"], 1, finished.request.networks))
+
+
+def test_another_file_makes_renders_stale(finished, sequence, capture):
+    """Whoever fits again is rendered again."""
+    file = sequence / "scene2_00001.ply"
+    before = file.read_bytes()
+    write_ply(file, cloud_before(capture, 0.9))
+    jobs = render_jobs(finished, ["moving", "still"], 1, finished.request.networks)
+    file.write_bytes(before)
+
+    assert [job.is_done() for job in jobs] == [job.name.startswith("still") for job in jobs]
+
+
+def test_labels_that_folders_can_bear():
+    labels = ("ours+beta_temporal=0.5", "splats:a/my room (2).ply", "x=splats:b")
+    assert named_splats(labels)[0] == ("ours+beta_temporal=0.5", "splats-my-room-2-", "x")
+    with pytest.raises(RenderError, match=r"a/c\.ply and b/c\.ply would both be called splats-c; give NAME=splats:PATH"):
+        named_splats(["splats:a/c.ply", "splats:b/c.ply"])
+    for label in ("splats:", "a/b=splats:c"):
+        with pytest.raises(RenderError, match=f"method {label}: wanted splats:PATH or NAME=splats:PATH with a plain name"):
+            named_splats([label])
+
+
+def test_what_is_no_scene(tmp_path, capture, sequence):
+    """Absent, empty, unnumbered, twice the same number, a frame that is not there, Gaussians that move: one line each."""
+    messages = {
+        "absent": "there is no such file or folder",
+        "empty": "there is none of them",
+        "unnumbered": r"b\.ply: wanted a frame number in the name",
+        "double": r"1\.ply and x01\.ply are both of frame 1",
+        "deformed": r"point_cloud\.ply: wanted a \.ply file|deformation\.pth: not a file of tensors",
+    }
+    for name, files in (("unnumbered", ("a1", "b")), ("double", ("1", "x01")), ("deformed", ("point_cloud",)), ("empty", ())):
+        (tmp_path / name).mkdir()
+        for file in files:
+            (tmp_path / name / f"{file}.ply").touch()
+    (tmp_path / "deformed" / "deformation.pth").touch()
+    for name, message in messages.items():
+        with pytest.raises((RenderError, WeightsError), match=message):
+            open_splats(tmp_path / name)
+    with pytest.raises(RenderError, match="wanted a cloud of frame 5, there are 2 of 0 to 1; number the files"):
+        open_splats(sequence).render(5, capture.cameras[0])
+
+
+class Intruder:
+    """What a hostile checkpoint holds: reading it as a pickle would leave a file behind."""
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+
+    def __reduce__(self) -> tuple:
+        return Path.touch, (self.file,)
+
+
+def test_output_of_4dgs(capture, tmp_path):
+    """Gaussians are moved by the field, whose file is loaded strictly and never run."""
+    folder = tmp_path / "output" / "point_cloud" / "iteration_14000"
+    folder.mkdir(parents=True)
+    cloud, camera = random_cloud(30, dtype=torch.float32), capture.cameras[0]
+    write_ply(folder / "point_cloud.ply", cloud)
+    field = DeformationNetwork(torch.tensor([[2.0, 2, 6], [-2, -2, 0]]), PUBLISHED)
+    with torch.no_grad():
+        for head in PUBLISHED.heads:
+            last = getattr(field.deformation_net, f"{head}_deform")[-1]
+            last.weight.zero_()
+            last.bias.fill_(0.1 if head == "pos" else 0.0)
+    torch.save(field.state_dict(), folder / "deformation.pth")
+    expected = render_gaussians(replace(cloud, means=cloud.means + 0.1), camera).image.clamp(max=1)
+
+    scene = open_splats(tmp_path / "output", range(4))
+    np.testing.assert_allclose(scene.render(3, camera).image, expected, atol=1e-5)
+    assert expected.max() > 0.2
+    assert scene.size_bytes == sum(file.stat().st_size for file in folder.iterdir())
+
+    torch.save({"deformation_net.grid.aabb": Intruder(tmp_path / "ran")}, folder / "deformation.pth")
+    with pytest.raises(WeightsError, match=r"deformation\.pth: not a file of tensors alone"):
+        open_splats(tmp_path / "output", range(4))
+    assert not (tmp_path / "ran").exists()
