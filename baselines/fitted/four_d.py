@@ -43,8 +43,8 @@ class FourD(SceneFitter):
 
     Reading:
         Not as published: first points from estimated depth; spherical harmonics of degree 1 from the first step on; a smaller
-        field whose heads begin at zero; Adam goes on through both stages; black background; one image per step; loss 0.8 L1 +
-        0.2 (1 - SSIM); explicit motions keep three colours, without the network of Spacetime Gaussians' full form.
+        field whose heads begin at zero, none for sizes; Adam goes on through both stages; black background; one image per step;
+        loss 0.8 L1 + 0.2 (1 - SSIM); explicit motions keep three colours, without the network of Spacetime Gaussians' full form.
     """
 
     motion: MotionName = "hexplane"
@@ -113,4 +113,4 @@ class FourD(SceneFitter):
             return PolynomialMotion()
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(footage.seed)
-            return HexPlaneMotion(DeformationNetwork(box, compact(len(footage.indices))), shots.extent)
+            return HexPlaneMotion(DeformationNetwork(box, compact(len(footage.indices), self.degree)), shots.extent)

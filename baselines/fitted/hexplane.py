@@ -30,6 +30,7 @@ class FieldConfiguration:
         channels: features of a level.
         width: of the hidden layers.
         heads: which properties move, of `HEADS`.
+        harmonics: outputs of the head of colours: three per term of the spherical harmonics.
         is_published: as the authors' files: with the parts of the network that they keep and never use, heads that begin with
             random weights, and times in [0, 1) read as they are.
     """
@@ -39,15 +40,24 @@ class FieldConfiguration:
     channels: int
     width: int
     heads: tuple[str, ...]
+    harmonics: int = HEADS["shs"]
     is_published: bool = False
 
 
 PUBLISHED = FieldConfiguration((64, 128), 150, 16, 128, tuple(HEADS), is_published=True)
 
 
-def compact(instants: int) -> FieldConfiguration:
-    """The small field for a clip of so many instants, with half as many nodes in time, as the authors advise."""
-    return FieldConfiguration((32, 64), max(2, -(-instants // 2)), 8, 32, ("pos", "rotations", "opacity"))
+def compact(instants: int, degree: int) -> FieldConfiguration:
+    """The small field for a clip of so many instants, with half as many nodes in time, as the authors advise.
+
+    Only sizes do not change over time. Colours must: a screen that shows a film is most of the error without them.
+
+    Args:
+        instants: of the clip.
+        degree: of the cloud's spherical harmonics.
+    """
+    heads = ("pos", "rotations", "opacity", "shs")
+    return FieldConfiguration((32, 64), max(2, -(-instants // 2)), 8, 32, heads, harmonics=3 * (degree + 1) ** 2)
 
 
 class PlaneGrid(nn.Module):
@@ -110,7 +120,7 @@ class _Field(nn.Module):
         self.grid = PlaneGrid(box, configuration)
         self.feature_out = nn.Sequential(linear(len(configuration.levels) * configuration.channels, width))
         for head in configuration.heads:
-            last = linear(width, HEADS[head])
+            last = linear(width, configuration.harmonics if head == "shs" else HEADS[head])
             if not configuration.is_published:
                 nn.init.zeros_(last.weight)
             layers = nn.Sequential(nn.ReLU(), linear(width, width), nn.ReLU(), last)

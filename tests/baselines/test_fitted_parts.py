@@ -101,7 +101,7 @@ def test_features_are_products_of_bilinear_planes():
 def motions(means: torch.Tensor) -> list:
     """One of each kind, as fits begin with them."""
     return [
-        HexPlaneMotion(DeformationNetwork(box_of(means), compact(12)), 2.0),
+        HexPlaneMotion(DeformationNetwork(box_of(means), compact(12, 1)), 2.0),
         LinearMotion(),
         PolynomialMotion(),
         TransformationMotion(box_of(means), 2.0, 0),
