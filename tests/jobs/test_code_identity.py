@@ -37,7 +37,8 @@ LEARNED = {"naive", "ours", "ours+no-tsdf", "ours+no-temporal"}
 OURS = LEARNED | {label for label in METHODS if label.startswith("ours-geometric")}
 GPS_GAUSSIAN = {"gps-gaussian", "gps-gaussian+given-depth"}
 SPLATTED = OURS | {"no-blending", "distance-based"}
-ALL_METHODS = SPLATTED | GPS_GAUSSIAN | {"fwd", "ibrnet", "enerf"}
+FITTED = {"4dgs", "3dgs-per-instant", "3dgstream"}
+ALL_METHODS = SPLATTED | GPS_GAUSSIAN | {"fwd", "ibrnet", "enerf"} | FITTED
 REGIONS = {f"{measure}_{region}" for measure in ("PSNR", "SSIM", "L1") for region in ("static", "moving", "disoccluded")}
 CORRECTED = {"PSNR_cc", "SSIM_cc", "LPIPS_cc"}  # one scorer: a frame is corrected once for all of them
 WITH_SSIM = {"SSIM", "TCC", "ceilings"} | REGIONS | CORRECTED
@@ -346,7 +347,7 @@ def test_a_method_names_its_modules(label):
     """Whatever a method is made of stands in the closure of the modules that its spec names."""
     spec = find_method(label)
     try:
-        method = spec.make()
+        method = spec.make_fitter() if spec.is_fitted else spec.make()
     except WeightsError:
         pytest.skip("its weights do not ship")
     closure = installed_code().closure(*spec.modules)
