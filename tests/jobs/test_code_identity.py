@@ -37,7 +37,8 @@ LEARNED = {"naive", "ours", "ours+no-tsdf", "ours+no-temporal"}
 OURS = LEARNED | {label for label in METHODS if label.startswith("ours-geometric")}
 GPS_GAUSSIAN = {"gps-gaussian", "gps-gaussian+given-depth"}
 SPLATTED = OURS | {"no-blending", "distance-based"}
-ALL_METHODS = SPLATTED | GPS_GAUSSIAN | {"fwd", "ibrnet", "enerf"}
+FITTED = {"4dgs", "3dgs-per-instant", "3dgstream"}
+ALL_METHODS = SPLATTED | GPS_GAUSSIAN | {"fwd", "ibrnet", "enerf"} | FITTED
 
 
 def parts(*measures: str) -> set[str]:
@@ -361,7 +362,7 @@ def test_a_method_names_its_modules(label):
     """Whatever a method is made of stands in the closure of the modules that its spec names."""
     spec = find_method(label)
     try:
-        method = spec.make()
+        method = spec.make_fitter() if spec.is_fitted else spec.make()
     except WeightsError:
         pytest.skip("its weights do not ship")
     closure = installed_code().closure(*spec.modules)
