@@ -100,10 +100,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         make(folder, SETTINGS[name], chosen.film_only)
     reference, *others = folders
     table = {name: dict(differences(folders[reference], folders[name], chosen.film_only)) for name in others}
-    print(
-        pd.DataFrame({name: {stage: str(value) for stage, value in row.items()} for name, row in table.items()}).T.to_markdown()
-    )
     write_json(chosen.out.with_suffix(".json"), {name: {s: vars(d) for s, d in row.items()} for name, row in table.items()})
+    for name, row in table.items():
+        print(name, *(f"  {stage}: {difference}" for stage, difference in row.items()), sep="\n")
 
 
 def make(folder: Path, setting: dict[str, str], film_only: bool) -> None:

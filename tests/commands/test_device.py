@@ -118,7 +118,7 @@ def test_methods_without_networks_know_no_device():
     on_gpu = NetworkOptions(device="cuda")
     for label, spec in METHODS.items():
         assert find_method(label).device == "cpu"
-        learned, fitted = bool(spec.weights or spec.checkpoint), spec.fitter is not None
+        learned, fitted = bool(spec.weights or spec.checkpoint), bool(spec.fitter)
         assert find_method(label, on_gpu).device == ("cuda" if learned or fitted else "cpu")
         assert learned == (label in LEARNED or label == "gps-gaussian")
     assert find_method("ours+beta_temporal=0.6", on_gpu).device == "cuda"
