@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Array, Array32
 from ggvs_eval.camera import Camera
-from ggvs_eval.kernels.portable import shrink
+from ggvs_eval.kernels.portable import cos, length, shrink, sin
 from ggvs_eval.synthetic.film.rig import UNITS_PER_METRE, directions_in_room, eye_in_room, rays_in_room, room_to_world
 from ggvs_eval.synthetic.room.geometry import Geometry
 from ggvs_eval.synthetic.room.lighting import Instant
@@ -77,14 +77,22 @@ def undistorted_positions(camera: Camera, lens: Coefficients) -> Array:
 def _fisheye_positions(camera: Camera, lens: Coefficients) -> Array:
     """The same for a fisheye: by Newton, the angle theta whose theta (1 + k1 theta^2 + ...) is the pixel's radius."""
     distorted = (camera.pixel_centres().reshape(-1, 2) - camera.K[:2, 2]) / camera.K[[0, 1], [0, 1]]
-    radius = np.linalg.norm(distorted, axis=1)
-    powers = np.arange(1, 2 * len(lens) + 2, 2)  # 1, 3, 5, 7, 9
-    factors = np.array([1.0, *lens])
+    radius = length(distorted)
+    factors = (1.0, *lens)
+    slopes = tuple((2 * order + 1) * factor for order, factor in enumerate(factors))
     theta = radius.copy()
     for _ in range(NEWTON_STEPS):
-        missed = (factors * theta[:, None] ** powers).sum(axis=1) - radius
-        theta -= missed / (factors * powers * theta[:, None] ** (powers - 1)).sum(axis=1)
-    return distorted * (np.tan(theta) / np.where(radius == 0, 1.0, radius))[:, None]
+        square = theta * theta
+        theta -= (theta * _polynomial(factors, square) - radius) / _polynomial(slopes, square)
+    return distorted * (sin(theta) / (cos(theta) * np.where(radius == 0, 1.0, radius)))[:, None]
+
+
+def _polynomial(factors: tuple[float, ...], values: Array) -> Array:
+    """The polynomial with these factors, the constant first (Horner)."""
+    total = np.zeros_like(values)
+    for factor in reversed(factors):
+        total = total * values + factor
+    return total
 
 
 class Picture(NamedTuple):

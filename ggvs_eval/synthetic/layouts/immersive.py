@@ -35,7 +35,7 @@ def finish(folder: Path, options: DemoOptions, cameras: Sequence[Camera]) -> Non
                 "orientation": rotation_vector(camera.rotation).tolist(),
                 "focal_length": float(camera.K[0, 0]),
                 "pixel_aspect_ratio": float(camera.K[1, 1] / camera.K[0, 0]),
-                "principal_point": camera.K[:2, 2].tolist(),
+                "principal_point": [float(camera.K[0, 2]), float(camera.K[1, 2])],
                 "height": float(camera.height),
                 "width": float(camera.width),
                 "radial_distortion": [k1, k2, 0.0],
