@@ -10,33 +10,27 @@ import torch
 
 from ggvs_eval.baselines.fitted.hexplane import DeformationNetwork, compact
 from ggvs_eval.baselines.fitted.motion import HexPlaneMotion, LinearMotion, Motion, MotionName, PolynomialMotion
-from ggvs_eval.baselines.fitted.optimiser import Journal, clip_options, optimise
-from ggvs_eval.baselines.fitted.photometric import STRUCTURE
+from ggvs_eval.baselines.fitted.optimiser import GaussianFitter, Journal, clip_options, optimise
 from ggvs_eval.baselines.fitted.points import Points, initial_points
-from ggvs_eval.baselines.fitted.scene import SCENE, MovingScene, require_counts, write_scene
+from ggvs_eval.baselines.fitted.scene import SCENE, MovingScene, write_scene
 from ggvs_eval.baselines.fitted.shots import Shots
 from ggvs_eval.baselines.fitted.state import FitState, box_of, first_gaussians
 from ggvs_eval.compute_device import compute_device, computing_on, one_thread
 from ggvs_eval.errors import RenderError, did_you_mean
-from ggvs_eval.scene_fitter import FittedScene, Footage, Progress, SceneFitter
+from ggvs_eval.scene_fitter import FittedScene, Footage, Progress
 
 DEPTH_INSTANTS = 6  # whose depth gives the first points
 STATE = "state.pt"
 
 
 @dataclass(frozen=True)
-class FourD(SceneFitter):
+class FourD(GaussianFitter):
     """4DGS (compact): canonical Gaussians and a HexPlane field, or an explicit motion of each Gaussian, from one optimiser.
 
     Attributes:
         motion: ``hexplane`` (4DGS), ``polynomial`` (Spacetime Gaussians, lite) or ``linear`` (as FreeTimeGS).
         steps: images that are looked at, a quarter of them without motion where a field moves the Gaussians.
-        points: first points at most.
-        most: Gaussians at most.
-        degree: of the spherical harmonics.
-        structure: share of 1 - SSIM in the loss; 0 for L1 alone, as the authors.
-        save_every: steps between checkpoints.
-        device: where it is fitted and rendered.
+        points, most, degree, structure, save_every, device: as of `GaussianFitter`.
 
     Raises:
         RenderError: no such motion, or numbers that make no sense.
@@ -49,12 +43,6 @@ class FourD(SceneFitter):
 
     motion: MotionName = "hexplane"
     steps: int = 8000
-    points: int = 30_000
-    most: int = 60_000
-    degree: int = 1
-    structure: float = STRUCTURE
-    save_every: int = 500
-    device: str = "cpu"
     name = "4dgs"
     look_ahead = "sequence"
 
@@ -64,7 +52,7 @@ class FourD(SceneFitter):
         if self.motion not in names:
             mend = did_you_mean(self.motion, names)
             raise RenderError(f"4dgs: wanted a motion of {', '.join(names)}, got {self.motion!r}{mend}")
-        require_counts(self, "steps", "points", "most", "save_every")
+        self.require_counts("steps")
 
     def depth_indices(self, indices: range) -> Sequence[int]:
         """Return a few instants, spread over the clip."""

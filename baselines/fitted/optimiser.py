@@ -12,12 +12,49 @@ from ggvs_eval.baselines.fitted.motion import canonical
 from ggvs_eval.baselines.fitted.photometric import STRUCTURE, photometric_loss
 from ggvs_eval.baselines.fitted.shots import Shot, Shots
 from ggvs_eval.baselines.fitted.state import RATES, SHARED, FitState
+from ggvs_eval.errors import RenderError
 from ggvs_eval.gaussians.render import render_gaussians
-from ggvs_eval.scene_fitter import Progress
+from ggvs_eval.scene_fitter import Progress, SceneFitter
 from ggvs_eval.training.log import TrainingLog, draw_curves
 
 LAST_LENGTH_RATE, LAST_SHARED_RATE = 0.01, 0.1  # of the first one, at the last step: of lengths, and of what all share
 WATCHED = 4  # training images whose PSNR is the curve
+
+
+@dataclass(frozen=True, kw_only=True)
+class GaussianFitter(SceneFitter):
+    """A fitter of Gaussians, and what each of them can be told.
+
+    Attributes:
+        points: first points at most.
+        most: Gaussians at most.
+        degree: of the spherical harmonics.
+        structure: share of 1 - SSIM in the loss; 0 for L1 alone, as the authors of 4DGS.
+        save_every: steps between checkpoints.
+        device: where it is fitted and rendered.
+    """
+
+    points: int = 30_000
+    most: int = 60_000
+    degree: int = 1
+    structure: float = STRUCTURE
+    save_every: int = 500
+    device: str = "cpu"
+
+    def require_counts(self, *names: str) -> None:
+        """Refuse options that must be 1 or more and are not, and spherical harmonics of no degree from 0 to 3.
+
+        Args:
+            names: of the options that count, beside those that all have.
+
+        Raises:
+            RenderError: which one.
+        """
+        for each in (*names, "points", "most", "save_every"):
+            if getattr(self, each) < 1:
+                raise RenderError(f"{self.name}: {each} must be 1 or more, got {getattr(self, each)}")
+        if self.degree not in range(4):
+            raise RenderError(f"{self.name}: degree must be 0, 1, 2 or 3, got {self.degree}")
 
 
 @dataclass(frozen=True)

@@ -6,16 +6,15 @@ from pathlib import Path
 import torch
 
 from ggvs_eval.baselines.fitted.motion import NoMotion
-from ggvs_eval.baselines.fitted.optimiser import Journal, clip_options, optimise
-from ggvs_eval.baselines.fitted.photometric import STRUCTURE
+from ggvs_eval.baselines.fitted.optimiser import GaussianFitter, Journal, clip_options, optimise
 from ggvs_eval.baselines.fitted.points import initial_points
-from ggvs_eval.baselines.fitted.scene import StoredScene, render_cloud, require_counts, write_scene
+from ggvs_eval.baselines.fitted.scene import StoredScene, render_cloud, write_scene
 from ggvs_eval.baselines.fitted.shots import Shots
 from ggvs_eval.baselines.fitted.state import FitState, first_gaussians
 from ggvs_eval.camera import Camera
 from ggvs_eval.compute_device import compute_device, computing_on, one_thread
 from ggvs_eval.method import Rendering
-from ggvs_eval.scene_fitter import FittedScene, Footage, Progress, SceneFitter
+from ggvs_eval.scene_fitter import FittedScene, Footage, Progress
 
 STATE = "state.pt"
 
@@ -26,12 +25,12 @@ def scene_file(folder: Path, index: int) -> Path:
 
 
 @dataclass(frozen=True)
-class PerInstant(SceneFitter):
+class PerInstant(GaussianFitter):
     """3D Gaussian splatting (Kerbl et al. 2023) of one instant after the other; works for a single one too.
 
     Attributes:
         steps: images that are looked at for each instant.
-        points, most, degree, structure, save_every, device: as of `FourD`.
+        points, most, degree, structure, save_every, device: as of `GaussianFitter`.
 
     Raises:
         RenderError: numbers that make no sense.
@@ -42,18 +41,12 @@ class PerInstant(SceneFitter):
     """
 
     steps: int = 1000
-    points: int = 30_000
-    most: int = 60_000
-    degree: int = 1
-    structure: float = STRUCTURE
-    save_every: int = 500
-    device: str = "cpu"
     name = "3dgs-per-instant"
     look_ahead = "none"
 
     def __post_init__(self) -> None:
         """Refuse options that no fit could follow."""
-        require_counts(self, "steps", "points", "most", "save_every")
+        self.require_counts("steps")
 
     def fit(self, footage: Footage, folder: Path, progress: Progress) -> None:
         """Fit a cloud to each instant that has none yet."""

@@ -89,19 +89,6 @@ def _notes(path: Path) -> Any:
         ) from error
 
 
-def require_counts(options: Any, *names: str) -> None:
-    """Refuse options of a fit that must be 1 or more and are not, and spherical harmonics of no degree from 0 to 3.
-
-    Raises:
-        RenderError: which one.
-    """
-    for each in names:
-        if getattr(options, each) < 1:
-            raise RenderError(f"{options.name}: {each} must be 1 or more, got {getattr(options, each)}")
-    if options.degree not in range(4):
-        raise RenderError(f"{options.name}: degree must be 0, 1, 2 or 3, got {options.degree}")
-
-
 def render_cloud(cloud_of: Callable[[], GaussianCloud], target: Camera, near: float, device_name: str) -> Rendering:
     """Render what a function gives on a device, with the time of both."""
     device = compute_device(device_name)

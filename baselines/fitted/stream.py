@@ -12,24 +12,23 @@ import torch
 
 from ggvs_eval.baselines.fitted.density import DensityOptions, rotated
 from ggvs_eval.baselines.fitted.motion import Backdrop, TransformationMotion, canonical
-from ggvs_eval.baselines.fitted.optimiser import Journal, OptimiserOptions, clip_options, optimise
+from ggvs_eval.baselines.fitted.optimiser import GaussianFitter, Journal, OptimiserOptions, clip_options, optimise
 from ggvs_eval.baselines.fitted.per_instant import STATE, fresh_or_stored, scene_file
-from ggvs_eval.baselines.fitted.photometric import STRUCTURE
-from ggvs_eval.baselines.fitted.scene import StoredScene, render_cloud, require_counts, write_scene
+from ggvs_eval.baselines.fitted.scene import StoredScene, render_cloud, write_scene
 from ggvs_eval.baselines.fitted.shots import Shots
 from ggvs_eval.baselines.fitted.state import OPACITY, FitState, Gaussians, box_of
 from ggvs_eval.camera import Camera
 from ggvs_eval.compute_device import compute_device, computing_on, one_thread
 from ggvs_eval.gaussians import GaussianCloud
 from ggvs_eval.method import Rendering
-from ggvs_eval.scene_fitter import FittedScene, Footage, Progress, SceneFitter
+from ggvs_eval.scene_fitter import FittedScene, Footage, Progress
 
 RATE = 15.0  # times the learning rates, for Gaussians that were added
 GRADIENT = 1.5e-4  # mean norm of the screen gradient, in units of half the image, from which on a Gaussian spawns another
 
 
 @dataclass(frozen=True)
-class Stream(SceneFitter):
+class Stream(GaussianFitter):
     """3DGStream: the first instant as 3D Gaussian splatting, each later one from the one before it.
 
     Attributes:
@@ -37,7 +36,7 @@ class Stream(SceneFitter):
         transforming: for each later one, while the field learns how the Gaussians move; as published.
         spawning: for each later one, while Gaussians that were added learn; as published.
         spawned: Gaussians added at most.
-        points, most, degree, structure, save_every, device: as of `FourD`.
+        points, most, degree, structure, save_every, device: as of `GaussianFitter`.
 
     Raises:
         RenderError: numbers that make no sense.
@@ -52,18 +51,12 @@ class Stream(SceneFitter):
     transforming: int = 150
     spawning: int = 100
     spawned: int = 4000
-    points: int = 30_000
-    most: int = 60_000
-    degree: int = 1
-    structure: float = STRUCTURE
-    save_every: int = 500
-    device: str = "cpu"
     name = "3dgstream"
     look_ahead = "past"
 
     def __post_init__(self) -> None:
         """Refuse options that no fit could follow."""
-        require_counts(self, "steps", "transforming", "spawning", "spawned", "points", "most", "save_every")
+        self.require_counts("steps", "transforming", "spawning", "spawned")
 
     def depth_indices(self, indices: range) -> Sequence[int]:
         """Return the first instant alone."""
