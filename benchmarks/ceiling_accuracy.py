@@ -96,15 +96,15 @@ def compare(clean: Sequence[Image8], first: Sequence[Image8], second: Sequence[I
         for path, frames in zip(paths, (first, second), strict=True):
             write_video(path, frames, 30, crf)
         captured, again = (list(VideoFrames(path).frames(0, len(clean))) for path in paths)
-        found = ceilings(lambda: iter(captured), ceiling_metrics(), coding=read_coding(paths[0], range(len(clean))))
+        bounds = ceilings(lambda: iter(captured), ceiling_metrics(), coding=read_coding(paths[0], range(len(clean))))
     scored = score_views(((pair[:2], pair[2]) for pair in zip(clean, again, captured, strict=True)), ceiling_metrics())
     real = [
         {name: float(np.mean([value for other, _, value in one.values if other == name])) for name in ceiling_metrics()}
         for one in scored
     ]
     return {
-        "noise-free": Comparison(real[0], found.noise_free, dict(found.bounds)),
-        "second": Comparison(real[1], found.second_recording, dict(found.second_bounds)),
+        "noise-free": Comparison(real[0], bounds.noise_free, dict(bounds.bounds)),
+        "second": Comparison(real[1], bounds.second_recording, dict(bounds.second_bounds)),
     }
 
 

@@ -20,28 +20,28 @@ def one_thread() -> Iterator[None]:
         torch.set_num_threads(threads)
 
 
-def compute_device(wanted: str) -> torch.device:
+def compute_device(name: str) -> torch.device:
     """The device of a name that somebody has typed.
 
     Args:
-        wanted: ``cpu``, ``cuda``, ``cuda:1`` and so on, or ``auto``: the GPU where torch finds one.
+        name: ``cpu``, ``cuda``, ``cuda:1`` and so on, or ``auto``: the GPU where torch finds one.
 
     Raises:
         DeviceError: no such device here.
     """
-    if wanted == "auto":
+    if name == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     try:
-        device = torch.device(wanted)
+        device = torch.device(name)
     except RuntimeError as error:
-        raise DeviceError(f"device {wanted!r}: wanted cpu, cuda, cuda:N or auto") from error
+        raise DeviceError(f"device {name!r}: wanted cpu, cuda, cuda:N or auto") from error
     if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
         raise DeviceError(
-            f"device {wanted}: torch {torch.__version__} finds {torch.cuda.device_count()} GPUs; take cpu, or install torch "
+            f"device {name}: torch {torch.__version__} finds {torch.cuda.device_count()} GPUs; take cpu, or install torch "
             f"{torch.__version__.partition('+')[0]} for CUDA into this environment"
         )
     if device.type not in ("cpu", "cuda"):
-        raise DeviceError(f"device {wanted!r}: wanted cpu, cuda, cuda:N or auto")
+        raise DeviceError(f"device {name!r}: wanted cpu, cuda, cuda:N or auto")
     return device
 
 

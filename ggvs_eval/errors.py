@@ -109,12 +109,12 @@ def mendable(error: BaseException) -> str | None:
     return one_line(f"{' -> '.join(files)}{': ' * bool(files)}{reason}{mend}; {GO_ON}")
 
 
-def did_you_mean(name: str, known: Iterable[str], cutoff: float = 0.6, prefix: str = "") -> str:
+def did_you_mean(name: str, names: Iterable[str], cutoff: float = 0.6, prefix: str = "") -> str:
     """Suggest the known name that a mistyped one was meant to be, as the tail of a message.
 
     Args:
         name: as the user wrote it.
-        known: the names that there are.
+        names: the names that there are.
         cutoff: likeness from 0 to 1 below which nothing is suggested.
         prefix: of the suggestion, such as the section of a file that the names belong to.
 
@@ -127,5 +127,5 @@ def did_you_mean(name: str, known: Iterable[str], cutoff: float = 0.6, prefix: s
         >>> did_you_mean("x", ["dynerf", "d3dmv"])
         ''
     """
-    nearest = get_close_matches(name, known, n=1, cutoff=cutoff) if len(name) <= LONGEST_NAME else []
+    nearest = get_close_matches(name, names, n=1, cutoff=cutoff) if len(name) <= LONGEST_NAME else []
     return f"; did you mean {prefix}{nearest[0]}?" if nearest else ""

@@ -231,9 +231,9 @@ def load_protocol(source: str | pathlib.Path) -> Protocol:
         values = read_toml(path, ProtocolError)
     else:
         if str(source) not in packaged_protocols():
-            known = packaged_protocols()
-            wanted = f"a .toml file or one of {', '.join(known)}{did_you_mean(str(source), known)}"
-            raise ProtocolError(f"protocol {str(source)!r} is not packaged; use {wanted}")
+            packaged = packaged_protocols()
+            choice = f"a .toml file or one of {', '.join(packaged)}{did_you_mean(str(source), packaged)}"
+            raise ProtocolError(f"protocol {str(source)!r} is not packaged; use {choice}")
         text = (resources.files("ggvs_eval") / "protocols" / f"{source}.toml").read_text(encoding="utf-8")
         values = parse_toml(text, str(source), ProtocolError)
     return _checked(build_table(Protocol, values, str(source), "", ProtocolError), str(source))

@@ -121,10 +121,10 @@ class RunFolder:
     def labels(self) -> list[str]:
         """Methods that have renders here, in the order in which `ggvs-eval render` was asked for them."""
         folder = self.root / "renders"
-        found = sorted(item.name for item in folder.iterdir() if not item.name.startswith(".")) if folder.is_dir() else []
+        content = sorted(item.name for item in folder.iterdir() if not item.name.startswith(".")) if folder.is_dir() else []
         order_file = self.root / "methods.json"
         order = read_json(order_file)["labels"] if order_file.is_file() else []
-        return [label for label in order if label in found] + [label for label in found if label not in order]
+        return [label for label in order if label in content] + [label for label in content if label not in order]
 
 
 def frame_path(folder: Path, index: int) -> Path:

@@ -98,8 +98,8 @@ def _of_sensor(
     """Of frames as the sensor gave them: the truth is what was captured."""
     noise, background = observe(frames())
     if _is_coarse_in_colour(noise):
-        wanted = "wanted colour with noise in single pixels, got colour of half size, as codecs store it"
-        raise MetricError(f"ceilings: {wanted}; give the video itself instead of its frames")
+        reason = "wanted colour with noise in single pixels, got colour of half size, as codecs store it"
+        raise MetricError(f"ceilings: {reason}; give the video itself instead of its frames")
     renderings = _PerfectRenderings(noise, background, np.random.default_rng([seed, 4]))
     noise_free, second = score_views(renderings.beside(frames()), metrics, options)
     return Ceilings(

@@ -116,11 +116,11 @@ def _tile_alphas(splats: Footprints, chunk: Tensor, left: int, top: int) -> Tens
     return alpha.masked_fill(wrong | (alpha < MIN_ALPHA), 0).view(TILE * TILE, -1)
 
 
-def blend_batches(seen: Footprints, features: Tensor, members: Tensor, starts: Tensor, columns: int) -> Tensor:
+def blend_batches(footprints: Footprints, features: Tensor, members: Tensor, starts: Tensor, columns: int) -> Tensor:
     """Features of every tile, its Gaussians blended front to back: the nearest of all tiles first, then the next ones.
 
     Args:
-        seen: Gaussians on the image.
+        footprints: Gaussians on the image.
         features: of each, (N, C).
         members: indices of the Gaussians of each tile, nearest first, (M,).
         starts: where each tile's begin, (T + 1,), tiles row by row.
@@ -141,7 +141,7 @@ def blend_batches(seen: Footprints, features: Tensor, members: Tensor, starts: T
             there = ranks < counts[tiles, None]  # (t, n)
             chunk = members[torch.where(there, starts[tiles, None] + ranks, 0)]
             alpha = (
-                _batch_alphas(seen, chunk, tiles % columns * TILE, tiles // columns * TILE) * there[:, None]
+                _batch_alphas(footprints, chunk, tiles % columns * TILE, tiles // columns * TILE) * there[:, None]
             )  # (t, TILE**2, n)
             before = light[tiles, :, None]
             after = before * torch.cumprod(1 - alpha, dim=2)

@@ -54,11 +54,11 @@ def estimate_depth(capture: Capture, camera: Camera, image: Image8, options: Dep
     return DepthEstimator(camera, partners, options).estimate(image, partner_images)
 
 
-def errors_by_region(found: DepthMap, truth: Map, masks: Mapping[str, Mask], filled_confidence: float) -> dict[str, Errors]:
+def errors_by_region(depth_map: DepthMap, truth: Map, masks: Mapping[str, Mask], filled_confidence: float) -> dict[str, Errors]:
     """Relative errors of one depth map and what it rejected, in each region.
 
     Args:
-        found: the depth map, filled or not.
+        depth_map: the depth map, filled or not.
         truth: exact depth, (H, W).
         masks: the regions, (H, W) each, of known depth only.
         filled_confidence: of pixels that were rejected and filled from the background.
@@ -67,8 +67,8 @@ def errors_by_region(found: DepthMap, truth: Map, masks: Mapping[str, Mask], fil
         Errors are those of the map as it is used, filled pixels included. Rejected is what has no depth, or is trusted no more
         than what was filled.
     """
-    rejected = (found.depth <= 0) | (found.confidence <= filled_confidence)
-    return {region: (relative_errors(found.depth[mask], truth[mask]), rejected[mask]) for region, mask in masks.items()}
+    rejected = (depth_map.depth <= 0) | (depth_map.confidence <= filled_confidence)
+    return {region: (relative_errors(depth_map.depth[mask], truth[mask]), rejected[mask]) for region, mask in masks.items()}
 
 
 def _table(

@@ -110,20 +110,20 @@ def open_capture(path: str | Path, layout: str | None = None, *, units: GivenUni
     return apply_known_traps(capture, leave_out=drop_unsynced)
 
 
-def detect_layout(path: Path, wanted: str | None = None) -> str:
+def detect_layout(path: Path, layout: str | None = None) -> str:
     """The layout of a capture.
 
     Args:
         path: the capture.
-        wanted: the only one to consider; all when None.
+        layout: the only one to consider; all when None.
 
     Raises:
         CaptureError: no layout fits; the message has the reason of each.
     """
-    if wanted is not None and wanted not in DATASETS:
-        known = ", ".join(DATASETS)
-        raise CaptureError(f"{path}: no layout {wanted!r}, there are {known}{did_you_mean(wanted, DATASETS)}")
-    refusals = {name: spec.refuse(path) for name, spec in DATASETS.items() if wanted in (None, name)}
+    if layout is not None and layout not in DATASETS:
+        layouts = ", ".join(DATASETS)
+        raise CaptureError(f"{path}: no layout {layout!r}, there are {layouts}{did_you_mean(layout, DATASETS)}")
+    refusals = {name: spec.refuse(path) for name, spec in DATASETS.items() if layout in (None, name)}
     fitting = [name for name, refusal in refusals.items() if refusal is None]
     if not fitting:
         reasons = "; ".join(f"not {name}: {refusal}" for name, refusal in refusals.items())
@@ -136,5 +136,5 @@ def detect_layout(path: Path, wanted: str | None = None) -> str:
 def _captures_within(path: Path) -> list[str]:
     """Folders right below that hold a capture, when a whole data set was named instead of a scene."""
     folders = sorted(folder for folder in path.iterdir() if folder.is_dir())[: 4 * LISTED] if path.is_dir() else []
-    found = [folder.name for folder in folders if any(spec.refuse(folder) is None for spec in DATASETS.values())]
-    return [*found[:LISTED], "..."] if len(found) > LISTED else found
+    captures = [folder.name for folder in folders if any(spec.refuse(folder) is None for spec in DATASETS.values())]
+    return [*captures[:LISTED], "..."] if len(captures) > LISTED else captures

@@ -62,8 +62,8 @@ def assemble_capture(
     names = [camera.name for camera in cameras]
     twice = sorted(name for name, count in Counter(names).items() if count > 1)
     if twice or not names:
-        found = f"several called {', '.join(twice)}" if twice else "none"
-        raise CaptureError(f"{path}: wanted cameras of different names, got {found}; correct the calibration")
+        matches = f"several called {', '.join(twice)}" if twice else "none"
+        raise CaptureError(f"{path}: wanted cameras of different names, got {matches}; correct the calibration")
     unfit = [name for name in names if not _is_file_name(name)]
     if unfit:
         raise CaptureError(f"{path}: wanted camera names that can be file names, got {unfit[0]!r:.80}; rename this camera")

@@ -95,8 +95,8 @@ def read_calibration_file(path: Path, kind: str | None = None) -> CalibrationFil
     check_rig_size(path, len(cameras))
     names = [camera.name for camera in cameras]
     if not names or not all(names) or len(set(names)) < len(names):
-        found = listed(names) or "none"
-        raise CaptureError(f"{path}: wanted a calibration with cameras of different names, got {found}; correct the names")
+        called = listed(names) or "none"
+        raise CaptureError(f"{path}: wanted a calibration with cameras of different names, got {called}; correct the names")
     is_metric = all(camera.is_metric for camera in cameras)
     return CalibrationFile(dict(zip(names, cameras, strict=True)), MILLIMETRES if is_metric else None)
 
@@ -118,38 +118,40 @@ def load(kind: str, path: Path, units: GivenUnits) -> Capture:
     """
     folder = path if path.is_dir() else path.parent
     file = read_calibration_file(path, kind)
-    found = first_sources(folder, {name: f"{name}.png" for name in file.cameras})
-    if len(found) < 2:
+    frames = first_sources(folder, {name: f"{name}.png" for name in file.cameras})
+    if len(frames) < 2:
         raise CaptureError(
-            f"{folder}: wanted frames of two or more of {listed(list(file.cameras))}, got {listed(list(found)) or 'none'}; call "
+            f"{folder}: wanted frames of two or more of {listed(list(file.cameras))}, got {listed(list(frames)) or 'none'}; call "
             f"videos and cameras alike and put them in {ARRANGEMENTS}"
         )
-    chosen = [camera for camera in file.cameras.values() if camera.name in found]
+    chosen = [camera for camera in file.cameras.values() if camera.name in frames]
     without = [camera.name for camera in chosen if camera.world_to_camera is None]
     if without:
         mend = f"'ggvs-eval calibrate {folder} RIG --known-intrinsics {path}' finds them"
         raise CaptureError(f"{path}: wanted poses, got intrinsics alone of {listed(without)}; {mend}")
     poses = [camera.world_to_camera for camera in chosen if camera.world_to_camera is not None]
     try:
-        lenses = [camera.lens(found[camera.name].size) for camera in chosen]
+        lenses = [camera.lens(frames[camera.name].size) for camera in chosen]
         cameras = [
             Camera(camera.name, lens.undistorted_K(), pose, lens.width, lens.height, *depths)
             for camera, lens, pose, depths in zip(chosen, lenses, poses, rig_depth_range(poses), strict=True)
         ]
     except CameraError as error:
         raise CaptureError(f"{path}: {error}") from error
-    sources = undistorted_sources([found[camera.name] for camera in chosen], lenses, cameras)
-    left = [name for name in file.cameras if name not in found]
+    sources = undistorted_sources([frames[camera.name] for camera in chosen], lenses, cameras)
+    left = [name for name in file.cameras if name not in frames]
     notes = [f"{listed(left)} left out: calibrated, but without frames"] if left else []
-    return assemble_capture(folder, kind, cameras, sources, choose_units(folder, units, cameras, known=file.units), notes=notes)
+    return assemble_capture(
+        folder, kind, cameras, sources, choose_units(folder, units, cameras, of_data_set=file.units), notes=notes
+    )
 
 
 def _find(path: Path, kind: str | None) -> tuple[Callable[[Path], list[FileCamera]], list[Path]]:
     """The files of `find_calibration_files`, and what reads them."""
     files = sorted(each for each in path.iterdir() if not each.name.startswith(".")) if path.is_dir() else [path]
     for each in KINDS.values() if kind is None else [KINDS[kind]]:
-        if found := [file for file in files if each.fits(file)]:
-            return each.read, found
+        if fitting := [file for file in files if each.fits(file)]:
+            return each.read, fitting
     return lambda _: [], []
 
 

@@ -107,12 +107,12 @@ class HeldDepths:
                 yield still.copy()
 
 
-def perturb_capture(capture: Capture, wanted: CaptureEdit) -> Capture:
+def perturb_capture(capture: Capture, edit: CaptureEdit) -> Capture:
     """The same cameras with their frames as wanted, the frames that serve as truth included.
 
     Args:
         capture: as it was taken.
-        wanted: what is done to it; nothing with the defaults.
+        edit: what is done to it; nothing with the defaults.
 
     Raises:
         CaptureError: an instant that the capture does not have, or a negative number.
@@ -121,18 +121,18 @@ def perturb_capture(capture: Capture, wanted: CaptureEdit) -> Capture:
         Noise falls on the pixels that the capture yields, before the protocol resizes them: averaging four pixels to one halves
         it. It is the same at every brightness, rounded and clipped to 8 bit. Backgrounds, masks and measured depth get none.
     """
-    _check(capture, wanted)
-    if wanted == CaptureEdit():
+    _check(capture, edit)
+    if edit == CaptureEdit():
         return capture
     named = zip(capture.camera_names, capture.sources, strict=True)
-    held = capture.extras if not wanted.hold_frames else tuple(_held_extras(extras, wanted) for extras in capture.extras)
+    held = capture.extras if not edit.hold_frames else tuple(_held_extras(extras, edit) for extras in capture.extras)
     return replace(
         capture,
-        sources=tuple(_edited(name, source, wanted) for name, source in named),
+        sources=tuple(_edited(name, source, edit) for name, source in named),
         extras=held,
-        n_frames=wanted.hold_frames or capture.n_frames,
-        edit=wanted,
-        notes=(*capture.notes, _describe(wanted)),
+        n_frames=edit.hold_frames or capture.n_frames,
+        edit=edit,
+        notes=(*capture.notes, _describe(edit)),
     )
 
 

@@ -31,13 +31,13 @@ class Sightings(NamedTuple):
         return Sightings(self.point[chosen], self.uv[chosen], self.rgb[chosen])
 
 
-def write_model(folder: Path, cameras: Sequence[Camera], seen: Sequence[Sightings], points: Array) -> None:
+def write_model(folder: Path, cameras: Sequence[Camera], sightings: Sequence[Sightings], points: Array) -> None:
     """Write cameras, images and points, numbered from 1.
 
     Args:
         folder: to make.
         cameras: pinholes; each has an image called after it.
-        seen: what each camera sees of the points.
+        sightings: what each camera sees of the points.
         points: all points, world units, (P, 3); those that no camera sees are left out.
 
     Reading:
@@ -45,9 +45,9 @@ def write_model(folder: Path, cameras: Sequence[Camera], seen: Sequence[Sighting
     """
     folder.mkdir(parents=True)
     _write(folder / FILES[0], (_camera_line(number, camera) for number, camera in enumerate(cameras, 1)))
-    images = (_image_lines(number, *pair) for number, pair in enumerate(zip(cameras, seen, strict=True), 1))
+    images = (_image_lines(number, *pair) for number, pair in enumerate(zip(cameras, sightings, strict=True), 1))
     _write(folder / FILES[1], (line for lines in images for line in lines))
-    _write(folder / FILES[2], _point_lines(cameras, seen, points))
+    _write(folder / FILES[2], _point_lines(cameras, sightings, points))
 
 
 def _camera_line(number: int, camera: Camera) -> str:

@@ -56,7 +56,7 @@ def load(path: Path, units: GivenUnits) -> Capture:
     is_outdoor = (path / HULLS).is_dir()
     cameras = _cameras(path, views, lenses, _depth_ranges(path, views, lenses))
     pinhole = undistorted_sources(sources, lenses, cameras)
-    chosen = choose_units(path, units, cameras, known=METRIC if is_outdoor else None)
+    chosen = choose_units(path, units, cameras, of_data_set=METRIC if is_outdoor else None)
     fps = OUTDOOR_FPS if is_outdoor else None
     extras = _extras(path, {view.name: lens for view, lens in zip(views, lenses, strict=True)}, sources[0].n_frames)
     return assemble_capture(path, "enerf-outdoor", cameras, pinhole, chosen, fps=fps, extras=extras)

@@ -105,13 +105,13 @@ class FileStorageYaml:
                 body.append(line)
         self._entries = {key: "\n".join(body).strip() for key, body in bodies.items()}
 
-    def _refused(self, wanted: str, found: str) -> CaptureError:
-        return refused(self._path, wanted, found)
+    def _refused(self, form: str, content: str) -> CaptureError:
+        return refused(self._path, form, content)
 
 
-def refused(path: Path, wanted: str, found: str) -> CaptureError:
+def refused(path: Path, form: str, content: str) -> CaptureError:
     """The error of a camera file that holds something else than was wanted."""
-    return CaptureError(f"{path}: wanted {wanted}, got {' '.join(found.split())[:160]}; restore or export the file again")
+    return CaptureError(f"{path}: wanted {form}, got {' '.join(content.split())[:160]}; restore or export the file again")
 
 
 def _number(text: str) -> float:

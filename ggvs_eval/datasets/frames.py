@@ -65,9 +65,9 @@ class ImageFrames:
         (size, _), *others = Counter(sizes.values()).most_common()
         if others:
             odd = next(file for file in self.files if sizes[file] != size)
-            found = f"got {sizes[odd][0]} x {sizes[odd][1]}"
+            content = f"got {sizes[odd][0]} x {sizes[odd][1]}"
             raise CaptureError(
-                f"{odd}: wanted {size[0]} x {size[1]} like the camera's other frames, {found}; resize or restore it"
+                f"{odd}: wanted {size[0]} x {size[1]} like the camera's other frames, {content}; resize or restore it"
             )
         return size
 
@@ -96,9 +96,9 @@ class ImageFrames:
         for file in self.files[start:stop]:
             image = read_image(file)
             if image.shape[1::-1] != self.size:
-                found = f"{image.shape[1]} x {image.shape[0]}"
+                content = f"{image.shape[1]} x {image.shape[0]}"
                 raise CaptureError(
-                    f"{file}: wanted {self.size[0]} x {self.size[1]} as its header says, got {found}; restore this frame"
+                    f"{file}: wanted {self.size[0]} x {self.size[1]} as its header says, got {content}; restore this frame"
                 )
             yield image
 
@@ -123,9 +123,9 @@ class ImageFrames:
         if gaps:
             listed = ", ".join(gaps[:LISTED]) + (", ..." if len(gaps) > LISTED else "")
             unread = unread_pictures(self.path)
-            found = f"{len(ordered)} images with gaps between {listed}" + (f", and {unread}" if unread else "")
+            content = f"{len(ordered)} images with gaps between {listed}" + (f", and {unread}" if unread else "")
             raise CaptureError(
-                f"{self.path}: wanted frames numbered in even steps, got {found}; restore the frames or renumber them"
+                f"{self.path}: wanted frames numbered in even steps, got {content}; restore the frames or renumber them"
             )
 
 
@@ -181,5 +181,5 @@ def _read_header(file: Path) -> PictureHeader:
     except Exception as error:  # the parsers raise whatever a damaged header makes them stumble over
         is_large = isinstance(error, DecompressionBombError)
         reason = "whose header claims more pixels than any camera has" if is_large else "that do not open"
-        found = f"{file.stat().st_size} bytes {reason}" if file.is_file() else "no such file"
-        raise CaptureError(f"{file}: wanted an image, got {found}; restore this frame") from error
+        content = f"{file.stat().st_size} bytes {reason}" if file.is_file() else "no such file"
+        raise CaptureError(f"{file}: wanted an image, got {content}; restore this frame") from error

@@ -62,16 +62,18 @@ def load(path: Path, units: GivenUnits) -> Capture:
         HyperReel takes for the scene by the number its folder begins with, else `rig_depth_range`.
     """
     views = _read_views(path / MODELS)
-    found = first_sources(path, {view.name: view.name for view in views})
-    if not found:
+    frames = first_sources(path, {view.name: view.name for view in views})
+    if not frames:
         raise CaptureError(f"{path}: wanted videos {views[0].name}.mp4, ..., or folders of their frames, got none; restore them")
-    filmed = [view for view in views if view.name in found]
-    sources = [found[view.name] for view in filmed]
+    filmed = [view for view in views if view.name in frames]
+    sources = [frames[view.name] for view in filmed]
     cameras = _cameras(path, filmed)
     pinhole = undistorted_sources(sources, [view.lens for view in filmed], cameras)
-    absent = [view.name for view in views if view.name not in found]
+    absent = [view.name for view in views if view.name not in frames]
     notes = [f"{listed(absent)} left out: in {MODELS}, but without frames"] if absent else []
-    return assemble_capture(path, "immersive", cameras, pinhole, choose_units(path, units, cameras, known=METRIC), notes=notes)
+    return assemble_capture(
+        path, "immersive", cameras, pinhole, choose_units(path, units, cameras, of_data_set=METRIC), notes=notes
+    )
 
 
 def _read_views(file: Path) -> list[_View]:
@@ -108,13 +110,13 @@ def _read_view(file: Path, index: int, model: Any) -> _View:
 
 def _cameras(path: Path, views: Sequence[_View]) -> list[Camera]:
     ranges = rig_depth_range([view.model.world_to_camera for view in views])
-    known = given_depth_range(path) or SCENE_DEPTHS_M.get(path.resolve().name.partition("_")[0])
+    depths = given_depth_range(path) or SCENE_DEPTHS_M.get(path.resolve().name.partition("_")[0])
     cameras = []
     for view, limits in zip(views, ranges, strict=True):
         size = view.lens.width, view.lens.height
         try:
             K = view.lens.undistorted_K()
-            cameras.append(Camera(view.name, K, view.model.world_to_camera, *size, *(known or limits)))
+            cameras.append(Camera(view.name, K, view.model.world_to_camera, *size, *(depths or limits)))
         except CameraError as error:
             raise CaptureError(f"{path / MODELS}: {view.name}: {error}") from error
     return cameras

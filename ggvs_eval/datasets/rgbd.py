@@ -93,7 +93,7 @@ def load(path: Path, units: GivenUnits) -> Capture:
     _check_depth_size(sequence, kept, size)
     cameras = [_make_camera(path, number, sequence, size, limits) for number in kept]
     extras = [Extras(depth=_depth_source(sequence, number, size)) for number in kept]
-    return assemble_capture(path, "rgbd", cameras, sources, choose_units(path, units, cameras, known=METRIC), extras=extras)
+    return assemble_capture(path, "rgbd", cameras, sources, choose_units(path, units, cameras, of_data_set=METRIC), extras=extras)
 
 
 def skipped_frames(path: Path) -> list[str]:

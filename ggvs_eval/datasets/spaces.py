@@ -64,7 +64,7 @@ def load_positions(path: Path, units: GivenUnits, positions: Sequence[int] | Non
     taken = [each for position in chosen for each in ranged[position]]
     sources = [ImageFrames(view.file) for view, _ in taken]
     cameras = [_make_camera(view, source, limits) for (view, limits), source in zip(taken, sources, strict=True)]
-    return assemble_capture(path, "spaces", cameras, sources, choose_units(path, units, cameras, known=METRIC))
+    return assemble_capture(path, "spaces", cameras, sources, choose_units(path, units, cameras, of_data_set=METRIC))
 
 
 def _read_views(path: Path) -> list[list[_View]]:

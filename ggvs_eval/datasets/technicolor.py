@@ -114,13 +114,13 @@ def _cameras(path: Path, rows: np.ndarray) -> list[Camera]:
     poses = np.tile(np.eye(4), (len(rows), 1, 1))
     poses[:, :3, :3] = Rotation.from_quat(rows[:, [6, 7, 8, 5]]).as_matrix()
     poses[:, :3, 3] = rows[:, 9:12]
-    known = given_depth_range(path) or SCENE_DEPTHS.get(path.resolve().name.lower())
+    depths = given_depth_range(path) or SCENE_DEPTHS.get(path.resolve().name.lower())
     cameras = []
     for index, (row, pose, limits) in enumerate(zip(rows, poses, rig_depth_range(list(poses)), strict=True)):
         focal_px, cu, cv, aspect = row[:4]
         K = np.array([[focal_px, 0.0, cu], [0.0, aspect * focal_px, cv], [0.0, 0.0, 1.0]])
         try:
-            cameras.append(Camera(f"cam{index:02d}", K, pose, *CALIBRATED_SIZE, *(known or limits)))
+            cameras.append(Camera(f"cam{index:02d}", K, pose, *CALIBRATED_SIZE, *(depths or limits)))
         except CameraError as error:
             raise CaptureError(f"{path / PARAMETERS}: {error}; copy the scene again") from error
     return cameras

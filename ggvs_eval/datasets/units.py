@@ -37,7 +37,7 @@ def choose_units(
     given: GivenUnits,
     cameras: Sequence[Camera],
     *,
-    known: Units | None = None,
+    of_data_set: Units | None = None,
     median_depths: Sequence[float] | None = None,
 ) -> Units:
     """World units per metre, from the best that there is.
@@ -49,7 +49,7 @@ def choose_units(
         path: the capture.
         given: by the user.
         cameras: the rig.
-        known: of the data set.
+        of_data_set: of the data set.
         median_depths: median scene depth per camera, world units, for the guess.
 
     Raises:
@@ -63,7 +63,7 @@ def choose_units(
     noted = read_note(path, "units_per_metre")
     if noted is not None:
         return Units(_positive(noted, path / DEMO_NOTES, "world units per metre"), DEMO_NOTES)
-    return known or Units(guess_units_per_metre(cameras, median_depths), "guess: median scene depth taken for 2 m")
+    return of_data_set or Units(guess_units_per_metre(cameras, median_depths), "guess: median scene depth taken for 2 m")
 
 
 def guess_units_per_metre(cameras: Sequence[Camera], median_depths: Sequence[float] | None = None) -> float:

@@ -41,8 +41,8 @@ def read_image(path: Path) -> Image8:
     """
     image = decode_image(read_encoded(path), cv2.IMREAD_COLOR)
     if image is None:
-        found = f"{path.stat().st_size} bytes that do not decode"
-        raise CaptureError(f"{path}: wanted an image, got {found}; restore or render this frame again")
+        content = f"{path.stat().st_size} bytes that do not decode"
+        raise CaptureError(f"{path}: wanted an image, got {content}; restore or render this frame again")
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
 

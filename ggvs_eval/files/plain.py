@@ -70,5 +70,5 @@ def why_unread(error: OSError) -> str:
     return "no such file" if isinstance(error, FileNotFoundError) else str(error.strerror or error)
 
 
-def _refused(path: Path, found: str) -> NotPlainError:
-    return NotPlainError(errno.EINVAL, found, str(path))
+def _refused(path: Path, reason: str) -> NotPlainError:
+    return NotPlainError(errno.EINVAL, reason, str(path))

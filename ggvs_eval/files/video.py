@@ -62,8 +62,8 @@ def _encode(container: "OutputContainer", path: Path, frames: Iterable[Image8], 
             size = (image.shape[1], image.shape[0])
             stream = _add_stream(container, path, size, fps, crf, settings)
         if image.shape != (size[1], size[0], 3) or image.dtype != np.uint8:
-            wanted = f"wanted ({size[1]}, {size[0]}, 3) uint8 like frame 0, got {image.shape} {image.dtype}"
-            raise CaptureError(f"{path}: frame {index} does not fit: {wanted}; give all frames one size")
+            expected = f"wanted ({size[1]}, {size[0]}, 3) uint8 like frame 0, got {image.shape} {image.dtype}"
+            raise CaptureError(f"{path}: frame {index} does not fit: {expected}; give all frames one size")
         container.mux(stream.encode(_to_yuv(image)))
     if stream is None:
         raise CaptureError(f"{path}: wanted at least one frame to encode, got none; check the range of frames")
@@ -224,7 +224,7 @@ class VideoFrames:
 
     def _decode_from(self, key: int, start: int) -> "Iterator[VideoFrame]":
         """Frames in the order of presentation from `start` on, decoded from the key frame `key` <= `start`."""
-        first, wanted = self._timestamps[key], self._timestamps[start].presented
+        first, presented = self._timestamps[key], self._timestamps[start].presented
         with self._open() as container:
             stream = container.streams.video[0]
             stream.thread_type = "AUTO"
@@ -234,7 +234,7 @@ class VideoFrames:
             for packet in container.demux(stream):
                 # Frames shown before an open group's key frame refer to the group before it and cannot be decoded from here.
                 if packet.pts is None or packet.pts >= first.presented:
-                    yield from (frame for frame in packet.decode() if frame.pts is None or frame.pts >= wanted)
+                    yield from (frame for frame in packet.decode() if frame.pts is None or frame.pts >= presented)
 
     @cached_property
     def _timestamps(self) -> list[FrameTime]:
@@ -277,8 +277,8 @@ class VideoFrames:
         except av.error.FFmpegError:  # damaged: whoever reads frames says so better
             return 0
         if angle_deg % 90:
-            wanted = "frames that are shown upright or turned by right angles"
-            raise CaptureError(f"{self.path}: wanted {wanted}, got {angle_deg} degrees; {MEND} without a turn")
+            expected = "frames that are shown upright or turned by right angles"
+            raise CaptureError(f"{self.path}: wanted {expected}, got {angle_deg} degrees; {MEND} without a turn")
         return angle_deg // 90 % 4
 
     def _open(self) -> "InputContainer":
@@ -292,12 +292,14 @@ class VideoFrames:
         try:
             container = av.open(str(self.path), metadata_errors="replace")
         except av.error.FFmpegError as error:
-            found = f"{self.path.stat().st_size} bytes that do not open ({error.strerror}), 0 frames can be decoded"
-            raise CaptureError(f"{self.path}: wanted a video, got {found}; the file is truncated or no video: {MEND}") from error
+            content = f"{self.path.stat().st_size} bytes that do not open ({error.strerror}), 0 frames can be decoded"
+            raise CaptureError(
+                f"{self.path}: wanted a video, got {content}; the file is truncated or no video: {MEND}"
+            ) from error
         if not container.streams.video or "mp4" not in container.format.name:
-            found = f"{container.format.name} without index of frames" if container.streams.video else "no video stream"
+            content = f"{container.format.name} without index of frames" if container.streams.video else "no video stream"
             container.close()
-            raise CaptureError(f"{self.path}: wanted an MP4 or MOV video, got {found}; copy it: ffmpeg -i IN -c copy OUT.mp4")
+            raise CaptureError(f"{self.path}: wanted an MP4 or MOV video, got {content}; copy it: ffmpeg -i IN -c copy OUT.mp4")
         if container.streams.video[0].codec_context is None:
             container.close()
             raise CaptureError(f"{self.path}: wanted a video in a known code such as H.264, got an unknown one; {MEND}")

@@ -41,12 +41,12 @@ def read_tensors(path: Path, *keys: str, of: str = "a network") -> dict[str, Ten
     return {name.removeprefix(PARALLEL_PREFIX): tensor for name, tensor in tensors.items()}
 
 
-def configuration_of(path: Path, known: Collection[str], of: str) -> str | None:
+def configuration_of(path: Path, names: Collection[str], of: str) -> str | None:
     """Name of the configuration that a weights file says it is.
 
     Args:
         path: safetensors, or a torch checkpoint.
-        known: names of the network's configurations.
+        names: names of the network's configurations.
         of: whose weights are wanted, for messages.
 
     Returns:
@@ -62,8 +62,8 @@ def configuration_of(path: Path, known: Collection[str], of: str) -> str | None:
             name: str | None = (file.metadata() or {}).get(CONFIGURATION_NOTE)
     except (SafetensorError, OSError) as error:
         raise WeightsError(f"{path}: damaged, or not safetensors ({error}); fetch it again") from error
-    if name is not None and name not in known:
-        raise WeightsError(f"{path}: wanted a configuration of {of} ({', '.join(known)}), got {name}; train it again")
+    if name is not None and name not in names:
+        raise WeightsError(f"{path}: wanted a configuration of {of} ({', '.join(names)}), got {name}; train it again")
     return name
 
 

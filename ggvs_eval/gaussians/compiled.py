@@ -36,9 +36,9 @@ class _Splat(torch.autograd.Function):
         )
         ctx.save_for_backward(*tensors)
         ctx.frame = frame
-        seen = torch.from_numpy(radii)
-        ctx.mark_non_differentiable(seen)
-        return torch.from_numpy(colour), torch.from_numpy(transmittance), torch.from_numpy(depth), seen
+        radii_px = torch.from_numpy(radii)
+        ctx.mark_non_differentiable(radii_px)
+        return torch.from_numpy(colour), torch.from_numpy(transmittance), torch.from_numpy(depth), radii_px
 
     @staticmethod
     def backward(ctx: Any, *by_pictures: torch.Tensor) -> tuple[torch.Tensor | None, ...]:

@@ -78,7 +78,7 @@ class ErrorOfMean:
         return cls(np.ones(1), np.array([scale]), len(values) - 1.0)
 
     @classmethod
-    def of_series(cls, series: Array, known: Array | float = 0.0, count: int = 1, squares: bool = False) -> "ErrorOfMean":
+    def of_series(cls, series: Array, variance: Array | float = 0.0, count: int = 1, squares: bool = False) -> "ErrorOfMean":
         """Error of the mean of a series or of squares, less a variance counted elsewhere (under each model), over `count`.
 
         Reading:
@@ -87,7 +87,7 @@ class ErrorOfMean:
             0.9 in place of 7 to 8.
         """
         posterior = correlation_posterior(series)
-        scales = np.sqrt(np.maximum(np.square(posterior.scales) - known, 0.0)) / count
+        scales = np.sqrt(np.maximum(np.square(posterior.scales) - variance, 0.0)) / count
         short = f"clip too short for its correlation: {len(series)} frames are worth ~{posterior.worth:.1f}"
         freedom = max(float(posterior.worth) - 1.0, 1.0) if squares else posterior.freedom
         return cls(posterior.weights, scales, freedom, short if posterior.worth < FEWEST_WORTH else "")

@@ -128,13 +128,13 @@ def check(
     from ggvs_eval.pipelines.inspection.capture.corrections import repair_capture
 
     out = out or Path(f"{capture.resolve().name}.check.json")
-    found, table = run_check(capture, out, layout=reading.layout, units=reading.given_units(), workers=jobs)
-    if repair and (written := repair_capture(capture, found.findings)):
+    inspected, table = run_check(capture, out, layout=reading.layout, units=reading.given_units(), workers=jobs)
+    if repair and (written := repair_capture(capture, inspected.findings)):
         print(written)
-        found, table = run_check(capture, out, layout=reading.layout, units=reading.given_units(), workers=jobs)
+        inspected, table = run_check(capture, out, layout=reading.layout, units=reading.given_units(), workers=jobs)
     print(table)
     print(out)
-    if not found.is_usable:
+    if not inspected.is_usable:
         sys.exit(1)
 
 
@@ -148,11 +148,11 @@ def calibrate(frames: Frames, out: Output, calibration: Calibrating = Calibratio
     """
     from ggvs_eval.pipelines.offline.calibration.calibrate import calibrate as find_cameras
 
-    found = find_cameras(frames, out, calibration)
-    for name, reason in found.missing.items():
+    rig = find_cameras(frames, out, calibration)
+    for name, reason in rig.missing.items():
         print(f"{name} left out: {reason}", file=sys.stderr)
-    error = f"mean reprojection error {found.mean_reprojection_error_px:.3f} px over {found.n_points} points"
-    print(f"{found.path}: {len(found.cameras)} cameras, {error}")
+    error = f"mean reprojection error {rig.mean_reprojection_error_px:.3f} px over {rig.n_points} points"
+    print(f"{rig.path}: {len(rig.cameras)} cameras, {error}")
 
 
 def protocol(

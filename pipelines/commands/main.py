@@ -27,7 +27,7 @@ from ggvs_eval.pipelines.commands.play import play, view
 from ggvs_eval.pipelines.commands.renders import doctor, explain
 from ggvs_eval.pipelines.commands.runs import Device, prepare, render, run, status, sweep
 from ggvs_eval.pipelines.commands.training import TRAININGS
-from ggvs_eval.pipelines.methods.network_options import found_device
+from ggvs_eval.pipelines.methods.network_options import checked_device
 
 
 def score(
@@ -68,7 +68,7 @@ def score(
     for name, path in named_renders(renders).items():
         for note in import_renders(target, name, path, allow_partial, jobs, first_frame)["notes"]:
             print(f"{name}: {note}", file=sys.stderr)
-    results = measure(target, jobs, device=found_device(device))
+    results = measure(target, jobs, device=checked_device(device))
     print(results.summary().droplevel("dataset").round(4).to_string())
     for label, mark in results.provenance["partial"].items():
         print(f"{label} is {mark}")

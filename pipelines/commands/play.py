@@ -9,7 +9,7 @@ from ggvs_eval.geometry.source_views import SourceChoice
 from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.pipelines.commands.captures import BY_DEFAULT, FOUND_BY_DEFAULT, Finding, Reading
 from ggvs_eval.pipelines.commands.runs import Device
-from ggvs_eval.pipelines.methods.network_options import found_device
+from ggvs_eval.pipelines.methods.network_options import checked_device
 from ggvs_eval.pipelines.methods.registry import METHODS
 from ggvs_eval.pipelines.play.synthesizer import DEFAULT_METHOD, online_method
 
@@ -50,7 +50,7 @@ def play(
     from ggvs_eval.pipelines.play.playback import PlayOptions, playback_of_capture, playback_of_run
     from ggvs_eval.pipelines.run.evaluate import reopen
 
-    device = found_device(device)
+    device = checked_device(device)
     online_method(method, device)
     require_writable(out)
     options = PlayOptions(k, frames, width, sources)
@@ -106,7 +106,7 @@ def view(
     from ggvs_eval.pipelines.view.viewer import ServerOptions, Viewer, export_page, require_viser
 
     require_viser()
-    device = found_device(device)
+    device = checked_device(device)
     online_method(method, device)
     options = PlayOptions(k, frames, None, sources)
     if (source / "protocol.toml").is_file():

@@ -23,7 +23,7 @@ from ggvs_eval.pipelines.commands.captures import (
     Run,
 )
 from ggvs_eval.pipelines.commands.print_plan import print_plan
-from ggvs_eval.pipelines.methods.network_options import NetworkOptions, found_device
+from ggvs_eval.pipelines.methods.network_options import NetworkOptions, checked_device
 from ggvs_eval.pipelines.methods.registry import METHODS, usual_methods
 from ggvs_eval.pipelines.methods.splats import named_splats
 from ggvs_eval.pipelines.run.run_plan import RunPlan
@@ -258,7 +258,7 @@ def _end_with(failures: tuple[Failure, ...]) -> None:
 
 def _networks(weights: tuple[str, ...], device: str, splats: Mapping[str, Path] = NO_SPLATS) -> NetworkOptions:
     """METHOD=FILE, as often as wanted, files of Gaussians by their labels, and a device that is there."""
-    return NetworkOptions(_checkpoints(weights), splats, found_device(device))
+    return NetworkOptions(_checkpoints(weights), splats, checked_device(device))
 
 
 def _checkpoints(weights: tuple[str, ...]) -> dict[str, Path]:

@@ -23,7 +23,7 @@ class NetworkOptions:
 AS_SHIPPED = NetworkOptions()
 
 
-def found_device(wanted: str) -> str:
+def checked_device(wanted: str) -> str:
     """The device behind what somebody has typed, ``auto`` included.
 
     Raises:

@@ -114,7 +114,7 @@ def splats_files(path: Path) -> list[Path]:
     if path.is_file():
         return [path]
     try:
-        iterations = {int(found[1]): each for each in path.glob("point_cloud/*") if (found := ITERATION.fullmatch(each.name))}
+        iterations = {int(number[1]): each for each in path.glob("point_cloud/*") if (number := ITERATION.fullmatch(each.name))}
         place = iterations[max(iterations)] if iterations else path
         files = [place / CLOUD] if (place / CLOUD).is_file() else sorted(place.glob("*.ply"))
     except OSError as error:

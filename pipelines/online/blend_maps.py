@@ -27,7 +27,7 @@ class BlendMaps:
         sources: cameras of the views, nearest first.
         colours: I_k, (K, H, W, 3), float32 in [0, 1].
         coverage: how far a view shows anything to blend, the factor of its weight, (K, H, W).
-        seen: how far it shows what the target sees; where none does the background takes over, (K, H, W).
+        visibilities: how far it shows what the target sees; where none does the background takes over, (K, H, W).
         alphas: coverage of the splats, (K, H, W), in [0, 1).
         depths: splatted depth, (K, H, W), world units, 0 where unknown.
         fused_depth: of the ray march, (H, W), world units, 0 where unknown.
@@ -38,7 +38,7 @@ class BlendMaps:
     sources: tuple[Camera, ...]
     colours: Map
     coverage: Map
-    seen: Map
+    visibilities: Map
     alphas: Map
     depths: Map
     fused_depth: Map
@@ -51,7 +51,7 @@ class BlendMaps:
         """
         if scale == 1:
             return self
-        averaged = [_averaged(maps, scale) for maps in (self.colours, self.coverage, self.seen, self.alphas)]
+        averaged = [_averaged(maps, scale) for maps in (self.colours, self.coverage, self.visibilities, self.alphas)]
         return self.with_means(scale, averaged)
 
     def with_means(self, scale: int, averaged: Sequence[Map]) -> "BlendMaps":
@@ -71,7 +71,7 @@ class BlendMaps:
 
     def unseen(self) -> Map:
         """Return the share of what the target sees that no view shows, (H, W), in [0, 1]."""
-        return np.float32(1) - np.minimum(self.seen.sum(axis=0), np.float32(1))
+        return np.float32(1) - np.minimum(self.visibilities.sum(axis=0), np.float32(1))
 
 
 def blend_maps(inputs: BlendingInputs, guidance: Guidance) -> BlendMaps:

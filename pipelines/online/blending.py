@@ -53,19 +53,19 @@ class Blender(Protocol):
         """The target view of one instant."""
 
 
-def push_pull(colour: Map, known: NDArray[np.bool_]) -> Map:
+def push_pull(colour: Map, covered: NDArray[np.bool_]) -> Map:
     """Fill unknown pixels from ever coarser averages of the known ones (push-pull, Gortler et al. 1996).
 
     Args:
         colour: (H, W, 3), float32; values of unknown pixels are ignored.
-        known: (H, W).
+        covered: (H, W).
 
     Returns:
         Image, (H, W, 3), float32; known pixels keep their colour.
     """
     from ggvs_eval.kernels import _core
 
-    return _core.push_pull(np.ascontiguousarray(colour, np.float32), np.ascontiguousarray(known, np.bool_), get_threads())
+    return _core.push_pull(np.ascontiguousarray(colour, np.float32), np.ascontiguousarray(covered, np.bool_), get_threads())
 
 
 @dataclass(frozen=True)

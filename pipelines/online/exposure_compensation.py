@@ -105,10 +105,10 @@ class ExposureCompensation:
         """The log ratio of two cameras: the mean of what was measured, the last instants counting most."""
         swapped = first > second
         key = (second, first) if swapped else (first, second)
-        seen, mean = self._ratios.get(key, (0, np.zeros(3)))
-        seen = min(seen + 1, self._memory)
-        mean = mean + ((-ratio if swapped else ratio) - mean) / seen
-        self._ratios[key] = (seen, mean)
+        count, mean = self._ratios.get(key, (0, np.zeros(3)))
+        count = min(count + 1, self._memory)
+        mean = mean + ((-ratio if swapped else ratio) - mean) / count
+        self._ratios[key] = (count, mean)
         return -mean if swapped else mean
 
 

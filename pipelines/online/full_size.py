@@ -45,7 +45,7 @@ def overview(maps: BlendMaps, scale: int) -> Overview:
     """
     from ggvs_eval.kernels import _core
 
-    arrays = (maps.colours, maps.coverage, maps.seen, maps.alphas)
+    arrays = (maps.colours, maps.coverage, maps.visibilities, maps.alphas)
     colours, coverage, visibilities, alphas = (np.ascontiguousarray(each, np.float32) for each in arrays)
     picture, unseen, covered, means = _core.overview(
         colours, coverage, visibilities, alphas, maps.weights, scale, COVERED_ALPHA, get_threads()

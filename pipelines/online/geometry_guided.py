@@ -37,10 +37,10 @@ def diagnostics_maps(depth: Map | None, splats: Sequence[Splat], still: Map, wei
     """
     cells = np.s_[::REDUCTION, ::REDUCTION]
     coverage = np.maximum.reduce([view.alpha[cells] for view in splats])
-    found = {"coverage": coverage, "motion": 1 - still}
+    maps = {"coverage": coverage, "motion": 1 - still}
     if depth is not None:
-        found["depth"] = depth[cells].copy()
-    return found if weights is None else found | {"weights": weights}
+        maps["depth"] = depth[cells].copy()
+    return maps if weights is None else maps | {"weights": weights}
 
 
 @dataclass(frozen=True)
@@ -171,12 +171,12 @@ class GeometryGuided:
         chosen = self.options
         still = stillness(splatted_change(splats, chosen.beta_mask, chosen.lambda_t))
         index, target = filtered.index, filtered.target
-        known = np.zeros((target.height, target.width), np.float32) if depth is None else depth
-        blended = self.blender.blend(BlendingInputs(filtered, splats, known, self._tau(filtered)))
+        surface = np.zeros((target.height, target.width), np.float32) if depth is None else depth
+        blended = self.blender.blend(BlendingInputs(filtered, splats, surface, self._tau(filtered)))
         diagnostics = diagnostics_maps(depth, splats, still, blended.weights)
         image = self._compensation.finish(blended.image, target) if chosen.compensated else blended.image
         if self._background is not None:
-            image = self._background.step(index, target, image, known, splats, still)
+            image = self._background.step(index, target, image, surface, splats, still)
         return self._output.step(index, target, image, still), diagnostics
 
     def _splat(self, instant: Instant, filtered: Instant, masks: Sequence[Map]) -> list[Splat]:

@@ -76,7 +76,7 @@ def input_channels(maps: BlendMaps, guidance: Guidance, views: int | None = None
         None if flat else _cosines(to_sources, _unit(-points)),
         _constant([_distance(source, maps.target) / unit for source in maps.sources], size),
         _constant([float(source.axis @ maps.target.axis) for source in maps.sources], size),
-        maps.seen if guidance == "registered" else None,
+        maps.visibilities if guidance == "registered" else None,
     ]
     groups = [_widened(group, count, views or count) for group in of_views if group is not None]
     if guided:
@@ -103,12 +103,12 @@ def ray_slopes(camera: Camera) -> tuple[Map, Map]:
     return across.astype(np.float32), down.astype(np.float32)
 
 
-def surface_normals(points: Map, known: NDArray[np.bool_]) -> Map:
+def surface_normals(points: Map, has_depth: NDArray[np.bool_]) -> Map:
     """Unit normals of a depth map, towards the camera, from central differences (one-sided at the border).
 
     Args:
         points: in the camera's frame, (3, H, W).
-        known: where there is a surface, (H, W).
+        has_depth: where there is a surface, (H, W).
 
     Returns:
         (3, H, W), float32, 0 where the pixel or one of its four neighbours is unknown.
@@ -117,8 +117,8 @@ def surface_normals(points: Map, known: NDArray[np.bool_]) -> Map:
     along_row = padded[:, 1:-1, 2:] - padded[:, 1:-1, :-2]
     along_column = padded[:, 2:, 1:-1] - padded[:, :-2, 1:-1]
     normals = _unit(np.cross(along_column, along_row, axis=0))
-    around = np.pad(known, 1, mode="edge")
-    whole = known & around[1:-1, 2:] & around[1:-1, :-2] & around[2:, 1:-1] & around[:-2, 1:-1]
+    around = np.pad(has_depth, 1, mode="edge")
+    whole = has_depth & around[1:-1, 2:] & around[1:-1, :-2] & around[2:, 1:-1] & around[:-2, 1:-1]
     facing = -np.sign(_dot(normals, points))
     return normals * (facing * whole)
 
@@ -170,7 +170,7 @@ def network_channels(maps: BlendMaps, guidance: Guidance, views: int) -> Map:
     target, unit = maps.target, reference_depth(maps.fused_depth, maps.target)
     stacks = (maps.colours, maps.depths, maps.alphas)
     colours, depths, alphas = (np.ascontiguousarray(each, np.float32) for each in stacks)
-    visibilities = np.ascontiguousarray(maps.seen, np.float32) if guidance == "registered" else None
+    visibilities = np.ascontiguousarray(maps.visibilities, np.float32) if guidance == "registered" else None
     fused = np.ascontiguousarray(maps.fused_depth, np.float32)
     centres = np.stack([rigid_between(source, target)[:3, 3] for source in maps.sources])
     distances = [float(np.linalg.norm(source.centre - target.centre)) / unit for source in maps.sources]

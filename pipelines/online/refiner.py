@@ -67,14 +67,14 @@ def filtered(picture: Tensor, taps: Tensor) -> Tensor:
     return total
 
 
-def evidence(picture: Tensor, colours: Tensor, weights: Tensor, seen: Tensor, depth: Tensor) -> Tensor:
+def evidence(picture: Tensor, colours: Tensor, weights: Tensor, visibilities: Tensor, depth: Tensor) -> Tensor:
     """Compute the channels that tell how sure the blended picture is; no gradient passes through them.
 
     Args:
         picture: weighted mean of the views, (B, 3, H, W).
         colours: the views, (B, K, 3, H, W).
         weights: what they were blended by, (B, K, H, W).
-        seen: how far each view shows the pixel, (B, K, H, W), in [0, 1].
+        visibilities: how far each view shows the pixel, (B, K, H, W), in [0, 1].
         depth: fused depth, (B, H, W), 0 where unknown or not to be used.
 
     Returns:
@@ -88,7 +88,7 @@ def evidence(picture: Tensor, colours: Tensor, weights: Tensor, seen: Tensor, de
         logarithm = torch.where(mask, depth, torch.ones_like(depth)).log()
         channels = [
             COLOUR_GAIN * spread,
-            seen.sum(dim=1) / ENOUGH_VIEWS,
+            visibilities.sum(dim=1) / ENOUGH_VIEWS,
             DEPTH_GAIN * relief(logarithm, mask),
             DEPTH_GAIN * local_range(logarithm, 3),
             DEPTH_GAIN / 2 * local_range(logarithm, 5),
@@ -97,11 +97,11 @@ def evidence(picture: Tensor, colours: Tensor, weights: Tensor, seen: Tensor, de
         return torch.stack(channels, dim=1).clamp(-1, 1)
 
 
-def relief(logarithm: Tensor, known: Tensor) -> Tensor:
+def relief(logarithm: Tensor, has_depth: Tensor) -> Tensor:
     """Logarithm of depth less its mean over what is known within 5 x 5 pixels, (B, H, W), 0 where unknown."""
-    both = torch.stack([logarithm * known, known.float()], dim=1)
+    both = torch.stack([logarithm * has_depth, has_depth.float()], dim=1)
     means = functional.avg_pool2d(both, 5, 1, 2)
-    return (logarithm - means[:, 0] / means[:, 1].clamp(min=1e-6)) * known
+    return (logarithm - means[:, 0] / means[:, 1].clamp(min=1e-6)) * has_depth
 
 
 def local_range(values: Tensor, size_px: int) -> Tensor:

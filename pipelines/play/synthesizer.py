@@ -12,7 +12,7 @@ from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import CameraError, DepthError, RenderError
 from ggvs_eval.geometry.source_views import ChosenSource, SourceChoice, choose_sources
 from ggvs_eval.method import Instant, LookaheadMethod, Method, Rendering, SourceView
-from ggvs_eval.pipelines.methods.network_options import NetworkOptions, found_device
+from ggvs_eval.pipelines.methods.network_options import NetworkOptions, checked_device
 from ggvs_eval.pipelines.methods.registry import find_method
 
 DEFAULT_METHOD = "ours"
@@ -132,7 +132,7 @@ def online_method(method: str | Callable[[], Method], device: str = "cpu") -> Ca
         DeviceError: no such device here.
         RenderError: unknown method, or one that wants to see the whole sequence first.
     """
-    networks = NetworkOptions(device=found_device(device))
+    networks = NetworkOptions(device=checked_device(device))
     make = find_method(method, networks).make if isinstance(method, str) else method
     if isinstance(make(), LookaheadMethod):
         raise RenderError(f"method {method!r} looks at the whole sequence before its first step; choose one that is online")

@@ -15,20 +15,20 @@ class Coverage:
     """Frames that there are to score.
 
     Attributes:
-        wanted: frame numbers of the protocol, which every method has but the partial ones.
+        numbers: frame numbers of the protocol, which every method has but the partial ones.
         partial: label of a partial method -> view -> its frames, rising.
         marks: label of a partial method -> what its row stands on.
         imported: label of a method that others rendered -> where it came from.
     """
 
-    wanted: range
+    numbers: range
     partial: Mapping[str, Mapping[str, Sequence[int]]]
     marks: Mapping[str, str]
     imported: Mapping[str, dict[str, Any]]
 
     def frames(self, label: str, view: str) -> Sequence[int]:
         """Frames of one method in one view, rising."""
-        return self.partial[label].get(view, ()) if label in self.partial else self.wanted
+        return self.partial[label].get(view, ()) if label in self.partial else self.numbers
 
     def stretches(self, label: str, view: str) -> tuple[range, ...]:
         """The same as runs of consecutive frames: what changes from frame to frame is measured inside of each."""
@@ -48,7 +48,7 @@ class Coverage:
         """
         whole = [label for label in labels if label not in self.partial]
         if whole:
-            require_frames({f"{label} in {view}": run.renders(label, view) for label in whole for view in views}, self.wanted)
+            require_frames({f"{label} in {view}": run.renders(label, view) for label in whole for view in views}, self.numbers)
         for label, by_view in self.partial.items():
             for view, frames in by_view.items():
                 for stretch in self.stretches(label, view) if frames else ():
@@ -65,14 +65,14 @@ class Coverage:
         return {"frames": as_ranges(list(self.frames(label, view)))} if label in self.partial else {}
 
 
-def read_coverage(run: RunFolder, wanted: range, labels: Sequence[str]) -> Coverage:
+def read_coverage(run: RunFolder, numbers: range, labels: Sequence[str]) -> Coverage:
     """Read the coverage of a run from the records of its imports."""
     records = {label: read_import(run, label) for label in labels}
     imports = {label: record for label, record in records.items() if record}
     scene = run.capture_record()["scene"]
     partial = {label: record["frames"] for label, record in imports.items() if record["partial"]}
     marks = {label: f"partial in {scene}: {imports[label]['partial']}" for label in partial}
-    return Coverage(wanted, partial, marks, {label: {key: r[key] for key in SHOWN_FIELDS} for label, r in imports.items()})
+    return Coverage(numbers, partial, marks, {label: {key: r[key] for key in SHOWN_FIELDS} for label, r in imports.items()})
 
 
 def read_import(run: RunFolder, label: str) -> dict[str, Any] | None:

@@ -38,14 +38,14 @@ class CachedFrames:
             yield read_image(frame_path(self.folder, index))
 
 
-def cache_frames(capture: Capture, wanted: Mapping[str, Sequence[int]], root: Path, workers: Workers) -> Capture:
+def cache_frames(capture: Capture, numbers: Mapping[str, Sequence[int]], root: Path, workers: Workers) -> Capture:
     """Write frames of some cameras, at the size of these cameras, that are not there yet.
 
     Cameras are decoded side by side, each video once and as a stream.
 
     Args:
         capture: at the wanted size.
-        wanted: camera -> frames, in any order.
+        numbers: camera -> frames, in any order.
         root: folder to write ``<camera>/<frame>.png`` into.
         workers: where the work is done.
 
@@ -56,12 +56,12 @@ def cache_frames(capture: Capture, wanted: Mapping[str, Sequence[int]], root: Pa
         CaptureError: frames that cannot be read.
     """
     absent = {
-        name: [t for t in sorted(set(frames)) if not frame_path(root / name, t).is_file()] for name, frames in wanted.items()
+        name: [t for t in sorted(set(frames)) if not frame_path(root / name, t).is_file()] for name, frames in numbers.items()
     }
     missing = [(name, frames) for name, frames in absent.items() if frames]
     run_all(partial(_write, capture, root), missing, workers, "frames per camera")
     sources: list[FrameSource] = [
-        CachedFrames(root / name, capture.n_frames, source.digest) if name in wanted else source
+        CachedFrames(root / name, capture.n_frames, source.digest) if name in numbers else source
         for name, source in zip(capture.camera_names, capture.sources, strict=True)
     ]
     return replace(capture, sources=tuple(sources))

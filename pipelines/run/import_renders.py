@@ -71,9 +71,9 @@ def _import(
     kind = "" if packed else detect(path, request)
     sources = [path] if packed else KINDS[kind].files(path, request)
     identity = _identity(request, path, sources, allow_partial)
-    known = read_import(run, request.label)
-    if known and known["identity"] == identity and _is_whole(run, request.label, known["frames"]):
-        return known
+    record = read_import(run, request.label)
+    if record and record["identity"] == identity and _is_whole(run, request.label, record["frames"]):
+        return record
     root = unpack(path, unpacked, _limits(request)) if packed else path
     kind = kind or detect(root, request)
     renders = KINDS[kind].find(root, request, packed)

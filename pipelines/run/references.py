@@ -34,11 +34,11 @@ def ceiling_jobs(run: RunFolder, protocol: Protocol) -> list[Job]:
     Returns:
         One per test view; empty where the protocol wants none.
     """
-    wanted = [name for name in ceiling_metrics() if name in protocol.measurement.metrics]
-    if not protocol.measurement.ceilings or not wanted:
+    metrics = [name for name in ceiling_metrics() if name in protocol.measurement.metrics]
+    if not protocol.measurement.ceilings or not metrics:
         return []
     frames = protocol.frames.numbers
-    return [_job(run, view, frames, wanted, protocol.measurement) for view in protocol.views.test]
+    return [_job(run, view, frames, metrics, protocol.measurement) for view in protocol.views.test]
 
 
 def read_ceilings(jobs: Sequence[Job]) -> dict[str, dict[str, Any]]:
@@ -50,13 +50,13 @@ def read_ceilings(jobs: Sequence[Job]) -> dict[str, dict[str, Any]]:
     return {job.folder.name: read_json(job.folder / JOB_FILE) for job in jobs}
 
 
-def write_references(run: RunFolder, paths: Mapping[str, dict[str, Any]], found: Mapping[str, dict[str, Any]]) -> None:
+def write_references(run: RunFolder, paths: Mapping[str, dict[str, Any]], records: Mapping[str, dict[str, Any]]) -> None:
     """Write ``references.json``, which the report shows as grey rows.
 
     Args:
         run: the run folder.
         paths: see `score_path.read_paths`.
-        found: see `read_ceilings`.
+        records: see `read_ceilings`.
     """
     groups: dict[str, list[str]] = {}
     for name in ceiling_metrics():
@@ -66,12 +66,12 @@ def write_references(run: RunFolder, paths: Mapping[str, dict[str, Any]], found:
             "group": group,
             "name": name,
             "note": NOTES[name],
-            "values": _means(found, kind, metrics),
-            "bounds": _bounds(found, kind, metrics),
+            "values": _means(records, kind, metrics),
+            "bounds": _bounds(records, kind, metrics),
         }
         for group, metrics in groups.items()
         for name, kind in ((NOISE_FREE, "noise_free"), (SECOND, "second_recording"))
-        if found
+        if records
     ]
     if TRUTH in paths:
         values = {name: value for name, pose, value in paths[TRUTH]["values"] if pose < 0} | paths[TRUTH]["not_computed"]
@@ -79,21 +79,21 @@ def write_references(run: RunFolder, paths: Mapping[str, dict[str, Any]], found:
     write_json(run.root / "references.json", entries)
 
 
-def _means(found: Mapping[str, dict[str, Any]], kind: str, metrics: Sequence[str]) -> dict[str, float | str]:
+def _means(records: Mapping[str, dict[str, Any]], kind: str, metrics: Sequence[str]) -> dict[str, float | str]:
     """Mean over the views of each metric; the reason where one of them has none."""
     means: dict[str, float | str] = {}
     for metric in metrics:
-        absent = {view: record["not_computed"] | record.get(f"no_{kind}", {}) for view, record in found.items()}
+        absent = {view: record["not_computed"] | record.get(f"no_{kind}", {}) for view, record in records.items()}
         reasons = [f"{view}: {of_view[metric]}" for view, of_view in absent.items() if metric in of_view]
-        values = [record[kind][metric] for record in found.values() if metric in record[kind]]
+        values = [record[kind][metric] for record in records.values() if metric in record[kind]]
         if reasons or values:
             means[metric] = reasons[0] if reasons else float(np.mean(values))
     return means
 
 
-def _bounds(found: Mapping[str, dict[str, Any]], kind: str, metrics: Sequence[str]) -> dict[str, str]:
+def _bounds(records: Mapping[str, dict[str, Any]], kind: str, metrics: Sequence[str]) -> dict[str, str]:
     """Sides on which means are bounds, because one of the views has no more than a bound."""
-    sides = (record.get(f"{kind}_bounds", {}) for record in found.values())
+    sides = (record.get(f"{kind}_bounds", {}) for record in records.values())
     return {name: side for of_view in sides for name, side in of_view.items() if name in metrics}
 
 
@@ -123,16 +123,16 @@ def _estimate(
         return truth_frames(run, view, frames, measurement)
 
     try:
-        found = ceilings(captured, metrics, metric_options(measurement), coding=coding)
+        estimate = ceilings(captured, metrics, metric_options(measurement), coding=coding)
     except MetricError as error:
         return {"noise_free": {}, "second_recording": {}, "not_computed": dict.fromkeys(metrics, str(error))}
     return {
-        "noise_free": found.noise_free,
-        "second_recording": found.second_recording,
-        "not_computed": found.not_computed,
-        "noise_free_bounds": found.bounds,
-        "second_recording_bounds": found.second_bounds,
-        "no_second_recording": dict.fromkeys(metrics, found.second_unknown) if found.second_unknown else {},
-        "sigma_255": float(np.median(found.noise.sigma_255)),
-        "averaged_share": found.averaged_share,
+        "noise_free": estimate.noise_free,
+        "second_recording": estimate.second_recording,
+        "not_computed": estimate.not_computed,
+        "noise_free_bounds": estimate.bounds,
+        "second_recording_bounds": estimate.second_bounds,
+        "no_second_recording": dict.fromkeys(metrics, estimate.second_unknown) if estimate.second_unknown else {},
+        "sigma_255": float(np.median(estimate.noise.sigma_255)),
+        "averaged_share": estimate.averaged_share,
     }

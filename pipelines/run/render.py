@@ -7,31 +7,21 @@ from pathlib import Path
 from typing import Any
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.capture import Capture
-from ggvs_eval.depth_store import DepthStore
-from ggvs_eval.errors import RenderError
 from ggvs_eval.files.digest import digest_files
-from ggvs_eval.files.images import quantise, write_image
 from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.engine import Workers, as_engine
 from ggvs_eval.jobs.job import Job, run_jobs
-from ggvs_eval.jobs.ledger import Entry, Ledger
-from ggvs_eval.jobs.processes import default_workers
-from ggvs_eval.method import Instant, Method
+from ggvs_eval.jobs.ledger import Ledger
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
-from ggvs_eval.pipelines.methods.registry import find_method, split_label
+from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.methods.spec import MethodSpec
-from ggvs_eval.pipelines.methods.splats import open_splats, splats_files
-from ggvs_eval.pipelines.run.diagnostics import write_diagnostics
+from ggvs_eval.pipelines.methods.splats import splats_files
 from ggvs_eval.pipelines.run.fit import PATH_UNIT, fit_job, fit_jobs, fit_of_path, fit_of_view
 from ggvs_eval.pipelines.run.folds import FitPlan
-from ggvs_eval.pipelines.run.instants import path_instants, view_instants
+from ggvs_eval.pipelines.run.instants import view_instants
+from ggvs_eval.pipelines.run.render_frames import Shot, render_path, render_scene, render_splats, render_view
 from ggvs_eval.pipelines.run.run_plan import RunPlan, SourcePlan
-from ggvs_eval.results import installed_versions
-from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, read_json, write_json
-from ggvs_eval.scene_fitter import FittedScene
-
-Shot = tuple[int, int, Camera]  # number of the frame in its folder, instant, target
+from ggvs_eval.run_folder import RunFolder, read_json, write_json
 
 
 def render(prepared: RunPlan, labels: Sequence[str], workers: Workers = 1, networks: NetworkOptions = AS_SHIPPED) -> int:
@@ -133,7 +123,7 @@ def _view_job(prepared: RunPlan, label: str, spec: MethodSpec, view: str, worker
         return _scene_job(prepared, name, folder, fit_of_view(prepared, label, view), spec, shots, workers)
     if spec.splats:
         return _splats_job(prepared, name, folder, label, spec, [(index, index, plan.target) for index in frames], workers)
-    work = partial(_render_view, label, spec, prepared.capture, plan, frames, prepared.run.depth, workers)
+    work = partial(render_view, label, spec, prepared.capture, plan, frames, prepared.run.depth, workers)
     return Job(name, folder, _identity(prepared, label, spec, [plan]), work)
 
 
@@ -146,7 +136,7 @@ def _path_job(prepared: RunPlan, label: str, spec: MethodSpec, workers: int) -> 
     if spec.splats:
         shots = [(pose, prepared.path_frame, plan.target) for pose, plan in enumerate(prepared.path)]
         return _splats_job(prepared, name, folder, label, spec, shots, workers)
-    work = partial(_render_path, label, spec, prepared.capture, prepared.path, prepared.path_frame, prepared.run.depth, workers)
+    work = partial(render_path, label, spec, prepared.capture, prepared.path, prepared.path_frame, prepared.run.depth, workers)
     return Job(name, folder, _identity(prepared, label, spec, prepared.path), work)
 
 
@@ -162,7 +152,7 @@ def _scene_job(
         "shots": [[number, frame, *_camera_values(target)] for number, frame, target in shots],
         **({} if spec.device == "cpu" else {"device": _described(spec.device)}),
     }
-    return Job(name, folder, identity, partial(_render_scene, fit.label, spec, scene.entry, shots, workers))
+    return Job(name, folder, identity, partial(render_scene, fit.label, spec, scene.entry, shots, workers))
 
 
 def _splats_job(
@@ -177,7 +167,7 @@ def _splats_job(
         "instants": [instants.start, instants.stop],
         "shots": [[number, frame, *_camera_values(target)] for number, frame, target in shots],
     }
-    return Job(name, folder, identity, partial(_render_splats, label, path.resolve(), instants, shots, workers))
+    return Job(name, folder, identity, partial(render_splats, label, path.resolve(), instants, shots, workers))
 
 
 def _identity(prepared: RunPlan, label: str, spec: MethodSpec, plans: Sequence[SourcePlan]) -> dict[str, Any]:
@@ -212,74 +202,3 @@ def _described(device: str) -> str:
 
 def _camera_values(camera: Camera) -> list[float]:
     return [*camera.K.ravel(), *camera.world_to_camera.ravel(), *camera.size, camera.near, camera.far]
-
-
-def _render_view(
-    label: str, spec: MethodSpec, capture: Capture, plan: SourcePlan, frames: range, store: Path, workers: int, folder: Path
-) -> dict[str, Any]:
-    """Stream the source cameras through one method; only the frames of one instant are in memory."""
-    method = spec.make()
-    instants = view_instants(method, capture, plan, frames, DepthStore(store))
-    seconds = [_render_frame(method, instant, frame_path(folder, instant.index)) for instant in instants]
-    return _record(label, seconds, plan.target, workers)
-
-
-def _render_path(
-    label: str,
-    spec: MethodSpec,
-    capture: Capture,
-    plans: Sequence[SourcePlan],
-    frame: int,
-    store: Path,
-    workers: int,
-    folder: Path,
-) -> dict[str, Any]:
-    """Move the target camera along the path while time stands still."""
-    method = spec.make()
-    instants = path_instants(capture, plans, frame, DepthStore(store))
-    seconds = [_render_frame(method, instant, frame_path(folder, instant.index)) for instant in instants]
-    return _record(label, seconds, plans[0].target, workers)
-
-
-def _render_scene(label: str, spec: MethodSpec, fit: Entry, shots: Sequence[Shot], workers: int, folder: Path) -> dict[str, Any]:
-    """Load a fitted scene once and render every shot of it."""
-    if not fit.is_done():
-        raise RenderError(f"{fit.name}: its scene is not in {fit.folder}; render again, which fits it first")
-    record = _render_shots(label, spec.make_fitter().load(fit.folder), shots, workers, folder)
-    took = {name: value for name, value in read_json(fit.folder / JOB_FILE).items() if name not in ("sha256", "identity")}
-    return record | {"fit": took}
-
-
-def _render_splats(label: str, path: Path, instants: range, shots: Sequence[Shot], workers: int, folder: Path) -> dict[str, Any]:
-    """Open the files once and render every shot of them."""
-    return _render_shots(label, open_splats(path, instants), shots, workers, folder)
-
-
-def _render_shots(label: str, scene: FittedScene, shots: Sequence[Shot], workers: int, folder: Path) -> dict[str, Any]:
-    seconds = []
-    for number, frame, target in shots:
-        rendering = scene.render(frame, target)
-        write_image(frame_path(folder, number), quantise(rendering.image))
-        write_diagnostics(folder, number, rendering.diagnostics, target)
-        seconds.append(rendering.seconds)
-    return _record(label, seconds, shots[0][2], workers)
-
-
-def _render_frame(method: Method, instant: Instant, path: Path) -> dict[str, float]:
-    rendering = method.step(instant)
-    write_image(path, quantise(rendering.image))
-    write_diagnostics(path.parent, instant.index, rendering.diagnostics, instant.target)
-    return rendering.seconds
-
-
-def _record(label: str, seconds: Sequence[dict[str, float]], target: Camera, workers: int) -> dict[str, Any]:
-    """Return what job.json records beside the identity: how long each stage of each frame took, and with what."""
-    method, variant = split_label(label)
-    return {
-        "method": method,
-        "variant": variant,
-        "size": list(target.size),
-        "seconds": {stage: [frame[stage] for frame in seconds] for stage in seconds[0]},
-        "threads": max(default_workers() // workers, 1),
-        "versions": installed_versions(),
-    }

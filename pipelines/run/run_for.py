@@ -29,11 +29,11 @@ def run_for(root: Path | None, capture: Capture | None, protocol: str | None, wo
     if root is None and capture is None:
         raise ProtocolError("wanted a run folder, or --capture CAPTURE and --protocol PROTOCOL to make one, got neither")
     run = RunFolder(root or SCORES_ROOT / (capture.path.resolve().name if capture else ""))
-    known = run.protocol() if run.protocol_file.is_file() else None
-    asked = load_protocol(protocol) if protocol else known
-    if known and asked and not asked.agrees_with(known):
+    own = run.protocol() if run.protocol_file.is_file() else None
+    asked = load_protocol(protocol) if protocol else own
+    if own and asked and not asked.agrees_with(own):
         raise ProtocolError(
-            f"{run.root}: holds a run of protocol {known.name} ({known.sha256[:12]}), --protocol asks for another "
+            f"{run.root}: holds a run of protocol {own.name} ({own.sha256[:12]}), --protocol asks for another "
             f"({asked.sha256[:12]}); give another folder with --run"
         )
     if capture:

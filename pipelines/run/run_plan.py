@@ -4,14 +4,11 @@ A plan is made once. What is left to do is counted on it, and prepare, render an
 """
 
 from collections.abc import Collection, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import numpy as np
-
-from ggvs_eval.camera import Camera, nearest_cameras, translated_path
+from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
-from ggvs_eval.datasets.dynerf import CameraPath, open_path
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.depth_store import DepthJob
 from ggvs_eval.errors import CaptureError, ProtocolError
@@ -22,8 +19,9 @@ from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import plan_depth
+from ggvs_eval.pipelines.run.camera_path import choose_path
 from ggvs_eval.pipelines.run.folds import FitPlan, fill_folds, plan_fits, plan_folds, visible_cameras
-from ggvs_eval.protocol import PathCamera, Protocol
+from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import RunFolder, read_json
 from ggvs_eval.scene_fitter import SceneFitter
 
@@ -170,7 +168,7 @@ def plan_run(request: RunRequest) -> RunPlan:
     request = replace(request, protocol=_state_folds(request.protocol, run, request.capture, bool(fitted)))
     protocol = request.protocol
     capture, depth = fit_capture(request.capture, protocol), _depth_of(run, request.depth)
-    options, path = depth.options(), _camera_path(capture, protocol)
+    options, path = depth.options(), choose_path(capture, protocol)
     visible = visible_cameras(capture, protocol)
     targets = [*(capture.camera(view) for view in protocol.views.test), *path.cameras]
     k, choice = protocol.synthesis.k, protocol.synthesis.sources
@@ -247,39 +245,3 @@ def _depth_of(run: RunFolder, asked: DepthRunOptions | None) -> DepthRunOptions:
             f"{asked}; choose a new folder or delete it"
         )
     return record
-
-
-def _camera_path(capture: Capture, protocol: Protocol) -> CameraPath:
-    """The protocol's poses, else the capture's own path where it has one, else a translation around the first test view.
-
-    Reading:
-        The paper moves the camera horizontally and does not say from where to where; ours spans the nearest cameras on both
-        sides, at the protocol's first instant.
-    """
-    middle = capture.camera(protocol.views.test[0])
-    if protocol.path.poses == 0:
-        return CameraPath((), None, 0.0)
-    if protocol.path.cameras:
-        return CameraPath(_chosen_poses(protocol.path.cameras, middle), None, 0.0)
-    own_path = open_path(capture.path)
-    if own_path is not None and _shows_its_instant(capture, own_path):
-        return replace(own_path, cameras=tuple(pose.resized(*middle.size) for pose in own_path.cameras))
-    neighbour = nearest_cameras(middle, capture.cameras, 2)[-1]
-    span = 2 * float(np.linalg.norm(neighbour.centre - middle.centre))
-    return CameraPath(tuple(translated_path(middle, span, protocol.path.poses)), None, 0.0)
-
-
-def _chosen_poses(poses: Sequence[PathCamera], view: Camera) -> tuple[Camera, ...]:
-    """Poses that the protocol lists, at the size of a test view.
-
-    Raises:
-        CameraError: a pose that is no camera; it is called by its number.
-    """
-    cameras = (Camera.from_json(f"path{index:04d}", asdict(pose)) for index, pose in enumerate(poses))
-    return tuple(camera.resized(*view.size) for camera in cameras)
-
-
-def _shows_its_instant(capture: Capture, path: CameraPath) -> bool:
-    """Tell whether the capture's own path was rendered at an instant that can be seen: not where another one is held still."""
-    edit = capture.edit
-    return edit is None or not edit.hold_frames or round(path.time_s * capture.fps) == edit.hold_frame

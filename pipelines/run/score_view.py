@@ -39,8 +39,8 @@ def view_job(
     measurement = protocol.measurement
     metrics = scored_by_view(measurement.metrics)
     common = {
-        "truth": digest_frames(run.truth(view), coverage.wanted),
-        "disoccluded": digest_frames(run.disoccluded(view), coverage.wanted),
+        "truth": digest_frames(run.truth(view), coverage.numbers),
+        "disoccluded": digest_frames(run.disoccluded(view), coverage.numbers),
         "measurement": [str(value) for name, value in vars(measurement).items() if name != "metrics"],
         "metrics": {metric.name: _metric_identity(metric, options) for metric in metrics},
     }
@@ -102,11 +102,11 @@ def _score_view(
     return {"methods": methods}
 
 
-def fresh_metrics(known: Mapping[str, Any], wanted: Mapping[str, Any]) -> set[str]:
+def fresh_metrics(recorded: Mapping[str, Any], current: Mapping[str, Any]) -> set[str]:
     """Metrics whose values stand: none where anything but a metric's own identity differs."""
-    if {**known, "metrics": {}} != {**wanted, "metrics": {}}:
+    if {**recorded, "metrics": {}} != {**current, "metrics": {}}:
         return set()
-    return {name for name, identity in wanted["metrics"].items() if known["metrics"].get(name) == identity}
+    return {name for name, identity in current["metrics"].items() if recorded["metrics"].get(name) == identity}
 
 
 def _values_of(metrics: Collection[str], record: Mapping[str, Any], options: MetricOptions) -> dict[str, Any]:

@@ -121,8 +121,10 @@ def render_cells(
     for cell in cells:
         if cell.name in ready:
             note_labels(cell.run, cell.labels)
-            seen = {label: [job for job in jobs[cell.name, label] if _view_of(job, cell) != PATH] for label in cell.synthesised}
-            whole[cell.name] = [label for label, views in seen.items() if all(job.is_done() for job in views)]
+            of_view = {
+                label: [job for job in jobs[cell.name, label] if _view_of(job, cell) != PATH] for label in cell.synthesised
+            }
+            whole[cell.name] = [label for label, views in of_view.items() if all(job.is_done() for job in views)]
             whole[cell.name] += imported.get(cell.name, [])
     return whole, [*failures, *tried.failures]
 

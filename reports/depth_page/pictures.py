@@ -45,14 +45,14 @@ class PicturesAgain:
         image: the image made again.
         difference: how it differs from the true one, as colours.
         error: mean difference where both cameras see the scene, of 255 levels.
-        seen: share of the pixels that both see.
+        covered: share of the pixels that both see.
         gain: factors on red, green and blue between the two exposures.
     """
 
     image: Picture
     difference: Picture
     error: float
-    seen: float
+    covered: float
     gain: tuple[float, float, float]
 
 
@@ -132,7 +132,7 @@ def _write_again(folder: Path, start: str, made: Resynthesis) -> PicturesAgain:
         image=_write(folder / f"{start}_again.jpg", with_checks(_shrunk(made.image), is_seen)),
         difference=_write(folder / f"{start}_difference.jpg", difference_colours(_sampled(made.difference), is_seen)),
         error=made.error,
-        seen=made.seen,
+        covered=made.covered,
         gain=made.gain,
     )
 

@@ -82,7 +82,7 @@ class Resynthesis:
     gain: tuple[float, float, float]
 
     @property
-    def seen(self) -> float:
+    def covered(self) -> float:
         """Share of the pixels that both cameras see."""
         return float(self.is_seen.mean())
 

@@ -23,23 +23,23 @@ CSV_HEAD = (
 )
 
 
-def differences_text(found: Sequence[Difference]) -> str:
+def differences_text(differences: Sequence[Difference]) -> str:
     """Columns under each other; a line per metric, and per view where asked for; all p values after Holm's correction."""
-    rows = [HEADS, *map(_line, found)]
+    rows = [HEADS, *map(_line, differences)]
     widths = [max(len(row[at]) for row in rows) for at in range(len(HEADS))]
     lines = ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip() for row in rows]
     given = dict.fromkeys(
-        one.comparison.note for one in found if one.p_value is not None and not one.view and one.comparison.note
+        one.comparison.note for one in differences if one.p_value is not None and not one.view and one.comparison.note
     )
     return "\n".join([*lines, *(f"Intervals of the means: {note}; of single views: given the view." for note in given)])
 
 
-def differences_csv(found: Mapping[str, Sequence[Difference]]) -> str:
+def differences_csv(differences: Mapping[str, Sequence[Difference]]) -> str:
     """One line per pair of methods, metric and view, numbers unrounded."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(CSV_HEAD)
-    for name, one in ((name, one) for name, several in found.items() for one in several):
+    for name, one in ((name, one) for name, several in differences.items() for one in several):
         bounds = ["" if value is None else repr(value) for value in (one.comparison.low, one.comparison.high, one.p_value)]
         numbers = [repr(value) for value in (one.first, one.second, one.comparison.difference)]
         head = [name, one.metric, one.note.unit, one.view]

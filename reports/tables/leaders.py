@@ -29,15 +29,15 @@ class Leader:
     undecided: str = ""
 
 
-def leaders(tables: Sequence[Table], wanted: Sequence[str] = HEADLINES) -> tuple[Leader, ...]:
+def leaders(tables: Sequence[Table], metrics: Sequence[str] = HEADLINES) -> tuple[Leader, ...]:
     """The best method of each wanted metric that has one; of the first table's metrics where none is wanted that was measured.
 
     Args:
         tables: whose columns are metrics.
-        wanted: names of metrics.
+        metrics: names of metrics.
     """
     all_leaders = [leader for table in tables for leader in _leaders_of(table)]
-    chosen = tuple(leader for leader in all_leaders if leader.column.name in wanted)
+    chosen = tuple(leader for leader in all_leaders if leader.column.name in metrics)
     return chosen or tuple(all_leaders[: len(tables[0].columns)] if tables else ())
 
 

@@ -73,12 +73,12 @@ def test_order_of_the_sources(tmp_path):
     """The user's number or file, units.toml, demo.json, the data set, the guess."""
     (tmp_path / "mine.toml").write_text("units_per_metre = 7")
     assert units_of(tmp_path).origin.startswith("guess")
-    assert units_of(tmp_path, known=METRIC) == METRIC
+    assert units_of(tmp_path, of_data_set=METRIC) == METRIC
     (tmp_path / "demo.json").write_text(json.dumps({"units_per_metre": 3.25}))
-    assert units_of(tmp_path, known=METRIC).origin == "demo.json"
-    assert units_of(tmp_path, BASELINE, known=METRIC).origin.startswith("baseline")
-    assert units_of(tmp_path, known=METRIC, given=tmp_path / "mine.toml").per_metre == 7.0
-    assert units_of(tmp_path, known=METRIC, given=2.5) == units_of(tmp_path, given=2.5)
+    assert units_of(tmp_path, of_data_set=METRIC).origin == "demo.json"
+    assert units_of(tmp_path, BASELINE, of_data_set=METRIC).origin.startswith("baseline")
+    assert units_of(tmp_path, of_data_set=METRIC, given=tmp_path / "mine.toml").per_metre == 7.0
+    assert units_of(tmp_path, of_data_set=METRIC, given=2.5) == units_of(tmp_path, given=2.5)
     assert units_of(tmp_path, given=2.5).origin == "given by the user"
 
 

@@ -50,7 +50,7 @@ def test_one_pass_is_warps_mixed_with_splats(seed, size, views, features, level)
     inputs = random_inputs(seed, size, views, features)
     kernels.set_simd_level(level)
     found, expected = blend_maps(inputs, "registered"), raw_views(inputs).maps("registered")
-    for name in ("colours", "coverage", "seen", "alphas", "depths", "fused_depth"):
+    for name in ("colours", "coverage", "visibilities", "alphas", "depths", "fused_depth"):
         ours, theirs = getattr(found, name), getattr(expected, name)
         assert ours.dtype == theirs.dtype == np.float32
         np.testing.assert_allclose(ours, theirs, atol=2e-6, err_msg=name)
@@ -65,7 +65,7 @@ def test_threads_and_instruction_sets_give_the_same_bits():
             kernels.set_simd_level(level)
             kernels.set_threads(threads)
             found.append(blend_maps(inputs, "registered"))
-    assert 0.1 < found[0].seen[:-1].mean() < 1
+    assert 0.1 < found[0].visibilities[:-1].mean() < 1
     for other in found[1:]:
         np.testing.assert_array_equal(other.colours, found[0].colours)
         np.testing.assert_array_equal(other.coverage, found[0].coverage)

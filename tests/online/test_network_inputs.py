@@ -39,7 +39,7 @@ def plane_maps(depth: float = WALL_Z) -> BlendMaps:
         colours=np.random.default_rng(0).uniform(size=(*shape, 3)).astype(np.float32),
         depths=np.broadcast_to(depth + 0.1 * number, shape).astype(np.float32),
         coverage=np.broadcast_to(0.6 + 0.1 * number, shape).astype(np.float32),
-        seen=np.broadcast_to(0.5 + 0.1 * number, shape).astype(np.float32),
+        visibilities=np.broadcast_to(0.5 + 0.1 * number, shape).astype(np.float32),
         alphas=np.broadcast_to(0.6 + 0.1 * number, shape).astype(np.float32),
         fused_depth=np.full(shape[1:], depth, np.float32),
     )

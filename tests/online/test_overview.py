@@ -17,7 +17,7 @@ from helpers.blender_inputs import random_maps
 from helpers.geometry_scenes import seeds
 
 pytestmark = pytest.mark.usefixtures("kernel_settings")
-MAPS = ("colours", "coverage", "seen", "alphas", "depths", "fused_depth")
+MAPS = ("colours", "coverage", "visibilities", "alphas", "depths", "fused_depth")
 
 
 @settings(deadline=None, max_examples=30)
@@ -83,6 +83,6 @@ def test_what_does_not_fit_is_refused():
     with pytest.raises(ValueError, match="not more than the network takes"):
         network_channels(maps, "registered", 2)
     with pytest.raises(ValueError, match="scale of at least 1"):
-        _core.overview(maps.colours, maps.coverage, maps.seen, maps.alphas, maps.weights, 0, 0.5, 1)
+        _core.overview(maps.colours, maps.coverage, maps.visibilities, maps.alphas, maps.weights, 0, 0.5, 1)
     with pytest.raises(TypeError, match="seen: wanted float32"):
-        overview(replace(maps, seen=maps.seen[:, :5]), 2)
+        overview(replace(maps, visibilities=maps.visibilities[:, :5]), 2)

@@ -60,7 +60,7 @@ def test_it_treats_colours_alike_and_keeps_flat_areas():
 
 def views(count: int, **changed: torch.Tensor) -> dict[str, torch.Tensor]:
     colours, weights = some(1, count, 3, HEIGHT, WIDTH), some(1, count, HEIGHT, WIDTH, seed=1)
-    known = {"colours": colours, "weights": weights, "seen": weights, "depth": 1 + some(1, HEIGHT, WIDTH, seed=2)}
+    known = {"colours": colours, "weights": weights, "visibilities": weights, "depth": 1 + some(1, HEIGHT, WIDTH, seed=2)}
     known["picture"] = (weights[:, :, None] * colours).sum(1) / weights.sum(1, keepdim=True)
     return known | changed
 
@@ -86,7 +86,7 @@ def test_evidence_knows_no_scale():
     absent = {
         "colours": torch.cat([given["colours"], torch.zeros(1, 1, 3, HEIGHT, WIDTH)], dim=1),
         "weights": torch.cat([given["weights"], torch.zeros(1, 1, HEIGHT, WIDTH)], dim=1),
-        "seen": torch.cat([given["seen"], torch.zeros(1, 1, HEIGHT, WIDTH)], dim=1),
+        "visibilities": torch.cat([given["visibilities"], torch.zeros(1, 1, HEIGHT, WIDTH)], dim=1),
     }
     torch.testing.assert_close(evidence(**(given | absent)), found)
 

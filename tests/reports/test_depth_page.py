@@ -161,7 +161,7 @@ def test_sound_capture_raises_no_alarm(record):
     assert all(pair.matches > 50 and pair.row_px < 0.3 and pair.outside < 0.02 for pair in record.pairs)
     for instant in (instant for camera in record.cameras for instant in camera.pictures.instants):
         assert instant.again.error < 3
-        assert instant.again.seen > 0.6
+        assert instant.again.covered > 0.6
         assert instant.again.gain == pytest.approx((1, 1, 1), abs=0.02)
     (warning,) = find_warnings(record)
     assert warning.startswith("cam00 with cam02: matched with cam02 alone")
@@ -271,7 +271,7 @@ def test_no_depth_at_all():
     described = describe_map(3, DepthMap(empty, empty), FILLED)
     assert (described.measured, described.filled, described.empty, described.median) == (0, 0, 1, 0)
     made = resynthesise(camera, empty, see_plane(camera), other, see_plane(other))
-    assert (made.seen, made.error) == (0, 0)
+    assert (made.covered, made.error) == (0, 0)
 
 
 def test_pairs_that_cannot_be_rectified(capture, stored, tmp_path):

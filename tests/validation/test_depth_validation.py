@@ -62,7 +62,7 @@ def test_an_error_of_the_threshold_is_not_bad():
     assert score_disparity(full(22), full(20))["bad_2_percent"] == 0
 
 
-def test_unknown_truth_does_not_count():
+def test_untruth_range_does_not_count():
     """Pixels without measured disparity change nothing, whatever was found there."""
     truth = full(20)
     truth[:, 30:] = 0

@@ -25,13 +25,13 @@ CHANNELS = ("red", "green", "blue")
 def check_gain(names: Sequence[str], pairs: Sequence[MatchedPair]) -> tuple[Finding, ...]:
     """Gain per channel of every camera, median 1 over the rig, from the colours of matched features."""
     gains = camera_gains(len(names), pairs)
-    known = np.isfinite(gains).all(axis=1)
+    finite = np.isfinite(gains).all(axis=1)
     evaluated = [_evaluate_gain(name, gain) for name, gain in zip(names, gains, strict=True)]
-    if not known.any():
+    if not finite.any():
         reason = "too few matches of medium brightness between neighbours"
         return (Finding(RIG, GAIN, "unknown", reason), *evaluated)
-    spread = np.abs(gains[known] - 1)
-    measured = f"median deviation {100 * np.median(spread):.1f} %, largest {100 * spread.max():.1f} %, {known.sum()} cameras"
+    spread = np.abs(gains[finite] - 1)
+    measured = f"median deviation {100 * np.median(spread):.1f} %, largest {100 * spread.max():.1f} %, {finite.sum()} cameras"
     values = {"median_deviation": round(float(np.median(spread)), 4), "largest_deviation": round(float(spread.max()), 4)}
     return (Finding(RIG, GAIN, "ok", measured, values), *evaluated)
 
@@ -56,11 +56,11 @@ def camera_gains(count: int, pairs: Sequence[MatchedPair]) -> Array:
 def check_noise(records: Sequence[CameraRecord]) -> tuple[Finding, ...]:
     """Noise of every camera against fixed limits and against the rig."""
     sigmas = np.array([record.noise_sigma_255 for record in records])
-    known = sigmas[np.isfinite(sigmas)]
-    if not len(known):
+    finite = sigmas[np.isfinite(sigmas)]
+    if not len(finite):
         reason = "fewer than two frames in a row"
         return tuple(Finding(subject, NOISE, "unknown", reason) for subject in (RIG, *(record.name for record in records)))
-    median = float(np.median(known))
+    median = float(np.median(finite))
     rig = Finding(RIG, NOISE, "ok", f"sigma {median:.2f} of 255 levels, median", {"sigma_255": round(median, 3)})
     return (rig, *(_evaluate_noise(record.name, float(record.noise_sigma_255), median) for record in records))
 

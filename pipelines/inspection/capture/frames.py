@@ -89,8 +89,8 @@ def frozen_frames(change: NDArray[np.float32]) -> NDArray[np.bool_]:
 def common_repeats(change: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Frames that repeat the one before in every camera, (T,)."""
     share = _relative(change)
-    known = np.isfinite(share)
-    return np.asarray(known.any(axis=0) & ((share < STILL_SHARE) | ~known).all(axis=0) & (known.sum(axis=0) > 1))
+    finite = np.isfinite(share)
+    return np.asarray(finite.any(axis=0) & ((share < STILL_SHARE) | ~finite).all(axis=0) & (finite.sum(axis=0) > 1))
 
 
 def _relative(change: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -103,9 +103,9 @@ def _relative(change: NDArray[np.float32]) -> NDArray[np.float64]:
 def _usual_of_others(share: NDArray[np.float64], index: int) -> NDArray[np.float64]:
     """Median over the other cameras, (T,); NaN, which is above nothing, where none of them is known."""
     others = np.delete(share, index, axis=0)
-    known = np.isfinite(others).any(axis=0)
+    finite = np.isfinite(others).any(axis=0)
     middle = np.full(share.shape[1], np.nan)
-    middle[known] = np.nanmedian(others[:, known], axis=0)
+    middle[finite] = np.nanmedian(others[:, finite], axis=0)
     return middle
 
 

@@ -70,7 +70,7 @@ def _examine_view(name: str, view: ViewFrames, cameras: Mapping[str, CameraPictu
     usable = _longest_run(scan.usable)
     if not usable:
         return _Examined(scan.findings)
-    view = replace(view, frames=usable, truth_frames=view.known_truth)
+    view = replace(view, frames=usable, truth_frames=view.truth_range)
     has_size = all(finding.question != "wrong size" for finding in scan.findings)
     if not has_size:
         height, width = view.truth(usable[0]).shape[:2]
@@ -89,15 +89,16 @@ def _examine_picture(name: str, view: ViewFrames, cameras: Mapping[str, CameraPi
     placed = find_placement(name, view)
     view = placed.view
     sample = take_sample(view, count)
-    found, view = find_offset(name, view, sample)
-    sample = take_sample(view, count) if found else sample
-    findings += found
-    found, view = find_channel_order(name, view, sample)
-    sample = take_sample(view, count) if found else sample
+    shifted, view = find_offset(name, view, sample)
+    sample = take_sample(view, count) if shifted else sample
+    swapped, view = find_channel_order(name, view, sample)
+    sample = take_sample(view, count) if swapped else sample
     copied = find_copied(name, view)
     # Copies among renders of another exposure flicker, too.
     flicker = [] if copied else find_flicker(name, view)
-    return _Examined([*findings, *found, *find_tone(name, sample), *flicker, *copied, *placed.findings], placed.shift_px)
+    return _Examined(
+        [*findings, *shifted, *swapped, *find_tone(name, sample), *flicker, *copied, *placed.findings], placed.shift_px
+    )
 
 
 def _longest_run(indices: list[int]) -> range:

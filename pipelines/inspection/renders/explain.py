@@ -108,8 +108,8 @@ def metric_family(metric: str) -> str:
     """
     family = metric.lower()
     if family not in FAMILIES:
-        known = ", ".join(FAMILIES)
-        raise MetricError(f"no conventions known of {metric!r}; there are {known}{did_you_mean(family, FAMILIES)}")
+        families = ", ".join(FAMILIES)
+        raise MetricError(f"no conventions known of {metric!r}; there are {families}{did_you_mean(family, FAMILIES)}")
     return family
 
 

@@ -97,13 +97,13 @@ def _timing(
         lag: for the record, as is `is_reversed`.
         is_reversed: see there.
     """
-    known = sample.truth_indices
-    pairs = [(i, number) for i, number in enumerate(numbers) if number in known]
+    instants = sample.truth_indices
+    pairs = [(i, number) for i, number in enumerate(numbers) if number in instants]
     if len(pairs) < FEWEST_FRAMES:
         return None
     ours = rendered[[i for i, _ in pairs]]
-    now = truth[[sample.indices[i] - known.start for i, _ in pairs]]
-    then = truth[[number - known.start for _, number in pairs]]
+    now = truth[[sample.indices[i] - instants.start for i, _ in pairs]]
+    then = truth[[number - instants.start for _, number in pairs]]
     ours, now, then = (frames - frames.mean(axis=0) for frames in (ours, now, then))
     shown, straight = correlation(ours, then), correlation(ours, now)
     each = [correlation(a, c) > correlation(a, b) for a, b, c in zip(ours, now, then, strict=True)]

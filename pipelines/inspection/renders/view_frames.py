@@ -41,7 +41,7 @@ class ViewFrames:
             raise RenderError("a view without frames; render it first")
 
     @property
-    def known_truth(self) -> range:
+    def truth_range(self) -> range:
         """Numbers of the captured frames that can be read."""
         return self.truth_frames or self.frames
 
@@ -60,15 +60,15 @@ class ViewFrames:
 
     def moved(self, offset: int) -> "ViewFrames":
         """The same renders as frames of the instants `offset` later, as far as the truth has them."""
-        original, known = self.rendered, self.known_truth
-        there = [index for index in self.frames if index + offset in known]
+        original, captured = self.rendered, self.truth_range
+        there = [index for index in self.frames if index + offset in captured]
         frames = range(there[0] + offset, there[-1] + offset + 1)
         return replace(self, rendered=lambda index: original(index - offset), frames=frames)
 
     def reversed(self, offset: int) -> "ViewFrames":
         """The same renders in reversed order, as frames of instants `offset` later, as far as the truth has them."""
         original, turning = self.rendered, self.frames.start + self.frames[-1]
-        there = sorted(turning - index + offset for index in self.frames if turning - index + offset in self.known_truth)
+        there = sorted(turning - index + offset for index in self.frames if turning - index + offset in self.truth_range)
         return replace(self, rendered=lambda index: original(turning - index + offset), frames=range(there[0], there[-1] + 1))
 
 
@@ -97,10 +97,10 @@ class Sample:
 
 def take_sample(view: ViewFrames, count: int) -> Sample:
     """Read a burst out of the middle of a view, one full-sized frame in memory at a time."""
-    frames, known = view.frames, view.known_truth
+    frames, captured = view.frames, view.truth_range
     start = frames.start + (len(frames) - min(count, len(frames))) // 2
     indices = range(start, start + min(count, len(frames)))
-    around = range(max(known.start, start - LARGEST_OFFSET), min(known.stop, indices.stop + LARGEST_OFFSET))
+    around = range(max(captured.start, start - LARGEST_OFFSET), min(captured.stop, indices.stop + LARGEST_OFFSET))
     rendered = np.stack([shrink(view.rendered(index)) for index in indices])
     return Sample(indices, rendered, around, np.stack([shrink(view.truth(index)) for index in around]))
 

@@ -68,11 +68,11 @@ class CalibrationOptions:
     def __post_init__(self) -> None:
         """Refuse what contradicts itself."""
         if self.known_intrinsics is not None and self.known_poses is not None:
-            found = f"{self.known_intrinsics} and {self.known_poses}"
-            raise CaptureError(f"calibrate: wanted known intrinsics or known poses, which bring theirs, got {found}; give one")
+            choice = f"{self.known_intrinsics} and {self.known_poses}"
+            raise CaptureError(f"calibrate: wanted known intrinsics or known poses, which bring theirs, got {choice}; give one")
         if self.frame < 0 or self.max_features < 1 or self.max_image_size_px < 1 or not 0 <= self.seed < 1 << 31:
-            found = f"{self.frame}, {self.max_features}, {self.max_image_size_px}, {self.seed}"
-            raise CaptureError(f"calibrate: frame, features, image size and seed must not be negative (or zero), got {found}")
+            choice = f"{self.frame}, {self.max_features}, {self.max_image_size_px}, {self.seed}"
+            raise CaptureError(f"calibrate: frame, features, image size and seed must not be negative (or zero), got {choice}")
 
 
 @dataclass(frozen=True)
@@ -119,17 +119,17 @@ def calibrate(frames_folder: Path, out: Path, options: CalibrationOptions) -> Ca
     check_lengths(frames_folder, files)
     if len(files) > MOST_CAMERAS:
         raise CaptureError(f"{frames_folder}: wanted up to {MOST_CAMERAS} cameras, got {len(files)}; calibrate by COLMAP itself")
-    known = _known(files, options)
+    given = _known(files, options)
     with atomic_folder(out) as unfinished:
         images = write_instant(files, options.frame, unfinished / "work" / "images")
-        result = run_worker(unfinished, out, _job(files, images, known, options))
+        result = run_worker(unfinished, out, _job(files, images, given, options))
         missing = _missing(images, result)
         if missing and (not options.allow_missing or len(images) - len(missing) < 2):
             raise _unregistered(frames_folder, missing, len(images), keep_log(unfinished, out), options.known_poses)
         shutil.move(unfinished / "work" / "sparse", unfinished / "sparse")
         registered = {name: file for name, file in files.items() if name not in missing}
         link_frames(registered, {name: unfinished / "work" / "images" / images[name] for name in registered}, unfinished)
-        if options.known_poses and known and all(camera.is_metric for camera in known.values()):
+        if options.known_poses and given and all(camera.is_metric for camera in given.values()):
             (unfinished / UNITS_FILE).write_text("units_per_metre = 1.0\n", encoding="utf-8")
         calibration = _read(unfinished, out, missing, result)
         write_json(unfinished / RECORD, _record(frames_folder, calibration, result, options))
@@ -178,25 +178,27 @@ def _known(files: Mapping[str, CameraFiles], options: CalibrationOptions) -> dic
         odd = next((name for name in sizes if sizes[name] != next(iter(sizes.values()))), None)
         if options.shared_intrinsics and odd is not None:
             first = next(iter(sizes))
-            found = f"{first} {sizes[first]} and {odd} {sizes[odd]}"
-            raise CaptureError(f"{files[odd].path}: wanted frames of one size for shared intrinsics, got {found}; calibrate each")
+            choice = f"{first} {sizes[first]} and {odd} {sizes[odd]}"
+            raise CaptureError(
+                f"{files[odd].path}: wanted frames of one size for shared intrinsics, got {choice}; calibrate each"
+            )
         return None
-    known = fit_known(path, read_known(path, sizes), sizes)
-    without = [name for name in known if known[name].world_to_camera is None]
+    cameras = fit_known(path, read_known(path, sizes), sizes)
+    without = [name for name in cameras if cameras[name].world_to_camera is None]
     if options.known_poses is not None and without:
         raise CaptureError(f"{path}: wanted poses, got intrinsics alone of {', '.join(without)}; give it as known intrinsics")
-    return known
+    return cameras
 
 
 def _job(
     files: Mapping[str, CameraFiles],
     images: Mapping[str, str],
-    known: Mapping[str, KnownCamera] | None,
+    given: Mapping[str, KnownCamera] | None,
     options: CalibrationOptions,
 ) -> dict[str, Any]:
     """Describe the work to the child process; see `calibration_worker.run_job`."""
     path, with_poses = options.known_poses or options.known_intrinsics or Path(), options.known_poses is not None
-    described = describe_known(path, known or {}, with_poses=with_poses)
+    described = describe_known(path, given or {}, with_poses=with_poses)
     groups: dict[tuple[int, int], list[str]] = {}
     for name, file in files.items():
         groups.setdefault(file.size, []).append(name)
@@ -234,8 +236,8 @@ def _unregistered(folder: Path, missing: Mapping[str, str], n_cameras: int, log:
 def _read(unfinished: Path, out: Path, missing: Mapping[str, str], result: Mapping[str, Any]) -> Calibration:
     views = read_model(unfinished / "sparse" / "0")
     cameras = {Path(view.image_name).stem: view.camera(Path(view.image_name).stem, out) for view in views}
-    seen = {Path(image).stem: count for image, count in result["registered"].items()}
-    return Calibration(out, cameras, missing, result["mean_reprojection_error_px"], result["n_points"], seen)
+    counts = {Path(image).stem: count for image, count in result["registered"].items()}
+    return Calibration(out, cameras, missing, result["mean_reprojection_error_px"], result["n_points"], counts)
 
 
 def _record(folder: Path, calibration: Calibration, result: Mapping[str, Any], options: CalibrationOptions) -> dict[str, Any]:

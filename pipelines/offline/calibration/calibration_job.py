@@ -64,19 +64,19 @@ def keep_log(unfinished: Path, out: Path) -> Path:
     return kept
 
 
-def describe_known(path: Path, known: Mapping[str, KnownCamera], *, with_poses: bool) -> dict[str, dict[str, Any]]:
+def describe_known(path: Path, known_cameras: Mapping[str, KnownCamera], *, with_poses: bool) -> dict[str, dict[str, Any]]:
     """Known cameras as the worker reads them, by name.
 
     Args:
         path: where they were read, for errors.
-        known: by name.
+        known_cameras: by name.
         with_poses: whether poses are known too.
 
     Raises:
         CaptureError: a lens that COLMAP cannot express.
     """
     described = {}
-    for name, camera in known.items():
+    for name, camera in known_cameras.items():
         try:
             model, params = colmap_camera(camera.lens)
         except CameraError as error:

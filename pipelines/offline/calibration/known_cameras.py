@@ -87,10 +87,10 @@ def read_known(path: Path, sizes: Mapping[str, tuple[int, int]] | None = None) -
     model = path if any((path / f"cameras.{kind}").is_file() for kind in ("bin", "txt")) else find_model(path)
     if model is not None:
         views = read_model(model)
-        known = {_camera_name(view.image_name): KnownCamera(view.lens, view.world_to_camera) for view in views}
-        if len(known) < len(views):
+        cameras = {_camera_name(view.image_name): KnownCamera(view.lens, view.world_to_camera) for view in views}
+        if len(cameras) < len(views):
             raise CaptureError(f"{model}: wanted one image per camera, got several; calibrate with one instant")
-        return known
+        return cameras
     if find_calibration_files(path):
         return _of_calibration_file(path, sizes or {})
     return _of_capture(open_capture(path.parent if path.name == "capture.toml" else path))
@@ -111,33 +111,33 @@ def write_intrinsics(path: Path, lenses: Mapping[str, Lens]) -> None:
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def fit_known(path: Path, known: Mapping[str, KnownCamera], sizes: Mapping[str, tuple[int, int]]) -> dict[str, KnownCamera]:
+def fit_known(path: Path, cameras: Mapping[str, KnownCamera], sizes: Mapping[str, tuple[int, int]]) -> dict[str, KnownCamera]:
     """The known cameras at the size of the frames.
 
     Args:
         path: where they were read, for errors.
-        known: by name.
+        cameras: by name.
         sizes: (width, height) of each camera's frames.
 
     Raises:
         CaptureError: nothing is known of a camera, or its frames have another shape.
     """
-    missing = [name for name in sizes if name not in known]
+    missing = [name for name in sizes if name not in cameras]
     if missing:
         raise CaptureError(
-            f"{path}: wanted intrinsics of {', '.join(missing)}, it has {', '.join(known) or 'none'}; "
+            f"{path}: wanted intrinsics of {', '.join(missing)}, it has {', '.join(cameras) or 'none'}; "
             "call the cameras alike in both places"
         )
     fitted = {}
     for name, (width, height) in sizes.items():
-        lens = known[name].lens
+        lens = cameras[name].lens
         if abs(lens.height * width / lens.width - height) > 1:
-            found = f"frames of {width} x {height}"
+            content = f"frames of {width} x {height}"
             raise CaptureError(
-                f"{path}: {name} is calibrated for {lens.width} x {lens.height}, got {found}; "
+                f"{path}: {name} is calibrated for {lens.width} x {lens.height}, got {content}; "
                 "give frames of that shape, scaled but not cropped"
             )
-        fitted[name] = replace(known[name], lens=lens.resized(width, height))
+        fitted[name] = replace(cameras[name], lens=lens.resized(width, height))
     return fitted
 
 
@@ -148,8 +148,8 @@ def colmap_camera(lens: Lens) -> tuple[str, list[float]]:
         CameraError: a lens that COLMAP cannot express: skewed, or with more than eight coefficients.
     """
     if abs(lens.K[0, 1]) > 1e-9 or len(lens.coefficients) > 8:
-        found = f"skew {lens.K[0, 1]:g} and {len(lens.coefficients)} coefficients"
-        raise CameraError(f"lens: wanted no skew and at most 8 coefficients, got {found}; undistort the frames first")
+        content = f"skew {lens.K[0, 1]:g} and {len(lens.coefficients)} coefficients"
+        raise CameraError(f"lens: wanted no skew and at most 8 coefficients, got {content}; undistort the frames first")
     pinhole = [float(value) for value in (lens.K[0, 0], lens.K[1, 1], lens.K[0, 2], lens.K[1, 2])]
     if lens.is_pinhole:
         return "PINHOLE", pinhole
@@ -194,21 +194,21 @@ def _rows(rows: Sequence[Sequence[float]]) -> Sequence[Sequence[float]]:
 
 def _of_calibration_file(path: Path, sizes: Mapping[str, tuple[int, int]]) -> dict[str, KnownCamera]:
     """Cameras of a calibration file; of cameras that have no frames only what is said of their size counts."""
-    known = {}
+    cameras = {}
     for name, camera in read_calibration_file(path).cameras.items():
         if camera.size is None and name not in sizes:
             continue
         try:
-            known[name] = KnownCamera(camera.lens(sizes.get(name)), camera.world_to_camera, camera.is_metric)
+            cameras[name] = KnownCamera(camera.lens(sizes.get(name)), camera.world_to_camera, camera.is_metric)
         except CameraError as error:
             raise CaptureError(f"{path}: {name}: {error}") from error
-    return known
+    return cameras
 
 
 def _of_capture(capture: Capture) -> dict[str, KnownCamera]:
-    known = {}
+    cameras = {}
     for camera, source in zip(capture.cameras, capture.sources, strict=True):
         pinhole = Lens(camera.K, "opencv", (0.0,) * 4, *camera.size)
         lens = next((each.lens for each in source_chain(source) if isinstance(each, UndistortedFrames)), pinhole)
-        known[camera.name] = KnownCamera(lens, camera.world_to_camera)
-    return known
+        cameras[camera.name] = KnownCamera(lens, camera.world_to_camera)
+    return cameras

@@ -56,7 +56,7 @@ def read_lenses(path: Path, sizes: Mapping[str, Size]) -> dict[str, LensAndTarge
         return _from_d3dmv(path, sizes)
     if path.suffix != ".toml" and not is_known:
         raise CaptureError(f"{path}: wanted {KINDS}, got a file called {path.name}; rename it if it is one of these")
-    lenses = {name: known.lens for name, known in fit_known(path, read_known(path, sizes), sizes).items()}
+    lenses = {name: camera.lens for name, camera in fit_known(path, read_known(path, sizes), sizes).items()}
     try:
         return {name: LensAndTarget(lens, lens.undistorted_K()) for name, lens in lenses.items()}
     except CameraError as error:
@@ -67,8 +67,8 @@ def _from_easymocap(path: Path, sizes: Mapping[str, Size]) -> dict[str, LensAndT
     file = FileStorageYaml(path)
     missing = [name for name in sizes if not file.has(f"K_{name}")]
     if missing:
-        found = f"it has {', '.join(file.texts('names')) or 'no names'}"
-        raise CaptureError(f"{path}: wanted lenses of {', '.join(missing)}, {found}; call the cameras alike in both places")
+        content = f"it has {', '.join(file.texts('names')) or 'no names'}"
+        raise CaptureError(f"{path}: wanted lenses of {', '.join(missing)}, {content}; call the cameras alike in both places")
     found_lenses = {}
     for name, size in sizes.items():
         K = file.matrix(f"K_{name}", (3, 3))
@@ -83,8 +83,8 @@ def _from_easymocap(path: Path, sizes: Mapping[str, Size]) -> dict[str, LensAndT
 def _from_d3dmv(path: Path, sizes: Mapping[str, Size]) -> dict[str, LensAndTarget]:
     entries = read_pickle(path)
     if not isinstance(entries, list) or len(entries) != len(sizes):
-        found = f"{len(entries)} entries" if isinstance(entries, list) else "no list"
-        raise CaptureError(f"{path}: wanted one entry for each of the {len(sizes)} cameras, got {found}; restore all videos")
+        content = f"{len(entries)} entries" if isinstance(entries, list) else "no list"
+        raise CaptureError(f"{path}: wanted one entry for each of the {len(sizes)} cameras, got {content}; restore all videos")
     found_lenses = {}
     for entry, (name, (width, height)) in zip(entries, sizes.items(), strict=True):
         K, coefficients = _numbers(path, name, entry, "K", 9).reshape(3, 3), _numbers(path, name, entry, "D", 4)
@@ -103,9 +103,9 @@ def read_pickle(path: Path) -> Any:
     """
     size = path.stat().st_size if path.is_file() else -1
     if not 0 < size <= LARGEST_PICKLE_BYTES:
-        found = "no such file" if size < 0 else f"{size} bytes"
+        content = "no such file" if size < 0 else f"{size} bytes"
         raise CaptureError(
-            f"{path}: wanted a pickled calibration below {LARGEST_PICKLE_BYTES >> 20} MiB, got {found}; restore it"
+            f"{path}: wanted a pickled calibration below {LARGEST_PICKLE_BYTES >> 20} MiB, got {content}; restore it"
         )
     try:
         return unpickle_plain(path.read_bytes())
@@ -116,8 +116,8 @@ def read_pickle(path: Path) -> Any:
 def _numbers(path: Path, name: str, entry: Any, key: str, count: int) -> Array:
     values = entry.get(key) if isinstance(entry, dict) else None
     if not isinstance(values, np.ndarray) or values.size != count or not np.isfinite(values).all():
-        found = f"shape {values.shape}" if isinstance(values, np.ndarray) else "none"
-        raise CaptureError(f"{path}: {name}: wanted {count} finite numbers {key}, got {found}; restore the file")
+        content = f"shape {values.shape}" if isinstance(values, np.ndarray) else "none"
+        raise CaptureError(f"{path}: {name}: wanted {count} finite numbers {key}, got {content}; restore the file")
     return values.astype(np.float64).ravel()
 
 
@@ -126,9 +126,9 @@ def _lens(path: Path, name: str, K: Array, model: Any, coefficients: tuple[float
     width, height = size
     is_central = 0.3 < K[0, 2] / width < 0.7 and 0.3 < K[1, 2] / height < 0.7
     if not is_central or K[0, 0] <= 0 or K[1, 1] <= 0:
-        found = f"f {K[0, 0]:.0f}, centre ({K[0, 2]:.0f}, {K[1, 2]:.0f})"
+        content = f"f {K[0, 0]:.0f}, centre ({K[0, 2]:.0f}, {K[1, 2]:.0f})"
         raise CaptureError(
-            f"{path}: {name}: wanted the lens of {width} x {height} frames, got {found}; give the file of this size"
+            f"{path}: {name}: wanted the lens of {width} x {height} frames, got {content}; give the file of this size"
         )
     try:
         return Lens(K, model, coefficients, width, height)
@@ -138,7 +138,7 @@ def _lens(path: Path, name: str, K: Array, model: Any, coefficients: tuple[float
 
 def _at_size(path: Path, name: str, lens: Lens, size: Size) -> LensAndTarget:
     if abs(lens.height * size[0] / lens.width - size[1]) > 1:
-        found = f"frames of {size[0]} x {size[1]}"
-        raise CaptureError(f"{path}: {name} is calibrated for {lens.width} x {lens.height}, got {found}; give uncropped frames")
+        content = f"frames of {size[0]} x {size[1]}"
+        raise CaptureError(f"{path}: {name} is calibrated for {lens.width} x {lens.height}, got {content}; give uncropped frames")
     resized = lens.resized(*size)
     return LensAndTarget(resized, resized.K)

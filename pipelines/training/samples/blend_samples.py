@@ -71,7 +71,7 @@ class RawViews:
             return self.splatted
         colours = self.splats + self.visibilities[..., None] * (self.warps - self.splats)
         coverage = np.maximum(self.visibilities, FAINT * self.alphas)
-        return replace(self.splatted, colours=colours, coverage=coverage, seen=self.visibilities)
+        return replace(self.splatted, colours=colours, coverage=coverage, visibilities=self.visibilities)
 
 
 @dataclass(frozen=True, eq=False)
