@@ -63,8 +63,17 @@ def wait_for(condition: Callable[[], object]) -> None:
     assert condition()
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
-@pytest.mark.parametrize(("number", "to_all"), [(signal.SIGINT, True), (signal.SIGINT, False), (signal.SIGTERM, False)])
+# One process alone makes no difference between itself and all.
+@pytest.mark.parametrize(
+    ("number", "to_all", "jobs"),
+    [
+        (signal.SIGINT, True, 2),
+        (signal.SIGINT, False, 2),
+        (signal.SIGTERM, False, 2),
+        (signal.SIGINT, True, 1),
+        (signal.SIGTERM, False, 1),
+    ],
+)
 def test_a_command_that_is_stopped_says_how_to_go_on(number, to_all, jobs, words, interruptible, tmp_path):
     """Ctrl-C, which a terminal sends to all processes, and SIGTERM: one line, 130, no worker left; the same command goes on."""
     run = tmp_path / "run"

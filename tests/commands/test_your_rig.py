@@ -165,7 +165,7 @@ def test_held_out_cameras_are_proposed_with_reasons(walk):
     assert "cam01" in held_out
     assert re.search(r"cam01 +held out: .* can show \d+ % of its view", told)
     assert protocol.views.chosen_by.startswith("by rule")
-    assert protocol.frames.count == 3
+    assert protocol.frames.count == 2
     assert RunFolder(walk[0] / "runs" / "rig").protocol() == protocol
 
 
