@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import MetricError
+from ggvs_eval.metrics.image.sharpness import sharpness
 from ggvs_eval.metrics.inputs import Image
 from ggvs_eval.metrics.metric import ALONG_PATH, Group, Kind, Metric, Value
 from ggvs_eval.metrics.path.steps import DEPTH_TOLERANCE, StepError, reprojection_step
@@ -76,6 +77,7 @@ class RenderedPath:
         depths: those rows of each pose's depth; None where nobody knows.
         sources: names of the source cameras of each pose.
         n_switches: steps at which the source cameras change; None where nobody has measured these.
+        sharpness: of each pose's image, see `metrics.image.sharpness`.
     """
 
     def __init__(self, options: PathOptions) -> None:
@@ -85,6 +87,7 @@ class RenderedPath:
         self.depths: list[NDArray[np.float32] | None] = []
         self.sources: list[Collection[str]] = []
         self.n_switches: int | None = None
+        self.sharpness: list[float] = []
         self._images: list[Image] = []  # the chosen rows of every pose
         self._steps: list[StepError] = []
         self._no_steps = ""
@@ -108,6 +111,7 @@ class RenderedPath:
         self._images.append(pose.image[self.rows])
         self.depths.append(None if pose.depth is None else pose.depth[self.rows])
         self.sources.append(pose.sources)
+        self.sharpness.append(sharpness(pose.image))
         before, self._before = self._before, pose
         if before is not None and not self._no_steps:
             self._add_step(before, pose)

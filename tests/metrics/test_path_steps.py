@@ -73,8 +73,8 @@ def test_reprojection_refuses_what_it_cannot_compare():
         (lambda: reprojection_steps(triples(exact("wall"))[:1]), "at least 2 poses"),
         (lambda: reprojection_steps([(camera, image, None) for camera, image, _ in triples(exact("wall"))]), "no depth"),
         (lambda: reprojection_steps([(c, i, d[1:]) for c, i, d in triples(exact("wall"))]), "wanted depths >= 0"),
-        (lambda: mean_reprojection([StepError(None, 0.0, None)] * 3), "at none of 3 steps"),
-        (lambda: mean_reprojection([StepError(0.0, 1.0, 0.0)]), "images without texture"),
+        (lambda: mean_reprojection([StepError(None, 0.0, None, None)] * 3), "at none of 3 steps"),
+        (lambda: mean_reprojection([StepError(0.0, 1.0, 0.0, 0.0)]), "images without texture"),
     ):
         with pytest.raises(MetricError, match=message) as refused:
             measure()
@@ -86,5 +86,5 @@ def test_a_step_without_a_common_surface_has_no_error():
     poses = triples(exact("wall")[:3])
     poses[1] = (*poses[1][:2], poses[1][2] * np.float32(1.2))
     steps = reprojection_steps(poses)
-    assert steps == [StepError(None, 0.0, None)] * 2
+    assert steps == [StepError(None, 0.0, None, None)] * 2
     assert reprojection_steps(triples(exact("wall")[:2]))[0].error_255 is not None
