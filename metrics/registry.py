@@ -29,6 +29,7 @@ from ggvs_eval.metrics.metric import (
     TableMetric,
     ViewMetric,
 )
+from ggvs_eval.metrics.path.colmap_consistency import COLMAP_MATCHES, COLMAP_REGISTERED, COLMAP_TRACK_LENGTH
 from ggvs_eval.metrics.path.epi_coherence import EPI_COHERENCE, EPI_LINE_TEXTURE
 from ggvs_eval.metrics.path.epi_slope import EPI_SLOPE_AGREEING, EPI_SLOPE_ERROR
 from ggvs_eval.metrics.path.reprojection import REPROJECTION, REPROJECTION_VISIBLE
@@ -50,13 +51,14 @@ _ALL: tuple[Metric, ...] = (
     *metrics_of_parts((*_OF_IMAGES, TCC)),
     *(TCC, STED, STED_SSN, FLICKER, FLICKER_EXCESS, SDT, SDV),
     *(VMAF, CVVDP),
-    *(MTV, MTV2, SHARPNESS),
+    *(MTV, SHARPNESS, MTV2),
     *(EPI_COHERENCE, EPI_LINE_TEXTURE, EPI_SLOPE_ERROR, EPI_SLOPE_AGREEING),
     *(REPROJECTION, REPROJECTION_VISIBLE, E_WARP, PATH_SHARPNESS, SWITCH_RATIO, SWITCH_EXCESS),
+    *(COLMAP_REGISTERED, COLMAP_TRACK_LENGTH, COLMAP_MATCHES),
 )
 METRICS: dict[str, Metric] = {metric.name: metric for metric in _ALL}
 DEPTH_METRICS: dict[str, DepthMetric] = {
-    metric.name: metric for metric in (DEPTH_MTV, DEPTH_MTV2, DEPTH_BLINKING, DEPTH_SHARPNESS)
+    metric.name: metric for metric in (DEPTH_MTV, DEPTH_SHARPNESS, DEPTH_MTV2, DEPTH_BLINKING)
 }
 
 

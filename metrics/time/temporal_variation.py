@@ -11,7 +11,7 @@ from ggvs_eval.arrays import Image8, Mask
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.image.regions import region_mask
 from ggvs_eval.metrics.image.sharpness import PERCENT, SHARPNESS
-from ggvs_eval.metrics.inputs import Image, check_pair, count_inside, require_finite, white_level
+from ggvs_eval.metrics.inputs import Image, check_pair, count_inside, require_finite, same_kind, white_level
 from ggvs_eval.metrics.metric import NO_REFERENCE, ColourMap, MetricOptions, Series, TruthFrame, Value, ViewMetric
 
 NAMES = ("mTV", "mTV2")
@@ -77,21 +77,19 @@ def _variation(frames: Sequence[Image], static: Mask | None) -> float:
     """First or second absolute difference of two or three frames, mean inside the mask, per cent of white."""
     for frame in frames[1:]:
         check_pair(frames[0], frame)
-    if static is not None:
-        count_inside(static, frames[0].shape[:2])
-    change = _difference(frames)
+    height, width, channels = frames[0].shape
+    n_pixels = height * width if static is None else count_inside(static, (height, width))
     inside = None if static is None else static.astype(np.uint8)
-    mean = float(np.mean(cv2.mean(change, inside)[:3]))
-    return require_finite(PERCENT * mean / white_level(frames[0]), NAMES[len(frames) - 2])
+    total = cv2.norm(*_differing(*(same_kind(frame, frame)[0] for frame in frames)), cv2.NORM_L1, inside)
+    return require_finite(PERCENT * float(total) / (channels * n_pixels * white_level(frames[0])), NAMES[len(frames) - 2])
 
 
-def _difference(frames: Sequence[Image]) -> Image:
-    """Absolute first or second difference, in a type that holds it."""
-    if len(frames) == 2:
-        return cv2.absdiff(*frames) if frames[0].dtype == np.uint8 else np.abs(frames[0].astype(np.float64) - frames[1])
-    wide = np.int16 if frames[0].dtype == np.uint8 else np.float64
-    before, now, after = (frame.astype(wide) for frame in frames)
-    return np.abs(before - 2 * now + after).astype(np.uint16 if wide is np.int16 else np.float64)
+def _differing(first: Image, second: Image, third: Image | None = None) -> tuple[Image, Image]:
+    """Two images whose difference is the first, or second, difference of the frames, in a type that holds it."""
+    if third is None:
+        return first, second
+    wide = cv2.CV_16S if first.dtype == np.uint8 else cv2.CV_64F
+    return cv2.add(first, third, dtype=wide), cv2.add(second, second, dtype=wide)
 
 
 class VariationScorer:

@@ -147,7 +147,7 @@ def codes_of(tree: CodeTree) -> dict[str, Any]:
         return {
             **{label: method_code(spec) for label, spec in METHODS.items()},
             **{name: metric_code(metric) for name, metric in METRICS.items() if isinstance(metric, ViewMetric)},
-            "path": path_code(),
+            "path": path_code(()),
             "ceilings": ceilings_code(ceiling_metrics()),
             **{f"depth by {name}": DepthOptions(matcher=each).describe()["code"] for name, each in matchers.items()},
             "checked depth": ConsistencyOptions().describe()["code"],
