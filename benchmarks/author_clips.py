@@ -24,12 +24,13 @@ import numpy as np
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import CaptureError, GgvsError
 from ggvs_eval.files.video import VideoFrames
-from ggvs_eval.metrics.path.colmap_consistency import MOST_VIEWS, colmap_consistency
+from ggvs_eval.metrics.path.colmap_consistency import colmap_consistency
 from ggvs_eval.metrics.series_scores import mean_values, score_frames
 from ggvs_eval.run_folder import read_json, write_json
 
 PATTERN = re.compile(r"(?P<dataset>dynerf|enerf|d3dmv)_(?P<sequence>.+)_(?P<baseline>enerf|gpsg|ibrnet)_vs_ours\.mp4")
 LABEL_ROWS = 40  # the names of the methods stand in the upper corners, in rows 5 to 38
+COLMAP_VIEWS = 30  # evenly spaced frames of each half
 LEAST_FRAMES = 3  # of a second difference
 OURS, SHUFFLED = "ours", "ours, shuffled"
 
@@ -145,8 +146,8 @@ def _measure_colmap(clips: Sequence[Clip], record: dict[str, Any], out: Path) ->
 
 
 def _spread_views(clip: Clip, side: Literal[0, 1]) -> list[Image8]:
-    """As many evenly spaced frames of a half as COLMAP looks at."""
-    taken = set(np.linspace(0, VideoFrames(clip.path).n_frames - 1, MOST_VIEWS).round().astype(int).tolist())
+    """Evenly spaced frames of a half, for COLMAP."""
+    taken = set(np.linspace(0, VideoFrames(clip.path).n_frames - 1, COLMAP_VIEWS).round().astype(int).tolist())
     return [frame for index, frame in enumerate(clip.half(side)) if index in taken]
 
 

@@ -23,7 +23,7 @@ from ggvs_eval.metrics.path.warping_error import PATH_SHARPNESS
 NAMES = ("COLMAP_registered", "COLMAP_track_length", "COLMAP_matches")
 OVERLAP = 5  # each view is matched with so many that follow
 LEAST_VIEWS, MOST_VIEWS = 5, 60
-TRIMMED_FITS = 8
+TRIMMED_FITS, KEPT_SHARE = 8, 0.75
 Points = NDArray[np.float64]  # (V, 3)
 
 
@@ -33,7 +33,7 @@ class ColmapConsistency:
 
     Attributes:
         registered: share of the views whose camera COLMAP finds, and finds where it belongs, 0 to 1; higher is better.
-        track_length: views per point of the model, 0 without one. Blur, which leaves the few strong points, raises it.
+        track_length: of these views per point of the model, mean, 0 without one. Blur, which leaves the strong points, raises it.
         matches: geometrically verified matches of a view with the next, mean; blur lowers it, one frozen image raises it.
         n_points: points of the model.
         n_views: views that were looked at.
@@ -60,11 +60,12 @@ def colmap_consistency(images: Iterable[Image], cameras: Sequence[Camera] | None
         MetricError: fewer than 5 views, as many cameras as there are not views, or COLMAP fails.
 
     Reading:
-        After SysCON3D (2605.18754), which prints no thresholds. COLMAP registers shuffled views of one scene as gladly as ordered
-        ones, so being registered is not enough: with known cameras a view counts where its solved centre lies within half the
-        distance of its neighbours from its own, after the best similarity; without cameras where the solved path goes on from
-        the view before to the view after and does not turn back, as two of three views of a shuffled line do. Known lenses are
-        used; unknown ones are guessed and held. Of longer paths 60 evenly spaced views are taken.
+        After the registration rate, tracks and matches of SysCON3D (2605.18754); what counts is ours. COLMAP registers shuffled
+        views of one scene as gladly as ordered ones, so being registered is not enough. With known cameras a view counts where
+        its solved centre lies within half a step of its own after the best similarity, nearer than its neighbours'; without
+        cameras where the solved path goes on from the view before to the view after and does not turn back, as two of three
+        views of a shuffled line do. Known lenses are used; unknown ones are guessed and held. Of longer paths 60 evenly spaced
+        views are taken.
     """
     with tempfile.TemporaryDirectory(prefix="ggvs-colmap-") as folder:
         count = 0
@@ -102,9 +103,9 @@ def solve_views(folder: Path, n_views: int, cameras: Sequence[Camera] | None) ->
     in_place = _at_their_cameras(solved, chosen) if chosen else _in_order(solved, len(taken))
     return ColmapConsistency(
         registered=int(np.count_nonzero(in_place)) / len(taken),
-        track_length=found["track_length"],
+        track_length=_mean_length(found["tracks"], in_place),
         matches=float(np.mean(found["matches"])),
-        n_points=found["n_points"],
+        n_points=len(found["tracks"]),
         n_views=len(taken),
     )
 
@@ -121,6 +122,11 @@ def _run(work: Path) -> dict[str, Any]:
     return dict(json.loads((work / "result.json").read_text(encoding="utf-8")))
 
 
+def _mean_length(tracks: Sequence[Sequence[int]], in_place: NDArray[np.bool_]) -> float:
+    """Mean number of views in their places that see a point."""
+    return float(np.mean([np.count_nonzero(in_place[track]) for track in tracks])) if tracks else 0.0
+
+
 def _at_their_cameras(solved: dict[int, Any], cameras: Sequence[Camera]) -> NDArray[np.bool_]:
     """Tell of each view whether it was solved, and at the place that its camera has."""
     in_place = np.zeros(len(cameras), dtype=bool)
@@ -131,18 +137,18 @@ def _at_their_cameras(solved: dict[int, Any], cameras: Sequence[Camera]) -> NDAr
     rotations = np.array([cameras[index].world_to_camera[:3, :3] for index in indices], dtype=np.float64)
     solved_rotations, solved_centres = (np.array([solved[index][part] for index in indices]) for part in (0, 1))
     errors = _aligned_errors(solved_rotations, solved_centres, rotations, centres[indices])
-    in_place[indices] = errors <= _reach(centres)[indices]
+    in_place[indices] = errors <= _half_steps(centres)[indices]
     return in_place
 
 
 def _aligned_errors(solved_rotations: Points, solved: Points, rotations: Points, given: Points) -> NDArray[np.float64]:
-    """Distances of solved centres from the given ones after the similarity that fits the better half of them best.
+    """Distances of solved centres from the given ones after the similarity that fits three quarters of them best.
 
     The rotation is that of the cameras' axes, since the centres of a straight path leave one around it open.
     """
     errors = np.zeros(len(given))
     for _ in range(TRIMMED_FITS):
-        kept = errors <= np.median(errors)
+        kept = errors <= np.quantile(errors, KEPT_SHARE)
         left, _, right = np.linalg.svd(np.einsum("nij,nik->jk", rotations[kept], solved_rotations[kept]))
         turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
         turned = solved @ turn.T
@@ -153,11 +159,10 @@ def _aligned_errors(solved_rotations: Points, solved: Points, rotations: Points,
     return errors
 
 
-def _reach(centres: Points) -> NDArray[np.float64]:
-    """Half the distance between the neighbours of each camera of a path; at its ends, the distance to the one neighbour."""
+def _half_steps(centres: Points) -> NDArray[np.float64]:
+    """Half the mean distance of each camera of a path from its neighbours."""
     steps = np.linalg.norm(np.diff(centres, axis=0), axis=1)
-    inner = np.linalg.norm(centres[2:] - centres[:-2], axis=1) / 2
-    return np.concatenate([steps[:1], inner, steps[-1:]])
+    return (np.append(steps[:1], steps) + np.append(steps, steps[-1:])) / 4
 
 
 def _in_order(solved: dict[int, Any], n_views: int) -> NDArray[np.bool_]:
@@ -195,7 +200,7 @@ COLMAP_TRACK_LENGTH = PathMetric(
     unit="views",
     higher_is_better=True,
     decimals=2,
-    describe="views per point of COLMAP's model of the path; blur raises it",
+    describe="views, found where they belong, per point of COLMAP's model of the path; blur raises it",
     reference=_REFERENCE,
     scorer=_SCORER,
     beside=PATH_SHARPNESS.name,

@@ -26,8 +26,8 @@ def run_job(folder: Path) -> dict[str, Any]:
         folder: see above.
 
     Returns:
-        ``matches``: verified ones of each pair of neighbours; ``poses``: place in the list -> ``[rotation, centre]`` of the views
-        of the largest model; ``track_length`` and ``n_points`` of that model, 0 where there is none.
+        ``matches``: verified ones of each pair of neighbours; of the largest model ``poses``: place in the list -> ``[rotation,
+        centre]`` of a view, and ``tracks``: for each point the places of the views that see it. Empty where there is no model.
     """
     import pycolmap
 
@@ -38,18 +38,16 @@ def run_job(folder: Path) -> dict[str, Any]:
     _extract(database, folder / "images", names, job["cameras"])
     _match(database, job["overlap"])
     model = max(_models(folder, database), key=lambda one: (one.num_reg_images(), one.num_points3D()), default=None)
-    result = {"matches": _neighbour_matches(database, names), "poses": {}, "track_length": 0.0, "n_points": 0}
+    result = {"matches": _neighbour_matches(database, names), "poses": {}, "tracks": []}
     if model is None or not model.num_points3D():
         return result
-    poses = {}
-    for image in model.images.values():
-        if image.has_pose:
-            pose = image.cam_from_world()
-            poses[names.index(image.name)] = [pose.rotation.matrix().tolist(), image.projection_center().tolist()]
+    places = {image_id: names.index(image.name) for image_id, image in model.images.items()}
+    poses = {image_id: image.cam_from_world() for image_id, image in model.images.items() if image.has_pose}
+    centres = {image_id: model.images[image_id].projection_center().tolist() for image_id in poses}
+    tracks = [sorted({places[each.image_id] for each in point.track.elements}) for point in model.points3D.values()]
     return result | {
-        "poses": poses,
-        "track_length": model.compute_mean_track_length(),
-        "n_points": model.num_points3D(),
+        "poses": {places[one]: [pose.rotation.matrix().tolist(), centres[one]] for one, pose in poses.items()},
+        "tracks": tracks,
     }
 
 

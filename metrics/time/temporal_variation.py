@@ -75,8 +75,11 @@ def mtv2(frames: Sequence[Image], static: Mask | None = None) -> float:
 
 def _variation(frames: Sequence[Image], static: Mask | None) -> float:
     """First or second absolute difference of two or three frames, mean inside the mask, per cent of white."""
-    for frame in frames[1:]:
-        check_pair(frames[0], frame)
+    for frame in frames:
+        check_pair(frame, frame)
+        if frame.shape != frames[0].shape or frame.dtype != frames[0].dtype:
+            first, other = (f"{each.shape} {each.dtype}" for each in (frames[0], frame))
+            raise MetricError(f"one frame is {first}, another {other}; the frames of a video have one size and kind")
     height, width, channels = frames[0].shape
     n_pixels = height * width if static is None else count_inside(static, (height, width))
     inside = None if static is None else static.astype(np.uint8)
