@@ -52,6 +52,12 @@ def score_depths(depths: Iterable[Map], static: Mask | None = None) -> ViewScore
 
     Raises:
         MetricError: no depth maps, or maps that do not fit each other or the mask.
+
+    Example:
+        >>> import numpy as np
+        >>> wall = np.full((8, 8), 2.0, np.float32)
+        >>> [(name, round(value, 2)) for name, _, value in score_depths([wall, 1.02 * wall]).values if name == "depth_mTV"]
+        [('depth_mTV', 1.98)]
     """
     return _score(depths, static, OF_DEPTHS)
 

@@ -57,7 +57,13 @@ def colmap_consistency(images: Iterable[Image], cameras: Sequence[Camera] | None
         See `ColmapConsistency`; zeros where COLMAP finds nothing, which is an answer.
 
     Raises:
-        MetricError: fewer than 5 views, as many cameras as there are not views, or COLMAP fails.
+        MetricError: fewer than 5 views, another number of cameras, or COLMAP fails.
+
+    Example:
+        >>> colmap_consistency([])
+        Traceback (most recent call last):
+        ...
+        ggvs_eval.errors.MetricError: COLMAP consistency: 0 views; needs 5
 
     Reading:
         After the registration rate, tracks and matches of SysCON3D (2605.18754); what counts is ours. COLMAP registers shuffled

@@ -28,6 +28,15 @@ def warping_error(poses: Iterable[Pose], depth_tolerance: float = DEPTH_TOLERANC
     Raises:
         MetricError: fewer than two poses, no surface in common at any step, or what `steps.reprojection_step` refuses.
 
+    Example:
+        >>> import numpy as np
+        >>> from ggvs_eval.camera import Camera
+        >>> camera = Camera("path0000", np.diag([50.0, 50.0, 1.0]), np.eye(4), 64, 48, near=1.0, far=9.0)
+        >>> wall = np.full((48, 64), 4.0, np.float32)
+        >>> poses = [(camera, np.full((48, 64, 3), level, np.uint8), wall) for level in (100, 125)]
+        >>> round(warping_error(poses), 2)  # a flash of 25 / 255, squared
+        9.61
+
     Reading:
         The definition squares a vector of colour, its authors' program takes the mean over channels; so does this. Their flow is
         estimated from the video, so that a video may bend it to its own errors; depth that is one for all methods cannot be.

@@ -16,6 +16,7 @@ from ggvs_eval.pipelines.inspection.renders.perceptual_conventions import (
 )
 from ggvs_eval.pipelines.inspection.renders.recompute import ALL_VIEWS, MaskReader, Recomputed
 from ggvs_eval.pipelines.inspection.renders.ssim_conventions import ssim_conventions
+from ggvs_eval.pipelines.inspection.renders.steadiness import mtv_conventions
 from ggvs_eval.pipelines.inspection.renders.time_conventions import (
     sdt_conventions,
     sdv_conventions,
@@ -48,6 +49,7 @@ FAMILIES: Mapping[str, Callable[[Mapping[str, ViewFrames], Masks], list[Recomput
     "sted": sted_conventions,
     "sdt": sdt_conventions,
     "sdv": sdv_conventions,
+    "mtv": mtv_conventions,
 }
 
 
