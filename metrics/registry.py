@@ -143,6 +143,11 @@ def derived_rows(
 
 
 def metric_notes(names: Iterable[str], options: MetricOptions | None = None) -> dict[str, dict[str, Any]]:
+    """Describe the metrics of these names, see `select_metrics`, as `describe_metrics` does."""
+    return describe_metrics(select_metrics(names), options)
+
+
+def describe_metrics(metrics: Iterable[Metric], options: MetricOptions | None = None) -> dict[str, dict[str, Any]]:
     """Describe metrics for a report, as JSON values: reports read run folders and import no metric."""
     options = options or MetricOptions()
     return {
@@ -155,7 +160,7 @@ def metric_notes(names: Iterable[str], options: MetricOptions | None = None) -> 
             "group_title": metric.group.title,
             "decimals": metric.decimals,
         }
-        for metric in select_metrics(names)
+        for metric in metrics
     }
 
 

@@ -1,6 +1,5 @@
 """The verb of the command line that measures videos without truth: steadiness."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -28,17 +27,23 @@ def steadiness(
         out: also write the table there, as .md, .csv or .tex.
     """
     from ggvs_eval.pipelines.run.run_for import named_renders
-    from ggvs_eval.pipelines.run.steadiness import measure_steadiness, write_steadiness
+    from ggvs_eval.pipelines.run.steadiness import measure_steadiness
+    from ggvs_eval.reports.tables.steadiness import FORMATS, remarks_on, steadiness_table, write_steadiness
     from ggvs_eval.reports.tables.table_formats import to_markdown
 
     if depth and colmap:
         raise MetricError("COLMAP finds no features in depth maps; leave out --depth or --colmap")
-    if out is not None and out.suffix not in (".md", ".csv", ".tex"):
-        raise RenderError(f"{out}: wanted a name that ends in .md, .csv or .tex; change it")
-    paths: Mapping[str, Path] = named_renders(videos)
+    if out is not None and out.suffix not in FORMATS:
+        raise RenderError(f"{out}: wanted a name that ends in {', '.join(FORMATS)}; change it")
+    paths = named_renders(videos)
     if not paths:
         raise RenderError("no videos to measure; name them, e.g. `ggvs-eval steadiness ours=renders/cam00 theirs=video.mp4`")
-    table, notes = measure_steadiness(paths, depth=depth, mask=mask, with_colmap=colmap)
-    print(to_markdown([table], notes), end="")
+    measured = measure_steadiness(paths, depth=depth, mask=mask, with_colmap=colmap)
+    where = "in all pixels" if mask is None else f"where {mask.name} is white"
+    table, remarks = (
+        steadiness_table(measured.metrics, measured.values, measured.not_computed, where),
+        remarks_on(measured.shapes),
+    )
+    print(to_markdown([table], remarks), end="")
     if out is not None:
-        write_steadiness(out, table, notes)
+        write_steadiness(out, table, remarks)

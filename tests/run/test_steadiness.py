@@ -89,5 +89,5 @@ def test_refusals_are_one_line(tmp_path):
     assert "no videos to measure; name them" in refusal("steadiness")
     assert "nowhere: wanted a folder of pictures" in refusal("steadiness", f"ours={tmp_path / 'nowhere'}")
     assert "mask: wanted (48, 64) bool, got (5, 5) bool" in refusal("steadiness", f"a={video}", "--mask", tmp_path / "mask.png")
-    assert "wanted a name that ends in .md, .csv or .tex" in refusal("steadiness", f"a={video}", "--out", "table.xls")
+    assert "wanted a name that ends in .md, .csv, .tex" in refusal("steadiness", f"a={video}", "--out", "table.xls")
     assert "COLMAP finds no features in depth maps" in refusal("steadiness", f"a={video}", "--depth", "--colmap")
