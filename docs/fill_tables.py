@@ -16,6 +16,7 @@ from result_tables import (
     beside_paper_table,
     budget_rows,
     ceilings_table,
+    colmap_controls_table,
     k_table,
     results_table,
     sweep_table,
@@ -99,6 +100,7 @@ def main() -> None:
     _fill(
         ROOT / "docs" / "temporal_metrics.md",
         {
+            "colmap_controls": lambda: colmap_controls_table(OUT / "colmap_controls.json"),
             "author_clips": lambda: author_clips_table(OUT / "author_clips.json"),
             "author_clips_colmap": lambda: author_clips_colmap_table(OUT / "author_clips.json"),
         },

@@ -170,6 +170,20 @@ def author_clips_colmap_table(file: Path) -> str:
     return "\n".join(rows)
 
 
+def colmap_controls_table(file: Path) -> str:
+    """Tabulate what ``benchmarks.colmap_controls`` wrote: a row per control and method of the run."""
+    rows = ["| images | registered | track length | matches | sharpness |", "| --- | ---: | ---: | ---: | ---: |"]
+    for name, values in read_json(file).items():
+        cells = (
+            f"{values['registered']:.2f}",
+            f"{values['track_length']:.1f}",
+            f"{values['matches']:.0f}",
+            f"{values['sharpness']:.2f}",
+        )
+        rows.append(f"| {name} | {' | '.join(cells)} |")
+    return "\n".join(rows)
+
+
 def _runs_of(sweep: Path) -> list[Path]:
     """The scored runs of a sweep, of one capture or of several."""
     runs = sorted(file.parent for pattern in ("*", "*/*") for file in sweep.glob(f"{pattern}/results.parquet"))
