@@ -78,8 +78,8 @@ def measure(run: RunFolder, every: int) -> dict[str, dict[str, Any]]:
     paths |= {label: _images(run, label, poses) for label in run.labels() if not missing_frames(run.path(label), poses)}
     measured: dict[str, dict[str, Any]] = {}
     for name, images in paths.items():
-        found = colmap_consistency(images, cameras)
-        measured[name] = asdict(found) | {"sharpness": float(np.mean([sharpness(image) for image in images]))}
+        consistency = colmap_consistency(images, cameras)
+        measured[name] = asdict(consistency) | {"sharpness": float(np.mean([sharpness(image) for image in images]))}
         print(f"{name}: {measured[name]}", flush=True)
     for name in ("true path", "shuffled"):
         measured[f"{name}, cameras unknown"] = asdict(colmap_consistency(paths[name])) | {

@@ -24,7 +24,8 @@ NAMES = ("COLMAP_registered", "COLMAP_track_length", "COLMAP_matches")
 OVERLAP = 5  # each view is matched with so many that follow
 LEAST_VIEWS, MOST_VIEWS = 5, 60
 TRIMMED_FITS, KEPT_SHARE = 8, 0.75
-Points = NDArray[np.float64]  # (V, 3)
+TINY = float(np.finfo(float).tiny)
+Points = NDArray[np.float64]  # (V, 3), or rotations (V, 3, 3)
 
 
 @dataclass(frozen=True)
@@ -95,24 +96,24 @@ def solve_views(folder: Path, n_views: int, cameras: Sequence[Camera] | None) ->
         raise MetricError(f"COLMAP consistency: {n_views} views; needs {LEAST_VIEWS}")
     if cameras is not None and len(cameras) != n_views:
         raise MetricError(f"COLMAP consistency: {n_views} views but {len(cameras)} cameras; give one for each")
-    taken = np.unique(np.linspace(0, n_views - 1, min(n_views, MOST_VIEWS)).round().astype(int)).tolist()
-    chosen = None if cameras is None else [cameras[index] for index in taken]
+    indices = np.unique(np.linspace(0, n_views - 1, min(n_views, MOST_VIEWS)).round().astype(int)).tolist()
+    path_cameras = None if cameras is None else [cameras[index] for index in indices]
     work = Path(tempfile.mkdtemp(prefix="work", dir=folder))
     (work / "images").mkdir()
-    names = [f"{index:06d}.png" for index in taken]
+    names = [f"{index:06d}.png" for index in indices]
     for name in names:
         (work / "images" / name).hardlink_to(folder / "views" / name)
-    lenses = chosen and [(camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]) for camera in chosen]
+    lenses = path_cameras and [(one.K[0, 0], one.K[1, 1], one.K[0, 2], one.K[1, 2]) for one in path_cameras]
     (work / "job.json").write_text(json.dumps({"images": names, "cameras": lenses, "overlap": OVERLAP}), encoding="utf-8")
-    found = _run(work)
-    solved = {int(index): pose for index, pose in found["poses"].items()}
-    in_place = _at_their_cameras(solved, chosen) if chosen else _in_order(solved, len(taken))
+    result = _run(work)
+    poses = {int(index): pose for index, pose in result["poses"].items()}
+    in_place = _at_their_cameras(poses, path_cameras) if path_cameras else _in_order(poses, len(indices))
     return ColmapConsistency(
-        registered=int(np.count_nonzero(in_place)) / len(taken),
-        track_length=_mean_length(found["tracks"], in_place),
-        matches=float(np.mean(found["matches"])),
-        n_points=len(found["tracks"]),
-        n_views=len(taken),
+        registered=int(np.count_nonzero(in_place)) / len(indices),
+        track_length=_mean_length(result["tracks"], in_place),
+        matches=float(np.mean(result["matches"])),
+        n_points=len(result["tracks"]),
+        n_views=len(indices),
     )
 
 
@@ -123,8 +124,12 @@ def _run(work: Path) -> dict[str, Any]:
             [sys.executable, "-m", colmap_worker.__name__, str(work)], stdout=log, stderr=subprocess.STDOUT, check=False
         ).returncode
     if code or not (work / "result.json").is_file():
-        told = [line for line in (work / "colmap.log").read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
-        raise MetricError(f"COLMAP consistency: COLMAP ended with {code}: {told[-1].strip()[-200:] if told else 'nothing said'}")
+        lines = [
+            line for line in (work / "colmap.log").read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()
+        ]
+        raise MetricError(
+            f"COLMAP consistency: COLMAP ended with {code}: {lines[-1].strip()[-200:] if lines else 'nothing said'}"
+        )
     return dict(json.loads((work / "result.json").read_text(encoding="utf-8")))
 
 
@@ -133,35 +138,33 @@ def _mean_length(tracks: Sequence[Sequence[int]], in_place: NDArray[np.bool_]) -
     return float(np.mean([np.count_nonzero(in_place[track]) for track in tracks])) if tracks else 0.0
 
 
-def _at_their_cameras(solved: dict[int, Any], cameras: Sequence[Camera]) -> NDArray[np.bool_]:
+def _at_their_cameras(poses: dict[int, Any], cameras: Sequence[Camera]) -> NDArray[np.bool_]:
     """Tell of each view whether it was solved, and at the place that its camera has."""
     in_place = np.zeros(len(cameras), dtype=bool)
-    if len(solved) < 3:
+    if len(poses) < 3:
         return in_place
-    indices = sorted(solved)
+    indices = sorted(poses)
     centres = np.array([camera.centre for camera in cameras], dtype=np.float64)
     rotations = np.array([cameras[index].world_to_camera[:3, :3] for index in indices], dtype=np.float64)
-    solved_rotations, solved_centres = (np.array([solved[index][part] for index in indices]) for part in (0, 1))
+    solved_rotations, solved_centres = (np.array([poses[index][part] for index in indices]) for part in (0, 1))
     errors = _aligned_errors(solved_rotations, solved_centres, rotations, centres[indices])
     in_place[indices] = errors <= _half_steps(centres)[indices]
     return in_place
 
 
-def _aligned_errors(solved_rotations: Points, solved: Points, rotations: Points, given: Points) -> NDArray[np.float64]:
+def _aligned_errors(solved_rotations: Points, solved_centres: Points, rotations: Points, centres: Points) -> NDArray[np.float64]:
     """Distances of solved centres from the given ones after the similarity that fits three quarters of them best.
 
     The rotation is that of the cameras' axes, since the centres of a straight path leave one around it open.
     """
-    errors = np.zeros(len(given))
+    errors = np.zeros(len(centres))
     for _ in range(TRIMMED_FITS):
-        kept = errors <= np.quantile(errors, KEPT_SHARE)
-        left, _, right = np.linalg.svd(np.einsum("nij,nik->jk", rotations[kept], solved_rotations[kept]))
-        turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
-        turned = solved @ turn.T
-        source, target = turned[kept] - turned[kept].mean(axis=0), given[kept] - given[kept].mean(axis=0)
-        scale = max(float((source * target).sum()), 0.0) / max(float(np.square(source).sum()), np.finfo(float).tiny)
-        moved = scale * (turned - turned[kept].mean(axis=0)) + given[kept].mean(axis=0)
-        errors = np.linalg.norm(moved - given, axis=1)
+        inliers = errors <= np.quantile(errors, KEPT_SHARE)
+        left, _, right = np.linalg.svd(np.einsum("nij,nik->jk", rotations[inliers], solved_rotations[inliers]))
+        turned = solved_centres @ (left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right).T
+        source, target = turned - turned[inliers].mean(axis=0), centres - centres[inliers].mean(axis=0)
+        scale = max(float((source * target)[inliers].sum()), 0.0) / max(float(np.square(source[inliers]).sum()), TINY)
+        errors = np.linalg.norm(scale * source - target, axis=1)
     return errors
 
 
@@ -171,10 +174,10 @@ def _half_steps(centres: Points) -> NDArray[np.float64]:
     return (np.append(steps[:1], steps) + np.append(steps, steps[-1:])) / 4
 
 
-def _in_order(solved: dict[int, Any], n_views: int) -> NDArray[np.bool_]:
+def _in_order(poses: dict[int, Any], n_views: int) -> NDArray[np.bool_]:
     """Tell of each view whether it was solved, and between its neighbours; at the ends the next view decides."""
     centres = np.full((n_views, 3), np.nan)
-    for index, (_, centre) in solved.items():
+    for index, (_, centre) in poses.items():
         centres[index] = centre
     steps = np.diff(centres, axis=0)
     goes_on = (steps[:-1] * steps[1:]).sum(axis=1) > 0  # comparisons with NaN are false

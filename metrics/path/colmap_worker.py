@@ -16,6 +16,7 @@ MAX_FEATURES = 2048  # per image; more cost time and change little
 INIT_ANGLES_DEG = (4.0, 1.0)  # least angle at which the first two views see their points; the second for short paths
 LEAST_ANGLE_DEG = 0.5  # of a point's rays: what is seen from one place alone is no point
 FOCAL_GUESS = 1.2  # times the larger side, held fixed: a wrong guess bends the model, it does not keep views out
+LONGEST_MAPPING_S = 600
 SEED = 0
 
 
@@ -114,6 +115,7 @@ def _mapping_options(init_angle_deg: float) -> Any:
     options.extract_colors = False
     options.min_model_size = 3
     options.max_num_models = 3
+    options.max_runtime_seconds = LONGEST_MAPPING_S
     options.ba_refine_focal_length = options.ba_refine_extra_params = False
     options.mapper.init_min_tri_angle = init_angle_deg
     options.mapper.init_min_num_inliers = 50

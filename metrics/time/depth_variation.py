@@ -81,10 +81,10 @@ def depth_blinking(later: Map, earlier: Map, static: Mask | None = None) -> floa
         >>> depth_blinking(holed, whole)
         25.0
     """
-    known = [np.isfinite(depth) & (depth > 0) for depth in _checked((later, earlier), static)]
-    inside = np.ones_like(known[0]) if static is None else static
-    either = int(np.count_nonzero((known[0] | known[1]) & inside))
-    return PERCENT * int(np.count_nonzero((known[0] ^ known[1]) & inside)) / either if either else 0.0
+    has_depth = [np.isfinite(depth) & (depth > 0) for depth in _checked((later, earlier), static)]
+    inside = np.ones_like(has_depth[0]) if static is None else static
+    either = int(np.count_nonzero((has_depth[0] | has_depth[1]) & inside))
+    return PERCENT * int(np.count_nonzero((has_depth[0] ^ has_depth[1]) & inside)) / either if either else 0.0
 
 
 def depth_sharpness(depth: Map) -> float:
@@ -119,10 +119,10 @@ def _variation(depths: Sequence[Map], static: Mask | None) -> float:
     logarithms = [_log(depth) for depth in _checked(depths, static)]
     with np.errstate(invalid="ignore"):
         change = logarithms[0] - logarithms[1] if len(depths) == 2 else logarithms[0] - 2 * logarithms[1] + logarithms[2]
-    known = np.isfinite(change) if static is None else np.isfinite(change) & static
-    if np.count_nonzero(known) < LEAST_PIXELS:
-        raise MetricError(f"{np.count_nonzero(known)} pixels have a depth in all {len(depths)} frames; needs {LEAST_PIXELS}")
-    return PERCENT * float(np.abs(change[known]).mean(dtype=np.float64))
+    comparable = np.isfinite(change) if static is None else np.isfinite(change) & static
+    if np.count_nonzero(comparable) < LEAST_PIXELS:
+        raise MetricError(f"{np.count_nonzero(comparable)} pixels have a depth in all {len(depths)} frames; needs {LEAST_PIXELS}")
+    return PERCENT * float(np.abs(change[comparable]).mean(dtype=np.float64))
 
 
 def _log(depth: Map) -> Map:
@@ -185,6 +185,6 @@ DEPTH_BLINKING = DepthMetric(
     decimals=3,
     describe="pixels whose depth is known in only one of two neighbouring frames",
     reference=_REFERENCE,
-    series=Series(2, lambda depths, static: depth_blinking(*depths, static)),
+    series=Series(2, lambda depths, static: depth_blinking(depths[1], depths[0], static)),
     beside=DEPTH_SHARPNESS.name,
 )
