@@ -45,6 +45,8 @@ DEPTH_ROWS = {  # shown: name of the figure without its matcher
     "– on thin things": "depth.demo.thin.within_2_percent",
     "demo, spread over time of what stands still (%)": "depth.demo.static.spread_percent",
     "– after the temporal filter": "depth.demo.static.spread_filtered_percent",
+    "demo, flicker of what stands still (`depth_mTV`, %)": "depth.demo.static.flicker_percent",
+    "– with a sharpness (`depth_Sharpness`, %) of": "depth.demo.static.sharpness_percent",
     "seconds per depth map of 1345x1008": "depth.seconds",
 }
 SPEED_ROWS = {  # shown: first part of the figures' names
