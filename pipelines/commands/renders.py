@@ -13,7 +13,7 @@ from ggvs_eval.run_folder import RunFolder
 
 Renders = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RENDERS|RUN")]
 Quoted = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="VALUE")]
-FAMILIES = "{psnr,iv-psnr,ssim,ms-ssim,dssim,lpips,dists,flip,vmaf,cvvdp,l1,rmse,tcc,sted,sdt,sdv,mtv}"
+FAMILIES = "{psnr,iv-psnr,ssim,ms-ssim,dssim,lpips,dists,flip,vmaf,cvvdp,l1,rmse,tcc,sted,sdt,sdv,mtv,e_warp}"
 Metric = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar=FAMILIES)]
 
 

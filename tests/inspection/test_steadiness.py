@@ -52,10 +52,40 @@ def test_conventions_of_mtv(kind, scale, white):
     assert matching == {f"{kind}, {scale}": (kind, scale) == (OURS, "x 100")}
 
 
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        (f"neighbouring frames, {EVERYWHERE}, mean over channels, x 1000", 1000 * np.square(CHANGES / 255).mean()),
+        (
+            f"neighbouring frames, {OURS}, sum over channels, white is 1",
+            3 * np.mean([np.square(one[mask] / 255).mean() for one, mask in zip(CHANGES, MASKS, strict=True)]),
+        ),
+        (
+            f"each frame and the first, {EVERYWHERE}, root of the mean, white is 1",
+            np.mean([np.sqrt(np.square((one - RENDERED[0].astype(float)) / 255).mean()) for one in RENDERED[1:]]),
+        ),
+    ],
+)
+def test_conventions_of_the_warping_error(name, value):
+    """Against which frame, in which pixels, squared how: each is told apart."""
+    matching = {one.name for one in explain("E_warp", f"{value:.8f}", view_of(RENDERED)) if one.matches}
+
+    assert matching == {name}
+
+
+@pytest.mark.parametrize(("metric", "words"), [("COLMAP_matches", "is of a camera path"), ("depth_mtv", "is of depth videos")])
+def test_metrics_of_no_view_say_so(metric, words):
+    """What has no test view is named for what it is of, not taken for a typing error."""
+    with pytest.raises(MetricError, match=words):
+        explain(metric, "1.0", view_of(RENDERED))
+
+
 def test_one_frame_has_no_change():
     """The reason names the view."""
     with pytest.raises(MetricError, match="1 frame of cam00; needs 2"):
         explain("mtv", "0.2", view_of(RENDERED[:1], TRUTH[:1]))
+    with pytest.raises(MetricError, match="1 frame of cam00; needs 2"):
+        explain("e_warp", "0.2", view_of(RENDERED[:1], TRUTH[:1]))
 
 
 def test_the_doctor_tells_steadiness_by_blur():

@@ -3,19 +3,25 @@
 import csv
 import io
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from ggvs_eval.camera import Camera
 from ggvs_eval.files.images import write_image
+from ggvs_eval.jobs.job import run_jobs
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.pipelines.run.score import score
+from ggvs_eval.pipelines.run.score_path import path_jobs, read_paths, write_path_record
+from ggvs_eval.protocol import Measurement
 from ggvs_eval.reports.figures.curves import curve_panels
 from ggvs_eval.reports.model.measured import read_run
 from ggvs_eval.reports.page.heat_map import heat_maps
 from ggvs_eval.reports.tables.report_tables import main_tables, view_tables
 from ggvs_eval.reports.tables.table_formats import to_csv, to_latex, to_markdown
+from ggvs_eval.run_folder import frame_path
 from helpers.command_line import refusal
 from helpers.render_folders import FRAMES, VIEWS, make_run, rendered, write_folders
 
@@ -41,6 +47,24 @@ def test_sharpness_stands_beside_what_blur_would_win(tmp_path):
         {panel.metric for panel in curve_panels(run)} == {heat.metric for heat in heat_maps(run)} == {"PSNR", "mTV", "Sharpness"}
     )
     assert {"view-mTV", "view-Sharpness"} <= {table.key for table in view_tables(run)}
+
+
+def test_colmap_is_run_along_a_path_where_the_protocol_names_it(tmp_path):
+    """Its metrics get values beside the path's others, and another protocol's path is not stale by them."""
+    folder = make_run(tmp_path / "run", ("PSNR", "E_warp", "COLMAP_matches"))
+    cameras = [Camera(f"path{pose}", np.diag([50.0, 50.0, 1.0]), np.eye(4), 64, 48, near=1.0, far=9.0) for pose in range(5)]
+    write_path_record(folder, 0, [(camera, ()) for camera in cameras])
+    for pose in range(5):
+        write_image(frame_path(folder.path("one"), pose), rendered(VIEWS[0], 2 + pose % 3))
+    protocol = folder.protocol()
+    (job,) = path_jobs(folder, protocol, ["one"])
+    run_jobs([job], 1, "path")
+    record = read_paths([job])["one"]
+    (other,) = path_jobs(folder, replace(protocol, measurement=Measurement(("E_warp",))), ["one"])
+
+    assert {"COLMAP_registered", "COLMAP_matches", "path_sharpness"} <= {name for name, _, _ in record["values"]}
+    assert "no depth" in record["not_computed"]["E_warp"]
+    assert job.identity["code"] != other.identity["code"]
 
 
 def write_video(folder, frames):

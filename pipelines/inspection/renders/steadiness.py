@@ -1,4 +1,4 @@
-"""Steadiness without truth, under question: the conventions behind a quoted mTV, and whether blur has bought a good one."""
+"""Steadiness without truth, under question: conventions of a quoted mTV or warping error, and whether blur bought a good one."""
 
 from collections import deque
 from collections.abc import Mapping
@@ -63,6 +63,45 @@ def _inside(after: Image8, before: Image8, mask: Mask | None) -> float | None:
         return mtv(after, before, mask)
     except MetricError:  # too few pixels stand still
         return None
+
+
+def warping_conventions(views: Mapping[str, ViewFrames], _masks: Mapping[str, MaskReader]) -> list[Recomputed]:
+    """Warping error of the renderings of cameras that stand still, whose geometric flow is zero: against which frame, where, how.
+
+    Programs differ by what they square and sum, and by a factor of a thousand; long-term errors compare with the first frame.
+    """
+    by_view = {name: _warping_errors(name, view) for name, view in views.items()}
+    measured = [kind for kind in next(iter(by_view.values())) if all(kind in values for values in by_view.values())]
+    return [
+        Recomputed(f"{kind}, {scale}", mean_over_views({view: factor * values[kind] for view, values in by_view.items()}))
+        for kind in measured
+        for scale, factor in {"white is 1": 1.0, "x 1000": 1000.0}.items()
+    ]
+
+
+def _warping_errors(name: str, view: ViewFrames) -> dict[str, float]:
+    """Mean over the frames of each kind of squared difference, white is 1."""
+    if len(view.frames) < 2:
+        raise MetricError(f"a warping error is between frames: 1 frame of {name}; needs 2")
+    values: dict[str, list[float]] = {}
+    first = before = None
+    for rendered, truth in view_pairs(view):
+        for words, other in (("neighbouring frames", before), ("each frame and the first", first)):
+            if other is None:
+                continue
+            squares = np.square(rendered.astype(np.float64) - other[0]) / 255.0**2
+            for where, mask in ((OURS, ~moving_mask(truth, other[1])), (EVERYWHERE, np.ones(truth.shape[:2], bool))):
+                if mask.any():
+                    error = float(squares[mask].mean())
+                    for how, value in (
+                        ("mean over channels", error),
+                        ("sum over channels", 3 * error),
+                        ("root of the mean", error**0.5),
+                    ):
+                        values.setdefault(f"{words}, {where}, {how}", []).append(value)
+        before = rendered, truth
+        first = first or before
+    return {kind: float(np.mean(each)) for kind, each in values.items()}
 
 
 def steadiness_line(views: Mapping[str, ViewFrames]) -> str:
