@@ -10,6 +10,7 @@ from benchmarks import (
     bench_gaussians,
     bench_geometry,
     bench_metrics,
+    bench_no_reference,
     bench_online,
     bench_page,
 )
@@ -24,6 +25,7 @@ def main() -> None:
         | bench_online.measure()
         | bench_metrics.measure()
         | bench_full_reference.measure()
+        | bench_no_reference.measure()
         | bench_decoding.measure()
         | bench_depth.measure()
         | bench_page.measure()

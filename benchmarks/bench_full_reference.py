@@ -55,7 +55,7 @@ def measure() -> dict[str, Figure]:
     figures = _iv_psnr_figures(rendered, truth)
     for name, (call, frames, times) in calls.items():
         try:
-            figures[f"metrics.{name}_ms"] = _time_figure([_elapsed_ms(call) for _ in range(times)], frames)
+            figures[f"metrics.{name}_ms"] = time_figure([elapsed_ms(call) for _ in range(times)], frames)
         except (MetricError, WeightsError) as error:
             print(f"metrics.{name}: not measured: {error}", file=sys.stderr)
     return figures | _parts_figures(rendered, truth)
@@ -64,9 +64,9 @@ def measure() -> dict[str, Figure]:
 def _iv_psnr_figures(rendered: NDArray[np.uint8], truth: NDArray[np.uint8]) -> dict[str, Figure]:
     ours, peers = [], []
     for _ in range(3):
-        ours += [_elapsed_ms(lambda: iv_psnr(rendered, truth)) for _ in range(RUNS)]
-        peers.append(_elapsed_ms(lambda: numpy_iv_psnr(rendered, truth)))
-    figure, peer = _time_figure(ours, target=60), min(peers)[0]
+        ours += [elapsed_ms(lambda: iv_psnr(rendered, truth)) for _ in range(RUNS)]
+        peers.append(elapsed_ms(lambda: numpy_iv_psnr(rendered, truth)))
+    figure, peer = time_figure(ours, target=60), min(peers)[0]
     difference = abs(iv_psnr(rendered, truth) - numpy_iv_psnr(rendered, truth))
     return {
         "metrics.iv_psnr_ms": figure | {"peer": "numpy", "peer_value": peer, "ratio": peer / figure["value"]},
@@ -79,8 +79,8 @@ def _parts_figures(rendered: NDArray[np.uint8], truth: NDArray[np.uint8]) -> dic
     frames = [(rendered, truth), (np.roll(rendered, 3, axis=1), np.roll(truth, 3, axis=1))]
     whole = ("PSNR", "SSIM", "L1", "IV_PSNR")
     parts = [part.name for part in metrics_of_parts([METRICS[name] for name in whole]) if "disoccluded" not in part.name]  # type: ignore[misc]
-    elapsed = [_elapsed_ms(lambda: score_view(frames, parts)) for _ in range(2)]
-    return {"metrics.parts_of_psnr_ssim_l1_iv_psnr_ms": _time_figure(elapsed)}  # the first frame has no parts
+    elapsed = [elapsed_ms(lambda: score_view(frames, parts)) for _ in range(2)]
+    return {"metrics.parts_of_psnr_ssim_l1_iv_psnr_ms": time_figure(elapsed)}  # the first frame has no parts
 
 
 def numpy_iv_psnr(rendered: NDArray[np.uint8], truth: NDArray[np.uint8]) -> float:
@@ -122,7 +122,7 @@ def frame_pair() -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     return np.rint(np.clip(truth + noise, 0, 255)).astype(np.uint8), truth
 
 
-def _elapsed_ms(call: Callable[[], Any]) -> tuple[float, float]:
+def elapsed_ms(call: Callable[[], Any]) -> tuple[float, float]:
     """Time of a call by the clock, and of all cores, those of programs that it runs too."""
     start, start_of_cores = time.perf_counter(), _core_seconds()
     call()
@@ -134,8 +134,9 @@ def _core_seconds() -> float:
     return sum(usage.ru_utime + usage.ru_stime for usage in usages)
 
 
-def _time_figure(elapsed_ms: Sequence[tuple[float, float]], frames: int = 1, target: float | None = None) -> Figure:
-    clock, cores = (min(values) / frames for values in zip(*elapsed_ms, strict=True))
+def time_figure(elapsed: Sequence[tuple[float, float]], frames: int = 1, target: float | None = None) -> Figure:
+    """The least of some calls by the clock and by the cores, ms per frame; see `elapsed_ms`."""
+    clock, cores = (min(values) / frames for values in zip(*elapsed, strict=True))
     return _figure(clock, target=target) | {"core_ms": cores}
 
 

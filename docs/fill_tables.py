@@ -1,4 +1,4 @@
-"""Write measured figures into README.md, docs/results.md and docs/measurements.md: ``python docs/fill_tables.py``.
+"""Write measured figures into README.md and into pages of docs: ``python docs/fill_tables.py``.
 
 It follows `make reports bench validate`. Tables stand between ``<!-- name -->`` and ``<!-- /name -->``; nothing between
 them is typed by hand.
@@ -10,7 +10,18 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from result_tables import beside_paper_table, budget_rows, ceilings_table, k_table, results_table, sweep_table, views_table
+from result_tables import (
+    author_clips_colmap_table,
+    author_clips_table,
+    beside_paper_table,
+    budget_rows,
+    ceilings_table,
+    colmap_controls_table,
+    k_table,
+    results_table,
+    sweep_table,
+    views_table,
+)
 
 from ggvs_eval.errors import ResultsError
 
@@ -34,6 +45,8 @@ DEPTH_ROWS = {  # shown: name of the figure without its matcher
     "– on thin things": "depth.demo.thin.within_2_percent",
     "demo, spread over time of what stands still (%)": "depth.demo.static.spread_percent",
     "– after the temporal filter": "depth.demo.static.spread_filtered_percent",
+    "demo, flicker of what stands still (`depth_mTV`, %)": "depth.demo.static.flicker_percent",
+    "– with a sharpness (`depth_Sharpness`, %) of": "depth.demo.static.sharpness_percent",
     "seconds per depth map of 1345x1008": "depth.seconds",
 }
 SPEED_ROWS = {  # shown: first part of the figures' names
@@ -84,6 +97,14 @@ def main() -> None:
             "domains": domains_table,
             "bench": lambda: figures_table(OUT / "bench.json"),
             "device": device_table,
+        },
+    )
+    _fill(
+        ROOT / "docs" / "temporal_metrics.md",
+        {
+            "colmap_controls": lambda: colmap_controls_table(OUT / "colmap_controls.json"),
+            "author_clips": lambda: author_clips_table(OUT / "author_clips.json"),
+            "author_clips_colmap": lambda: author_clips_colmap_table(OUT / "author_clips.json"),
         },
     )
 

@@ -29,6 +29,9 @@ PAPER_METHODS = {  # label -> name in the paper's tables
     "ours": "Ours",
 }
 
+CLIP_DATASETS = {"dynerf": "DyNeRF", "enerf": "ENeRF-Outdoor", "d3dmv": "D3DMV"}
+CLIP_METHODS = {"enerf": "ENeRF", "gpsg": "GPSG", "ibrnet": "IBRNet", "ours": "paper's"}
+
 
 def results_table(run: Path) -> str:
     """Means of one run as Markdown, methods by their shown names."""
@@ -119,6 +122,66 @@ def budget_rows(run: Path) -> str:
     heads = [" ".join(filter(None, (column.name, f"({column.unit})"))) for column in table.columns]
     rows = ["| | " + " | ".join(heads) + " |", "| --- |" + " ---: |" * len(heads)]
     return "\n".join([*rows, *(f"| {row.name} | {' | '.join(cell.text for cell in row.cells)} |" for row in table.rows)])
+
+
+def author_clips_table(file: Path) -> str:
+    """Tabulate what ``benchmarks.author_clips`` wrote: means over the sequences of a data set, and the codec's floor."""
+    rows = [
+        "| data set | method | mTV | Sharpness | mTV2 | mTV2 / Sharpness |",
+        "| --- | --- | ---: | ---: | ---: | ---: |",
+    ]
+    clips = pd.DataFrame(
+        [
+            {"dataset": clip["dataset"], "sequence": clip["sequence"], "method": method, **values}
+            for clip in read_json(file)["clips"].values()
+            for method, values in clip["values"].items()
+        ]
+    )
+    clips["ratio"] = clips["mTV2"] / clips["Sharpness"]
+    numbers = ["mTV", "Sharpness", "mTV2", "ratio"]
+    for dataset, title in CLIP_DATASETS.items():
+        here = clips[clips["dataset"] == dataset]
+        if here.empty:
+            continue
+        encodings = here.groupby(["method", "sequence"])[numbers]
+        means = encodings.mean().groupby("method").mean()
+        head = f"{title}, {here['sequence'].nunique()} sequences"
+        for method, name in CLIP_METHODS.items():
+            rows.append(f"| {head} | {name} | {' | '.join(f'{value:.3f}' for value in means.loc[method])} |")
+        ours = (encodings.max() - encodings.min()).loc["ours"].mean()
+        cells = (f"{ours[name]:.3f} ({ours[name] / means.loc['ours', name]:.1%})" for name in numbers)
+        rows.append(f"| {head} | *codec floor* | {' | '.join(cells)} |")
+    return "\n".join(rows)
+
+
+def author_clips_colmap_table(file: Path) -> str:
+    """Tabulate the COLMAP consistency of the authors' clips: one sequence per data set, and its control."""
+    rows = ["| sequence | method | registered | track length | matches | views |", "| --- | --- | ---: | ---: | ---: | ---: |"]
+    measured = read_json(file)["colmap"]
+    if not measured:
+        raise ResultsError(f"{file} has no COLMAP consistency; run benchmarks.author_clips with --colmap")
+    for dataset, title in CLIP_DATASETS.items():
+        for method, name in (CLIP_METHODS | {"ours, shuffled": "*paper's, views shuffled*"}).items():
+            if values := measured.get(dataset, {}).get(method):
+                shown = (
+                    f"{values['registered']:.2f} | {values['track_length']:.1f} | {values['matches']:.0f} | {values['n_views']}"
+                )
+                rows.append(f"| {title}, {values['sequence']} | {name} | {shown} |")
+    return "\n".join(rows)
+
+
+def colmap_controls_table(file: Path) -> str:
+    """Tabulate what ``benchmarks.colmap_controls`` wrote: a row per control and method of the run."""
+    rows = ["| images | registered | track length | matches | sharpness |", "| --- | ---: | ---: | ---: | ---: |"]
+    for name, values in read_json(file).items():
+        cells = (
+            f"{values['registered']:.2f}",
+            f"{values['track_length']:.1f}",
+            f"{values['matches']:.0f}",
+            f"{values['sharpness']:.2f}",
+        )
+        rows.append(f"| {name} | {' | '.join(cells)} |")
+    return "\n".join(rows)
 
 
 def _runs_of(sweep: Path) -> list[Path]:

@@ -16,22 +16,32 @@ if TYPE_CHECKING:
     from ggvs_eval.metrics.image.lpips import lpips
     from ggvs_eval.metrics.image.ms_ssim import ms_ssim
     from ggvs_eval.metrics.image.psnr import masked_psnr, psnr
+    from ggvs_eval.metrics.image.sharpness import sharpness
     from ggvs_eval.metrics.image.ssim import ssim
     from ggvs_eval.metrics.image.ssim_variants import masked_ssim, ssim_variant
     from ggvs_eval.metrics.metric import MetricOptions
+    from ggvs_eval.metrics.path.colmap_consistency import colmap_consistency
     from ggvs_eval.metrics.path.rendered_path import PathPose
+    from ggvs_eval.metrics.path.warping_error import warping_error
     from ggvs_eval.metrics.path_scores import score_path
     from ggvs_eval.metrics.registry import METRICS
+    from ggvs_eval.metrics.series_scores import score_depths, score_frames
     from ggvs_eval.metrics.stream import score_view
+    from ggvs_eval.metrics.time.depth_variation import depth_mtv, depth_mtv2, depth_sharpness
     from ggvs_eval.metrics.time.deviations import sdt, sdv
     from ggvs_eval.metrics.time.flicker import flicker
     from ggvs_eval.metrics.time.strred import strred
     from ggvs_eval.metrics.time.tcc import tcc
+    from ggvs_eval.metrics.time.temporal_variation import mtv, mtv2
 
 __all__ = [
     "METRICS",
     "MetricOptions",
     "PathPose",
+    "colmap_consistency",
+    "depth_mtv",
+    "depth_mtv2",
+    "depth_sharpness",
     "dists",
     "dssim",
     "flicker",
@@ -43,17 +53,23 @@ __all__ = [
     "masked_psnr",
     "masked_ssim",
     "ms_ssim",
+    "mtv",
+    "mtv2",
     "psnr",
     "psnr_colour_corrected",
     "psnr_ycbcr",
+    "score_depths",
+    "score_frames",
     "score_path",
     "score_view",
     "sdt",
     "sdv",
+    "sharpness",
     "ssim",
     "ssim_variant",
     "strred",
     "tcc",
+    "warping_error",
 ]
 
 # What is imported when a name is first used, so that the import of this package costs nothing.
@@ -67,17 +83,23 @@ _MODULES = {
     "image.lpips": ("lpips",),
     "image.ms_ssim": ("ms_ssim",),
     "image.psnr": ("masked_psnr", "psnr"),
+    "image.sharpness": ("sharpness",),
     "image.ssim": ("ssim",),
     "image.ssim_variants": ("masked_ssim", "ssim_variant"),
     "metric": ("MetricOptions",),
+    "path.colmap_consistency": ("colmap_consistency",),
     "path.rendered_path": ("PathPose",),
+    "path.warping_error": ("warping_error",),
     "path_scores": ("score_path",),
     "registry": ("METRICS",),
+    "series_scores": ("score_depths", "score_frames"),
     "stream": ("score_view",),
+    "time.depth_variation": ("depth_mtv", "depth_mtv2", "depth_sharpness"),
     "time.deviations": ("sdt", "sdv"),
     "time.flicker": ("flicker",),
     "time.strred": ("strred",),
     "time.tcc": ("tcc",),
+    "time.temporal_variation": ("mtv", "mtv2"),
 }
 _MODULE_OF = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ggvs_eval.arrays import Image8, Mask
 from ggvs_eval.statistics.pooling import MEAN, Pooling
 
-Kind = Literal["frame", "pair", "view", "rig", "path"]
+Kind = Literal["frame", "pair", "view", "rig", "path", "depth"]
 SsimName = Literal["gaussian-valid", "gaussian-zero", "uniform7", "uniform7-range2"]
 LpipsNet = Literal["vgg", "alex", "vgg-bf16"]
 StedPairing = Literal["disjoint", "consecutive"]
@@ -33,6 +33,7 @@ class Group:
 QUALITY = Group("quality", "Image quality")
 CONSISTENCY = Group("consistency", "Temporal and view consistency")
 REGION = Group("regions", "Quality by region")
+NO_REFERENCE = Group("no_reference", "Steadiness without truth, sharpness beside it")
 ALONG_PATH = Group("path", "View consistency along the camera path, without truth")
 FURTHER = Group("further", "Further measures")
 
@@ -168,7 +169,7 @@ class Metric:
     Attributes:
         name: as in protocols and tables.
         kind: what one value belongs to: a ``frame``, a ``pair`` of neighbouring frames, a ``view`` (all its frames), or the
-            ``rig`` (all views), or a camera ``path`` without truth.
+            ``rig`` (all views), a camera ``path`` without truth, or a ``depth`` video.
         function: its definition, images (or for deviations errors) in, numbers out.
         unit: unit of a value, empty where it has none.
         higher_is_better: direction of the arrow in tables.
@@ -180,6 +181,8 @@ class Metric:
         note: what a protocol's options add to that line.
         reference: where it is defined.
         has_ceiling: whether perfect renderings are scored with it, see `ceilings`.
+        beside: name of the metric without which its values are not to be read, and which is measured and shown next to it: the
+            sharpness of what blur would make steadier. Empty where it can be read alone.
     """
 
     name: str
@@ -194,6 +197,7 @@ class Metric:
     note: Callable[[MetricOptions], str] = as_described
     reference: str
     has_ceiling: bool = False
+    beside: str = ""
 
     @property
     def modules(self) -> tuple[str, ...]:
@@ -205,6 +209,21 @@ class Metric:
 
 # The metric of the pixels inside a mask (H, W); None where it does not look at this frame. Too small a mask is a `MetricError`.
 Inside = Callable[[FramePair, Mask], float | None]
+
+
+@dataclass(frozen=True)
+class Series:
+    """A metric's form without truth: of neighbouring frames of one video alone.
+
+    Attributes:
+        n_frames: how many of them it takes.
+        function: (these frames, in order, and where the scene stands still, (H, W), or None for everywhere) -> value.
+    """
+
+    n_frames: int
+    function: Callable[[Sequence[Any], Mask | None], float]
+
+
 ScorerFactory = Callable[[Sequence[str], MetricOptions, ColourMap | None], Scorer]
 
 
@@ -220,6 +239,7 @@ class ViewMetric(Metric):
         inside_note: what that adds to the line that describes the part.
         corrects_colours: whether it wants that colour map.
         weights: file of trained weights that it needs; None where it needs none.
+        series: the metric of a video without truth; None where it compares with one.
     """
 
     scorer: ScorerFactory | None = None
@@ -227,6 +247,7 @@ class ViewMetric(Metric):
     inside_note: str = ""
     corrects_colours: bool = False
     weights: Callable[[MetricOptions], Path] | None = None
+    series: Series | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -240,3 +261,16 @@ class TableMetric(Metric):
 
     part: str
     rows: Callable[[Mapping[str, Mapping[int, float]], MetricOptions], list[Row]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthMetric(Metric):
+    """A metric of depth videos, without truth; no protocol names it, see `series_scores.score_depths`.
+
+    Attributes:
+        series: measures it.
+    """
+
+    kind: Kind = "depth"
+    group: Group = NO_REFERENCE
+    series: Series

@@ -1,11 +1,13 @@
 """All metrics of a rendered camera path in one pass; the path needs no truth."""
 
-from collections.abc import Iterable
+import tempfile
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
+from pathlib import Path
 
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.metric import Value
-from ggvs_eval.metrics.path.rendered_path import PathMetric, PathOptions, PathPose, RenderedPath
+from ggvs_eval.metrics.path.rendered_path import PathMetric, PathOptions, PathPose, PathScorer, RenderedPath
 from ggvs_eval.metrics.registry import METRICS
 
 
@@ -27,12 +29,13 @@ class PathScores:
     n_switches: int | None
 
 
-def score_path(poses: Iterable[PathPose], options: PathOptions | None = None) -> PathScores:
+def score_path(poses: Iterable[PathPose], options: PathOptions | None = None, metrics: Collection[str] = ()) -> PathScores:
     """Measure the view consistency of images along a camera path.
 
     Args:
         poses: in order; consumed as a stream. Two poses and `n_rows` rows of each are in memory.
         options: variants; the defaults where None.
+        metrics: names of those that take seconds and are measured only where they are named; all others always are.
 
     Returns:
         Coherence and slope agreement of the EPIs, reprojection error and switch score. A measure that the path cannot have (no
@@ -49,14 +52,27 @@ def score_path(poses: Iterable[PathPose], options: PathOptions | None = None) ->
         >>> scores.not_computed["EPI_coherence"]
         'an epipolar plane image wants at least 5 poses, the path has 2; add poses'
     """
-    path = RenderedPath(options or PathOptions())
-    for pose in poses:
-        path.add(pose)
-    if not path.cameras:
-        raise MetricError("no poses to score; render the camera path first")
+    scorers = dict.fromkeys(metric.scorer for metric in measured_on_path(metrics))
+    with tempfile.TemporaryDirectory(prefix="ggvs-path-") as folder:
+        path = RenderedPath(options or PathOptions(), Path(folder) if any(one.wants_images for one in scorers) else None)
+        for pose in poses:
+            path.add(pose)
+        if not path.cameras:
+            raise MetricError("no poses to score; render the camera path first")
+        return _measured(path, scorers)
+
+
+def measured_on_path(names: Collection[str]) -> list[PathMetric]:
+    """List the metrics of a path that are measured: those that take no time, and of the others those that are named."""
+    of_paths = [metric for metric in METRICS.values() if isinstance(metric, PathMetric)]
+    return [metric for metric in of_paths if metric.name in names or not metric.scorer.wants_images]
+
+
+def _measured(path: RenderedPath, scorers: Iterable[PathScorer]) -> PathScores:
+    """What these scorers make of a whole path."""
     values: list[Value] = []
     not_computed: dict[str, str] = {}
-    for scorer in dict.fromkeys(metric.scorer for metric in METRICS.values() if isinstance(metric, PathMetric)):
+    for scorer in scorers:
         try:
             measured = scorer.measure(path)
         except MetricError as error:

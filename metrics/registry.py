@@ -15,9 +15,11 @@ from ggvs_eval.metrics.image.lpips import LPIPS
 from ggvs_eval.metrics.image.ms_ssim import MS_SSIM
 from ggvs_eval.metrics.image.psnr import PSNR
 from ggvs_eval.metrics.image.regions import metrics_of_parts
+from ggvs_eval.metrics.image.sharpness import SHARPNESS
 from ggvs_eval.metrics.image.ssim_variants import SSIM
 from ggvs_eval.metrics.metric import (
     ColourMap,
+    DepthMetric,
     FrameScorer,
     Metric,
     MetricOptions,
@@ -27,15 +29,19 @@ from ggvs_eval.metrics.metric import (
     TableMetric,
     ViewMetric,
 )
+from ggvs_eval.metrics.path.colmap_consistency import COLMAP_MATCHES, COLMAP_REGISTERED, COLMAP_TRACK_LENGTH
 from ggvs_eval.metrics.path.epi_coherence import EPI_COHERENCE, EPI_LINE_TEXTURE
 from ggvs_eval.metrics.path.epi_slope import EPI_SLOPE_AGREEING, EPI_SLOPE_ERROR
 from ggvs_eval.metrics.path.reprojection import REPROJECTION, REPROJECTION_VISIBLE
 from ggvs_eval.metrics.path.view_switch import SWITCH_EXCESS, SWITCH_RATIO
+from ggvs_eval.metrics.path.warping_error import E_WARP, PATH_SHARPNESS
 from ggvs_eval.metrics.time.colour_video_vdp import CVVDP
+from ggvs_eval.metrics.time.depth_variation import DEPTH_BLINKING, DEPTH_MTV, DEPTH_MTV2, DEPTH_SHARPNESS
 from ggvs_eval.metrics.time.deviations import SDT, SDV
 from ggvs_eval.metrics.time.flicker import FLICKER, FLICKER_EXCESS
 from ggvs_eval.metrics.time.strred import STED, STED_SSN
 from ggvs_eval.metrics.time.tcc import TCC
+from ggvs_eval.metrics.time.temporal_variation import MTV, MTV2
 from ggvs_eval.metrics.time.vmaf import VMAF
 
 # In the order in which they are scored and stand in the results.
@@ -45,23 +51,44 @@ _ALL: tuple[Metric, ...] = (
     *metrics_of_parts((*_OF_IMAGES, TCC)),
     *(TCC, STED, STED_SSN, FLICKER, FLICKER_EXCESS, SDT, SDV),
     *(VMAF, CVVDP),
+    *(MTV, SHARPNESS, MTV2),
     *(EPI_COHERENCE, EPI_LINE_TEXTURE, EPI_SLOPE_ERROR, EPI_SLOPE_AGREEING),
-    *(REPROJECTION, REPROJECTION_VISIBLE, SWITCH_RATIO, SWITCH_EXCESS),
+    *(REPROJECTION, REPROJECTION_VISIBLE, E_WARP, PATH_SHARPNESS, SWITCH_RATIO, SWITCH_EXCESS),
+    *(COLMAP_REGISTERED, COLMAP_TRACK_LENGTH, COLMAP_MATCHES),
 )
 METRICS: dict[str, Metric] = {metric.name: metric for metric in _ALL}
+DEPTH_METRICS: dict[str, DepthMetric] = {
+    metric.name: metric for metric in (DEPTH_MTV, DEPTH_SHARPNESS, DEPTH_MTV2, DEPTH_BLINKING)
+}
 
 
 def select_metrics(names: Iterable[str]) -> tuple[Metric, ...]:
-    """The metrics of these names, in this order.
+    """The metrics of these names, in this order, and next to each the one that it is not to be read without.
 
     Raises:
         MetricError: an unknown name; the message has the nearest known one.
+
+    Example:
+        >>> [metric.name for metric in select_metrics(["mTV", "PSNR"])]
+        ['mTV', 'Sharpness', 'PSNR']
+
+    Reading:
+        What is steady without truth is told from the rendering's own change from one image to the next, and blur lowers that:
+        mTV, mTV2, E_warp, reprojection, and the change of depth maps. Their sharpness is added even if nobody asks for it. TCC,
+        STED, Flicker, SDT and SDV compare with captured frames; EPI_coherence has its own, EPI_line_texture; switch_ratio is a
+        ratio of changes, from which blur cancels; COLMAP finds fewer features in blurred images.
     """
-    names = tuple(names)
-    for name in names:
+    selected: dict[str, Metric] = {}
+    asked = list(names)
+    for name in asked:
+        if name in DEPTH_METRICS:
+            raise MetricError(f"{name} is of depth videos, a protocol is of frames; measure it by `ggvs-eval steadiness --depth`")
         if name not in METRICS:
             raise MetricError(f"no metric {name!r}{did_you_mean(name, METRICS)}; all are {', '.join(METRICS)}")
-    return tuple(METRICS[name] for name in names)
+        selected[name] = METRICS[name]
+        if (beside := METRICS[name].beside) and beside not in asked:
+            selected[beside] = METRICS[beside]
+    return tuple(selected.values())
 
 
 def scored_by_view(names: Iterable[str]) -> tuple[ViewMetric, ...]:
@@ -116,6 +143,11 @@ def derived_rows(
 
 
 def metric_notes(names: Iterable[str], options: MetricOptions | None = None) -> dict[str, dict[str, Any]]:
+    """Describe the metrics of these names, see `select_metrics`, as `describe_metrics` does."""
+    return describe_metrics(select_metrics(names), options)
+
+
+def describe_metrics(metrics: Iterable[Metric], options: MetricOptions | None = None) -> dict[str, dict[str, Any]]:
     """Describe metrics for a report, as JSON values: reports read run folders and import no metric."""
     options = options or MetricOptions()
     return {
@@ -128,7 +160,7 @@ def metric_notes(names: Iterable[str], options: MetricOptions | None = None) -> 
             "group_title": metric.group.title,
             "decimals": metric.decimals,
         }
-        for metric in select_metrics(names)
+        for metric in metrics
     }
 
 

@@ -18,6 +18,7 @@ from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import DepthError
 from ggvs_eval.method import SourceView
+from ggvs_eval.metrics.series_scores import mean_values, score_depths
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
 from ggvs_eval.pipelines.offline.depth.pairing import choose_partners
@@ -31,6 +32,8 @@ MEASURES = (
     Measure("spread_percent", "% of depth", higher_is_better=False),
     Measure("spread_filtered_percent", "% of depth", higher_is_better=False),
     Measure("share_of_unfiltered", "", higher_is_better=False),
+    Measure("flicker_percent", "% of depth", higher_is_better=False),
+    Measure("sharpness_percent", "% of depth", higher_is_better=True),
 )
 STATIC = "static_percent"
 
@@ -86,6 +89,8 @@ def estimate_views(room: RenderedRoom, camera: Camera, images: Mapping[str, Imag
 def measure_spread(views: Sequence[SourceView], static: Mask) -> dict[str, float]:
     """Spread over time before and after the temporal filter with its own parameters, and the share that remains.
 
+    Beside them what `ggvs-eval steadiness --depth` calls flicker and sharpness, of the unfiltered depth.
+
     Args:
         views: one camera at consecutive instants.
         static: pixels that stand still, (H, W).
@@ -93,7 +98,9 @@ def measure_spread(views: Sequence[SourceView], static: Mask) -> dict[str, float
     temporal_filter = TemporalDepthFilter()
     filtered = [temporal_filter.step(index, view)[0].depth for index, view in enumerate(views)]
     before, after = (temporal_spread(np.stack(depths), static) for depths in ([view.depth for view in views], filtered))
-    values = (100 * before, 100 * after, after / before if before else float("nan"))
+    steadiness = mean_values(score_depths((view.depth for view in views), static))
+    remaining = after / before if before else float("nan")
+    values = (100 * before, 100 * after, remaining, steadiness["depth_mTV"], steadiness["depth_Sharpness"])
     return {measure.name: value for measure, value in zip(MEASURES, values, strict=True)}
 
 

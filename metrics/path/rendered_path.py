@@ -2,12 +2,15 @@
 
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import MetricError
+from ggvs_eval.files.images import to_8_bit, write_image
+from ggvs_eval.metrics.image.sharpness import sharpness
 from ggvs_eval.metrics.inputs import Image
 from ggvs_eval.metrics.metric import ALONG_PATH, Group, Kind, Metric, Value
 from ggvs_eval.metrics.path.steps import DEPTH_TOLERANCE, StepError, reprojection_step
@@ -60,6 +63,12 @@ class PathOptions:
     depth_tolerance: float = DEPTH_TOLERANCE
 
 
+def write_view(folder: Path, index: int, image: Image) -> None:
+    """Write a whole image of a path for the metrics that want files."""
+    (folder / "views").mkdir(exist_ok=True)
+    write_image(folder / "views" / f"{index:06d}.png", to_8_bit(image))
+
+
 def spread_rows(height: int, count: int) -> list[int]:
     """At most `count` evenly spaced rows of an image, each in the middle of its part."""
     count = min(count, height)
@@ -76,15 +85,19 @@ class RenderedPath:
         depths: those rows of each pose's depth; None where nobody knows.
         sources: names of the source cameras of each pose.
         n_switches: steps at which the source cameras change; None where nobody has measured these.
+        sharpness: of each pose's image, see `metrics.image.sharpness`.
+        folder: where the whole images lie, see `write_view`; None where no metric wants them.
     """
 
-    def __init__(self, options: PathOptions) -> None:
+    def __init__(self, options: PathOptions, folder: Path | None = None) -> None:
         self.options = options
+        self.folder = folder
         self.cameras: list[Camera] = []
         self.rows: list[int] = []
         self.depths: list[NDArray[np.float32] | None] = []
         self.sources: list[Collection[str]] = []
         self.n_switches: int | None = None
+        self.sharpness: list[float] = []
         self._images: list[Image] = []  # the chosen rows of every pose
         self._steps: list[StepError] = []
         self._no_steps = ""
@@ -108,6 +121,9 @@ class RenderedPath:
         self._images.append(pose.image[self.rows])
         self.depths.append(None if pose.depth is None else pose.depth[self.rows])
         self.sources.append(pose.sources)
+        self.sharpness.append(sharpness(pose.image))
+        if self.folder is not None:
+            write_view(self.folder, len(self.cameras) - 1, pose.image)
         before, self._before = self._before, pose
         if before is not None and not self._no_steps:
             self._add_step(before, pose)
@@ -143,11 +159,13 @@ class PathScorer:
         names: of its values for the whole path; beside metrics these may be numbers that help to read them.
         measure: the path -> values; raises `MetricError` where there can be none.
         why_absent: the reason for a name that it leaves out.
+        wants_images: whether it works on files of the whole images, which takes seconds: measured only where it is named.
     """
 
     names: tuple[str, ...]
     measure: Callable[[RenderedPath], list[Value]]
     why_absent: str = ""
+    wants_images: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

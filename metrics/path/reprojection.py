@@ -9,6 +9,7 @@ from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.metric import Value
 from ggvs_eval.metrics.path.rendered_path import PathMetric, PathScorer, RenderedPath, whole_path
 from ggvs_eval.metrics.path.steps import StepError, reprojection_steps
+from ggvs_eval.metrics.path.warping_error import PATH_SHARPNESS
 
 NAMES = ("reprojection", "reprojection_visible", "reprojection_shift")
 
@@ -64,6 +65,7 @@ REPROJECTION = PathMetric(
     higher_is_better=False,
     describe="colour change of points seen from two neighbouring poses",
     scorer=_SCORER,
+    beside=PATH_SHARPNESS.name,
 )
 REPROJECTION_VISIBLE = PathMetric(
     name="reprojection_visible",

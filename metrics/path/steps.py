@@ -26,11 +26,13 @@ class StepError:
             depths the two poses see no surface in common.
         visible_share: co-visible pixels of all pixels.
         texture_255: mean absolute horizontal difference of neighbouring pixels there, grey levels of 255; None like the error.
+        squared_error: mean squared colour difference there, white is 1; None like the error.
     """
 
     error_255: float | None
     visible_share: float
     texture_255: float | None
+    squared_error: float | None
 
 
 def reprojection_steps(poses: Iterable[Pose], depth_tolerance: float = DEPTH_TOLERANCE) -> list[StepError]:
@@ -75,19 +77,19 @@ def reprojection_step(before: Pose, after: Pose, depth_tolerance: float = DEPTH_
     check_pair(before[1], after[1])
     valid_depths = depths[1][depths[1] > 0]
     if not valid_depths.size:
-        return StepError(None, 0.0, None)
+        return StepError(None, 0.0, None, None)
     tolerance = depth_tolerance * float(np.median(valid_depths))
     carried = warp(cameras[1], depths[1], cameras[0], images[0], depths[0], tolerance, bicubic=True)
     weight = float(carried.visibility.sum(dtype=np.float64))
     if not weight:
-        return StepError(None, 0.0, None)
-    error = np.abs(carried.colour - images[1]) @ OVER_RGB
+        return StepError(None, 0.0, None, None)
+    difference = carried.colour - images[1]
     texture = np.abs(np.diff(images[1], axis=1)) @ OVER_RGB
-    sums = (
-        float((carried.visibility * error).sum(dtype=np.float64)) / weight,
-        float((carried.visibility[:, 1:] * texture).sum(dtype=np.float64)) / weight,
+    error, squared, texture_there = (
+        float((carried.visibility[:, -each.shape[1] :] * each).sum(dtype=np.float64)) / weight
+        for each in (np.abs(difference) @ OVER_RGB, np.square(difference) @ OVER_RGB, texture)
     )
-    return StepError(255 * sums[0], weight / carried.visibility.size, 255 * sums[1])
+    return StepError(255 * error, weight / carried.visibility.size, 255 * texture_there, squared)
 
 
 def _checked_image(camera: Camera, image: Image) -> NDArray[np.float32]:

@@ -13,7 +13,7 @@ from ggvs_eval.run_folder import RunFolder
 
 Renders = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RENDERS|RUN")]
 Quoted = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="VALUE")]
-FAMILIES = "{psnr,iv-psnr,ssim,ms-ssim,dssim,lpips,dists,flip,vmaf,cvvdp,l1,rmse,tcc,sted,sdt,sdv}"
+FAMILIES = "{psnr,iv-psnr,ssim,ms-ssim,dssim,lpips,dists,flip,vmaf,cvvdp,l1,rmse,tcc,sted,sdt,sdv,mtv,e_warp}"
 Metric = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar=FAMILIES)]
 
 
@@ -30,7 +30,8 @@ def doctor(
 
     Frame offset, reversed time, wrong camera, exchanged colour channels, gamma, range of video levels, flicker, shifts down to a
     quarter of a pixel, wrong resize or focal length, JPEG, frozen frames, truth copied into some frames or blended into all. The
-    last line says how much of the error IV-PSNR forgives. Ends with 1 where something is certain.
+    last lines say how much of the error IV-PSNR forgives, and whether blur is what makes the renders steady. Ends with 1 where
+    something is certain.
 
     Args:
         renders: frames in any form that `score` takes, with --capture; or a run folder, whose methods are all examined.
@@ -43,6 +44,7 @@ def doctor(
     """
     from ggvs_eval.pipelines.inspection.renders.examine import examine, faults_table
     from ggvs_eval.pipelines.inspection.renders.forgiven_error import forgiven_error
+    from ggvs_eval.pipelines.inspection.renders.steadiness import steadiness_line
     from ggvs_eval.pipelines.inspection.renders.view_frames import cameras_of_run, views_of_run
 
     folder, labels = _rendered(renders, capture, protocol, run, first_frame, reading, jobs)
@@ -52,8 +54,8 @@ def doctor(
         findings = examine(views, cameras_of_run(folder))
         certain |= any(finding.verdict == "certain" for finding in findings)
         print(f"{label}\n{faults_table(findings)}")
-        if forgiven := forgiven_error(views):
-            print(forgiven)
+        for line in filter(None, (forgiven_error(views), steadiness_line(views))):
+            print(line)
     if certain:
         sys.exit(1)
 

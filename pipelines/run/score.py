@@ -11,7 +11,7 @@ from ggvs_eval.errors import RenderError
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.jobs.job import Job, run_jobs
 from ggvs_eval.jobs.ledger import Ledger
-from ggvs_eval.metrics.registry import METRICS, derived_rows, metric_notes, pooling_records, select_metrics
+from ggvs_eval.metrics.registry import derived_rows, metric_notes, pooling_records, select_metrics
 from ggvs_eval.pipelines.methods.registry import METHODS, split_label
 from ggvs_eval.pipelines.run.coverage import Coverage, read_coverage
 from ggvs_eval.pipelines.run.references import ceiling_jobs, read_ceilings, write_references
@@ -134,7 +134,7 @@ def _derived(
 
 def _along_path(protocol: Protocol, path: dict[str, Any] | None, not_computed: dict[str, str]) -> list[tuple[Any, ...]]:
     """Rows (view, frame, metric, value) of the measures of a camera path, each over the whole path."""
-    names = [name for name in protocol.measurement.metrics if METRICS[name].kind == "path"]
+    names = [metric.name for metric in select_metrics(protocol.measurement.metrics) if metric.kind == "path"]
     if path is None:
         not_computed.update(dict.fromkeys(names, "no images along a camera path"))
         return []

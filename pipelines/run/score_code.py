@@ -1,10 +1,10 @@
 """The code behind each score: a value is stale when what measures it has changed, and no other value is."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.metrics.metric import Metric
-from ggvs_eval.metrics.path.rendered_path import PathMetric
+from ggvs_eval.metrics.path_scores import measured_on_path
 from ggvs_eval.metrics.registry import METRICS
 
 # They read the frames and hand them to every metric: their own text counts for all, what they import for one does not.
@@ -24,7 +24,7 @@ def ceilings_code(names: Sequence[str]) -> str:
     return code_identity("ggvs_eval.metrics.ceilings", *modules, READING, *SHARED, unfollowed=SHARED)
 
 
-def path_code() -> str:
-    """Hash of the code that measures a camera path: one pass over it measures all that it has."""
-    modules = [module for metric in METRICS.values() if isinstance(metric, PathMetric) for module in metric.modules]
+def path_code(names: Collection[str]) -> str:
+    """Hash of the code that measures a camera path: one pass over it measures all that it has, and what is named of the rest."""
+    modules = [module for metric in measured_on_path(names) for module in metric.modules]
     return code_identity(PATH_SCORES, "ggvs_eval.metrics.path.rendered_path", *modules, READING, unfollowed=(PATH_SCORES,))

@@ -9,7 +9,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.files.digest import digest_files
 from ggvs_eval.files.images import read_image
 from ggvs_eval.jobs.job import Job
-from ggvs_eval.metrics.path.rendered_path import PathPose
+from ggvs_eval.metrics.path.rendered_path import PathMetric, PathPose
 from ggvs_eval.metrics.path_scores import score_path
 from ggvs_eval.metrics.registry import METRICS
 from ggvs_eval.pipelines.run.path_depth import pose_file, read_path_depth
@@ -52,7 +52,8 @@ def path_jobs(run: RunFolder, protocol: Protocol, labels: Sequence[str]) -> list
         return []
     n_poses = len(read_json(run.path_record)["cameras"])
     rendered = [label for label in (TRUTH, *labels) if not missing_frames(run.path(label), range(n_poses))]
-    return [_job(run, label, n_poses) for label in rendered]
+    costly = sorted(name for name in protocol.measurement.metrics if _is_costly(name))
+    return [_job(run, label, n_poses, costly) for label in rendered]
 
 
 def read_paths(jobs: Sequence[Job]) -> dict[str, dict[str, Any]]:
@@ -64,20 +65,25 @@ def read_paths(jobs: Sequence[Job]) -> dict[str, dict[str, Any]]:
     return {job.folder.name: read_json(job.folder / JOB_FILE) for job in jobs}
 
 
-def _job(run: RunFolder, label: str, n_poses: int) -> Job:
+def _is_costly(name: str) -> bool:
+    metric = METRICS[name]
+    return isinstance(metric, PathMetric) and metric.scorer.wants_images
+
+
+def _job(run: RunFolder, label: str, n_poses: int, costly: Sequence[str]) -> Job:
     frames = [frame_path(run.path(label), pose) for pose in range(n_poses)]
     depths = [pose_file(run.path_depth, pose) for pose in range(n_poses)]
     identity = {
         "rendered": digest_files(frames),
         "depth": digest_files([file for file in depths if file.is_file()]),
         "path": digest_files([run.path_record]),
-        "code": path_code(),
+        "code": path_code(costly),
     }
-    return Job(f"path of {label}", run.path_scores(label), identity, partial(_score, run, label))
+    return Job(f"path of {label}", run.path_scores(label), identity, partial(_score, run, label, costly))
 
 
-def _score(run: RunFolder, label: str, _folder: Path) -> dict[str, Any]:
-    scores = score_path(_poses(run, label))
+def _score(run: RunFolder, label: str, costly: Sequence[str], _folder: Path) -> dict[str, Any]:
+    scores = score_path(_poses(run, label), metrics=costly)
     values = [(name, -1 if pose is None else pose, value) for name, pose, value in scores.values]
     return {"values": values, "not_computed": scores.not_computed, "rows": list(scores.rows), "n_switches": scores.n_switches}
 

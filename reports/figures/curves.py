@@ -108,7 +108,7 @@ class Panel:
 
 def curve_panels(run: MeasuredRun) -> tuple[Panel, ...]:
     """Panels of every metric that has a value per frame, metric by metric, view by view; none for a run of one frame."""
-    return tuple(panel for metric in run.protocol.measurement.metrics for panel in _metric_panels(run, metric))
+    return tuple(panel for metric in run.metrics for panel in _metric_panels(run, metric))
 
 
 def _metric_panels(run: MeasuredRun, metric: str) -> list[Panel]:

@@ -46,7 +46,7 @@ class HeatMap:
 
 def heat_maps(run: MeasuredRun) -> tuple[HeatMap, ...]:
     """One per metric that has a finite value for any view and frame, in the order of the protocol."""
-    maps = (_heat_map(run, metric) for metric in run.protocol.measurement.metrics)
+    maps = (_heat_map(run, metric) for metric in run.metrics)
     return tuple(heat_map for heat_map in maps if heat_map)
 
 

@@ -102,7 +102,7 @@ def _seed_table(run: MeasuredRun) -> Table | None:
         return None
     summary = run.all_results.summary().droplevel("dataset")
     numbers = {label_of(*names): summary.loc[names] for names in summary.index}
-    notes = [run.metrics[name] for name in run.protocol.measurement.metrics if name in summary.columns]
+    notes = [note for name, note in run.metrics.items() if name in summary.columns]
     rows = []
     for label, others in run.replicas.items():
         values = [[float(numbers[each][note.name]) for each in (label, *others)] for note in notes]
@@ -131,7 +131,7 @@ def price_tables(runs: Sequence[MeasuredRun], results: Results) -> tuple[Table, 
     ours = [label for label in runs[0].ours_first if label in runs[0].ours and label not in fitted]
     if not fitted or not ours:
         return ()
-    notes = [runs[0].metrics[metric] for metric in runs[0].protocol.measurement.metrics]
+    notes = list(runs[0].metrics.values())
     tables = []
     for dataset in dict.fromkeys(str(name) for name in results.table["dataset"]):
         cells = {label: tuple(_price(note, results, label, ours[0], dataset) for note in notes) for label in fitted}

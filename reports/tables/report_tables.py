@@ -70,7 +70,7 @@ def main_tables(runs: Sequence[MeasuredRun], results: Results) -> tuple[Table, .
     Returns:
         Per dataset one table for each group of the metrics that the protocol asks for, in its order.
     """
-    groups = note_groups([runs[0].metrics[metric] for metric in runs[0].protocol.measurement.metrics])
+    groups = note_groups(list(runs[0].metrics.values()))
     summary = results.summary()
     tables = []
     for dataset in dict.fromkeys(str(name) for name in summary.index.get_level_values("dataset")):
@@ -143,7 +143,7 @@ def _certainty_captions(certain: Mapping[str, Certainty]) -> list[str]:
 def view_tables(run: MeasuredRun) -> tuple[Table, ...]:
     """One table per metric that has a value in each view: mean over frames, one column per view."""
     tables = []
-    for metric in run.protocol.measurement.metrics:
+    for metric in run.metrics:
         values = run.results.per_view(metric)
         if values.empty or not set(run.protocol.views.test) & set(values.columns):
             continue

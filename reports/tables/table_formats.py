@@ -68,17 +68,17 @@ def markdown_table(heads: Sequence[str], rows: Iterable[Sequence[str]], words: C
     return "\n".join([f"| {' | '.join(heads)} |", f"|{rule}", *(f"| {' | '.join(row)} |" for row in rows)])
 
 
-def to_csv(groups: Sequence[tuple[Protocol, Sequence[Table]]]) -> str:
+def to_csv(groups: Sequence[tuple[Protocol | None, Sequence[Table]]]) -> str:
     """One line per cell, values and bounds unrounded; where there are none the reason stands in ``note``.
 
     Args:
-        groups: a protocol and the tables of what was measured under it; values of different protocols do not compare.
+        groups: a protocol, or None, and the tables of what was measured under it; values of different protocols do not compare.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(CSV_HEAD)
     for protocol, tables in groups:
-        terms = (protocol.name, protocol.synthesis.k, protocol.sha256)
+        terms = (protocol.name, protocol.synthesis.k, protocol.sha256) if protocol else ("", "", "")
         for table in tables:
             for row in table.rows:
                 for column, cell in zip(table.columns, row.cells, strict=True):

@@ -57,21 +57,22 @@ WITH_SSIM = with_parts("SSIM", "TCC", "DSSIM1", "DSSIM2") | {"ceilings"} | CORRE
 STED, FLICKER = {"STED", "STED_ssn"}, {"Flicker", "Flicker_excess"}
 LPIPS = with_parts("LPIPS", "DISTS") | CORRECTED
 OTHERS = with_parts("PSNR", "L1", "IV_PSNR", "PSNR_YCbCr", "MS_SSIM", "FLIP") | {"VMAF", "CVVDP"}
-ALL_SCORES = WITH_SSIM | OTHERS | STED | FLICKER | LPIPS | {"path"}
+STEADY, PATHS = {"mTV", "mTV2"}, {"path", "path with COLMAP"}
+ALL_SCORES = WITH_SSIM | OTHERS | STED | FLICKER | LPIPS | STEADY | {"Sharpness"} | PATHS
 REGIONS = {name for name in ALL_SCORES if name.endswith(("_static", "_moving", "_disoccluded"))}
 STEREO = {"depth by sgbm", "depth by sweep", "depth by raft"}
 ALL_DEPTH = STEREO | {"checked depth", "sensor depth"}
 
 # A file of the package, and the jobs that are stale when one byte of it changes.
 STALE: dict[str, set[str]] = {
-    "camera.py": ALL_METHODS | ALL_DEPTH | {"path"},
-    "kernels/_film": ALL_METHODS | ALL_DEPTH | {"path"},
+    "camera.py": ALL_METHODS | ALL_DEPTH | PATHS,
+    "kernels/_film": ALL_METHODS | ALL_DEPTH | PATHS,
     "files/images.py": ALL_METHODS | ALL_SCORES | {"sensor depth"},
-    "geometry/difference_mask.py": OURS | REGIONS,
-    "geometry/warp.py": OURS | {"path"},
-    "geometry/splat.py": SPLATTED | {"path"},
-    "method.py": ALL_METHODS | {"path"},
-    "kernels/_core": SPLATTED | {"ibrnet"} | REGIONS | {"path"},
+    "geometry/difference_mask.py": OURS | REGIONS | STEADY,
+    "geometry/warp.py": OURS | PATHS,
+    "geometry/splat.py": SPLATTED | PATHS,
+    "method.py": ALL_METHODS | PATHS,
+    "kernels/_core": SPLATTED | {"ibrnet"} | REGIONS | STEADY | PATHS,
     "kernels/_ssim": WITH_SSIM,
     "kernels/_iv_psnr": with_parts("IV_PSNR", "PSNR_YCbCr"),
     "kernels/_stereo": {"depth by sweep"},
@@ -94,12 +95,16 @@ STALE: dict[str, set[str]] = {
     "metrics/time/tcc.py": with_parts("TCC") | {"ceilings"},
     "metrics/image/dists.py": with_parts("DISTS"),
     "metrics/time/flicker.py": FLICKER,
-    "metrics/image/regions.py": REGIONS,
+    "metrics/image/regions.py": REGIONS | STEADY,
+    "metrics/image/sharpness.py": STEADY | {"Sharpness"} | PATHS,
+    "metrics/time/temporal_variation.py": STEADY,
+    "metrics/time/depth_variation.py": set(),
+    "metrics/path/colmap_worker.py": {"path with COLMAP"},
     "metrics/noise/estimate.py": {"ceilings"},
     "metrics/noise/recording.py": {"ceilings"},
     "metrics/noise/colour_detail.py": {"ceilings"},
-    "metrics/path/view_switch.py": {"path"},
-    "metrics/stream.py": ALL_SCORES - {"path"},
+    "metrics/path/view_switch.py": PATHS,
+    "metrics/stream.py": ALL_SCORES - PATHS,
     "metrics/registry.py": set(),
     "metrics/__init__.py": set(),
     "protocol.py": set(),
@@ -156,7 +161,8 @@ def codes_of(tree: CodeTree) -> dict[str, Any]:
         return {
             **{label: method_code(spec) for label, spec in METHODS.items()},
             **{name: metric_code(metric) for name, metric in METRICS.items() if isinstance(metric, ViewMetric)},
-            "path": path_code(),
+            "path": path_code(()),
+            "path with COLMAP": path_code(("COLMAP_matches",)),
             "ceilings": ceilings_code(ceiling_metrics()),
             **{f"depth by {name}": DepthOptions(matcher=each).describe()["code"] for name, each in matchers.items()},
             "checked depth": ConsistencyOptions().describe()["code"],

@@ -53,7 +53,7 @@ def test_exact_path_is_near_ideal_in_every_measure(name):
     scores = score_path(exact(name))
     values = measured(exact(name))
     assert scores.not_computed == {}
-    assert set(values) == {*COHERENCE, *SLOPE, *REPROJECTION, *SWITCH}
+    assert set(values) == {*COHERENCE, *SLOPE, *REPROJECTION, *SWITCH, "E_warp", "path_sharpness"}
     assert scores.n_switches == SWITCHES.sum() == 3
     assert values["EPI_coherence"] > 0.96
     assert values["EPI_slope_error"] < 0.005
@@ -157,8 +157,8 @@ def test_what_cannot_be_measured_says_why():
     """Without depth, sources, texture or a straight path the rest is measured, and each missing number has its reason."""
     poses = exact("wall")
     bare = score_path([PathPose(pose.camera, pose.image) for pose in poses])
-    assert {name for name, _, _ in bare.values} == set(COHERENCE)
-    assert set(bare.not_computed) == {*SLOPE, *REPROJECTION, *SWITCH}
+    assert {name for name, _, _ in bare.values} == {*COHERENCE, "path_sharpness"}
+    assert set(bare.not_computed) == {*SLOPE, *REPROJECTION, *SWITCH, "E_warp"}
     assert "0 of 25 poses have a depth" in bare.not_computed["EPI_slope_error"]
     assert "no depth" in bare.not_computed["reprojection"]
     assert "which cameras the images are made of" in bare.not_computed["switch_ratio"]

@@ -1,5 +1,6 @@
 """Reprojection error between neighbouring poses and the switch score: closed forms, and what is refused."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -8,6 +9,7 @@ from ggvs_eval.files.images import quantise
 from ggvs_eval.metrics.path.reprojection import mean_reprojection
 from ggvs_eval.metrics.path.steps import StepError, reprojection_steps
 from ggvs_eval.metrics.path.view_switch import switch_score, switch_steps
+from ggvs_eval.metrics.path.warping_error import warping_error
 from helpers.epi_scenes import FOCAL, SCENES, WALL, WIDTH, changed, exact, look, path, rendered
 
 
@@ -29,6 +31,19 @@ def test_reprojection_error_of_a_gain_is_that_gain():
     poses = changed(rendered(WALL, path(6, 0.2)), lambda index, image: 0.1 + 0.8 * image + (index % 2) * 10 / 255)
     steps = reprojection_steps(triples(poses))
     assert [step.error_255 for step in steps] == pytest.approx([10.0] * 5, abs=0.1)
+
+
+def test_warping_error_is_the_mean_squared_colour_difference():
+    """10 levels of 255 at every step; and between two images of one pose what numpy's mean of squares says, blurred ones less."""
+    poses = changed(rendered(WALL, path(4, 0.2)), lambda index, image: 0.1 + 0.8 * image + (index % 2) * 10 / 255)
+    assert warping_error(triples(poses)) == pytest.approx(1000 * (10 / 255) ** 2, rel=0.03)
+
+    camera, _, depth = triples(poses)[0]
+    noise = np.random.default_rng(0).integers(0, 256, (2, *depth.shape, 3), dtype=np.uint8)
+    expected = 1000 * np.square((noise[0] / 255.0 - noise[1] / 255.0)[1:-1, 1:-1]).mean()
+    assert warping_error([(camera, image, depth) for image in noise]) == pytest.approx(expected, rel=0.01)
+    soft = [(camera, cv2.GaussianBlur(image, (0, 0), 2), depth) for image in noise]
+    assert warping_error(soft) < expected / 10
 
 
 def test_reprojection_does_not_compare_what_one_pose_cannot_see():
@@ -73,8 +88,9 @@ def test_reprojection_refuses_what_it_cannot_compare():
         (lambda: reprojection_steps(triples(exact("wall"))[:1]), "at least 2 poses"),
         (lambda: reprojection_steps([(camera, image, None) for camera, image, _ in triples(exact("wall"))]), "no depth"),
         (lambda: reprojection_steps([(c, i, d[1:]) for c, i, d in triples(exact("wall"))]), "wanted depths >= 0"),
-        (lambda: mean_reprojection([StepError(None, 0.0, None)] * 3), "at none of 3 steps"),
-        (lambda: mean_reprojection([StepError(0.0, 1.0, 0.0)]), "images without texture"),
+        (lambda: mean_reprojection([StepError(None, 0.0, None, None)] * 3), "at none of 3 steps"),
+        (lambda: mean_reprojection([StepError(0.0, 1.0, 0.0, 0.0)]), "images without texture"),
+        (lambda: warping_error([(*pose[:2], 0 * pose[2]) for pose in triples(exact("wall"))[:2]]), "E_warp: at no step do the"),
     ):
         with pytest.raises(MetricError, match=message) as refused:
             measure()
@@ -86,5 +102,5 @@ def test_a_step_without_a_common_surface_has_no_error():
     poses = triples(exact("wall")[:3])
     poses[1] = (*poses[1][:2], poses[1][2] * np.float32(1.2))
     steps = reprojection_steps(poses)
-    assert steps == [StepError(None, 0.0, None)] * 2
+    assert steps == [StepError(None, 0.0, None, None)] * 2
     assert reprojection_steps(triples(exact("wall")[:2]))[0].error_255 is not None

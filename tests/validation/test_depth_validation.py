@@ -428,6 +428,7 @@ def test_the_filter_shrinks_white_noise_as_it_must():
     assert scores["spread_percent"] == pytest.approx(0.2, rel=0.02)
     assert scores["share_of_unfiltered"] == pytest.approx(np.sqrt(0.6 / 1.4), rel=0.04)
     assert scores["spread_filtered_percent"] == pytest.approx(scores["spread_percent"] * scores["share_of_unfiltered"])
+    assert scores["flicker_percent"] == pytest.approx(0.2 * 2 / np.sqrt(np.pi), rel=0.02)  # mean size of a difference of two
 
 
 def test_static_is_what_changes_in_neither_colour_nor_depth():

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 
 from ggvs_eval.errors import MetricError, did_you_mean
+from ggvs_eval.metrics.registry import DEPTH_METRICS, METRICS
 from ggvs_eval.pipelines.inspection.renders.frame_conventions import error_conventions, lpips_conventions, psnr_conventions
 from ggvs_eval.pipelines.inspection.renders.perceptual_conventions import (
     dists_conventions,
@@ -16,6 +17,7 @@ from ggvs_eval.pipelines.inspection.renders.perceptual_conventions import (
 )
 from ggvs_eval.pipelines.inspection.renders.recompute import ALL_VIEWS, MaskReader, Recomputed
 from ggvs_eval.pipelines.inspection.renders.ssim_conventions import ssim_conventions
+from ggvs_eval.pipelines.inspection.renders.steadiness import mtv_conventions, warping_conventions
 from ggvs_eval.pipelines.inspection.renders.time_conventions import (
     sdt_conventions,
     sdv_conventions,
@@ -30,6 +32,7 @@ ROUNDING = 5e-6
 # Some dozen conventions lie within a decibel or two of each other: what two digits meet may be chance. A match is evidence where
 # few of the numbers near the quoted one would match something as well.
 NEIGHBOURHOOD, WEAK_CHANCE = 0.05, 0.25
+OF_NO_VIEW = {"path": "a camera path", "depth": "depth videos"}
 Masks = Mapping[str, MaskReader]
 FAMILIES: Mapping[str, Callable[[Mapping[str, ViewFrames], Masks], list[Recomputed]]] = {
     "psnr": psnr_conventions,
@@ -48,6 +51,8 @@ FAMILIES: Mapping[str, Callable[[Mapping[str, ViewFrames], Masks], list[Recomput
     "sted": sted_conventions,
     "sdt": sdt_conventions,
     "sdv": sdv_conventions,
+    "mtv": mtv_conventions,
+    "e_warp": warping_conventions,
 }
 
 
@@ -107,6 +112,12 @@ def metric_family(metric: str) -> str:
         MetricError: a metric of which no conventions are known; the message suggests the nearest one.
     """
     family = metric.lower()
+    of_other = {name.lower(): one for name, one in {**METRICS, **DEPTH_METRICS}.items() if one.kind in OF_NO_VIEW}
+    if family not in FAMILIES and family in of_other:
+        one = of_other[family]
+        raise MetricError(
+            f"{one.name} is of {OF_NO_VIEW[one.kind]}, and numbers are recomputed from test views; see {one.reference}"
+        )
     if family not in FAMILIES:
         families = ", ".join(FAMILIES)
         raise MetricError(f"no conventions known of {metric!r}; there are {families}{did_you_mean(family, FAMILIES)}")

@@ -1,0 +1,94 @@
+"""Steadiness of videos and depth videos that stand alone: no capture, no cameras, no run folder."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ggvs_eval.arrays import Mask
+from ggvs_eval.errors import MetricError
+from ggvs_eval.files.images import read_image
+from ggvs_eval.metrics.metric import Metric
+from ggvs_eval.metrics.path.colmap_consistency import NAMES as COLMAP_NAMES
+from ggvs_eval.metrics.path.colmap_consistency import colmap_consistency
+from ggvs_eval.metrics.registry import DEPTH_METRICS, METRICS, describe_metrics
+from ggvs_eval.metrics.series_scores import OF_FRAMES, mean_values, score_depths, score_frames
+from ggvs_eval.renders.sequences import read_depths, read_frames
+
+
+@dataclass(frozen=True)
+class Steadiness:
+    """Measured videos.
+
+    Attributes:
+        metrics: metric -> how a report describes it, see `registry.describe_metrics`; the sharpness among them.
+        values: video -> metric -> mean over its frames.
+        not_computed: video -> metric -> reason.
+        shapes: video -> how many frames of which size it has, in words.
+    """
+
+    metrics: Mapping[str, dict[str, Any]]
+    values: dict[str, dict[str, float]]
+    not_computed: dict[str, dict[str, str]]
+    shapes: dict[str, str]
+
+
+def measure_steadiness(
+    videos: Mapping[str, Path], *, depth: bool = False, mask: Path | None = None, with_colmap: bool = False
+) -> Steadiness:
+    """Measure each video, or depth video, without truth.
+
+    Args:
+        videos: name -> folder, video or array, see `renders.sequences`.
+        depth: whether they hold depth.
+        mask: picture that is white where the scene stands still; all pixels where None.
+        with_colmap: also `colmap_consistency` of each, which is of frames alone.
+
+    Raises:
+        MetricError: frames that do not fit each other or the mask.
+        RenderError: a path that holds none.
+        CaptureError: a damaged picture or video.
+    """
+    static = None if mask is None else read_image(mask)[..., 0] > 127
+    metrics: list[Metric] = list(DEPTH_METRICS.values()) if depth else [METRICS[name] for name in OF_FRAMES]
+    metrics += [METRICS[name] for name in COLMAP_NAMES if with_colmap]
+    measured = Steadiness(describe_metrics(metrics), {}, {}, {})
+    for name, path in videos.items():
+        values, reasons, measured.shapes[name] = _measured(path, depth, static)
+        if with_colmap:
+            _add_colmap(path, values, reasons)
+        measured.values[name], measured.not_computed[name] = values, reasons
+    return measured
+
+
+@dataclass
+class _Counted:
+    """Passes frames on, and knows how many there were and how large."""
+
+    frames: Iterable[Any]
+    count: int = 0
+    size: tuple[int, int] = (0, 0)
+
+    def __iter__(self) -> Iterator[Any]:
+        for frame in self.frames:
+            self.count, self.size = self.count + 1, (frame.shape[1], frame.shape[0])
+            yield frame
+
+
+def _measured(path: Path, depth: bool, static: Mask | None) -> tuple[dict[str, float], dict[str, str], str]:
+    """Metric -> value, metric -> reason for its absence, and how many frames of which size there were."""
+    counted = _Counted(read_depths(path) if depth else read_frames(path))
+    try:
+        scores = score_depths(counted, static) if depth else score_frames(counted, static)
+    except MetricError as error:
+        raise MetricError(f"{path}: frame {counted.count - 1}: {error}" if counted.count else f"{path}: {error}") from error
+    return mean_values(scores), dict(scores.not_computed), f"{counted.count} frames of {counted.size[0]} x {counted.size[1]}"
+
+
+def _add_colmap(path: Path, values: dict[str, float], reasons: dict[str, str]) -> None:
+    try:
+        solved = colmap_consistency(read_frames(path))
+    except MetricError as error:
+        reasons |= dict.fromkeys(COLMAP_NAMES, str(error))
+    else:
+        values |= dict(zip(COLMAP_NAMES, (solved.registered, solved.track_length, solved.matches), strict=True))
