@@ -60,6 +60,17 @@ GGVS_INLINE void gather_pairs(const float* p, I at, F* first, F* second) {
     *first = _mm256_castpd_ps(_mm256_permute4x64_pd(_mm256_castps_pd(even), 0xd8));
     *second = _mm256_castpd_ps(_mm256_permute4x64_pd(_mm256_castps_pd(odd), 0xd8));
 }
+// Four values of every lane side by side, those of the next lane `stride` floats further.
+GGVS_INLINE void store_quads(float* p, int stride, F a, F b, F c, F d) {
+    const F ab[2] = {_mm256_unpacklo_ps(a, b), _mm256_unpackhi_ps(a, b)}, cd[2] = {_mm256_unpacklo_ps(c, d), _mm256_unpackhi_ps(c, d)};
+#pragma GCC unroll 4
+    for (int n = 0; n < 4; ++n) {  // lanes n and n + 4
+        const __m256d left = _mm256_castps_pd(ab[n / 2]), right = _mm256_castps_pd(cd[n / 2]);
+        const F quads = _mm256_castpd_ps(n % 2 ? _mm256_unpackhi_pd(left, right) : _mm256_unpacklo_pd(left, right));
+        _mm_storeu_ps(p + n * stride, _mm256_castps256_ps128(quads));
+        _mm_storeu_ps(p + (n + 4) * stride, _mm256_extractf128_ps(quads, 1));
+    }
+}
 GGVS_INLINE I gather_bytes(const uint8_t* p, I at) { return (I)_mm256_i32gather_epi32((const int*)p, (__m256i)at, 1); }
 
 }  // namespace ggvs::GGVS_LEVEL

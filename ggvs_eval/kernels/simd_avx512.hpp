@@ -60,6 +60,19 @@ GGVS_INLINE void gather_pairs(const float* p, I at, F* first, F* second) {
     *first = _mm512_permutex2var_ps(low, even, high);
     *second = _mm512_permutex2var_ps(low, odd, high);
 }
+// Four values of every lane side by side, those of the next lane `stride` floats further.
+GGVS_INLINE void store_quads(float* p, int stride, F a, F b, F c, F d) {
+    const F ab[2] = {_mm512_unpacklo_ps(a, b), _mm512_unpackhi_ps(a, b)}, cd[2] = {_mm512_unpacklo_ps(c, d), _mm512_unpackhi_ps(c, d)};
+#pragma GCC unroll 4
+    for (int n = 0; n < 4; ++n) {  // lanes n, n + 4, n + 8, n + 12
+        const __m512d left = _mm512_castps_pd(ab[n / 2]), right = _mm512_castps_pd(cd[n / 2]);
+        const F quads = _mm512_castpd_ps(n % 2 ? _mm512_unpackhi_pd(left, right) : _mm512_unpacklo_pd(left, right));
+        _mm_storeu_ps(p + n * stride, _mm512_castps512_ps128(quads));
+        _mm_storeu_ps(p + (n + 4) * stride, _mm512_extractf32x4_ps(quads, 1));
+        _mm_storeu_ps(p + (n + 8) * stride, _mm512_extractf32x4_ps(quads, 2));
+        _mm_storeu_ps(p + (n + 12) * stride, _mm512_extractf32x4_ps(quads, 3));
+    }
+}
 GGVS_INLINE I gather_bytes(const uint8_t* p, I at) { return (I)_mm512_i32gather_epi32((__m512i)at, p, 1); }
 
 }  // namespace ggvs::GGVS_LEVEL

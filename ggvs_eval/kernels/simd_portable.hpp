@@ -56,6 +56,10 @@ GGVS_INLINE void gather_pairs(const float* p, I at, F* first, F* second) {
     *first = gather(p, at);
     *second = gather(p + 1, at);
 }
+// Four values of every lane side by side, those of the next lane `stride` floats further.
+GGVS_INLINE void store_quads(float* p, int stride, F a, F b, F c, F d) {
+    for (int lane = 0; lane < kWidth; ++lane) store(p + lane * stride, F{a[lane], b[lane], c[lane], d[lane]});
+}
 // Four bytes from any address.
 GGVS_INLINE I gather_bytes(const uint8_t* p, I at) {
     int32_t lanes[kWidth];
