@@ -13,7 +13,7 @@
 namespace ggvs {
 
 struct Kernels {
-    void (*tile_ranges)(const Projector&, const float* depth, int column, int row, int count, TileRanges* out);
+    bool (*tile_ranges)(const Projector&, const float* depth, int column, int row, int count, TileRanges* out);
     void (*ellipses)(const Projector&, const SplatSource&, int channels, const uint32_t* pixels, int count, int left, int top,
                      Ellipse* out, BlockRange* ranges);
     void (*splat_block)(const BlockList&, int channels, bool normalised, SplatImages out);

@@ -68,7 +68,14 @@ void fill_band(Band& band, const SplatSource& source, const Projector& projector
         for (int column = 0; column < width; column += kLanes) {
             TileRanges ranges;
             const int count = std::min(kLanes, width - column);
-            kernels.tile_ranges(projector, source.depth + int64_t(row) * width + column, column, row, count, &ranges);
+            const float* depth = source.depth + int64_t(row) * width + column;
+            if (kernels.tile_ranges(projector, depth, column, row, count, &ranges)) {  // as is usual
+                const uint32_t tile = ranges.y0[0] * grid.across + ranges.x0[0];
+                tiles.insert(tiles.end(), count, tile);
+                for (int lane = 0; lane < count; ++lane) pixels.push_back(uint32_t(row) << 16 | uint32_t(column + lane));
+                band.starts[tile + 1] += count;
+                continue;
+            }
             for (int lane = 0; lane < count; ++lane) {
                 if (ranges.x0[lane] > ranges.x1[lane]) continue;
                 for (int y = ranges.y0[lane]; y <= ranges.y1[lane]; ++y) {
@@ -104,6 +111,49 @@ void sort_by_depth(std::vector<uint64_t>& keys, std::vector<uint64_t>& swap) {
     }
 }
 
+// Lists the Gaussians of every block, front to back: counts first, then fills.
+void share_out(Workspace& work, int down) {
+    // A Gaussian adds 1 to a rectangle of counts: that is four changes, to be summed up along rows and columns.
+    constexpr int kStride = kBlocksAcross + 1;
+    work.counts.assign(kStride * (down + 1), 0);
+    int32_t* counts = work.counts.data();
+    for (const BlockRange range : work.ranges) {
+        int32_t *above = counts + range.y0 * kStride, *below = counts + (range.y1 + 1) * kStride;
+        ++above[range.x0], --above[range.x1 + 1], --below[range.x0], ++below[range.x1 + 1];
+    }
+    const int blocks = kBlocksAcross * down;
+    work.starts.resize(blocks + 1), work.next.resize(blocks);
+    uint32_t sum = 0;
+    for (int y = 0; y < down; ++y) {
+        int32_t *row = counts + y * kStride, along = 0;
+        for (int x = 0; x < kBlocksAcross; ++x) {
+            along += row[x];
+            row[x] = along + (y ? row[x - kStride] : 0);
+            work.starts[y * kBlocksAcross + x] = work.next[y * kBlocksAcross + x] = sum;
+            sum += (row[x] + kTogether) / kTogether * kTogether;  // at least one place more than is counted
+        }
+    }
+    work.starts[blocks] = sum;
+    work.chosen.resize(sum);
+    const BlockRange* ranges = work.ranges.data();
+    uint32_t *chosen = work.chosen.data(), *next = work.next.data();
+    for (const uint64_t key : work.keys) {
+        const uint32_t gaussian = uint32_t(key);
+        const BlockRange range = ranges[gaussian];
+        const uint32_t last = range.y1 * kBlocksAcross;
+        for (uint32_t row = range.y0 * kBlocksAcross; row <= last; row += kBlocksAcross) {
+            uint32_t &left = next[row + range.x0], &right = next[row + range.x1];
+            chosen[left++] = gaussian;
+            for (int x = range.x0 + 1; x < range.x1; ++x) chosen[next[row + x]++] = gaussian;
+            // Two columns are usual, one is not rare: a place that does not count costs less than a wrong guess.
+            chosen[right] = gaussian;
+            right += range.x1 > range.x0;
+        }
+    }
+    const uint32_t nothing = uint32_t(work.keys.size());  // touches no pixel
+    for (int block = 0; block < blocks; ++block) std::fill(chosen + next[block], chosen + work.starts[block + 1], nothing);
+}
+
 // All that happens in one tile, steps 2 to 8.
 struct TileJob {
     const std::vector<SplatSource>& sources;
@@ -132,38 +182,6 @@ struct TileJob {
         work.ranges.resize(count);
     }
 
-    // Lists the Gaussians of every block, front to back, by counting first.
-    void share_out(Workspace& work) const {
-        const int down = kTileHeight / kernels.block_rows, blocks = kBlocksAcross * down;
-        // A Gaussian adds 1 to a rectangle of counts: that is four changes, to be summed up along rows and columns.
-        constexpr int kStride = kBlocksAcross + 1;
-        work.counts.assign(kStride * (down + 1), 0);
-        for (const BlockRange& range : work.ranges) {
-            int32_t *above = work.counts.data() + range.y0 * kStride, *below = work.counts.data() + (range.y1 + 1) * kStride;
-            ++above[range.x0], --above[range.x1 + 1], --below[range.x0], ++below[range.x1 + 1];
-        }
-        work.starts.resize(blocks + 1), work.next.resize(blocks);
-        uint32_t sum = 0;
-        for (int y = 0; y < down; ++y) {
-            int32_t *row = work.counts.data() + y * kStride, along = 0;
-            for (int x = 0; x < kBlocksAcross; ++x) {
-                along += row[x];
-                const int count = along + (y ? row[x - kStride] : 0);
-                row[x] = count;
-                work.starts[y * kBlocksAcross + x] = work.next[y * kBlocksAcross + x] = sum;
-                sum += (count + kTogether - 1) / kTogether * kTogether;
-            }
-        }
-        work.starts[blocks] = sum;
-        work.chosen.assign(sum, uint32_t(work.keys.size()));  // lists are filled up with what touches nothing
-        for (const uint64_t key : work.keys) {
-            const uint32_t gaussian = uint32_t(key);
-            const BlockRange range = work.ranges[gaussian];
-            for (int y = range.y0; y <= range.y1; ++y)
-                for (int x = range.x0; x <= range.x1; ++x) work.chosen[work.next[y * kBlocksAcross + x]++] = gaussian;
-        }
-    }
-
     void run(int tile, Workspace& work) const {
         const int left = tile % grid.across * kTileWidth, top = tile / grid.across * kTileHeight;
         collect(tile, left, top, work);
@@ -175,7 +193,7 @@ struct TileJob {
             work.keys[n] = uint64_t(depth_bits) << 32 | n;
         }
         sort_by_depth(work.keys, work.swap);
-        share_out(work);
+        share_out(work, kTileHeight / kernels.block_rows);
         const int64_t width = target.camera.width;
         const int rows = kernels.block_rows, right = std::min(left + kTileWidth, target.camera.width);
         for (int y = top; y < std::min(top + kTileHeight, target.camera.height); y += rows) {

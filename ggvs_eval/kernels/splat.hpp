@@ -9,7 +9,7 @@
 namespace ggvs {
 
 constexpr int kMaxFeatures = 4;
-constexpr int kTileWidth = 64, kTileHeight = 32;  // pixels of the target that are sorted together
+constexpr int kTileWidth = 64, kTileHeight = 64;  // pixels of the target that are sorted together
 constexpr int kBlock = 4;                         // a tile is made of blocks 4 pixels wide that fill one vector, 4 x 4 at most
 constexpr int kLanes = kBlock * kBlock;
 constexpr int kTogether = 8;                       // Gaussians that are blended step by step together

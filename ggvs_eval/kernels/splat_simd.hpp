@@ -52,8 +52,9 @@ GGVS_INLINE Footprint project(const Projector& p, F column, F row, F source_dept
     return f;
 }
 
-// Which tiles the Gaussians of `count` (at most 16) neighbouring pixels of one source row touch.
-static void tile_ranges(const Projector& p, const float* depth, int column, int row, int count, TileRanges* out) {
+// Which tiles the Gaussians of `count` (at most 16) neighbouring pixels of one source row touch; whether all touch the same one
+// alone.
+static bool tile_ranges(const Projector& p, const float* depth, int column, int row, int count, TileRanges* out) {
     alignas(64) float padded[kLanes] = {};
     __builtin_memcpy(padded, depth, count * sizeof(float));
     for (int lane = 0; lane < kLanes; lane += kWidth) {
@@ -67,6 +68,12 @@ static void tile_ranges(const Projector& p, const float* depth, int column, int 
         store(out->y0 + lane, truncate(y0 * down));
         store(out->y1 + lane, truncate(y1 * down));
     }
+    int32_t others = 0;
+    for (int lane = 0; lane < kLanes; ++lane) {
+        const int32_t x = (out->x0[lane] ^ out->x0[0]) | (out->x1[lane] ^ out->x0[0]);
+        others |= lane < count ? x | (out->y0[lane] ^ out->y0[0]) | (out->y1[lane] ^ out->y0[0]) : 0;
+    }
+    return others == 0;
 }
 
 GGVS_INLINE F ceiling(F x) {  // of 0 <= x < 2^31
