@@ -67,7 +67,8 @@ py::tuple ray_march(const py::handle& target, const py::tuple& range, const py::
                       min_step,
                       bisections,
                       skip_empty,
-                      {}};
+                      {},
+                      0.0f};
     for (const py::handle& item : views) {
         const py::tuple view = py::cast<py::tuple>(item);
         ggvs::FieldView field{pinhole_of(view[0]),

@@ -38,65 +38,125 @@ struct Distance {
 
 GGVS_INLINE F clamp(F x, F low, F high) { return min(max(x, low), high); }
 
-// One view's share at the samples `z`: distance s_k = D_k[u, v] - z_k (Eq. 9, positive in front of the surface) clamped to +-tau,
-// weight 0 where it is below -tau (behind the surface = unknown), outside the image or invalid.
-GGVS_INLINE void add_view(const FieldView& view, const PacketView& ray, F z, M wanted, float tau, F& sum, F& total) {
-    F depth_k = z * ray.z + all(view.map.offset[2]);
-    F inverse = all(1.0f) / depth_k;
+// Where samples lie in an image: the two pixels to interpolate between in each of two rows, and the nearest one.
+struct Place {
+    I x, y0, y1;  // the pairs begin at (x, y0) and (x, y1)
+    I near_x, near_y;
+    M last;  // in the last column, which is repeated, the pair begins one pixel earlier
+    F fx, fy;
+};
+
+GGVS_INLINE Place place_of(const Pinhole& camera, F u, F v) {
+    const F width = all(float(camera.width)), height = all(float(camera.height)), zero = all(0.0f), one = all(1.0f);
+    F left = clamp(u - all(0.5f), zero, width - one), upper = clamp(v - all(0.5f), zero, height - one);
+    Place place;
+    place.x = truncate(min(left, max(width - all(2.0f), zero)));
+    place.y0 = truncate(upper), place.y1 = truncate(min(upper + one, height - one));
+    place.near_x = truncate(u), place.near_y = truncate(v);
+    place.last = at_most(width - one, left);
+    place.fx = left - to_float(truncate(left)), place.fy = upper - to_float(place.y0);
+    return place;
+}
+
+// What a view holds at a place.
+struct Around {
+    F d00, d01, d10, d11, nearest, weight;
+};
+
+// The samples of one packet in one view.
+struct Site {
+    F depth;   // of the samples, seen from the view
+    M inside;  // its image
+    Place place;
+    int left, top;  // corner of the patch that holds them all, as is usual; -1 if they lie too far apart
+};
+
+// Projects the samples `z` into a view's image.
+GGVS_INLINE void project(const FieldView& view, const PacketView& ray, F z, M wanted, Site& site) {
+    site.depth = z * ray.z + all(view.map.offset[2]);
+    F inverse = all(1.0f) / site.depth;
     F u = (z * ray.x + all(view.map.offset[0])) * inverse;
     F v = (z * ray.y + all(view.map.offset[1])) * inverse;
-    const float width = float(view.camera.width), height = float(view.camera.height);
-    M inside = both(wanted, less(all(0.0f), depth_k));
-    inside =
-        both(inside, both(both(at_most(all(0.0f), u), less(u, all(width))), both(at_most(all(0.0f), v), less(v, all(height)))));
-    if (!any(inside)) return;
+    const F width = all(float(view.camera.width)), height = all(float(view.camera.height)), zero = all(0.0f);
+    M across = both(at_most(zero, u), less(u, width)), down = both(at_most(zero, v), less(v, height));
+    site.inside = both(both(wanted, less(zero, site.depth)), both(across, down));
+    site.place = place_of(view.camera, u, v);
+}
 
-    u = select(inside, u, all(0.5f));
-    v = select(inside, v, all(0.5f));
-    I stride = all(int32_t(view.camera.width));
-    I nearest = truncate(v) * stride + truncate(u);
-    F depth = gather(view.depth, nearest);
-    inside = both(inside, less(all(0.0f), depth));
-    F distance = (depth - depth_k) * all(1.0f / tau);
+GGVS_INLINE void choose_patch(const FieldView& view, Site& site) {
+    const int width = view.camera.width, height = view.camera.height;
+    const Place& place = site.place;
+    site.left = site.top = -1;
+    if (kPatchRows == 0 || width < kPatchColumns || height < kPatchRows || !any(site.inside)) return;
+    const uint32_t least = least_halves(select(site.inside, place.x | (place.y0 << 16), all(int32_t(-1))));
+    const int left = int(least & 0xffff) < width - kPatchColumns ? int(least & 0xffff) : width - kPatchColumns;
+    const int top = int(least >> 16) < height - kPatchRows ? int(least >> 16) : height - kPatchRows;
+    const I reach = (place.x - all(int32_t(left))) | ((place.y1 - all(int32_t(top))) << 16);
+    if (halves_below(reach, all(int32_t((kPatchColumns - 1) | kPatchRows << 16)), site.inside)) site.left = left, site.top = top;
+}
+
+GGVS_INLINE Around read_patch(const FieldView& view, const Site& site) {
+    const Place& place = site.place;
+    const int64_t corner = int64_t(site.top) * view.camera.width + site.left;
+    const Patch depth = load_patch(view.depth + corner, view.camera.width);
+    const Patch weight = load_patch(view.weight + corner, view.camera.width);
+    const I left = all(int32_t(site.left)), top = all(int32_t(site.top)), one = all(int32_t(1));
+    const I upper = ((place.y0 - top) << 3) + (place.x - left), lower = ((place.y1 - top) << 3) + (place.x - left);
+    const I nearest = ((place.near_y - top) << 3) + (place.near_x - left);
+    return {look(depth, upper),       look(depth, upper + one), look(depth, lower),
+            look(depth, lower + one), look(depth, nearest),     look(weight, nearest)};
+}
+
+GGVS_INLINE Around gather_around(const FieldView& view, const Place& place, M chosen) {
+    const I stride = all(int32_t(view.camera.width)), zero = all(int32_t(0));
+    const I nearest = select(chosen, place.near_y * stride + place.near_x, zero);
+    const I upper = select(chosen, place.y0 * stride + place.x, zero), lower = select(chosen, place.y1 * stride + place.x, zero);
+    Around around;
+    around.nearest = gather(view.depth, nearest);
+    around.weight = gather(view.weight, nearest);
+    if (view.camera.width > 1) {
+        gather_pairs(view.depth, upper, &around.d00, &around.d01);
+        gather_pairs(view.depth, lower, &around.d10, &around.d11);
+    } else {
+        around.d00 = around.d01 = gather(view.depth, upper);
+        around.d10 = around.d11 = gather(view.depth, lower);
+    }
+    return around;
+}
+
+// One view's share: distance s_k = D_k[u, v] - z_k (Eq. 9, positive in front of the surface) clamped to +-tau, weight 0 where it is
+// below -tau (behind the surface = unknown), outside the image or invalid.
+GGVS_INLINE void add_view(const March& march, const FieldView& view, const PacketView& ray, const Site& site, F& sum, F& total) {
+    if (!any(site.inside)) return;
+    const Place& place = site.place;
+    const Around a = site.left >= 0 ? read_patch(view, site) : gather_around(view, place, site.inside);
+    const F per_tau = all(march.per_tau);
+    M inside = both(site.inside, less(all(0.0f), a.nearest));
+    F distance = (a.nearest - site.depth) * per_tau;
     // Neighbours that may be interpolated differ from the nearest pixel by less than tau: beyond 2 tau they change nothing.
     M close = both(inside, both(less(all(-2.01f), distance), less(distance, all(2.01f))));
-    if (any(close)) {
-        F left = clamp(u - all(0.5f), all(0.0f), all(width - 1.0f)), upper = clamp(v - all(0.5f), all(0.0f), all(height - 1.0f));
-        I x0 = truncate(left), y0 = truncate(upper), y1 = truncate(min(upper + all(1.0f), all(height - 1.0f)));
-        F fx = left - to_float(x0), fy = upper - to_float(y0);
-        F d00, d01, d10, d11;
-        if (view.camera.width > 1) {
-            // In the last column, which is repeated, the pair begins one pixel earlier.
-            I first = truncate(min(left, all(width - 2.0f)));
-            gather_pairs(view.depth, y0 * stride + first, &d00, &d01);
-            gather_pairs(view.depth, y1 * stride + first, &d10, &d11);
-            M last = at_most(all(width - 1.0f), left);
-            d00 = select(last, d01, d00);
-            d10 = select(last, d11, d10);
-        } else {
-            d00 = d01 = gather(view.depth, y0);
-            d10 = d11 = gather(view.depth, y1);
-        }
-        F low = min(min(d00, d01), min(d10, d11)), high = max(max(d00, d01), max(d10, d11));
-        M smooth = both(close, both(less(all(0.0f), low), less(high - low, all(tau))));
-        F top = d00 + fx * (d01 - d00), bottom = d10 + fx * (d11 - d10);
-        F between = (top + fy * (bottom - top) - depth_k) * all(1.0f / tau);
-        distance = select(smooth, between, distance);
-    }
+    F d00 = select(place.last, a.d01, a.d00), d10 = select(place.last, a.d11, a.d10);
+    F low = min(min(d00, a.d01), min(d10, a.d11)), high = max(max(d00, a.d01), max(d10, a.d11));
+    M smooth = both(close, both(less(all(0.0f), low), less(high - low, all(march.tau))));
+    F top = d00 + place.fx * (a.d01 - d00), bottom = d10 + place.fx * (a.d11 - d10);
+    F between = (top + place.fy * (bottom - top) - site.depth) * per_tau;
+    distance = select(smooth, between, distance);
     M counts = both(inside, at_most(all(-1.0f), distance));
-    if (!any(counts)) return;
-    F weight = min(ray.gain * gather(view.weight, nearest), all(view.limit));
-    weight = select(counts, weight, all(0.0f));
+    F weight = select(counts, min(ray.gain * a.weight, all(view.limit)), all(0.0f));
     sum = sum + weight * min(distance, all(1.0f));
     total = total + weight;
 }
 
-// Eq. 10, normalised: the mean of the views' clamped distances.
+// Eq. 10, normalised: the mean of the views' clamped distances. Step by step for all views rather than view by view: each step
+// waits for the one before, and a processor looks ahead for work of its own only so far.
 GGVS_INLINE Distance sample(const March& march, const PacketView* rays, F z, M wanted) {
     F sum = all(0.0f), total = all(0.0f);
     const FieldView* views = march.views.data();
     const int count = int(march.views.size());
-    for (int k = 0; k < count; ++k) add_view(views[k], rays[k], z, wanted, march.tau, sum, total);
+    Site sites[kMaxViews];
+    for (int k = 0; k < count; ++k) project(views[k], rays[k], z, wanted, sites[k]);
+    for (int k = 0; k < count; ++k) choose_patch(views[k], sites[k]);
+    for (int k = 0; k < count; ++k) add_view(march, views[k], rays[k], sites[k], sum, total);
     F mean = select(less(all(0.0f), total), sum / total, all(0.0f));
     return {mean, total};
 }
