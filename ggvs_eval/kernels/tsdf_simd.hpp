@@ -31,6 +31,20 @@ struct PacketView {
     F gain;
 };
 
+// Rays on their way to the surface.
+struct Packet {
+    PacketView views[kMaxViews];
+    F base, whole;  // the sample depth is base + whole * step: skipping steps then gives the same bits as taking them
+    F previous;     // depth of the previous sample
+    M positive;     // rays whose previous sample was known and in front
+    M active, hit;
+    F front, behind;  // around the zero crossing
+};
+
+// Packets are marched side by side, and each step is taken for all packets and views before the next: each waits for the one
+// before, and a processor looks ahead for work of its own only so far.
+constexpr int kTogetherPackets = 2;
+
 struct Distance {
     F mean;   // weighted mean of the clamped distances in units of tau, -1 .. 1
     F total;  // sum of the weights, 0 = unknown
@@ -65,19 +79,24 @@ struct Around {
 
 // The samples of one packet in one view.
 struct Site {
-    F depth;   // of the samples, seen from the view
-    M inside;  // its image
+    F u, v, depth;  // in its image, and seen from the view
+    M inside;       // the image
     Place place;
     int left, top;  // corner of the patch that holds them all, as is usual; -1 if they lie too far apart
+    Around around;
 };
 
 // Projects the samples `z` into a view's image.
-GGVS_INLINE void project(const FieldView& view, const PacketView& ray, F z, M wanted, Site& site) {
+GGVS_INLINE void project(const FieldView& view, const PacketView& ray, F z, Site& site) {
     site.depth = z * ray.z + all(view.map.offset[2]);
     F inverse = all(1.0f) / site.depth;
-    F u = (z * ray.x + all(view.map.offset[0])) * inverse;
-    F v = (z * ray.y + all(view.map.offset[1])) * inverse;
+    site.u = (z * ray.x + all(view.map.offset[0])) * inverse;
+    site.v = (z * ray.y + all(view.map.offset[1])) * inverse;
+}
+
+GGVS_INLINE void find_place(const FieldView& view, M wanted, Site& site) {
     const F width = all(float(view.camera.width)), height = all(float(view.camera.height)), zero = all(0.0f);
+    const F u = site.u, v = site.v;
     M across = both(at_most(zero, u), less(u, width)), down = both(at_most(zero, v), less(v, height));
     site.inside = both(both(wanted, less(zero, site.depth)), both(across, down));
     site.place = place_of(view.camera, u, v);
@@ -124,12 +143,15 @@ GGVS_INLINE Around gather_around(const FieldView& view, const Place& place, M ch
     return around;
 }
 
+GGVS_INLINE void look_around(const FieldView& view, Site& site) {
+    site.around = site.left >= 0 ? read_patch(view, site) : gather_around(view, site.place, site.inside);
+}
+
 // One view's share: distance s_k = D_k[u, v] - z_k (Eq. 9, positive in front of the surface) clamped to +-tau, weight 0 where it is
 // below -tau (behind the surface = unknown), outside the image or invalid.
 GGVS_INLINE void add_view(const March& march, const FieldView& view, const PacketView& ray, const Site& site, F& sum, F& total) {
-    if (!any(site.inside)) return;
     const Place& place = site.place;
-    const Around a = site.left >= 0 ? read_patch(view, site) : gather_around(view, place, site.inside);
+    const Around& a = site.around;
     const F per_tau = all(march.per_tau);
     M inside = both(site.inside, less(all(0.0f), a.nearest));
     F distance = (a.nearest - site.depth) * per_tau;
@@ -147,18 +169,26 @@ GGVS_INLINE void add_view(const March& march, const FieldView& view, const Packe
     total = total + weight;
 }
 
-// Eq. 10, normalised: the mean of the views' clamped distances. Step by step for all views rather than view by view: each step
-// waits for the one before, and a processor looks ahead for work of its own only so far.
-GGVS_INLINE Distance sample(const March& march, const PacketView* rays, F z, M wanted) {
-    F sum = all(0.0f), total = all(0.0f);
-    const FieldView* views = march.views.data();
-    const int count = int(march.views.size());
-    Site sites[kMaxViews];
-    for (int k = 0; k < count; ++k) project(views[k], rays[k], z, wanted, sites[k]);
-    for (int k = 0; k < count; ++k) choose_patch(views[k], sites[k]);
-    for (int k = 0; k < count; ++k) add_view(march, views[k], rays[k], sites[k], sum, total);
-    F mean = select(less(all(0.0f), total), sum / total, all(0.0f));
-    return {mean, total};
+// Eq. 10, normalised: the mean of the views' clamped distances, at one depth of each ray that is wanted.
+template <int kCount>
+GGVS_INLINE void sample(const March& march, const Packet* packets, const F (&z)[kCount], const M (&wanted)[kCount],
+                        Distance (&out)[kCount]) {
+    Site sites[kMaxViews][kCount];
+    const auto each = [&](const auto& step) {
+        for (size_t k = 0; k < march.views.size(); ++k)
+#pragma GCC unroll 2
+            for (int n = 0; n < kCount; ++n) step(march.views[k], packets[n].views[k], sites[k][n], n);
+    };
+    F sum[kCount], total[kCount];
+    for (int n = 0; n < kCount; ++n) sum[n] = total[n] = all(0.0f);
+    each([&](const FieldView& view, const PacketView& ray, Site& site, int n) { project(view, ray, z[n], site); });
+    each([&](const FieldView& view, const PacketView&, Site& site, int n) { find_place(view, wanted[n], site); });
+    each([&](const FieldView& view, const PacketView&, Site& site, int) { choose_patch(view, site); });
+    each([&](const FieldView& view, const PacketView&, Site& site, int) { look_around(view, site); });
+    each([&](const FieldView& view, const PacketView& ray, Site& site, int n) {
+        add_view(march, view, ray, site, sum[n], total[n]);
+    });
+    for (int n = 0; n < kCount; ++n) out[n] = {select(less(all(0.0f), total[n]), sum[n] / total[n], all(0.0f)), total[n]};
 }
 
 // How many whole steps from z stay in empty slabs, the last of them still evaluated so that its sign is known.
@@ -169,104 +199,130 @@ GGVS_INLINE F empty_steps(const MarchColumn& column, F z, float step) {
     return to_float(truncate(clamp(steps, all(0.0f), all(1e6f))));
 }
 
-struct Packet {
-    F base, whole;  // the sample depth is base + whole * step: skipping steps then gives the same bits as taking them
-    F previous;     // depth of the previous sample
-    M positive;     // rays whose previous sample was known and in front
-    M active, hit;
-    F front, behind;  // around the zero crossing
-};
+// The depth of a packet's next sample; rays that leave the range end there.
+GGVS_INLINE F next_depth(const March& march, const MarchColumn& column, Packet& p) {
+    const float step = march.step_fraction * march.tau;
+    F z = p.base + p.whole * all(step);
+    if (march.skip_empty) {
+        p.whole = p.whole + empty_steps(column, z, step);
+        z = p.base + p.whole * all(step);
+    }
+    p.active = both(p.active, at_most(z, all(march.far)));
+    return z;
+}
+
+// What a packet's rays do after the sample at z.
+GGVS_INLINE void advance(const March& march, F z, const Distance& s, Packet& p) {
+    M known = both(p.active, less(all(0.0f), s.total));
+    M positive = both(known, less(all(0.0f), s.mean));
+    M crossed = both(but_not(known, positive), p.positive);
+    p.front = select(crossed, p.previous, p.front);
+    p.behind = select(crossed, z, p.behind);
+    p.hit = either(p.hit, crossed);
+    p.active = but_not(p.active, crossed);
+
+    M shorter = both(positive, less(s.mean, all(1.0f)));
+    F length = max(all(march.step_fraction) * s.mean, all(march.min_step)) * all(march.tau);
+    p.base = select(shorter, z + length, p.base);
+    p.whole = select(shorter, all(0.0f), p.whole + all(1.0f));
+    p.previous = z;
+    p.positive = positive;
+}
+
+template <int kCount>
+GGVS_INLINE void take_step(const March& march, const MarchColumn& column, Packet* packets) {
+    F z[kCount];
+    M active[kCount];
+    Distance found[kCount];
+    for (int n = 0; n < kCount; ++n) z[n] = next_depth(march, column, packets[n]), active[n] = packets[n].active;
+    sample<kCount>(march, packets, z, active, found);
+    for (int n = 0; n < kCount; ++n) advance(march, z[n], found[n], packets[n]);
+}
 
 // Sphere tracing with the minimum step (Eq. 3 with the readings of ggvs_eval/geometry/tsdf.py).
-GGVS_INLINE void find_crossings(const March& march, const MarchColumn& column, const PacketView* rays, Packet& p) {
-    const float step = march.step_fraction * march.tau;
-    while (any(p.active)) {
-        F z = p.base + p.whole * all(step);
-        if (march.skip_empty) {
-            p.whole = p.whole + empty_steps(column, z, step);
-            z = p.base + p.whole * all(step);
+GGVS_INLINE void find_crossings(const March& march, const MarchColumn& column, Packet (&packets)[kTogetherPackets]) {
+    while (any(packets[0].active) && any(packets[1].active)) take_step<kTogetherPackets>(march, column, packets);
+    for (Packet& packet : packets)
+        while (any(packet.active)) take_step<1>(march, column, &packet);
+}
+
+// Halves the intervals around the crossings; the distance in the middle of what is left.
+GGVS_INLINE void bisect(const March& march, Packet (&packets)[kTogetherPackets], F (&middle)[kTogetherPackets],
+                        Distance (&found)[kTogetherPackets]) {
+    M hit[kTogetherPackets];
+    for (int n = 0; n < kTogetherPackets; ++n) hit[n] = packets[n].hit;
+    for (int round = 0;; ++round) {
+        for (int n = 0; n < kTogetherPackets; ++n) middle[n] = all(0.5f) * (packets[n].front + packets[n].behind);
+        sample<kTogetherPackets>(march, packets, middle, hit, found);
+        if (round == march.bisections) return;
+        for (int n = 0; n < kTogetherPackets; ++n) {
+            M positive = both(less(all(0.0f), found[n].total), less(all(0.0f), found[n].mean));
+            packets[n].front = select(positive, middle[n], packets[n].front);
+            packets[n].behind = select(positive, packets[n].behind, middle[n]);
         }
-        p.active = both(p.active, at_most(z, all(march.far)));
-        Distance s = sample(march, rays, z, p.active);
-        M known = both(p.active, less(all(0.0f), s.total));
-        M positive = both(known, less(all(0.0f), s.mean));
-        M crossed = both(but_not(known, positive), p.positive);
-        p.front = select(crossed, p.previous, p.front);
-        p.behind = select(crossed, z, p.behind);
-        p.hit = either(p.hit, crossed);
-        p.active = but_not(p.active, crossed);
-
-        M shorter = both(positive, less(s.mean, all(1.0f)));
-        F advance = max(all(march.step_fraction) * s.mean, all(march.min_step)) * all(march.tau);
-        p.base = select(shorter, z + advance, p.base);
-        p.whole = select(shorter, all(0.0f), p.whole + all(1.0f));
-        p.previous = z;
-        p.positive = positive;
     }
 }
 
-GGVS_INLINE void bisect(const March& march, const PacketView* rays, Packet& p) {
-    for (int n = 0; n < march.bisections; ++n) {
-        F middle = all(0.5f) * (p.front + p.behind);
-        Distance s = sample(march, rays, middle, p.hit);
-        M positive = both(less(all(0.0f), s.total), less(all(0.0f), s.mean));
-        p.front = select(positive, middle, p.front);
-        p.behind = select(positive, p.behind, middle);
-    }
-}
-
-GGVS_INLINE void march_packet(const March& march, const MarchColumn& column, int left, int top, PacketView* rays, float* depth,
-                              float* weight) {
+GGVS_INLINE void start(const March& march, int left, int top, Packet& p) {
     const int width = march.target.width, height = march.target.height;
-    alignas(64) float u[kWidth], v[kWidth], gain[kWidth];
+    alignas(64) float u[kWidth], v[kWidth];
     alignas(64) int32_t inside[kWidth];
     for (int lane = 0; lane < kWidth; ++lane) {
         const int x = left + lane % kPacket, y = top + lane / kPacket;
         u[lane] = float(x) + 0.5f, v[lane] = float(y) + 0.5f;
         inside[lane] = x < width && y < height;
     }
-    const FieldView* views = march.views.data();
-    for (int k = 0; k < int(march.views.size()); ++k) {
-        const float* m = views[k].map.matrix;
-        rays[k].x = all(m[0]) * load(u) + all(m[1]) * load(v) + all(m[2]);
-        rays[k].y = all(m[3]) * load(u) + all(m[4]) * load(v) + all(m[5]);
-        rays[k].z = all(m[6]) * load(u) + all(m[7]) * load(v) + all(m[8]);
+    for (size_t k = 0; k < march.views.size(); ++k) {
+        const FieldView& view = march.views[k];
+        const float* m = view.map.matrix;
+        PacketView& ray = p.views[k];
+        ray.x = all(m[0]) * load(u) + all(m[1]) * load(v) + all(m[2]);
+        ray.y = all(m[3]) * load(u) + all(m[4]) * load(v) + all(m[5]);
+        ray.z = all(m[6]) * load(u) + all(m[7]) * load(v) + all(m[8]);
+        ray.gain = all(1.0f);
+        if (!view.gain) continue;
+        alignas(64) float gain[kWidth];
         for (int lane = 0; lane < kWidth; ++lane) {
             const int64_t pixel = int64_t(top + lane / kPacket) * width + left + lane % kPacket;
-            gain[lane] = views[k].gain && inside[lane] ? views[k].gain[pixel] : 1.0f;
+            gain[lane] = inside[lane] ? view.gain[pixel] : 1.0f;
         }
-        rays[k].gain = load(gain);
+        ray.gain = load(gain);
     }
-    Packet p;
     p.base = all(march.near);
     p.whole = p.previous = p.front = p.behind = all(0.0f);
     p.positive = p.hit = no_lanes();
     p.active = less(all(0.5f), to_float(load(inside)));
-    find_crossings(march, column, rays, p);
+}
 
-    alignas(64) float z[kWidth] = {}, total[kWidth] = {};
-    if (any(p.hit)) {
-        bisect(march, rays, p);
-        F middle = all(0.5f) * (p.front + p.behind);
-        Distance s = sample(march, rays, middle, p.hit);
-        store(z, select(p.hit, middle, all(0.0f)));
-        store(total, select(p.hit, s.total, all(0.0f)));
-    }
+GGVS_INLINE void write(const March& march, int left, int top, F z, F total, float* depth, float* weight) {
+    alignas(64) float lanes[2][kWidth];
+    store(lanes[0], z), store(lanes[1], total);
     for (int lane = 0; lane < kWidth; ++lane) {
-        if (!inside[lane]) continue;
-        const int64_t pixel = int64_t(top + lane / kPacket) * width + left + lane % kPacket;
-        depth[pixel] = z[lane];
-        weight[pixel] = total[lane];
+        const int x = left + lane % kPacket, y = top + lane / kPacket;
+        if (x >= march.target.width || y >= march.target.height) continue;
+        const int64_t pixel = int64_t(y) * march.target.width + x;
+        depth[pixel] = lanes[0][lane], weight[pixel] = lanes[1][lane];
     }
 }
 
 // The 8 x 8 rays of one occupancy column.
 static void march_column(const March& march, const MarchColumn& column, float* depth, float* weight) {
     constexpr int kRows = kWidth / kPacket;  // of a packet
-    PacketView rays[kMaxViews];
-    for (int y = column.top; y < column.top + kMarchTile && y < march.target.height; y += kRows)
-        for (int x = column.left; x < column.left + kMarchTile && x < march.target.width; x += kPacket)
-            march_packet(march, column, x, y, rays, depth, weight);
+    static_assert(kMarchTile == kTogetherPackets * kPacket, "the packets that are marched together lie side by side in a column");
+    Packet packets[kTogetherPackets];
+    for (int y = column.top; y < column.top + kMarchTile && y < march.target.height; y += kRows) {
+        for (int n = 0; n < kTogetherPackets; ++n) start(march, column.left + n * kPacket, y, packets[n]);
+        find_crossings(march, column, packets);
+        F middle[kTogetherPackets];
+        Distance found[kTogetherPackets];
+        const bool met = any(either(packets[0].hit, packets[1].hit));
+        if (met) bisect(march, packets, middle, found);
+        for (int n = 0; n < kTogetherPackets; ++n) {
+            F z = met ? select(packets[n].hit, middle[n], all(0.0f)) : all(0.0f);
+            F total = met ? select(packets[n].hit, found[n].total, all(0.0f)) : all(0.0f);
+            write(march, column.left + n * kPacket, y, z, total, depth, weight);
+        }
+    }
 }
 
 }  // namespace ggvs::GGVS_LEVEL
