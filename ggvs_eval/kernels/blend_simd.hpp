@@ -107,6 +107,14 @@ GGVS_INLINE Colour colour_at(const LookUpView& view, F u, F v) {
     return {min(max(sum.red, zero), most), min(max(sum.green, zero), most), min(max(sum.blue, zero), most)};
 }
 
+// What the packets after this one look at: the row below is the first of this row to be read, and gathers are foreseen by nobody.
+GGVS_INLINE void prefetch_ahead(const LookUpView& view, const Corners& c) {
+    constexpr int kAheadPixels = 64;
+    const int64_t pixel = int64_t(c.at[2][0]) + kAheadPixels;
+    __builtin_prefetch(view.depth + pixel);
+    __builtin_prefetch(view.image + 3 * (pixel + view.camera.width));
+}
+
 // What one view shows at the surface of target pixels (column, row) of this depth.
 GGVS_INLINE Seen see(const LookUpView& view, F column, F row, F depth, float tolerance) {
     const float *m = view.map.matrix, *o = view.map.offset;
@@ -121,6 +129,7 @@ GGVS_INLINE Seen see(const LookUpView& view, F column, F row, F depth, float tol
     u = select(inside, u, all(0.5f));
     v = select(inside, v, all(0.5f));
     const Corners around = corners(view.camera, u, v);
+    prefetch_ahead(view, around);
     F there = depth_at(view, around, u, v, tolerance);
     F difference = there - z;
     F excess = max(difference, all(0.0f) - difference) / all(tolerance);

@@ -40,6 +40,8 @@ GGVS_INLINE void store_colour(float* out, const Colour& colour, int count) {
 GGVS_INLINE void register_packet(const Registration& job, const RegisteredView& view, int y, int left, int count, F column,
                                  float* colours, float* coverage, float* seen) {
     const int64_t first = int64_t(y) * job.target.width + left;
+    for (int ahead = 0; ahead < kWidth * view.stride; ahead += 16)  // floats of a cache line
+        __builtin_prefetch(view.splat + (first + 4 * kWidth) * view.stride + ahead);
     F depth = load_part(job.depth + first, count);
     Colour colour = gather_colour(view.splat + first * view.stride, strides(view.stride, count));
     F visibility = all(0.0f);
