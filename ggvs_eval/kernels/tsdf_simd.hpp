@@ -43,7 +43,7 @@ struct Packet {
 
 // Packets are marched side by side, and each step is taken for all packets and views before the next: each waits for the one
 // before, and a processor looks ahead for work of its own only so far.
-constexpr int kTogetherPackets = 2;
+constexpr int kMarchedPackets = 2;
 
 struct Distance {
     F mean;   // weighted mean of the clamped distances in units of tau, -1 .. 1
@@ -240,22 +240,22 @@ GGVS_INLINE void take_step(const March& march, const MarchColumn& column, Packet
 }
 
 // Sphere tracing with the minimum step (Eq. 3 with the readings of ggvs_eval/geometry/tsdf.py).
-GGVS_INLINE void find_crossings(const March& march, const MarchColumn& column, Packet (&packets)[kTogetherPackets]) {
-    while (any(packets[0].active) && any(packets[1].active)) take_step<kTogetherPackets>(march, column, packets);
+GGVS_INLINE void find_crossings(const March& march, const MarchColumn& column, Packet (&packets)[kMarchedPackets]) {
+    while (any(packets[0].active) && any(packets[1].active)) take_step<kMarchedPackets>(march, column, packets);
     for (Packet& packet : packets)
         while (any(packet.active)) take_step<1>(march, column, &packet);
 }
 
 // Halves the intervals around the crossings; the distance in the middle of what is left.
-GGVS_INLINE void bisect(const March& march, Packet (&packets)[kTogetherPackets], F (&middle)[kTogetherPackets],
-                        Distance (&found)[kTogetherPackets]) {
-    M hit[kTogetherPackets];
-    for (int n = 0; n < kTogetherPackets; ++n) hit[n] = packets[n].hit;
+GGVS_INLINE void bisect(const March& march, Packet (&packets)[kMarchedPackets], F (&middle)[kMarchedPackets],
+                        Distance (&found)[kMarchedPackets]) {
+    M hit[kMarchedPackets];
+    for (int n = 0; n < kMarchedPackets; ++n) hit[n] = packets[n].hit;
     for (int round = 0;; ++round) {
-        for (int n = 0; n < kTogetherPackets; ++n) middle[n] = all(0.5f) * (packets[n].front + packets[n].behind);
-        sample<kTogetherPackets>(march, packets, middle, hit, found);
+        for (int n = 0; n < kMarchedPackets; ++n) middle[n] = all(0.5f) * (packets[n].front + packets[n].behind);
+        sample<kMarchedPackets>(march, packets, middle, hit, found);
         if (round == march.bisections) return;
-        for (int n = 0; n < kTogetherPackets; ++n) {
+        for (int n = 0; n < kMarchedPackets; ++n) {
             M positive = both(less(all(0.0f), found[n].total), less(all(0.0f), found[n].mean));
             packets[n].front = select(positive, middle[n], packets[n].front);
             packets[n].behind = select(positive, packets[n].behind, middle[n]);
@@ -308,16 +308,16 @@ GGVS_INLINE void write(const March& march, int left, int top, F z, F total, floa
 // The 8 x 8 rays of one occupancy column.
 static void march_column(const March& march, const MarchColumn& column, float* depth, float* weight) {
     constexpr int kRows = kWidth / kPacket;  // of a packet
-    static_assert(kMarchTile == kTogetherPackets * kPacket, "the packets that are marched together lie side by side in a column");
-    Packet packets[kTogetherPackets];
+    static_assert(kMarchTile == kMarchedPackets * kPacket, "the packets that are marched together lie side by side in a column");
+    Packet packets[kMarchedPackets];
     for (int y = column.top; y < column.top + kMarchTile && y < march.target.height; y += kRows) {
-        for (int n = 0; n < kTogetherPackets; ++n) start(march, column.left + n * kPacket, y, packets[n]);
+        for (int n = 0; n < kMarchedPackets; ++n) start(march, column.left + n * kPacket, y, packets[n]);
         find_crossings(march, column, packets);
-        F middle[kTogetherPackets];
-        Distance found[kTogetherPackets];
+        F middle[kMarchedPackets];
+        Distance found[kMarchedPackets];
         const bool met = any(either(packets[0].hit, packets[1].hit));
         if (met) bisect(march, packets, middle, found);
-        for (int n = 0; n < kTogetherPackets; ++n) {
+        for (int n = 0; n < kMarchedPackets; ++n) {
             F z = met ? select(packets[n].hit, middle[n], all(0.0f)) : all(0.0f);
             F total = met ? select(packets[n].hit, found[n].total, all(0.0f)) : all(0.0f);
             write(march, column.left + n * kPacket, y, z, total, depth, weight);
