@@ -107,8 +107,21 @@ GGVS_INLINE Colour colour_at(const LookUpView& view, F u, F v) {
     return {min(max(sum.red, zero), most), min(max(sum.green, zero), most), min(max(sum.blue, zero), most)};
 }
 
-// What one view shows at the surface of target pixels (column, row) of this depth.
-GGVS_INLINE Seen see(const LookUpView& view, F column, F row, F depth, float tolerance) {
+// What the packets after this one look at: the row below is the first of this row to be read, and gathers are foreseen by nobody.
+GGVS_INLINE void prefetch_ahead(const LookUpView& view, const Corners& c) {
+    constexpr int kAheadPixels = 64;
+    const int64_t pixel = int64_t(c.at[2][0]) + kAheadPixels;
+    __builtin_prefetch(view.depth + pixel);
+    __builtin_prefetch(view.image + 3 * (pixel + view.camera.width));
+}
+
+// Where the surface of some target pixels lies in a view.
+struct Sight {
+    F u, v, z;
+    M inside;  // the view's image
+};
+
+GGVS_INLINE Sight sight_of(const LookUpView& view, F column, F row, F depth) {
     const float *m = view.map.matrix, *o = view.map.offset;
     F z = depth * (all(m[6]) * column + all(m[7]) * row + all(m[8])) + all(o[2]);
     F u = (depth * (all(m[0]) * column + all(m[1]) * row + all(m[2])) + all(o[0])) / z;
@@ -116,19 +129,27 @@ GGVS_INLINE Seen see(const LookUpView& view, F column, F row, F depth, float tol
     M across = both(at_most(all(0.0f), u), less(u, all(float(view.camera.width))));
     M down = both(at_most(all(0.0f), v), less(v, all(float(view.camera.height))));
     M inside = both(both(less(all(0.0f), depth), less(all(0.0f), z)), both(across, down));
-    Seen seen{{all(0.0f), all(0.0f), all(0.0f)}, all(0.0f)};
-    if (!any(inside)) return seen;
-    u = select(inside, u, all(0.5f));
-    v = select(inside, v, all(0.5f));
-    const Corners around = corners(view.camera, u, v);
-    F there = depth_at(view, around, u, v, tolerance);
-    F difference = there - z;
+    return {select(inside, u, all(0.5f)), select(inside, v, all(0.5f)), z, inside};
+}
+
+// How far the view's own depth agrees that it sees the surface.
+GGVS_INLINE F visibility_of(const LookUpView& view, const Sight& sight, float tolerance) {
+    if (!any(sight.inside)) return all(0.0f);
+    const Corners around = corners(view.camera, sight.u, sight.v);
+    prefetch_ahead(view, around);
+    F there = depth_at(view, around, sight.u, sight.v, tolerance);
+    F difference = there - sight.z;
     F excess = max(difference, all(0.0f) - difference) / all(tolerance);
     F visibility = min(max(all(2.0f) - excess, all(0.0f)), all(1.0f));
-    M visible = both(inside, both(less(all(0.0f), there), less(all(0.0f), visibility)));
-    if (!any(visible)) return seen;
-    seen.visibility = select(visible, visibility, all(0.0f));
-    seen.colour = colour_at(view, u, v);
+    M visible = both(sight.inside, both(less(all(0.0f), there), less(all(0.0f), visibility)));
+    return select(visible, visibility, all(0.0f));
+}
+
+// What one view shows at the surface of target pixels (column, row) of this depth.
+GGVS_INLINE Seen see(const LookUpView& view, F column, F row, F depth, float tolerance) {
+    const Sight sight = sight_of(view, column, row, depth);
+    Seen seen{{all(0.0f), all(0.0f), all(0.0f)}, visibility_of(view, sight, tolerance)};
+    if (any(less(all(0.0f), seen.visibility))) seen.colour = colour_at(view, sight.u, sight.v);
     return seen;
 }
 

@@ -23,7 +23,7 @@ py::tuple splat(const py::sequence& sources, const py::handle& target, float nea
     for (const py::handle& item : sources) {
         const py::tuple source = py::cast<py::tuple>(item);
         ggvs::SplatSource s{pinhole_of(source[0]), data_of<double>(source[1], "to_target", {4, 4}), nullptr, nullptr, nullptr,
-                            nullptr, nullptr};
+                            nullptr};
         s.depth = image_of(source[2], "depth", s.camera);
         if (py::isinstance<py::array_t<uint8_t>>(source[3])) {
             s.colours = data_of<uint8_t>(source[3], "features", {s.camera.height, s.camera.width, 3});
@@ -67,7 +67,8 @@ py::tuple ray_march(const py::handle& target, const py::tuple& range, const py::
                       min_step,
                       bisections,
                       skip_empty,
-                      {}};
+                      {},
+                      0.0f};
     for (const py::handle& item : views) {
         const py::tuple view = py::cast<py::tuple>(item);
         ggvs::FieldView field{pinhole_of(view[0]),

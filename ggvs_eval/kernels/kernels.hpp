@@ -13,11 +13,11 @@
 namespace ggvs {
 
 struct Kernels {
-    void (*tile_ranges)(const Projector&, const float* depth, int column, int row, int count, TileRanges* out);
+    bool (*tile_ranges)(const Projector&, const float* depth, int column, int row, int count, TileRanges* out);
     void (*ellipses)(const Projector&, const SplatSource&, int channels, const uint32_t* pixels, int count, int left, int top,
-                     Ellipse* out);
-    void (*blend_tile)(const Ellipse* list, const uint32_t* ordered, int count, int channels, float* blocks);
-    void (*finish_blocks)(float* blocks, int channels, bool normalised);
+                     Ellipse* out, BlockRange* ranges);
+    void (*splat_block)(const BlockList&, int channels, bool normalised, SplatImages out);
+    int block_rows;
     void (*fusion_row)(const FusionRow&);
     void (*march_column)(const March&, const MarchColumn&, float* depth, float* weight);
     void (*look_up_row)(const LookUp&, int y, float* out);

@@ -67,6 +67,27 @@ private:
     std::vector<float> low_, high_;
 };
 
+using Four = float __attribute__((vector_size(16)));
+
+struct Corners {
+    Four x, y, z;
+};
+
+Corners corners_at(float depth, const Four* along, const PixelMap& to_target) {
+    const Four z = depth * along[2] + to_target.offset[2];
+    return {(depth * along[0] + to_target.offset[0]) / z, (depth * along[1] + to_target.offset[1]) / z, z};
+}
+
+float least(Four a, Four b) {
+    const Four c = a < b ? a : b;
+    return std::min(std::min(c[0], c[1]), std::min(c[2], c[3]));
+}
+
+float most(Four a, Four b) {
+    const Four c = a > b ? a : b;
+    return std::max(std::max(c[0], c[1]), std::max(c[2], c[3]));
+}
+
 }  // namespace
 
 SlabScale slab_scale(float near, float far) {
@@ -144,16 +165,14 @@ void Occupancy::mark_block(const FieldView& view, const PixelMap& to_target, Blo
 void Occupancy::mark_frustum(const PixelMap& to_target, Block block, Range shell) {
     constexpr float kRounding = 0.01f;  // pixels; far above the error of the arithmetic
     const float* m = to_target.matrix;
-    float u0 = 1e30f, u1 = -1e30f, v0 = 1e30f, v1 = -1e30f, z0 = 1e30f, z1 = -1e30f;
-    for (int corner = 0; corner < 8; ++corner) {
-        const float u = float(corner & 1 ? block.right : block.left), v = float(corner & 2 ? block.bottom : block.top);
-        const float d = std::max(corner & 4 ? shell.high : shell.low, 0.0f);
-        const float z = d * (m[6] * u + m[7] * v + m[8]) + to_target.offset[2];
-        const float x = (d * (m[0] * u + m[1] * v + m[2]) + to_target.offset[0]) / z;
-        const float y = (d * (m[3] * u + m[4] * v + m[5]) + to_target.offset[1]) / z;
-        u0 = std::min(u0, x), u1 = std::max(u1, x), v0 = std::min(v0, y), v1 = std::max(v1, y);
-        z0 = std::min(z0, z), z1 = std::max(z1, z);
-    }
+    const float left = float(block.left), right = float(block.right), top = float(block.top), bottom = float(block.bottom);
+    // The four corners at one depth are what any processor computes at once.
+    const Four u{left, right, left, right}, v{top, top, bottom, bottom};
+    const Four along[3] = {m[0] * u + m[1] * v + m[2], m[3] * u + m[4] * v + m[5], m[6] * u + m[7] * v + m[8]};
+    const Corners near = corners_at(std::max(shell.low, 0.0f), along, to_target);
+    const Corners far = corners_at(std::max(shell.high, 0.0f), along, to_target);
+    float u0 = least(near.x, far.x), u1 = most(near.x, far.x), v0 = least(near.y, far.y), v1 = most(near.y, far.y);
+    float z0 = least(near.z, far.z), z1 = most(near.z, far.z);
     const float width = float(march_.target.width), height = float(march_.target.height);
     if (z0 < 0.1f * march_.near) u0 = v0 = 0.0f, u1 = width, v1 = height;  // behind the camera, the image is no bound
     z0 *= 1.0f - 1e-5f, z1 *= 1.0f + 1e-5f;

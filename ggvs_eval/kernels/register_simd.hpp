@@ -37,36 +37,52 @@ GGVS_INLINE void store_colour(float* out, const Colour& colour, int count) {
         for (int c = 0; c < 3; ++c) out[3 * lane + c] = channels[c][lane];
 }
 
-GGVS_INLINE void register_packet(const Registration& job, const RegisteredView& view, int y, int left, int count, F column,
-                                 float* colours, float* coverage, float* seen) {
+// Some packets of a row at once, step by step: each step waits for the one before, and a processor looks ahead for work of its own
+// only so far.
+constexpr int kTogetherPackets = 4;
+
+GGVS_INLINE void register_packets(const Registration& job, const RegisteredView& view, int y, int left, int pixels,
+                                  const RegisteredMaps& out, int64_t row) {
     const int64_t first = int64_t(y) * job.target.width + left;
-    F depth = load_part(job.depth + first, count);
-    Colour colour = gather_colour(view.splat + first * view.stride, strides(view.stride, count));
-    F visibility = all(0.0f);
-    if (any(less(all(0.0f), depth))) {
-        Seen found = see(view.captured, column, all(float(y) + 0.5f), depth, job.tolerance);
-        visibility = found.visibility;
-        F per = all(1.0f / 255.0f);
-        colour.red = colour.red + visibility * (found.colour.red * per - colour.red);
-        colour.green = colour.green + visibility * (found.colour.green * per - colour.green);
-        colour.blue = colour.blue + visibility * (found.colour.blue * per - colour.blue);
-    }
-    store_colour(colours, colour, count);
-    store_part(coverage, max(visibility, all(job.faint) * load_part(view.alpha + first, count)), count);
-    store_part(seen, visibility, count);
+    const int packets = (pixels + kWidth - 1) / kWidth;
+    F visibility[kTogetherPackets];
+    Sight sights[kTogetherPackets];
+    const auto each = [&](const auto& step) {
+        for (int n = 0; n < packets; ++n) step(n, pixels - n * kWidth < kWidth ? pixels - n * kWidth : kWidth);
+    };
+    each([&](int n, int count) {
+        F depth = load_part(job.depth + first + n * kWidth, count);
+        F column = load(kLaneNumber) + all(0.5f) + all(float(left + n * kWidth));
+        sights[n] = sight_of(view.captured, column, all(float(y) + 0.5f), depth);
+    });
+    each([&](int n, int) { visibility[n] = visibility_of(view.captured, sights[n], job.tolerance); });
+    each([&](int n, int count) {
+        const float* splat = view.splat + (first + n * kWidth) * view.stride;
+        for (int ahead = 0; ahead < kWidth * view.stride; ahead += 16)  // floats of a cache line
+            __builtin_prefetch(splat + kTogetherPackets * kWidth * view.stride + ahead);
+        Colour colour = gather_colour(splat, strides(view.stride, count));
+        if (any(less(all(0.0f), visibility[n]))) {
+            const Colour seen = colour_at(view.captured, sights[n].u, sights[n].v);
+            F per = all(1.0f / 255.0f);
+            colour.red = colour.red + visibility[n] * (seen.red * per - colour.red);
+            colour.green = colour.green + visibility[n] * (seen.green * per - colour.green);
+            colour.blue = colour.blue + visibility[n] * (seen.blue * per - colour.blue);
+        }
+        const int64_t at = row + left + n * kWidth;
+        store_colour(out.colours + 3 * at, colour, count);
+        F faint = all(job.faint) * load_part(view.alpha + first + n * kWidth, count);
+        store_part(out.coverage + at, max(visibility[n], faint), count);
+        store_part(out.seen + at, visibility[n], count);
+    });
 }
 
 // Row y of one view.
 static void register_row(const Registration& job, int k, int y, const RegisteredMaps& out) {
+    constexpr int kPixels = kTogetherPackets * kWidth;
     const int width = job.target.width;
     const int64_t row = (int64_t(k) * job.target.height + y) * width;
-    alignas(64) float columns[kWidth];
-    for (int lane = 0; lane < kWidth; ++lane) columns[lane] = float(lane) + 0.5f;
-    for (int x = 0; x < width; x += kWidth) {
-        const int count = width - x < kWidth ? width - x : kWidth;
-        register_packet(job, job.views[k], y, x, count, load(columns) + all(float(x)), out.colours + 3 * (row + x),
-                        out.coverage + row + x, out.seen + row + x);
-    }
+    for (int x = 0; x < width; x += kPixels)
+        register_packets(job, job.views[k], y, x, width - x < kPixels ? width - x : kPixels, out, row);
 }
 
 }  // namespace ggvs::GGVS_LEVEL

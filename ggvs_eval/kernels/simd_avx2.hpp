@@ -60,6 +60,46 @@ GGVS_INLINE void gather_pairs(const float* p, I at, F* first, F* second) {
     *first = _mm256_castpd_ps(_mm256_permute4x64_pd(_mm256_castps_pd(even), 0xd8));
     *second = _mm256_castpd_ps(_mm256_permute4x64_pd(_mm256_castps_pd(odd), 0xd8));
 }
+// A patch of 8 x 4 floats in registers: lanes that look at neighbouring pixels read it once, and a look costs less than a gather.
+constexpr int kPatchColumns = 8, kPatchRows = 4;
+struct Patch {
+    F rows[4];
+};
+GGVS_INLINE Patch load_patch(const float* p, int64_t stride) {
+    return {{load(p), load(p + stride), load(p + 2 * stride), load(p + 3 * stride)}};
+}
+// The floats at 8 * row + column of the patch.
+GGVS_INLINE F look(const Patch& patch, I at) {
+    const F odd = (F)(at << 28), lower = (F)(at << 27);  // the bits that choose the row become signs
+    const __m256i column = (__m256i)at;
+    const F above = _mm256_blendv_ps(_mm256_permutevar8x32_ps(patch.rows[0], column),
+                                     _mm256_permutevar8x32_ps(patch.rows[1], column), odd);
+    const F below = _mm256_blendv_ps(_mm256_permutevar8x32_ps(patch.rows[2], column),
+                                     _mm256_permutevar8x32_ps(patch.rows[3], column), odd);
+    return _mm256_blendv_ps(above, below, lower);
+}
+// The smallest of each of two 16-bit numbers, over all lanes.
+GGVS_INLINE uint32_t least_halves(I halves) {
+    __m128i four = _mm_min_epu16(_mm256_castsi256_si128((__m256i)halves), _mm256_extracti128_si256((__m256i)halves, 1));
+    four = _mm_min_epu16(four, _mm_shuffle_epi32(four, 0x4e));
+    return uint32_t(_mm_cvtsi128_si32(_mm_min_epu16(four, _mm_shuffle_epi32(four, 0xb1))));
+}
+// Whether both 16-bit numbers of all chosen lanes are below those of `limits`.
+GGVS_INLINE bool halves_below(I halves, I limits, M chosen) {
+    const __m256i x = (__m256i)(halves & chosen), beyond = _mm256_subs_epu16((__m256i)limits, x);
+    return _mm256_movemask_epi8(_mm256_cmpeq_epi16(beyond, _mm256_setzero_si256())) == 0;
+}
+// Four values of every lane side by side, those of the next lane `stride` floats further.
+GGVS_INLINE void store_quads(float* p, int stride, F a, F b, F c, F d) {
+    const F ab[2] = {_mm256_unpacklo_ps(a, b), _mm256_unpackhi_ps(a, b)}, cd[2] = {_mm256_unpacklo_ps(c, d), _mm256_unpackhi_ps(c, d)};
+#pragma GCC unroll 4
+    for (int n = 0; n < 4; ++n) {  // lanes n and n + 4
+        const __m256d left = _mm256_castps_pd(ab[n / 2]), right = _mm256_castps_pd(cd[n / 2]);
+        const F quads = _mm256_castpd_ps(n % 2 ? _mm256_unpackhi_pd(left, right) : _mm256_unpacklo_pd(left, right));
+        _mm_storeu_ps(p + n * stride, _mm256_castps256_ps128(quads));
+        _mm_storeu_ps(p + (n + 4) * stride, _mm256_extractf128_ps(quads, 1));
+    }
+}
 GGVS_INLINE I gather_bytes(const uint8_t* p, I at) { return (I)_mm256_i32gather_epi32((const int*)p, (__m256i)at, 1); }
 
 }  // namespace ggvs::GGVS_LEVEL

@@ -60,6 +60,51 @@ GGVS_INLINE void gather_pairs(const float* p, I at, F* first, F* second) {
     *first = _mm512_permutex2var_ps(low, even, high);
     *second = _mm512_permutex2var_ps(low, odd, high);
 }
+// A patch of 8 x 8 floats in registers, two rows each: lanes that look at neighbouring pixels read it once, and a look costs a few
+// permutations where a gather costs twenty cycles.
+constexpr int kPatchColumns = 8, kPatchRows = 8;
+struct Patch {
+    F rows[4];
+};
+GGVS_INLINE Patch load_patch(const float* p, int64_t stride) {
+    Patch patch;
+#pragma GCC unroll 4
+    for (int n = 0; n < 4; ++n)
+        patch.rows[n] = _mm512_insertf32x8(_mm512_castps256_ps512(_mm256_loadu_ps(p + 2 * n * stride)),
+                                           _mm256_loadu_ps(p + (2 * n + 1) * stride), 1);
+    return patch;
+}
+// The floats at 8 * row + column of the patch.
+GGVS_INLINE F look(const Patch& patch, I at) {
+    const F above = _mm512_permutex2var_ps(patch.rows[0], (__m512i)at, patch.rows[1]);
+    const F below = _mm512_permutex2var_ps(patch.rows[2], (__m512i)at, patch.rows[3]);
+    return _mm512_mask_blend_ps(_mm512_test_epi32_mask((__m512i)at, _mm512_set1_epi32(32)), above, below);
+}
+// The smallest of each of two 16-bit numbers, over all lanes.
+GGVS_INLINE uint32_t least_halves(I halves) {
+    const __m256i eight = _mm256_min_epu16(_mm512_castsi512_si256((__m512i)halves), _mm512_extracti64x4_epi64((__m512i)halves, 1));
+    __m128i four = _mm_min_epu16(_mm256_castsi256_si128(eight), _mm256_extracti128_si256(eight, 1));
+    four = _mm_min_epu16(four, _mm_shuffle_epi32(four, 0x4e));
+    return uint32_t(_mm_cvtsi128_si32(_mm_min_epu16(four, _mm_shuffle_epi32(four, 0xb1))));
+}
+// Whether both 16-bit numbers of all chosen lanes are below those of `limits`.
+GGVS_INLINE bool halves_below(I halves, I limits, M chosen) {
+    const __m512i x = _mm512_maskz_mov_epi32(chosen, (__m512i)halves);
+    return _mm512_cmplt_epu16_mask(x, (__m512i)limits) == 0xffffffffu;
+}
+// Four values of every lane side by side, those of the next lane `stride` floats further.
+GGVS_INLINE void store_quads(float* p, int stride, F a, F b, F c, F d) {
+    const F ab[2] = {_mm512_unpacklo_ps(a, b), _mm512_unpackhi_ps(a, b)}, cd[2] = {_mm512_unpacklo_ps(c, d), _mm512_unpackhi_ps(c, d)};
+#pragma GCC unroll 4
+    for (int n = 0; n < 4; ++n) {  // lanes n, n + 4, n + 8, n + 12
+        const __m512d left = _mm512_castps_pd(ab[n / 2]), right = _mm512_castps_pd(cd[n / 2]);
+        const F quads = _mm512_castpd_ps(n % 2 ? _mm512_unpackhi_pd(left, right) : _mm512_unpacklo_pd(left, right));
+        _mm_storeu_ps(p + n * stride, _mm512_castps512_ps128(quads));
+        _mm_storeu_ps(p + (n + 4) * stride, _mm512_extractf32x4_ps(quads, 1));
+        _mm_storeu_ps(p + (n + 8) * stride, _mm512_extractf32x4_ps(quads, 2));
+        _mm_storeu_ps(p + (n + 12) * stride, _mm512_extractf32x4_ps(quads, 3));
+    }
+}
 GGVS_INLINE I gather_bytes(const uint8_t* p, I at) { return (I)_mm512_i32gather_epi32((__m512i)at, p, 1); }
 
 }  // namespace ggvs::GGVS_LEVEL

@@ -56,6 +56,17 @@ GGVS_INLINE void gather_pairs(const float* p, I at, F* first, F* second) {
     *first = gather(p, at);
     *second = gather(p + 1, at);
 }
+// No patches: there is no permutation to look into them by.
+constexpr int kPatchColumns = 0, kPatchRows = 0;
+struct Patch {};
+GGVS_INLINE Patch load_patch(const float*, int64_t) { return {}; }
+GGVS_INLINE F look(const Patch&, I) { return all(0.0f); }
+GGVS_INLINE uint32_t least_halves(I) { return 0; }
+GGVS_INLINE bool halves_below(I, I, M) { return false; }
+// Four values of every lane side by side, those of the next lane `stride` floats further.
+GGVS_INLINE void store_quads(float* p, int stride, F a, F b, F c, F d) {
+    for (int lane = 0; lane < kWidth; ++lane) store(p + lane * stride, F{a[lane], b[lane], c[lane], d[lane]});
+}
 // Four bytes from any address.
 GGVS_INLINE I gather_bytes(const uint8_t* p, I at) {
     int32_t lanes[kWidth];

@@ -30,9 +30,10 @@ struct Grid {
 // Workspace of one thread, kept from tile to tile.
 struct Workspace {
     std::vector<Ellipse> list;
+    std::vector<BlockRange> ranges;
     std::vector<uint64_t> keys, swap;  // depth bits << 32 | position in the list
-    std::vector<uint32_t> ordered;
-    std::vector<float> blocks;
+    std::vector<int32_t> counts;
+    std::vector<uint32_t> starts, next, chosen;
 };
 
 Projector make_projector(const SplatSource& source, const SplatTarget& target, float scale) {
@@ -67,7 +68,14 @@ void fill_band(Band& band, const SplatSource& source, const Projector& projector
         for (int column = 0; column < width; column += kLanes) {
             TileRanges ranges;
             const int count = std::min(kLanes, width - column);
-            kernels.tile_ranges(projector, source.depth + int64_t(row) * width + column, column, row, count, &ranges);
+            const float* depth = source.depth + int64_t(row) * width + column;
+            if (kernels.tile_ranges(projector, depth, column, row, count, &ranges)) {  // as is usual
+                const uint32_t tile = ranges.y0[0] * grid.across + ranges.x0[0];
+                tiles.insert(tiles.end(), count, tile);
+                for (int lane = 0; lane < count; ++lane) pixels.push_back(uint32_t(row) << 16 | uint32_t(column + lane));
+                band.starts[tile + 1] += count;
+                continue;
+            }
             for (int lane = 0; lane < count; ++lane) {
                 if (ranges.x0[lane] > ranges.x1[lane]) continue;
                 for (int y = ranges.y0[lane]; y <= ranges.y1[lane]; ++y) {
@@ -103,37 +111,48 @@ void sort_by_depth(std::vector<uint64_t>& keys, std::vector<uint64_t>& swap) {
     }
 }
 
-// The features of some pixels of a block's row, channels side by side.
-template <int kChannels>
-void write_features(const float* from, int columns, float* out) {
-    for (int lane = 0; lane < columns; ++lane)
-        for (int c = 0; c < kChannels; ++c) out[lane * kChannels + c] = from[c * kLanes + lane];
-}
-
-template <int kChannels>
-void write_tile(const float* blocks, int left, int top, const Pinhole& camera, SplatImages out) {
-    constexpr int kFloats = (2 + kChannels) * kLanes;
-    const int bottom = std::min(top + kTileHeight, camera.height), right = std::min(left + kTileWidth, camera.width);
-    for (int y = top; y < bottom; ++y) {
-        const float* row = blocks + (y - top) / kBlock * (kTileWidth / kBlock) * kFloats + (y - top) % kBlock * kBlock;
-        for (int x = left; x < right; x += kBlock, row += kFloats) {
-            const int64_t pixel = int64_t(y) * camera.width + x;
-            const int columns = std::min(kBlock, right - x);
-            std::memcpy(out.alpha + pixel, row, columns * sizeof(float));
-            std::memcpy(out.depth + pixel, row + kLanes, columns * sizeof(float));
-            float* features = out.features + pixel * kChannels;
-            // The usual whole row of a block has a length the compiler knows.
-            if (columns == kBlock) {
-                write_features<kChannels>(row + 2 * kLanes, kBlock, features);
-            } else {
-                write_features<kChannels>(row + 2 * kLanes, columns, features);
-            }
+// Lists the Gaussians of every block, front to back: counts first, then fills.
+void share_out(Workspace& work, int down) {
+    // A Gaussian adds 1 to a rectangle of counts: that is four changes, to be summed up along rows and columns.
+    constexpr int kStride = kBlocksAcross + 1;
+    work.counts.assign(kStride * (down + 1), 0);
+    int32_t* counts = work.counts.data();
+    for (const BlockRange range : work.ranges) {
+        int32_t *above = counts + range.y0 * kStride, *below = counts + (range.y1 + 1) * kStride;
+        ++above[range.x0], --above[range.x1 + 1], --below[range.x0], ++below[range.x1 + 1];
+    }
+    const int blocks = kBlocksAcross * down;
+    work.starts.resize(blocks + 1), work.next.resize(blocks);
+    uint32_t sum = 0;
+    for (int y = 0; y < down; ++y) {
+        int32_t *row = counts + y * kStride, along = 0;
+        for (int x = 0; x < kBlocksAcross; ++x) {
+            along += row[x];
+            row[x] = along + (y ? row[x - kStride] : 0);
+            work.starts[y * kBlocksAcross + x] = work.next[y * kBlocksAcross + x] = sum;
+            sum += (row[x] + kTogether) / kTogether * kTogether;  // at least one place more than is counted
         }
     }
+    work.starts[blocks] = sum;
+    work.chosen.resize(sum);
+    const BlockRange* ranges = work.ranges.data();
+    uint32_t *chosen = work.chosen.data(), *next = work.next.data();
+    for (const uint64_t key : work.keys) {
+        const uint32_t gaussian = uint32_t(key);
+        const BlockRange range = ranges[gaussian];
+        const uint32_t last = range.y1 * kBlocksAcross;
+        for (uint32_t row = range.y0 * kBlocksAcross; row <= last; row += kBlocksAcross) {
+            uint32_t &left = next[row + range.x0], &right = next[row + range.x1];
+            chosen[left++] = gaussian;
+            for (int x = range.x0 + 1; x < range.x1; ++x) chosen[next[row + x]++] = gaussian;
+            // Two columns are usual, one is not rare: a place that does not count costs less than a wrong guess.
+            chosen[right] = gaussian;
+            right += range.x1 > range.x0;
+        }
+    }
+    const uint32_t nothing = uint32_t(work.keys.size());  // touches no pixel
+    for (int block = 0; block < blocks; ++block) std::fill(chosen + next[block], chosen + work.starts[block + 1], nothing);
 }
-
-using WriteTile = void (*)(const float* blocks, int left, int top, const Pinhole& camera, SplatImages out);
-constexpr WriteTile kWriteTile[kMaxFeatures] = {write_tile<1>, write_tile<2>, write_tile<3>, write_tile<4>};
 
 // All that happens in one tile, steps 2 to 8.
 struct TileJob {
@@ -150,21 +169,23 @@ struct TileJob {
     void collect(int tile, int left, int top, Workspace& work) const {
         size_t count = 0;
         for (const Band& band : bands) count += band.starts[tile + 1] - band.starts[tile];
-        work.list.resize(count);
+        work.list.resize(count + kLanes), work.ranges.resize(count + kLanes);  // room for whole vectors
         size_t filled = 0;
         for (const Band& band : bands) {
             const int here = int(band.starts[tile + 1] - band.starts[tile]);
             if (here == 0) continue;
             kernels.ellipses(projectors[band.source], sources[band.source], channels, band.pixels.data() + band.starts[tile],
-                             here, left, top, work.list.data() + filled);
+                             here, left, top, work.list.data() + filled, work.ranges.data() + filled);
             filled += here;
         }
+        work.list[count] = {1e6f, 0.0f, -1.0f, 0.0f, 0.0f, 0.0f, {}};  // touches no pixel
+        work.ranges.resize(count);
     }
 
     void run(int tile, Workspace& work) const {
         const int left = tile % grid.across * kTileWidth, top = tile / grid.across * kTileHeight;
         collect(tile, left, top, work);
-        const size_t count = work.list.size();
+        const size_t count = work.ranges.size();
         work.keys.resize(count);
         for (size_t n = 0; n < count; ++n) {
             uint32_t depth_bits;  // of a positive float: they sort like the float itself
@@ -172,15 +193,18 @@ struct TileJob {
             work.keys[n] = uint64_t(depth_bits) << 32 | n;
         }
         sort_by_depth(work.keys, work.swap);
-        work.ordered.resize(count);
-        for (size_t n = 0; n < count; ++n) work.ordered[n] = uint32_t(work.keys[n]);
-
-        const int floats = (2 + channels) * kLanes;
-        work.blocks.assign(size_t(kTileBlocks) * floats, 0.0f);
-        for (int block = 0; block < kTileBlocks; ++block) std::fill_n(work.blocks.begin() + size_t(block) * floats, kLanes, 1.0f);
-        kernels.blend_tile(work.list.data(), work.ordered.data(), int(count), channels, work.blocks.data());
-        kernels.finish_blocks(work.blocks.data(), channels, normalised);
-        kWriteTile[channels - 1](work.blocks.data(), left, top, target.camera, out);
+        share_out(work, kTileHeight / kernels.block_rows);
+        const int64_t width = target.camera.width;
+        const int rows = kernels.block_rows, right = std::min(left + kTileWidth, target.camera.width);
+        for (int y = top; y < std::min(top + kTileHeight, target.camera.height); y += rows) {
+            for (int x = left; x < right; x += kBlock) {
+                const int block = (y - top) / rows * kBlocksAcross + (x - left) / kBlock;
+                const int first = work.starts[block], listed = work.starts[block + 1] - first;
+                kernels.splat_block({work.list.data(), work.chosen.data() + first, listed, x - left, y - top,
+                                     std::min(kBlock, right - x), std::min(rows, target.camera.height - y), y * width + x, width},
+                                    channels, normalised, out);
+            }
+        }
     }
 };
 
@@ -189,9 +213,6 @@ struct TileJob {
 void splat(std::vector<SplatSource>& sources, int channels, const SplatTarget& target, float scale, bool normalised,
            SplatImages out, int threads, int level) {
     const Kernels& kernels = kernels_of(level);
-    float shares[256];
-    for (int colour = 0; colour < 256; ++colour) shares[colour] = float(colour) / 255.0f;
-    for (SplatSource& source : sources) source.shares = shares;
     std::vector<Projector> projectors;
     for (const SplatSource& source : sources) projectors.push_back(make_projector(source, target, scale));
     const Grid grid{(target.camera.width + kTileWidth - 1) / kTileWidth, (target.camera.height + kTileHeight - 1) / kTileHeight};

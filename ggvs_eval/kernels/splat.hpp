@@ -9,10 +9,11 @@
 namespace ggvs {
 
 constexpr int kMaxFeatures = 4;
-constexpr int kTileWidth = 64, kTileHeight = 32;  // pixels of the target that stay in the first-level cache together
-constexpr int kBlock = 4;                         // a tile is made of 4 x 4-pixel blocks, 16 lanes in a row
+constexpr int kTileWidth = 64, kTileHeight = 64;  // pixels of the target that are sorted together
+constexpr int kBlock = 4;                         // a tile is made of blocks 4 pixels wide that fill one vector, 4 x 4 at most
 constexpr int kLanes = kBlock * kBlock;
-constexpr int kTileBlocks = kTileWidth * kTileHeight / kLanes;
+constexpr int kTogether = 8;                       // Gaussians that are blended step by step together
+constexpr int kBlocksAcross = kTileWidth / kBlock;  // of blocks
 constexpr float kMinAlpha = 1.0f / 255.0f, kLog2MinAlpha = -7.99435344f;
 
 // The features are floats, or an 8-bit colour and perhaps one float more: then no image of floats is ever made.
@@ -23,7 +24,6 @@ struct SplatSource {
     const float* features;    // (height, width, channels), or null
     const uint8_t* colours;   // (height, width, 3), where features is null
     const float* extra;       // (height, width), where features is null and there are four channels
-    const float* shares;      // of full colour, for each of the 256 levels; filled by splat
 };
 
 struct SplatTarget {
@@ -48,11 +48,26 @@ struct Projector {
     float last_x, last_y;  // largest pixel indices of the target
 };
 
-// A Gaussian in one tile's coordinates. log2 of its alpha at (x, y) is (xx dx + xy dy) dx + yy dy dy.
-struct alignas(16) Ellipse {
+// A Gaussian in one tile's coordinates, in a cache line of its own. log2 of its alpha at (x, y) is
+// (xx dx + xy dy) dx + yy dy dy.
+struct alignas(64) Ellipse {
     float u, v, xx, xy, yy, depth;
-    uint32_t blocks;  // first and last block it may touch, 8 bits each: x0, x1, y0, y1
     float features[kMaxFeatures];
+};
+
+// The blocks that a Gaussian may touch, first and last column and row.
+struct BlockRange {
+    uint8_t x0, x1, y0, y1;
+};
+
+// The Gaussians that may touch one block, front to back, and the part of the picture that it is.
+struct BlockList {
+    const Ellipse* list;
+    const uint32_t* chosen;  // of the list
+    int count;               // a multiple of kTogether
+    int left, top;           // of the block in its tile
+    int columns, rows;       // of it that lie in the picture
+    int64_t first, width;    // first pixel and width of the picture
 };
 
 // Tile ranges of up to 16 neighbouring Gaussians; x0 > x1 where a Gaussian is invalid or invisible.

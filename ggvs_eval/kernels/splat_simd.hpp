@@ -52,8 +52,9 @@ GGVS_INLINE Footprint project(const Projector& p, F column, F row, F source_dept
     return f;
 }
 
-// Which tiles the Gaussians of `count` (at most 16) neighbouring pixels of one source row touch.
-static void tile_ranges(const Projector& p, const float* depth, int column, int row, int count, TileRanges* out) {
+// Which tiles the Gaussians of `count` (at most 16) neighbouring pixels of one source row touch; whether all touch the same one
+// alone.
+static bool tile_ranges(const Projector& p, const float* depth, int column, int row, int count, TileRanges* out) {
     alignas(64) float padded[kLanes] = {};
     __builtin_memcpy(padded, depth, count * sizeof(float));
     for (int lane = 0; lane < kLanes; lane += kWidth) {
@@ -67,6 +68,12 @@ static void tile_ranges(const Projector& p, const float* depth, int column, int 
         store(out->y0 + lane, truncate(y0 * down));
         store(out->y1 + lane, truncate(y1 * down));
     }
+    int32_t others = 0;
+    for (int lane = 0; lane < kLanes; ++lane) {
+        const int32_t x = (out->x0[lane] ^ out->x0[0]) | (out->x1[lane] ^ out->x0[0]);
+        others |= lane < count ? x | (out->y0[lane] ^ out->y0[0]) | (out->y1[lane] ^ out->y0[0]) : 0;
+    }
+    return others == 0;
 }
 
 GGVS_INLINE F ceiling(F x) {  // of 0 <= x < 2^31
@@ -74,12 +81,48 @@ GGVS_INLINE F ceiling(F x) {  // of 0 <= x < 2^31
     return select(less(whole, x), whole + all(1.0f), whole);
 }
 
+constexpr int kBlockRows = kWidth / kBlock;
+
+// Neighbours in a list are neighbours in a row of the source, but its rows lie too far apart for a processor to foresee them.
+template <int kChannels>
+GGVS_INLINE void prefetch_pixel(const SplatSource& source, uint32_t pixel) {
+    const int64_t index = int64_t(pixel >> 16) * source.camera.width + (pixel & 0xffff);
+    __builtin_prefetch(source.depth + index);
+    if (source.features) {
+        __builtin_prefetch(source.features + index * kChannels);
+        if (kChannels > 2) __builtin_prefetch(source.features + (index + 8) * kChannels);
+    } else {
+        __builtin_prefetch(source.colours + index * 3);
+        if (kChannels > 3) __builtin_prefetch(source.extra + index);
+    }
+}
+
+template <int kChannels>
+GGVS_INLINE void read_features(const SplatSource& source, I index, F* features) {
+    if (source.features) {
+#pragma GCC unroll 4
+        for (int c = 0; c < kChannels; ++c) features[c] = gather(source.features + c, index * all(int32_t(kChannels)));
+        return;
+    }
+    // Four bytes are read at a time; the last pixel has three, so they are read one byte earlier and shifted.
+    const I last = all(int32_t(3 * (int64_t(source.camera.width) * source.camera.height - 1))), level = all(int32_t(255));
+    I byte = index * all(int32_t(3));
+    M at_end = less(to_float(last - byte), all(1.0f));
+    I raw = gather_bytes(source.colours, select(at_end, byte - all(int32_t(1)), byte));
+    raw = select(at_end, raw >> 8, raw);
+#pragma GCC unroll 3
+    for (int c = 0; c < kChannels && c < 3; ++c) features[c] = to_float((raw >> (8 * c)) & level) / all(255.0f);
+    if (kChannels > 3) features[3] = gather(source.extra, index);
+}
+
 template <int kChannels>
 static void ellipses_of(const Projector& p, const SplatSource& source, const uint32_t* pixels, int count, int left, int top,
-                        Ellipse* out) {
+                        Ellipse* out, BlockRange* ranges) {
     const F log2e = all(1.44269504f), half = all(-0.5f);
     for (int first = 0; first < count; first += kWidth) {
         int used = count - first < kWidth ? count - first : kWidth;
+        constexpr int kAhead = 64;
+        prefetch_pixel<kChannels>(source, pixels[first + kAhead < count ? first + kAhead : count - 1]);
         alignas(64) int32_t packed[kWidth] = {};
         __builtin_memcpy(packed, pixels + first, used * sizeof(int32_t));
         I pixel = load(packed);
@@ -93,129 +136,163 @@ static void ellipses_of(const Projector& p, const SplatSource& source, const uin
         const F zero = all(0.0f);
         I x0 = truncate(ceiling(min(max(u - f.reach_x, zero), all(float(kTileWidth - 1))))) >> 2;
         I x1 = truncate(max(min(u + f.reach_x, all(float(kTileWidth - 1))), zero)) >> 2;
-        I y0 = truncate(ceiling(min(max(v - f.reach_y, zero), all(float(kTileHeight - 1))))) >> 2;
-        I y1 = truncate(max(min(v + f.reach_y, all(float(kTileHeight - 1))), zero)) >> 2;
+        constexpr int kRowShift = kBlockRows == 4 ? 2 : kBlockRows == 2 ? 1 : 0;
+        I y0 = truncate(ceiling(min(max(v - f.reach_y, zero), all(float(kTileHeight - 1))))) >> kRowShift;
+        I y1 = truncate(max(min(v + f.reach_y, all(float(kTileHeight - 1))), zero)) >> kRowShift;
 
-        alignas(64) float fields[6][kWidth];
-        alignas(64) int32_t blocks[kWidth], at[kWidth];
-        store(at, index);
-        store(fields[0], u);
-        store(fields[1], v);
-        store(fields[2], half * f.var_y * per);
-        store(fields[3], f.cov * per);
-        store(fields[4], half * f.var_x * per);
-        store(fields[5], f.depth);
+        F features[kMaxFeatures] = {zero, zero, zero, zero};
+        read_features<kChannels>(source, index, features);
+        // Lanes beyond the last are written too, and overwritten by what follows.
+        float* fields = &out[first].u;
+        constexpr int kStride = sizeof(Ellipse) / sizeof(float);
+        store_quads(fields, kStride, u, v, half * f.var_y * per, f.cov * per);
+        store_quads(fields + 4, kStride, half * f.var_x * per, f.depth, features[0], features[1]);
+        store_quads(fields + 8, kStride, features[2], features[3], zero, zero);
+        alignas(64) int32_t blocks[kWidth];
         store(blocks, x0 | (x1 << 8) | (y0 << 16) | (y1 << 24));
-        for (int lane = 0; lane < used; ++lane) {
-            Ellipse& e = out[first + lane];
-            __builtin_memcpy(&e.blocks, &blocks[lane], sizeof e.blocks);
-            e.u = fields[0][lane], e.v = fields[1][lane], e.depth = fields[5][lane];
-            e.xx = fields[2][lane], e.xy = fields[3][lane], e.yy = fields[4][lane];
-            if (source.features) {
-                const float* features = source.features + int64_t(at[lane]) * kChannels;
-                for (int c = 0; c < kChannels; ++c) e.features[c] = features[c];
-            } else {
-                const uint8_t* colour = source.colours + int64_t(at[lane]) * 3;
-                for (int c = 0; c < kChannels && c < 3; ++c) e.features[c] = source.shares[colour[c]];
-                if (kChannels > 3) e.features[kChannels - 1] = source.extra[at[lane]];
-            }
-        }
+        __builtin_memcpy(ranges + first, blocks, sizeof blocks);
     }
 }
 
-// Ellipses, in the coordinates of the tile that starts at (left, top), of the listed source pixels.
+// Ellipses, in the coordinates of the tile that starts at (left, top), of the listed source pixels; `out` and `ranges` have room for
+// whole vectors.
 static void ellipses(const Projector& p, const SplatSource& source, int channels, const uint32_t* pixels, int count, int left,
-                     int top, Ellipse* out) {
+                     int top, Ellipse* out, BlockRange* ranges) {
     switch (channels) {
         case 1:
-            return ellipses_of<1>(p, source, pixels, count, left, top, out);
+            return ellipses_of<1>(p, source, pixels, count, left, top, out, ranges);
         case 2:
-            return ellipses_of<2>(p, source, pixels, count, left, top, out);
+            return ellipses_of<2>(p, source, pixels, count, left, top, out, ranges);
         case 3:
-            return ellipses_of<3>(p, source, pixels, count, left, top, out);
+            return ellipses_of<3>(p, source, pixels, count, left, top, out, ranges);
         default:
-            return ellipses_of<4>(p, source, pixels, count, left, top, out);
+            return ellipses_of<4>(p, source, pixels, count, left, top, out, ranges);
     }
 }
 
 // 2^x for -126 < x < 126 to 2e-7, from integer and fractional part; the coefficients are the minimax polynomial on [-1/2, 1/2].
-GGVS_INLINE F exp2(F x) {
-    F shifted = x + all(12582912.0f);  // 1.5 * 2^23: rounds to the nearest integer in the low mantissa bits
-    F f = x - (shifted - all(12582912.0f));
-    F p = all(1.326472634e-3f);
-    p = p * f + all(9.671513338e-3f);
-    p = p * f + all(5.550733752e-2f);
-    p = p * f + all(2.402224207e-1f);
-    p = p * f + all(6.931469776e-1f);
-    p = p * f + all(1.0f);
-    return from_bits(bits(p) + (bits(shifted) << 23));
+// Several at once, step by step: each step waits for the one before, and processors look ahead for work of their own only so far.
+template <int kCount>
+GGVS_INLINE void exp2(F (&x)[kCount]) {
+    constexpr float kCoefficients[] = {9.671513338e-3f, 5.550733752e-2f, 2.402224207e-1f, 6.931469776e-1f, 1.0f};
+    F p[kCount];
+    I whole[kCount];
+#pragma GCC unroll 8
+    for (int n = 0; n < kCount; ++n) {
+        F shifted = x[n] + all(12582912.0f);  // 1.5 * 2^23: rounds to the nearest integer in the low mantissa bits
+        x[n] = x[n] - (shifted - all(12582912.0f));
+        whole[n] = bits(shifted) << 23;
+        p[n] = all(1.326472634e-3f);
+    }
+#pragma GCC unroll 5
+    for (const float coefficient : kCoefficients)
+#pragma GCC unroll 8
+        for (int n = 0; n < kCount; ++n) p[n] = p[n] * x[n] + all(coefficient);
+#pragma GCC unroll 8
+    for (int n = 0; n < kCount; ++n) x[n] = from_bits(bits(p[n]) + whole[n]);
 }
 
-// One block's accumulators: transmittance T, depth, features; 16 lanes each. T < 0 marks a pixel that has stopped (|T| counts).
-// Steps 6 and 7, `ordered` is front to back. A pixel stops BEFORE the Gaussian that would bring T below 1e-4.
+GGVS_INLINE F exp2(F x) {
+    F one[1] = {x};
+    exp2(one);
+    return one[0];
+}
+
+// One pixel per lane, in registers from the first Gaussian to the last.
 template <int kChannels>
-static void blend(const Ellipse* list, const uint32_t* ordered, int count, float* blocks) {
-    constexpr int kFloats = (2 + kChannels) * kLanes, kAhead = 8;
-    for (int n = 0; n < count; ++n) {
-        __builtin_prefetch(&list[ordered[n + kAhead < count ? n + kAhead : n]]);
-        const Ellipse& e = list[ordered[n]];
-        const int x0 = e.blocks & 255, x1 = e.blocks >> 8 & 255, y0 = e.blocks >> 16 & 255, y1 = e.blocks >> 24;
-        const F xx = all(e.xx), xy = all(e.xy), yy = all(e.yy), depth = all(e.depth);
-        for (int y = y0; y <= y1; ++y) {
-            for (int part = 0; part < kLanes; part += kWidth) {
-                F dy = load(kLaneRow + part) + all(float(y * kBlock) - e.v);
-                F xy_dy = xy * dy, yy_dy2 = yy * dy * dy;
-                for (int x = x0; x <= x1; ++x) {
-                    float* here = blocks + int64_t(y * (kTileWidth / kBlock) + x) * kFloats + part;
-                    F before = load(here);
-                    if (!any(less(all(0.0f), before))) continue;
-                    F dx = load(kLaneColumn) + all(float(x * kBlock) - e.u);
-                    F exponent = (xx * dx + xy_dy) * dx + yy_dy2;
-                    // Not left out where nothing is touched: no processor foretells that, and guessing wrong costs more.
-                    M touched = at_most(all(kLog2MinAlpha), exponent);
-                    F alpha = min(exp2(exponent), all(0.99f));  // without meaning, and unused, where not touched
-                    F share = before * alpha, after = before - share;
-                    M blended = both(touched, at_most(all(1e-4f), after));
-                    F weight = select(blended, share, all(0.0f));
-                    // What is touched and not blended stops, or has stopped already.
-                    F stopped = from_bits(bits(before) | bits(all(-0.0f)));
-                    store(here, select(blended, after, select(touched, stopped, before)));
-                    store(here + kLanes, load(here + kLanes) + weight * depth);
-                    for (int c = 0; c < kChannels; ++c) {
-                        float* sum = here + (2 + c) * kLanes;
-                        store(sum, load(sum) + weight * all(e.features[c]));
-                    }
-                }
+struct Sums {
+    F transmittance, depth, features[kChannels];
+
+    inline __attribute__((always_inline)) void add(const Ellipse& e, F weight) {
+        depth = depth + weight * all(e.depth);
+#pragma GCC unroll 4
+        for (int c = 0; c < kChannels; ++c) features[c] = features[c] + weight * all(e.features[c]);
+    }
+};
+
+// Step 6 for some Gaussians at once; 0 where a pixel is not touched.
+GGVS_INLINE void alphas_of(const Ellipse* const (&e)[kTogether], F column, F row, F left, F top, M active, F (&alpha)[kTogether]) {
+    M touched[kTogether];
+#pragma GCC unroll 8
+    for (int n = 0; n < kTogether; ++n) {
+        F dx = column + (left - all(e[n]->u)), dy = row + (top - all(e[n]->v));
+        alpha[n] = (all(e[n]->xx) * dx + all(e[n]->xy) * dy) * dx + all(e[n]->yy) * dy * dy;
+        touched[n] = both(active, at_most(all(kLog2MinAlpha), alpha[n]));
+    }
+    exp2(alpha);
+#pragma GCC unroll 8
+    for (int n = 0; n < kTogether; ++n) alpha[n] = select(touched[n], min(alpha[n], all(0.99f)), all(0.0f));
+}
+
+// Steps 6 and 7.
+template <int kChannels>
+GGVS_INLINE Sums<kChannels> blend(const BlockList& block) {
+    const int part = block.top % kBlock * kBlock;  // of the 4 x 4 pixels that smaller vectors share out
+    const F column = load(kLaneColumn), row = load(kLaneRow + part), zero = all(0.0f), least = all(1e-4f);
+    const F left = all(float(block.left)), top = all(float(block.top - block.top % kBlock));
+    M active = less(zero, all(1.0f));
+    Sums<kChannels> sums;
+    sums.transmittance = all(1.0f), sums.depth = zero;
+#pragma GCC unroll 4
+    for (int c = 0; c < kChannels; ++c) sums.features[c] = zero;
+    for (int first = 0; first < block.count; first += kTogether) {
+        const Ellipse* e[kTogether];
+        F alpha[kTogether], weight[kTogether];
+#pragma GCC unroll 8
+        for (int n = 0; n < kTogether; ++n) e[n] = block.list + block.chosen[first + n];
+        alphas_of(e, column, row, left, top, active, alpha);
+        F after = sums.transmittance;
+#pragma GCC unroll 8
+        for (int n = 0; n < kTogether; ++n) weight[n] = after * alpha[n], after = after - weight[n];
+        if (__builtin_expect(any(less(after, least)), 0)) {
+            // A pixel stops BEFORE the Gaussian that would bring its transmittance below the least.
+            after = sums.transmittance;
+            for (int n = 0; n < kTogether; ++n) {
+                weight[n] = select(active, after * alpha[n], zero);
+                active = but_not(active, less(after - weight[n], least));
+                weight[n] = select(active, weight[n], zero);
+                after = after - weight[n];
             }
         }
+        sums.transmittance = after;
+#pragma GCC unroll 8
+        for (int n = 0; n < kTogether; ++n) sums.add(*e[n], weight[n]);
+        if (!any(active)) break;
+    }
+    return sums;
+}
+
+// Step 8: alpha = 1 - T; if asked, the sums are divided by it where alpha > 1/255, and 0 elsewhere.
+template <int kChannels>
+static void block_of(const BlockList& block, bool normalised, SplatImages out) {
+    const Sums<kChannels> sums = blend<kChannels>(block);
+    F alpha = all(1.0f) - sums.transmittance;
+    F factor = normalised ? select(less(all(kMinAlpha), alpha), all(1.0f) / alpha, all(0.0f)) : all(1.0f);
+    alignas(64) float lanes[2 + kChannels][kWidth];
+    store(lanes[0], alpha);
+    store(lanes[1], sums.depth * factor);
+#pragma GCC unroll 4
+    for (int c = 0; c < kChannels; ++c) store(lanes[2 + c], sums.features[c] * factor);
+    for (int y = 0; y < block.rows; ++y) {
+        const int64_t pixel = block.first + y * block.width;
+        for (int x = 0; x < block.columns; ++x) {
+            const int lane = y * kBlock + x;
+            out.alpha[pixel + x] = lanes[0][lane], out.depth[pixel + x] = lanes[1][lane];
+            for (int c = 0; c < kChannels; ++c) out.features[(pixel + x) * kChannels + c] = lanes[2 + c][lane];
+        }
     }
 }
 
-static void blend_tile(const Ellipse* list, const uint32_t* ordered, int count, int channels, float* blocks) {
+static void splat_block(const BlockList& block, int channels, bool normalised, SplatImages out) {
     switch (channels) {
         case 1:
-            return blend<1>(list, ordered, count, blocks);
+            return block_of<1>(block, normalised, out);
         case 2:
-            return blend<2>(list, ordered, count, blocks);
+            return block_of<2>(block, normalised, out);
         case 3:
-            return blend<3>(list, ordered, count, blocks);
+            return block_of<3>(block, normalised, out);
         default:
-            return blend<4>(list, ordered, count, blocks);
-    }
-}
-
-// Turns T into alpha = 1 - |T| and, if asked, divides the sums by it where alpha > 1/255, else sets them to 0 (step 8).
-static void finish_blocks(float* blocks, int channels, bool normalised) {
-    const int floats = (2 + channels) * kLanes;
-    for (int block = 0; block < kTileBlocks; ++block) {
-        for (int lane = 0; lane < kLanes; lane += kWidth) {
-            float* here = blocks + block * floats + lane;
-            F transmittance = load(here);
-            F alpha = all(1.0f) - max(transmittance, all(0.0f) - transmittance);
-            F factor = normalised ? select(less(all(kMinAlpha), alpha), all(1.0f) / alpha, all(0.0f)) : all(1.0f);
-            store(here, alpha);
-            for (int c = 1; c < 2 + channels; ++c) store(here + c * kLanes, load(here + c * kLanes) * factor);
-        }
+            return block_of<4>(block, normalised, out);
     }
 }
 

@@ -43,6 +43,7 @@ void fusion_weights(const float* depth, int width, int height, float tau, float 
 void ray_march(March& march, float* depth, float* weight, int threads, int level) {
     const Kernels& kernels = kernels_of(level);
     for (FieldView& view : march.views) view.map = pixel_map(march.target, view.from_target, view.camera, true);
+    march.per_tau = 1.0f / march.tau;
     const std::unique_ptr<Occupancy> occupancy = march.skip_empty ? std::make_unique<Occupancy>(march, threads) : nullptr;
     const int across = (march.target.width + kMarchTile - 1) / kMarchTile;
     const int down = (march.target.height + kMarchTile - 1) / kMarchTile;

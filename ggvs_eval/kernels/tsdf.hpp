@@ -40,6 +40,7 @@ struct March {
     int bisections;
     bool skip_empty;
     std::vector<FieldView> views;
+    float per_tau;  // 1 / tau; filled by ray_march
 };
 
 // Slab of a depth: the float's bits are a piecewise linear logarithm, monotone, the same on every machine.

@@ -31,6 +31,20 @@ struct PacketView {
     F gain;
 };
 
+// Rays on their way to the surface.
+struct Packet {
+    PacketView views[kMaxViews];
+    F base, whole;  // the sample depth is base + whole * step: skipping steps then gives the same bits as taking them
+    F previous;     // depth of the previous sample
+    M positive;     // rays whose previous sample was known and in front
+    M active, hit;
+    F front, behind;  // around the zero crossing
+};
+
+// Packets are marched side by side, and each step is taken for all packets and views before the next: each waits for the one
+// before, and a processor looks ahead for work of its own only so far.
+constexpr int kMarchedPackets = 2;
+
 struct Distance {
     F mean;   // weighted mean of the clamped distances in units of tau, -1 .. 1
     F total;  // sum of the weights, 0 = unknown
@@ -38,67 +52,143 @@ struct Distance {
 
 GGVS_INLINE F clamp(F x, F low, F high) { return min(max(x, low), high); }
 
-// One view's share at the samples `z`: distance s_k = D_k[u, v] - z_k (Eq. 9, positive in front of the surface) clamped to +-tau,
-// weight 0 where it is below -tau (behind the surface = unknown), outside the image or invalid.
-GGVS_INLINE void add_view(const FieldView& view, const PacketView& ray, F z, M wanted, float tau, F& sum, F& total) {
-    F depth_k = z * ray.z + all(view.map.offset[2]);
-    F inverse = all(1.0f) / depth_k;
-    F u = (z * ray.x + all(view.map.offset[0])) * inverse;
-    F v = (z * ray.y + all(view.map.offset[1])) * inverse;
-    const float width = float(view.camera.width), height = float(view.camera.height);
-    M inside = both(wanted, less(all(0.0f), depth_k));
-    inside =
-        both(inside, both(both(at_most(all(0.0f), u), less(u, all(width))), both(at_most(all(0.0f), v), less(v, all(height)))));
-    if (!any(inside)) return;
+// Where samples lie in an image: the two pixels to interpolate between in each of two rows, and the nearest one.
+struct Place {
+    I x, y0, y1;  // the pairs begin at (x, y0) and (x, y1)
+    I near_x, near_y;
+    M last;  // in the last column, which is repeated, the pair begins one pixel earlier
+    F fx, fy;
+};
 
-    u = select(inside, u, all(0.5f));
-    v = select(inside, v, all(0.5f));
-    I stride = all(int32_t(view.camera.width));
-    I nearest = truncate(v) * stride + truncate(u);
-    F depth = gather(view.depth, nearest);
-    inside = both(inside, less(all(0.0f), depth));
-    F distance = (depth - depth_k) * all(1.0f / tau);
+GGVS_INLINE Place place_of(const Pinhole& camera, F u, F v) {
+    const F width = all(float(camera.width)), height = all(float(camera.height)), zero = all(0.0f), one = all(1.0f);
+    F left = clamp(u - all(0.5f), zero, width - one), upper = clamp(v - all(0.5f), zero, height - one);
+    Place place;
+    place.x = truncate(min(left, max(width - all(2.0f), zero)));
+    place.y0 = truncate(upper), place.y1 = truncate(min(upper + one, height - one));
+    place.near_x = truncate(u), place.near_y = truncate(v);
+    place.last = at_most(width - one, left);
+    place.fx = left - to_float(truncate(left)), place.fy = upper - to_float(place.y0);
+    return place;
+}
+
+// What a view holds at a place.
+struct Around {
+    F d00, d01, d10, d11, nearest, weight;
+};
+
+// The samples of one packet in one view.
+struct Site {
+    F u, v, depth;  // in its image, and seen from the view
+    M inside;       // the image
+    Place place;
+    int left, top;  // corner of the patch that holds them all, as is usual; -1 if they lie too far apart
+    Around around;
+};
+
+// Projects the samples `z` into a view's image.
+GGVS_INLINE void project(const FieldView& view, const PacketView& ray, F z, Site& site) {
+    site.depth = z * ray.z + all(view.map.offset[2]);
+    F inverse = all(1.0f) / site.depth;
+    site.u = (z * ray.x + all(view.map.offset[0])) * inverse;
+    site.v = (z * ray.y + all(view.map.offset[1])) * inverse;
+}
+
+GGVS_INLINE void find_place(const FieldView& view, M wanted, Site& site) {
+    const F width = all(float(view.camera.width)), height = all(float(view.camera.height)), zero = all(0.0f);
+    const F u = site.u, v = site.v;
+    M across = both(at_most(zero, u), less(u, width)), down = both(at_most(zero, v), less(v, height));
+    site.inside = both(both(wanted, less(zero, site.depth)), both(across, down));
+    site.place = place_of(view.camera, u, v);
+}
+
+GGVS_INLINE void choose_patch(const FieldView& view, Site& site) {
+    const int width = view.camera.width, height = view.camera.height;
+    const Place& place = site.place;
+    site.left = site.top = -1;
+    if (kPatchRows == 0 || width < kPatchColumns || height < kPatchRows || !any(site.inside)) return;
+    const uint32_t least = least_halves(select(site.inside, place.x | (place.y0 << 16), all(int32_t(-1))));
+    const int left = int(least & 0xffff) < width - kPatchColumns ? int(least & 0xffff) : width - kPatchColumns;
+    const int top = int(least >> 16) < height - kPatchRows ? int(least >> 16) : height - kPatchRows;
+    const I reach = (place.x - all(int32_t(left))) | ((place.y1 - all(int32_t(top))) << 16);
+    if (halves_below(reach, all(int32_t((kPatchColumns - 1) | kPatchRows << 16)), site.inside)) site.left = left, site.top = top;
+}
+
+GGVS_INLINE Around read_patch(const FieldView& view, const Site& site) {
+    const Place& place = site.place;
+    const int64_t corner = int64_t(site.top) * view.camera.width + site.left;
+    const Patch depth = load_patch(view.depth + corner, view.camera.width);
+    const Patch weight = load_patch(view.weight + corner, view.camera.width);
+    const I left = all(int32_t(site.left)), top = all(int32_t(site.top)), one = all(int32_t(1));
+    const I upper = ((place.y0 - top) << 3) + (place.x - left), lower = ((place.y1 - top) << 3) + (place.x - left);
+    const I nearest = ((place.near_y - top) << 3) + (place.near_x - left);
+    return {look(depth, upper),       look(depth, upper + one), look(depth, lower),
+            look(depth, lower + one), look(depth, nearest),     look(weight, nearest)};
+}
+
+GGVS_INLINE Around gather_around(const FieldView& view, const Place& place, M chosen) {
+    const I stride = all(int32_t(view.camera.width)), zero = all(int32_t(0));
+    const I nearest = select(chosen, place.near_y * stride + place.near_x, zero);
+    const I upper = select(chosen, place.y0 * stride + place.x, zero), lower = select(chosen, place.y1 * stride + place.x, zero);
+    Around around;
+    around.nearest = gather(view.depth, nearest);
+    around.weight = gather(view.weight, nearest);
+    if (view.camera.width > 1) {
+        gather_pairs(view.depth, upper, &around.d00, &around.d01);
+        gather_pairs(view.depth, lower, &around.d10, &around.d11);
+    } else {
+        around.d00 = around.d01 = gather(view.depth, upper);
+        around.d10 = around.d11 = gather(view.depth, lower);
+    }
+    return around;
+}
+
+GGVS_INLINE void look_around(const FieldView& view, Site& site) {
+    site.around = site.left >= 0 ? read_patch(view, site) : gather_around(view, site.place, site.inside);
+}
+
+// One view's share: distance s_k = D_k[u, v] - z_k (Eq. 9, positive in front of the surface) clamped to +-tau, weight 0 where it is
+// below -tau (behind the surface = unknown), outside the image or invalid.
+GGVS_INLINE void add_view(const March& march, const FieldView& view, const PacketView& ray, const Site& site, F& sum, F& total) {
+    const Place& place = site.place;
+    const Around& a = site.around;
+    const F per_tau = all(march.per_tau);
+    M inside = both(site.inside, less(all(0.0f), a.nearest));
+    F distance = (a.nearest - site.depth) * per_tau;
     // Neighbours that may be interpolated differ from the nearest pixel by less than tau: beyond 2 tau they change nothing.
     M close = both(inside, both(less(all(-2.01f), distance), less(distance, all(2.01f))));
-    if (any(close)) {
-        F left = clamp(u - all(0.5f), all(0.0f), all(width - 1.0f)), upper = clamp(v - all(0.5f), all(0.0f), all(height - 1.0f));
-        I x0 = truncate(left), y0 = truncate(upper), y1 = truncate(min(upper + all(1.0f), all(height - 1.0f)));
-        F fx = left - to_float(x0), fy = upper - to_float(y0);
-        F d00, d01, d10, d11;
-        if (view.camera.width > 1) {
-            // In the last column, which is repeated, the pair begins one pixel earlier.
-            I first = truncate(min(left, all(width - 2.0f)));
-            gather_pairs(view.depth, y0 * stride + first, &d00, &d01);
-            gather_pairs(view.depth, y1 * stride + first, &d10, &d11);
-            M last = at_most(all(width - 1.0f), left);
-            d00 = select(last, d01, d00);
-            d10 = select(last, d11, d10);
-        } else {
-            d00 = d01 = gather(view.depth, y0);
-            d10 = d11 = gather(view.depth, y1);
-        }
-        F low = min(min(d00, d01), min(d10, d11)), high = max(max(d00, d01), max(d10, d11));
-        M smooth = both(close, both(less(all(0.0f), low), less(high - low, all(tau))));
-        F top = d00 + fx * (d01 - d00), bottom = d10 + fx * (d11 - d10);
-        F between = (top + fy * (bottom - top) - depth_k) * all(1.0f / tau);
-        distance = select(smooth, between, distance);
-    }
+    F d00 = select(place.last, a.d01, a.d00), d10 = select(place.last, a.d11, a.d10);
+    F low = min(min(d00, a.d01), min(d10, a.d11)), high = max(max(d00, a.d01), max(d10, a.d11));
+    M smooth = both(close, both(less(all(0.0f), low), less(high - low, all(march.tau))));
+    F top = d00 + place.fx * (a.d01 - d00), bottom = d10 + place.fx * (a.d11 - d10);
+    F between = (top + place.fy * (bottom - top) - site.depth) * per_tau;
+    distance = select(smooth, between, distance);
     M counts = both(inside, at_most(all(-1.0f), distance));
-    if (!any(counts)) return;
-    F weight = min(ray.gain * gather(view.weight, nearest), all(view.limit));
-    weight = select(counts, weight, all(0.0f));
+    F weight = select(counts, min(ray.gain * a.weight, all(view.limit)), all(0.0f));
     sum = sum + weight * min(distance, all(1.0f));
     total = total + weight;
 }
 
-// Eq. 10, normalised: the mean of the views' clamped distances.
-GGVS_INLINE Distance sample(const March& march, const PacketView* rays, F z, M wanted) {
-    F sum = all(0.0f), total = all(0.0f);
-    const FieldView* views = march.views.data();
-    const int count = int(march.views.size());
-    for (int k = 0; k < count; ++k) add_view(views[k], rays[k], z, wanted, march.tau, sum, total);
-    F mean = select(less(all(0.0f), total), sum / total, all(0.0f));
-    return {mean, total};
+// Eq. 10, normalised: the mean of the views' clamped distances, at one depth of each ray that is wanted.
+template <int kCount>
+GGVS_INLINE void sample(const March& march, const Packet* packets, const F (&z)[kCount], const M (&wanted)[kCount],
+                        Distance (&out)[kCount]) {
+    Site sites[kMaxViews][kCount];
+    const auto each = [&](const auto& step) {
+        for (size_t k = 0; k < march.views.size(); ++k)
+#pragma GCC unroll 2
+            for (int n = 0; n < kCount; ++n) step(march.views[k], packets[n].views[k], sites[k][n], n);
+    };
+    F sum[kCount], total[kCount];
+    for (int n = 0; n < kCount; ++n) sum[n] = total[n] = all(0.0f);
+    each([&](const FieldView& view, const PacketView& ray, Site& site, int n) { project(view, ray, z[n], site); });
+    each([&](const FieldView& view, const PacketView&, Site& site, int n) { find_place(view, wanted[n], site); });
+    each([&](const FieldView& view, const PacketView&, Site& site, int) { choose_patch(view, site); });
+    each([&](const FieldView& view, const PacketView&, Site& site, int) { look_around(view, site); });
+    each([&](const FieldView& view, const PacketView& ray, Site& site, int n) {
+        add_view(march, view, ray, site, sum[n], total[n]);
+    });
+    for (int n = 0; n < kCount; ++n) out[n] = {select(less(all(0.0f), total[n]), sum[n] / total[n], all(0.0f)), total[n]};
 }
 
 // How many whole steps from z stay in empty slabs, the last of them still evaluated so that its sign is known.
@@ -109,104 +199,130 @@ GGVS_INLINE F empty_steps(const MarchColumn& column, F z, float step) {
     return to_float(truncate(clamp(steps, all(0.0f), all(1e6f))));
 }
 
-struct Packet {
-    F base, whole;  // the sample depth is base + whole * step: skipping steps then gives the same bits as taking them
-    F previous;     // depth of the previous sample
-    M positive;     // rays whose previous sample was known and in front
-    M active, hit;
-    F front, behind;  // around the zero crossing
-};
+// The depth of a packet's next sample; rays that leave the range end there.
+GGVS_INLINE F next_depth(const March& march, const MarchColumn& column, Packet& p) {
+    const float step = march.step_fraction * march.tau;
+    F z = p.base + p.whole * all(step);
+    if (march.skip_empty) {
+        p.whole = p.whole + empty_steps(column, z, step);
+        z = p.base + p.whole * all(step);
+    }
+    p.active = both(p.active, at_most(z, all(march.far)));
+    return z;
+}
+
+// What a packet's rays do after the sample at z.
+GGVS_INLINE void advance(const March& march, F z, const Distance& s, Packet& p) {
+    M known = both(p.active, less(all(0.0f), s.total));
+    M positive = both(known, less(all(0.0f), s.mean));
+    M crossed = both(but_not(known, positive), p.positive);
+    p.front = select(crossed, p.previous, p.front);
+    p.behind = select(crossed, z, p.behind);
+    p.hit = either(p.hit, crossed);
+    p.active = but_not(p.active, crossed);
+
+    M shorter = both(positive, less(s.mean, all(1.0f)));
+    F length = max(all(march.step_fraction) * s.mean, all(march.min_step)) * all(march.tau);
+    p.base = select(shorter, z + length, p.base);
+    p.whole = select(shorter, all(0.0f), p.whole + all(1.0f));
+    p.previous = z;
+    p.positive = positive;
+}
+
+template <int kCount>
+GGVS_INLINE void take_step(const March& march, const MarchColumn& column, Packet* packets) {
+    F z[kCount];
+    M active[kCount];
+    Distance found[kCount];
+    for (int n = 0; n < kCount; ++n) z[n] = next_depth(march, column, packets[n]), active[n] = packets[n].active;
+    sample<kCount>(march, packets, z, active, found);
+    for (int n = 0; n < kCount; ++n) advance(march, z[n], found[n], packets[n]);
+}
 
 // Sphere tracing with the minimum step (Eq. 3 with the readings of ggvs_eval/geometry/tsdf.py).
-GGVS_INLINE void find_crossings(const March& march, const MarchColumn& column, const PacketView* rays, Packet& p) {
-    const float step = march.step_fraction * march.tau;
-    while (any(p.active)) {
-        F z = p.base + p.whole * all(step);
-        if (march.skip_empty) {
-            p.whole = p.whole + empty_steps(column, z, step);
-            z = p.base + p.whole * all(step);
+GGVS_INLINE void find_crossings(const March& march, const MarchColumn& column, Packet (&packets)[kMarchedPackets]) {
+    while (any(packets[0].active) && any(packets[1].active)) take_step<kMarchedPackets>(march, column, packets);
+    for (Packet& packet : packets)
+        while (any(packet.active)) take_step<1>(march, column, &packet);
+}
+
+// Halves the intervals around the crossings; the distance in the middle of what is left.
+GGVS_INLINE void bisect(const March& march, Packet (&packets)[kMarchedPackets], F (&middle)[kMarchedPackets],
+                        Distance (&found)[kMarchedPackets]) {
+    M hit[kMarchedPackets];
+    for (int n = 0; n < kMarchedPackets; ++n) hit[n] = packets[n].hit;
+    for (int round = 0;; ++round) {
+        for (int n = 0; n < kMarchedPackets; ++n) middle[n] = all(0.5f) * (packets[n].front + packets[n].behind);
+        sample<kMarchedPackets>(march, packets, middle, hit, found);
+        if (round == march.bisections) return;
+        for (int n = 0; n < kMarchedPackets; ++n) {
+            M positive = both(less(all(0.0f), found[n].total), less(all(0.0f), found[n].mean));
+            packets[n].front = select(positive, middle[n], packets[n].front);
+            packets[n].behind = select(positive, packets[n].behind, middle[n]);
         }
-        p.active = both(p.active, at_most(z, all(march.far)));
-        Distance s = sample(march, rays, z, p.active);
-        M known = both(p.active, less(all(0.0f), s.total));
-        M positive = both(known, less(all(0.0f), s.mean));
-        M crossed = both(but_not(known, positive), p.positive);
-        p.front = select(crossed, p.previous, p.front);
-        p.behind = select(crossed, z, p.behind);
-        p.hit = either(p.hit, crossed);
-        p.active = but_not(p.active, crossed);
-
-        M shorter = both(positive, less(s.mean, all(1.0f)));
-        F advance = max(all(march.step_fraction) * s.mean, all(march.min_step)) * all(march.tau);
-        p.base = select(shorter, z + advance, p.base);
-        p.whole = select(shorter, all(0.0f), p.whole + all(1.0f));
-        p.previous = z;
-        p.positive = positive;
     }
 }
 
-GGVS_INLINE void bisect(const March& march, const PacketView* rays, Packet& p) {
-    for (int n = 0; n < march.bisections; ++n) {
-        F middle = all(0.5f) * (p.front + p.behind);
-        Distance s = sample(march, rays, middle, p.hit);
-        M positive = both(less(all(0.0f), s.total), less(all(0.0f), s.mean));
-        p.front = select(positive, middle, p.front);
-        p.behind = select(positive, p.behind, middle);
-    }
-}
-
-GGVS_INLINE void march_packet(const March& march, const MarchColumn& column, int left, int top, PacketView* rays, float* depth,
-                              float* weight) {
+GGVS_INLINE void start(const March& march, int left, int top, Packet& p) {
     const int width = march.target.width, height = march.target.height;
-    alignas(64) float u[kWidth], v[kWidth], gain[kWidth];
+    alignas(64) float u[kWidth], v[kWidth];
     alignas(64) int32_t inside[kWidth];
     for (int lane = 0; lane < kWidth; ++lane) {
         const int x = left + lane % kPacket, y = top + lane / kPacket;
         u[lane] = float(x) + 0.5f, v[lane] = float(y) + 0.5f;
         inside[lane] = x < width && y < height;
     }
-    const FieldView* views = march.views.data();
-    for (int k = 0; k < int(march.views.size()); ++k) {
-        const float* m = views[k].map.matrix;
-        rays[k].x = all(m[0]) * load(u) + all(m[1]) * load(v) + all(m[2]);
-        rays[k].y = all(m[3]) * load(u) + all(m[4]) * load(v) + all(m[5]);
-        rays[k].z = all(m[6]) * load(u) + all(m[7]) * load(v) + all(m[8]);
+    for (size_t k = 0; k < march.views.size(); ++k) {
+        const FieldView& view = march.views[k];
+        const float* m = view.map.matrix;
+        PacketView& ray = p.views[k];
+        ray.x = all(m[0]) * load(u) + all(m[1]) * load(v) + all(m[2]);
+        ray.y = all(m[3]) * load(u) + all(m[4]) * load(v) + all(m[5]);
+        ray.z = all(m[6]) * load(u) + all(m[7]) * load(v) + all(m[8]);
+        ray.gain = all(1.0f);
+        if (!view.gain) continue;
+        alignas(64) float gain[kWidth];
         for (int lane = 0; lane < kWidth; ++lane) {
             const int64_t pixel = int64_t(top + lane / kPacket) * width + left + lane % kPacket;
-            gain[lane] = views[k].gain && inside[lane] ? views[k].gain[pixel] : 1.0f;
+            gain[lane] = inside[lane] ? view.gain[pixel] : 1.0f;
         }
-        rays[k].gain = load(gain);
+        ray.gain = load(gain);
     }
-    Packet p;
     p.base = all(march.near);
     p.whole = p.previous = p.front = p.behind = all(0.0f);
     p.positive = p.hit = no_lanes();
     p.active = less(all(0.5f), to_float(load(inside)));
-    find_crossings(march, column, rays, p);
+}
 
-    alignas(64) float z[kWidth] = {}, total[kWidth] = {};
-    if (any(p.hit)) {
-        bisect(march, rays, p);
-        F middle = all(0.5f) * (p.front + p.behind);
-        Distance s = sample(march, rays, middle, p.hit);
-        store(z, select(p.hit, middle, all(0.0f)));
-        store(total, select(p.hit, s.total, all(0.0f)));
-    }
+GGVS_INLINE void write(const March& march, int left, int top, F z, F total, float* depth, float* weight) {
+    alignas(64) float lanes[2][kWidth];
+    store(lanes[0], z), store(lanes[1], total);
     for (int lane = 0; lane < kWidth; ++lane) {
-        if (!inside[lane]) continue;
-        const int64_t pixel = int64_t(top + lane / kPacket) * width + left + lane % kPacket;
-        depth[pixel] = z[lane];
-        weight[pixel] = total[lane];
+        const int x = left + lane % kPacket, y = top + lane / kPacket;
+        if (x >= march.target.width || y >= march.target.height) continue;
+        const int64_t pixel = int64_t(y) * march.target.width + x;
+        depth[pixel] = lanes[0][lane], weight[pixel] = lanes[1][lane];
     }
 }
 
 // The 8 x 8 rays of one occupancy column.
 static void march_column(const March& march, const MarchColumn& column, float* depth, float* weight) {
     constexpr int kRows = kWidth / kPacket;  // of a packet
-    PacketView rays[kMaxViews];
-    for (int y = column.top; y < column.top + kMarchTile && y < march.target.height; y += kRows)
-        for (int x = column.left; x < column.left + kMarchTile && x < march.target.width; x += kPacket)
-            march_packet(march, column, x, y, rays, depth, weight);
+    static_assert(kMarchTile == kMarchedPackets * kPacket, "the packets that are marched together lie side by side in a column");
+    Packet packets[kMarchedPackets];
+    for (int y = column.top; y < column.top + kMarchTile && y < march.target.height; y += kRows) {
+        for (int n = 0; n < kMarchedPackets; ++n) start(march, column.left + n * kPacket, y, packets[n]);
+        find_crossings(march, column, packets);
+        F middle[kMarchedPackets];
+        Distance found[kMarchedPackets];
+        const bool met = any(either(packets[0].hit, packets[1].hit));
+        if (met) bisect(march, packets, middle, found);
+        for (int n = 0; n < kMarchedPackets; ++n) {
+            F z = met ? select(packets[n].hit, middle[n], all(0.0f)) : all(0.0f);
+            F total = met ? select(packets[n].hit, found[n].total, all(0.0f)) : all(0.0f);
+            write(march, column.left + n * kPacket, y, z, total, depth, weight);
+        }
+    }
 }
 
 }  // namespace ggvs::GGVS_LEVEL
