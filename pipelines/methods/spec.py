@@ -108,9 +108,7 @@ class MethodSpec:
             return self
         if self.is_fitted:
             return replace(self, device=device)
-        return replace(
-            self, make=partial(self.make, device=device), device=device, modules=(*self.modules, *self.device_modules)
-        )
+        return replace(self, make=partial(self.make, device=device), device=device, modules=(*self.modules, *self.device_modules))
 
     def _fitter_fields(self) -> list[str]:
         """Names of the options of its fitter; none where it is not fitted."""

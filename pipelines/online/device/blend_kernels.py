@@ -129,7 +129,9 @@ def settle_depth(
 
 
 @wp.func
-def depth_at(depth: wp.array2d[wp.float32], width: wp.int32, height: wp.int32, u: wp.float32, v: wp.float32, tolerance: wp.float32):
+def depth_at(
+    depth: wp.array2d[wp.float32], width: wp.int32, height: wp.int32, u: wp.float32, v: wp.float32, tolerance: wp.float32
+):
     """Bilinear where the four neighbours belong to one surface, else the nearest pixel's."""
     x = wp.min(wp.max(u - 0.5, 0.0), wp.float32(width - 1))
     y = wp.min(wp.max(v - 0.5, 0.0), wp.float32(height - 1))

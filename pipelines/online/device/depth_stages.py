@@ -119,7 +119,9 @@ def ray_march(
     else:
         layers.append((past.march.depth, past.march.weight))
         held = past.march.depth, past.march.weight, past.gain, past.limit
-    nexts = _occupancy(target, cameras, layers, constants, device) if options.skip_empty else torch.zeros((1, 1, 1), device=device)
+    nexts = (
+        _occupancy(target, cameras, layers, constants, device) if options.skip_empty else torch.zeros((1, 1, 1), device=device)
+    )
     maps = to_device(np.stack([pixel_map(target, camera) for camera in cameras]), device)
     depth, weight = torch.empty(size, device=device), torch.empty(size, device=device)
     launch(march_kernels.march_rays, size, constants, depths, weights, maps, views.sizes, *held, nexts, depth, weight)

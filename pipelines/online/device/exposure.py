@@ -15,6 +15,7 @@ from ggvs_eval.pipelines.online import exposure_compensation as compensation
 from ggvs_eval.pipelines.online import lens_falloff
 from ggvs_eval.pipelines.online.device import blend_kernels
 from ggvs_eval.pipelines.online.device.launch import launch
+from ggvs_eval.pipelines.online.device.order_statistics import masked_median
 from ggvs_eval.pipelines.online.device.views import DeviceViews, to_device
 
 REDUCTION = compensation.REDUCTION
@@ -74,7 +75,7 @@ def estimate_exposure(
     looks, mask, samples = _shared_looks(views, depths, tolerance, pairs)
     shared = mask.sum(dim=1) >= compensation.FEWEST  # (P,)
     slope = before + (_slope(looks, mask, shared, corner) - before) / count
-    medians = _masked_median(looks[..., :3] - slope.float() * looks[..., 3:], mask[..., None])  # (P, 3)
+    medians = masked_median(looks[..., :3] - slope.float() * looks[..., 3:], mask[..., None])  # (P, 3)
     names = [(views.cameras[j].name, views.cameras[k].name) for j, k in pairs]
     means, ratios = _remembered(names, medians.double(), shared, state.ratios, memory)
     log_gains = _solved(pairs, means, torch.where(shared, mask.sum(dim=1), 0).double(), samples.double())
@@ -198,19 +199,10 @@ def _sampled(image: Tensor, x: Tensor, y: Tensor) -> Tensor:
     return upper + down * (lower - upper)
 
 
-def _masked_median(values: Tensor, mask: Tensor) -> Tensor:
-    """Median over the second axis of (P, N, C) of what counts, (P, C); 0 where nothing does."""
-    ordered = torch.where(mask, values, torch.inf).sort(dim=1).values
-    count = mask.sum(dim=1).expand(-1, values.shape[2])
-    low, high = ((count - 1).clamp(min=0) // 2, count // 2)
-    middle = torch.stack([ordered.gather(1, place[:, None].clamp(max=values.shape[1] - 1))[:, 0] for place in (low, high)])
-    return torch.where(count > 0, middle.mean(dim=0), 0.0)
-
-
 def _slope(looks: Tensor, mask: Tensor, shared: Tensor, corner: float) -> Tensor:
     """The fall-off that the pairs of an instant share, see `fit_slope` and `shared_slope`, (), float64."""
     x, y = looks[..., 3].double() / corner, looks[..., :3].mean(dim=-1).double()
-    y = y - _masked_median(y[..., None], mask[..., None])
+    y = y - masked_median(y[..., None], mask[..., None])
     weights = mask.double()
     slopes = evidence = torch.zeros(len(looks), dtype=torch.float64, device=looks.device)
     for _ in range(lens_falloff.ROUNDS):

@@ -13,6 +13,7 @@ from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.geometry.splat import COVERED_ALPHA
 from ggvs_eval.pipelines.online import recurrent_output, remembered_background
+from ggvs_eval.pipelines.online.device.order_statistics import quantile
 from ggvs_eval.pipelines.online.device.splats import DeviceSplats
 from ggvs_eval.pipelines.online.device.views import to_device
 
@@ -25,7 +26,7 @@ def stillness(splats: DeviceSplats, beta_mask: float, lambda_t: float) -> Tensor
     covered = torch.where(splats.alphas[:, ::REDUCTION, ::REDUCTION] >= COVERED_ALPHA, masks, 0.0).amax(dim=0)
     widest = functional.max_pool2d(covered[None, None], 2 * recurrent_output.REACH + 1, 1, recurrent_output.REACH)[0, 0]
     change = (widest - beta_mask).clamp(min=0) * lambda_t
-    noise = change.flatten().quantile(recurrent_output.QUIET_QUANTILE).clamp(*recurrent_output.QUIET_RANGE)
+    noise = quantile(change, recurrent_output.QUIET_QUANTILE).clamp(*recurrent_output.QUIET_RANGE)
     still, moving = recurrent_output.STILL, recurrent_output.MOVING
     return ((moving - change / noise) / (moving - still)).clamp(0, 1)
 

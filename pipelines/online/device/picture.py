@@ -23,6 +23,7 @@ from ggvs_eval.pipelines.online.blend_network import (
 )
 from ggvs_eval.pipelines.online.device import blend_kernels
 from ggvs_eval.pipelines.online.device.launch import launch
+from ggvs_eval.pipelines.online.device.order_statistics import masked_median
 from ggvs_eval.pipelines.online.device.splats import DeviceSplats
 from ggvs_eval.pipelines.online.device.views import DeviceViews, area_cells, between_cells, pixel_map, to_device
 from ggvs_eval.pipelines.online.network_inputs import ray_slopes
@@ -57,11 +58,11 @@ class DeviceMaps:
         top, left = (min(scale // 2, length - 1) for length in size)
         flat = (self.coverage, self.visibilities, self.alphas)
         averaged = _averaged(torch.cat([self.colours, *(maps[:, None] for maps in flat)], dim=1), scale)
+        coverage, visibilities, alphas = averaged[:, 3:].unbind(dim=1)
         picked = torch.cat([self.depths, self.fused_depth[None]])[:, top::scale, left::scale]
         depths = _continued(picked[None], height, width)[0]
-        return DeviceMaps(
-            target, self.sources, averaged[:, :3], *averaged[:, 3:].unbind(dim=1), depths[:-1], depths[-1], self.weights
-        )
+        colours, weights = averaged[:, :3], self.weights
+        return DeviceMaps(target, self.sources, colours, coverage, visibilities, alphas, depths[:-1], depths[-1], weights)
 
 
 def _continued(maps: Tensor, height: int, width: int) -> Tensor:
@@ -103,13 +104,12 @@ def network_channels(maps: DeviceMaps, registered: bool, views: int) -> Tensor:
         views: how many views the network is made for.
     """
     depth, target, device = maps.fused_depth, maps.target, maps.fused_depth.device
-    unit = torch.where(depth > 0, depth, torch.nan).flatten().nanquantile(0.5).nan_to_num(nan=target.far)
+    median = masked_median(depth.reshape(1, -1, 1), (depth > 0).reshape(1, -1, 1))[0, 0]
+    unit = torch.where(median > 0, median, target.far)
     to_normal, to_target = (torch.empty_like(maps.depths, memory_format=torch.contiguous_format) for _ in range(2))
     slopes = (to_device(each, device) for each in ray_slopes(target))
     centres = to_device(np.stack([rigid_between(source, target)[:3, 3] for source in maps.sources]), device)
-    launch(
-        blend_kernels.geometry_channels, depth.shape, depth.contiguous(), *slopes, target.far, centres, to_normal, to_target
-    )
+    launch(blend_kernels.geometry_channels, depth.shape, depth.contiguous(), *slopes, target.far, centres, to_normal, to_target)
     distances = to_device([float(np.linalg.norm(source.centre - target.centre)) for source in maps.sources], device) / unit
     axes = to_device([float(source.axis @ target.axis) for source in maps.sources], device)
     size = maps.depths.shape
@@ -133,7 +133,7 @@ def _inverse(depth: Tensor, unit: Tensor) -> Tensor:
 
 
 def push_pull(colours: Tensor, covered: Tensor) -> Tensor:
-    """Fill what is not covered, (H, W), of a picture (3, H, W) from ever coarser averages, as `push_pull` of the compiled path."""
+    """Fill what is not covered, (H, W), of a picture (3, H, W) from ever coarser averages, as the compiled `push_pull`."""
     return _filled(colours.contiguous(), covered.float())
 
 
@@ -148,9 +148,7 @@ def _filled(colours: Tensor, known: Tensor) -> Tensor:
     between = (*between_cells(height, small[0], device), *between_cells(width, small[1], device))
     out = torch.empty_like(colours)
     whole = (known > 0).all()[None]  # stays on the device: what is not needed is computed, and not looked at
-    launch(
-        blend_kernels.fill_unknown, known.shape, colours, known, whole, _filled(coarse, coarse_known), *between, out
-    )
+    launch(blend_kernels.fill_unknown, known.shape, colours, known, whole, _filled(coarse, coarse_known), *between, out)
     return out
 
 

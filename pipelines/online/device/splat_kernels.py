@@ -59,8 +59,8 @@ def project(p: wp.array[wp.float32], column: wp.int32, row: wp.int32, source_dep
             f.var_y = jy * jy + jyz * jyz + 0.3
             f.reach_x = wp.sqrt(11.09 * f.var_x)
             f.reach_y = wp.sqrt(11.09 * f.var_y)
-            across = 0.0 <= f.u + f.reach_x and f.u - f.reach_x <= p[20]
-            down = 0.0 <= f.v + f.reach_y and f.v - f.reach_y <= p[21]
+            across = f.u + f.reach_x >= 0.0 and f.u - f.reach_x <= p[20]
+            down = f.v + f.reach_y >= 0.0 and f.v - f.reach_y <= p[21]
             f.visible = across and down
     return f
 

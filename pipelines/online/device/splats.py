@@ -48,8 +48,8 @@ def splat_views(
 
     Reading:
         Two stable sorts of 32 bits, by depth and then by tile, order the pairs as the compiled splat does, equal depths in
-        reading order; sorting pairs at once by 64 bits would move twice the bytes. How many pairs there are is known on the device
-        alone: room is kept for a number of them, and whoever reads the picture sees whether it was enough.
+        reading order; sorting pairs at once by 64 bits would move twice the bytes. How many pairs there are is known on the
+        device alone: room is kept for a number of them, and whoever reads the picture sees whether it was enough.
     """
     device, count, size = depths.device, depths.numel(), (target.height, target.width)
     projectors = to_device(np.stack([_projector(camera, target, near, scale) for camera in views.cameras]), device)
@@ -83,9 +83,7 @@ def _tile_lists(
     counts, starts, ranges, ids = gaussians
     keys = torch.full((2 * capacity,), views * tiles, dtype=torch.int32, device=counts.device)
     numbers = torch.zeros(2 * capacity, dtype=torch.int32, device=counts.device)
-    launch(
-        splat_kernels.list_pairs, len(counts), counts, starts, ranges, ids, pixels, across, tiles, capacity, keys, numbers
-    )
+    launch(splat_kernels.list_pairs, len(counts), counts, starts, ranges, ids, pixels, across, tiles, capacity, keys, numbers)
     sort_pairs(keys, numbers, capacity, (views * tiles).bit_length())
     return keys, numbers
 
