@@ -1,9 +1,9 @@
 """The online step on a GPU, checked against the compiled path and timed part by part: ``make bench-device``.
 
 Three questions, in this order. Does the device render what the CPU renders, and twice the same? How long does each part take, by
-events of the GPU, median and 95th percentile of warm frames? How much of that does the GPU compute, by torch's profiler: the rest it
-waits for the host, which is what a CUDA graph could save. The command needs CUDA's torch, numpy, OpenCV, safetensors, pybind11, a C++
-compiler and Warp, and no network; ``--device cpu --shrink 8`` tries it without a GPU, by Warp's CPU device, whose times mean nothing.
+events of the GPU, median and 95th percentile of warm frames? For how much of that does the GPU compute, by torch's profiler: else it
+waits for the host, which a CUDA graph could save. The command needs CUDA's torch, numpy, OpenCV, safetensors, pybind11, a C++ compiler
+and Warp, and no network; ``--device cpu --shrink 8`` tries it without a GPU, by Warp's CPU device, whose times mean nothing.
 """
 
 import argparse
@@ -101,9 +101,13 @@ def _print(size: tuple[int, int], figure: dict[str, Any], divisor: int) -> None:
     for name, milliseconds in times["parts_ms"].items():
         print(f"  {name:26s} {milliseconds:8.2f} ms")
     target = f", to reach {TARGETS_MS[whole]:g}" if divisor == 1 else ""
-    print(f"  {'without transfers, p50':26s} {times['p50_ms']:8.2f} ms (p95 {times['p95_ms']:.2f}; the paper's {PAPER_MS}{target})")
+    print(
+        f"  {'without transfers, p50':26s} {times['p50_ms']:8.2f} ms (p95 {times['p95_ms']:.2f}; the paper's {PAPER_MS}{target})"
+    )
     if times.get("busy_ms"):
-        print(f"  {'of that, kernels':26s} {times['busy_ms']:8.2f} ms; what is left waits for the host: a CUDA graph could save it")
+        print(
+            f"  {'of that, kernels':26s} {times['busy_ms']:8.2f} ms; what is left waits for the host: a CUDA graph could save it"
+        )
 
 
 def main() -> None:

@@ -6,6 +6,7 @@ from itertools import combinations
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from ggvs_eval.camera import Camera
@@ -110,28 +111,24 @@ def _shared_looks(
     views: DeviceViews, depths: Tensor, tolerance: float, pairs: list[tuple[int, int]]
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Of each pair, the log ratios and spans at the lattices of both, (P, 2 N, 4), which of them count, and points per pair."""
-    device = depths.device
     lattices = [_lattice(views, depths, k) for k in range(len(views.cameras))]
-    most = max(len(usable) for _, _, _, usable in lattices)
-    points, colours, usable = (
-        torch.stack([_padded(lattice[part], most) for lattice in lattices]) for part in (1, 2, 3)
-    )  # (K, N, 3), (K, N, 3), (K, N)
-    pictures = [lattice[0] for lattice in lattices]
-    looks, counts = [], []
-    for first, second, sign in [(j, k, sign) for j, k in pairs for sign in (1, -1)]:
-        own, other = (first, second) if sign > 0 else (second, first)
-        ratio, mask = _log_ratios(views, depths, pictures[other], points[own], colours[own], (own, other), tolerance)
-        looks.append(sign * ratio)
-        counts.append(mask & usable[own])
-    both, masks = torch.stack(looks).view(len(pairs), -1, 4), torch.stack(counts).view(len(pairs), -1)
+    pictures, points, colours, usable = (_stacked([lattice[part] for lattice in lattices]) for part in range(4))
+    directed = np.array([order for j, k in pairs for order in ((j, k), (k, j))])  # (2 P, 2)
+    own, other = torch.from_numpy(directed).to(depths.device).T
+    ratios, mask = _log_ratios(views, depths, pictures, points[own], colours[own], directed, tolerance)
+    signs = to_device(np.tile([1.0, -1.0], len(pairs)), depths.device)[:, None, None]
     samples = usable.sum(dim=1)
-    first, second = torch.tensor(pairs, device=device).T
-    return both, masks, samples[first] + samples[second]
+    counts = samples[own] + samples[other]
+    return (signs * ratios).view(len(pairs), -1, 4), (mask & usable[own]).view(len(pairs), -1), counts[::2]
 
 
-def _padded(values: Tensor, length: int) -> Tensor:
-    missing = values.new_zeros((length - len(values), *values.shape[1:]))
-    return torch.cat([values, missing])
+def _stacked(maps: list[Tensor]) -> Tensor:
+    """Arrays beside each other, what is missing of the smaller ones filled with 0."""
+    sizes = [max(lengths) for lengths in zip(*(each.shape for each in maps), strict=True)]
+    stack = maps[0].new_zeros((len(maps), *sizes))
+    for layer, each in zip(stack, maps, strict=True):
+        layer[tuple(slice(length) for length in each.shape)] = each
+    return stack
 
 
 def _lattice(views: DeviceViews, depths: Tensor, k: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
@@ -144,13 +141,18 @@ def _lattice(views: DeviceViews, depths: Tensor, k: int) -> tuple[Tensor, Tensor
     step = max(height // compensation.LATTICE_ROWS, 1)
     colours = picture[step // 2 :: step, step // 2 :: step]
     rows, columns = (torch.arange(count, device=device) * step + step // 2 for count in colours.shape[:2])
-    v, u = (REDUCTION * rows + REDUCTION // 2).clamp(max=camera.height - 1), (REDUCTION * columns + 2).clamp(max=camera.width - 1)
+    v, u = (
+        (REDUCTION * cells + REDUCTION // 2).clamp(max=size - 1)
+        for cells, size in ((rows, camera.height), (columns, camera.width))
+    )
     z = depth[v][:, u]
-    slopes = ((u.double() - camera.K[0, 2]) / camera.K[0, 0])[None], ((v.double() - camera.K[1, 2]) / camera.K[1, 1])[:, None]
-    points = torch.stack([(z * slopes[0]).float(), (z * slopes[1]).float(), z], dim=-1)
+    across, down = (
+        ((u.double() - camera.K[0, 2]) / camera.K[0, 0])[None],
+        ((v.double() - camera.K[1, 2]) / camera.K[1, 1])[:, None],
+    )
+    points = torch.stack([(z * across).float(), (z * down).float(), z], dim=-1)
     usable = (z > 0) & _linear(colours)
-    logarithms = colours.clamp(min=1).log()
-    return picture, points.view(-1, 3), logarithms.reshape(-1, 3), usable.flatten()
+    return picture, points.view(-1, 3), colours.clamp(min=1).log().reshape(-1, 3), usable.flatten()
 
 
 def _linear(colours: Tensor) -> Tensor:
@@ -160,42 +162,63 @@ def _linear(colours: Tensor) -> Tensor:
 def _log_ratios(
     views: DeviceViews,
     depths: Tensor,
-    picture: Tensor,
+    pictures: Tensor,
     points: Tensor,
     logarithms: Tensor,
-    numbers: tuple[int, int],
+    directed: NDArray[np.int64],
     tolerance: float,
 ) -> tuple[Tensor, Tensor]:
-    """`log_ratios` at all points of a lattice, (N, 4), and which of them count, (N,)."""
-    first, second = (views.cameras[k] for k in numbers)
-    transform = to_device(rigid_between(first, second), depths.device)
-    there = points @ transform[:3, :3].T + transform[:3, 3]
-    z = torch.where(there[:, 2] > 0, there[:, 2], torch.inf)
-    u = second.K[0, 0] * there[:, 0] / z + second.K[0, 2]
-    v = second.K[1, 1] * there[:, 1] / z + second.K[1, 2]
-    inside = (u >= 0) & (u < second.width) & (v >= 0) & (v < second.height)
-    column, row = u.clamp(0, second.width - 1).long(), v.clamp(0, second.height - 1).long()
-    agrees = inside & ((depths[numbers[1]][row, column] - z).abs() < tolerance)
-    colours = _sampled(picture, u / REDUCTION - 0.5, v / REDUCTION - 0.5)
+    """`log_ratios` of all ordered pairs at once: at the points of the first view's lattice, looked up in the second.
+
+    Args:
+        views: the sources.
+        depths: their filtered depths.
+        pictures: their reduced images, (K, h, w, 3).
+        points: of the first view of each pair, (Q, N, 3).
+        logarithms: of the colours there, (Q, N, 3).
+        directed: the numbers of both views, (Q, 2).
+        tolerance: as in `estimate_exposure`.
+
+    Returns:
+        (Q, N, 4), 0 where nothing counts, and what counts, (Q, N).
+    """
+    device, cameras = depths.device, [views.cameras[k] for k in directed[:, 1]]
+    firsts = [views.cameras[k] for k in directed[:, 0]]
+    transforms = to_device(np.stack([rigid_between(*pair) for pair in zip(firsts, cameras, strict=True)]), device)
+    constants = [(*camera.K[[0, 1, 0, 1], [0, 1, 2, 2]], *camera.size) for camera in cameras]
+    fx, fy, cx, cy, width, height = to_device(constants, device).T[..., None]  # (Q, 1) each
+    number = torch.from_numpy(directed[:, 1]).to(device)[:, None]
+    there = points @ transforms[:, :3, :3].transpose(1, 2) + transforms[:, None, :3, 3]
+    z = torch.where(there[..., 2] > 0, there[..., 2], torch.inf)
+    u, v = fx * there[..., 0] / z + cx, fy * there[..., 1] / z + cy
+    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    column, row = (torch.minimum(at.clamp(min=0), size - 1).long() for at, size in ((u, width), (v, height)))
+    agrees = inside & ((depths[number, row, column] - z).abs() < tolerance)
+    small = ((size // REDUCTION).clamp(min=1) for size in (width, height))
+    colours = _sampled(pictures, number, u / REDUCTION - 0.5, v / REDUCTION - 0.5, *small)
     mask = agrees & _linear(colours)
-    spans = _squared_tangents(points[:, 0], points[:, 1], points[:, 2]) - _squared_tangents(there[:, 0], there[:, 1], z)
-    ratios = torch.cat([logarithms - colours.clamp(min=1).log(), spans[:, None]], dim=1)
-    return torch.where(mask[:, None], ratios, 0.0), mask
+    spans = _squared_tangents(points[..., 0], points[..., 1], points[..., 2]) - _squared_tangents(there[..., 0], there[..., 1], z)
+    ratios = torch.cat([logarithms - colours.clamp(min=1).log(), spans[..., None]], dim=-1)
+    return torch.where(mask[..., None], ratios, 0.0), mask
 
 
 def _squared_tangents(x: Tensor, y: Tensor, z: Tensor) -> Tensor:
     return (x.square() + y.square()) / z.square()
 
 
-def _sampled(image: Tensor, x: Tensor, y: Tensor) -> Tensor:
-    """Bilinear samples, (N, 3), see `exposure_compensation.sampled`."""
-    height, width = image.shape[:2]
-    x, y = x.clamp(0, width - 1), y.clamp(0, height - 1)
-    left, top = x.long().clamp(max=max(width - 2, 0)), y.long().clamp(max=max(height - 2, 0))
-    right, bottom = (left + 1).clamp(max=width - 1), (top + 1).clamp(max=height - 1)
-    across, down = (x - left)[:, None], (y - top)[:, None]
-    upper = image[top, left] + across * (image[top, right] - image[top, left])
-    lower = image[bottom, left] + across * (image[bottom, right] - image[bottom, left])
+def _sampled(images: Tensor, number: Tensor, x: Tensor, y: Tensor, width: Tensor, height: Tensor) -> Tensor:
+    """Bilinear samples, (Q, N, 3), of images of these sizes within a stack, see `exposure_compensation.sampled`."""
+    zero = torch.zeros_like(width)
+    x, y = torch.minimum(x.clamp(min=0), width - 1), torch.minimum(y.clamp(min=0), height - 1)
+    left, top = (
+        torch.minimum(x.floor(), torch.maximum(width - 2, zero)),
+        torch.minimum(y.floor(), torch.maximum(height - 2, zero)),
+    )
+    right, bottom = torch.minimum(left + 1, width - 1).long(), torch.minimum(top + 1, height - 1).long()
+    across, down = (x - left)[..., None], (y - top)[..., None]
+    left, top = left.long(), top.long()
+    upper = images[number, top, left] + across * (images[number, top, right] - images[number, top, left])
+    lower = images[number, bottom, left] + across * (images[number, bottom, right] - images[number, bottom, left])
     return upper + down * (lower - upper)
 
 
