@@ -1,9 +1,9 @@
 """The online step on a GPU, checked against the compiled path and timed part by part: ``make bench-device``.
 
-Three questions, in this order. Does the device render what the CPU renders, and twice the same? How long does each part take, by
-events of the GPU, median and 95th percentile of warm frames? For how much of that does the GPU compute, by torch's profiler: else it
-waits for the host, which a CUDA graph could save. The command needs CUDA's torch, numpy, OpenCV, safetensors, pybind11, a C++ compiler
-and Warp, and no network; ``--device cpu --shrink 8`` tries it without a GPU, by Warp's CPU device, whose times mean nothing.
+Three questions, in this order. Does the device render what the CPU renders, and twice the same? How long does each part take,
+by events of the GPU, median and 95th percentile of warm frames? For how much of that does the GPU compute, by torch's profiler:
+else it waits for the host, which a CUDA graph could save. The command needs CUDA's torch, numpy, OpenCV, safetensors, pybind11, a
+C++ compiler and Warp, and no network; ``--device cpu --shrink 8`` tries it by Warp's CPU device, whose times mean nothing.
 """
 
 import argparse
@@ -49,7 +49,7 @@ def check(instants: Sequence[Instant], device: str) -> dict[str, float]:
 
 
 def time_parts(instants: Sequence[Instant], device: str) -> dict[str, Any]:
-    """Milliseconds of each part, its median over warm frames; of the frame with and without transfers, and by the host's clock."""
+    """Milliseconds of each part, its median over warm frames, by the host's clock too; of the frame without transfers."""
     method, rows = DeviceGuided(device=device), []
     for index in range(WARM_UP + TIMED):
         begun_s = perf_counter()
@@ -94,8 +94,8 @@ def _print(size: tuple[int, int], figure: dict[str, Any], divisor: int) -> None:
     print(f"\n{size[0]}x{size[1]}, K = 4, network included")
     good = min(checked["within_a_level"], checked["depth_within_1e-4"]) >= LEAST_SHARE and checked["equal_twice"] == 1.0
     print(
-        f"  {'as the CPU renders it' if good else 'NOT AS THE CPU RENDERS IT'}: {checked['within_a_level']:.4%} of the pixels within "
-        f"a level (at most {checked['largest_levels']:.2f}), {checked['depth_within_1e-4']:.4%} of the depths within 1e-4; "
+        f"  {'as the CPU renders it' if good else 'NOT AS THE CPU RENDERS IT'}: {checked['within_a_level']:.4%} of the pixels "
+        f"within a level (at most {checked['largest_levels']:.2f}), {checked['depth_within_1e-4']:.4%} of the depths within 1e-4; "
         f"{checked['equal_twice']:.4%} equal in two runs"
     )
     for name, milliseconds in times["parts_ms"].items():
