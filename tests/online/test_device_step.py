@@ -1,5 +1,6 @@
 """The online step on a device, by Warp's CPU device: what the compiled path renders, stage by stage and as a whole."""
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -37,7 +38,20 @@ from helpers.scenes import camera_at, texture
 
 pytest.importorskip("warp", reason="the online step on a device wants NVIDIA Warp: pip install 'ggvs-eval[gpu]'")
 
-from ggvs_eval.pipelines.online.device import depth_stages, exposure, picture, splats, step, views
+import warp as wp
+
+from ggvs_eval.pipelines.online.device import (
+    blend_kernels,
+    depth_stages,
+    exposure,
+    filter_kernels,
+    march_kernels,
+    picture,
+    splat_kernels,
+    splats,
+    step,
+    views,
+)
 from ggvs_eval.pipelines.online.device.order_statistics import masked_median, quantile
 from ggvs_eval.pipelines.online.device.step import DeviceGuided
 
@@ -272,13 +286,14 @@ def test_options_mean_the_same(changed):
         assert_alike(there, here)
 
 
-def test_a_gap_and_a_moving_target_forget(compiled):
-    """After an instant that was left out, and from another pose, nothing of the picture before shows through, as there."""
+def test_a_gap_and_a_moving_target_forget():
+    """After an instant that was left out, from another pose and at another size, nothing of the picture before shows through."""
     first, second, third = room_instants()
     pose = third.target.world_to_camera.copy()
     pose[0, 3] += 0.2 * third.units_per_metre
     moved = replace(second, target=replace(second.target, world_to_camera=pose))
-    for sequence in ((first, third), (first, moved)):
+    smaller = replace(second, target=second.target.resized(75, 50))
+    for sequence in ((first, third), (first, moved), (first, smaller)):
         both = [rendered(method, sequence)[1] for method in (DeviceGuided(), GeometryGuided(blender=NetworkBlender()))]
         assert_alike(*both)
 
@@ -293,6 +308,17 @@ def test_order_statistics_are_those_of_numpy():
         np.testing.assert_array_equal(median, np.median(row[chosen], axis=0) if chosen.any() else [0, 0])
     for share in (0.0, 0.25, 0.6, 1.0):
         assert float(quantile(tensor(values), share)) == pytest.approx(float(np.quantile(values, share)), abs=1e-6)
+
+
+@pytest.mark.parametrize("kernels", [blend_kernels, filter_kernels, march_kernels, splat_kernels])
+def test_kernels_compile_for_a_gpu(kernels, tmp_path):
+    """To code for a Hopper GPU that rounds as the CPU does: in float32, each product before it is added; nothing is atomic."""
+    wp.compile_aot_module(kernels, arch=90, module_dir=tmp_path, use_ptx=True)
+    (file,) = tmp_path.glob("*.ptx")
+    instructions = [line.split()[0] for line in file.read_text("latin-1").splitlines() if line.startswith("\t") and line.strip()]
+    assert "mul.rn.f32" in instructions
+    wrong = re.compile(r"fma|.*\.approx|.*\.f64|atom|red\.")
+    assert [each for each in instructions if wrong.match(each)] == []
 
 
 class HostReads(TorchDispatchMode):

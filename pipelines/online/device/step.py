@@ -224,14 +224,14 @@ class _StageClock:
     """Times of the stages and their parts: by events of the GPU, read when all is done, or by the host's clock."""
 
     def __init__(self, device: torch.device) -> None:
-        self._on_gpu = device.type == "cuda"
+        self._device, self._on_gpu = device, device.type == "cuda"
         self._marks: list[tuple[str, str, Any]] = []
 
     def mark(self, stage: str, part: str) -> None:
         """A part of a stage begins, and the one before ends."""
         if self._on_gpu:
             event = torch.cuda.Event(enable_timing=True)
-            event.record()
+            event.record(torch.cuda.current_stream(self._device))
             self._marks.append((stage, part, event))
         else:
             self._marks.append((stage, part, perf_counter()))
@@ -239,7 +239,7 @@ class _StageClock:
     def seconds(self) -> tuple[dict[str, float], dict[str, float]]:
         """Seconds of each stage and of each part; those of one that was done twice add up."""
         if self._on_gpu:
-            torch.cuda.synchronize()
+            torch.cuda.synchronize(self._device)
         stages: dict[str, float] = {}
         parts: dict[str, float] = {}
         for (stage, part, begin), (_, _, end) in pairwise(self._marks):
