@@ -81,7 +81,7 @@ def estimate_exposure(
     means, ratios = _remembered(names, medians.double(), shared, state.ratios, memory)
     log_gains = _solved(pairs, means, torch.where(shared, mask.sum(dim=1), 0).double(), samples.double())
     weights = view_weights(target, views.cameras, views.shares).astype(np.float64) ** compensation.GAUGE_POWER
-    log_gains = log_gains - torch.from_numpy(weights / weights.sum()).to(device) @ log_gains
+    log_gains = log_gains - to_device(weights / weights.sum(), device, double=True) @ log_gains
     limit = compensation.LARGEST_LOG_GAIN
     return Exposure(torch.exp(-log_gains.clamp(-limit, limit)).float(), slope, corner), ExposureState(index, ratios, count, slope)
 
@@ -91,7 +91,7 @@ def compensate(views: DeviceViews, exposure: Exposure) -> Tensor:
     images = torch.zeros_like(views.images)
     slope = exposure.slope
     for k, camera in enumerate(views.cameras):
-        down, across = (torch.from_numpy(tangents).to(slope.device) for tangents in lens_falloff.squared_tangents(camera))
+        down, across = (to_device(each, slope.device, double=True) for each in lens_falloff.squared_tangents(camera))
         rows = torch.exp(-slope * down - (-slope * exposure.corner).clamp(min=0)).float()
         columns = torch.exp(-slope * across).float()
         image, out = views.layer(views.images, k), views.layer(images, k)
@@ -102,7 +102,7 @@ def compensate(views: DeviceViews, exposure: Exposure) -> Tensor:
 def show_fall_off(picture: Tensor, target: Camera, exposure: Exposure) -> Tensor:
     """A picture (3, H, W) of compensated sources as the target's lens would show it, as `fallen_off`."""
     slope = exposure.slope
-    down, across = (torch.from_numpy(tangents).to(slope.device) for tangents in lens_falloff.squared_tangents(target))
+    down, across = (to_device(each, slope.device, double=True) for each in lens_falloff.squared_tangents(target))
     rows = torch.exp(slope * down + (-slope * exposure.corner).clamp(min=0)).float()
     return (picture * rows[:, None] * torch.exp(slope * across).float()).clamp(max=1)
 
@@ -114,7 +114,7 @@ def _shared_looks(
     lattices = [_lattice(views, depths, k) for k in range(len(views.cameras))]
     pictures, points, colours, usable = (_stacked([lattice[part] for lattice in lattices]) for part in range(4))
     directed = np.array([order for j, k in pairs for order in ((j, k), (k, j))])  # (2 P, 2)
-    own, other = torch.from_numpy(directed).to(depths.device).T
+    own, other = to_device(directed, depths.device).long().T
     ratios, mask = _log_ratios(views, depths, pictures, points[own], colours[own], directed, tolerance)
     signs = to_device(np.tile([1.0, -1.0], len(pairs)), depths.device)[:, None, None]
     samples = usable.sum(dim=1)
@@ -187,7 +187,7 @@ def _log_ratios(
     transforms = to_device(np.stack([rigid_between(*pair) for pair in zip(firsts, cameras, strict=True)]), device)
     constants = [(*camera.K[[0, 1, 0, 1], [0, 1, 2, 2]], *camera.size) for camera in cameras]
     fx, fy, cx, cy, width, height = to_device(constants, device).T[..., None]  # (Q, 1) each
-    number = torch.from_numpy(directed[:, 1]).to(device)[:, None]
+    number = to_device(directed[:, 1], device).long()[:, None]
     there = points @ transforms[:, :3, :3].transpose(1, 2) + transforms[:, None, :3, 3]
     z = torch.where(there[..., 2] > 0, there[..., 2], torch.inf)
     u, v = fx * there[..., 0] / z + cx, fy * there[..., 1] / z + cy
@@ -270,7 +270,7 @@ def _solved(pairs: list[tuple[int, int]], means: Tensor, looks: Tensor, samples:
     incidence = np.zeros((len(pairs), views))
     for n, (j, k) in enumerate(pairs):
         incidence[n, j], incidence[n, k] = 1, -1
-    signs = torch.from_numpy(incidence).to(means.device)
+    signs = to_device(incidence, means.device, double=True)
     weights = (looks / samples.clamp(min=1))[:, None]
     normal = compensation.PRIOR * torch.eye(views, dtype=torch.float64, device=means.device) + signs.T @ (weights * signs)
     return torch.linalg.solve_ex(normal, signs.T @ (weights * means))[0]

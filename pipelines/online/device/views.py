@@ -50,15 +50,16 @@ def upload(sources: Sequence[SourceView], device: torch.device) -> DeviceViews:
         cameras, tuple(source.share for source in sources), images, depths, to_device([camera.size for camera in cameras], device)
     )
     for k, source in enumerate(sources):
-        views.layer(images, k).copy_(torch.from_numpy(np.ascontiguousarray(source.image)))
-        views.layer(depths, k).copy_(torch.from_numpy(np.ascontiguousarray(source.depth, np.float32)))
+        views.layer(images, k).copy_(torch.from_numpy(np.ascontiguousarray(source.image)), non_blocking=True)
+        views.layer(depths, k).copy_(torch.from_numpy(np.ascontiguousarray(source.depth, np.float32)), non_blocking=True)
     return views
 
 
-def to_device(values: Any, device: torch.device) -> Tensor:
-    """Numbers on the device, int32 or float32."""
+def to_device(values: Any, device: torch.device, double: bool = False) -> Tensor:
+    """Numbers on the device: whole ones int32, others float32 or `double`; the host does not wait for what the device does."""
     array = np.asarray(values)
-    return torch.from_numpy(array.astype(np.int32 if array.dtype.kind in "iu" else np.float32)).to(device, non_blocking=True)
+    kind = np.int32 if array.dtype.kind in "iu" else np.float64 if double else np.float32
+    return torch.from_numpy(array.astype(kind)).to(device, non_blocking=True)
 
 
 def pixel_map(first: Camera, second: Camera, to_pixels: bool = True) -> Array32:
