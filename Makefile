@@ -1,6 +1,6 @@
 # Every target makes the virtual environment it needs; nothing has to be installed by hand but Python 3.11 or 3.12, make and g++.
 # Folders bear some of these names too: without .PHONY `make reports` would say "up to date" and do nothing.
-.PHONY: reports test test-quick check bench validate docs wheel-test view view-demo clean
+.PHONY: reports test test-quick check bench bench-device validate docs wheel-test view view-demo clean
 
 PYTHON ?= $(shell for p in python3.11 python3.12 python3; do \
 	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 13))' 2>/dev/null && echo $$p && break; done)
@@ -44,6 +44,13 @@ view-demo: .venv/.view
 # (out/validate_domains.json).
 bench: $(READY)
 	$(BIN)/python -m benchmarks
+
+# Where there is a GPU, by a Python that has CUDA's torch: the online step on it, checked against the CPU and timed part by part.
+# It asks no network: Warp is installed already, or its wheel lies in WHEELS=<folder>.
+bench-device: view
+	$(if $(WHEELS),$(PYTHON) -m pip install -q --no-index --no-deps --upgrade --target build/wheels $(WHEELS)/*.whl)
+	$(PYTHON) setup.py -q build_ext --inplace
+	PYTHONPATH=build/view:.:build/wheels $(PYTHON) -m benchmarks.bench_device_step $(BENCH_OPTIONS)
 
 validate: $(READY)
 	$(BIN)/python -m benchmarks.validate $(if $(DATA),--data $(DATA))

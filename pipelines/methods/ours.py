@@ -1,6 +1,7 @@
 """The paper's method and its ablations, with trained and with geometric weights."""
 
 from functools import partial
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 from ggvs_eval.method import Method
@@ -12,6 +13,7 @@ if TYPE_CHECKING:
 ONLINE = "ggvs_eval.pipelines.online"
 GEOMETRIC = (f"{ONLINE}.geometry_guided", f"{ONLINE}.blending")
 LEARNED = (f"{ONLINE}.geometry_guided", f"{ONLINE}.network_blender")
+ON_DEVICE = (f"{ONLINE}.device.step",)
 OFFLINE = (f"{ONLINE}.whole_sequence",)
 
 
@@ -36,7 +38,15 @@ def _offline() -> Method:
 
 
 def _learned(options: Any = None, guidance: "Guidance" = "registered", device: str = "cpu") -> Method:
-    """With the network that ships for a guidance, on a device, and `OnlineOptions`."""
+    """With the network that ships for a guidance, on a device, and `OnlineOptions`.
+
+    The one place that chooses: on a GPU with Warp (``ggvs-eval[gpu]``) every stage computes there, without it the network alone.
+    """
+    if device != "cpu" and find_spec("warp"):
+        from ggvs_eval.pipelines.online.device.step import DeviceGuided, covers
+
+        if covers(options, guidance):
+            return DeviceGuided(options, guidance, device)
     from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
     from ggvs_eval.pipelines.online.network_blender import NetworkBlender
 
@@ -55,6 +65,7 @@ OURS: dict[str, MethodSpec] = {
         "splatted views alone: the network was trained without any depth, be it fused or of the views",
         partial(_learned_with, guidance="naive", fused=False),
         LEARNED,
+        device_modules=ON_DEVICE,
         ours=True,
         usual=False,
         weights=(shipped("blend-naive.safetensors"),),
@@ -64,6 +75,7 @@ OURS: dict[str, MethodSpec] = {
         "no fused depth; the network was trained without it",
         partial(_learned_with, guidance="none", fused=False),
         LEARNED,
+        device_modules=ON_DEVICE,
         ours=True,
         weights=(shipped("blend-no-tsdf.safetensors"),),
     ),
@@ -72,6 +84,7 @@ OURS: dict[str, MethodSpec] = {
         "without temporal depth filter, temporal term of the ray march and recurrent output",
         partial(_learned_with, guidance="registered", temporal=False),
         LEARNED,
+        device_modules=ON_DEVICE,
         ours=True,
         weights=(shipped("blend.safetensors"),),
     ),
@@ -80,6 +93,7 @@ OURS: dict[str, MethodSpec] = {
         "the whole online method: splats, filtered and fused depth, blending network",
         _learned,
         LEARNED,
+        device_modules=ON_DEVICE,
         ours=True,
         weights=(shipped("blend.safetensors"),),
         make_with=_learned,

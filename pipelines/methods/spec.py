@@ -38,6 +38,7 @@ class MethodSpec:
         title_from: how tables call it then, if not by `title`: weights that we trained are labelled so.
         make_with: builds one with other `OnlineOptions`, for labels such as ``ours+beta_temporal=0.6``.
         device: where its networks compute, if it has any.
+        device_modules: what it renders with besides on a device that is not the CPU.
         fitter: of a method that is fitted to the capture, the class of its `SceneFitter` as ``module:class``: a frozen dataclass
             of its options. Such a method makes no step; `make` says so.
         fitter_options: the options that a label such as ``4dgs+motion=linear`` sets.
@@ -58,6 +59,7 @@ class MethodSpec:
     title_from: str = ""
     make_with: Callable[..., Method] | None = None
     device: str = "cpu"
+    device_modules: tuple[str, ...] = ()
     fitter: str = ""
     fitter_options: Mapping[str, Any] = field(default_factory=dict)
     seed: int = 0
@@ -106,7 +108,7 @@ class MethodSpec:
             return self
         if self.is_fitted:
             return replace(self, device=device)
-        return replace(self, make=partial(self.make, device=device), device=device)
+        return replace(self, make=partial(self.make, device=device), device=device, modules=(*self.modules, *self.device_modules))
 
     def _fitter_fields(self) -> list[str]:
         """Names of the options of its fitter; none where it is not fitted."""

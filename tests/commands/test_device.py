@@ -126,13 +126,14 @@ def test_methods_without_networks_know_no_device():
 
 
 def test_a_job_knows_its_device(planned, monkeypatch):
-    """On the CPU the identity says nothing of it; on a GPU it says which, and nothing else changes."""
+    """On the CPU the identity says nothing of it; on a GPU it says which, and the code that renders there counts."""
     monkeypatch.setattr(render, "_described", lambda device: H100)
     for label in ("ours", "fwd"):
         spec = find_method(label)
         here, there = (render._view_job(planned, label, each, "cam00", 1) for each in (spec, spec.on("cuda")))
         assert "device" not in here.identity
-        assert there.identity == here.identity | {"device": H100}
+        assert there.identity == here.identity | {"device": H100, "code": there.identity["code"]}
+        assert (there.identity["code"] == here.identity["code"]) == (label == "fwd")
         assert there.sha256 != here.sha256
         assert here.sha256 == render._view_job(planned, label, spec.on("cpu"), "cam00", 4).sha256
         assert pickle.loads(pickle.dumps(there)).work.args[1].device == "cuda"  # it travels to other processes by name

@@ -7,6 +7,7 @@ import torch
 from ggvs_eval.compute_device import compute_device, describe_device
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.methods.registry import find_method
+from helpers.device_scenes import room_instants
 from helpers.scenes import camera_at, instant
 from helpers.seeded_baselines import turned_rig
 
@@ -50,3 +51,26 @@ def test_a_gpu_is_named():
     """Its model stands in what a result says."""
     assert describe_device(compute_device("cuda")).startswith("cuda: ")
     assert compute_device("auto").type == "cuda"
+
+
+def test_the_whole_step_waits_for_nothing(monkeypatch):
+    """With Warp the room is rendered on the GPU as on the CPU, twice the same, and the host never waits before the picture."""
+    pytest.importorskip("warp", reason="the online step on a device wants NVIDIA Warp: pip install 'ggvs-eval[gpu]'")
+    from ggvs_eval.pipelines.online.device.step import DeviceGuided
+
+    render = DeviceGuided._render
+
+    def watched(*arguments):
+        torch.cuda.set_sync_debug_mode("error")
+        try:
+            return render(*arguments)
+        finally:
+            torch.cuda.set_sync_debug_mode("default")
+
+    monkeypatch.setattr(DeviceGuided, "_render", watched)
+    methods = DeviceGuided(device="cuda"), DeviceGuided(device="cuda"), find_method("ours").make()
+    for moment in room_instants():
+        there, again, here = (method.step(moment) for method in methods)
+        assert (np.abs(there.image - here.image).max(axis=-1) <= LEVEL).mean() >= 0.999
+        assert (np.abs(there.depth - here.depth) <= 1e-4 * here.depth).mean() >= 0.999
+        np.testing.assert_array_equal(there.image, again.image)

@@ -1,0 +1,338 @@
+"""Kernels between fused depth and network: contested depth, registration, network inputs, push-pull, gains of the sources."""
+
+import warp as wp
+
+from ggvs_eval.pipelines.online.device.launch import MODULE_OPTIONS
+
+wp.set_module_options(MODULE_OPTIONS)
+
+LEAST_LENGTH = wp.constant(wp.float32(1e-12))
+
+
+@wp.func
+def shade_level(level: wp.uint8, factor: wp.float32) -> wp.uint8:
+    """A level times a factor, rounded and limited."""
+    return wp.uint8(wp.int32(wp.min(wp.max(wp.float32(level) * factor, 0.0), 255.0) + 0.5))
+
+
+@wp.kernel
+def shade(
+    image: wp.array3d[wp.uint8],
+    gain: wp.array[wp.float32],
+    down: wp.array[wp.float32],
+    across: wp.array[wp.float32],
+    out: wp.array3d[wp.uint8],
+):
+    """An image times a gain per channel and a factor per row and column, see `kernels/shade.cpp`."""
+    y, x = wp.tid()
+    for c in range(3):
+        out[y, x, c] = shade_level(image[y, x, c], across[x] * gain[c] * down[y])
+
+
+@wp.func
+def image_point(m: wp.array[wp.float32], pixel: wp.vec2f, depth: wp.float32) -> wp.vec3f:
+    """Image coordinates and depth in another view of a target pixel at a depth; the depth is not positive behind it."""
+    z = depth * (m[6] * pixel[0] + m[7] * pixel[1] + m[8]) + m[11]
+    u = (depth * (m[0] * pixel[0] + m[1] * pixel[1] + m[2]) + m[9]) / z
+    v = (depth * (m[3] * pixel[0] + m[4] * pixel[1] + m[5]) + m[10]) / z
+    return wp.vec3f(u, v, z)
+
+
+@wp.func
+def colour(image: wp.array3d[wp.uint8], y: wp.int32, x: wp.int32) -> wp.vec3f:
+    """Levels of a pixel."""
+    return wp.vec3f(wp.float32(image[y, x, 0]), wp.float32(image[y, x, 1]), wp.float32(image[y, x, 2]))
+
+
+@wp.func
+def spread(
+    images: wp.array4d[wp.uint8],
+    maps: wp.array2d[wp.float32],
+    sizes: wp.array2d[wp.int32],
+    pixel: wp.vec2f,
+    depth: wp.float32,
+) -> wp.float32:
+    """Variance of the views' colours at a point of the ray, summed over channels; negative where fewer than two see it."""
+    sums = wp.vec3f()
+    squares = wp.float32(0.0)
+    count = wp.int32(0)
+    for k in range(images.shape[0]):
+        at = image_point(maps[k], pixel, depth)
+        x = at[0] - 0.5
+        y = at[1] - 0.5
+        width = sizes[k, 0]
+        height = sizes[k, 1]
+        inside = x >= 0.0 and y >= 0.0 and x <= wp.float32(width - 1) and y <= wp.float32(height - 1)
+        if at[2] > 0.0 and inside:
+            left = wp.min(wp.int32(x), width - 2)
+            top = wp.min(wp.int32(y), height - 2)
+            across = x - wp.float32(left)
+            upper = colour(images[k], top, left)
+            upper += across * (colour(images[k], top, left + 1) - upper)
+            lower = colour(images[k], top + 1, left)
+            lower += across * (colour(images[k], top + 1, left + 1) - lower)
+            value = upper + (y - wp.float32(top)) * (lower - upper)
+            count += 1
+            sums += value
+            for c in range(3):
+                squares += value[c] * value[c]  # one by one: a small variance is the difference of large sums
+    if count < 2:
+        return -1.0
+    square_of_sums = sums[0] * sums[0] + sums[1] * sums[1] + sums[2] * sums[2]
+    return wp.max(squares - square_of_sums / wp.float32(count), 0.0) / wp.float32(count)
+
+
+@wp.kernel
+def settle_depth(
+    fused: wp.array2d[wp.float32],
+    images: wp.array4d[wp.uint8],
+    maps: wp.array2d[wp.float32],
+    sizes: wp.array2d[wp.int32],
+    alphas: wp.array3d[wp.float32],
+    depths: wp.array3d[wp.float32],
+    weights: wp.array[wp.float32],
+    tolerance: wp.float32,
+    least_alpha: wp.float32,
+    least_share: wp.float32,
+    ratio: wp.float32,
+    out: wp.array2d[wp.float32],
+):
+    """Fused depth, or that of a splat where most views contradict it and the colours agree far better there."""
+    y, x = wp.tid()
+    depth = fused[y, x]
+    out[y, x] = depth
+    if not (depth > 0.0):
+        return
+    agreeing = wp.float32(0.0)
+    voting = wp.float32(0.0)
+    count = wp.int32(0)
+    for k in range(images.shape[0]):
+        if alphas[k, y, x] > least_alpha and depths[k, y, x] > 0.0:
+            voting += weights[k]
+            if wp.abs(depths[k, y, x] - depth) <= tolerance:
+                agreeing += weights[k]
+            else:
+                count += 1
+    if count == 0 or agreeing >= least_share * voting:
+        return
+    pixel = wp.vec2f(wp.float32(x) + 0.5, wp.float32(y) + 0.5)
+    least = ratio * spread(images, maps, sizes, pixel, depth)
+    best = depth
+    for k in range(images.shape[0]):
+        proposal = depths[k, y, x]
+        if alphas[k, y, x] > least_alpha and proposal > 0.0 and wp.abs(proposal - depth) > tolerance:
+            value = spread(images, maps, sizes, pixel, proposal)
+            if value >= 0.0 and value < least:
+                least = value
+                best = proposal
+    out[y, x] = best
+
+
+@wp.func
+def depth_at(
+    depth: wp.array2d[wp.float32], width: wp.int32, height: wp.int32, u: wp.float32, v: wp.float32, tolerance: wp.float32
+):
+    """Bilinear where the four neighbours belong to one surface, else the nearest pixel's."""
+    x = wp.min(wp.max(u - 0.5, 0.0), wp.float32(width - 1))
+    y = wp.min(wp.max(v - 0.5, 0.0), wp.float32(height - 1))
+    x0 = wp.int32(x)
+    y0 = wp.int32(y)
+    x1 = wp.min(x0 + 1, width - 1)
+    y1 = wp.min(y0 + 1, height - 1)
+    fx = x - wp.float32(x0)
+    fy = y - wp.float32(y0)
+    d0 = depth[y0, x0]
+    d1 = depth[y0, x1]
+    d2 = depth[y1, x0]
+    d3 = depth[y1, x1]
+    low = wp.min(wp.min(d0, d1), wp.min(d2, d3))
+    high = wp.max(wp.max(d0, d1), wp.max(d2, d3))
+    if low > 0.0 and high - low < tolerance:
+        return (1.0 - fy) * (1.0 - fx) * d0 + (1.0 - fy) * fx * d1 + fy * (1.0 - fx) * d2 + fy * fx * d3
+    return depth[wp.int32(v), wp.int32(u)]
+
+
+@wp.func
+def cubic_shares(f: wp.float32) -> wp.vec4f:
+    """Catmull-Rom weights of four neighbours, `f` behind the second."""
+    return wp.vec4f(
+        f * (f * (1.0 - 0.5 * f) - 0.5),
+        1.0 + f * f * (1.5 * f - 2.5),
+        f * (0.5 + f * (2.0 - 1.5 * f)),
+        f * f * (0.5 * f - 0.5),
+    )
+
+
+@wp.func
+def cubic_colour(image: wp.array3d[wp.uint8], width: wp.int32, height: wp.int32, u: wp.float32, v: wp.float32) -> wp.vec3f:
+    """Catmull-Rom sample, limited to 0 .. 255; the border is repeated."""
+    first_x = wp.int32(u + 0.5) - 1
+    first_y = wp.int32(v + 0.5) - 1
+    across = cubic_shares(u - 0.5 - wp.float32(first_x))
+    down = cubic_shares(v - 0.5 - wp.float32(first_y))
+    total = wp.vec3f()
+    for n in range(4):
+        y = wp.min(wp.max(first_y + n - 1, 0), height - 1)
+        for i in range(4):
+            x = wp.min(wp.max(first_x + i - 1, 0), width - 1)
+            total += (down[n] * across[i]) * colour(image, y, x)
+    limited = wp.vec3f()
+    for c in range(3):
+        limited[c] = wp.min(wp.max(total[c], 0.0), 255.0)
+    return limited
+
+
+@wp.kernel
+def register_views(
+    fused: wp.array2d[wp.float32],
+    images: wp.array4d[wp.uint8],
+    source_depths: wp.array3d[wp.float32],
+    maps: wp.array2d[wp.float32],
+    sizes: wp.array2d[wp.int32],
+    splats: wp.array4d[wp.float32],
+    alphas: wp.array3d[wp.float32],
+    tolerance: wp.float32,
+    faint: wp.float32,
+    colours: wp.array4d[wp.float32],
+    coverage: wp.array3d[wp.float32],
+    visibilities: wp.array3d[wp.float32],
+):
+    """Each view at the fused surface, mixed with its splat by visibility; colours are (K, 3, H, W)."""
+    k, y, x = wp.tid()
+    depth = fused[y, x]
+    shown = wp.vec3f(splats[k, y, x, 0], splats[k, y, x, 1], splats[k, y, x, 2])
+    visibility = wp.float32(0.0)
+    if depth > 0.0:
+        width = sizes[k, 0]
+        height = sizes[k, 1]
+        at = image_point(maps[k], wp.vec2f(wp.float32(x) + 0.5, wp.float32(y) + 0.5), depth)
+        u = at[0]
+        v = at[1]
+        if at[2] > 0.0 and u >= 0.0 and u < wp.float32(width) and v >= 0.0 and v < wp.float32(height):
+            there = depth_at(source_depths[k], width, height, u, v, tolerance)
+            if there > 0.0:
+                visibility = wp.min(wp.max(2.0 - wp.abs(there - at[2]) / tolerance, 0.0), 1.0)
+            if visibility > 0.0:
+                captured = cubic_colour(images[k], width, height, u, v) * (1.0 / 255.0)
+                shown += visibility * (captured - shown)
+    for c in range(3):
+        colours[k, c, y, x] = shown[c]
+    coverage[k, y, x] = wp.max(visibility, faint * alphas[k, y, x])
+    visibilities[k, y, x] = visibility
+
+
+@wp.func
+def surface_point(
+    fused: wp.array2d[wp.float32],
+    across: wp.array[wp.float32],
+    down: wp.array[wp.float32],
+    far: wp.float32,
+    y: wp.int32,
+    x: wp.int32,
+) -> wp.vec3f:
+    """Point of the surface in the target's frame; on the far plane where it is unknown."""
+    z = fused[y, x]
+    if not (z > 0.0):
+        z = far
+    return wp.vec3f(z * across[x], z * down[y], z)
+
+
+@wp.func
+def unit(v: wp.vec3f) -> wp.vec3f:
+    """Vector of length 1."""
+    return v / wp.max(wp.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]), LEAST_LENGTH)
+
+
+@wp.kernel
+def geometry_channels(
+    fused: wp.array2d[wp.float32],
+    across: wp.array[wp.float32],
+    down: wp.array[wp.float32],
+    far: wp.float32,
+    centres: wp.array2d[wp.float32],
+    to_normal: wp.array3d[wp.float32],
+    to_target: wp.array3d[wp.float32],
+):
+    """Cosines between the direction to each camera and the surface's normal, and the direction to the target's camera."""
+    y, x = wp.tid()
+    height = fused.shape[0]
+    width = fused.shape[1]
+    upper = wp.max(y - 1, 0)
+    lower = wp.min(y + 1, height - 1)
+    left = wp.max(x - 1, 0)
+    right = wp.min(x + 1, width - 1)
+    point = surface_point(fused, across, down, far, y, x)
+    along_column = surface_point(fused, across, down, far, lower, x) - surface_point(fused, across, down, far, upper, x)
+    along_row = surface_point(fused, across, down, far, y, right) - surface_point(fused, across, down, far, y, left)
+    normal = unit(wp.cross(along_column, along_row))
+    away = wp.dot(normal, point)
+    facing = wp.float32(0.0)
+    around = fused[y, left] > 0.0 and fused[y, right] > 0.0 and fused[upper, x] > 0.0 and fused[lower, x] > 0.0
+    if fused[y, x] > 0.0 and around:
+        if away < 0.0:
+            facing = wp.float32(1.0)
+        elif away > 0.0:
+            facing = wp.float32(-1.0)
+    back = unit(-point)
+    for k in range(centres.shape[0]):
+        direction = unit(wp.vec3f(centres[k, 0], centres[k, 1], centres[k, 2]) - point)
+        to_normal[k, y, x] = wp.dot(direction, normal) * facing
+        to_target[k, y, x] = wp.dot(direction, back)
+
+
+@wp.kernel
+def average_known(
+    colours: wp.array3d[wp.float32],
+    known: wp.array2d[wp.float32],
+    rows: wp.array2d[wp.int32],
+    row_shares: wp.array2d[wp.float32],
+    columns: wp.array2d[wp.int32],
+    column_shares: wp.array2d[wp.float32],
+    coarse: wp.array3d[wp.float32],
+    coarse_known: wp.array2d[wp.float32],
+):
+    """Push: mean of what is known in a cell, and four times its share; colours are (3, H, W)."""
+    y, x = wp.tid()
+    total = wp.vec3f()
+    weight = wp.float32(0.0)
+    for row in range(rows[y, 0], rows[y, 1]):
+        for column in range(columns[x, 0], columns[x, 1]):
+            if known[row, column] > 0.0:
+                share = row_shares[y, row - rows[y, 0]] * column_shares[x, column - columns[x, 0]] * known[row, column]
+                weight += share
+                total += share * wp.vec3f(colours[0, row, column], colours[1, row, column], colours[2, row, column])
+    for c in range(3):
+        coarse[c, y, x] = total[c] / wp.max(weight, 1e-6)
+    coarse_known[y, x] = wp.min(4.0 * weight, 1.0)
+
+
+@wp.kernel
+def fill_unknown(
+    colours: wp.array3d[wp.float32],
+    known: wp.array2d[wp.float32],
+    whole: wp.array[wp.bool],
+    coarse: wp.array3d[wp.float32],
+    rows: wp.array2d[wp.int32],
+    row_shares: wp.array[wp.float32],
+    columns: wp.array2d[wp.int32],
+    column_shares: wp.array[wp.float32],
+    out: wp.array3d[wp.float32],
+):
+    """Pull: unknown pixels take the interpolated coarse colour as far as they are unknown; none where all are known."""
+    y, x = wp.tid()
+    certainty = known[y, x]
+    fx = column_shares[x]
+    fy = row_shares[y]
+    for c in range(3):
+        own = colours[c, y, x]
+        if whole[0] or certainty >= 1.0:
+            out[c, y, x] = own
+        else:
+            upper = coarse[c, rows[y, 0], columns[x, 0]]
+            upper += fx * (coarse[c, rows[y, 0], columns[x, 1]] - upper)
+            lower = coarse[c, rows[y, 1], columns[x, 0]]
+            lower += fx * (coarse[c, rows[y, 1], columns[x, 1]] - lower)
+            filled = upper + fy * (lower - upper)
+            if certainty > 0.0:
+                filled += certainty * (own - filled)
+            out[c, y, x] = filled

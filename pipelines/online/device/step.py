@@ -1,0 +1,249 @@
+"""The online method on a device: between the decoded frames and the picture nothing is copied to the host."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ggvs_eval.camera import Camera
+from ggvs_eval.compute_device import compute_device, rendering_on
+from ggvs_eval.errors import RenderError
+from ggvs_eval.geometry.splat import COVERED_ALPHA
+from ggvs_eval.method import Instant, Rendering
+from ggvs_eval.pipelines.online.blend_maps import Guidance
+from ggvs_eval.pipelines.online.blend_weights import load_blend_network, shipped_blend_weights
+from ggvs_eval.pipelines.online.device import depth_stages, memories, picture
+from ggvs_eval.pipelines.online.device.depth_stages import DeviceMarch, History, MarchOptions, MaskOptions, PastDepth
+from ggvs_eval.pipelines.online.device.exposure import (
+    ExposureState,
+    compensate,
+    estimate_exposure,
+    show_fall_off,
+)
+from ggvs_eval.pipelines.online.device.launch import on_stream_of
+from ggvs_eval.pipelines.online.device.memories import Background, Shown
+from ggvs_eval.pipelines.online.device.splats import DeviceSplats, splat_views
+from ggvs_eval.pipelines.online.device.views import DeviceViews, upload
+from ggvs_eval.pipelines.online.geometry_guided import SAME_SURFACE_TAU, OnlineOptions
+
+PAIRS_PER_GAUSSIAN = 2.0  # that there is room for at first
+ROOM = 1.25  # times what was needed when it was not enough
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """What one instant leaves for the next."""
+
+    index: int = -2
+    history: History = field(default_factory=dict)
+    exposure: ExposureState | None = None
+    march: DeviceMarch | None = None
+    background: Background | None = None
+    shown: Shown | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Outcome:
+    """A rendered instant, still on the device."""
+
+    image: Tensor
+    depth: Tensor
+    diagnostics: Mapping[str, Tensor]
+    pairs: Tensor
+    state: _State
+
+
+class DeviceGuided:
+    """`GeometryGuided` with the blending network, every stage of it on one device.
+
+    Args:
+        options: constants of the method; those that `covers` refuses are not for here.
+        guidance: of the network that ships.
+        device: a GPU, see `compute_device`, or the CPU for tests: the compiled path is many times as fast there.
+        weights: file of a network's weights in place of those that ship.
+
+    Attributes:
+        details: seconds of every part of the last step, finer than the stages of its `Rendering`.
+
+    Reading:
+        Pictures are those of the compiled path but for rounding. Filter, weights, splat, march, contested depth and
+        registration give the same bits from the same inputs on a CPU; masks, convolutions and sums differ in the last one. Where
+        a comparison decides, a last bit may move a pixel: of the depths near a zero crossing of the fused field, of the votes on
+        contested depth, of what is remembered. Three instants of two views of the demo room at 480 x 360, K = 4: no pixel off by
+        a level (0.25 of one at most), 0.005 % of the depths off by more than 1e-4.
+    """
+
+    def __init__(
+        self,
+        options: OnlineOptions | None = None,
+        guidance: Guidance = "registered",
+        device: str = "cpu",
+        weights: Path | None = None,
+    ) -> None:
+        """Start a sequence.
+
+        Raises:
+            DeviceError: no such device here.
+            RenderError: options that the device does not compute.
+            WeightsError: no usable weights.
+        """
+        self.options, self._device = options or OnlineOptions(), compute_device(device)
+        self._network = load_blend_network(weights or shipped_blend_weights(guidance), self._device)
+        guidance = self._network.config.guidance
+        if not covers(self.options, guidance):
+            raise RenderError(f"online step on {device}: wanted the method as it ships, got {self.options}, guidance {guidance}")
+        self._registered = guidance == "registered"
+        self._state, self._pairs = _State(), PAIRS_PER_GAUSSIAN
+        self.details: dict[str, float] = {}
+
+    def step(self, instant: Instant) -> Rendering:
+        """Synthesise one instant and remember what the next one needs.
+
+        Raises:
+            DeviceError: the GPU's memory is out.
+            RenderError: more source views than the network is made for.
+        """
+        most = self._network.config.views
+        if len(instant.sources) > most:
+            raise RenderError(f"a blending network for at most {most} source views, got {len(instant.sources)}")
+        sources = sorted(instant.sources, key=lambda source: _nearness(source.camera, instant.target))
+        clock = _StageClock(self._device)
+        with rendering_on(self._device), on_stream_of(self._device):
+            clock.mark("filter", "upload")
+            views = upload(sources, self._device)
+            outcome, gaussians = self._render(instant, views, clock), views.depths.numel()
+            clock.mark("blend", "download")
+            image = outcome.image.permute(1, 2, 0).contiguous().numpy(force=True)
+            while int(outcome.pairs) > self._capacity(gaussians):  # known only now; nothing was remembered yet
+                self._pairs = ROOM * int(outcome.pairs) / gaussians
+                outcome = self._render(instant, views, clock)
+                clock.mark("blend", "download")
+                image = outcome.image.permute(1, 2, 0).contiguous().numpy(force=True)
+            self._state = outcome.state
+            diagnostics = {name: value.contiguous().numpy(force=True) for name, value in outcome.diagnostics.items()}
+            depth = outcome.depth.numpy(force=True)
+            clock.mark("", "")
+        seconds, self.details = clock.seconds()
+        return Rendering(image, depth, seconds, diagnostics)
+
+    def _capacity(self, gaussians: int) -> int:
+        return int(self._pairs * gaussians) + 1
+
+    def _render(self, instant: Instant, views: DeviceViews, clock: "_StageClock") -> _Outcome:
+        """All of a step that computes; the state is read and not changed."""
+        chosen, state, index, target = self.options, self._state, instant.index, instant.target
+        tau, units = chosen.tau_m * instant.units_per_metre, instant.units_per_metre
+        clock.mark("filter", "masks and filter")
+        masked = MaskOptions(
+            chosen.lambda_t, chosen.beta_mask, chosen.history_tolerance, chosen.temporal, chosen.mask_channels == "mean"
+        )
+        depths, masks, history = depth_stages.filter_views(index, views, state.history, masked)
+        filtered = replace(views, depths=depths)
+        clock.mark("filter", "exposure")
+        exposure, exposure_state = estimate_exposure(
+            index, target, filtered, depths, tau, state.exposure, 10 if chosen.temporal else 1
+        )
+        if chosen.compensated:
+            filtered = replace(filtered, images=compensate(filtered, exposure))
+        clock.mark("filter", "fusion weights")
+        weights = torch.zeros_like(depths)
+        for k in range(len(views.cameras)):
+            layer = views.layer(depths, k)
+            views.layer(weights, k).copy_(depth_stages.fusion_weights(layer, tau, chosen.depth_noise_m * units))
+        clock.mark("splat", "splat")
+        splatted = depths if chosen.splatted_depth == "filtered" else views.depths
+        splats = splat_views(
+            target,
+            filtered,
+            splatted,
+            masks,
+            near=instant.near_plane,
+            scale=chosen.gaussian_scale_px,
+            capacity=self._capacity(splatted.numel()),
+        )
+        clock.mark("tsdf", "occupancy and march")
+        past = self._past(index, splats)
+        march = depth_stages.ray_march(target, filtered, depths, weights, MarchOptions(tau, chosen.min_step), past)
+        surface = march.depth
+        clock.mark("tsdf", "contested depth")
+        if chosen.settled:
+            surface = depth_stages.settle_depth(target, surface, filtered, splats, SAME_SURFACE_TAU * tau)
+        clock.mark("blend", "registration")
+        still = memories.stillness(splats, chosen.beta_mask, chosen.lambda_t)
+        maps = picture.register_views(target, surface, filtered, splats, tau)
+        clock.mark("blend", "network and composition")
+        image, shares = picture.blend_views(self._network, maps, self._registered)
+        if chosen.compensated:
+            image = show_fall_off(image, target, exposure)
+        clock.mark("blend", "memories")
+        background, shown = state.background, state.shown
+        if chosen.temporal and chosen.remembered:
+            image, background = memories.remember(index, target, image, surface, splats, still, background)
+        if chosen.temporal and chosen.recurrent_limit > 0:
+            shown = memories.recur(index, target, image, still, shown, chosen.recurrent_limit)
+            image = shown.picture
+        cells = memories.REDUCTION
+        diagnostics = {
+            "coverage": splats.alphas[:, ::cells, ::cells].amax(dim=0),
+            "motion": 1 - still,
+            "depth": surface[::cells, ::cells],
+            "weights": shares,
+        }
+        after = _State(index, history, exposure_state, march, background, shown)
+        return _Outcome(image, surface, diagnostics, splats.pairs, after)
+
+    def _past(self, index: int, splats: DeviceSplats) -> PastDepth | None:
+        """The fused depth of the instant before, trusted where nothing moves (Eqs. 13-14)."""
+        if not self.options.temporal or self._state.march is None or self._state.index != index - 1:
+            return None
+        mask = torch.where(splats.alphas >= COVERED_ALPHA, splats.features[..., 3], 0.0).amax(dim=0)
+        gain = (1 - torch.where(mask > 0, mask, 1.0)).clamp(min=0) * self.options.beta_temporal
+        return PastDepth(self._state.march, gain, self.options.eta)
+
+
+def covers(options: OnlineOptions | None, guidance: Guidance) -> bool:
+    """Tell whether the device computes the method with such options; readings that were tried and dropped it does not."""
+    usual = OnlineOptions()
+    options = options or usual
+    same = ("fused", "mask_views", "splatted_as", "signed_distance", "normalised_field")
+    return guidance in ("registered", "channels") and all(getattr(options, name) == getattr(usual, name) for name in same)
+
+
+def _nearness(camera: Camera, target: Camera) -> tuple[float, str]:
+    """Sorts cameras as `nearest_first` does."""
+    return float(np.linalg.norm(camera.centre - target.centre)), camera.name
+
+
+class _StageClock:
+    """Times of the stages and their parts: by events of the GPU, read when all is done, or by the host's clock."""
+
+    def __init__(self, device: torch.device) -> None:
+        self._device, self._on_gpu = device, device.type == "cuda"
+        self._marks: list[tuple[str, str, Any]] = []
+
+    def mark(self, stage: str, part: str) -> None:
+        """A part of a stage begins, and the one before ends."""
+        if self._on_gpu:
+            event = torch.cuda.Event(enable_timing=True)
+            event.record(torch.cuda.current_stream(self._device))
+            self._marks.append((stage, part, event))
+        else:
+            self._marks.append((stage, part, perf_counter()))
+
+    def seconds(self) -> tuple[dict[str, float], dict[str, float]]:
+        """Seconds of each stage and of each part; those of one that was done twice add up."""
+        if self._on_gpu:
+            torch.cuda.synchronize(self._device)
+        stages: dict[str, float] = {}
+        parts: dict[str, float] = {}
+        for (stage, part, begin), (_, _, end) in pairwise(self._marks):
+            span = begin.elapsed_time(end) / 1e3 if self._on_gpu else end - begin
+            stages[stage] = stages.get(stage, 0.0) + span
+            parts[part] = parts.get(part, 0.0) + span
+        return stages, parts
