@@ -40,7 +40,7 @@ FLOORS = (
     ("pipelines.offline.export", "pipelines.inspection"),
     ("pipelines.inspection.capture", "pipelines.inspection.renders", "pipelines.training.samples"),
     ("pipelines.run", "pipelines.training.blend", "pipelines.training.stereo"),
-    ("pipelines.play",),
+    ("pipelines.play", "pipelines.study"),
     ("pipelines.view",),
     ("pipelines.sweep.merging", "pipelines.sweep", "pipelines.training"),
     ("pipelines.commands",),
@@ -56,7 +56,12 @@ FORBIDDEN = {
     "baselines": ("metrics", "synthetic"),
     "pipelines": ("reports",),
 }
-MAY_START_REPORTS = {"pipelines.commands.figures", "pipelines.run.evaluate", "pipelines.run.depth_outputs"}
+MAY_START_REPORTS = {
+    "pipelines.commands.figures",
+    "pipelines.commands.study",
+    "pipelines.run.evaluate",
+    "pipelines.run.depth_outputs",
+}
 
 
 def modules() -> dict[str, Path]:

@@ -26,6 +26,7 @@ from ggvs_eval.pipelines.commands.merge import merge
 from ggvs_eval.pipelines.commands.play import play, view
 from ggvs_eval.pipelines.commands.renders import doctor, explain
 from ggvs_eval.pipelines.commands.runs import Device, prepare, render, run, status, sweep
+from ggvs_eval.pipelines.commands.study import metric_study
 from ggvs_eval.pipelines.commands.training import TRAININGS
 from ggvs_eval.pipelines.methods.network_options import found_device
 
@@ -101,6 +102,7 @@ COMMANDS: Commands = {
     "train": TRAININGS,
     "doctor": doctor,
     "explain": explain,
+    "metric-study": metric_study,
 }
 CONTINUED = re.compile(r"\n {12,}(?=\S)")  # the second and later lines of an argument in a docstring
 ABOUT = {
