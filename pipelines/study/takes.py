@@ -77,7 +77,7 @@ def make_takes(out: Path, captures: Sequence[Path], options: TakeOptions, worker
     """
     if not captures:
         captures = [write_demo(out / "demo-capture", SHIPPED)]
-    names = [path.resolve().stem for path in captures]
+    names = [path.absolute().stem for path in captures]
     twice = {name for name in names if names.count(name) > 1}
     if twice:
         raise CaptureError(f"metric study: wanted captures of different names, got {', '.join(sorted(twice))} twice; rename one")

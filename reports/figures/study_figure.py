@@ -15,10 +15,11 @@ if TYPE_CHECKING:
 
 STUDY_FILE = "study.json"
 CELL_IN = (0.235, 0.175)
-LABELS_IN, HEAD_IN, FOOT_IN, GAP_IN = 1.35, 0.95, 0.45, 0.12
+LABELS_IN, HEAD_IN, FOOT_IN, GAP_IN = 1.35, 0.75, 0.6, 0.12
+WIDE_IN = 4.0  # from which on the legend fits into one line
 # Okabe and Ito's blue and vermillion, told apart by colour-blind readers.
 SEES, REWARDS, ABSENT = "#0072b2", "#d55e00", "#e6e6e6"
-LEGEND = "blue: worse with strength   orange: better with strength   white: blind   grey: not computed"
+LEGEND = {SEES: "worse with strength", REWARDS: "better with strength", "white": "blind", ABSENT: "not computed"}
 Study = Mapping[str, Any]
 
 
@@ -54,6 +55,7 @@ def draw_study(folders: Mapping[str, Path], out: Path) -> Path:
         ResultsError: no such study, or none of the metrics has an answer.
     """
     from matplotlib.figure import Figure
+    from matplotlib.patches import Patch
 
     studies = {title: read_study(folder) for title, folder in folders.items()}
     rows = metric_rows(list(studies.values()))
@@ -73,7 +75,9 @@ def draw_study(folders: Mapping[str, Path], out: Path) -> Path:
         if number == 0:
             axes.set_yticks(np.arange(len(rows)), rows, fontsize=6)
         left += size[0] + GAP_IN
-    figure.text(0.5, 0.12 / height, LEGEND, fontsize=6, ha="center", color="#444444")
+    patches = [Patch(facecolor=colour, edgecolor="#bbbbbb", linewidth=0.5, label=label) for colour, label in LEGEND.items()]
+    columns = len(patches) if width > WIDE_IN else 2
+    figure.legend(handles=patches, loc="lower center", ncols=columns, fontsize=6, frameon=False, handlelength=1.2)
     return save_figure(figure, out)
 
 
