@@ -50,7 +50,7 @@ def metric_study(
 
     study = run_study(out, capture, StudyOptions(metrics, ladders, seeds, TakeOptions(frames, size, on)), jobs)
     write_text(out / "study.md", study_text(study))
-    print(verdict_table(study))
+    print(verdict_table([study]))
     if absent := absence_list(study):
         print(absent)
     print(draw_study({", ".join(study["captures"]): out}, out / "study.png"))

@@ -13,11 +13,11 @@ from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.job import Job
 from ggvs_eval.metrics.image.regions import REGION
 from ggvs_eval.metrics.metric import Metric, MetricOptions, TableMetric, Value, ViewMetric
-from ggvs_eval.metrics.path.rendered_path import PathMetric, PathPose
+from ggvs_eval.metrics.path.rendered_path import PathMetric, PathPose, RenderedPath
 from ggvs_eval.metrics.path_scores import score_path
 from ggvs_eval.metrics.registry import METRICS, derived_rows, scored_by_view, select_metrics
 from ggvs_eval.metrics.stream import fit_colour_maps, score_view
-from ggvs_eval.pipelines.run.score_code import metric_code, path_code
+from ggvs_eval.pipelines.run.score_code import PATH_SCORES, metric_code
 from ggvs_eval.pipelines.study.clips import Clip, Take
 from ggvs_eval.pipelines.study.ladders import LADDERS, OF_FRAMES, Ladder
 from ggvs_eval.pipelines.study.rendered_ladders import EXCHANGES, sources_at
@@ -25,7 +25,7 @@ from ggvs_eval.run_folder import JOB_FILE, read_json
 
 # 25 ms of a core or more for a frame of 224x168, where all others together take 12: these see the first view of a take, and
 # where they are of single frames every `EVERY`th of them.
-COSTLY = frozenset({"LPIPS", "LPIPS_cc", "DISTS", "FLIP", "CVVDP"})
+COSTLY = frozenset({"LPIPS", "LPIPS_cc", "DISTS", "FLIP", "CVVDP", "COLMAP_registered", "COLMAP_track_length", "COLMAP_matches"})
 EVERY = 6
 UNDEGRADED = "none"  # stands for all ladders of frames at strength 0
 ALL = "all"
@@ -87,7 +87,10 @@ def strengths_of(ladder: Ladder | None) -> tuple[float, ...]:
 
 
 def _code(metric: Metric) -> str:
-    return path_code() if isinstance(metric, PathMetric) else metric_code(metric)
+    """Hash of the code that measures a metric; of a path, one pass measures all that it has, and each counts by itself."""
+    if isinstance(metric, PathMetric):
+        return code_identity(PATH_SCORES, RenderedPath.__module__, *metric.modules, unfollowed=(PATH_SCORES,))
+    return metric_code(metric)
 
 
 def _measure(record_file: Path, take: Take, name: str, identity: dict[str, Any], _folder: Path) -> dict[str, Any]:

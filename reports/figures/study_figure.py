@@ -2,46 +2,23 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.reports.figures.curves import save_figure
-from ggvs_eval.run_folder import read_json
+from ggvs_eval.reports.model.metric_study import Study, answered_metrics, read_study
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-STUDY_FILE = "study.json"
 CELL_IN = (0.235, 0.175)
 LABELS_IN, HEAD_IN, FOOT_IN, GAP_IN = 1.35, 0.75, 0.6, 0.12
 WIDE_IN = 4.0  # from which on the legend fits into one line
 # Okabe and Ito's blue and vermillion, told apart by colour-blind readers.
 SEES, REWARDS, ABSENT = "#0072b2", "#d55e00", "#e6e6e6"
 LEGEND = {SEES: "worse with strength", REWARDS: "better with strength", "white": "blind", ABSENT: "not computed"}
-Study = Mapping[str, Any]
-
-
-def read_study(folder: Path) -> Study:
-    """Read what a metric study wrote.
-
-    Raises:
-        ResultsError: no study there.
-    """
-    file = folder / STUDY_FILE
-    if not file.is_file():
-        raise ResultsError(
-            f"{folder}: wanted the folder of a metric study, it has no {STUDY_FILE}; `ggvs-eval metric-study` makes one"
-        )
-    record: Study = read_json(file)
-    return record
-
-
-def metric_rows(studies: Sequence[Study]) -> list[str]:
-    """Metrics that any of some studies has an answer of, in their order."""
-    answered = {metric for study in studies for of_ladder in study["answers"].values() for metric in of_ladder}
-    return [metric for metric in dict.fromkeys(name for study in studies for name in study["metrics"]) if metric in answered]
 
 
 def draw_study(folders: Mapping[str, Path], out: Path) -> Path:
@@ -58,7 +35,7 @@ def draw_study(folders: Mapping[str, Path], out: Path) -> Path:
     from matplotlib.patches import Patch
 
     studies = {title: read_study(folder) for title, folder in folders.items()}
-    rows = metric_rows(list(studies.values()))
+    rows = answered_metrics(list(studies.values()))
     if not rows:
         raise ResultsError(
             f"{', '.join(map(str, folders.values()))}: no metric has an answer to any degradation; nothing to draw"

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ggvs_eval.reports.figures.study_figure import Study, metric_rows
+from ggvs_eval.reports.model.metric_study import Study, answered_metrics
 
 BLANK = "–"
 Answer = Mapping[str, Any]
@@ -19,17 +19,27 @@ def sensitivity_table(study: Study, metrics: Sequence[str] | None = None) -> str
     return _table(study, metrics, lambda answer: _number(answer["least_strength"]), with_units=True)
 
 
-def verdict_table(study: Study, metrics: Sequence[str] | None = None) -> str:
-    """What each metric sees, is blind to, and rewards."""
-    lines = ["| metric | worse with strength | blind to | better with strength |", "| --- | --- | --- | --- |"]
-    for metric in metrics or metric_rows([study]):
-        verdicts = {ladder: answers[metric]["verdict"] for ladder, answers in study["answers"].items() if metric in answers}
-        cells = [
-            ", ".join(ladder for ladder, verdict in verdicts.items() if verdict == wanted) or BLANK
-            for wanted in ("sees", "blind", "rewards")
-        ]
+def verdict_table(studies: Sequence[Study], metrics: Sequence[str] | None = None) -> str:
+    """What each metric sees, is blind to, and rewards; where studies of several captures disagree, in a column of its own."""
+    heads = {"sees": "worse with strength", "blind": "blind to", "rewards": "better with strength"}
+    heads |= {"disputed": "depends on the capture"} if len(studies) > 1 else {"unclear": "one clip: unclear"}
+    verdicts = [(metric, _verdicts(studies, metric)) for metric in metrics or answered_metrics(studies)]
+    columns = [each for each in heads if each != "unclear" or any("unclear" in found.values() for _, found in verdicts)]
+    lines = [f"| metric | {' | '.join(heads[each] for each in columns)} |", "| --- |" + " --- |" * len(columns)]
+    for metric, found in verdicts:
+        cells = [", ".join(ladder for ladder, verdict in found.items() if verdict == each) or BLANK for each in columns]
         lines.append(f"| `{metric}` | {' | '.join(cells)} |")
     return "\n".join(lines)
+
+
+def _verdicts(studies: Sequence[Study], metric: str) -> dict[str, str]:
+    """Degradation -> verdict of all studies that have one, or ``disputed``."""
+    verdicts: dict[str, set[str]] = {}
+    for study in studies:
+        for ladder, answers in study["answers"].items():
+            if metric in answers:
+                verdicts.setdefault(ladder, set()).add(answers[metric]["verdict"])
+    return {ladder: found.pop() if len(found) == 1 else "disputed" for ladder, found in verdicts.items()}
 
 
 def ladder_table(study: Study) -> str:
@@ -43,7 +53,7 @@ def ladder_table(study: Study) -> str:
 
 def absence_list(study: Study) -> str:
     """Metrics that have no number on any degradation, each with its reason."""
-    answered = set(metric_rows([study]))
+    answered = set(answered_metrics([study]))
     reasons: dict[str, str] = {}
     for of_ladder in study["not_computed"].values():
         reasons |= {metric: why for metric, why in of_ladder.items() if metric not in answered}
@@ -57,7 +67,7 @@ def study_text(study: Study) -> str:
         "Degradations": ladder_table(study),
         "Rank correlation with strength, 95 % interval over clips": correlation_table(study),
         "Least strength told from the undegraded": sensitivity_table(study),
-        "Blind to": verdict_table(study),
+        "Blind to": verdict_table([study]),
         "Not computed": absence_list(study) or "Everything that was asked for is computed.",
     }
     sections = (f"{'#' if not number else '##'} {title}\n\n{part}\n" for number, (title, part) in enumerate(parts.items()))
@@ -68,7 +78,7 @@ def _table(study: Study, metrics: Sequence[str] | None, cell: Any, with_units: b
     ladders = study["ladders"]
     heads = [f"{name} ({ladder['unit']})" if with_units else name for name, ladder in ladders.items()]
     lines = ["| metric | " + " | ".join(heads) + " |", "| --- |" + " ---: |" * len(heads)]
-    for metric in metrics or metric_rows([study]):
+    for metric in metrics or answered_metrics([study]):
         answers = [study["answers"][ladder].get(metric) for ladder in ladders]
         cells = [BLANK if answer is None else cell(answer) for answer in answers]
         lines.append(f"| `{metric}` | {' | '.join(cells)} |")
