@@ -68,7 +68,7 @@ def series_job(out: Path, take: Take, ladder: Ladder | None, seed: int, metrics:
         metrics: names.
     """
     name = ladder.name if ladder else UNDEGRADED
-    identity = {
+    identity: dict[str, Any] = {
         "take": take.digest,
         "ladder": code_identity(ladder.module if ladder else OF_FRAMES),
         "strengths": list(strengths_of(ladder)),
@@ -76,7 +76,18 @@ def series_job(out: Path, take: Take, ladder: Ladder | None, seed: int, metrics:
         "metrics": {metric.name: _code(metric) for metric in select_metrics(metrics)},
     }
     folder = out / "cells" / name / take.name.replace(", ", "/") / f"seed{seed}"
+    identity["metrics"] = _still_valid(folder / JOB_FILE, identity) | identity["metrics"]
     return Job(f"{name} in {take.name}", folder, identity, partial(_measure, folder / JOB_FILE, take, name, identity))
+
+
+def _still_valid(record_file: Path, identity: Mapping[str, Any]) -> dict[str, str]:
+    """Metrics that an earlier call has measured, with the code that they still have; they stay, asked for or not."""
+    if not record_file.is_file():
+        return {}
+    known = read_json(record_file)["identity"]
+    if {**known, "metrics": {}} != {**identity, "metrics": {}}:
+        return {}
+    return {name: code for name, code in known["metrics"].items() if name in METRICS and code == _code(METRICS[name])}
 
 
 def strengths_of(ladder: Ladder | None) -> tuple[float, ...]:

@@ -133,7 +133,7 @@ def _answers(table: pd.DataFrame, ladder: Ladder, metrics: Sequence[str]) -> dic
         rows = table[(table["ladder"] == ladder.name) & (table["metric"] == metric)]
         sign = -1.0 if METRICS[metric].higher_is_better else 1.0
         whole = sign * rows.pivot_table(index=["capture", "take", "seed"], columns="strength", values="value").dropna()
-        strengths = whole.columns.tolist()
+        strengths = [float(strength) for strength in whole.columns]
         if whole.empty or len(strengths) < len(ladder.strengths):
             continue
         clips: dict[str, list[list[float]]] = {}

@@ -1,6 +1,6 @@
 """Takes of a capture: time windows of pairs of views, and stretches of a camera path of which the true images are known."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -63,6 +63,21 @@ class TakeOptions:
             )
 
 
+@dataclass(frozen=True)
+class Draft:
+    """A take before its clips are made.
+
+    Attributes:
+        name: what is taken of the capture.
+        make: makes the clips.
+        depth: keys of the depth that they come with.
+    """
+
+    name: str
+    make: Callable[[], list[Clip]]
+    depth: list[str]
+
+
 def make_takes(out: Path, captures: Sequence[Path], options: TakeOptions, workers: Workers) -> list[Take]:
     """Take clips of captures, or of the shipped demo where none is given; what is there is kept.
 
@@ -100,10 +115,12 @@ def _takes_of(out: Path, name: str, capture: Capture, options: TakeOptions, work
     scale = options.size / min(capture.cameras[0].size)
     width, height = (2 * round(scale * each / 2) for each in capture.cameras[0].size)
     capture = capture.resized(width, height, "area")
-    makers = dict(_makers(out / "captures" / name, capture, options, workers))
+    folder, common = out / "takes" / name, _identity(capture, options)
     jobs = [
-        Job(f"{name}, {label}", out / "takes" / name / label, _identity(capture, options), partial(_write, make, options.on))
-        for label, make in makers.items()
+        Job(
+            f"{name}, {draft.name}", folder / draft.name, common | {"depth": draft.depth}, partial(_write, draft.make, options.on)
+        )
+        for draft in _drafts(out / "captures" / name, capture, options, workers)
     ]
     run_jobs(jobs, 1, f"clips of {name}")
     return [Take.open(job.folder, job.name) for job in jobs]
@@ -118,7 +135,7 @@ def _code(options: TakeOptions) -> str:
     return code_identity(RENDERER) if options.on == "rendering" else ""
 
 
-def _write(make: "partial[list[Clip]]", on: str, folder: Path) -> dict[str, Any]:
+def _write(make: Callable[[], list[Clip]], on: str, folder: Path) -> dict[str, Any]:
     clips = make()
     if on == "rendering":
         clips = [replace(clip, rendering=render(require_sources(clip, 1))) for clip in clips]
@@ -126,8 +143,8 @@ def _write(make: "partial[list[Clip]]", on: str, folder: Path) -> dict[str, Any]
     return {"views": [clip.name for clip in clips]}
 
 
-def _makers(root: Path, capture: Capture, options: TakeOptions, workers: Workers) -> Iterator[tuple[str, "partial[list[Clip]]"]]:
-    """Each take's name and what makes its clips."""
+def _drafts(root: Path, capture: Capture, options: TakeOptions, workers: Workers) -> Iterator[Draft]:
+    """All takes of a capture."""
     if capture.n_frames == 1:
         yield from _hand_held(root, capture, options, workers)
         return
@@ -145,7 +162,9 @@ def _makers(root: Path, capture: Capture, options: TakeOptions, workers: Workers
         for first in range(0, len(names), VIEWS_OF_TAKE):
             of_take = names[first : first + VIEWS_OF_TAKE]
             make = partial(_views, capture if plan is None else plan.capture, plan, of_take, window)
-            yield f"{'+'.join(of_take)} from {start}", make
+            yield Draft(
+                f"{'+'.join(of_take)} from {start}", make, _depth_keys([plan.plans[name] for name in of_take] if plan else [])
+            )
     if plan is not None and plan.path_images is not None:
         truth = [resize(image, *plan.path[0].target.size, "area") for image in plan.path_images.frames(0, len(plan.path))]
         yield from _stretches(plan, plan.path, truth, plan.path_frame, options, plan.run.path_depth)
@@ -209,9 +228,7 @@ def _sources(plan: RunPlan, planned: SourcePlan, frames: range) -> tuple[SourceC
     return tuple(sources)
 
 
-def _hand_held(
-    root: Path, capture: Capture, options: TakeOptions, workers: Workers
-) -> Iterator[tuple[str, "partial[list[Clip]]"]]:
+def _hand_held(root: Path, capture: Capture, options: TakeOptions, workers: Workers) -> Iterator[Draft]:
     """A camera that was carried through a scene at rest: every second place is a pose, the others are sources."""
     needed = 2 * options.frames * STRETCHES
     if len(capture.cameras) < 2 * options.frames:
@@ -231,11 +248,17 @@ def _hand_held(
 
 def _stretches(
     plan: RunPlan, poses: Sequence[SourcePlan], truth: Sequence[Image8], instant: int, options: TakeOptions, depths: Path
-) -> Iterator[tuple[str, "partial[list[Clip]]"]]:
+) -> Iterator[Draft]:
     """Stretches of a camera path, one after another."""
     for start in range(0, min(len(poses), STRETCHES * options.frames) - options.frames + 1, options.frames):
         stretch = range(start, start + options.frames)
-        yield f"path from {start}", partial(_stretch, plan, poses, truth, instant, depths, stretch)
+        make = partial(_stretch, plan, poses, truth, instant, depths, stretch)
+        yield Draft(f"path from {start}", make, _depth_keys([poses[index] for index in stretch]))
+
+
+def _depth_keys(planned: Sequence[SourcePlan]) -> list[str]:
+    """Keys of all depth that some targets are rendered from."""
+    return sorted({key for plan in planned for key in plan.depth_keys.values()})
 
 
 def _stretch(

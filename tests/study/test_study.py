@@ -96,6 +96,10 @@ def test_what_is_measured_stays(studied, videos, monkeypatch):
     assert set(measured) == {("L1",)}
     assert more["answers"]["noise"]["PSNR"] == study["answers"]["noise"]["PSNR"]
     assert more["answers"]["noise"]["L1"]["correlation"] == 1.0
+    measured.clear()
+    assert run_study(folder, [videos], options) == study  # and L1 stays where it is
+    run_study(folder, [videos], StudyOptions(("L1",), options.ladders, takes=SMALL))
+    assert not measured
 
 
 def test_the_verb_writes_tables_and_a_figure(videos, tmp_path, capsys):
