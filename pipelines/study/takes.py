@@ -1,5 +1,6 @@
 """Takes of a capture: time windows of pairs of views, and stretches of a camera path of which the true images are known."""
 
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -118,7 +119,10 @@ def _takes_of(out: Path, name: str, capture: Capture, options: TakeOptions, work
     folder, common = out / "takes" / name, _identity(capture, options)
     jobs = [
         Job(
-            f"{name}, {draft.name}", folder / draft.name, common | {"depth": draft.depth}, partial(_write, draft.make, options.on)
+            f"{name}, {draft.name}",
+            folder / draft.name,
+            common | {"depth": draft.depth},
+            partial(fill_take, draft.make, options.on),
         )
         for draft in _drafts(out / "captures" / name, capture, options, workers)
     ]
@@ -135,7 +139,20 @@ def _code(options: TakeOptions) -> str:
     return code_identity(RENDERER) if options.on == "rendering" else ""
 
 
-def _write(make: Callable[[], list[Clip]], on: str, folder: Path) -> dict[str, Any]:
+def fill_take(make: Callable[[], list[Clip]], on: str, folder: Path) -> dict[str, Any]:
+    """Make the clips of a take and write them, with the rendering that degradations are planted in where they are.
+
+    Args:
+        make: makes the clips.
+        on: ``truth`` or ``rendering``.
+        folder: to write into.
+
+    Returns:
+        What the take's record says.
+
+    Raises:
+        RenderError: a clip that cannot be rendered.
+    """
     clips = make()
     if on == "rendering":
         clips = [replace(clip, rendering=render(require_sources(clip, 1))) for clip in clips]
@@ -184,7 +201,7 @@ def _prepared(root: Path, capture: Capture, names: Sequence[str], frames: range,
     try:
         return prepare_run(plan_run(RunRequest(root, capture, protocol)), workers)
     except (CameraError, DepthError) as error:
-        print(f"{capture.path}: nothing can be rendered of it, so that nothing boils or switches: {error}")
+        print(f"{capture.path}: nothing can be rendered of it, so that nothing boils or switches: {error}", file=sys.stderr)
         return None
 
 

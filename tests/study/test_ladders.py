@@ -13,6 +13,7 @@ from ggvs_eval.pipelines.study import frame_ladders
 from ggvs_eval.pipelines.study.clips import Clip, SourceClip, Take, write_take
 from ggvs_eval.pipelines.study.ladders import LADDERS, select_ladders
 from ggvs_eval.pipelines.study.rendered_ladders import render, sources_at
+from ggvs_eval.pipelines.study.takes import fill_take
 from helpers.noise_scenes import clean_video
 
 T, HEIGHT, WIDTH, DEPTH = 6, 48, 64, 2.0
@@ -140,6 +141,16 @@ def test_a_take_is_read_as_it_was_written(path, tmp_path):
     assert again.view_angles_deg() == pytest.approx(path.view_angles_deg())
     assert [source.camera.name for source in again.sources] == [source.camera.name for source in path.sources]
     assert np.array_equal(render(again), render(path))
+
+
+def test_degradations_may_be_planted_in_a_rendering(path, tmp_path):
+    """On a rendering strength 0 is that rendering, bit for bit, and what is measured against stays the truth."""
+    fill_take(lambda: [path], "rendering", tmp_path)
+    (clip,) = Take.open(tmp_path, "take").clips()
+
+    assert np.array_equal(LADDERS["noise"].frames(clip, 0.0, 1), render(path))
+    assert not np.array_equal(clip.undegraded, clip.truth)
+    assert np.array_equal(clip.truth, path.truth)
 
 
 def test_an_unknown_ladder_names_the_nearest():
