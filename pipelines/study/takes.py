@@ -1,6 +1,5 @@
 """Takes of a capture: time windows of pairs of views, and stretches of a camera path of which the true images are known."""
 
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -12,31 +11,23 @@ import numpy as np
 from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
-from ggvs_eval.datasets import open_capture
-from ggvs_eval.datasets.dynerf import open_path
-from ggvs_eval.datasets.frames import ImageFrames, list_images
 from ggvs_eval.depth_store import DepthStore
-from ggvs_eval.errors import CameraError, CaptureError, DepthError
+from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.images import resize
-from ggvs_eval.files.video import VideoFrames
 from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.jobs.job import Job, run_jobs
-from ggvs_eval.pipelines.inspection.capture.uncalibrated import LAYOUT, open_uncalibrated, uncalibrated_capture
-from ggvs_eval.pipelines.offline.calibration.camera_files import VIDEO_SUFFIXES
 from ggvs_eval.pipelines.run.path_depth import read_path_depth, write_path_depth
 from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, SourcePlan, plan_run
-from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
+from ggvs_eval.pipelines.study.captures import open_footage, prepare_views, study_protocol
 from ggvs_eval.pipelines.study.clips import Clip, SourceClip, Take, write_take
 from ggvs_eval.pipelines.study.rendered_ladders import render, require_sources
-from ggvs_eval.protocol import CameraPath, Frames, Protocol, Synthesis, Views
+from ggvs_eval.protocol import CameraPath
 from ggvs_eval.synthetic.demo import SHIPPED, write_demo
 
 VIEWS, VIEWS_OF_TAKE, WINDOWS, STRETCHES = 4, 2, 2, 4
-K = 4
 RENDERER = render.__module__
-CHOSEN_BY = "by rule: cameras evenly spread over the capture, for a metric study"
 
 
 @dataclass(frozen=True)
@@ -99,17 +90,8 @@ def make_takes(out: Path, captures: Sequence[Path], options: TakeOptions, worker
         raise CaptureError(f"metric study: wanted captures of different names, got {', '.join(sorted(twice))} twice; rename one")
     takes = []
     for name, path in zip(names, captures, strict=True):
-        takes += _takes_of(out, name, _open(path), options, workers)
+        takes += _takes_of(out, name, open_footage(path), options, workers)
     return takes
-
-
-def _open(path: Path) -> Capture:
-    """A capture, videos without calibration, one video, or the pictures of one in a folder."""
-    if path.is_file() and path.suffix.lower() in VIDEO_SUFFIXES:
-        return uncalibrated_capture(path, {path.stem: VideoFrames(path)})
-    if path.is_dir() and list_images(path):
-        return uncalibrated_capture(path, {path.resolve().name: ImageFrames(path)})
-    return (open_uncalibrated(path) if path.is_dir() else None) or open_capture(path)
 
 
 def _takes_of(out: Path, name: str, capture: Capture, options: TakeOptions, workers: Workers) -> list[Take]:
@@ -173,7 +155,7 @@ def _drafts(root: Path, capture: Capture, options: TakeOptions, workers: Workers
     names = _spread(capture.camera_names, VIEWS)
     last = capture.n_frames - options.frames
     starts = sorted({round(start) for start in np.linspace(0, min(last, options.frames * (WINDOWS - 1)), WINDOWS)})
-    plan = _prepared(root, capture, names, range(starts[0], starts[-1] + options.frames), workers)
+    plan = prepare_views(root, capture, names, range(starts[0], starts[-1] + options.frames), workers)
     for start in starts:
         window = range(start, start + options.frames)
         for first in range(0, len(names), VIEWS_OF_TAKE):
@@ -190,34 +172,6 @@ def _drafts(root: Path, capture: Capture, options: TakeOptions, workers: Workers
 def _spread(names: Sequence[str], count: int) -> list[str]:
     """So many of the names, evenly spread over them."""
     return [names[index * len(names) // count] for index in range(count)] if len(names) > count else list(names)
-
-
-def _prepared(root: Path, capture: Capture, names: Sequence[str], frames: range, workers: Workers) -> RunPlan | None:
-    """The capture prepared as for a run, with depth; None where its cameras are unknown or see too little in common."""
-    if capture.layout == LAYOUT or len(capture.cameras) < 2:
-        return None
-    path = CameraPath() if open_path(capture.path) is not None else CameraPath(0)
-    protocol = _protocol(capture, names, frames, path)
-    try:
-        return prepare_run(plan_run(RunRequest(root, capture, protocol)), workers)
-    except (CameraError, DepthError) as error:
-        print(f"{capture.path}: nothing can be rendered of it, so that nothing boils or switches: {error}", file=sys.stderr)
-        return None
-
-
-def _protocol(capture: Capture, names: Sequence[str], frames: range, path: CameraPath, sources: Sequence[str] = ()) -> Protocol:
-    base = suggest_protocol(capture)
-    width, height = capture.cameras[0].size
-    synthesis = Synthesis(min(K, len(sources or capture.cameras) - 1), width, height, "area", base.synthesis.sources)
-    return replace(
-        base,
-        name=f"metric study of {capture.scene}",
-        views=Views(tuple(names), CHOSEN_BY, sources=tuple(sources)),
-        frames=Frames(frames.start, len(frames)),
-        synthesis=synthesis,
-        measurement=replace(base.measurement, metrics=("PSNR",), width=0, height=0, ceilings=False),
-        path=path,
-    )
 
 
 def _views(capture: Capture, plan: RunPlan | None, names: Sequence[str], window: range) -> list[Clip]:
@@ -255,7 +209,7 @@ def _hand_held(root: Path, capture: Capture, options: TakeOptions, workers: Work
         )
     names = capture.camera_names[:needed]
     poses = names[: len(names) // (2 * options.frames) * 2 * options.frames : 2]
-    protocol = _protocol(capture, poses, range(1), CameraPath(0), names[1::2])
+    protocol = study_protocol(capture, poses, range(1), CameraPath(0), names[1::2])
     plan = prepare_run(plan_run(RunRequest(root, capture, protocol)), workers)
     planned = [plan.plans[name] for name in poses]
     folder = plan.run.path_depth
