@@ -16,6 +16,7 @@ from ggvs_eval.pipelines.inspection.capture.uncalibrated import LAYOUT, open_unc
 from ggvs_eval.pipelines.offline.calibration.camera_files import VIDEO_SUFFIXES
 from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
+from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
 from ggvs_eval.protocol import CameraPath, Frames, Protocol, Synthesis, Views
 
 K = 4
