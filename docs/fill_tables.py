@@ -14,9 +14,10 @@ from result_tables import beside_paper_table, budget_rows, ceilings_table, k_tab
 
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.reports.figures.study_figure import draw_study
-from ggvs_eval.reports.model.metric_study import Study, answered_metrics, read_study
+from ggvs_eval.reports.model.metric_study import STUDY_FILE, Study, answered_metrics, read_study
 from ggvs_eval.reports.tables.study_tables import (
     absence_list,
+    by_ladder_table,
     correlation_table,
     ladder_table,
     sensitivity_table,
@@ -110,6 +111,7 @@ def _fill_metric_study() -> None:
         ROOT / "docs" / "metric_study.md",
         {
             "ladders": lambda: ladder_table(read_study(STUDIES["demo room"])),
+            "by_ladder": lambda: by_ladder_table(_studies()),
             "verdicts": lambda: verdict_table(_studies()),
             "correlations": lambda: correlation_table(read_study(STUDIES["demo room"])),
             "correlations_real": lambda: correlation_table(read_study(STUDIES["real captures"])),
@@ -121,13 +123,19 @@ def _fill_metric_study() -> None:
     for page, groups in STUDIED_GROUPS.items():
         _fill(ROOT / "docs" / page, {"verdicts": lambda groups=groups: verdict_table(_studies(), _names_in(groups))})
     try:
-        print(draw_study(STUDIES, ROOT / "docs" / "images" / "metric_study.png"))
+        print(draw_study(_present_studies(), ROOT / "docs" / "images" / "metric_study.png"))
     except ResultsError as error:
         print(f"the figure of the metric study is left as it is: {error}")
 
 
+def _present_studies() -> dict[str, Path]:
+    """The studies that were made; the first one must have been."""
+    title, first = next(iter(STUDIES.items()))
+    return {title: first} | {name: folder for name, folder in STUDIES.items() if (folder / STUDY_FILE).is_file()}
+
+
 def _studies() -> list[Study]:
-    return [read_study(folder) for folder in STUDIES.values()]
+    return [read_study(folder) for folder in _present_studies().values()]
 
 
 def _names_in(groups: tuple[str, ...]) -> list[str]:

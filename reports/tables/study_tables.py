@@ -32,6 +32,22 @@ def verdict_table(studies: Sequence[Study], metrics: Sequence[str] | None = None
     return "\n".join(lines)
 
 
+def by_ladder_table(studies: Sequence[Study]) -> str:
+    """Each degradation with the number of metrics that see it, and the names of those that do not."""
+    verdicts = {metric: _verdicts(studies, metric) for metric in answered_metrics(studies)}
+    lines = ["| degradation | see it | blind to it | better with strength | depends on the capture |"]
+    lines.append("| --- | ---: | --- | --- | --- |")
+    for ladder in dict.fromkeys(name for study in studies for name in study["ladders"]):
+        found = {metric: of_metric[ladder] for metric, of_metric in verdicts.items() if ladder in of_metric}
+        seeing = sum(verdict == "sees" for verdict in found.values())
+        others = [
+            ", ".join(f"`{metric}`" for metric, verdict in found.items() if verdict == wanted) or BLANK
+            for wanted in ("blind", "rewards", "disputed")
+        ]
+        lines.append(f"| {ladder} | {seeing} of {len(found)} | {' | '.join(others)} |")
+    return "\n".join(lines)
+
+
 def _verdicts(studies: Sequence[Study], metric: str) -> dict[str, str]:
     """Degradation -> verdict of all studies that have one, or ``disputed``."""
     verdicts: dict[str, set[str]] = {}

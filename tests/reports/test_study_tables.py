@@ -7,6 +7,7 @@ from ggvs_eval.files.images import read_image
 from ggvs_eval.reports.figures.study_figure import draw_study
 from ggvs_eval.reports.tables.study_tables import (
     absence_list,
+    by_ladder_table,
     correlation_table,
     ladder_table,
     sensitivity_table,
@@ -43,6 +44,10 @@ def test_captures_agree_or_a_verdict_depends_on_them():
 
     assert table.splitlines()[0] == "| metric | worse with strength | blind to | better with strength | depends on the capture |"
     assert table.splitlines()[2:] == ["| `PSNR` | blur | – | – | switch |"]
+    assert by_ladder_table([study_of(SEES, BLIND)]).splitlines()[2:] == [
+        "| blur | 1 of 1 | – | – | – |",
+        "| switch | 0 of 1 | `PSNR` | – | – |",
+    ]
 
 
 def test_a_wide_interval_is_shown():
