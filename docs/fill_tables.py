@@ -1,7 +1,7 @@
-"""Write measured figures into README.md and into pages of docs: ``python docs/fill_tables.py``.
+"""Write measured figures into README.md and the pages of docs/: ``python docs/fill_tables.py``.
 
-It follows `make reports bench validate`. Tables stand between ``<!-- name -->`` and ``<!-- /name -->``; nothing between
-them is typed by hand.
+It follows `make reports bench validate`, and the commands of docs/metric_study.md. Tables stand between ``<!-- name -->`` and
+``<!-- /name -->``; nothing between them is typed by hand.
 """
 
 import json
@@ -24,6 +24,16 @@ from result_tables import (
 )
 
 from ggvs_eval.errors import ResultsError
+from ggvs_eval.reports.figures.study_figure import draw_study
+from ggvs_eval.reports.model.metric_study import STUDY_FILE, Study, answered_metrics, read_study
+from ggvs_eval.reports.tables.study_tables import (
+    absence_list,
+    by_ladder_table,
+    correlation_table,
+    ladder_table,
+    sensitivity_table,
+    verdict_table,
+)
 
 ROOT = Path(__file__).parents[1]
 OUT = ROOT / "out"
@@ -58,6 +68,12 @@ STAGES = {"filter": "_filter", "splat": "_splat", "TSDF": "_tsdf", "blend": "_bl
 
 ABLATION_METRICS = ("PSNR", "LPIPS", "TCC", "STED", "SDT", "EPI_coherence", "EPI_line_texture", "EPI_slope_error")
 DOMAIN_METRICS = {"PSNR": ".2f", "LPIPS": ".3f"}
+STUDIES = {"demo room": OUT / "metric_study", "real captures": OUT / "metric_study_real"}
+STUDIED_GROUPS = {  # page: titles of the tables that its metrics stand in
+    "full_reference.md": ("Image quality", "Further measures"),
+    "temporal_metrics.md": ("Temporal and view consistency", "Steadiness without truth, sharpness beside it"),
+    "view_consistency.md": ("View consistency along the camera path, without truth",),
+}
 BASELINE_METRICS = ("PSNR", "SSIM", "LPIPS", "L1", "TCC", "STED", "SDT", "SDV")
 
 Figures = dict[str, dict[str, Any]]
@@ -107,6 +123,46 @@ def main() -> None:
             "author_clips_colmap": lambda: author_clips_colmap_table(OUT / "author_clips.json"),
         },
     )
+    _fill_metric_study()
+
+
+def _fill_metric_study() -> None:
+    """What metrics answered to planted degradations, in the pages that say what each is blind to, and the figure."""
+    _fill(
+        ROOT / "docs" / "metric_study.md",
+        {
+            "ladders": lambda: ladder_table(read_study(STUDIES["demo room"])),
+            "by_ladder": lambda: by_ladder_table(_studies()),
+            "verdicts": lambda: verdict_table(_studies()),
+            "correlations": lambda: correlation_table(read_study(STUDIES["demo room"])),
+            "correlations_real": lambda: correlation_table(read_study(STUDIES["real captures"])),
+            "sensitivity": lambda: sensitivity_table(read_study(STUDIES["demo room"])),
+            "sensitivity_rendering": lambda: sensitivity_table(read_study(OUT / "metric_study_rendering")),
+            "absent": lambda: absence_list(read_study(STUDIES["demo room"])) or "Nothing.",
+        },
+    )
+    for page, groups in STUDIED_GROUPS.items():
+        _fill(ROOT / "docs" / page, {"verdicts": lambda groups=groups: verdict_table(_studies(), _names_in(groups))})
+    try:
+        print(draw_study(_present_studies(), ROOT / "docs" / "images" / "metric_study.png"))
+    except ResultsError as error:
+        print(f"the figure of the metric study is left as it is: {error}")
+
+
+def _present_studies() -> dict[str, Path]:
+    """The studies that were made; the first one must have been."""
+    title, first = next(iter(STUDIES.items()))
+    return {title: first} | {name: folder for name, folder in STUDIES.items() if (folder / STUDY_FILE).is_file()}
+
+
+def _studies() -> list[Study]:
+    return [read_study(folder) for folder in _present_studies().values()]
+
+
+def _names_in(groups: tuple[str, ...]) -> list[str]:
+    """Metrics with an answer that stand in the tables of these titles."""
+    titles = {name: metric["group"] for study in _studies() for name, metric in study["metrics"].items()}
+    return [name for name in answered_metrics(_studies()) if titles[name] in groups]
 
 
 def _fill(file: Path, tables: Tables) -> None:

@@ -41,7 +41,7 @@ FLOORS = (
     ("pipelines.offline.export", "pipelines.inspection"),
     ("pipelines.inspection.capture", "pipelines.inspection.renders", "pipelines.training.samples"),
     ("pipelines.run", "pipelines.training.blend", "pipelines.training.stereo"),
-    ("pipelines.play",),
+    ("pipelines.play", "pipelines.study"),
     ("pipelines.view",),
     ("pipelines.sweep.merging", "pipelines.sweep", "pipelines.training"),
     ("pipelines.commands",),
@@ -58,7 +58,7 @@ FORBIDDEN = {
     "pipelines": ("reports",),
 }
 MAY_START_REPORTS = {
-    *("pipelines.commands.figures", "pipelines.commands.steadiness"),
+    *("pipelines.commands.figures", "pipelines.commands.steadiness", "pipelines.commands.study"),
     *("pipelines.run.evaluate", "pipelines.run.depth_outputs"),
 }
 

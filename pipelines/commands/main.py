@@ -27,6 +27,7 @@ from ggvs_eval.pipelines.commands.play import play, view
 from ggvs_eval.pipelines.commands.renders import doctor, explain
 from ggvs_eval.pipelines.commands.runs import Device, prepare, render, run, status, sweep
 from ggvs_eval.pipelines.commands.steadiness import steadiness
+from ggvs_eval.pipelines.commands.study import metric_study
 from ggvs_eval.pipelines.commands.training import TRAININGS
 from ggvs_eval.pipelines.methods.network_options import checked_device
 
@@ -103,6 +104,7 @@ COMMANDS: Commands = {
     "doctor": doctor,
     "explain": explain,
     "steadiness": steadiness,
+    "metric-study": metric_study,
 }
 CONTINUED = re.compile(r"\n {12,}(?=\S)")  # the second and later lines of an argument in a docstring
 ABOUT = {

@@ -13,7 +13,9 @@ from skimage import data
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.files.video import VideoFrames, write_video
+from ggvs_eval.pipelines.study.frame_ladders import blur, delay, flicker
 
+FLICKER_SEED = 5
 HEIGHT, WIDTH, FACE = 240, 304, 88
 Noise = Callable[[np.ndarray], np.ndarray]  # clean frame -> standard deviation of its noise, grey levels
 
@@ -51,26 +53,9 @@ def encoded(frames: np.ndarray, path: Path, crf: float = 18) -> np.ndarray:
     return np.stack(list(VideoFrames(path).frames(0, len(frames))))
 
 
-def flickering(clean: np.ndarray, share: float, seed: int = 5) -> np.ndarray:
-    """The clean frames with a gain per frame, Gaussian about 1 with this standard deviation, exactly."""
-    gains = np.random.default_rng(seed).normal(size=len(clean))
-    gains = 1.0 + share * (gains - gains.mean()) / gains.std()
-    return _rounded(clean * gains[:, None, None, None])
-
-
-def blurred(clean: np.ndarray, sigma_px: float) -> np.ndarray:
-    """The frames, each smoothed in space."""
-    return np.stack([cv2.GaussianBlur(frame, (0, 0), sigma_px) for frame in clean])
-
-
 def frozen(clean: np.ndarray) -> np.ndarray:
     """The middle frame all the time."""
     return np.repeat(clean[len(clean) // 2][None], len(clean), axis=0)
-
-
-def delayed(clean: np.ndarray, frames: int = 1) -> np.ndarray:
-    """Each frame shown late; the first one stands until then."""
-    return np.concatenate([np.repeat(clean[:1], frames, axis=0), clean[:-frames]])
 
 
 def time_averaged(clean: np.ndarray) -> np.ndarray:
@@ -82,13 +67,13 @@ def time_averaged(clean: np.ndarray) -> np.ndarray:
 def planted(clean: np.ndarray) -> dict[str, np.ndarray]:
     """Renderings with one known defect each."""
     return {
-        "flicker 1 %": flickering(clean, 0.01),
-        "flicker 2 %": flickering(clean, 0.02),
+        "flicker 1 %": flicker(clean, 1.0, FLICKER_SEED),
+        "flicker 2 %": flicker(clean, 2.0, FLICKER_SEED),
         "noise": noisy(clean, 1.0, seed=9),
         "frozen": frozen(clean),
-        "blurred": blurred(clean, 1.5),
-        "blurred more": blurred(clean, 4.0),
-        "late": delayed(clean),
+        "blurred": blur(clean, 1.5),
+        "blurred more": blur(clean, 4.0),
+        "late": delay(clean, 1),
         "averaged over time": time_averaged(clean),
     }
 
@@ -119,7 +104,7 @@ def print_tables() -> None:
     from ggvs_eval.metrics.ceilings import ceilings
     from ggvs_eval.metrics.registry import ceiling_metrics
     from ggvs_eval.metrics.stream import score_view
-    from ggvs_eval.metrics.time.flicker import flicker
+    from ggvs_eval.metrics.time.flicker import flicker as measure_flicker
     from ggvs_eval.metrics.time.strred import strred
     from ggvs_eval.metrics.time.tcc import tcc
 
@@ -127,7 +112,7 @@ def print_tables() -> None:
     captured, second = noisy(clean, 2.0, seed=1), noisy(clean, 2.0, seed=2)
     print("| rendering | TCC | STED | excess | error | with noise |")
     for name, video in {"perfect": clean, "second recording": second, **planted(clean)}.items():
-        found = flicker(zip(video, captured, strict=True))
+        found = measure_flicker(zip(video, captured, strict=True))
         scores = f"{tcc(video, captured):.3f} | {strred(video, captured).strred:.2f}"
         print(f"| {name} | {scores} | {found.excess:+.2f} | {found.error:.2f} | {found.with_noise:+.2f} |")
     recordings = {f"white, {sigma}": [noisy(clean, sigma, seed) for seed in (1, 2)] for sigma in (0.6, 1.3, 2.0, 4.0)}

@@ -17,10 +17,11 @@ from ggvs_eval.metrics.registry import METRICS, ceiling_metrics
 from ggvs_eval.metrics.time.flicker import flicker
 from ggvs_eval.metrics.time.strred import strred
 from ggvs_eval.metrics.time.tcc import tcc
+from ggvs_eval.pipelines.study import frame_ladders
 from ggvs_eval.synthetic.film.film import lit_room
 from ggvs_eval.synthetic.film.options import DemoOptions
 from ggvs_eval.synthetic.room import lighting
-from helpers.noise_scenes import clean_video, encoded, flickering, noisy, panned_video, shot_noise
+from helpers.noise_scenes import FLICKER_SEED, clean_video, encoded, noisy, panned_video, shot_noise
 
 pytestmark = pytest.mark.slow
 
@@ -125,7 +126,7 @@ def test_a_coded_view_that_cannot_be_filmed_again_is_unknown(filmed_twice, tmp_p
 def test_flicker_as_strong_as_noise_raises_tcc_and_the_ceiling_shows_it():
     """A rendering that flickers by 1 % beats the perfect one in TCC; beside the ceiling it is farther off, and flicker tells."""
     clean = clean_video(FRAMES)
-    captured, unsteady = noisy(clean, 2.0, seed=1), flickering(clean, 0.01)
+    captured, unsteady = noisy(clean, 2.0, seed=1), frame_ladders.flicker(clean, 1.0, FLICKER_SEED)
     perfect_tcc, unsteady_tcc = tcc(clean, captured), tcc(unsteady, captured)
     assert unsteady_tcc > perfect_tcc + 0.1
     ceiling = ceilings(lambda: iter(captured), metrics=["TCC"]).noise_free["TCC"]

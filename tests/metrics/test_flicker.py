@@ -5,10 +5,11 @@ import pytest
 
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.time.flicker import FlickerMeter, flicker
+from ggvs_eval.pipelines.study import frame_ladders
 from helpers.noise_scenes import (
+    FLICKER_SEED,
     clean_video,
     encoded,
-    flickering,
     frozen,
     noisy,
     panned_video,
@@ -57,7 +58,7 @@ def test_flicker_of_a_still_scene_is_its_closed_form():
 def test_light_that_flickers_in_the_scene_is_not_held_against_the_rendering():
     """Where the capture itself flickers by 2 %, the rendering that does so too has less error than the steady one."""
     clean = clean_video(FRAMES)
-    scene = flickering(clean, 0.02)
+    scene = frame_ladders.flicker(clean, 2.0, FLICKER_SEED)
     captured = noisy(scene, 1.3, seed=1)
     faithful, steady = measure(scene, captured), measure(clean, captured)
     assert faithful.error < 0.5 * steady.error

@@ -1,5 +1,6 @@
 """Frames that have no calibration yet: what can be said of them, and what comes next."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from ggvs_eval.datasets.assemble import assemble_capture
 from ggvs_eval.datasets.units import Units
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.pipelines.inspection.finding import RIG, Finding
-from ggvs_eval.pipelines.offline.calibration.camera_files import find_camera_files
+from ggvs_eval.pipelines.offline.calibration.camera_files import CameraFiles, find_camera_files
 
 LAYOUT = "no calibration"
 
@@ -34,6 +35,15 @@ def open_uncalibrated(path: Path) -> Capture | None:
         files = find_camera_files(path)
     except CaptureError:
         return None
+    return uncalibrated_capture(path, files)
+
+
+def uncalibrated_capture(path: Path, files: Mapping[str, CameraFiles]) -> Capture:
+    """Frames by the names of their cameras as a capture; the cameras are placeholders, see `open_uncalibrated`.
+
+    Raises:
+        CaptureError: frames that do not fit each other.
+    """
     cameras = []
     for name, file in files.items():
         width, height = file.size

@@ -1,0 +1,124 @@
+"""The ladders of the study: each a degradation, its unit, and the strengths at which it is planted."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from ggvs_eval.arrays import Image8
+from ggvs_eval.errors import MetricError, did_you_mean
+from ggvs_eval.pipelines.study import frame_ladders, rendered_ladders
+from ggvs_eval.pipelines.study.clips import Clip
+
+Plant = Callable[[Clip, float, int], Image8]
+OF_FRAMES = frame_ladders.__name__
+
+
+@dataclass(frozen=True)
+class Ladder:
+    """One degradation.
+
+    Attributes:
+        name: in tables and on the command line.
+        unit: of its strength.
+        strengths: at least five, rising; 0, which is the undegraded clip, comes before them.
+        plant: (clip, strength, seed) -> frames.
+        describe: what is done, in a few words.
+        module: that its code lies in.
+        wants_path: planted along a camera path alone.
+        is_rendered: the undegraded clip is what the method renders of undisturbed inputs, whatever else is planted in.
+    """
+
+    name: str
+    unit: str
+    strengths: tuple[float, ...]
+    plant: Plant
+    describe: str
+    module: str = OF_FRAMES
+    wants_path: bool = False
+    is_rendered: bool = False
+
+    def frames(self, clip: Clip, strength: float, seed: int) -> Image8:
+        """The clip at this strength; at 0 the undegraded one, bit for bit.
+
+        Raises:
+            RenderError: a clip that cannot be rendered.
+        """
+        if strength == 0 and not self.is_rendered:
+            return clip.undegraded
+        return self.plant(clip, strength, seed)
+
+    def refuses(self, clip: Clip) -> str:
+        """Reason why a clip cannot be degraded so; empty where it can."""
+        if self.wants_path and not clip.moves:
+            return "the camera stands still"
+        if self.wants_path and clip.depths is None:
+            return "nobody knows the depth along the path"
+        least = rendered_ladders.SWITCHED if self.wants_path else 1
+        if self.is_rendered and len(clip.sources) < least:
+            return f"no {least} source cameras with depth" if least > 1 else "no source camera with depth"
+        return ""
+
+
+def _of_frames(function: Callable[[Image8, float, int], Image8]) -> Plant:
+    return lambda clip, strength, seed: function(clip.undegraded, strength, seed)
+
+
+def _wobble(clip: Clip, amplitude_px: float, seed: int) -> Image8:
+    return frame_ladders.wobble(clip.undegraded, amplitude_px, seed, clip.view_angles_deg())
+
+
+_ALL = (
+    Ladder("blur", "px", (0.4, 0.6, 0.9, 1.4, 2.1), _of_frames(frame_ladders.blur), "Gaussian blur"),
+    Ladder("noise", "grey levels", (0.5, 1, 2, 4, 8), _of_frames(frame_ladders.noise), "white noise, new in every frame"),
+    Ladder("shift", "px", (0.05, 0.1, 0.2, 0.4, 0.8), _of_frames(frame_ladders.shift), "all frames displaced alike"),
+    Ladder("colour", "%", (1, 2, 4, 8, 12), _of_frames(frame_ladders.colour_cast), "white balance, each view its own"),
+    Ladder("compression", "CRF", (18, 23, 28, 33, 38), _of_frames(frame_ladders.compress), "H.264 by x264"),
+    Ladder("flicker", "%", (1, 2, 3, 4, 5), _of_frames(frame_ladders.flicker), "a gain for every frame"),
+    Ladder("drift", "%", (1, 2, 4, 8, 16), _of_frames(frame_ladders.drift), "slowly brighter over the clip"),
+    Ladder("frozen", "% of frames", (20, 40, 60, 80, 100), _of_frames(frame_ladders.freeze), "frames that repeat the one before"),
+    Ladder("late", "frames", (1, 2, 3, 4, 6), _of_frames(frame_ladders.delay), "all frames late"),
+    Ladder(
+        "wobble", "px", (0.1, 0.2, 0.4, 0.8, 1.6), _wobble, "displacement that changes with the angle of view", wants_path=True
+    ),
+    Ladder(
+        "switch",
+        "switches",
+        (1, 2, 3, 5, 7),
+        rendered_ladders.switch_sources,
+        "source cameras exchanged along a path",
+        rendered_ladders.__name__,
+        wants_path=True,
+        is_rendered=True,
+    ),
+    Ladder(
+        "jump",
+        "% brighter",
+        (1, 2, 4, 8, 16),
+        rendered_ladders.switch_brightness,
+        "three exchanges along a path, between cameras of unlike brightness",
+        rendered_ladders.__name__,
+        wants_path=True,
+        is_rendered=True,
+    ),
+    Ladder(
+        "boiling",
+        "% of depth",
+        (0.25, 0.5, 1, 2, 4),
+        rendered_ladders.boil,
+        "noise of depth, new in every frame, rendered",
+        rendered_ladders.__name__,
+        is_rendered=True,
+    ),
+)
+LADDERS: dict[str, Ladder] = {ladder.name: ladder for ladder in _ALL}
+
+
+def select_ladders(names: tuple[str, ...]) -> tuple[Ladder, ...]:
+    """The ladders of these names; all where none is named.
+
+    Raises:
+        MetricError: an unknown name; the message has the nearest known one.
+    """
+    for name in names:
+        if name not in LADDERS:
+            raise MetricError(f"no ladder {name!r}{did_you_mean(name, LADDERS)}; all are {', '.join(LADDERS)}")
+    return tuple(LADDERS[name] for name in dict.fromkeys(names)) or _ALL

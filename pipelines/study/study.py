@@ -1,0 +1,167 @@
+"""The metric study from top to bottom: takes of captures, every series measured, and what each metric answers to each ladder."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from ggvs_eval.errors import MetricError
+from ggvs_eval.files.atomic import atomic_file
+from ggvs_eval.jobs.engine import Workers
+from ggvs_eval.jobs.job import Job, run_jobs
+from ggvs_eval.metrics.registry import METRICS
+from ggvs_eval.pipelines.study.clips import Take
+from ggvs_eval.pipelines.study.ladders import Ladder, select_ladders
+from ggvs_eval.pipelines.study.measure import series_job, study_metrics
+from ggvs_eval.pipelines.study.takes import TakeOptions, make_takes
+from ggvs_eval.run_folder import JOB_FILE, read_json, write_json
+from ggvs_eval.statistics.rank_correlation import answer
+
+STUDY_FILE, VALUES_FILE = "study.json", "values.csv"
+COLUMNS = ("capture", "take", "seed", "ladder", "strength", "metric", "value")
+
+
+@dataclass(frozen=True)
+class StudyOptions:
+    """Options of a metric study.
+
+    Attributes:
+        metrics: names; those that do not cost much where there are none, ``all`` for every one.
+        ladders: names; all where there are none.
+        seeds: how often each ladder is planted in each take, with other random numbers.
+        takes: length and size of the clips.
+    """
+
+    metrics: tuple[str, ...] = ()
+    ladders: tuple[str, ...] = ()
+    seeds: int = 1
+    takes: TakeOptions = field(default_factory=TakeOptions)
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be planted."""
+        if self.seeds < 1:
+            raise MetricError(f"metric study: wanted at least 1 seed, got {self.seeds}")
+
+
+def run_study(out: Path, captures: Sequence[Path], options: StudyOptions, workers: Workers = 1) -> dict[str, Any]:
+    """Plant degradations in clips, measure them, and write ``values.csv`` and ``study.json``; what is measured stays.
+
+    Args:
+        out: folder to write.
+        captures: see `make_takes`.
+        options: what is planted and measured.
+        workers: where the work is done.
+
+    Returns:
+        What ``study.json`` holds.
+
+    Raises:
+        MetricError: an unknown metric or ladder.
+        CaptureError: see `make_takes`.
+    """
+    metrics, ladders = study_metrics(options.metrics), select_ladders(options.ladders)
+    takes = make_takes(out, captures, options.takes, workers)
+    undegraded, series, refusals = _plan(out, takes, ladders, metrics, options.seeds)
+    run_jobs([*undegraded.values(), *series.values()], workers, "metric study")
+    table = _values(undegraded, series)
+    with atomic_file(out / VALUES_FILE) as unfinished:
+        table.to_csv(unfinished, index=False)
+    answers = {ladder.name: _answers(table, ladder, metrics) for ladder in ladders}
+    record = {
+        "captures": list(dict.fromkeys(table["capture"])),
+        "takes": len(takes),
+        "options": asdict(options),
+        "ladders": {each.name: _describe(each) for each in ladders},
+        "metrics": {name: _direction(name) for name in metrics},
+        "answers": answers,
+        "not_computed": _absences(series, refusals, answers, metrics),
+    }
+    write_json(out / STUDY_FILE, record)
+    return record
+
+
+Place = tuple[str, str, int]  # ladder, take, seed
+
+
+def _plan(
+    out: Path, takes: Sequence[Take], ladders: Sequence[Ladder], metrics: Sequence[str], seeds: int
+) -> tuple[dict[str, Job], dict[Place, Job], dict[str, str]]:
+    """The jobs of the undegraded takes and of all series, and why ladders are planted in none."""
+    undegraded = {take.name: series_job(out, take, None, 0, metrics) for take in takes}
+    series: dict[Place, Job] = {}
+    refusals: dict[str, str] = {}
+    clips = [list(take.clips()) for take in takes]
+    for ladder in ladders:
+        for number, take in enumerate(takes):
+            if why := next(filter(None, map(ladder.refuses, clips[number])), ""):
+                refusals.setdefault(ladder.name, why)
+                continue
+            for repeat in range(seeds):
+                seed = number + repeat * len(takes)
+                series[ladder.name, take.name, seed] = series_job(out, take, ladder, seed, metrics)
+    planted = {ladder for ladder, _, _ in series}
+    return undegraded, series, {name: why for name, why in refusals.items() if name not in planted}
+
+
+def _values(undegraded: Mapping[str, Job], series: Mapping[Place, Job]) -> pd.DataFrame:
+    """Every value, one row each, with the undegraded ones as strength 0 of every ladder."""
+    rows = []
+    at_rest = {take: _levels(job)[0]["values"] for take, job in undegraded.items()}
+    for (name, take, seed), job in series.items():
+        levels = dict(zip(job.identity["strengths"], _levels(job), strict=True))
+        values = {0.0: at_rest[take]} | {strength: level["values"] for strength, level in levels.items()}
+        capture, _, place = take.partition(", ")
+        for strength, of_metrics in values.items():
+            rows += [(capture, place, seed, name, strength, metric, value) for metric, value in of_metrics.items()]
+    return pd.DataFrame(rows, columns=list(COLUMNS))
+
+
+def _levels(job: Job) -> list[dict[str, Any]]:
+    levels: list[dict[str, Any]] = read_json(job.folder / JOB_FILE)["levels"]
+    return levels
+
+
+def _answers(table: pd.DataFrame, ladder: Ladder, metrics: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """What each metric answers to a ladder; takes in which it has a value at every strength count.
+
+    A metric that wants some of the degradation (`switch_ratio` wants a switch) has no value at 0, and answers to the rest.
+    """
+    answers = {}
+    for metric in metrics:
+        rows = table[(table["ladder"] == ladder.name) & (table["metric"] == metric)]
+        sign = -1.0 if METRICS[metric].higher_is_better else 1.0
+        whole = sign * rows.pivot_table(index=["capture", "take", "seed"], columns="strength", values="value").dropna()
+        strengths = [float(strength) for strength in whole.columns]
+        if whole.empty or len(strengths) < len(ladder.strengths):
+            continue
+        clips: dict[str, list[list[float]]] = {}
+        for (capture, take, _), values in zip(whole.index, whole.to_numpy().tolist(), strict=True):
+            clips.setdefault(f"{capture}, {take}", []).append(values)
+        found = answer(strengths, clips)
+        answers[metric] = asdict(found) | {"verdict": found.verdict}
+    return answers
+
+
+def _absences(
+    series: Mapping[Place, Job], refusals: Mapping[str, str], answers: Mapping[str, Mapping[str, Any]], metrics: Sequence[str]
+) -> dict[str, dict[str, str]]:
+    """Ladder -> metric that has no answer to it -> reason."""
+    reasons = {ladder: dict.fromkeys(metrics, refusals.get(ladder, "no number in these clips")) for ladder in answers}
+    for (ladder, _, _), job in series.items():
+        for level in _levels(job):
+            reasons[ladder] |= level["not_computed"]
+    return {
+        ladder: {metric: why for metric, why in of_ladder.items() if metric in metrics and metric not in answers[ladder]}
+        for ladder, of_ladder in reasons.items()
+    }
+
+
+def _describe(ladder: Ladder) -> dict[str, Any]:
+    return {"unit": ladder.unit, "strengths": list(ladder.strengths), "describe": ladder.describe}
+
+
+def _direction(name: str) -> dict[str, Any]:
+    metric = METRICS[name]
+    return {"higher_is_better": metric.higher_is_better, "unit": metric.unit, "group": metric.group.title, "kind": metric.kind}

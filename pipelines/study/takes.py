@@ -1,0 +1,243 @@
+"""Takes of a capture: time windows of pairs of views, and stretches of a camera path of which the true images are known."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from ggvs_eval.arrays import Image8
+from ggvs_eval.camera import Camera
+from ggvs_eval.capture import Capture
+from ggvs_eval.depth_store import DepthStore
+from ggvs_eval.errors import CaptureError
+from ggvs_eval.files.images import resize
+from ggvs_eval.jobs.code_identity import code_identity
+from ggvs_eval.jobs.engine import Workers
+from ggvs_eval.jobs.job import Job, run_jobs
+from ggvs_eval.pipelines.run.path_depth import read_path_depth, write_path_depth
+from ggvs_eval.pipelines.run.prepare import prepare_run
+from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, SourcePlan, plan_run
+from ggvs_eval.pipelines.study.captures import open_footage, prepare_views, study_protocol
+from ggvs_eval.pipelines.study.clips import Clip, SourceClip, Take, write_take
+from ggvs_eval.pipelines.study.rendered_ladders import render, require_sources
+from ggvs_eval.protocol import CameraPath
+from ggvs_eval.synthetic.demo import SHIPPED, write_demo
+
+VIEWS, VIEWS_OF_TAKE, WINDOWS, STRETCHES = 4, 2, 2, 4
+RENDERER = render.__module__
+
+
+@dataclass(frozen=True)
+class TakeOptions:
+    """Options of the takes of a capture.
+
+    Attributes:
+        frames: of a clip; poses of a stretch of a camera path.
+        size: of the shorter side of the images, pixels.
+        on: what degradations are planted in: the ``truth``, where nothing else is wrong; or the online method's ``rendering`` of
+            it, so that they compete with its own errors.
+    """
+
+    frames: int = 12
+    size: int = 168
+    on: Literal["truth", "rendering"] = "truth"
+
+    def __post_init__(self) -> None:
+        """Refuse clips that nothing can be measured on."""
+        if self.on not in ("truth", "rendering"):
+            raise CaptureError(f"metric study: wanted degradations on truth or rendering, got {self.on!r}")
+        if self.frames < 5 or self.size < 32:
+            raise CaptureError(
+                f"metric study: wanted clips of at least 5 frames of 32 pixels, got --frames {self.frames} --size {self.size}"
+            )
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A take before its clips are made.
+
+    Attributes:
+        name: what is taken of the capture.
+        make: makes the clips.
+        depth: keys of the depth that they come with.
+    """
+
+    name: str
+    make: Callable[[], list[Clip]]
+    depth: list[str]
+
+
+def make_takes(out: Path, captures: Sequence[Path], options: TakeOptions, workers: Workers) -> list[Take]:
+    """Take clips of captures, or of the shipped demo where none is given; what is there is kept.
+
+    Args:
+        out: folder of the study.
+        captures: captures, folders of videos or of image sequences, videos.
+        options: how long and how large they are.
+        workers: where the work is done.
+
+    Raises:
+        CaptureError: a capture that cannot be read, or with fewer frames than a clip has.
+    """
+    if not captures:
+        captures = [write_demo(out / "demo-capture", SHIPPED)]
+    names = [path.absolute().stem for path in captures]
+    twice = {name for name in names if names.count(name) > 1}
+    if twice:
+        raise CaptureError(f"metric study: wanted captures of different names, got {', '.join(sorted(twice))} twice; rename one")
+    takes = []
+    for name, path in zip(names, captures, strict=True):
+        takes += _takes_of(out, name, open_footage(path), options, workers)
+    return takes
+
+
+def _takes_of(out: Path, name: str, capture: Capture, options: TakeOptions, workers: Workers) -> list[Take]:
+    scale = options.size / min(capture.cameras[0].size)
+    width, height = (2 * round(scale * each / 2) for each in capture.cameras[0].size)
+    capture = capture.resized(width, height, "area")
+    folder, common = out / "takes" / name, _identity(capture, options)
+    jobs = [
+        Job(
+            f"{name}, {draft.name}",
+            folder / draft.name,
+            common | {"depth": draft.depth},
+            partial(fill_take, draft.make, options.on),
+        )
+        for draft in _drafts(out / "captures" / name, capture, options, workers)
+    ]
+    run_jobs(jobs, 1, f"clips of {name}")
+    return [Take.open(job.folder, job.name) for job in jobs]
+
+
+def _identity(capture: Capture, options: TakeOptions) -> dict[str, Any]:
+    return {"frames": [capture.digest(name) for name in capture.camera_names], "options": vars(options), "code": _code(options)}
+
+
+def _code(options: TakeOptions) -> str:
+    """Hash of the code that renders, where degradations are planted in a rendering."""
+    return code_identity(RENDERER) if options.on == "rendering" else ""
+
+
+def fill_take(make: Callable[[], list[Clip]], on: str, folder: Path) -> dict[str, Any]:
+    """Make the clips of a take and write them, with the rendering that degradations are planted in where they are.
+
+    Args:
+        make: makes the clips.
+        on: ``truth`` or ``rendering``.
+        folder: to write into.
+
+    Returns:
+        What the take's record says.
+
+    Raises:
+        RenderError: a clip that cannot be rendered.
+    """
+    clips = make()
+    if on == "rendering":
+        clips = [replace(clip, rendering=render(require_sources(clip, 1))) for clip in clips]
+    write_take(folder, clips)
+    return {"views": [clip.name for clip in clips]}
+
+
+def _drafts(root: Path, capture: Capture, options: TakeOptions, workers: Workers) -> Iterator[Draft]:
+    """All takes of a capture."""
+    if capture.n_frames == 1:
+        yield from _hand_held(root, capture, options, workers)
+        return
+    if capture.n_frames < options.frames:
+        raise CaptureError(
+            f"{capture.path}: wanted at least {options.frames} frames for a clip, the capture has {capture.n_frames}; "
+            "take shorter clips by --frames"
+        )
+    names = _spread(capture.camera_names, VIEWS)
+    last = capture.n_frames - options.frames
+    starts = sorted({round(start) for start in np.linspace(0, min(last, options.frames * (WINDOWS - 1)), WINDOWS)})
+    plan = prepare_views(root, capture, names, range(starts[0], starts[-1] + options.frames), workers)
+    for start in starts:
+        window = range(start, start + options.frames)
+        for first in range(0, len(names), VIEWS_OF_TAKE):
+            of_take = names[first : first + VIEWS_OF_TAKE]
+            make = partial(_views, capture if plan is None else plan.capture, plan, of_take, window)
+            yield Draft(
+                f"{'+'.join(of_take)} from {start}", make, _depth_keys([plan.plans[name] for name in of_take] if plan else [])
+            )
+    if plan is not None and plan.path_images is not None:
+        truth = [resize(image, *plan.path[0].target.size, "area") for image in plan.path_images.frames(0, len(plan.path))]
+        yield from _stretches(plan, plan.path, truth, plan.path_frame, options, plan.run.path_depth)
+
+
+def _spread(names: Sequence[str], count: int) -> list[str]:
+    """So many of the names, evenly spread over them."""
+    return [names[index * len(names) // count] for index in range(count)] if len(names) > count else list(names)
+
+
+def _views(capture: Capture, plan: RunPlan | None, names: Sequence[str], window: range) -> list[Clip]:
+    """The clips of some views in a time window."""
+    clips = []
+    for name in names:
+        truth = np.stack(list(capture.frames(name, window.start, window.stop)))
+        if plan is None:
+            clips.append(Clip(name, truth))
+        else:
+            sources = _sources(plan, plan.plans[name], window)
+            clips.append(Clip(name, truth, (capture.camera(name),), None, sources, capture.units_per_metre))
+    return clips
+
+
+def _sources(plan: RunPlan, planned: SourcePlan, frames: range) -> tuple[SourceClip, ...]:
+    """Images and depth of the sources of one target over some instants."""
+    store, capture = DepthStore(plan.run.depth), plan.capture
+    sources = []
+    for camera, key in planned.depth_keys.items():
+        maps = [store.read(key, frame) for frame in frames]
+        images = np.stack(list(capture.frames(camera, frames.start, frames.stop)))
+        depths, confidences = (np.stack([getattr(each, what) for each in maps]) for what in ("depth", "confidence"))
+        sources.append(SourceClip(capture.camera(camera), images, depths, confidences))
+    return tuple(sources)
+
+
+def _hand_held(root: Path, capture: Capture, options: TakeOptions, workers: Workers) -> Iterator[Draft]:
+    """A camera that was carried through a scene at rest: every second place is a pose, the others are sources."""
+    needed = 2 * options.frames * STRETCHES
+    if len(capture.cameras) < 2 * options.frames:
+        raise CaptureError(
+            f"{capture.path}: wanted at least {2 * options.frames} images of a camera that moves, the capture has "
+            f"{len(capture.cameras)} of one instant; take shorter clips by --frames"
+        )
+    names = capture.camera_names[:needed]
+    poses = names[: len(names) // (2 * options.frames) * 2 * options.frames : 2]
+    protocol = study_protocol(capture, poses, range(1), CameraPath(0), names[1::2])
+    plan = prepare_run(plan_run(RunRequest(root, capture, protocol)), workers)
+    planned = [plan.plans[name] for name in poses]
+    folder = plan.run.path_depth
+    write_path_depth(plan.capture, [(each.target, each.depth_keys) for each in planned], 0, DepthStore(plan.run.depth), folder)
+    yield from _stretches(plan, planned, [plan.capture.frame(name, 0) for name in poses], 0, options, folder)
+
+
+def _stretches(
+    plan: RunPlan, poses: Sequence[SourcePlan], truth: Sequence[Image8], instant: int, options: TakeOptions, depths: Path
+) -> Iterator[Draft]:
+    """Stretches of a camera path, one after another."""
+    for start in range(0, min(len(poses), STRETCHES * options.frames) - options.frames + 1, options.frames):
+        stretch = range(start, start + options.frames)
+        make = partial(_stretch, plan, poses, truth, instant, depths, stretch)
+        yield Draft(f"path from {start}", make, _depth_keys([poses[index] for index in stretch]))
+
+
+def _depth_keys(planned: Sequence[SourcePlan]) -> list[str]:
+    """Keys of all depth that some targets are rendered from."""
+    return sorted({key for plan in planned for key in plan.depth_keys.values()})
+
+
+def _stretch(
+    plan: RunPlan, poses: Sequence[SourcePlan], truth: Sequence[Image8], instant: int, depths: Path, stretch: range
+) -> list[Clip]:
+    """A stretch of a camera path, with the sources of its middle."""
+    cameras: tuple[Camera, ...] = tuple(poses[index].target for index in stretch)
+    sources = _sources(plan, poses[stretch[len(stretch) // 2]], range(instant, instant + 1))
+    frames = np.stack([truth[index] for index in stretch])
+    along = np.stack([read_path_depth(depths, index) for index in stretch])
+    return [Clip(f"path{stretch.start}", frames, cameras, along, sources, plan.capture.units_per_metre)]
