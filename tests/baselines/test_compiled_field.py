@@ -105,8 +105,8 @@ def test_arrays_that_do_not_fit_are_refused():
     assert _deformation.evaluate(points, box, 0.0, planes, axes, layers, *settings)[0].shape == (4, 2)
     with pytest.raises(TypeError, match=r"points: wanted float32 \(4, 3\), C-contiguous, got float64"):
         _deformation.evaluate(points.astype(float), box, 0.0, planes, axes, layers, *settings)
+    wrong = (np.zeros((6, 9), np.float32), *layers[1:])
     with pytest.raises(TypeError, match=r"weights: wanted float32 \(6, 8\), C-contiguous, got float32 \(6, 9\)"):
-        wrong = (np.zeros((6, 9), np.float32), *layers[1:])
         _deformation.evaluate(points, box, 0.0, planes, axes, wrong, *settings)
     with pytest.raises(TypeError, match=r"one to six pairs of axes and as many planes for each level"):
         _deformation.evaluate(points, box, 0.0, planes[:2], axes, layers, *settings)
