@@ -1,7 +1,7 @@
 """One step of a 4DGS fit: the deformation field by its kernel, against its torch twin in the same run.
 
 ``python -m benchmarks.bench_fit`` prints the figures and the load of the machine: fastest steps, the kernel's and the twin's in
-turn, on the cloud and the camera of `bench_gaussians` with harmonics of degree 1, as fits have; the twin has one thread there too.
+turn, on the cloud and camera of `bench_gaussians`, with harmonics of degree 1 as in fits. The twin has one thread, as there.
 """
 
 import os
