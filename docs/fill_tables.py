@@ -10,12 +10,22 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from result_tables import beside_paper_table, budget_rows, ceilings_table, k_table, results_table, sweep_table, views_table
+from result_tables import (
+    beside_paper_table,
+    budget_rows,
+    ceilings_table,
+    k_table,
+    report_table,
+    results_table,
+    sweep_table,
+    views_table,
+)
 
 from ggvs_eval.errors import ResultsError
 
 ROOT = Path(__file__).parents[1]
 OUT = ROOT / "out"
+OFFLINE_RUN = OUT / "offline" / "offline"
 # Of the validation rooms the whole picture stands for all regions; the validation of depth prints the others.
 DEPTH_FIGURES = r"depth\.(motorcycle\.(epe_px|bad_[23]_percent)\.[^.]*$|sparse|rendering\.PSNR|reuse|rooms\.whole_picture|demo\.)"
 MATCHERS = ("sgbm", "sweep", "raft")
@@ -45,6 +55,8 @@ STAGES = {"filter": "_filter", "splat": "_splat", "TSDF": "_tsdf", "blend": "_bl
 
 ABLATION_METRICS = ("PSNR", "LPIPS", "TCC", "STED", "SDT", "EPI_coherence", "EPI_line_texture", "EPI_slope_error")
 DOMAIN_METRICS = {"PSNR": ".2f", "LPIPS": ".3f"}
+OFFLINE_METRICS = ("PSNR", "PSNR_cc", "SSIM", "LPIPS", "TCC", "STED", "Flicker", "SDV", "EPI_coherence", "EPI_slope_error")
+PRICE_METRICS = ("PSNR", "PSNR_static", "PSNR_moving", "PSNR_disoccluded", "LPIPS", "STED", "EPI_coherence")
 BASELINE_METRICS = ("PSNR", "SSIM", "LPIPS", "L1", "TCC", "STED", "SDT", "SDV")
 
 Figures = dict[str, dict[str, Any]]
@@ -76,6 +88,9 @@ def main() -> None:
             "clean": lambda: sweep_table(OUT / "rooms_clean", BASELINE_METRICS),
             "noise": lambda: sweep_table(OUT / "rooms_noise", ABLATION_METRICS),
             "switches": lambda: sweep_table(OUT / "rooms_switches", BASELINE_METRICS),
+            "offline": lambda: report_table(OFFLINE_RUN, ("quality", "consistency", "path"), OFFLINE_METRICS),
+            "offline_price": lambda: report_table(OFFLINE_RUN, ("price",), PRICE_METRICS),
+            "offline_costs": lambda: report_table(OFFLINE_RUN, ("costs",)),
             "over_k": lambda: k_table(OUT / "rooms_k", BASELINE_METRICS),
             "held": lambda: results_table(OUT / "real_frame_held"),
             "calibration": lambda: figures_table(OUT / "validate.json", r"calibration\."),

@@ -55,11 +55,12 @@ def report_table(run: Path, names: Sequence[str], columns: Sequence[str] = ()) -
         raise ResultsError(f"{run} has no table {' or '.join(names)}")
     if columns:
         cells = cells[cells["column"].str.split().str[0].isin(columns)]
-    heads = list(dict.fromkeys(cells["column"]))
-    units = {column: f" ({unit})" if isinstance(unit, str) else "" for column, unit in zip(cells["column"], cells["unit"], strict=True)}
-    rows = ["| method | " + " | ".join(f"{head}{units[head]}" for head in heads) + " |", "| --- |" + " ---: |" * len(heads)]
+    units = cells["unit"].fillna("")
+    cells = cells.assign(head=(cells["column"] + " (" + units + ")").where(units != "", cells["column"]))
+    heads = list(dict.fromkeys(cells["head"]))
+    rows = ["| method | " + " | ".join(heads) + " |", "| --- |" + " ---: |" * len(heads)]
     for method, row in cells.groupby("method", sort=False):
-        texts = {cell.column: _with_half_width(cell) for cell in row.itertuples()}
+        texts = {cell.head: _with_half_width(cell) for cell in row.itertuples()}
         rows.append(f"| {method} | " + " | ".join(texts.get(head, "") for head in heads) + " |")
     return "\n".join(rows)
 
