@@ -11,6 +11,8 @@ from torch import Tensor
 
 from ggvs_eval.kernels import SIMD_LEVELS, get_simd_level, get_threads
 
+Axes = tuple[tuple[int, int], ...]
+
 
 def evaluate(
     points: Tensor,
@@ -41,7 +43,7 @@ class _Field(torch.autograd.Function):
     """Kernel calls; the first three arguments are no tensors."""
 
     @staticmethod
-    def forward(ctx: Any, time: float, axes: tuple[tuple[int, int], ...], n_planes: int, *tensors: Tensor) -> tuple[Tensor, ...]:
+    def forward(ctx: Any, time: float, axes: Axes, n_planes: int, *tensors: Tensor) -> tuple[Tensor, ...]:
         """Outputs of the heads."""
         from ggvs_eval.kernels import _deformation
 
@@ -62,7 +64,10 @@ class _Field(torch.autograd.Function):
         return None, None, None, *(each if asked else None for each, asked in zip(gradients, needed, strict=True))
 
 
-def _arguments(options: tuple[float, tuple[tuple[int, int], ...], int], tensors: Sequence[Tensor]) -> tuple[Any, ...]:
+def _arguments(
+    options: tuple[float, Axes, int], tensors: Sequence[Tensor]
+) -> tuple[Any, Any, float, tuple[Any, ...], Axes, tuple[Any, ...]]:
+    """Arrays in the kernel's order."""
     time, axes, n_planes = options
     points, box, *others = (tensor.detach().contiguous().numpy() for tensor in tensors)
     return points, box, time, tuple(others[:n_planes]), axes, tuple(others[n_planes:])

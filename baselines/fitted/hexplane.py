@@ -118,13 +118,13 @@ def _plane(channels: int, sizes: tuple[int, ...], pair: tuple[int, int]) -> nn.P
 
 
 def field_outputs(
-    grid: PlaneGrid, trunk: nn.Linear, heads: Sequence[nn.Sequential], points: Tensor, time: float = 0.0
+    grid: PlaneGrid, trunk: nn.Module, heads: Sequence[nn.Module], points: Tensor, time: float = 0.0
 ) -> tuple[Tensor, ...]:
     """What heads make of the features of points, by a kernel where there is one.
 
     Args:
         grid: the planes.
-        trunk: layer that all heads share.
+        trunk: the layer that all heads share.
         heads: each a rectifier, a layer, a rectifier and a layer.
         points: (N, 3).
         time: in the planes' own scale [-1, 1].
@@ -133,9 +133,8 @@ def field_outputs(
         (N, outputs) for each head.
     """
     if points.device.type == "cpu" and points.dtype == torch.float32:
-        layers = [trunk, *(layer for head in heads for layer in (head[1], head[3]))]
-        tensors = [tensor for layer in layers for tensor in (layer.weight, layer.bias)]
-        return compiled_field.evaluate(points, grid.aabb, time, grid.all_planes(), grid.axes, tensors)
+        layers = [tensor for part in (trunk, *heads) for tensor in part.parameters()]
+        return compiled_field.evaluate(points, grid.aabb, time, grid.all_planes(), grid.axes, layers)
     features = trunk(grid(points, time))
     return tuple(head(features) for head in heads)
 
@@ -190,7 +189,7 @@ class DeformationNetwork(nn.Module):
         field, names = self.deformation_net, self.configuration.heads
         heads = [getattr(field, f"{head}_deform") for head in names]
         when = time if self.configuration.is_published else 2 * time - 1
-        return dict(zip(names, field_outputs(field.grid, field.feature_out[0], heads, points, when), strict=True))
+        return dict(zip(names, field_outputs(field.grid, field.feature_out, heads, points, when), strict=True))
 
     def smoothness(self) -> Tensor:
         """Penalty on planes that bend: 2e-4 in space, 1e-3 in time, and 1e-4 on planes of time that are not 1 (the authors').
