@@ -15,6 +15,10 @@ GAUSSIANS = (
     *("gaussian_bindings", "gaussian_splat", "gaussian_levels", "gaussian_baseline", "gaussian_avx2", "gaussian_avx512"),
     "memory",
 )
+DEFORMATION = (
+    *("deformation_bindings", "deformation", "deformation_baseline", "deformation_avx2", "deformation_avx512"),
+    "memory",
+)
 STEREO = ("stereo", "plane_sweep", "sgm", "weighted_median", "stereo_levels", "stereo_baseline", "stereo_avx2", "stereo_avx512")
 
 # No -march: the instruction set is chosen when the program runs (dispatch.cpp), so that one wheel serves every machine.
@@ -29,6 +33,7 @@ EXTENSIONS = {
     "_stereo": STEREO,
     "_film": ("film", "ray_tree"),
     "_gaussians": GAUSSIANS,
+    "_deformation": DEFORMATION,
 }
 INCLUDED = re.compile(r'^#include "(.+)"$', re.MULTILINE)
 

@@ -6,6 +6,7 @@ from benchmarks import (
     bench_baselines,
     bench_decoding,
     bench_depth,
+    bench_fit,
     bench_full_reference,
     bench_gaussians,
     bench_geometry,
@@ -22,6 +23,7 @@ def main() -> None:
     figures = (
         bench_geometry.measure()
         | bench_gaussians.measure()
+        | bench_fit.measure()
         | bench_online.measure()
         | bench_metrics.measure()
         | bench_full_reference.measure()

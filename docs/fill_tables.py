@@ -18,6 +18,7 @@ from result_tables import (
     ceilings_table,
     colmap_controls_table,
     k_table,
+    report_table,
     results_table,
     sweep_table,
     views_table,
@@ -37,6 +38,7 @@ from ggvs_eval.reports.tables.study_tables import (
 
 ROOT = Path(__file__).parents[1]
 OUT = ROOT / "out"
+OFFLINE_RUN = OUT / "offline" / "offline"
 # Of the validation rooms the whole picture stands for all regions; the validation of depth prints the others.
 DEPTH_FIGURES = r"depth\.(motorcycle\.(epe_px|bad_[23]_percent)\.[^.]*$|sparse|rendering\.PSNR|reuse|rooms\.whole_picture|demo\.)"
 MATCHERS = ("sgbm", "sweep", "raft")
@@ -74,6 +76,8 @@ STUDIED_GROUPS = {  # page: titles of the tables that its metrics stand in
     "temporal_metrics.md": ("Temporal and view consistency", "Steadiness without truth, sharpness beside it"),
     "view_consistency.md": ("View consistency along the camera path, without truth",),
 }
+OFFLINE_METRICS = ("PSNR", "PSNR_cc", "SSIM", "LPIPS", "TCC", "STED", "Flicker", "SDV", "EPI_coherence", "EPI_slope_error")
+PRICE_METRICS = ("PSNR", "PSNR_static", "PSNR_moving", "PSNR_disoccluded", "LPIPS", "STED", "EPI_coherence")
 BASELINE_METRICS = ("PSNR", "SSIM", "LPIPS", "L1", "TCC", "STED", "SDT", "SDV")
 
 Figures = dict[str, dict[str, Any]]
@@ -105,6 +109,9 @@ def main() -> None:
             "clean": lambda: sweep_table(OUT / "rooms_clean", BASELINE_METRICS),
             "noise": lambda: sweep_table(OUT / "rooms_noise", ABLATION_METRICS),
             "switches": lambda: sweep_table(OUT / "rooms_switches", BASELINE_METRICS),
+            "offline": lambda: report_table(OFFLINE_RUN, ("quality", "consistency", "path"), OFFLINE_METRICS),
+            "offline_price": lambda: report_table(OFFLINE_RUN, ("price",), PRICE_METRICS),
+            "offline_costs": lambda: report_table(OFFLINE_RUN, ("costs",)),
             "over_k": lambda: k_table(OUT / "rooms_k", BASELINE_METRICS),
             "held": lambda: results_table(OUT / "real_frame_held"),
             "calibration": lambda: figures_table(OUT / "validate.json", r"calibration\."),

@@ -40,6 +40,43 @@ def results_table(run: Path) -> str:
     return _markdown(_named(summary[columns], run))
 
 
+def report_table(run: Path, names: Sequence[str], columns: Sequence[str] = ()) -> str:
+    """Tables of a run's report side by side, as Markdown, each value with half the width of its interval.
+
+    Args:
+        run: its folder.
+        names: of the tables in ``report/tables.csv``, e.g. ``price``.
+        columns: which; all by default.
+
+    Raises:
+        FileNotFoundError: there is no report.
+        ResultsError: it has no such table.
+    """
+    cells = pd.read_csv(run / "report" / "tables.csv")
+    cells = cells[cells["table"].isin(names) & (cells["kind"] != "reference")]
+    if cells.empty:
+        raise ResultsError(f"{run} has no table {' or '.join(names)}")
+    if columns:
+        cells = cells[cells["column"].str.split().str[0].isin(columns)]
+    units = cells["unit"].fillna("")
+    cells = cells.assign(head=(cells["column"] + " (" + units + ")").where(units != "", cells["column"]))
+    heads = list(dict.fromkeys(cells["head"]))
+    rows = ["| method | " + " | ".join(heads) + " |", "| --- |" + " ---: |" * len(heads)]
+    for method, row in cells.groupby("method", sort=False):
+        texts = {cell.head: _with_half_width(cell) for cell in row.itertuples()}
+        rows.append(f"| {method} | " + " | ".join(texts.get(head, "") for head in heads) + " |")
+    return "\n".join(rows)
+
+
+def _with_half_width(cell: Any) -> str:
+    """A cell's text, and half of its interval with the same decimals; without a number its note is the text."""
+    shown = next((text for text in (cell.shown, cell.note) if isinstance(text, str)), "–")
+    if cell.hi != cell.hi:
+        return shown
+    decimals = len(shown.partition(".")[2])
+    return f"{shown} ± {(cell.hi - cell.lo) / 2:.{decimals}f}"
+
+
 def views_table(run: Path) -> str:
     """PSNR per test view as Markdown."""
     return _markdown(_named(Results.read(run).per_view("PSNR"), run))

@@ -3,6 +3,7 @@
 Names and shapes are those of the authors' ``deformation.pth``, so that their files load strictly.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -11,6 +12,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from ggvs_eval.baselines.fitted import compiled_field
 from ggvs_eval.files.weights_file import load_strict, read_tensors
 
 AXES = tuple(combinations(range(4), 2))  # xy, xz, xt, yz, yt, zt: the order of the planes
@@ -95,6 +97,10 @@ class PlaneGrid(nn.Module):
             product = product * features[0, :, :, 0]
         return product.T
 
+    def all_planes(self) -> list[Tensor]:
+        """Every plane, level by level."""
+        return [plane for level in self.grids for plane in level]  # type: ignore[attr-defined]  # a ParameterList
+
     def planes(self, spatial: bool) -> list[Tensor]:
         """The planes of space alone, or those of space and time."""
         return [
@@ -109,6 +115,28 @@ def _plane(channels: int, sizes: tuple[int, ...], pair: tuple[int, int]) -> nn.P
     """A plane's nodes, (1, C, second axis, first axis): time begins with 1, which changes nothing of a product."""
     plane = nn.Parameter(torch.ones(1, channels, sizes[pair[1]], sizes[pair[0]]))
     return plane if TIME in pair else nn.Parameter(nn.init.uniform_(plane, 0.1, 0.5))
+
+
+def field_outputs(
+    grid: PlaneGrid, trunk: nn.Module, heads: Sequence[nn.Module], points: Tensor, time: float = 0.0
+) -> tuple[Tensor, ...]:
+    """What heads make of the features of points, by a kernel where there is one.
+
+    Args:
+        grid: the planes.
+        trunk: the layer that all heads share.
+        heads: each a rectifier, a layer, a rectifier and a layer.
+        points: (N, 3).
+        time: in the planes' own scale [-1, 1].
+
+    Returns:
+        (N, outputs) for each head.
+    """
+    if points.device.type == "cpu" and points.dtype == torch.float32:
+        layers = [tensor for part in (trunk, *heads) for tensor in part.parameters()]
+        return compiled_field.evaluate(points, grid.aabb, time, grid.all_planes(), grid.axes, layers)
+    features = trunk(grid(points, time))
+    return tuple(head(features) for head in heads)
 
 
 class _Field(nn.Module):
@@ -158,9 +186,10 @@ class DeformationNetwork(nn.Module):
 
     def forward(self, points: Tensor, time: float) -> dict[str, Tensor]:
         """Return head -> differences, (N, outputs), of points (N, 3) at a time in [0, 1]."""
-        field = self.deformation_net
-        features = field.feature_out(field.grid(points, time if self.configuration.is_published else 2 * time - 1))
-        return {head: getattr(field, f"{head}_deform")(features) for head in self.configuration.heads}
+        field, names = self.deformation_net, self.configuration.heads
+        heads = [getattr(field, f"{head}_deform") for head in names]
+        when = time if self.configuration.is_published else 2 * time - 1
+        return dict(zip(names, field_outputs(field.grid, field.feature_out, heads, points, when), strict=True))
 
     def smoothness(self) -> Tensor:
         """Penalty on planes that bend: 2e-4 in space, 1e-3 in time, and 1e-4 on planes of time that are not 1 (the authors').

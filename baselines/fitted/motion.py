@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Literal
 import torch
 from torch import Tensor, nn
 
-from ggvs_eval.baselines.fitted.hexplane import DeformationNetwork, FieldConfiguration, PlaneGrid, linear
+from ggvs_eval.baselines.fitted.hexplane import DeformationNetwork, FieldConfiguration, PlaneGrid, field_outputs, linear
 from ggvs_eval.baselines.fitted.points import Points
 from ggvs_eval.gaussians.cloud import GaussianCloud
 
@@ -209,7 +209,8 @@ class TransformationMotion(Motion):
 
     def moved(self, gaussians: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Gaussians after the step: places shifted, axes turned; colours stay with the world."""
-        shift, turn = self.layers(self.grid(gaussians["means"])).split([3, 4], dim=1)
+        (moved,) = field_outputs(self.grid, self.layers[0], [self.layers[1:]], gaussians["means"])
+        shift, turn = moved.split([3, 4], dim=1)
         turn = turn + torch.tensor([1.0, 0.0, 0.0, 0.0])
         places, axes = gaussians["means"] + self.reach * shift, quaternion_product(turn, gaussians["quaternions"])
         return {**gaussians, "means": places, "quaternions": axes}

@@ -1,9 +1,9 @@
 """Compiled kernels and the two settings they share: the number of threads and the instruction set.
 
 Results depend on neither, bit for bit: work is cut by image regions, not by threads, and no instruction set contracts or reorders
-arithmetic. The convolutions of the blending network and its refiner, and IBRNet's layers, alone use fused multiply-adds where a
-processor has them: there the baseline rounds differently. The environment variables ``GGVS_EVAL_THREADS`` and ``GGVS_EVAL_SIMD``
-(baseline, avx2, avx512) set the defaults.
+arithmetic. Convolutions of the blending network and its refiner, IBRNet's layers and those of deformation fields alone use fused
+multiply-adds where a processor has them: there the baseline rounds differently. The environment variables ``GGVS_EVAL_THREADS``
+and ``GGVS_EVAL_SIMD`` (baseline, avx2, avx512) set the defaults.
 """
 
 import os

@@ -7,7 +7,7 @@ from typing import Any
 
 from ggvs_eval.errors import RenderError
 from ggvs_eval.method import Method
-from ggvs_eval.pipelines.methods.spec import MethodSpec, option_values
+from ggvs_eval.pipelines.methods.spec import MethodSpec, option_values, option_words
 
 
 def _no_step(title: str, **_: Any) -> Method:
@@ -55,10 +55,11 @@ def configured_fit(label: str, spec: MethodSpec, variant: str) -> MethodSpec:
         RenderError: an option that it has not, or a seed that is none.
     """
     values = option_values(variant)
+    words = option_words(values)
     seed = values.pop("seed", 0)
     if type(seed) is not int or seed < 0:
         raise RenderError(f"method {label}: seed must be a whole number of 0 or more, got {seed!r}")
-    configured = replace(spec, title=f"{spec.title}, {variant.replace('+', ', ')}", fitter_options=values, seed=seed)
+    configured = replace(spec, title=f"{spec.title}, {words}", fitter_options=values, seed=seed)
     configured.make_fitter()
     return configured
 

@@ -133,6 +133,24 @@ def option_values(variant: str) -> dict[str, Any]:
     return {name: _option_value(text) for name, _, text in (part.partition("=") for part in variant.split("+"))}
 
 
+def option_words(values: Mapping[str, Any]) -> str:
+    """Options as titles say them, in their order: what counts something is named in the plural.
+
+    Examples:
+        >>> option_words({"motion": "linear", "steps": 3000, "seed": 1, "save_every": 100, "background": False})
+        'linear motion, 3,000 steps, seed 1, save every 100, no background'
+    """
+    return ", ".join(_words_of(name.replace("_", " "), value) for name, value in values.items())
+
+
+def _words_of(name: str, value: Any) -> str:
+    if isinstance(value, bool):
+        return name if value else f"no {name}"
+    if isinstance(value, str):
+        return f"{value} {name}"
+    return f"{value:,} {name}" if isinstance(value, int) and name.endswith("s") else f"{name} {value}"
+
+
 def _option_value(text: str) -> Any:
     try:
         return tomllib.loads(f"value = {text}")["value"]

@@ -12,7 +12,8 @@ from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.jobs.job import Job, run_jobs
 from ggvs_eval.jobs.ledger import Ledger
 from ggvs_eval.metrics.registry import derived_rows, metric_notes, pooling_records, select_metrics
-from ggvs_eval.pipelines.methods.registry import METHODS, split_label
+from ggvs_eval.pipelines.methods.registry import find_method, split_label
+from ggvs_eval.pipelines.methods.spec import MethodSpec
 from ggvs_eval.pipelines.run.coverage import Coverage, read_coverage
 from ggvs_eval.pipelines.run.references import ceiling_jobs, read_ceilings, write_references
 from ggvs_eval.pipelines.run.score_path import PATH_VIEW, path_jobs, read_paths
@@ -167,11 +168,20 @@ def _described(device: str) -> str:
     return describe_device(compute_device(device))
 
 
+def _method_of(label: str) -> MethodSpec | None:
+    """What the registry has under a label; None for frames that were rendered elsewhere."""
+    try:
+        return find_method(label)
+    except RenderError:
+        return None
+
+
 def _write_shown_names(run: RunFolder, protocol: Protocol, labels: Sequence[str]) -> None:
     """Write how the report calls methods and metrics; it reads this from disk and imports neither."""
-    titles = {label: METHODS[label].title if label in METHODS else label for label in labels}
-    ours = [label for label in labels if label in METHODS and METHODS[label].ours]
-    looks = [label for label in labels if label in METHODS and not METHODS[label].online]
+    specs = {label: spec for label in labels if (spec := _method_of(label))}
+    titles = {label: specs[label].title if label in specs else label for label in labels}
+    ours = [label for label in specs if specs[label].ours]
+    looks = [label for label in specs if not specs[label].online]
     ahead = {"look_ahead": looks} if looks else {}
     write_json(run.root / "methods.json", {"labels": list(labels), "names": titles, "ours": ours} | ahead)
     notes = metric_notes(protocol.measurement.metrics, metric_options(protocol.measurement))

@@ -70,7 +70,7 @@ def _fit_cells(fits: Sequence[dict[str, Any]], n_cameras: int) -> tuple[Cell, Ce
     counts = sorted({fit["cameras"] for fit in fits})
     seconds = sum(fit["seconds"] / fit["instants"] for fit in fits) / len(fits)
     megabytes = sum(fit["size_bytes"] / fit["instants"] for fit in fits) / len(fits) / MEGABYTE
-    machines = dict.fromkeys(f"{fit['threads']} threads, {fit['machine']}" for fit in fits)
+    machines = dict.fromkeys(f"{fit['threads']} thread{'s' * (fit['threads'] > 1)}, {fit['machine']}" for fit in fits)
     cameras = Cell(f"{' to '.join(map(str, counts[:: max(len(counts) - 1, 1)]))} of {n_cameras}", float(counts[0]))
     return cameras, Cell(format_value(seconds), seconds), Cell("; ".join(machines)), Cell(format_value(megabytes), megabytes)
 

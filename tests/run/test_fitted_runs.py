@@ -106,6 +106,8 @@ def test_a_run_fits_once_per_fold_and_once_for_the_path(finished):
     assert rendered["seconds"] == {"look up": [0.002, 0.002]}
     assert not Results.read(finished.run.root).per_view("PSNR").isna().any(axis=None)
     assert len(list(finished.run.path(LABEL).glob("*.png"))) == 2
+    names = read_json(finished.run.root / "methods.json")["names"]
+    assert names == {"no-blending": "No Blending", LABEL: "Nearest Camera", f"{LABEL}+seed=1": "Nearest Camera, seed 1"}
 
 
 def test_a_duplicated_training_camera_scores_higher_than_a_held_out_one(finished):
@@ -276,6 +278,7 @@ def test_what_is_fitted_cannot_be_shown_frame_by_frame():
     with pytest.raises(RenderError, match=r"seed must be a whole number of 0 or more, got 1\.5"):
         find_method(f"{LABEL}+seed=1.5")
     assert find_method(f"{LABEL}+noise=2.5+seed=3").settings == {"noise": 2.5}
+    assert find_method("4dgs+motion=linear+steps=3000").title == "4DGS (compact), linear motion, 3,000 steps"
 
 
 def test_variants_of_a_sweep_share_their_fits(finished, capture, tmp_path):

@@ -1,0 +1,19 @@
+// The inner loops of the deformation field for processors with AVX-512, in vectors of 64 bytes.
+// All other headers come before simd_avx512.hpp: their inline functions must stay runnable everywhere.
+#include <algorithm>
+
+#include "deformation_levels.hpp"
+
+#if defined(__x86_64__)
+#include "simd_avx512.hpp"
+// After the vectors, whose names they use:
+#include "deformation_planes_simd.hpp"
+#include "deformation_layers_simd.hpp"
+#include "simd_end.hpp"
+
+namespace ggvs {
+
+const FieldKernels kAvx512Field = {avx512::evaluate_batch, avx512::batch_gradients};
+
+}  // namespace ggvs
+#endif
