@@ -84,7 +84,8 @@ def _warping_errors(name: str, view: ViewFrames) -> dict[str, float]:
     if len(view.frames) < 2:
         raise MetricError(f"a warping error is between frames: 1 frame of {name}; needs 2")
     values: dict[str, list[float]] = {}
-    first = before = None
+    first: tuple[Image8, Image8] | None = None
+    before: tuple[Image8, Image8] | None = None
     for rendered, truth in view_pairs(view):
         for words, other in (("neighbouring frames", before), ("each frame and the first", first)):
             if other is None:
