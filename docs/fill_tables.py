@@ -70,7 +70,7 @@ STAGES = {"filter": "_filter", "splat": "_splat", "TSDF": "_tsdf", "blend": "_bl
 
 ABLATION_METRICS = ("PSNR", "LPIPS", "TCC", "STED", "SDT", "EPI_coherence", "EPI_line_texture", "EPI_slope_error")
 DOMAIN_METRICS = {"PSNR": ".2f", "LPIPS": ".3f"}
-STUDIES = {"demo room": OUT / "metric_study", "real captures": OUT / "metric_study_real"}
+STUDIES = {"demo room": OUT / "metric_study", "hololens_rgbd": OUT / "metric_study_real"}
 STUDIED_GROUPS = {  # page: titles of the tables that its metrics stand in
     "full_reference.md": ("Image quality", "Further measures"),
     "temporal_metrics.md": ("Temporal and view consistency", "Steadiness without truth, sharpness beside it"),
@@ -142,9 +142,8 @@ def _fill_metric_study() -> None:
             "by_ladder": lambda: by_ladder_table(_studies()),
             "verdicts": lambda: verdict_table(_studies()),
             "correlations": lambda: correlation_table(read_study(STUDIES["demo room"])),
-            "correlations_real": lambda: correlation_table(read_study(STUDIES["real captures"])),
+            "correlations_real": lambda: correlation_table(read_study(STUDIES["hololens_rgbd"])),
             "sensitivity": lambda: sensitivity_table(read_study(STUDIES["demo room"])),
-            "sensitivity_rendering": lambda: sensitivity_table(read_study(OUT / "metric_study_rendering")),
             "absent": lambda: absence_list(read_study(STUDIES["demo room"])) or "Nothing.",
         },
     )
