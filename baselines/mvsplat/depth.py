@@ -11,13 +11,14 @@ from ggvs_eval.baselines.mvsplat.backbone import SCALE
 from ggvs_eval.baselines.mvsplat.unet import UNet
 from ggvs_eval.baselines.mvsplat.views import Views
 
+OFFSET, SCALES, QUATERNION = 2, 3, 4  # channels of a Gaussian before those of its colour
 COST_LEVELS, REFINEMENT_LEVELS = 3, 5  # of the U-Nets
 COST_GROUPS, REFINEMENT_GROUPS = 8, 4  # of the normalisations before them
 SMALLEST_Z = 1e-3  # what lies nearer to another view, or behind it, is outside
 MOST_AT_ONCE = 2**23  # warped features, which bounds the memory
 
 
-class PixelGaussians(NamedTuple):
+class PixelMaps(NamedTuple):
     """Raw output of the network.
 
     Attributes:
@@ -42,7 +43,7 @@ class DepthPredictor(nn.Module):
         candidates: planes of a cost volume.
         cost_width: channels of its U-Net.
         refinement_width: channels of the U-Net at full resolution.
-        shape_channels: of `PixelGaussians.shape`.
+        shape_channels: of `PixelMaps.shape`.
     """
 
     def __init__(self, width: int, candidates: int, cost_width: int, refinement_width: int, shape_channels: int) -> None:
@@ -70,7 +71,7 @@ class DepthPredictor(nn.Module):
         self.to_gaussians = _head(refinement_width + 3 + width, 2 * shape_channels, shape_channels)
         self.to_disparity = _head(refinement_width, 2 * refinement_width, 2)
 
-    def forward(self, together: Tensor, alone: Tensor, views: Views) -> PixelGaussians:
+    def forward(self, together: Tensor, alone: Tensor, views: Views) -> PixelMaps:
         """Regress a Gaussian per pixel of every view.
 
         Args:
@@ -79,25 +80,29 @@ class DepthPredictor(nn.Module):
             views: at least two.
         """
         images = views.images
-        nearest, farthest = 1 / views.near, 1 / views.far
-        disparities = torch.linspace(farthest, nearest, self.candidates)
-        volume = torch.cat([correlations(together.float(), views, disparities).to(together.dtype), together], dim=1)
-        costs = self.corr_refine_net(volume) + self.regressor_residual(volume)
-        shares = torch.softmax(self.depth_head_lowres(costs).float(), dim=1)  # (K, D, H / 4, W / 4)
-        expected = (shares * disparities[:, None, None]).sum(dim=1, keepdim=True)
-        coarse = functional.interpolate(expected, scale_factor=SCALE, mode="bilinear", align_corners=True)
-        certainty = functional.interpolate(shares.amax(dim=1, keepdim=True), scale_factor=SCALE, mode="nearest")
-
+        coarse, certainty = self.search(together, views)
         pairs = torch.cat([together, alone], dim=1)
         projected = torch.cat([self.proj_feature(self.upsampler(pair)) for pair in pairs.split(1)])  # view by view: memory
         refined = self.refine_unet(torch.cat([images, projected, coarse, certainty], dim=1))
         change, opacity_logit = self.to_disparity(refined).float().split(1, dim=1)
-        disparity = (coarse + change).clamp(farthest, nearest)
+        disparity = (coarse + change).clamp(1 / views.far, 1 / views.near)
         parts = zip(refined.split(1), images.split(1), pairs.split(1), strict=True)
         shape = torch.cat(
             [self.to_gaussians(torch.cat([part, image, self.upsampler(pair)], dim=1)).float() for part, image, pair in parts]
         )
-        return PixelGaussians(coarse, disparity, opacity_logit, shape)
+        return PixelMaps(coarse, disparity, opacity_logit, shape)
+
+    def search(self, together: Tensor, views: Views) -> tuple[Tensor, Tensor]:
+        """Inverse depth that the cost volumes expect, and the largest share of a candidate, both (K, 1, H, W)."""
+        disparities = torch.linspace(1 / views.far, 1 / views.near, self.candidates)
+        volume = torch.cat([correlations(together.float(), views, disparities).to(together.dtype), together], dim=1)
+        costs = self.corr_refine_net(volume) + self.regressor_residual(volume)
+        shares = torch.softmax(self.depth_head_lowres(costs).float(), dim=1)  # (K, D, H / 4, W / 4)
+        expected = (shares * disparities[:, None, None]).sum(dim=1, keepdim=True)
+        return (
+            functional.interpolate(expected, scale_factor=SCALE, mode="bilinear", align_corners=True),
+            functional.interpolate(shares.amax(dim=1, keepdim=True), scale_factor=SCALE, mode="nearest"),
+        )
 
 
 def correlations(features: Tensor, views: Views, disparities: Tensor) -> Tensor:

@@ -5,8 +5,9 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from torch import Tensor
+from torch.nn import functional
 
-from ggvs_eval.baselines.mvsplat.depth import PixelGaussians
+from ggvs_eval.baselines.mvsplat.depth import OFFSET, QUATERNION, SCALES, PixelMaps
 from ggvs_eval.baselines.mvsplat.views import Views
 from ggvs_eval.gaussians.cloud import GaussianCloud
 from ggvs_eval.gaussians.harmonics import coefficients_of, turned
@@ -19,7 +20,7 @@ RENDERED_DEGREE = 3  # the authors' rasteriser knows no harmonics above it
 OTHER_AXES = np.array([[0.0, -1, 0], [0, 0, 1], [-1, 0, 0]])
 
 
-def pixel_cloud(pixels: PixelGaussians, views: Views, published: bool) -> GaussianCloud:
+def pixel_cloud(pixels: PixelMaps, views: Views, published: bool) -> GaussianCloud:
     """The Gaussians of all pixels of all images, view after view, row after row, in world units.
 
     Args:
@@ -42,12 +43,12 @@ def rendered_part(cloud: GaussianCloud) -> GaussianCloud:
     return GaussianCloud(cloud.means, cloud.log_scales, cloud.quaternions, cloud.opacity_logits, cloud.sh[:, :terms].contiguous())
 
 
-def _view_cloud(pixels: PixelGaussians, views: Views, number: int, published: bool) -> GaussianCloud:
+def _view_cloud(pixels: PixelMaps, views: Views, number: int, published: bool) -> GaussianCloud:
     width, height = views.sizes[number].tolist()
     raw, disparity, logit = (
         maps[number, :, :height, :width].flatten(1).T for maps in (pixels.shape, pixels.disparity, pixels.opacity_logit)
     )  # (N, C), (N, 1), (N, 1)
-    offset, scale, quaternion, colour = raw.split([2, 3, 4, raw.shape[1] - 9], dim=1)
+    offset, scale, quaternion, colour = raw.tensor_split([OFFSET, OFFSET + SCALES, OFFSET + SCALES + QUATERNION], dim=1)
     pose, K = views.camera_to_world[number], views.K[number]
     rotation = torch.as_tensor(pose[:3, :3]).float()
 
@@ -57,14 +58,14 @@ def _view_cloud(pixels: PixelGaussians, views: Views, number: int, published: bo
     slopes = (corners + offset.sigmoid() - middle) / focal
     rays = torch.cat([slopes, torch.ones_like(slopes[:, :1])], dim=1)
     if published:
-        rays = torch.nn.functional.normalize(rays, dim=1)
+        rays = functional.normalize(rays, dim=1)
     depth = 1 / (views.unit * disparity)  # world units
     centre = torch.as_tensor(pose[:3, 3] / views.unit).float()
     means = rays * depth @ rotation.T + centre
 
     spread = LEAST_SCALE + (LARGEST_SCALE - LEAST_SCALE) * scale.sigmoid()
     log_scales = (spread * depth * (TENTH * (1 / focal).sum())).log()
-    quaternions = _turned_quaternions(torch.nn.functional.normalize(quaternion, dim=1), pose[:3, :3])
+    quaternions = _turned_quaternions(functional.normalize(quaternion, dim=1), pose[:3, :3])
     sh = colour.reshape(len(raw), 3, -1).transpose(1, 2)  # (N, terms, 3)
     sh = sh * _attenuation(sh.shape[1])[:, None]
     if published:

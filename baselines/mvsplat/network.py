@@ -10,14 +10,13 @@ from torch import nn
 
 from ggvs_eval.baselines.learned import FULL
 from ggvs_eval.baselines.mvsplat.backbone import SCALE, Backbone
-from ggvs_eval.baselines.mvsplat.depth import REFINEMENT_LEVELS, DepthPredictor, PixelGaussians
+from ggvs_eval.baselines.mvsplat.beginning import begin_as_plane_sweep
+from ggvs_eval.baselines.mvsplat.depth import OFFSET, QUATERNION, REFINEMENT_LEVELS, SCALES, DepthPredictor, PixelMaps
 from ggvs_eval.baselines.mvsplat.views import Views
 from ggvs_eval.files.weights_file import configuration_of, load_strict, read_tensors
 
 OF = "MVSplat (re10k.ckpt)"
 PREFIX = "encoder."  # of its names in the authors' checkpoint
-SCALES, QUATERNION, OFFSET = 3, 4, 2  # channels of a Gaussian beside its colour
-SMALL_SCALE = -2.0  # before the sigmoid: standard deviations of half a pixel
 
 
 @dataclass(frozen=True)
@@ -79,22 +78,13 @@ class MvsplatNetwork(nn.Module):
             config.width, config.candidates, config.cost_width, config.refinement_width, config.shape_channels
         )
         if not config.published:
-            self._begin_with_pictures()
+            begin_as_plane_sweep(self.backbone, self.depth_predictor)
 
-    def forward(self, views: Views) -> PixelGaussians:
+    def forward(self, views: Views) -> PixelMaps:
         """What is said of the Gaussian of every pixel of every view, at least two."""
         together, alone = self.backbone(views.images, self.config.window)
-        pixels: PixelGaussians = self.depth_predictor(together, alone, views)
+        pixels: PixelMaps = self.depth_predictor(together, alone, views)
         return pixels
-
-    def _begin_with_pictures(self) -> None:
-        """Start from Gaussians of half a pixel in the colours of their pixels, at the depth that the cost volume expects."""
-        for head in (self.depth_predictor.to_gaussians, self.depth_predictor.to_disparity):
-            nn.init.normal_(head[2].weight, std=1e-3)
-            nn.init.zeros_(head[2].bias)
-        with torch.no_grad():
-            self.depth_predictor.to_gaussians[2].bias[OFFSET : OFFSET + SCALES] = SMALL_SCALE
-            self.depth_predictor.to_gaussians[2].bias[OFFSET + SCALES + QUATERNION - 1] = 1  # the rotation that turns nothing
 
 
 @lru_cache(maxsize=2)

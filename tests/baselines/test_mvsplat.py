@@ -13,11 +13,13 @@ from ggvs_eval.baselines.mvsplat.depth import correlations
 from ggvs_eval.baselines.mvsplat.gaussians import pixel_cloud
 from ggvs_eval.baselines.mvsplat.method import Mvsplat, instant_cloud
 from ggvs_eval.baselines.mvsplat.network import MvsplatNetwork, load_network
+from ggvs_eval.baselines.mvsplat.training import DEPTH_STEPS, MvsplatRecipe
 from ggvs_eval.baselines.mvsplat.views import Views, see_views
 from ggvs_eval.compute_device import one_thread
 from ggvs_eval.errors import RenderError, WeightsError
 from ggvs_eval.files.weights_file import CONFIGURATION_NOTE
 from ggvs_eval.gaussians.projection import rotations
+from ggvs_eval.training.instant_samples import InstantSample
 from helpers.hostile import Hostile
 from helpers.places import DATA_FOLDER
 from helpers.scenes import WALL_Z, camera_at, look
@@ -166,9 +168,12 @@ def test_what_is_no_checkpoint_is_refused(compact, tmp_path):
 
 @pytest.mark.parametrize("count", [2, 3])
 def test_a_step_gives_a_picture(weights, count):
-    """Of any number of views from two, of odd sizes: finite, of the target's size, not flat, in [0, 1]; depth within reach."""
+    """Of any number of views from two, of odd and different sizes: finite, of the target's size, not flat, in [0, 1]."""
     instant = turned_rig(count, 44, 36)
-    instant = replace(instant, target=instant.target.resized(38, 50))
+    first, *others = instant.sources
+    cut = {name: np.ascontiguousarray(getattr(first, name)[:30]) for name in ("image", "depth", "confidence")}
+    first = replace(first, camera=first.camera.cropped(0, 0, first.camera.width, 30), **cut)
+    instant = replace(instant, target=instant.target.resized(38, 50), sources=(first, *others))
     rendering = Mvsplat(weights).step(instant)
     assert rendering.image.shape == (50, 38, 3)
     assert rendering.image.dtype == np.float32
@@ -246,6 +251,32 @@ def test_cost_volumes_are_highest_where_the_surface_is():
     height, width = volume.shape[2:]
     middle = volume[..., height // 4 : -height // 4, width // 3 : -width // 3].mean(dim=(0, 2, 3))
     assert int(middle.argmax()) == 2
+
+
+def test_depth_is_taught_first_then_pictures():
+    """At first the loss is that of coarse depth, and the heads stay as they were; later a step on the whole loss lowers it."""
+    instant = turned_rig(2, 48, 40)
+    sample = InstantSample(instant, look(instant.target)[0])
+    recipe = MvsplatRecipe()
+    torch.manual_seed(1)
+    network = recipe.network().train()
+    early, terms = recipe.sample_loss(network, sample, 0)
+    early.backward()
+    assert float(early) == float(terms["disparity_loss"]) > 0
+    assert network.backbone.backbone.conv1.weight.grad.abs().max() > 0
+    assert network.depth_predictor.to_gaussians[0].weight.grad is None
+    optimiser = torch.optim.Adam(network.parameters(), 1e-3)
+    losses = []
+    for _ in range(3):
+        loss, terms = recipe.sample_loss(network, sample, DEPTH_STEPS)
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        losses.append(float(loss))
+    assert losses[-1] < losses[0]
+    weights = {"squared_loss": 1, "ssim_loss": 0.05, "disparity_loss": 0.3}
+    assert float(loss) == pytest.approx(sum(weight * float(terms[name]) for name, weight in weights.items()))
+    assert network.depth_predictor.to_gaussians[0].weight.grad.abs().max() > 0
 
 
 @pytest.mark.parametrize(("height", "width", "window"), [(16, 24, (8, 12)), (24, 16, (8, 8)), (9, 6, (3, 6))])
