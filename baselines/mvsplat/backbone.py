@@ -70,6 +70,11 @@ class AttentionLayer(nn.Module):
             self.mlp = nn.Sequential(nn.Linear(2 * width, inner, bias=False), nn.GELU(), nn.Linear(inner, width, bias=False))
             self.norm2 = nn.LayerNorm(width)
 
+    @property
+    def last_norm(self) -> nn.LayerNorm:
+        """The normalisation of what is added."""
+        return self.norm1 if self.mlp is None else self.norm2
+
     def forward(self, views: Tensor, others: Tensor | None, blocks: list[Block]) -> Tensor:
         """Update the features of every view.
 
@@ -133,6 +138,11 @@ class TransformerBlock(nn.Module):
         self.self_attn = AttentionLayer(width, perceptron=False)
         self.cross_attn_ffn = AttentionLayer(width, perceptron=True)
 
+    def forward(self, views: Tensor, blocks: list[Block]) -> Tensor:
+        """Features of all views (K, h, w, C); the others are seen as they came in."""
+        looked: Tensor = self.cross_attn_ffn(self.self_attn(views, None, blocks), views, blocks)
+        return looked
+
 
 class Transformer(nn.Module):
     """Layers whose windows lie alternately on the grid and half a window off it.
@@ -154,8 +164,8 @@ class Transformer(nn.Module):
             window: height and width of a window; h and w are multiples of them.
         """
         for number, layer in enumerate(self.layers):
-            blocks = window_blocks(*views.shape[1:3], window, shifted=number % 2 == 1)
-            views = layer.cross_attn_ffn(layer.self_attn(views, None, blocks), views, blocks)  # others as they came in
+            _, height, width, _ = views.shape
+            views = layer(views, window_blocks(height, width, window, shifted=number % 2 == 1))
         return views
 
 

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor, nn
 
-from ggvs_eval.baselines.mvsplat.backbone import Backbone
+from ggvs_eval.baselines.mvsplat.backbone import AttentionLayer, Backbone
 from ggvs_eval.baselines.mvsplat.depth import OFFSET, QUATERNION, SCALES, DepthPredictor
 
 FEATURE_GAIN = 10.0  # of the random features, so that their products outweigh those of positions
@@ -23,37 +23,28 @@ def begin_as_plane_sweep(backbone: Backbone, predictor: DepthPredictor) -> None:
         The authors begin with features and attention that others had trained to find depth. Nothing like it ships here, and the
         compact network has half an hour: begun at random, it spends that on what a plane sweep does at once.
     """
-    _contrast(backbone.backbone.conv2)
-    for layer in backbone.transformer.layers:
-        nn.init.zeros_(layer.self_attn.norm1.weight)
-        nn.init.zeros_(layer.cross_attn_ffn.norm2.weight)
+    last = backbone.backbone.conv2
+    _fill(last, FEATURE_GAIN * (last.weight - last.weight.mean(dim=1, keepdim=True)))
+    for layer in backbone.transformer.modules():
+        if isinstance(layer, AttentionLayer):
+            nn.init.zeros_(layer.last_norm.weight)
     _sweep(predictor)
     for head in (predictor.to_gaussians, predictor.to_disparity):
-        _faint(head[2])
-    shape = predictor.to_gaussians[2].bias
+        _fill(head[2], FAINT * _weight(head[2]))
+    shape = predictor.to_gaussians[2].state_dict()["bias"]  # the very tensor
     shape[OFFSET : OFFSET + SCALES] = SMALL_SCALE
     shape[OFFSET + SCALES + QUATERNION - 1] = 1  # the rotation that turns nothing
-
-
-def _contrast(last: nn.Conv2d) -> None:
-    """Sums that do not see what all channels have in common, as rectified ones have."""
-    last.weight.copy_(FEATURE_GAIN * (last.weight - last.weight.mean(dim=1, keepdim=True)))
-    nn.init.zeros_(last.bias)
 
 
 def _sweep(predictor: DepthPredictor) -> None:
     """Costs as they are, averaged twice over 3 x 3 cells: GELU(x) - GELU(-x) is x."""
     planes = torch.eye(predictor.candidates)
-    _faint(predictor.corr_refine_net[4])
-    nn.init.zeros_(predictor.regressor_residual.weight)
-    nn.init.zeros_(predictor.regressor_residual.bias)
-    predictor.regressor_residual.weight[:, : predictor.candidates, 0, 0] = SHARPNESS * planes
-    first, second = predictor.depth_head_lowres[0], predictor.depth_head_lowres[2]
     both = torch.cat([planes, -planes])  # (2 D, D)
-    first.weight.copy_(_averaging(both))
-    second.weight.copy_(_averaging(both.T))
-    nn.init.zeros_(first.bias)
-    nn.init.zeros_(second.bias)
+    costs, features = planes[..., None, None], torch.zeros_like(_weight(predictor.regressor_residual))[:, len(planes) :]
+    _fill(predictor.corr_refine_net[4], FAINT * _weight(predictor.corr_refine_net[4]))
+    _fill(predictor.regressor_residual, torch.cat([SHARPNESS * costs, features], dim=1))
+    _fill(predictor.depth_head_lowres[0], _averaging(both))
+    _fill(predictor.depth_head_lowres[2], _averaging(both.T))
 
 
 def _averaging(mixing: Tensor) -> Tensor:
@@ -61,6 +52,10 @@ def _averaging(mixing: Tensor) -> Tensor:
     return mixing[..., None, None].expand(-1, -1, 3, 3) / 9
 
 
-def _faint(convolution: nn.Conv2d) -> None:
-    convolution.weight.mul_(FAINT)
-    nn.init.zeros_(convolution.bias)
+def _weight(convolution: nn.Module) -> Tensor:
+    return convolution.state_dict()["weight"].clone()
+
+
+def _fill(convolution: nn.Module, weight: Tensor) -> None:
+    """Give a convolution its weight, and no bias."""
+    convolution.load_state_dict({"weight": weight, "bias": torch.zeros(len(weight))})

@@ -262,7 +262,7 @@ def test_depth_is_taught_first_then_pictures():
     network = recipe.network().train()
     early, terms = recipe.sample_loss(network, sample, 0)
     early.backward()
-    assert float(early) == float(terms["disparity_loss"]) > 0
+    assert early.item() == terms["disparity_loss"].item() > 0
     assert network.backbone.backbone.conv1.weight.grad.abs().max() > 0
     assert network.depth_predictor.to_gaussians[0].weight.grad is None
     optimiser = torch.optim.Adam(network.parameters(), 1e-3)
@@ -272,10 +272,10 @@ def test_depth_is_taught_first_then_pictures():
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
-        losses.append(float(loss))
+        losses.append(loss.item())
     assert losses[-1] < losses[0]
     weights = {"squared_loss": 1, "ssim_loss": 0.05, "disparity_loss": 0.3}
-    assert float(loss) == pytest.approx(sum(weight * float(terms[name]) for name, weight in weights.items()))
+    assert loss.item() == pytest.approx(sum(weight * terms[name].item() for name, weight in weights.items()))
     assert network.depth_predictor.to_gaussians[0].weight.grad.abs().max() > 0
 
 
