@@ -44,37 +44,42 @@ def rendered_part(cloud: GaussianCloud) -> GaussianCloud:
 
 
 def _view_cloud(pixels: PixelMaps, views: Views, number: int, published: bool) -> GaussianCloud:
+    """Those of one view."""
     width, height = views.sizes[number].tolist()
-    raw, disparity, logit = (
-        maps[number, :, :height, :width].flatten(1).T for maps in (pixels.shape, pixels.disparity, pixels.opacity_logit)
-    )  # (N, C), (N, 1), (N, 1)
+    raw, disparity, logit, image = (
+        maps[number, :, :height, :width].flatten(1).T
+        for maps in (pixels.shape, pixels.disparity, pixels.opacity_logit, views.images)
+    )  # (N, C), (N, 1), (N, 1), (N, 3)
     offset, scale, quaternion, colour = raw.tensor_split([OFFSET, OFFSET + SCALES, OFFSET + SCALES + QUATERNION], dim=1)
     pose, K = views.camera_to_world[number], views.K[number]
-    rotation = torch.as_tensor(pose[:3, :3]).float()
+    rotation, centre = torch.as_tensor(pose[:3, :3]), torch.as_tensor(pose[:3, 3] / views.unit).float()
 
-    rows, columns = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
-    corners = torch.stack([columns, rows], dim=-1).reshape(-1, 2).float()
-    focal, middle = (torch.as_tensor(values).float() for values in (K[[0, 1], [0, 1]], K[:2, 2]))
-    slopes = (corners + offset.sigmoid() - middle) / focal
-    rays = torch.cat([slopes, torch.ones_like(slopes[:, :1])], dim=1)
+    rays = _rays(K, width, height, offset.sigmoid())
     if published:
         rays = functional.normalize(rays, dim=1)
     depth = 1 / (views.unit * disparity)  # world units
-    centre = torch.as_tensor(pose[:3, 3] / views.unit).float()
-    means = rays * depth @ rotation.T + centre
-
+    means = rays * depth @ rotation.T.float() + centre
     spread = LEAST_SCALE + (LARGEST_SCALE - LEAST_SCALE) * scale.sigmoid()
-    log_scales = (spread * depth * (TENTH * (1 / focal).sum())).log()
+    log_scales = (spread * depth * float(TENTH * (1 / K[0, 0] + 1 / K[1, 1]))).log()
     quaternions = _turned_quaternions(functional.normalize(quaternion, dim=1), pose[:3, :3])
+
     sh = colour.reshape(len(raw), 3, -1).transpose(1, 2)  # (N, terms, 3)
     sh = sh * _attenuation(sh.shape[1])[:, None]
-    if published:
-        turn = torch.as_tensor(OTHER_AXES.T @ pose[:3, :3] @ OTHER_AXES)
-    else:
-        turn = torch.as_tensor(pose[:3, :3])
-        image = views.images[number, :, :height, :width].flatten(1).T
+    if not published:
         sh = torch.cat([sh[:, :1] + coefficients_of(image)[:, None], sh[:, 1:]], dim=1)
-    return GaussianCloud(means, log_scales, quaternions, logit[:, 0].contiguous(), turned(sh, turn).contiguous())
+    axes = torch.as_tensor(OTHER_AXES if published else np.eye(3))
+    return GaussianCloud(
+        means, log_scales, quaternions, logit[:, 0].contiguous(), turned(sh, axes.T @ rotation @ axes).contiguous()
+    )
+
+
+def _rays(K: NDArray[np.float64], width: int, height: int, places: Tensor) -> Tensor:
+    """Rays of z = 1 through places in [0, 1] of every pixel (N, 2), row after row, (N, 3)."""
+    rows, columns = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
+    corners = torch.stack([columns, rows], dim=-1).reshape(-1, 2).float()
+    focal, middle = (torch.as_tensor(values).float() for values in (K[[0, 1], [0, 1]], K[:2, 2]))
+    slopes = (corners + places - middle) / focal
+    return torch.cat([slopes, torch.ones_like(slopes[:, :1])], dim=1)
 
 
 def _attenuation(terms: int) -> Tensor:
