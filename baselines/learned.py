@@ -101,6 +101,7 @@ class TrainingRecipe(ABC, Generic[Network]):
         seed: of the weights and of what the loss draws.
         crop_width: of the target's crops, pixels.
         crop_height: of the crops.
+        batch_size: crops of a step.
         validated_step: pixels between two that are validated, along rows and columns; 1 validates whole views.
     """
 
@@ -108,6 +109,7 @@ class TrainingRecipe(ABC, Generic[Network]):
     seed: int = 0
     crop_width: int = 320
     crop_height: int = 240
+    batch_size: ClassVar[int] = 1
     validated_step: ClassVar[int] = 1
 
     @abstractmethod

@@ -9,6 +9,7 @@ FOLDERS = (
     "ibrnet",
     "gps_gaussian",
     "enerf",
+    "mvsplat",
 )
 
 LEARNED_BASELINES: dict[str, LearnedBaseline] = {

@@ -54,6 +54,7 @@ TRIALS = (
     Trial("fwd", SMALL),
     Trial("gps-gaussian+given-depth", SMALL, cpu_frames=1),
     Trial("enerf", SMALL, cpu_frames=1),
+    Trial("mvsplat", SMALL, cpu_frames=1),
     Trial("ibrnet", QUARTER, cpu_frames=1),
     Trial("ibrnet", SMALL, cpu_frames=0),
 )

@@ -53,6 +53,12 @@ class Instant:
         """Depth in the target camera from which on sources are splatted, world units."""
         return NEAR_M * self.units_per_metre
 
+    @property
+    def depth_range(self) -> tuple[float, float]:
+        """Nearest and farthest depth of the scene that any of the cameras gives, world units."""
+        cameras = [self.target, *(source.camera for source in self.sources)]
+        return min(camera.near for camera in cameras), max(camera.far for camera in cameras)
+
 
 @dataclass(frozen=True)
 class Rendering:

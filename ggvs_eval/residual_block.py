@@ -8,19 +8,22 @@ from torch import Tensor, nn
 class ResidualBlock(nn.Module):
     """Two 3x3 convolutions beside a shortcut, ReLU after each normalisation and after the sum.
 
-    Names of modules are those of the published checkpoints of RAFT-Stereo and GPS-Gaussian.
+    Names of modules are those of the published checkpoints of RAFT-Stereo, GPS-Gaussian and MVSplat.
 
     Args:
         width_in: channels of the input.
         width: channels of the output.
         normalise: makes the normalisation of so many channels.
         stride: how many times smaller the output is.
+        bias: whether the two convolutions have one.
     """
 
-    def __init__(self, width_in: int, width: int, normalise: Callable[[int], nn.Module], stride: int = 1) -> None:
+    def __init__(
+        self, width_in: int, width: int, normalise: Callable[[int], nn.Module], stride: int = 1, bias: bool = True
+    ) -> None:
         super().__init__()
-        self.conv1 = nn.Conv2d(width_in, width, 3, stride, padding=1)
-        self.conv2 = nn.Conv2d(width, width, 3, padding=1)
+        self.conv1 = nn.Conv2d(width_in, width, 3, stride, padding=1, bias=bias)
+        self.conv2 = nn.Conv2d(width, width, 3, padding=1, bias=bias)
         self.norm1, self.norm2 = normalise(width), normalise(width)
         self.relu = nn.ReLU()
         self.downsample: nn.Module | None = None

@@ -7,7 +7,7 @@ import numpy as np
 from ggvs_eval.baselines.enerf.network import load_enerf
 from ggvs_eval.baselines.enerf.rendering import PIXELS_AT_ONCE, render_surface
 from ggvs_eval.baselines.enerf.views import TRAINED_NEAR, see
-from ggvs_eval.baselines.enerf.volumes import depth_range, find_surface, target_grid
+from ggvs_eval.baselines.enerf.volumes import find_surface, target_grid
 from ggvs_eval.compute_device import clock_s, compute_device, rendering_on
 from ggvs_eval.errors import RenderError
 from ggvs_eval.method import Instant, Rendering
@@ -59,7 +59,7 @@ class ENeRF:
             raise RenderError(
                 f"ENeRF wants at least {FEWEST_VIEWS} source views, got {len(instant.sources)}; raise k in the protocol"
             )
-        near, far = depth_range(instant)
+        near, far = instant.depth_range
         unit = TRAINED_NEAR / near
         started = clock_s(self._device)
         with rendering_on(self._device):

@@ -9,7 +9,7 @@ from torch.nn import functional
 from ggvs_eval.baselines.enerf.network import Networks
 from ggvs_eval.baselines.enerf.rendering import COARSE_FACTOR, coarse_views, render_coarsely, render_surface
 from ggvs_eval.baselines.enerf.views import TRAINED_NEAR, see, see_together
-from ggvs_eval.baselines.enerf.volumes import depth_range, find_surface, refine_surface, search_coarsely, target_grid
+from ggvs_eval.baselines.enerf.volumes import find_surface, refine_surface, search_coarsely, target_grid
 from ggvs_eval.baselines.learned import TrainingRecipe
 from ggvs_eval.method import Instant
 from ggvs_eval.training.instant_samples import InstantSample
@@ -37,7 +37,7 @@ class EnerfRecipe(TrainingRecipe[Networks]):
     def sample_loss(self, network: Networks, sample: InstantSample, step: int) -> tuple[Tensor, dict[str, Tensor]]:
         """Squared error of both levels, and structure."""
         target, truth = sample.instant.target, sample.truth_tensor
-        near, far = depth_range(sample.instant)
+        near, far = sample.instant.depth_range
         unit = TRAINED_NEAR / near
         views = see_together(network.feature_net, sample.instant.sources, unit)
         grid = target_grid(target, unit)
@@ -58,7 +58,7 @@ class EnerfRecipe(TrainingRecipe[Networks]):
 
     def validated_view(self, network: Networks, instant: Instant) -> Tensor:
         """The target view."""
-        near, far = depth_range(instant)
+        near, far = instant.depth_range
         unit = TRAINED_NEAR / near
         views = [see(network.feature_net, source, unit) for source in instant.sources]
         grid = target_grid(instant.target, unit)

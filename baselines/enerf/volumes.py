@@ -11,7 +11,6 @@ from torch.nn import functional
 from ggvs_eval.baselines.enerf.network import CostNetwork, Networks
 from ggvs_eval.baselines.enerf.views import Matrix, SeenView, extrinsics, image_places, intrinsics, padded, projection, sample
 from ggvs_eval.camera import Camera
-from ggvs_eval.method import Instant
 
 COARSE_SCALE, FINE_SCALE = 1 / 8, 1 / 2  # of the volumes' planes
 FEATURE_SCALES = 1 / 4, 1 / 2  # of the features that they are made of
@@ -169,12 +168,6 @@ def expectation(scores: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
     mean = (shares * values).sum(dim=0)
     variance = (shares * (values - mean) ** 2).sum(dim=0)
     return mean, variance.clamp(min=SMALLEST_VARIANCE).sqrt()
-
-
-def depth_range(instant: Instant) -> tuple[float, float]:
-    """Depths between which surfaces are searched, world units."""
-    cameras = [instant.target, *(source.camera for source in instant.sources)]
-    return min(camera.near for camera in cameras), max(camera.far for camera in cameras)
 
 
 def target_grid(target: Camera, unit: float = 1.0) -> TargetGrid:

@@ -90,8 +90,8 @@ def _shade(
 
 def depth_range(instant: Instant) -> tuple[float, float]:
     """Depths between which surfaces are searched, world units."""
-    cameras = [instant.target, *(source.camera for source in instant.sources)]
-    return NEARER * min(camera.near for camera in cameras), FARTHER * max(camera.far for camera in cameras)
+    near, far = instant.depth_range
+    return NEARER * near, FARTHER * far
 
 
 def coarse_depths(near: float, far: float, count: int) -> Tensor:

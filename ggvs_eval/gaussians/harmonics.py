@@ -60,6 +60,37 @@ def colours(sh: torch.Tensor, directions: torch.Tensor) -> torch.Tensor:
     return ((basis(directions, degree)[..., None] * sh).sum(1) + 0.5).clamp_min(0)
 
 
+def turned(sh: torch.Tensor, rotation: torch.Tensor) -> torch.Tensor:
+    """Coefficients of the same colours after a rotation: what was seen along d is seen along ``rotation @ d``.
+
+    Args:
+        sh: (N, (degree + 1)^2, 3).
+        rotation: (3, 3).
+
+    Returns:
+        (N, (degree + 1)^2, 3); terms of one degree mix among themselves alone.
+
+    Examples:
+        >>> quarter = torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # x to y
+        >>> along_x = torch.tensor([0.0, 0, 0, -1])[None, :, None].expand(1, 4, 3)
+        >>> turned(along_x, quarter)[0, :, 0].round(decimals=6).abs().tolist()
+        [0.0, 1.0, 0.0, 0.0]
+    """
+    degree = int(sh.shape[1] ** 0.5) - 1
+    directions = _spread(rotation.device)
+    before, after = basis(directions @ rotation.double(), degree), basis(directions, degree)
+    mixing = torch.linalg.lstsq(after, before).solution  # harmonics of turned directions are sums of harmonics: exact
+    return torch.einsum("ij,njc->nic", mixing.to(sh.dtype), sh)
+
+
+def _spread(device: torch.device) -> torch.Tensor:
+    """Unit vectors in directions enough to tell all harmonics apart, (100, 3): a spiral of golden angles."""
+    number = torch.arange(100, dtype=torch.float64, device=device)
+    z = 1 - (2 * number + 1) / len(number)
+    angle, radius = number * pi * (3 - sqrt(5)), (1 - z * z).sqrt()
+    return torch.stack([radius * angle.cos(), radius * angle.sin(), z], -1)
+
+
 def coefficients_of(colour: torch.Tensor) -> torch.Tensor:
     """The constant coefficient that shows a colour, same shape: the inverse of `colours` at degree 0."""
     return (colour - 0.5) / CONSTANT

@@ -38,7 +38,8 @@ def baseline_task(name: str, cache: Path, data: TrainingData, configuration: str
     """
     baseline = LEARNED_BASELINES[name]
     samples = baseline_samples(cache, data, baseline.takes_depth)
-    return BaselineTask(*samples, baseline, baseline.make_recipe(configuration, seed))
+    recipe = baseline.make_recipe(configuration, seed)
+    return BaselineTask(*samples, baseline, recipe, recipe.batch_size)
 
 
 def compact_schedule() -> Schedule:

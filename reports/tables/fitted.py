@@ -15,6 +15,10 @@ from ggvs_eval.statistics.paired import compare
 
 MEGABYTE = 1e6
 NOT_FITTED = "not fitted"
+ELSEWHERE = (
+    "4K4D has no row of ours: it wants foreground masks of all frames, its licence forbids commercial use and wants what derives "
+    "from it to be open, and its 800,000 iterations take a day of a GPU; frames of it stand as `rendered:PATH`."
+)
 UNKNOWN = Cell("unknown: others made it")
 COST_COLUMNS = (
     Column("cameras used", describe="of how many the capture has; a fit sees all but those of its fold"),
@@ -60,7 +64,7 @@ def _cost_table(run: MeasuredRun, fits: Mapping[str, list[dict[str, Any]]]) -> T
     folds = " · ".join(", ".join(fold) for fold in run.protocol.views.folds)
     caption = (
         f"Fitted methods render each test view from a fit that has not seen its fold ({folds}); the others from K sources. "
-        "Fitting: mean over the folds, depth excluded as for all methods."
+        f"Fitting: mean over the folds, depth excluded as for all methods. {ELSEWHERE}"
     )
     return Table("costs", "What each method sees and costs", caption, COST_COLUMNS, tuple(rows), run.scene)
 

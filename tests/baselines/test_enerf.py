@@ -11,7 +11,7 @@ from ggvs_eval.baselines.enerf.method import ENeRF
 from ggvs_eval.baselines.enerf.network import Networks, load_enerf
 from ggvs_eval.baselines.enerf.rendering import composite, render_pixels
 from ggvs_eval.baselines.enerf.views import SeenView, extrinsics, intrinsics, see
-from ggvs_eval.baselines.enerf.volumes import depth_range, disagreement, expectation, find_surface, target_grid
+from ggvs_eval.baselines.enerf.volumes import disagreement, expectation, find_surface, target_grid
 from ggvs_eval.compute_device import one_thread
 from ggvs_eval.errors import RenderError, WeightsError
 from helpers.hostile import Hostile
@@ -92,7 +92,7 @@ def test_rendered_pixels_are_the_authors(networks, golden):
     """Every 7th pixel of a turned rig, by both volumes and two samples, agrees with the authors' to 1e-4 in colour and depth."""
     instant = turned_rig(3)
     views = [see(networks.feature_net, source) for source in instant.sources]
-    surface = find_surface(networks, views, target_grid(instant.target), *depth_range(instant), planes=32)
+    surface = find_surface(networks, views, target_grid(instant.target), *instant.depth_range, planes=32)
     rays = torch.from_numpy(instant.target.rays().reshape(-1, 3)).float()[::7]
     pixels = torch.arange(64 * 96)[::7]
     centre = torch.from_numpy(instant.target.centre).float()
@@ -141,7 +141,7 @@ def test_a_step_gives_a_picture(weights, views):
     assert rendering.image.min() >= 0
     assert rendering.image.max() <= 1
     assert rendering.image.std() > 0.02
-    near, far = depth_range(instant)
+    near, far = instant.depth_range
     assert rendering.depth.min() >= near * 0.999
     assert rendering.depth.max() <= far * 1.001
     assert set(rendering.seconds) == {"features", "volumes", "rays"}

@@ -29,7 +29,7 @@ from helpers.scenes import camera_at
 from helpers.small_runs import small_protocol, write_small_capture
 
 H100 = "cuda: NVIDIA H100 80GB HBM3"
-LEARNED = ("fwd", "ibrnet", "gps-gaussian+given-depth", "enerf", "ours", "ours+no-tsdf", "ours+no-temporal", "naive")
+LEARNED = ("fwd", "ibrnet", "gps-gaussian+given-depth", "enerf", "mvsplat", "ours", "ours+no-tsdf", "ours+no-temporal", "naive")
 
 
 @pytest.fixture

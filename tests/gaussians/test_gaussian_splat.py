@@ -11,7 +11,7 @@ import torch
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
 from ggvs_eval.gaussians import GaussianCloud, render_gaussians
-from ggvs_eval.gaussians.harmonics import basis
+from ggvs_eval.gaussians.harmonics import basis, colours, turned
 from ggvs_eval.gaussians.projection import project
 from helpers.gaussian_clouds import random_cloud, view_of
 from helpers.places import DATA_FOLDER
@@ -129,6 +129,19 @@ def test_harmonics_are_those_of_scipy():
             value = sph_harm_y(degree, abs(order), polar, azimuth)
             real = value.real if order == 0 else sqrt(2) * (value.imag if order < 0 else value.real)
             np.testing.assert_allclose(basis(directions, 4)[:, degree * degree + degree + order], real, atol=1e-12)
+
+
+def test_turned_harmonics_show_the_same():
+    """Colours of degree 4 that were seen along d are seen along R d; two turns are one, and turning back restores them."""
+    from scipy.spatial.transform import Rotation
+
+    generator = torch.Generator().manual_seed(3)
+    sh = torch.randn(5, 25, 3, generator=generator, dtype=torch.float64)
+    directions = torch.nn.functional.normalize(torch.randn(5, 3, generator=generator, dtype=torch.float64), dim=-1)
+    first, second = (torch.as_tensor(Rotation.random(random_state=seed).as_matrix()) for seed in (1, 2))
+    torch.testing.assert_close(colours(turned(sh, first), directions @ first.T), colours(sh, directions), atol=1e-10, rtol=0)
+    torch.testing.assert_close(turned(turned(sh, first), second), turned(sh, second @ first), atol=1e-10, rtol=0)
+    torch.testing.assert_close(turned(turned(sh, first), first.T), sh, atol=1e-10, rtol=0)
 
 
 def test_projection_is_that_of_gsplat():

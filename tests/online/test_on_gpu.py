@@ -13,7 +13,7 @@ from helpers.seeded_baselines import turned_rig
 
 pytestmark = [pytest.mark.gpu, pytest.mark.skipif(not torch.cuda.is_available(), reason="torch finds no GPU here")]
 
-LEARNED = ("fwd", "ibrnet", "gps-gaussian+given-depth", "enerf", "ours", "ours+no-tsdf", "ours+no-temporal", "naive")
+LEARNED = ("fwd", "ibrnet", "gps-gaussian+given-depth", "enerf", "mvsplat", "ours", "ours+no-tsdf", "ours+no-temporal", "naive")
 LEVEL = 1 / 255
 
 

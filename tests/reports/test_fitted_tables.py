@@ -99,6 +99,7 @@ def test_the_tables_are_in_every_format(run):
     assert float(fitting["value"]) == 15.0
     assert any(line["table"] == "price" and line["lo"] and line["hi"] for line in lines)
     page = render_page([group])
+    assert "4K4D has no row of ours: it wants foreground masks" in page
     for text in (to_markdown(group.all_tables), to_latex(group.all_tables), page):
         for title in ("Price of being online", "What each method sees and costs", "Spread over seeds"):
             assert title in text

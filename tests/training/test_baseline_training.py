@@ -170,7 +170,7 @@ def test_a_configuration_that_is_not_taught_is_refused(cache):
 
 def test_retrained_methods_are_labelled(tmp_path, monkeypatch):
     """Tables tell what we trained from what its authors did; without weights the reason stands there."""
-    for label in ("fwd", "ibrnet", "enerf", "gps-gaussian+given-depth"):
+    for label in ("fwd", "ibrnet", "enerf", "mvsplat", "gps-gaussian+given-depth"):
         method = label.partition("+")[0]
         assert METHODS[label].title.endswith("(retrained, compact)")
         assert not METHODS[label].usual

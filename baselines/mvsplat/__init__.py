@@ -1,0 +1,14 @@
+"""MVSplat (Chen et al., ECCV 2024): a cost volume per source view, one Gaussian per pixel, all of them rendered at once."""
+
+from ggvs_eval.baselines.learned import LearnedBaseline, Rendition
+
+BASELINE = LearnedBaseline(
+    name="mvsplat",
+    title="MVSplat",
+    source="Chen et al., ECCV 2024",
+    checkpoint="re10k.ckpt of donydchen/mvsplat",
+    method="ggvs_eval.baselines.mvsplat.method:Mvsplat",
+    recipe="ggvs_eval.baselines.mvsplat.training:MvsplatRecipe",
+    renditions=(Rendition("MVSplat", "Gaussians of all sources' pixels, by cost volumes between them", retrained="compact"),),
+    takes_depth=True,
+)
