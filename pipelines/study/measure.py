@@ -206,7 +206,7 @@ def _measure_paths(
     reasons: Reasons = {}
     for clip, frames, of_frames in compress(zip(clips, rendered, sources, strict=True), moving):
         depths = [None] * len(frames) if clip.depths is None else clip.depths
-        scores = score_path(map(PathPose, clip.cameras, frames, depths, of_frames))
+        scores = score_path(map(PathPose, clip.cameras, frames, depths, of_frames), metrics=names)
         values += [value for value in scores.values if value[1] is None and value[0] in names]
         reasons |= {name: why for name, why in scores.not_computed.items() if name in names}
     numbers = {name: [value for other, _, value in values if other == name] for name in names}
