@@ -226,7 +226,7 @@ def load_setup() -> ModuleType:
         ("splat_simd.hpp", {"_core"}),  # included by files that are included
         ("sgm.cpp", {"_stereo"}),
         ("gaussian_blend_simd.hpp", {"_gaussians"}),
-        ("parallel.hpp", {"_core", "_gaussians", "_ssim", "_iv_psnr", "_stereo"}),
+        ("parallel.hpp", {"_core", "_deformation", "_gaussians", "_ssim", "_iv_psnr", "_stereo"}),
     ],
 )
 def test_sources_of_kernels(source, rebuilt, monkeypatch, tmp_path):
@@ -243,7 +243,7 @@ def test_sources_of_kernels(source, rebuilt, monkeypatch, tmp_path):
 
 
 @checkout
-@pytest.mark.parametrize("name", ["_core", "_gaussians", "_ssim", "_iv_psnr", "_stereo"])
+@pytest.mark.parametrize("name", ["_core", "_deformation", "_gaussians", "_ssim", "_iv_psnr", "_stereo"])
 def test_kernels_carry_the_hash_of_their_sources(name, monkeypatch):
     """What was built says from what, and that is what lies here; where it is not, `make clean` or setup.py builds it anew."""
     monkeypatch.chdir(ROOT)
