@@ -12,6 +12,7 @@ from benchmarks import (
     bench_metrics,
     bench_online,
     bench_page,
+    bench_roofline,
 )
 from ggvs_eval.run_folder import write_json
 
@@ -22,6 +23,7 @@ def main() -> None:
         bench_geometry.measure()
         | bench_gaussians.measure()
         | bench_online.measure()
+        | bench_roofline.measure()
         | bench_metrics.measure()
         | bench_full_reference.measure()
         | bench_decoding.measure()
