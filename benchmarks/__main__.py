@@ -14,6 +14,7 @@ from benchmarks import (
     bench_no_reference,
     bench_online,
     bench_page,
+    bench_roofline,
 )
 from ggvs_eval.run_folder import write_json
 
@@ -25,6 +26,7 @@ def main() -> None:
         | bench_gaussians.measure()
         | bench_fit.measure()
         | bench_online.measure()
+        | bench_roofline.measure()
         | bench_metrics.measure()
         | bench_full_reference.measure()
         | bench_no_reference.measure()

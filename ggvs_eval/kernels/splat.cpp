@@ -1,8 +1,8 @@
 // Forward rendering of pixel-sized Gaussians (paper 3.1; 3D Gaussian splatting's forward pass) on the CPU.
 //
 // Source rows are projected in bands and their Gaussians listed per target tile; then each tile projects its Gaussians again
-// (cheaper than keeping them), sorts them by depth and blends front to back into accumulators that stay in the cache. Lists
-// follow the order (source, row, column) whatever the number of threads, and the sort is stable: so are the results.
+// (cheaper than keeping them), sorts them by depth and shares them out to its blocks, which blend front to back with all sums in
+// registers. Lists follow the order (source, row, column) whatever the number of threads, and the sort is stable: so are the results.
 #include "splat.hpp"
 
 #include <algorithm>
