@@ -19,6 +19,7 @@ AXES = tuple(combinations(range(4), 2))  # xy, xz, xt, yz, yt, zt: the order of 
 SPATIAL = (0, 1, 3)  # planes without time among them
 TIME = 3
 HEADS = {"pos": 3, "scales": 3, "rotations": 4, "opacity": 1, "shs": 48}  # name in front of `_deform` -> outputs
+FIRST_SHARE = 0.1  # of the authors' first weights of the last layers, in a field of our own
 OWNER = "4DGS (deformation.pth)"  # in messages
 
 
@@ -150,7 +151,7 @@ class _Field(nn.Module):
         for head in configuration.heads:
             last = linear(width, configuration.harmonics if head == "shs" else HEADS[head])
             if not configuration.is_published:
-                nn.init.zeros_(last.weight)
+                last.weight.data.mul_(FIRST_SHARE)
             layers = nn.Sequential(nn.ReLU(), linear(width, width), nn.ReLU(), last)
             self.add_module(f"{head}_deform", layers)
 
@@ -171,6 +172,8 @@ class DeformationNetwork(nn.Module):
         configuration: sizes.
 
     Reading:
+        Heads begin with a tenth of the authors' first weights, which shifts next to nothing; not at zero: planes of time would
+        then learn less from the image than the penalty that holds them at 1 takes back, and nothing would ever move.
         The authors give times in [0, 1) to planes that span [-1, 1], so that half of the nodes are never met. Their files are
         read so; a field of our own maps the clip to the whole span.
     """

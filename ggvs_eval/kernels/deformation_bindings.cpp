@@ -53,7 +53,7 @@ void take_planes(ggvs::Field& field, const py::tuple& planes, const std::vector<
                     const float* node = values + (int64_t(c) * rows + (is_line ? spot.low : row)) * columns + column;
                     const float later = is_line ? node[int64_t(spot.high - spot.low) * columns] : *node;
                     field.nodes[at + (int64_t(row) * columns + column) * stride + c] =
-                        is_line ? *node * (1.0f - spot.share) + later * spot.share : *node;
+                        is_line ? *node + (later - *node) * spot.share : *node;  // exact where time changes nothing
                 }
     }
 }

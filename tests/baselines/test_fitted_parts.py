@@ -110,7 +110,10 @@ def motions(means: torch.Tensor) -> list:
 
 @pytest.mark.parametrize("kind", range(4))
 def test_a_scene_at_rest_gives_the_same_bits_at_all_times(kind):
-    """Before anything is learned nothing moves: pictures of all times are equal bit by bit, and equal to those without motion."""
+    """Before anything is learned nothing moves: pictures of all times are equal bit by bit.
+
+    But for a field's, whose heads begin with random weights and shift all times alike, they are also those without motion.
+    """
     means = wall().means
     motion = motions(means)[kind]
     gaussians = first_gaussians(points_of(means), 1, motion)
@@ -120,7 +123,8 @@ def test_a_scene_at_rest_gives_the_same_bits_at_all_times(kind):
         still = render_gaussians(canonical(gaussians), camera).image
         pictures = [render_gaussians(motion.cloud(gaussians, time), camera).image for time in (0.0, 0.31, 0.5, 1.0)]
 
-    assert all(torch.equal(picture, still) for picture in pictures)
+    assert all(torch.equal(picture, pictures[0]) for picture in pictures)
+    assert torch.equal(pictures[0], still) or isinstance(motion, HexPlaneMotion)
 
 
 def test_explicit_motions_are_their_formulas():
