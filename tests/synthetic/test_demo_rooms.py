@@ -56,7 +56,7 @@ def test_the_other_rooms_are_rigs_like_the_data_sets():
 
 @pytest.mark.parametrize("name", DEMO_ROOMS)
 def test_every_room_has_its_protocol(name):
-    """The protocol that is suggested for a demo room is the packaged one of its name, with K and frame sizes of its data set."""
+    """The protocol that is suggested for a demo room is the packaged one of its name, as its data set's but for parts that cost."""
     options, protocol = DEMO_ROOMS[name], load_protocol(name)
     cameras = tuple(make_rig(camera_names(options), options.width, options.height))
     capture = Capture("room", options.layout, Path("room"), cameras, (), options.n_frames, 30.0, 1.0, DEMO_NOTES)
@@ -65,7 +65,8 @@ def test_every_room_has_its_protocol(name):
     assert protocol.frames.count == options.n_frames
     paper = load_protocol(options.layout)
     assert protocol.synthesis.k == paper.synthesis.k
-    assert protocol.measurement.metrics == paper.measurement.metrics
+    dear = {f"{name}_{part}" for name in ("SSIM", "LPIPS", "L1", "TCC") for part in ("static", "moving")}
+    assert protocol.measurement.metrics == tuple(name for name in paper.measurement.metrics if name not in dear)
     if paper.measurement.width:
         assert protocol.measurement.width / options.width == paper.measurement.width / paper.synthesis.width
 

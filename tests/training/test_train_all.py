@@ -76,7 +76,7 @@ def test_crops_lie_within_samples_of_any_size(what, cache):
 
 
 def test_each_network_has_its_command(tmp_path):
-    """Seven networks in folders of their own, blend with each guidance; all get the same steps, rooms and captures."""
+    """Eight networks in folders of their own, blend with each guidance; all get the same steps, rooms and captures."""
     request = replace(REQUEST, captures=(Path("walk"), Path("rig")), hold_back=True, compile_network=True)
     trainings = planned_trainings(tmp_path, request)
     assert [each.name for each in trainings] == [
@@ -85,7 +85,7 @@ def test_each_network_has_its_command(tmp_path):
         "blend-naive",
         *LEARNED_BASELINES,
     ]
-    assert len(NETWORKS) == 7
+    assert len(NETWORKS) == 8
     for training in trainings:
         words = " ".join(training.arguments)
         assert training.arguments[2] == str(tmp_path / training.name)
