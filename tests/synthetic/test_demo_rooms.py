@@ -56,7 +56,7 @@ def test_the_other_rooms_are_rigs_like_the_data_sets():
 
 @pytest.mark.parametrize("name", DEMO_ROOMS)
 def test_every_room_has_its_protocol(name):
-    """The protocol that is suggested for a demo room is the packaged one of its name, as its data set's but for parts that cost."""
+    """The protocol that is suggested for a demo room is the one of its name, as its data set's but for parts that cost."""
     options, protocol = DEMO_ROOMS[name], load_protocol(name)
     cameras = tuple(make_rig(camera_names(options), options.width, options.height))
     capture = Capture("room", options.layout, Path("room"), cameras, (), options.n_frames, 30.0, 1.0, DEMO_NOTES)
