@@ -97,7 +97,12 @@ def nearest_first(inputs: BlendingInputs) -> list[int]:
     cameras, target = [source.camera for source in inputs.instant.sources], inputs.instant.target
     if len(cameras) != len(inputs.splats):
         raise RenderError(f"blending network: wanted one splat per source view, got {len(inputs.splats)} for {len(cameras)}")
-    return sorted(range(len(cameras)), key=lambda k: (float(np.linalg.norm(cameras[k].centre - target.centre)), cameras[k].name))
+    return sorted(range(len(cameras)), key=lambda k: nearness(cameras[k], target))
+
+
+def nearness(camera: Camera, target: Camera) -> tuple[float, str]:
+    """What views are ordered by: the distance of their cameras from the target in world units, ties by name."""
+    return float(np.linalg.norm(camera.centre - target.centre)), camera.name
 
 
 def _averaged(maps: Map, scale: int) -> Map:

@@ -22,6 +22,7 @@ FEWEST = 50  # look-ups that two sources must share
 PRIOR = 1e-3  # weight of "no gain" beside the share of the look-ups that two sources have in common
 LARGEST_LOG_GAIN = 0.5
 GAUGE_POWER = 2  # of the views' weights, by which their gains are averaged into the target's
+MEMORY = 10  # instants that a ratio is the mean of, at most
 
 
 class ExposureCompensation:
@@ -44,7 +45,7 @@ class ExposureCompensation:
         to 30.75 dB with geometric weights; with the plain mean of the sources 31.26 and 30.68 dB.
     """
 
-    def __init__(self, memory: int = 10) -> None:
+    def __init__(self, memory: int = MEMORY) -> None:
         self._memory = memory
         self._ratios: dict[tuple[str, str], tuple[int, Array]] = {}
         self._falloff = LensFallOff(memory)

@@ -7,16 +7,14 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from ggvs_eval.camera import Camera
 from ggvs_eval.compute_device import compute_device, rendering_on
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.splat import COVERED_ALPHA
 from ggvs_eval.method import Instant, Rendering
-from ggvs_eval.pipelines.online.blend_maps import Guidance
+from ggvs_eval.pipelines.online.blend_maps import Guidance, nearness
 from ggvs_eval.pipelines.online.blend_weights import load_blend_network, shipped_blend_weights
 from ggvs_eval.pipelines.online.device import depth_stages, memories, picture
 from ggvs_eval.pipelines.online.device.depth_stages import DeviceMarch, History, MarchOptions, MaskOptions, PastDepth
@@ -30,6 +28,7 @@ from ggvs_eval.pipelines.online.device.launch import on_stream_of
 from ggvs_eval.pipelines.online.device.memories import Background, Shown
 from ggvs_eval.pipelines.online.device.splats import DeviceSplats, splat_views
 from ggvs_eval.pipelines.online.device.views import DeviceViews, upload
+from ggvs_eval.pipelines.online.exposure_compensation import MEMORY
 from ggvs_eval.pipelines.online.geometry_guided import SAME_SURFACE_TAU, OnlineOptions
 
 PAIRS_PER_GAUSSIAN = 2.0  # that there is room for at first
@@ -112,19 +111,19 @@ class DeviceGuided:
         most = self._network.config.views
         if len(instant.sources) > most:
             raise RenderError(f"a blending network for at most {most} source views, got {len(instant.sources)}")
-        sources = sorted(instant.sources, key=lambda source: _nearness(source.camera, instant.target))
+        sources = sorted(instant.sources, key=lambda source: nearness(source.camera, instant.target))
         clock = _StageClock(self._device)
         with rendering_on(self._device), on_stream_of(self._device):
             clock.mark("filter", "upload")
             views = upload(sources, self._device)
-            outcome, gaussians = self._render(instant, views, clock), views.depths.numel()
-            clock.mark("blend", "download")
-            image = outcome.image.permute(1, 2, 0).contiguous().numpy(force=True)
-            while int(outcome.pairs) > self._capacity(gaussians):  # known only now; nothing was remembered yet
-                self._pairs = ROOM * int(outcome.pairs) / gaussians
+            gaussians = views.depths.numel()
+            while True:
                 outcome = self._render(instant, views, clock)
                 clock.mark("blend", "download")
                 image = outcome.image.permute(1, 2, 0).contiguous().numpy(force=True)
+                if int(outcome.pairs) <= self._capacity(gaussians):  # known only now; nothing was remembered yet
+                    break
+                self._pairs = ROOM * int(outcome.pairs) / gaussians
             self._state = outcome.state
             diagnostics = {name: value.contiguous().numpy(force=True) for name, value in outcome.diagnostics.items()}
             depth = outcome.depth.numpy(force=True)
@@ -147,7 +146,7 @@ class DeviceGuided:
         filtered = replace(views, depths=depths)
         clock.mark("filter", "exposure")
         exposure, exposure_state = estimate_exposure(
-            index, target, filtered, depths, tau, state.exposure, 10 if chosen.temporal else 1
+            index, target, filtered, depths, tau, state.exposure, MEMORY if chosen.temporal else 1
         )
         if chosen.compensated:
             filtered = replace(filtered, images=compensate(filtered, exposure))
@@ -213,11 +212,6 @@ def covers(options: OnlineOptions | None, guidance: Guidance) -> bool:
     options = options or usual
     same = ("fused", "mask_views", "splatted_as", "signed_distance", "normalised_field")
     return guidance in ("registered", "channels") and all(getattr(options, name) == getattr(usual, name) for name in same)
-
-
-def _nearness(camera: Camera, target: Camera) -> tuple[float, str]:
-    """Sorts cameras as `nearest_first` does."""
-    return float(np.linalg.norm(camera.centre - target.centre)), camera.name
 
 
 class _StageClock:
