@@ -16,7 +16,6 @@ from ggvs_eval.baselines.fitted import compiled_field
 from ggvs_eval.files.weights_file import load_strict, read_tensors
 
 AXES = tuple(combinations(range(4), 2))  # xy, xz, xt, yz, yt, zt: the order of the planes
-SPATIAL = (0, 1, 3)  # planes without time among them
 TIME = 3
 HEADS = {"pos": 3, "scales": 3, "rotations": 4, "opacity": 1, "shs": 48}  # name in front of `_deform` -> outputs
 FIRST_SHARE = 0.1  # of the authors' first weights of the last layers, in a field of our own

@@ -10,7 +10,7 @@ import numpy as np
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import LARGEST_DEVIATION, ROUNDING, Camera, nearest_rotation
 from ggvs_eval.capture import Capture, Extras
-from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size
+from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size, listed
 from ggvs_eval.datasets.depth_frames import DepthFrames, read_depth_png
 from ggvs_eval.datasets.frames import ImageFrames, list_images
 from ggvs_eval.datasets.units import METRIC, GivenUnits, choose_units
@@ -31,7 +31,6 @@ LEAST_OFFSET, LARGEST_STRETCH = 0.05, 0.02
 LEAST_EXTRINSIC = 1e-3
 # Farther off than this, metres, two sensors are no RGB-D camera: the numbers are millimetres or belong to another device.
 LARGEST_DISTANCE_M = 1.0
-LISTED = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +73,7 @@ def load(path: Path, units: GivenUnits) -> Capture:
         CaptureError: fewer than two frames with a pose, or a file that is missing or damaged.
 
     Reading:
-        Frames without a finite pose are left out; `skipped_frames` lists them. Row i of ``poses.txt`` is the i-th image in the
+        Frames without a finite pose are left out, which the capture's notes say. Row i of ``poses.txt`` is the i-th image in the
         order of numbers: with these poses depth warped between frames of the HoloLens sequence agrees, also across its missing
         number; with the rows before or after it does not. Intrinsics are taken with pixel centres at halves. All cameras have one
         depth range, 0.8 times the smallest 1st and 1.2 times the largest 99th percentile among 32 evenly spaced depth maps: long
@@ -93,16 +92,10 @@ def load(path: Path, units: GivenUnits) -> Capture:
     _check_depth_size(sequence, kept, size)
     cameras = [_make_camera(path, number, sequence, size, limits) for number in kept]
     extras = [Extras(depth=_depth_source(sequence, number, size)) for number in kept]
-    return assemble_capture(path, "rgbd", cameras, sources, choose_units(path, units, cameras, of_data_set=METRIC), extras=extras)
-
-
-def skipped_frames(path: Path) -> list[str]:
-    """The frames that `load` leaves out because their pose is not finite, by name.
-
-    Raises:
-        CaptureError: a file is missing or damaged.
-    """
-    return [_name(number) for number, pose in _read_sequence(path).poses.items() if not np.isfinite(pose).all()]
+    lost = [_name(number) for number in sequence.poses if number not in kept]
+    notes = [f"{listed(lost)} left out: no finite pose, tracking was lost there"] if lost else []
+    units_per_metre = choose_units(path, units, cameras, of_data_set=METRIC)
+    return assemble_capture(path, "rgbd", cameras, sources, units_per_metre, extras=extras, notes=notes)
 
 
 def _fits(path: Path, names: Sequence[str]) -> bool:
@@ -140,8 +133,7 @@ def _numbered(folder: Path, files: Sequence[Path]) -> dict[int, Path]:
 def _check_complete(images: dict[int, Path], files: dict[int, Path], folder: Path, what: str) -> None:
     missing = [str(number) for number in images if number not in files]
     if missing or not images:
-        listed = ", ".join(missing[:LISTED]) + (", ..." if len(missing) > LISTED else "")
-        gap = f"none for {listed}" if missing else "no images"
+        gap = f"none for {listed(missing)}" if missing else "no images"
         raise CaptureError(f"{folder}: wanted a {what} for each of the {len(images)} images, got {gap}; export the frames again")
 
 

@@ -23,7 +23,7 @@ class PublishedTerms:
         frames: what was measured.
         lpips_net: backbone of LPIPS.
         dssim: which D-SSIM.
-        checked: how the values got here; recalled ones want to be looked up.
+        checked: where each value was read.
         withheld: why no value is shown beside measured ones; empty where they are.
     """
 

@@ -17,7 +17,7 @@ STILL_SHARE = 0.1
 LEAST_CHANGE = 1.0
 # The other cameras must show at least this share of their usual change at that instant.
 MOVING_SHARE = 0.3
-BAD_FROZEN, BAD_FROZEN_SHARE = 3, 0.05
+BAD_FROZEN = 3
 LISTED = 6
 
 
