@@ -1,7 +1,6 @@
 """The demo capture: the procedural room rendered by the rig, in the layout of any data set, with exact depth."""
 
 import json
-import os
 import shutil
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import asdict, replace
@@ -12,7 +11,7 @@ from typing import TypeVar
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.atomic import atomic_folder
-from ggvs_eval.jobs.processes import worker_pool
+from ggvs_eval.jobs.processes import default_workers, worker_pool
 from ggvs_eval.progress import track
 from ggvs_eval.synthetic.film.film import PARTS, Footage, light_instant, stored_instant
 from ggvs_eval.synthetic.film.options import LATER, DemoOptions
@@ -63,7 +62,7 @@ def write_demo(folder: Path, options: DemoOptions, workers: int | None = None) -
 
 def film_demo(folder: Path, options: DemoOptions, workers: int | None = None) -> Path:
     """Film the capture, as `write_demo` does, the one that ships too."""
-    with atomic_folder(folder) as unfinished, _executor(workers or os.cpu_count() or 1) as executor:
+    with atomic_folder(folder) as unfinished, _executor(workers or default_workers()) as executor:
         _film(executor, unfinished, options)
     return folder
 

@@ -11,7 +11,7 @@ from ggvs_eval.capture import Capture, CaptureEdit
 from ggvs_eval.datasets import DATASETS, open_capture
 from ggvs_eval.datasets.capture_edit import perturb_capture
 from ggvs_eval.datasets.units import GivenUnits
-from ggvs_eval.errors import CaptureError, ProtocolError
+from ggvs_eval.errors import CaptureError, CommandError, ProtocolError
 from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.pipelines.offline.calibration.calibrate import CalibrationOptions
@@ -20,6 +20,24 @@ from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.synthetic.film.options import DemoOptions
 
 NONE = "(none by default)"
+
+
+def _at_least_one(words: list[str]) -> int:
+    jobs = int(words[0])
+    if jobs < 1:
+        raise CommandError(f"--jobs {jobs}: wanted at least 1")
+    return jobs
+
+
+_COUNT = tyro.constructors.PrimitiveConstructorSpec(
+    nargs=1,
+    metavar="INT",
+    instance_from_str=_at_least_one,
+    is_instance=lambda value: isinstance(value, int),
+    str_from_instance=lambda value: [str(value)],
+)
+Jobs = Annotated[int, _COUNT]
+ONE_PER_CORE = default_workers()
 Run = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
 CaptureFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE")]
 Frames = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FRAMES")]
@@ -89,6 +107,7 @@ def demo(
     out: Output,
     room: tyro.conf.OmitArgPrefixes[DemoOptions] = DemoOptions(),  # noqa: B008 - frozen
     seconds: float | None = None,
+    jobs: Jobs = ONE_PER_CORE,
 ) -> None:
     """Write the demo capture: a procedural dynamic room in the layout of a data set, with exact depth beside it.
 
@@ -96,12 +115,13 @@ def demo(
         out: folder to write; absent, or holding this very demo.
         room: the room, the rig and the sensors.
         seconds: length of the videos, instead of --n-frames.
+        jobs: processes.
     """
     from ggvs_eval.synthetic.demo import write_demo
 
     if seconds is not None:
         room = replace(room, n_frames=round(seconds * room.fps))
-    print(write_demo(out, room, default_workers()))
+    print(write_demo(out, room, jobs))
 
 
 def check(
@@ -109,7 +129,7 @@ def check(
     reading: Taken = AS_TAKEN,
     out: Path | None = None,
     repair: bool = False,
-    jobs: int = default_workers(),
+    jobs: Jobs = ONE_PER_CORE,
 ) -> None:
     """Look for what would spoil results: frames, poses, intrinsics, timing, colour, epipolar geometry, overlap.
 

@@ -10,10 +10,11 @@ from typing import Annotated, Any, Union
 import tyro
 
 from ggvs_eval.errors import CommandError, GgvsError, ProtocolError, did_you_mean, mendable
-from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.pipelines.commands.captures import (
     BY_DEFAULT,
     NONE,
+    ONE_PER_CORE,
+    Jobs,
     Reading,
     calibrate,
     check,
@@ -42,7 +43,7 @@ def score(
     device: Device = "cpu",
     first_frame: int | None = None,
     reading: Reading = BY_DEFAULT,
-    jobs: int = default_workers(),
+    jobs: Jobs = ONE_PER_CORE,
 ) -> None:
     """Measure all renders of a run, and frames that others rendered, under one protocol.
 

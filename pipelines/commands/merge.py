@@ -7,8 +7,7 @@ from typing import Annotated
 import tyro
 
 from ggvs_eval.errors import ResultsError
-from ggvs_eval.jobs.processes import default_workers
-from ggvs_eval.pipelines.commands.captures import Output
+from ggvs_eval.pipelines.commands.captures import ONE_PER_CORE, Jobs, Output
 
 
 def merge(
@@ -17,7 +16,7 @@ def merge(
         tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN RUN [RUN ...]", help_behavior_hint="(at least two)")
     ],
     copy: bool = False,
-    jobs: int = default_workers(),
+    jobs: Jobs = ONE_PER_CORE,
 ) -> None:
     """Put run folders of one capture and protocol, made on several machines, into a new one, and make its table.
 

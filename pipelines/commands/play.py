@@ -6,8 +6,7 @@ from typing import Annotated
 import tyro
 
 from ggvs_eval.geometry.source_views import SourceChoice
-from ggvs_eval.jobs.processes import default_workers
-from ggvs_eval.pipelines.commands.captures import BY_DEFAULT, FOUND_BY_DEFAULT, Finding, Reading
+from ggvs_eval.pipelines.commands.captures import BY_DEFAULT, FOUND_BY_DEFAULT, ONE_PER_CORE, Finding, Jobs, Reading
 from ggvs_eval.pipelines.commands.runs import Device
 from ggvs_eval.pipelines.methods.network_options import checked_device
 from ggvs_eval.pipelines.methods.registry import METHODS
@@ -28,7 +27,7 @@ def play(
     device: Device = "cpu",
     reading: Reading = BY_DEFAULT,
     depth: Finding = FOUND_BY_DEFAULT,
-    jobs: int = default_workers(),
+    jobs: Jobs = ONE_PER_CORE,
 ) -> None:
     """Synthesise the view of a camera that goes round between the cameras of a rig into a video, and tell how fast.
 
@@ -77,7 +76,7 @@ def view(
     device: Device = "cpu",
     reading: Reading = BY_DEFAULT,
     depth: Finding = FOUND_BY_DEFAULT,
-    jobs: int = default_workers(),
+    jobs: Jobs = ONE_PER_CORE,
 ) -> None:
     """Look at a scene in the browser: drag the camera, and a method renders what it sees while time plays or stands.
 

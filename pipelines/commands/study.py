@@ -5,8 +5,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from ggvs_eval.jobs.processes import default_workers
-from ggvs_eval.pipelines.commands.captures import Output
+from ggvs_eval.pipelines.commands.captures import ONE_PER_CORE, Jobs, Output
 
 Captures = Annotated[
     tuple[Path, ...], tyro.conf.arg(metavar="CAPTURE|VIDEOS|VIDEO ...", help_behavior_hint="(default: the demo)")
@@ -24,7 +23,7 @@ def metric_study(
     size: int = 168,
     on: Literal["truth", "rendering"] = "truth",
     seeds: int = 1,
-    jobs: int = default_workers(),
+    jobs: Jobs = ONE_PER_CORE,
 ) -> None:
     """Plant degradations of known strength in true frames, and find out which metric sees which and what it is blind to.
 

@@ -137,3 +137,9 @@ def test_a_mistyped_option_suggests_that_of_its_own_command(capsys):
 
     assert "Perhaps you meant" in told
     assert told.count("--protocol") == 1
+
+
+@pytest.mark.parametrize("verb", [("demo", "out"), ("check", "room"), ("score", "out"), ("play", "room", "out.mp4")])
+def test_no_process_at_all_is_one_line(verb):
+    """Each verb that starts processes wants at least one, also where it would find nothing to do."""
+    assert refusal(*verb, "--jobs", "0").endswith("--jobs 0: wanted at least 1")

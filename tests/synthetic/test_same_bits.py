@@ -18,7 +18,6 @@ from helpers import tiny_films
 # Each library is made to believe in the instruction sets of an older processor, by variables of its own.
 PROCESSORS = {
     "this one": {},
-    "Skylake-X": {"OPENBLAS_CORETYPE": "SkylakeX", "OPENCV_IPP": "disabled"},
     "Nehalem": {
         "OPENBLAS_CORETYPE": "Nehalem",
         "NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4 AVX512_ICL",
@@ -71,7 +70,7 @@ def test_what_is_filmed_asks_no_library_for_products_or_functions(module):
     assert (products, functions) == ([], [])
 
 
-@pytest.mark.slow  # three processes film, some eight seconds of a core each
+@pytest.mark.slow  # two processes film, some eight seconds of a core each
 def test_films_have_the_same_bits_on_every_processor(tmp_path):
     """Three layouts have the golden pictures, depth and cameras, and equal files, under the settings of other processors too."""
     ruled = {name for setting in PROCESSORS.values() for name in setting}

@@ -1,6 +1,8 @@
 """Light on every vertex: soft shadows and several bounces, baked once for what stands still, updated where something moves."""
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,8 +46,22 @@ class Instant:
     highlights: list[Highlight]
 
 
+class _Baked(NamedTuple):
+    """Light of what stands still.
+
+    Attributes:
+        transfer: share of each sample point's power that reaches each vertex, (V, S).
+        radiosity: what each face sends out, the last one for "nothing seen", (F + 1, 3).
+        ambient: what bounces onto each vertex, (V, 3).
+    """
+
+    transfer: Array32
+    radiosity: Array32
+    ambient: Array32
+
+
 class LitRoom:
-    """A room with its light baked; `at` gives it at any time."""
+    """A room whose light is baked once; `at` gives it at any time."""
 
     def __init__(self, room: Room) -> None:
         self.room = room
@@ -54,8 +70,6 @@ class LitRoom:
         self._light_of_point = np.repeat(np.arange(len(room.lights)), [len(light.points) for light in room.lights])
         self._directions = hemisphere(AMBIENT_DIRECTIONS)
         self._albedo = np.stack([mean_albedo(material) for material in self.static.materials])[self.static.material]  # (F, 3)
-        self._transfer, self._radiosity, self._ambient = self._bake()  # (V, S), (F + 1, 3), (V, 3)
-        self._resting_light = _sum_over_points(self._transfer, self._power(0.0)) + self._ambient
 
     def at(self, time_s: float) -> Instant:
         """The lit room at an instant."""
@@ -76,8 +90,18 @@ class LitRoom:
         moving, highlights = Geometry(self.room.at(time_s)), self._highlights(self._power(time_s))
         return Instant(self.static, moving, static_light, moving_light, highlights)
 
+    @cached_property
+    def _baked(self) -> _Baked:
+        """Computed when it is first asked for: whoever only recalls instants needs none of it."""
+        return _Baked(*self._bake())
+
+    @cached_property
+    def _resting_light(self) -> Array32:
+        """Irradiance of the static vertices at time 0 without what moves, (V, 3)."""
+        return _sum_over_points(self._baked.transfer, self._power(0.0)) + self._baked.ambient
+
     def _bake(self) -> tuple[Array32, Array32, Array32]:
-        """Light what stands still: transfer to vertices (V, S), what each face sends out (F + 1, 3), what bounces (V, 3)."""
+        """Light what stands still; what `_Baked` has."""
         transfer = self._direct_transfer(self.static, self.static)
         faces = self._seen_faces(self.static, self.static.vertices, self.static.normals)  # (V, A)
         return transfer, *self._bounce(_sum_over_points(transfer, self._power(0.0)), faces)
@@ -139,7 +163,7 @@ class LitRoom:
     def _shadowed(self, casters: list[Geometry]) -> tuple[Array32, Array32]:
         """Transfer (V, S) and ambient light (V, 3) of the static vertices with moving things in the way."""
         origins = self.static.vertices + OFFSET_M * self.static.normals
-        transfer, ambient = self._transfer.copy(), self._ambient.copy()
+        transfer, ambient = self._baked.transfer.copy(), self._baked.ambient.copy()
         for caster in casters:
             for index, point in enumerate(self._points):
                 lit = np.flatnonzero(transfer[:, index])
@@ -166,7 +190,7 @@ class LitRoom:
         directions = around(moving.normals, self._directions).reshape(-1, 3)
         origins = np.repeat(moving.vertices + OFFSET_M * moving.normals, AMBIENT_DIRECTIONS, axis=0)
         seen_faces[moving.blocks(origins, directions, CONTACT_M).reshape(seen_faces.shape)] = -1
-        return np.stack([self._radiosity[seen_faces, channel].mean(axis=1) for channel in range(3)], axis=-1)
+        return np.stack([self._baked.radiosity[seen_faces, channel].mean(axis=1) for channel in range(3)], axis=-1)
 
 
 def hemisphere(count: int) -> Array32:
