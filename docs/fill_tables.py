@@ -94,6 +94,8 @@ def main() -> None:
             "ceilings": lambda: ceilings_table(OUT / "demo"),
             "real_frame": lambda: results_table(OUT / "real_frame"),
             "real_frame_views": lambda: views_table(OUT / "real_frame"),
+            "real_frame_folds": lambda: results_table(OUT / "real_frame_folds"),
+            "real_frame_folds_views": lambda: views_table(OUT / "real_frame_folds"),
             "real_frame_coverage": lambda: results_table(OUT / "real_frame_coverage"),
             "real_frame_coverage_views": lambda: views_table(OUT / "real_frame_coverage"),
             "baselines": lambda: sweep_table(OUT / "rooms_baselines", BASELINE_METRICS, OUT / "rooms_speed"),
@@ -112,6 +114,9 @@ def main() -> None:
             "offline": lambda: report_table(OFFLINE_RUN, ("quality", "consistency", "path"), OFFLINE_METRICS),
             "offline_price": lambda: report_table(OFFLINE_RUN, ("price",), PRICE_METRICS),
             "offline_costs": lambda: report_table(OFFLINE_RUN, ("costs",)),
+            "offline_unseen": lambda: report_table(
+                OUT / "offline_unseen" / "offline", ("quality", "consistency", "path"), OFFLINE_METRICS
+            ),
             "over_k": lambda: k_table(OUT / "rooms_k", BASELINE_METRICS),
             "held": lambda: results_table(OUT / "real_frame_held"),
             "calibration": lambda: figures_table(OUT / "validate.json", r"calibration\."),
