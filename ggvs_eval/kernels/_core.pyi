@@ -101,6 +101,7 @@ def overview(
     scale: int,
     covered_alpha: float,
     threads: int,
+    level: int,
 ) -> tuple[Image, Image, NDArray[np.bool_], tuple[Image, Image, Image, Image]]: ...
 def network_inputs(
     colours: Image,

@@ -3,6 +3,7 @@
 #include "blend.hpp"
 #include "compose.hpp"
 #include "level.hpp"
+#include "overview.hpp"
 #include "ray_pooling.hpp"
 #include "refine.hpp"
 #include "register.hpp"
@@ -22,6 +23,7 @@ struct Kernels {
     void (*march_column)(const March&, const MarchColumn&, float* depth, float* weight);
     void (*look_up_row)(const LookUp&, int y, float* out);
     void (*register_row)(const Registration&, int view, int y, const RegisteredMaps& out);
+    void (*overview_row)(const Views&, const OverviewMaps& out, int y);
     void (*compose_row)(const ComposedRow&);
     void (*evidence_row)(const EvidenceRow&);
     void (*look_row)(const ConvolvedRow&);  // 3 x 3, leaky

@@ -67,14 +67,18 @@ def test_nothing_known_of_the_surface():
 
 
 def test_threads_do_not_change_a_bit():
-    """Overview and channels are the same for one thread and for three."""
-    maps, found = random_maps(np.random.default_rng(1), 130, 90, 4), []
-    for threads in (1, 3):
-        kernels.set_threads(threads)
-        seen = overview(maps, 4)
-        found.append([seen.unseen, seen.picture, seen.small.colours, network_channels(seen.small, "registered", 6)])
-    for first, second in zip(*found, strict=True):
-        np.testing.assert_array_equal(first, second)
+    """Overview and channels are the same for one thread and for three, and for every instruction set."""
+    maps, results = random_maps(np.random.default_rng(1), 130, 90, 4), []
+    for level in kernels.available_levels():
+        for threads in (1, 3):
+            kernels.set_simd_level(level)
+            kernels.set_threads(threads)
+            seen = overview(maps, 4)
+            channels = network_channels(seen.small, "registered", 6)
+            results.append([seen.unseen, seen.picture, seen.covered, seen.small.colours, channels])
+    for result in results[1:]:
+        for first, second in zip(results[0], result, strict=True):
+            np.testing.assert_array_equal(first, second)
 
 
 def test_what_does_not_fit_is_refused():
@@ -83,6 +87,6 @@ def test_what_does_not_fit_is_refused():
     with pytest.raises(ValueError, match="not more than the network takes"):
         network_channels(maps, "registered", 2)
     with pytest.raises(ValueError, match="scale of at least 1"):
-        _core.overview(maps.colours, maps.coverage, maps.visibilities, maps.alphas, maps.weights, 0, 0.5, 1)
+        _core.overview(maps.colours, maps.coverage, maps.visibilities, maps.alphas, maps.weights, 0, 0.5, 1, 0)
     with pytest.raises(TypeError, match="seen: wanted float32"):
         overview(replace(maps, visibilities=maps.visibilities[:, :5]), 2)
