@@ -16,7 +16,7 @@ namespace ggvs {
 struct Kernels {
     bool (*tile_ranges)(const Projector&, const float* depth, int column, int row, int count, TileRanges* out);
     void (*ellipses)(const Projector&, const SplatSource&, int channels, const uint32_t* pixels, int count, int left, int top,
-                     Ellipse* out, BlockRange* ranges);
+                     const Ellipses& out);
     void (*splat_block)(const BlockList&, int channels, bool normalised, SplatImages out);
     int block_rows;
     void (*fusion_row)(const FusionRow&);

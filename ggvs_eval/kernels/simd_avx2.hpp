@@ -146,6 +146,13 @@ GGVS_INLINE void gather_quads(const uint8_t* p, I at, I (&quads)[4]) {
     quads[0] = (I)_mm256_unpacklo_epi64(low[0], low[1]), quads[1] = (I)_mm256_unpackhi_epi64(low[0], low[1]);
     quads[2] = (I)_mm256_unpacklo_epi64(high[0], high[1]), quads[3] = (I)_mm256_unpackhi_epi64(high[0], high[1]);
 }
+// Three bytes of every lane side by side, and a fourth that is 0: four bytes behind them are read.
+GGVS_INLINE I load_byte_triples(const uint8_t* p) {
+    const __m128i spread = _mm_setr_epi8(0, 1, 2, -1, 3, 4, 5, -1, 6, 7, 8, -1, 9, 10, 11, -1);
+    const __m128i low = _mm_loadu_si128((const __m128i*)p), high = _mm_loadu_si128((const __m128i*)(p + 12));
+    const __m256i both_halves = _mm256_inserti128_si256(_mm256_castsi128_si256(low), high, 1);
+    return (I)_mm256_shuffle_epi8(both_halves, _mm256_broadcastsi128_si256(spread));
+}
 GGVS_INLINE I gather_bytes(const uint8_t* p, I at) { return (I)_mm256_i32gather_epi32((const int*)p, (__m256i)at, 1); }
 
 }  // namespace ggvs::GGVS_LEVEL

@@ -162,6 +162,14 @@ GGVS_INLINE void gather_quads(const uint8_t* p, I at, I (&quads)[4]) {
     quads[0] = (I)_mm512_unpacklo_epi64(low[0], low[1]), quads[1] = (I)_mm512_unpackhi_epi64(low[0], low[1]);
     quads[2] = (I)_mm512_unpacklo_epi64(high[0], high[1]), quads[3] = (I)_mm512_unpackhi_epi64(high[0], high[1]);
 }
+// Three bytes of every lane side by side, and a fourth that is 0: four bytes behind them are read.
+GGVS_INLINE I load_byte_triples(const uint8_t* p) {
+    const __m128i spread = _mm_setr_epi8(0, 1, 2, -1, 3, 4, 5, -1, 6, 7, 8, -1, 9, 10, 11, -1);
+    const auto quarter = [p](int n) { return _mm_loadu_si128((const __m128i*)(p + 12 * n)); };
+    __m512i quarters = _mm512_inserti32x4(_mm512_castsi128_si512(quarter(0)), quarter(1), 1);
+    quarters = _mm512_inserti32x4(_mm512_inserti32x4(quarters, quarter(2), 2), quarter(3), 3);
+    return (I)_mm512_shuffle_epi8(quarters, _mm512_broadcast_i32x4(spread));
+}
 GGVS_INLINE I gather_bytes(const uint8_t* p, I at) { return (I)_mm512_i32gather_epi32((__m512i)at, p, 1); }
 
 }  // namespace ggvs::GGVS_LEVEL

@@ -82,6 +82,12 @@ GGVS_INLINE void gather_quads(const uint8_t* p, I at, I (&quads)[4]) {
         for (int n = 0; n < 4; ++n) __builtin_memcpy(&lanes[n][lane], p + at[lane] + 4 * n, sizeof(int32_t));
     for (int n = 0; n < 4; ++n) quads[n] = load(lanes[n]);
 }
+// Three bytes of every lane side by side, and any fourth: four bytes behind them are read.
+GGVS_INLINE I load_byte_triples(const uint8_t* p) {
+    int32_t lanes[kWidth];
+    for (int lane = 0; lane < kWidth; ++lane) __builtin_memcpy(lanes + lane, p + 3 * lane, sizeof(int32_t));
+    return load(lanes);
+}
 // Four bytes from any address.
 GGVS_INLINE I gather_bytes(const uint8_t* p, I at) {
     int32_t lanes[kWidth];
