@@ -118,7 +118,9 @@ GGVS_INLINE void store_quads(float* p, int stride, F a, F b, F c, F d) {
 }
 // Three values of every lane side by side, read and written: the two halves of a vector on their own.
 GGVS_INLINE void load_triples(const float* p, F* a, F* b, F* c) {
-    const auto halves = [p](int n) { return _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_loadu_ps(p + n)), _mm_loadu_ps(p + n + 12), 1); };
+    const auto halves = [p](int n) {
+        return _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_loadu_ps(p + n)), _mm_loadu_ps(p + n + 12), 1);
+    };
     const F first = halves(0), second = halves(4), third = halves(8);  // a b c a, b c a b, c a b c
     *a = _mm256_shuffle_ps(first, _mm256_shuffle_ps(second, third, 0x5a), 0x8c);
     *b = _mm256_shuffle_ps(_mm256_shuffle_ps(first, second, 0x05), _mm256_shuffle_ps(second, third, 0xaf), 0x88);

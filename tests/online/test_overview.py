@@ -12,7 +12,7 @@ from ggvs_eval.geometry.per_pixel import weighted_mean
 from ggvs_eval.geometry.splat import COVERED_ALPHA
 from ggvs_eval.kernels import _core
 from ggvs_eval.pipelines.online.full_size import overview
-from ggvs_eval.pipelines.online.network_inputs import channel_count, input_channels, network_channels
+from ggvs_eval.pipelines.online.network_inputs import channel_count, input_channels, network_channels, present_channels
 from helpers.blender_inputs import random_maps
 from helpers.geometry_scenes import seeds
 
@@ -51,6 +51,15 @@ def test_the_kernel_makes_the_channels(seed, width, height, views, guidance):
     found, expected = network_channels(maps, guidance, 5), input_channels(maps, guidance, 5)
     assert found.shape == expected.shape == (channel_count(5, guidance), height, width)
     np.testing.assert_allclose(found, expected, atol=2e-6, rtol=2e-6)
+
+
+@pytest.mark.parametrize("guidance", ["registered", "channels", "none", "naive"])
+def test_channels_of_views_that_are_there(guidance):
+    """Of the channels of a network for five views, those of three are the ones that hold anything, in their order."""
+    maps = random_maps(np.random.default_rng(3), 20, 10, 3)
+    present, whole = present_channels(3, 5, guidance), input_channels(maps, guidance, 5)
+    np.testing.assert_array_equal(whole[present], input_channels(maps, guidance))
+    assert not np.delete(whole, present, axis=0).any()
 
 
 def test_a_network_without_the_surface_gets_its_channels_too():
