@@ -8,7 +8,7 @@ from typing import Any
 KERNELS = Path("ggvs_eval/kernels")
 SOURCES = (
     *("core", "splat", "tsdf", "occupancy", "warp", "dispatch", "level_baseline", "level_avx2", "level_avx512"),
-    *("images", "filter", "blend", "push_pull", "contested", "shade", "register", "compose", "refine", "learned"),
+    *("images", "filter", "blend", "push_pull", "remember", "contested", "shade", "register", "compose", "refine", "learned"),
     *("unet", "unet_bindings", "memory", "overview", "network_inputs", "ray_pooling", "ray_pooling_bindings"),
 )
 GAUSSIANS = (

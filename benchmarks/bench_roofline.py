@@ -45,7 +45,8 @@ OPERATIONS: dict[str, Callable[["Call"], float]] = {
     "refine": lambda call: 2 * sum(np.prod(layer[0].shape[:3]) * layer[2] for layer in call.arguments[8]) + 140,
     "mix_depth": lambda call: 8,
 }
-TAKE_LEVEL = ("splat", "ray_march", "fusion_weights", "register_views", "compose", "refine", "unet")  # as their last argument
+# The instruction set is their last argument.
+TAKE_LEVEL = ("splat", "ray_march", "fusion_weights", "register_views", "overview", "compose", "refine", "unet")
 
 
 @dataclass(frozen=True)

@@ -82,6 +82,16 @@ def settle_depth(
     threads: int,
 ) -> Image: ...
 def shade(image: Image8, gain: Image, down: Image, across: Image, threads: int) -> Image8: ...
+def remember(
+    depth: Image,
+    still: Image,
+    alphas: Sequence[Image],
+    rules: tuple[float, float, float, float, float, float],  # as remember.hpp has them
+    image: Image,
+    past: Image,
+    past_depth: Image,
+    threads: int,
+) -> None: ...
 def push_pull(colour: Image, known: NDArray[np.bool_], threads: int) -> Image: ...
 def register_views(
     target: Pinhole,
@@ -101,6 +111,7 @@ def overview(
     scale: int,
     covered_alpha: float,
     threads: int,
+    level: int,
 ) -> tuple[Image, Image, NDArray[np.bool_], tuple[Image, Image, Image, Image]]: ...
 def network_inputs(
     colours: Image,

@@ -16,29 +16,47 @@ struct Seen {
 
 // Four neighbours and their weights; the border is repeated.
 struct Corners {
-    I at[4];  // pixels
+    I upper, lower;  // pixels on the left of each row
+    M last;          // the column is the last one: on the right is the same pixel
+    M right, below;  // where the nearest is
     F share[4];
 };
 
 GGVS_INLINE Corners corners(const Pinhole& camera, F u, F v) {
-    const F zero = all(0.0f), one = all(1.0f), last_x = all(float(camera.width - 1)), last_y = all(float(camera.height - 1));
-    F x = min(max(u - all(0.5f), zero), last_x), y = min(max(v - all(0.5f), zero), last_y);
-    I x0 = truncate(x), y0 = truncate(y);
-    I x1 = truncate(min(to_float(x0) + one, last_x)), y1 = truncate(min(to_float(y0) + one, last_y));
+    const F zero = all(0.0f), half = all(0.5f), one = all(1.0f);
+    const F last_x = all(float(camera.width - 1)), last_y = all(float(camera.height - 1));
+    F x = min(max(u - half, zero), last_x), y = min(max(v - half, zero), last_y);
+    I x0 = truncate(x), y0 = truncate(y), y1 = truncate(min(to_float(y0) + one, last_y));
     F fx = x - to_float(x0), fy = y - to_float(y0);
     I stride = all(int32_t(camera.width));
-    return {{y0 * stride + x0, y0 * stride + x1, y1 * stride + x0, y1 * stride + x1},
+    return {y0 * stride + x0,
+            y1 * stride + x0,
+            at_most(last_x, x),
+            at_most(half, fx),
+            at_most(half, fy),
             {(one - fy) * (one - fx), (one - fy) * fx, fy * (one - fx), fy * fx}};
 }
 
+// The depth at a pixel and on its right.
+GGVS_INLINE void neighbours(const LookUpView& view, I at, M last, F* left, F* right) {
+    if (view.camera.width < 2) {
+        *left = *right = gather(view.depth, at);
+        return;
+    }
+    F first, second;  // from the last column but one on where there is nothing on the right
+    read_pairs(view.depth, select(last, at - all(int32_t(1)), at), &first, &second);
+    *left = select(last, second, first), *right = second;
+}
+
 // Bilinear where the four neighbours belong to one surface (valid, within the tolerance), else the nearest pixel's.
-GGVS_INLINE F depth_at(const LookUpView& view, const Corners& c, F u, F v, float tolerance) {
-    F d0 = gather(view.depth, c.at[0]), d1 = gather(view.depth, c.at[1]);
-    F d2 = gather(view.depth, c.at[2]), d3 = gather(view.depth, c.at[3]);
+GGVS_INLINE F depth_at(const LookUpView& view, const Corners& c, float tolerance) {
+    F d0, d1, d2, d3;
+    neighbours(view, c.upper, c.last, &d0, &d1);
+    neighbours(view, c.lower, c.last, &d2, &d3);
     F low = min(min(d0, d1), min(d2, d3)), high = max(max(d0, d1), max(d2, d3));
     F mean = c.share[0] * d0 + c.share[1] * d1 + c.share[2] * d2 + c.share[3] * d3;
     M smooth = both(less(all(0.0f), low), less(high - low, all(tolerance)));
-    return select(smooth, mean, gather(view.depth, truncate(v) * all(int32_t(view.camera.width)) + truncate(u)));
+    return select(smooth, mean, select(c.below, select(c.right, d3, d2), select(c.right, d1, d0)));
 }
 
 // Four pixels of a line and their Catmull-Rom weights, as in warp.cpp; the border is repeated.
@@ -82,37 +100,19 @@ GGVS_INLINE Colour colour_near_border(const LookUpView& view, const Taps& x, con
     return sum;
 }
 
-// The same where no pixel is repeated: four side by side are twelve bytes, three reads.
+// The same where no pixel is repeated: four side by side are twelve bytes, which are read with the four behind them.
 GGVS_INLINE Colour colour_diagnostics(const LookUpView& view, const Taps& x, const Taps& y) {
     const I low_byte = all(int32_t(255)), low_half = all(int32_t(0xffff)), low_three = all(int32_t(0xffffff));
     Colour sum{all(0.0f), all(0.0f), all(0.0f)};
     for (int n = 0; n < 4; ++n) {
-        I byte = (y.at[n] * all(int32_t(view.camera.width)) + x.at[0]) * all(int32_t(3));
-        I first = gather_bytes(view.image, byte), second = gather_bytes(view.image, byte + all(int32_t(4)));
-        I third = gather_bytes(view.image, byte + all(int32_t(8)));
-        add_pixel(sum, first, y.share[n] * x.share[0]);
-        add_pixel(sum, ((first >> 24) & low_byte) | ((second & low_half) << 8), y.share[n] * x.share[1]);
-        add_pixel(sum, ((second >> 16) & low_half) | ((third & low_byte) << 16), y.share[n] * x.share[2]);
-        add_pixel(sum, (third >> 8) & low_three, y.share[n] * x.share[3]);
+        I quads[4];
+        gather_quads(view.image, (y.at[n] * all(int32_t(view.camera.width)) + x.at[0]) * all(int32_t(3)), quads);
+        add_pixel(sum, quads[0], y.share[n] * x.share[0]);
+        add_pixel(sum, ((quads[0] >> 24) & low_byte) | ((quads[1] & low_half) << 8), y.share[n] * x.share[1]);
+        add_pixel(sum, ((quads[1] >> 16) & low_half) | ((quads[2] & low_byte) << 16), y.share[n] * x.share[2]);
+        add_pixel(sum, (quads[2] >> 8) & low_three, y.share[n] * x.share[3]);
     }
     return sum;
-}
-
-// Catmull-Rom, clipped to the range of colours.
-GGVS_INLINE Colour colour_at(const LookUpView& view, F u, F v) {
-    const Taps x = cubic_taps(u, view.camera.width), y = cubic_taps(v, view.camera.height);
-    const F three = all(3.0f), zero = all(0.0f), most = all(255.0f);
-    M repeated = either(less(to_float(x.at[3] - x.at[0]), three), less(to_float(y.at[3] - y.at[0]), three));
-    const Colour sum = any(repeated) ? colour_near_border(view, x, y) : colour_diagnostics(view, x, y);
-    return {min(max(sum.red, zero), most), min(max(sum.green, zero), most), min(max(sum.blue, zero), most)};
-}
-
-// What the packets after this one look at: the row below is the first of this row to be read, and gathers are foreseen by nobody.
-GGVS_INLINE void prefetch_ahead(const LookUpView& view, const Corners& c) {
-    constexpr int kAheadPixels = 64;
-    const int64_t pixel = int64_t(c.at[2][0]) + kAheadPixels;
-    __builtin_prefetch(view.depth + pixel);
-    __builtin_prefetch(view.image + 3 * (pixel + view.camera.width));
 }
 
 // Where the surface of some target pixels lies in a view.
@@ -120,6 +120,29 @@ struct Sight {
     F u, v, z;
     M inside;  // the view's image
 };
+
+// Catmull-Rom, clipped to the range of colours; where a view sees nothing it is some colour of its.
+GGVS_INLINE Colour colour_at(const LookUpView& view, const Sight& sight, F visibility) {
+    const F three = all(3.0f), zero = all(0.0f), most = all(255.0f), half = all(0.5f);
+    const M visible = less(zero, visibility);  // the others must not make all wait for the border
+    const F u = select(visible, sight.u, half * all(float(view.camera.width)));
+    const F v = select(visible, sight.v, half * all(float(view.camera.height)));
+    const Taps x = cubic_taps(u, view.camera.width), y = cubic_taps(v, view.camera.height);
+    M repeated = either(less(to_float(x.at[3] - x.at[0]), three), less(to_float(y.at[3] - y.at[0]), three));
+    // Nor may sixteen bytes reach beyond the image, as they do from its last five pixels.
+    const M last_row = at_most(all(float(view.camera.height - 1)), to_float(y.at[3]));
+    repeated = either(repeated, both(last_row, at_most(all(float(view.camera.width - 2)), to_float(x.at[3]))));
+    const Colour sum = any(repeated) ? colour_near_border(view, x, y) : colour_diagnostics(view, x, y);
+    return {min(max(sum.red, zero), most), min(max(sum.green, zero), most), min(max(sum.blue, zero), most)};
+}
+
+// What the packets after this one look at: the row below is the first of this row to be read, and gathers are foreseen by nobody.
+GGVS_INLINE void prefetch_ahead(const LookUpView& view, const Corners& c) {
+    constexpr int kAheadPixels = 64;
+    const int64_t pixel = int64_t(c.lower[0]) + kAheadPixels;
+    __builtin_prefetch(view.depth + pixel);
+    __builtin_prefetch(view.image + 3 * (pixel + view.camera.width));
+}
 
 GGVS_INLINE Sight sight_of(const LookUpView& view, F column, F row, F depth) {
     const float *m = view.map.matrix, *o = view.map.offset;
@@ -137,7 +160,7 @@ GGVS_INLINE F visibility_of(const LookUpView& view, const Sight& sight, float to
     if (!any(sight.inside)) return all(0.0f);
     const Corners around = corners(view.camera, sight.u, sight.v);
     prefetch_ahead(view, around);
-    F there = depth_at(view, around, sight.u, sight.v, tolerance);
+    F there = depth_at(view, around, tolerance);
     F difference = there - sight.z;
     F excess = max(difference, all(0.0f) - difference) / all(tolerance);
     F visibility = min(max(all(2.0f) - excess, all(0.0f)), all(1.0f));
@@ -149,7 +172,7 @@ GGVS_INLINE F visibility_of(const LookUpView& view, const Sight& sight, float to
 GGVS_INLINE Seen see(const LookUpView& view, F column, F row, F depth, float tolerance) {
     const Sight sight = sight_of(view, column, row, depth);
     Seen seen{{all(0.0f), all(0.0f), all(0.0f)}, visibility_of(view, sight, tolerance)};
-    if (any(less(all(0.0f), seen.visibility))) seen.colour = colour_at(view, sight.u, sight.v);
+    if (any(less(all(0.0f), seen.visibility))) seen.colour = colour_at(view, sight, seen.visibility);
     return seen;
 }
 

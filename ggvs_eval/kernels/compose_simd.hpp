@@ -22,13 +22,12 @@ GGVS_INLINE F background_weight(F change, F start, float sure) {
 GGVS_INLINE Colour foreground(const ComposedRow& row, int x, int count, F* total, F* shown, float* kept) {
     const Composition& job = row.job;
     const int64_t pixels = int64_t(job.height) * job.width, first = int64_t(row.y) * job.width + x;
-    const I at = strides(3, count);
     Colour sum{all(0.0f), all(0.0f), all(0.0f)};
     *total = all(0.0f), *shown = all(0.0f);
     for (int k = 0; k < job.views; ++k, kept += 4 * kWidth) {
         F coverage = load_part(job.coverage + k * pixels + first, count);
         F weight = load(row.enlarged + k * row.stride + x) * coverage;
-        Colour colour = gather_colour(job.colours + 3 * (k * pixels + first), at);
+        Colour colour = load_colour(job.colours + 3 * (k * pixels + first), count);
         sum.red = sum.red + weight * colour.red;
         sum.green = sum.green + weight * colour.green;
         sum.blue = sum.blue + weight * colour.blue;
@@ -46,7 +45,7 @@ GGVS_INLINE void compose_packet(const ComposedRow& row, int x, int count) {
     const float* change = row.enlarged + job.views * row.stride + x;
     F total, shown, zero = all(0.0f), one = all(1.0f);
     Colour picture = foreground(row, x, count, &total, &shown, row.scratch);
-    Colour behind = gather_colour(job.background + 3 * first, strides(3, count));
+    Colour behind = load_colour(job.background + 3 * first, count);
     F share = background_weight(load(change), load_part(job.unseen + first, count), job.sure);
     picture.red = mixed(share, picture.red, min(max(behind.red + load(change + row.stride), zero), one));
     picture.green = mixed(share, picture.green, min(max(behind.green + load(change + 2 * row.stride), zero), one));

@@ -7,6 +7,15 @@
 
 namespace ggvs {
 
+// What any processor computes at once.
+using Four = float __attribute__((vector_size(16)));
+
+inline Four four_of(const float* from) {
+    Four values;
+    std::memcpy(&values, from, sizeof values);
+    return values;
+}
+
 // Maps of a view with `scale` times fewer pixels across and down; pixels beyond the last whole block are cut off.
 struct SmallMaps {
     const float* values;  // (channels, height, width)
@@ -54,7 +63,16 @@ private:
         for (int c = 0; c < channels_; ++c) {
             const float* from = maps_.values + (int64_t(first_channel_ + c) * maps_.height + row) * maps_.width;
             float* to = line + int64_t(c) * count_;
-            for (int x = 0; x < count_; ++x) to[x] = (1.0f - share[x]) * from[first[x]] + share[x] * from[second[x]];
+            for (int x = 0; x < count_; ++x) {
+                const float left = from[first[x]], right = from[second[x]];
+                if (x + 4 > count_ || first[x + 3] != first[x]) {
+                    to[x] = (1.0f - share[x]) * left + share[x] * right;
+                    continue;
+                }
+                const Four shares = four_of(share + x), mixed = (1.0f - shares) * left + shares * right;
+                std::memcpy(to + x, &mixed, sizeof mixed);
+                x += 3;
+            }
         }
         return line;
     }

@@ -1,4 +1,4 @@
-// Python bindings of the kernels that work on images: filter, weighted means, look-up, holes.
+// Python bindings of the kernels that work on images: filter, weighted means, look-up, holes, background memory.
 #include "images.hpp"
 
 #include <limits>
@@ -8,6 +8,7 @@
 #include "contested.hpp"
 #include "filter.hpp"
 #include "push_pull.hpp"
+#include "remember.hpp"
 #include "shade.hpp"
 
 namespace ggvs {
@@ -161,6 +162,29 @@ py::array_t<float> push_pull_of(const py::array& colour, const py::handle& known
     return out;
 }
 
+// A float32 array of this shape to be written into.
+float* writable(const py::array& array, const char* name, const std::vector<py::ssize_t>& shape) {
+    data_of<float>(array, name, shape);
+    return static_cast<float*>(py::array(array).mutable_data());
+}
+
+void remember_of(const py::array& depth, const py::array& still, const py::sequence& alphas, const py::tuple& rules,
+                 const py::array& image, const py::array& past, const py::array& past_depth, int threads) {
+    const auto [height, width] = size_of(depth, "depth");
+    const auto [down, across] = size_of(still, "still");
+    if (down < 1 || across < 1 || py::len(alphas) < 1 || py::len(rules) != 6)
+        throw py::value_error("remember: wanted cells, at least one view and six rules");
+    const auto rule = [&](int n) { return py::cast<double>(rules[n]); };
+    BackgroundStep job{width, height, across, down, data_of<float>(depth, "depth", {height, width}),
+                       data_of<float>(still, "still", {down, across}), {},
+                       {rule(0), rule(1), float(rule(2)), float(rule(3)), float(rule(4)), float(rule(5))}};
+    for (const py::handle& alpha : alphas) job.alphas.push_back(data_of<float>(alpha, "alpha", {height, width}));
+    float *shown = writable(image, "image", {height, width, 3}), *colours = writable(past, "past", {height, width, 3});
+    float* depths = writable(past_depth, "past depth", {height, width});
+    py::gil_scoped_release released;
+    ggvs::remember(job, shown, colours, depths, threads);
+}
+
 }  // namespace
 
 void bind_images(py::module_& m) {
@@ -172,6 +196,7 @@ void bind_images(py::module_& m) {
     m.def("settle_depth", &settle_depth_of, "target"_a, "fused"_a, "views"_a, "tolerance"_a, "least_alpha"_a, "least_share"_a,
           "ratio"_a, "threads"_a);
     m.def("shade", &shade_of, "image"_a, "gain"_a, "down"_a, "across"_a, "threads"_a);
+    m.def("remember", &remember_of, "depth"_a, "still"_a, "alphas"_a, "rules"_a, "image"_a, "past"_a, "past_depth"_a, "threads"_a);
     m.def("push_pull", &push_pull_of, "colour"_a, "known"_a, "threads"_a);
 }
 

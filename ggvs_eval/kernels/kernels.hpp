@@ -3,6 +3,7 @@
 #include "blend.hpp"
 #include "compose.hpp"
 #include "level.hpp"
+#include "overview.hpp"
 #include "ray_pooling.hpp"
 #include "refine.hpp"
 #include "register.hpp"
@@ -15,13 +16,14 @@ namespace ggvs {
 struct Kernels {
     bool (*tile_ranges)(const Projector&, const float* depth, int column, int row, int count, TileRanges* out);
     void (*ellipses)(const Projector&, const SplatSource&, int channels, const uint32_t* pixels, int count, int left, int top,
-                     Ellipse* out, BlockRange* ranges);
+                     const Ellipses& out);
     void (*splat_block)(const BlockList&, int channels, bool normalised, SplatImages out);
     int block_rows;
     void (*fusion_row)(const FusionRow&);
     void (*march_column)(const March&, const MarchColumn&, float* depth, float* weight);
     void (*look_up_row)(const LookUp&, int y, float* out);
     void (*register_row)(const Registration&, int view, int y, const RegisteredMaps& out);
+    void (*overview_row)(const Views&, const OverviewMaps& out, int y);
     void (*compose_row)(const ComposedRow&);
     void (*evidence_row)(const EvidenceRow&);
     void (*look_row)(const ConvolvedRow&);  // 3 x 3, leaky

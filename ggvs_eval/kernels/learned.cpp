@@ -92,7 +92,7 @@ py::tuple compose_of(const py::array& colours, const py::handle& coverage, const
 }
 
 py::tuple overview_of(const py::array& colours, const py::handle& coverage, const py::handle& seen, const py::handle& alphas,
-                      const py::handle& weights, int scale, float covered_alpha, int threads) {
+                      const py::handle& weights, int scale, float covered_alpha, int threads, int level) {
     const auto shape = shape_of(colours, "colours", 4);
     if (shape[0] < 1 || shape[1] < 1 || shape[2] < 1 || scale < 1 || shape[1] > kMostPixels || shape[2] > kMostPixels)
         throw py::value_error("overview: wanted views of 1 to 65535 pixels per side and a scale of at least 1");
@@ -116,7 +116,7 @@ py::tuple overview_of(const py::array& colours, const py::handle& coverage, cons
     for (int n = 0; n < 4; ++n) out.small[n] = small[n].mutable_data();
     {
         py::gil_scoped_release released;
-        ggvs::overview(job, out, threads);
+        ggvs::overview(job, out, threads, level);
     }
     return py::make_tuple(mean, unseen, covered, py::make_tuple(small[0], small[1], small[2], small[3]));
 }
@@ -200,7 +200,7 @@ void bind_learned(py::module_& m) {
     m.def("register_views", &register_views_of, "target"_a, "depth"_a, "views"_a, "tolerance"_a, "faint"_a, "threads"_a,
           "level"_a);
     m.def("overview", &overview_of, "colours"_a, "coverage"_a, "seen"_a, "alphas"_a, "weights"_a, "scale"_a,
-          "covered_alpha"_a, "threads"_a);
+          "covered_alpha"_a, "threads"_a, "level"_a);
     m.def("network_inputs", &network_inputs_of, "colours"_a, "depths"_a, "alphas"_a, "seen"_a, "fused"_a, "rays"_a, "cameras"_a,
           "far"_a, "unit"_a, "most_views"_a, "threads"_a);
     m.def("compose", &compose_of, "colours"_a, "coverage"_a, "unseen"_a, "background"_a, "small"_a, "scale"_a, "sure"_a,

@@ -6,6 +6,7 @@
 #include "splat_simd.hpp"
 #include "tsdf_simd.hpp"
 #include "register_simd.hpp"
+#include "overview_simd.hpp"
 #include "compose_simd.hpp"
 #include "refine_simd.hpp"
 #include "unet_simd.hpp"
@@ -16,9 +17,9 @@ namespace ggvs {
 
 const Kernels kBaselineKernels = {
     baseline::tile_ranges, baseline::ellipses, baseline::splat_block, baseline::kBlockRows, baseline::fusion_row,
-    baseline::march_column, baseline::look_up_row, baseline::register_row, baseline::compose_row, baseline::evidence_row,
-    baseline::look_row, baseline::taps_row, baseline::filter_row, baseline::convolve_row, baseline::moments_of_row, baseline::normalise_row,
-    baseline::pool_ray, baseline::attend_ray,
+    baseline::march_column, baseline::look_up_row, baseline::register_row, baseline::overview_row, baseline::compose_row,
+    baseline::evidence_row, baseline::look_row, baseline::taps_row, baseline::filter_row, baseline::convolve_row,
+    baseline::moments_of_row, baseline::normalise_row, baseline::pool_ray, baseline::attend_ray,
 };
 
 }  // namespace ggvs

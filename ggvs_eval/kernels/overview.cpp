@@ -1,11 +1,12 @@
-// The overview, band by band: what is read once stays in the cache for all that is made of it.
+// The overview, band by band: what is read once stays in the cache for all that is made of it. The arithmetic of single pixels
+// stands in overview_simd.hpp.
 #include "overview.hpp"
 
 #include <algorithm>
 #include <cstring>
-#include <vector>
 
-#include "blend.hpp"
+#include "enlarge.hpp"
+#include "kernels.hpp"
 #include "parallel.hpp"
 
 namespace ggvs {
@@ -13,25 +14,14 @@ namespace {
 
 constexpr int kCellRows = 2;  // of a band
 
-// A colour and one value more: what any processor computes at once.
-using Four = float __attribute__((vector_size(16)));
-
-inline Four four_of(const float* from) {
-    Four values;
-    std::memcpy(&values, from, sizeof values);
-    return values;
-}
-
 class Band {
 public:
-    Band(const Views& job, const OverviewMaps& out) : job_(job), out_(out), shown_(job.width) {}
+    Band(const Views& job, const OverviewMaps& out, const Kernels& kernels) : job_(job), out_(out), kernels_(kernels) {}
 
     void run(int first_cell, int last_cell) {
         for (int cell = first_cell; cell < last_cell; ++cell) {
-            for (int y = cell * job_.scale; y < std::min((cell + 1) * job_.scale, job_.height); ++y) {
-                blend_row(y);
-                survey_row(y);
-            }
+            for (int y = cell * job_.scale; y < std::min((cell + 1) * job_.scale, job_.height); ++y)
+                kernels_.overview_row(job_, out_, y);
             for (int k = 0; k < job_.views; ++k) {
                 average<3>(job_.colours, k, cell, out_.small[0]);
                 average<1>(job_.coverage, k, cell, out_.small[1]);
@@ -43,45 +33,6 @@ public:
 
 private:
     int64_t at(int k, int y) const { return (int64_t(k) * job_.height + y) * job_.width; }
-
-    // As `weighted_mean` (blend.cpp) has it. But for the last pixel a colour is read, and written, with what follows it.
-    void blend_row(int y) {
-        float* out = out_.mean + 3 * at(0, y);
-        const int last = job_.width - 1;
-        for (int x = 0; x < last; ++x) {
-            const Four colour = blended(y, x, [](const float* at) { return four_of(at); });
-            std::memcpy(out + 3 * x, &colour, sizeof colour);
-        }
-        const Four colour = blended(y, last, [](const float* at) { return Four{at[0], at[1], at[2], 0.0f}; });
-        std::memcpy(out + 3 * last, &colour, 3 * sizeof(float));
-    }
-
-    template <class Read>
-    Four blended(int y, int x, const Read& read) const {
-        Four sum{};
-        float total = 0.0f;
-        for (int k = 0; k < job_.views; ++k) {
-            const int64_t pixel = at(k, y) + x;
-            const float weight = job_.weights[k] * job_.coverage[pixel];
-            total += weight;
-            sum = sum + weight * read(job_.colours + 3 * pixel);
-        }
-        return sum / std::max(total, kNoWeight);
-    }
-
-    void survey_row(int y) {
-        float *shown = shown_.data(), *unseen = out_.unseen + at(0, y);
-        bool* covered = out_.covered + at(0, y);
-        std::fill_n(shown, job_.width, 0.0f);
-        std::fill_n(covered, job_.width, false);
-        for (int k = 0; k < job_.views; ++k) {
-            const float least = job_.covered_alpha;
-            const float *seen = job_.seen + at(k, y), *alpha = job_.alphas + at(k, y);
-            for (int x = 0; x < job_.width; ++x) shown[x] += seen[x];
-            for (int x = 0; x < job_.width; ++x) covered[x] |= alpha[x] > least;
-        }
-        for (int x = 0; x < job_.width; ++x) unseen[x] = 1.0f - std::min(shown[x], 1.0f);
-    }
 
     // One row of cells of one view.
     template <int kChannels>
@@ -135,15 +86,16 @@ private:
 
     const Views& job_;
     const OverviewMaps& out_;
-    std::vector<float> shown_;
+    const Kernels& kernels_;
 };
 
 }  // namespace
 
-void overview(const Views& job, const OverviewMaps& out, int threads) {
+void overview(const Views& job, const OverviewMaps& out, int threads, int level) {
+    const Kernels& kernels = kernels_of(level);
     const int cells = (job.height + job.scale - 1) / job.scale;
     parallel_for((cells + kCellRows - 1) / kCellRows, threads, [&](int band, int) {
-        Band(job, out).run(band * kCellRows, std::min((band + 1) * kCellRows, cells));
+        Band(job, out, kernels).run(band * kCellRows, std::min((band + 1) * kCellRows, cells));
     });
 }
 

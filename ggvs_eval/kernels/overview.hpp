@@ -22,6 +22,6 @@ struct OverviewMaps {
     float* small[4];  // colours, coverage, seen, alphas: means of scale x scale pixels, the last row and column repeated
 };
 
-void overview(const Views& job, const OverviewMaps& out, int threads);
+void overview(const Views& job, const OverviewMaps& out, int threads, int level);
 
 }  // namespace ggvs

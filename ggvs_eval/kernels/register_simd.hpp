@@ -26,15 +26,30 @@ GGVS_INLINE I strides(int stride, int count) {
     return load(lanes);
 }
 
-GGVS_INLINE Colour gather_colour(const float* p, I at) { return {gather(p, at), gather(p + 1, at), gather(p + 2, at)}; }
+// Up to kWidth colours side by side; lanes beyond them are 0.
+GGVS_INLINE Colour load_colour(const float* p, int count) {
+    alignas(64) float part[3 * kWidth] = {};
+    if (count < kWidth) p = (const float*)__builtin_memcpy(part, p, 3 * count * sizeof(float));
+    Colour colour;
+    load_triples(p, &colour.red, &colour.green, &colour.blue);
+    return colour;
+}
 
 GGVS_INLINE void store_colour(float* out, const Colour& colour, int count) {
-    alignas(64) float channels[3][kWidth];
-    store(channels[0], colour.red);
-    store(channels[1], colour.green);
-    store(channels[2], colour.blue);
-    for (int lane = 0; lane < count; ++lane)
-        for (int c = 0; c < 3; ++c) out[3 * lane + c] = channels[c][lane];
+    if (count == kWidth) return store_triples(out, colour.red, colour.green, colour.blue);
+    alignas(64) float part[3 * kWidth];
+    store_triples(part, colour.red, colour.green, colour.blue);
+    __builtin_memcpy(out, part, 3 * count * sizeof(float));
+}
+
+// A view's splatted colours; `whole` says that there are kWidth of them and that a float more may be read.
+GGVS_INLINE Colour splatted_colour(const RegisteredView& view, const float* splat, int count, bool whole) {
+    if (view.stride == 3) return load_colour(splat, count);
+    const I at = strides(view.stride, count);
+    if (!whole) return {gather(splat, at), gather(splat + 1, at), gather(splat + 2, at)};
+    I quads[4];
+    gather_quads((const uint8_t*)splat, at * all(int32_t(sizeof(float))), quads);
+    return {from_bits(quads[0]), from_bits(quads[1]), from_bits(quads[2])};
 }
 
 // Some packets of a row at once, step by step: each step waits for the one before, and a processor looks ahead for work of its own
@@ -60,9 +75,10 @@ GGVS_INLINE void register_packets(const Registration& job, const RegisteredView&
         const float* splat = view.splat + (first + n * kWidth) * view.stride;
         for (int ahead = 0; ahead < kWidth * view.stride; ahead += 16)  // floats of a cache line
             __builtin_prefetch(splat + kTogetherPackets * kWidth * view.stride + ahead);
-        Colour colour = gather_colour(splat, strides(view.stride, count));
+        const bool whole = count == kWidth && first + (n + 1) * kWidth < int64_t(job.target.width) * job.target.height;
+        Colour colour = splatted_colour(view, splat, count, whole);
         if (any(less(all(0.0f), visibility[n]))) {
-            const Colour seen = colour_at(view.captured, sights[n].u, sights[n].v);
+            const Colour seen = colour_at(view.captured, sights[n], visibility[n]);
             F per = all(1.0f / 255.0f);
             colour.red = colour.red + visibility[n] * (seen.red * per - colour.red);
             colour.green = colour.green + visibility[n] * (seen.green * per - colour.green);

@@ -56,6 +56,7 @@ GGVS_INLINE void gather_pairs(const float* p, I at, F* first, F* second) {
     *first = gather(p, at);
     *second = gather(p + 1, at);
 }
+GGVS_INLINE void read_pairs(const float* p, I at, F* first, F* second) { gather_pairs(p, at, first, second); }
 // No patches: there is no permutation to look into them by.
 constexpr int kPatchColumns = 0, kPatchRows = 0;
 struct Patch {};
@@ -66,6 +67,26 @@ GGVS_INLINE bool halves_below(I, I, M) { return false; }
 // Four values of every lane side by side, those of the next lane `stride` floats further.
 GGVS_INLINE void store_quads(float* p, int stride, F a, F b, F c, F d) {
     for (int lane = 0; lane < kWidth; ++lane) store(p + lane * stride, F{a[lane], b[lane], c[lane], d[lane]});
+}
+// Three values of every lane side by side, read and written.
+GGVS_INLINE void load_triples(const float* p, F* a, F* b, F* c) {
+    *a = F{p[0], p[3], p[6], p[9]}, *b = F{p[1], p[4], p[7], p[10]}, *c = F{p[2], p[5], p[8], p[11]};
+}
+GGVS_INLINE void store_triples(float* p, F a, F b, F c) {
+    store(p, F{a[0], b[0], c[0], a[1]}), store(p + 4, F{b[1], c[1], a[2], b[2]}), store(p + 8, F{c[2], a[3], b[3], c[3]});
+}
+// Sixteen bytes from any address, four by four.
+GGVS_INLINE void gather_quads(const uint8_t* p, I at, I (&quads)[4]) {
+    int32_t lanes[4][kWidth];
+    for (int lane = 0; lane < kWidth; ++lane)
+        for (int n = 0; n < 4; ++n) __builtin_memcpy(&lanes[n][lane], p + at[lane] + 4 * n, sizeof(int32_t));
+    for (int n = 0; n < 4; ++n) quads[n] = load(lanes[n]);
+}
+// Three bytes of every lane side by side, and any fourth: four bytes behind them are read.
+GGVS_INLINE I load_byte_triples(const uint8_t* p) {
+    int32_t lanes[kWidth];
+    for (int lane = 0; lane < kWidth; ++lane) __builtin_memcpy(lanes + lane, p + 3 * lane, sizeof(int32_t));
+    return load(lanes);
 }
 // Four bytes from any address.
 GGVS_INLINE I gather_bytes(const uint8_t* p, I at) {

@@ -31,7 +31,8 @@ struct Grid {
 struct Workspace {
     std::vector<Ellipse> list;
     std::vector<BlockRange> ranges;
-    std::vector<uint64_t> keys, swap;  // depth bits << 32 | position in the list
+    std::vector<int32_t> depths;       // their bits
+    std::vector<uint64_t> keys, swap;  // depth bits, from the least on, << 32 | position in the list
     std::vector<int32_t> counts;
     std::vector<uint32_t> starts, next, chosen;
 };
@@ -57,56 +58,77 @@ std::vector<Band> make_bands(const std::vector<SplatSource>& sources) {
     return bands;
 }
 
-// Lists the band's pixels per tile: a counting sort, which keeps their order within a tile.
-void fill_band(Band& band, const SplatSource& source, const Projector& projector, Grid grid, const Kernels& kernels) {
-    const int width = source.camera.width;
-    std::vector<uint32_t> tiles, pixels;
-    tiles.reserve(size_t(band.rows) * width * 5 / 4);
-    pixels.reserve(size_t(band.rows) * width * 5 / 4);
-    band.starts.assign(grid.across * grid.down + 1, 0);
-    for (int row = band.first_row; row < band.first_row + band.rows; ++row) {
-        for (int column = 0; column < width; column += kLanes) {
-            TileRanges ranges;
-            const int count = std::min(kLanes, width - column);
-            const float* depth = source.depth + int64_t(row) * width + column;
-            if (kernels.tile_ranges(projector, depth, column, row, count, &ranges)) {  // as is usual
-                const uint32_t tile = ranges.y0[0] * grid.across + ranges.x0[0];
-                tiles.insert(tiles.end(), count, tile);
-                for (int lane = 0; lane < count; ++lane) pixels.push_back(uint32_t(row) << 16 | uint32_t(column + lane));
-                band.starts[tile + 1] += count;
-                continue;
-            }
-            for (int lane = 0; lane < count; ++lane) {
-                if (ranges.x0[lane] > ranges.x1[lane]) continue;
-                for (int y = ranges.y0[lane]; y <= ranges.y1[lane]; ++y) {
-                    for (int x = ranges.x0[lane]; x <= ranges.x1[lane]; ++x) {
-                        tiles.push_back(y * grid.across + x);
-                        pixels.push_back(uint32_t(row) << 16 | uint32_t(column + lane));
-                        ++band.starts[tiles.back() + 1];
-                    }
+// Pixels side by side in a row that one tile gets.
+struct Run {
+    uint32_t tile, first, count;  // the first one packed
+};
+
+// The tiles of up to 16 neighbouring pixels.
+void list_runs(const Projector& projector, const float* depth, int column, int row, int count, Grid grid, const Kernels& kernels,
+               std::vector<Run>& runs) {
+    TileRanges ranges;
+    const uint32_t first = uint32_t(row) << 16 | uint32_t(column);
+    if (kernels.tile_ranges(projector, depth, column, row, count, &ranges)) {  // as is usual
+        runs.push_back({uint32_t(ranges.y0[0] * grid.across + ranges.x0[0]), first, uint32_t(count)});
+        return;
+    }
+    for (uint32_t lane = 0; lane < uint32_t(count); ++lane) {
+        if (ranges.x0[lane] > ranges.x1[lane]) continue;
+        for (int y = ranges.y0[lane]; y <= ranges.y1[lane]; ++y) {
+            for (int x = ranges.x0[lane]; x <= ranges.x1[lane]; ++x) {
+                const uint32_t tile = uint32_t(y * grid.across + x);
+                if (!runs.empty() && runs.back().tile == tile && runs.back().first + runs.back().count == first + lane) {
+                    ++runs.back().count;
+                } else {
+                    runs.push_back({tile, first + lane, 1});
                 }
             }
         }
     }
-    for (size_t tile = 1; tile < band.starts.size(); ++tile) band.starts[tile] += band.starts[tile - 1];
-    std::vector<uint32_t> next(band.starts.begin(), band.starts.end() - 1);
-    band.pixels.resize(pixels.size());
-    for (size_t n = 0; n < pixels.size(); ++n) band.pixels[next[tiles[n]]++] = pixels[n];
 }
 
-// Stable least-significant-digit radix sort by the upper half; only the digits that differ within the tile are visited.
-void sort_by_depth(std::vector<uint64_t>& keys, std::vector<uint64_t>& swap) {
-    constexpr int kDigit = 11;
-    uint32_t low = ~0u, high = 0;
-    for (uint64_t key : keys) low = std::min(low, uint32_t(key >> 32)), high = std::max(high, uint32_t(key >> 32));
-    swap.resize(keys.size());
-    for (uint32_t rest = keys.empty() ? 0 : high - low, shift = 32; rest > 0; rest >>= kDigit, shift += kDigit) {
-        uint32_t starts[1 << kDigit] = {};
-        auto digit = [&](uint64_t key) { return ((key - (uint64_t(low) << 32)) >> shift) & ((1 << kDigit) - 1); };
-        for (uint64_t key : keys) ++starts[digit(key)];
+// Lists the band's pixels per tile: a counting sort, which keeps their order within a tile.
+void fill_band(Band& band, const SplatSource& source, const Projector& projector, Grid grid, const Kernels& kernels) {
+    const int width = source.camera.width;
+    std::vector<Run> runs;
+    runs.reserve(size_t(band.rows) * width / 4);
+    for (int row = band.first_row; row < band.first_row + band.rows; ++row)
+        for (int column = 0; column < width; column += kLanes)
+            list_runs(projector, source.depth + int64_t(row) * width + column, column, row, std::min(kLanes, width - column), grid,
+                      kernels, runs);
+    band.starts.assign(grid.across * grid.down + 1, 0);
+    for (const Run& run : runs) band.starts[run.tile + 1] += run.count;
+    for (size_t tile = 1; tile < band.starts.size(); ++tile) band.starts[tile] += band.starts[tile - 1];
+    std::vector<uint32_t> next(band.starts.begin(), band.starts.end() - 1);
+    band.pixels.resize(band.starts.back());
+    for (const Run& run : runs) {
+        uint32_t* to = band.pixels.data() + next[run.tile];
+        for (uint32_t n = 0; n < run.count; ++n) to[n] = run.first + n;
+        next[run.tile] += run.count;
+    }
+}
+
+// Numbers of the Gaussians in the lower halves of `keys`, front to back: a stable least-significant-digit radix sort by the bits of
+// their depths, which sort like positive floats themselves; only the digits that differ within the tile are visited.
+void sort_by_depth(const std::vector<int32_t>& depths, size_t count, std::vector<uint64_t>& keys, std::vector<uint64_t>& swap) {
+    constexpr int kDigit = 11, kMost = 3;
+    constexpr uint32_t kMask = (1 << kDigit) - 1;
+    int32_t low = INT32_MAX, high = 0;
+    for (size_t n = 0; n < count; ++n) low = std::min(low, depths[n]), high = std::max(high, depths[n]);
+    int digits = 0;
+    for (uint32_t rest = count == 0 ? 0 : uint32_t(high - low); rest > 0; rest >>= kDigit) ++digits;
+    uint32_t starts[kMost][kMask + 1];
+    std::memset(starts, 0, digits * sizeof starts[0]);
+    keys.resize(count), swap.resize(count);
+    for (size_t n = 0; n < count; ++n) {
+        const uint32_t depth = uint32_t(depths[n] - low);
+        keys[n] = uint64_t(depth) << 32 | n;
+        for (int digit = 0; digit < digits; ++digit) ++starts[digit][depth >> (digit * kDigit) & kMask];
+    }
+    for (int digit = 0; digit < digits; ++digit) {
         uint32_t sum = 0;
-        for (uint32_t& start : starts) sum += std::exchange(start, sum);
-        for (uint64_t key : keys) swap[starts[digit(key)]++] = key;
+        for (uint32_t& start : starts[digit]) sum += std::exchange(start, sum);
+        for (const uint64_t key : keys) swap[starts[digit][key >> (32 + digit * kDigit) & kMask]++] = key;
         keys.swap(swap);
     }
 }
@@ -140,14 +162,19 @@ void share_out(Workspace& work, int down) {
     for (const uint64_t key : work.keys) {
         const uint32_t gaussian = uint32_t(key);
         const BlockRange range = ranges[gaussian];
-        const uint32_t last = range.y1 * kBlocksAcross;
-        for (uint32_t row = range.y0 * kBlocksAcross; row <= last; row += kBlocksAcross) {
-            uint32_t &left = next[row + range.x0], &right = next[row + range.x1];
-            chosen[left++] = gaussian;
-            for (int x = range.x0 + 1; x < range.x1; ++x) chosen[next[row + x]++] = gaussian;
-            // Two columns are usual, one is not rare: a place that does not count costs less than a wrong guess.
-            chosen[right] = gaussian;
-            right += range.x1 > range.x0;
+        // Two columns and two rows are usual, one is not rare: a place that does not count costs less than a wrong guess.
+        const uint32_t wide = range.x1 > range.x0;
+        for (int y = range.y0; y <= range.y1; y += 2) {
+            const uint32_t tall = y < range.y1;
+            uint32_t *above = next + y * kBlocksAcross, *below = above + tall * kBlocksAcross;
+            chosen[above[range.x0]++] = gaussian;
+            chosen[above[range.x1]] = gaussian, above[range.x1] += wide;
+            chosen[below[range.x0]] = gaussian, below[range.x0] += tall;
+            chosen[below[range.x1]] = gaussian, below[range.x1] += wide & tall;
+            for (int x = range.x0 + 1; x < range.x1; ++x) {
+                chosen[above[x]++] = gaussian;
+                if (tall) chosen[below[x]++] = gaussian;
+            }
         }
     }
     const uint32_t nothing = uint32_t(work.keys.size());  // touches no pixel
@@ -169,13 +196,15 @@ struct TileJob {
     void collect(int tile, int left, int top, Workspace& work) const {
         size_t count = 0;
         for (const Band& band : bands) count += band.starts[tile + 1] - band.starts[tile];
-        work.list.resize(count + kLanes), work.ranges.resize(count + kLanes);  // room for whole vectors
+        const size_t room = count + kLanes;  // for whole vectors
+        work.list.resize(room), work.ranges.resize(room), work.depths.resize(room);
         size_t filled = 0;
         for (const Band& band : bands) {
             const int here = int(band.starts[tile + 1] - band.starts[tile]);
             if (here == 0) continue;
             kernels.ellipses(projectors[band.source], sources[band.source], channels, band.pixels.data() + band.starts[tile],
-                             here, left, top, work.list.data() + filled, work.ranges.data() + filled);
+                             here, left, top,
+                             {work.list.data() + filled, work.ranges.data() + filled, work.depths.data() + filled});
             filled += here;
         }
         work.list[count] = {1e6f, 0.0f, -1.0f, 0.0f, 0.0f, 0.0f, {}};  // touches no pixel
@@ -186,13 +215,7 @@ struct TileJob {
         const int left = tile % grid.across * kTileWidth, top = tile / grid.across * kTileHeight;
         collect(tile, left, top, work);
         const size_t count = work.ranges.size();
-        work.keys.resize(count);
-        for (size_t n = 0; n < count; ++n) {
-            uint32_t depth_bits;  // of a positive float: they sort like the float itself
-            std::memcpy(&depth_bits, &work.list[n].depth, sizeof depth_bits);
-            work.keys[n] = uint64_t(depth_bits) << 32 | n;
-        }
-        sort_by_depth(work.keys, work.swap);
+        sort_by_depth(work.depths, count, work.keys, work.swap);
         share_out(work, kTileHeight / kernels.block_rows);
         const int64_t width = target.camera.width;
         const int rows = kernels.block_rows, right = std::min(left + kTileWidth, target.camera.width);

@@ -60,6 +60,13 @@ struct BlockRange {
     uint8_t x0, x1, y0, y1;
 };
 
+// What is written of some Gaussians of a tile; there is room for whole vectors.
+struct Ellipses {
+    Ellipse* list;
+    BlockRange* ranges;
+    int32_t* depths;  // their bits
+};
+
 // The Gaussians that may touch one block, front to back, and the part of the picture that it is.
 struct BlockList {
     const Ellipse* list;

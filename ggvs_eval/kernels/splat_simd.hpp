@@ -97,27 +97,43 @@ GGVS_INLINE void prefetch_pixel(const SplatSource& source, uint32_t pixel) {
     }
 }
 
-template <int kChannels>
-GGVS_INLINE void read_features(const SplatSource& source, I index, F* features) {
-    if (source.features) {
-#pragma GCC unroll 4
-        for (int c = 0; c < kChannels; ++c) features[c] = gather(source.features + c, index * all(int32_t(kChannels)));
-        return;
-    }
+// Some pixels of a source. Those of a tile mostly lie side by side in a row, where no gather is wanted.
+struct Pixels {
+    I index;
+    int64_t first;  // of them, where they lie side by side with two more behind them; else -1
+};
+
+GGVS_INLINE F read(const float* map, const Pixels& pixels) {
+    return pixels.first < 0 ? gather(map, pixels.index) : load(map + pixels.first);
+}
+
+// Colours, one byte per channel from the lowest on.
+GGVS_INLINE I read_bytes(const SplatSource& source, const Pixels& pixels) {
+    if (pixels.first >= 0) return load_byte_triples(source.colours + 3 * pixels.first);
     // Four bytes are read at a time; the last pixel has three, so they are read one byte earlier and shifted.
-    const I last = all(int32_t(3 * (int64_t(source.camera.width) * source.camera.height - 1))), level = all(int32_t(255));
-    I byte = index * all(int32_t(3));
+    const I last = all(int32_t(3 * (int64_t(source.camera.width) * source.camera.height - 1)));
+    I byte = pixels.index * all(int32_t(3));
     M at_end = less(to_float(last - byte), all(1.0f));
     I raw = gather_bytes(source.colours, select(at_end, byte - all(int32_t(1)), byte));
-    raw = select(at_end, raw >> 8, raw);
+    return select(at_end, raw >> 8, raw);
+}
+
+template <int kChannels>
+GGVS_INLINE void read_features(const SplatSource& source, const Pixels& pixels, F* features) {
+    if (source.features) {
+#pragma GCC unroll 4
+        for (int c = 0; c < kChannels; ++c) features[c] = gather(source.features + c, pixels.index * all(int32_t(kChannels)));
+        return;
+    }
+    const I raw = read_bytes(source, pixels), level = all(int32_t(255));
 #pragma GCC unroll 3
     for (int c = 0; c < kChannels && c < 3; ++c) features[c] = to_float((raw >> (8 * c)) & level) / all(255.0f);
-    if (kChannels > 3) features[3] = gather(source.extra, index);
+    if (kChannels > 3) features[3] = read(source.extra, pixels);
 }
 
 template <int kChannels>
 static void ellipses_of(const Projector& p, const SplatSource& source, const uint32_t* pixels, int count, int left, int top,
-                        Ellipse* out, BlockRange* ranges) {
+                        const Ellipses& out) {
     const F log2e = all(1.44269504f), half = all(-0.5f);
     for (int first = 0; first < count; first += kWidth) {
         int used = count - first < kWidth ? count - first : kWidth;
@@ -127,8 +143,11 @@ static void ellipses_of(const Projector& p, const SplatSource& source, const uin
         __builtin_memcpy(packed, pixels + first, used * sizeof(int32_t));
         I pixel = load(packed);
         I column = pixel & all(int32_t(0xffff)), row = (pixel >> 16) & all(int32_t(0xffff));
-        I index = row * all(int32_t(source.camera.width)) + column;
-        Footprint f = project(p, to_float(column), to_float(row), gather(source.depth, index));
+        const int64_t begin = int64_t(packed[0] >> 16 & 0xffff) * source.camera.width + (packed[0] & 0xffff);
+        const bool row_of_them = used == kWidth && packed[kWidth - 1] - packed[0] == kWidth - 1 &&
+                                 begin + kWidth + 2 <= int64_t(source.camera.width) * source.camera.height;
+        const Pixels read_at{row * all(int32_t(source.camera.width)) + column, row_of_them ? begin : -1};
+        Footprint f = project(p, to_float(column), to_float(row), read(source.depth, read_at));
 
         F determinant = f.var_x * f.var_y - f.cov * f.cov;
         F per = log2e / determinant;
@@ -141,32 +160,32 @@ static void ellipses_of(const Projector& p, const SplatSource& source, const uin
         I y1 = truncate(max(min(v + f.reach_y, all(float(kTileHeight - 1))), zero)) >> kRowShift;
 
         F features[kMaxFeatures] = {zero, zero, zero, zero};
-        read_features<kChannels>(source, index, features);
+        read_features<kChannels>(source, read_at, features);
         // Lanes beyond the last are written too, and overwritten by what follows.
-        float* fields = &out[first].u;
+        float* fields = &out.list[first].u;
         constexpr int kStride = sizeof(Ellipse) / sizeof(float);
         store_quads(fields, kStride, u, v, half * f.var_y * per, f.cov * per);
         store_quads(fields + 4, kStride, half * f.var_x * per, f.depth, features[0], features[1]);
         store_quads(fields + 8, kStride, features[2], features[3], zero, zero);
         alignas(64) int32_t blocks[kWidth];
         store(blocks, x0 | (x1 << 8) | (y0 << 16) | (y1 << 24));
-        __builtin_memcpy(ranges + first, blocks, sizeof blocks);
+        __builtin_memcpy(out.ranges + first, blocks, sizeof blocks);
+        store(out.depths + first, bits(f.depth));
     }
 }
 
-// Ellipses, in the coordinates of the tile that starts at (left, top), of the listed source pixels; `out` and `ranges` have room for
-// whole vectors.
+// Ellipses, in the coordinates of the tile that starts at (left, top), of the listed source pixels.
 static void ellipses(const Projector& p, const SplatSource& source, int channels, const uint32_t* pixels, int count, int left,
-                     int top, Ellipse* out, BlockRange* ranges) {
+                     int top, const Ellipses& out) {
     switch (channels) {
         case 1:
-            return ellipses_of<1>(p, source, pixels, count, left, top, out, ranges);
+            return ellipses_of<1>(p, source, pixels, count, left, top, out);
         case 2:
-            return ellipses_of<2>(p, source, pixels, count, left, top, out, ranges);
+            return ellipses_of<2>(p, source, pixels, count, left, top, out);
         case 3:
-            return ellipses_of<3>(p, source, pixels, count, left, top, out, ranges);
+            return ellipses_of<3>(p, source, pixels, count, left, top, out);
         default:
-            return ellipses_of<4>(p, source, pixels, count, left, top, out, ranges);
+            return ellipses_of<4>(p, source, pixels, count, left, top, out);
     }
 }
 
@@ -268,18 +287,24 @@ static void block_of(const BlockList& block, bool normalised, SplatImages out) {
     const Sums<kChannels> sums = blend<kChannels>(block);
     F alpha = all(1.0f) - sums.transmittance;
     F factor = normalised ? select(less(all(kMinAlpha), alpha), all(1.0f) / alpha, all(0.0f)) : all(1.0f);
-    alignas(64) float lanes[2 + kChannels][kWidth];
-    store(lanes[0], alpha);
-    store(lanes[1], sums.depth * factor);
+    alignas(64) float alphas[kWidth], depths[kWidth], features[kWidth][kMaxFeatures];
+    store(alphas, alpha), store(depths, sums.depth * factor);
+    F values[kMaxFeatures] = {alpha, alpha, alpha, alpha};  // what is no channel is not written
 #pragma GCC unroll 4
-    for (int c = 0; c < kChannels; ++c) store(lanes[2 + c], sums.features[c] * factor);
+    for (int c = 0; c < kChannels; ++c) values[c] = sums.features[c] * factor;
+    store_quads(features[0], kMaxFeatures, values[0], values[1], values[2], values[3]);
     for (int y = 0; y < block.rows; ++y) {
         const int64_t pixel = block.first + y * block.width;
-        for (int x = 0; x < block.columns; ++x) {
-            const int lane = y * kBlock + x;
-            out.alpha[pixel + x] = lanes[0][lane], out.depth[pixel + x] = lanes[1][lane];
-            for (int c = 0; c < kChannels; ++c) out.features[(pixel + x) * kChannels + c] = lanes[2 + c][lane];
+        const int lane = y * kBlock, columns = block.columns;
+        if (columns == kBlock) {  // as is usual: a size that the compiler knows
+            __builtin_memcpy(out.alpha + pixel, alphas + lane, kBlock * sizeof(float));
+            __builtin_memcpy(out.depth + pixel, depths + lane, kBlock * sizeof(float));
+        } else {
+            __builtin_memcpy(out.alpha + pixel, alphas + lane, columns * sizeof(float));
+            __builtin_memcpy(out.depth + pixel, depths + lane, columns * sizeof(float));
         }
+        for (int x = 0; x < columns; ++x)
+            __builtin_memcpy(out.features + (pixel + x) * kChannels, features[lane + x], kChannels * sizeof(float));
     }
 }
 

@@ -95,12 +95,15 @@ private:
         std::copy_n(layer.bias, layer.after, bias_.begin());
         const int64_t* strides = layer.weight_strides;
         parallel_for(groups, threads_, [&](int group, int) {
+            const int first = group * kUNetOutputs, count = std::min(layer.after - first, kUNetOutputs);
             float* out = weights_.data() + int64_t(group) * layer.before * kTaps3x3 * kUNetOutputs;
-            for (int channel = 0; channel < layer.before; ++channel)
-                for (int tap = 0; tap < kTaps3x3; ++tap, out += kUNetOutputs)
-                    for (int o = group * kUNetOutputs; o < std::min((group + 1) * kUNetOutputs, layer.after); ++o)
-                        out[o % kUNetOutputs] = layer.weights[o * strides[0] + channel * strides[1] + tap / 3 * strides[2] +
-                                                              tap % 3 * strides[3]];
+            for (int channel = 0; channel < layer.before; ++channel) {
+                for (int tap = 0; tap < kTaps3x3; ++tap, out += kUNetOutputs) {
+                    const float* from = layer.weights + first * strides[0] + channel * strides[1];
+                    from += tap / 3 * strides[2] + tap % 3 * strides[3];
+                    for (int o = 0; o < count; ++o) out[o] = from[o * strides[0]];
+                }
+            }
         });
     }
 

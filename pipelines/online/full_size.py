@@ -47,8 +47,9 @@ def overview(maps: BlendMaps, scale: int) -> Overview:
 
     arrays = (maps.colours, maps.coverage, maps.visibilities, maps.alphas)
     colours, coverage, visibilities, alphas = (np.ascontiguousarray(each, np.float32) for each in arrays)
+    level = SIMD_LEVELS.index(get_simd_level())
     picture, unseen, covered, means = _core.overview(
-        colours, coverage, visibilities, alphas, maps.weights, scale, COVERED_ALPHA, get_threads()
+        colours, coverage, visibilities, alphas, maps.weights, scale, COVERED_ALPHA, get_threads(), level
     )
     return Overview(maps.with_means(scale, means), unseen, picture, covered)
 

@@ -169,10 +169,13 @@ class GeometryGuided:
     def _blend(self, filtered: Instant, splats: list[Splat], depth: Map | None) -> tuple[Map, dict[str, Map]]:
         """Blend the views and mix the output with the one before where nothing moves; and what was decided for it."""
         chosen = self.options
-        still = stillness(splatted_change(splats, chosen.beta_mask, chosen.lambda_t))
         index, target = filtered.index, filtered.target
         surface = np.zeros((target.height, target.width), np.float32) if depth is None else depth
-        blended = self.blender.blend(BlendingInputs(filtered, splats, surface, self._tau(filtered)))
+        inputs = BlendingInputs(filtered, splats, surface, self._tau(filtered))
+        blended, still = side_by_side(
+            partial(self.blender.blend, inputs),
+            lambda: stillness(splatted_change(splats, chosen.beta_mask, chosen.lambda_t)),
+        )
         diagnostics = diagnostics_maps(depth, splats, still, blended.weights)
         image = self._compensation.finish(blended.image, target) if chosen.compensated else blended.image
         if self._background is not None:

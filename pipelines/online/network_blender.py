@@ -19,7 +19,7 @@ from ggvs_eval.pipelines.online.blend_network import SURE, BlendNetwork, compose
 from ggvs_eval.pipelines.online.blend_weights import load_blend_network, shipped_blend_weights
 from ggvs_eval.pipelines.online.blending import Blended, BlendingInputs, push_pull
 from ggvs_eval.pipelines.online.full_size import composed, overview, refined
-from ggvs_eval.pipelines.online.network_inputs import GUIDED, network_channels
+from ggvs_eval.pipelines.online.network_inputs import GUIDED, network_channels, present_channels
 from ggvs_eval.pipelines.online.refiner import NO_WEIGHT
 from ggvs_eval.pipelines.online.unet import unet_outputs
 
@@ -129,7 +129,9 @@ def blend_by(network: BlendNetwork, maps: BlendMaps) -> Blended:
 def _small_outputs(network: BlendNetwork, reduced: BlendMaps) -> tuple[Map, Map]:
     """`small_outputs` of the network for one instant, (K + 4 + F, h, w), and the share of each view by them, (K, h, w)."""
     config = network.config
-    raw = unet_outputs(network.unet, network_channels(reduced, config.guidance, config.views))
+    views = len(reduced.sources)
+    channels = network_channels(reduced, config.guidance, views)
+    raw = unet_outputs(network.unet, channels, present_channels(views, config.views, config.guidance))
     with one_thread(), torch.inference_mode():
         start = torch.from_numpy(reduced.weights)[None]
         small = small_outputs(torch.from_numpy(raw)[None], start, config.views)[0].contiguous().numpy()

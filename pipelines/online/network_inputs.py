@@ -13,11 +13,26 @@ from ggvs_eval.kernels import get_threads
 from ggvs_eval.pipelines.online.blend_maps import BlendMaps, Guidance
 
 GUIDED = ("registered", "channels")  # by the fused depth
+FUSED_GROUP = 3  # comes behind so many groups: the only one that is not of the views
 
 
 def channel_count(views: int, guidance: Guidance) -> int:
     """Number of channels of `input_channels`: as printed 9 K + 1."""
     return {"registered": 10 * views + 1, "channels": 9 * views + 1, "none": 8 * views, "naive": 6 * views}[guidance]
+
+
+def present_channels(count: int, views: int, guidance: Guidance) -> NDArray[np.intp]:
+    """Number the channels of `count` views among those of a network made for `views`, whose others are 0."""
+    guided = guidance in GUIDED
+    of_a_view = [3] + [1] * (channel_count(1, guidance) - guided - 3)  # colours, then one of each other group
+    numbers, first = [], 0
+    for group, channels in enumerate(of_a_view):
+        if guided and group == FUSED_GROUP:
+            numbers.append(np.array([first]))
+            first += 1
+        numbers.append(first + np.arange(channels * count))
+        first += channels * views
+    return np.concatenate(numbers)
 
 
 def guide_depth(maps: BlendMaps, guidance: Guidance) -> Map:
@@ -80,7 +95,7 @@ def input_channels(maps: BlendMaps, guidance: Guidance, views: int | None = None
     ]
     groups = [_widened(group, count, views or count) for group in of_views if group is not None]
     if guided:
-        groups.insert(3, _inverse(guide, unit)[None])
+        groups.insert(FUSED_GROUP, _inverse(guide, unit)[None])
     return np.concatenate(groups, dtype=np.float32)
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -67,8 +68,14 @@ def _margins(size: int) -> tuple[int, int]:
     return missing // 2, missing - missing // 2
 
 
-def unet_outputs(unet: UNet, channels: Map) -> Map:
+def unet_outputs(unet: UNet, channels: Map, given: NDArray[np.intp] | None = None) -> Map:
     """Evaluate a U-Net on channels (inputs, H, W): (outputs, H, W), float32.
+
+    Args:
+        unet: its weights.
+        channels: its inputs, or some of them.
+        given: numbers of the inputs that `channels` are, ascending, all unless given. The others are 0: sums are the same bits
+            without them.
 
     `UNet.forward` is what training differentiates, and defines this in the tests. Torch would need one thread for equal bits:
     its convolutions sum in another order with more.
@@ -79,6 +86,8 @@ def unet_outputs(unet: UNet, channels: Map) -> Map:
     from ggvs_eval.kernels import _core
 
     layers = [layer for block in (*unet.down, *unet.up) for layer in _layers(block)]
+    if given is not None:
+        layers[0] = (layers[0][0][:, given], *layers[0][1:])
     last = np.ascontiguousarray(_array(unet.last, "weight")[:, :, 0, 0]), _array(unet.last, "bias")
     epsilon = next(module.eps for module in unet.modules() if isinstance(module, nn.GroupNorm))
     inputs = np.ascontiguousarray(channels, np.float32)

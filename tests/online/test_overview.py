@@ -12,7 +12,7 @@ from ggvs_eval.geometry.per_pixel import weighted_mean
 from ggvs_eval.geometry.splat import COVERED_ALPHA
 from ggvs_eval.kernels import _core
 from ggvs_eval.pipelines.online.full_size import overview
-from ggvs_eval.pipelines.online.network_inputs import channel_count, input_channels, network_channels
+from ggvs_eval.pipelines.online.network_inputs import channel_count, input_channels, network_channels, present_channels
 from helpers.blender_inputs import random_maps
 from helpers.geometry_scenes import seeds
 
@@ -53,6 +53,15 @@ def test_the_kernel_makes_the_channels(seed, width, height, views, guidance):
     np.testing.assert_allclose(found, expected, atol=2e-6, rtol=2e-6)
 
 
+@pytest.mark.parametrize("guidance", ["registered", "channels", "none", "naive"])
+def test_channels_of_views_that_are_there(guidance):
+    """Of the channels of a network for five views, those of three are the ones that hold anything, in their order."""
+    maps = random_maps(np.random.default_rng(3), 20, 10, 3)
+    present, whole = present_channels(3, 5, guidance), input_channels(maps, guidance, 5)
+    np.testing.assert_array_equal(whole[present], input_channels(maps, guidance))
+    assert not np.delete(whole, present, axis=0).any()
+
+
 def test_a_network_without_the_surface_gets_its_channels_too():
     """Where no fused depth guides there is no kernel: the definition itself."""
     maps = random_maps(np.random.default_rng(0), 30, 20, 3)
@@ -67,14 +76,18 @@ def test_nothing_known_of_the_surface():
 
 
 def test_threads_do_not_change_a_bit():
-    """Overview and channels are the same for one thread and for three."""
-    maps, found = random_maps(np.random.default_rng(1), 130, 90, 4), []
-    for threads in (1, 3):
-        kernels.set_threads(threads)
-        seen = overview(maps, 4)
-        found.append([seen.unseen, seen.picture, seen.small.colours, network_channels(seen.small, "registered", 6)])
-    for first, second in zip(*found, strict=True):
-        np.testing.assert_array_equal(first, second)
+    """Overview and channels are the same for one thread and for three, and for every instruction set."""
+    maps, results = random_maps(np.random.default_rng(1), 130, 90, 4), []
+    for level in kernels.available_levels():
+        for threads in (1, 3):
+            kernels.set_simd_level(level)
+            kernels.set_threads(threads)
+            seen = overview(maps, 4)
+            channels = network_channels(seen.small, "registered", 6)
+            results.append([seen.unseen, seen.picture, seen.covered, seen.small.colours, channels])
+    for result in results[1:]:
+        for first, second in zip(results[0], result, strict=True):
+            np.testing.assert_array_equal(first, second)
 
 
 def test_what_does_not_fit_is_refused():
@@ -83,6 +96,6 @@ def test_what_does_not_fit_is_refused():
     with pytest.raises(ValueError, match="not more than the network takes"):
         network_channels(maps, "registered", 2)
     with pytest.raises(ValueError, match="scale of at least 1"):
-        _core.overview(maps.colours, maps.coverage, maps.visibilities, maps.alphas, maps.weights, 0, 0.5, 1)
+        _core.overview(maps.colours, maps.coverage, maps.visibilities, maps.alphas, maps.weights, 0, 0.5, 1, 0)
     with pytest.raises(TypeError, match="seen: wanted float32"):
         overview(replace(maps, visibilities=maps.visibilities[:, :5]), 2)

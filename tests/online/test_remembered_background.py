@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ggvs_eval.geometry.splat import Splat
-from ggvs_eval.pipelines.online.remembered_background import RENEWAL, RememberedBackground, hole_weight
+from ggvs_eval.pipelines.online.remembered_background import RENEWAL, RememberedBackground
 from helpers.scenes import camera_at
 
 TARGET = camera_at(0.0, name="target", width=16, height=12)
@@ -89,8 +89,14 @@ def test_a_target_that_moves_remembers_nothing():
 
 def test_holes_fade_in():
     """No hole where half is covered, all of one from a quarter on, in proportion between."""
-    alpha = np.array([[1.0, 0.5, 0.375, 0.25, 0.0]], np.float32)
-    np.testing.assert_allclose(hole_weight(alpha), [[0, 0, 0.5, 1, 1]], atol=1e-6)
+    memory, (image, depth) = RememberedBackground(), maps(WALL, 5.0)
+    memory.step(0, TARGET, image, depth, splats_of(False), stillness_of(False))
+    splats = splats_of(False)
+    for view in splats:
+        view.alpha[HOLE] = np.array([0.5, 0.375, 0.25, 0.0], np.float32)  # column by column
+    filling, unknown = maps(np.float32(0), 0.0)
+    shown = memory.step(1, TARGET, filling, unknown, splats, stillness_of(False))
+    np.testing.assert_allclose(shown[HOLE][..., 0], np.tile(WALL * np.float32([0, 0.5, 1, 1]), (4, 1)), atol=1e-6)
 
 
 def _inside() -> np.ndarray:

@@ -138,6 +138,14 @@ def test_vectors_of_any_size_give_the_same_bits():
         np.testing.assert_array_equal(other, found[0])
 
 
+def test_channels_that_are_not_given_are_zeros():
+    """Leaving channels out is the same bits as filling them with zeros."""
+    network, channels, given = restless_unet(9, 6, 8), channels_of(9, 40, 33), np.array([0, 1, 4, 7])
+    zeros = np.zeros_like(channels)
+    zeros[given] = channels[given]
+    np.testing.assert_array_equal(unet_outputs(network, channels[given], given), unet_outputs(network, zeros))
+
+
 def test_channels_of_another_number_are_refused():
     """Channels that the first layer does not take are a TypeError, not memory read beyond its end."""
     with pytest.raises(TypeError, match="wanted float32 that fits the other layers"):
