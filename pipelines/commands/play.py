@@ -7,7 +7,7 @@ import tyro
 
 from ggvs_eval.geometry.source_views import SourceChoice
 from ggvs_eval.jobs.processes import default_workers
-from ggvs_eval.pipelines.commands.captures import BY_DEFAULT, FOUND_BY_DEFAULT, Finding, Reading
+from ggvs_eval.pipelines.commands.captures import BY_DEFAULT, FOUND_LIVE, Finding, Reading
 from ggvs_eval.pipelines.commands.runs import Device
 from ggvs_eval.pipelines.methods.network_options import checked_device
 from ggvs_eval.pipelines.methods.registry import METHODS
@@ -27,7 +27,7 @@ def play(
     sources: SourceChoice | None = None,
     device: Device = "cpu",
     reading: Reading = BY_DEFAULT,
-    depth: Finding = FOUND_BY_DEFAULT,
+    depth: Finding = FOUND_LIVE,
     jobs: int = default_workers(),
 ) -> None:
     """Synthesise the view of a camera that goes round between the cameras of a rig into a video, and tell how fast.
@@ -76,7 +76,7 @@ def view(
     export: Path | None = None,
     device: Device = "cpu",
     reading: Reading = BY_DEFAULT,
-    depth: Finding = FOUND_BY_DEFAULT,
+    depth: Finding = FOUND_LIVE,
     jobs: int = default_workers(),
 ) -> None:
     """Look at a scene in the browser: drag the camera, and a method renders what it sees while time plays or stands.

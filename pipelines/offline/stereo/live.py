@@ -1,7 +1,7 @@
 """Depth at a quarter of the price, for play and view: matched at half size, each pair once for both of its cameras.
 
-Every instant is computed from itself alone. What the previous instant found would narrow the search little: the range of disparities
-that a scene fills is that which its cameras' near and far allow.
+Every instant is computed from itself alone, so that cuts, gaps and first instants are nothing special. What the instant before
+has found would hardly narrow the search: a scene fills the range of disparities that its cameras' near and far allow.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,7 +14,7 @@ from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
-from ggvs_eval.geometry.rectification import RectifiedPair, depth_from_disparity, exchange_roles, rectify
+from ggvs_eval.geometry.rectification import depth_from_disparity, exchange_roles, rectify
 from ggvs_eval.pipelines.offline.stereo.fusion import fuse
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher, Side
 
@@ -80,7 +80,11 @@ class SharedPair:
         pair = self._pair
         if side == "right":
             pair, disparity, confidence = self._turned, disparity[::-1, ::-1], confidence[::-1, ::-1]
-        return depth_from_disparity(pair, np.where(pair.sees(disparity), disparity, np.float32(0)), confidence)
+        depth, sure, sampled = depth_from_disparity(pair, np.where(pair.sees(disparity), disparity, np.float32(0)), confidence)
+        matched = (
+            sampled >= max(self._d_min, 1) - 0.5
+        )  # between a match and none the interpolation passes through tiny disparities
+        return np.where(matched, depth, np.float32(0)), np.where(matched, sure, np.float32(0)), sampled
 
 
 class RigEstimator:
@@ -176,8 +180,8 @@ class LiveEstimator:
 def enlarge(small: DepthMap, small_image: Image8, image: Image8) -> DepthMap:
     """Bring depth to the size of the image that it is of.
 
-    A pixel takes the depth of that of the four nearest small pixels whose colour is most like its own, so that depth ends where the
-    image's edges are, and is interpolated within surfaces only.
+    A pixel takes the depth of that of the four nearest small pixels whose colour is most like its own, so that depth ends where
+    the image's edges are, and is interpolated within surfaces only.
 
     Args:
         small: depth and confidence, (h, w).

@@ -65,8 +65,8 @@ class SgbmMatcher:
             sides: the images whose disparity is wanted.
 
         Returns:
-            For each side disparity and confidence, (H, W) each, as `match` gives them for the left one; a point in column x on the
-            right lies at x + disparity on the left.
+            For each side disparity and confidence, (H, W) each, as `match` gives them for the left one; a point in column x of
+            the right one lies at x + disparity on the left.
         """
         pyramid = [tuple(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in (left, right))]
         for _ in range(1, self.levels):
@@ -76,7 +76,10 @@ class SgbmMatcher:
             scale = 2**level
             fine = self._match_level(*pair, d_min // scale, -(-d_max // scale), sides)
             results = [self._completed(*each, *coarse) for each, coarse in zip(fine, results, strict=True)]
-        return [(np.fliplr(each[0]), np.fliplr(each[1])) if side == "right" else each for side, each in zip(sides, results, strict=True)]
+        return [
+            (np.fliplr(each[0]), np.fliplr(each[1])) if side == "right" else each
+            for side, each in zip(sides, results, strict=True)
+        ]
 
     def _completed(self, fine: Map, fine_confidence: Map, coarse: Map, coarse_confidence: Map) -> tuple[Map, Map]:
         """What one size has found, and where it has found nothing what the smaller one has."""
