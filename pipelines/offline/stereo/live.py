@@ -24,15 +24,13 @@ Estimate = tuple[Map, Map, Map]  # depth, confidence and disparity at the pixels
 
 @dataclass(frozen=True)
 class LiveMatcher(SgbmMatcher):
-    """Semi-global block matching at a part of the images' size, each pair once for both of its cameras.
+    """Semi-global block matching of images of a limited size, each pair once for both of its cameras.
 
     Attributes:
-        levels: sizes at which the pair is matched, the smaller images' and halves of it.
-        shrink: images are made smaller by this factor along each axis.
+        longest_px: larger images are made smaller until their longer side is this long.
     """
 
-    levels: int = 2
-    shrink: int = 2
+    longest_px: int = 1008
 
     @property
     def name(self) -> str:
@@ -41,7 +39,8 @@ class LiveMatcher(SgbmMatcher):
 
     def small(self, camera: Camera) -> Camera:
         """The camera at the size at which it is matched."""
-        return camera.resized(-(-camera.width // self.shrink), -(-camera.height // self.shrink))
+        share = min(self.longest_px / max(camera.size), 1.0)
+        return camera.resized(round(camera.width * share), round(camera.height * share))
 
 
 class SharedPair:
