@@ -27,15 +27,20 @@ class LiveMatcher(SgbmMatcher):
     """Semi-global block matching of images of a limited size, each pair once for both of its cameras.
 
     Attributes:
+        refine_iterations: of the sub-pixel refinement, at the largest size alone.
         longest_px: larger images are made smaller until their longer side is this long.
     """
 
+    refine_iterations: int = 1
     longest_px: int = 1008
 
     @property
     def name(self) -> str:
         """See StereoMatcher.name."""
         return "sgbm-3way-shared"
+
+    def _refinements(self, level: int) -> int:
+        return 0 if level else self.refine_iterations
 
     def small(self, camera: Camera) -> Camera:
         """The camera at the size at which it is matched."""
