@@ -1,5 +1,6 @@
 """Live depth: one match of a pair serves both of its cameras, whoever is asked for together, and every instant stands alone."""
 
+import inspect
 import os
 from dataclasses import replace
 
@@ -10,12 +11,15 @@ import pytest
 from ggvs_eval.depth_store import DepthMap, DepthStore
 from ggvs_eval.errors import DepthError
 from ggvs_eval.geometry.rectification import exchange_roles, rectify
+from ggvs_eval.pipelines.commands.play import play, view
+from ggvs_eval.pipelines.commands.runs import run
 from ggvs_eval.pipelines.offline.depth import fill_store
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import plan_rig_depth, prepare_depth
 from ggvs_eval.pipelines.offline.stereo.live import LiveEstimator, LiveMatcher, RigEstimator, enlarge
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
+from ggvs_eval.pipelines.play.playback import PlayOptions, viewing_of_capture
 from helpers.stereo_scenes import PLANE, look_from, paint, plane_depth, random_texture, write_capture
 
 PLACES = {"cam00": (0, 0), "cam01": (0.4, 0), "cam02": (-0.4, 0), "cam03": (0, 0.4)}
@@ -194,3 +198,13 @@ def test_it_is_a_matcher_by_name():
     estimator = DepthEstimator(RIG[0], RIG[1:], options)
     depth_map = estimator.estimate(images["cam00"], [images[camera.name] for camera in RIG[1:]])
     assert (depth_map.depth > 0).all()
+
+
+def test_play_and_view_take_it_by_default(capture, tmp_path):
+    """Both verbs of live synthesis, and no other; what a viewer reads is the plane at every camera."""
+    defaults = {verb: inspect.signature(verb).parameters["depth"].default for verb in (play, view, run)}
+    assert [default.matcher for default in defaults.values()] == ["live", "live", "sgbm"]
+    playback = viewing_of_capture(capture, PlayOptions(k=2, frames=1), defaults[view].options(), tmp_path / "cache")
+    for camera in capture.cameras:
+        depth_map = playback.store.read(playback.depth_keys[camera.name], 0)
+        assert np.median(errors(camera, depth_map)) < 0.005

@@ -1,7 +1,7 @@
-"""Depth at a quarter of the price, for play and view: matched at half size, each pair once for both of its cameras.
+"""Live depth, for play and view: images of a limited size, each pair of cameras matched once for the depth of both.
 
 Every instant is computed from itself alone, so that cuts, gaps and first instants are nothing special. What the instant before
-has found would hardly narrow the search: a scene fills the range of disparities that its cameras' near and far allow.
+has found would not narrow the search: scenes fill the range of disparities that near and far allow (docs/depth.md).
 """
 
 from collections.abc import Mapping, Sequence
