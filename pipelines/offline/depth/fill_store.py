@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import TypeVar
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
@@ -17,6 +18,7 @@ from ggvs_eval.pipelines.offline.sensor.registered_capture import registered
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthEstimator
 from ggvs_eval.pipelines.offline.stereo.live import LiveMatcher, RigEstimator
 
+Item = TypeVar("Item")
 MOST_TOGETHER = 12  # cameras whose depth one process computes at once: it holds the maps of all their pairs
 
 
@@ -151,18 +153,27 @@ def prepare_depth(
 def _share_pairs(
     capture: Capture, jobs: Sequence[DepthJob], frames: Sequence[int], store: DepthStore, options: DepthOptions, workers: Workers
 ) -> None:
-    """Do the jobs that match cameras, some in each process, so that they share their pairs."""
+    """Do the jobs that match cameras, together, so that they share their pairs; each process takes some of the instants."""
     missing = {job for job in jobs if job.partner_names and _missing(store, job.key, frames)}
+    if not missing:
+        return
     ordered = sorted(missing)  # by name, as neighbours mostly are, and neighbours are each other's partners
-    parts = max(-(-len(ordered) // MOST_TOGETHER), min(as_engine(workers).jobs, len(ordered)))
-    together = [tuple(ordered[len(ordered) * n // parts : len(ordered) * (n + 1) // parts]) for n in range(parts)]
-    run_all(partial(_run_together, capture, frames, store, options), together, workers, "depth maps of some cameras")
+    processes = as_engine(workers).jobs
+    groups = max(-(-len(ordered) // MOST_TOGETHER), min(-(-processes // len(frames)), len(ordered)))
+    spans = min(-(-processes // groups), len(frames))
+    items = [(span, group) for span in _split(frames, spans) for group in _split(ordered, groups)]
+    run_all(partial(_run_together, capture, store, options), items, workers, "depth maps of some cameras and instants")
+
+
+def _split(items: Sequence[Item], parts: int) -> list[Sequence[Item]]:
+    return [items[len(items) * n // parts : len(items) * (n + 1) // parts] for n in range(parts)]
 
 
 def _run_together(
-    capture: Capture, frames: Sequence[int], store: DepthStore, options: DepthOptions, jobs: Sequence[DepthJob]
+    capture: Capture, store: DepthStore, options: DepthOptions, item: tuple[Sequence[int], Sequence[DepthJob]]
 ) -> None:
-    """Compute what is missing of some jobs, each pair of cameras matched once; runs in a worker."""
+    """Compute what is missing of some jobs at some instants, each pair of cameras matched once; runs in a worker."""
+    frames, jobs = item
     missing = {job: _missing(store, store.write_spec(job.spec), frames) for job in jobs}
     instants = set().union(*missing.values())
     if not instants or not isinstance(options.matcher, LiveMatcher):

@@ -24,14 +24,12 @@ Estimate = tuple[Map, Map, Map]  # depth, confidence and disparity at the pixels
 
 @dataclass(frozen=True)
 class LiveMatcher(SgbmMatcher):
-    """Semi-global block matching of images of a limited size, each pair once for both of its cameras.
+    """Semi-global block matching of images of a limited size, refined at the largest one alone, each pair once for both cameras.
 
     Attributes:
-        refine_iterations: of the sub-pixel refinement, at the largest size alone.
         longest_px: larger images are made smaller until their longer side is this long.
     """
 
-    refine_iterations: int = 1
     longest_px: int = 1008
 
     @property

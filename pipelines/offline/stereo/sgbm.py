@@ -72,9 +72,8 @@ class SgbmMatcher:
         for _ in range(1, self.levels):
             pyramid.append(tuple(cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA) for image in pyramid[-1]))
         results = [(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32)) for _ in sides]
-        for level, pair in reversed(list(enumerate(pyramid))):
-            scale = 2**level
-            fine = self._match_level(level, *pair, d_min // scale, -(-d_max // scale), sides)
+        for level, (small_left, small_right) in reversed(list(enumerate(pyramid))):
+            fine = self._match_level(level, small_left, small_right, d_min // 2**level, -(-d_max // 2**level), sides)
             results = [self._completed(*each, *coarse) for each, coarse in zip(fine, results, strict=True)]
         return [
             (np.fliplr(each[0]), np.fliplr(each[1])) if side == "right" else each
