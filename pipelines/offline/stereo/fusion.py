@@ -32,8 +32,7 @@ def fuse(depths: Map, confidences: Map, disparities: Map, error_px: float) -> tu
     best, support = np.zeros_like(depths[0]), np.zeros_like(depths[0])
     for first in range(0, len(best), FUSED_ROWS):
         rows = slice(first, first + FUSED_ROWS)
-        maps = (each[:, rows] for each in (depths, confidences, disparities))
-        _fuse_rows(*maps, error_px, best[rows], support[rows])
+        _fuse_rows(depths[:, rows], confidences[:, rows], disparities[:, rows], error_px, best[rows], support[rows])
     return best, support / np.float32(len(depths))
 
 

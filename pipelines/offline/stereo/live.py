@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera
@@ -19,26 +20,26 @@ from ggvs_eval.pipelines.offline.stereo.fusion import fuse
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher, Side
 
 SAME_SURFACE = 0.01  # of the depth; neighbours that differ by less are one surface
+Indices = NDArray[np.int32]
 Estimate = tuple[Map, Map, Map]  # depth, confidence and disparity at the pixels of a camera, (H, W) each
 
 
 @dataclass(frozen=True)
 class LiveMatcher(SgbmMatcher):
-    """Semi-global block matching of images of a limited size, refined at the largest one alone, each pair once for both cameras.
+    """Semi-global block matching of images of a limited size, each pair once for both of its cameras.
 
     Attributes:
+        levels: sizes at which the pair is matched.
         longest_px: larger images are made smaller until their longer side is this long.
     """
 
+    levels: int = 2
     longest_px: int = 1008
 
     @property
     def name(self) -> str:
         """See StereoMatcher.name."""
         return "sgbm-3way-shared"
-
-    def _refinements(self, level: int) -> int:
-        return 0 if level else self.refine_iterations
 
     def small(self, camera: Camera) -> Camera:
         """The camera at the size at which it is matched."""
@@ -115,7 +116,7 @@ class RigEstimator:
         self._wanted = {(name, each) for name, *partners in self.matched for each in partners}
         ordered = sorted({(min(names), max(names)) for names in self._wanted})
         small = {camera.name: matcher.small(camera) for camera in cameras}
-        self._pairs = {names: SharedPair(*(small[name] for name in names), matcher) for names in ordered}
+        self._pairs = {(first, second): SharedPair(small[first], small[second], matcher) for first, second in ordered}
 
     def estimate(self, images: Mapping[str, Image8]) -> list[DepthMap]:
         """Depth at one instant, invalid where no partner has an opinion.
@@ -193,20 +194,19 @@ def enlarge(small: DepthMap, small_image: Image8, image: Image8) -> DepthMap:
     if small_image.shape == image.shape:
         return small
     rows, columns = (_nearest_two(*sizes) for sizes in zip(image.shape[:2], small_image.shape[:2], strict=True))
-    index = best = None
+    index, best = np.zeros(image.shape[:2], np.int32), np.full(image.shape[:2], 256, np.int16)
     for row, column in np.ndindex(2, 2):
         candidate = np.ascontiguousarray(small_image[rows[row]][:, columns[column]])
         difference = cv2.cvtColor(cv2.absdiff(image, candidate), cv2.COLOR_RGB2GRAY)  # (H, W)
-        at = rows[row][:, None] * small_image.shape[1] + columns[column]
-        nearer = None if best is None else difference < best
-        best = difference if nearer is None else np.minimum(best, difference)
-        index = at if nearer is None else np.where(nearer, at, index)
+        closer = difference < best
+        index = np.where(closer, rows[row][:, None] * small_image.shape[1] + columns[column], index)
+        best = np.where(closer, difference, best)
     depth, confidence = (each.ravel()[index] for each in (small.depth, small.confidence))
     smooth = cv2.resize(small.depth, image.shape[1::-1], interpolation=cv2.INTER_LINEAR)
     return DepthMap(np.where(np.abs(smooth - depth) < np.float32(SAME_SURFACE) * depth, smooth, depth), confidence)
 
 
-def _nearest_two(size: int, small_size: int) -> tuple[np.ndarray, np.ndarray]:
+def _nearest_two(size: int, small_size: int) -> tuple[Indices, Indices]:
     """The nearest small pixel of each pixel along an axis, and the next one, (size,) each."""
     place = (np.arange(size) + 0.5) * (small_size / size) - 0.5
     nearest = np.rint(place).astype(np.int32)

@@ -73,7 +73,7 @@ class SgbmMatcher:
             pyramid.append(tuple(cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA) for image in pyramid[-1]))
         results = [(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32)) for _ in sides]
         for level, (small_left, small_right) in reversed(list(enumerate(pyramid))):
-            fine = self._match_level(level, small_left, small_right, d_min // 2**level, -(-d_max // 2**level), sides)
+            fine = self._match_level(small_left, small_right, d_min // 2**level, -(-d_max // 2**level), sides)
             results = [self._completed(*each, *coarse) for each, coarse in zip(fine, results, strict=True)]
         return [
             (np.fliplr(each[0]), np.fliplr(each[1])) if side == "right" else each
@@ -87,25 +87,19 @@ class SgbmMatcher:
         enlarged = self.coarse_confidence * cv2.resize(coarse_confidence, size, interpolation=cv2.INTER_NEAREST)
         return disparity, np.where(kept, fine_confidence, enlarged)
 
-    def _match_level(
-        self, level: int, left: Image8, right: Image8, d_min: int, d_max: int, sides: Sequence[Side]
-    ) -> list[tuple[Map, Map]]:
+    def _match_level(self, left: Image8, right: Image8, d_min: int, d_max: int, sides: Sequence[Side]) -> list[tuple[Map, Map]]:
         """Match grey images at one size, the right one in its mirror image; rejects what the other does not confirm."""
         mirrored = np.fliplr(right), np.fliplr(left)
         of_left, of_right = self._disparity(left, right, d_min, d_max), self._disparity(*mirrored, d_min, d_max)
         tried = {"left": (left, right, of_left, np.fliplr(of_right)), "right": (*mirrored, of_right, np.fliplr(of_left))}
-        return [self._checked(*tried[side], self._refinements(level)) for side in sides]
+        return [self._checked(*tried[side]) for side in sides]
 
-    def _refinements(self, level: int) -> int:
-        """Iterations of the sub-pixel refinement at the size of a level, 0 for the largest one."""
-        return self.refine_iterations
-
-    def _checked(self, left: Image8, right: Image8, disparity: Map, disparity_right: Map, iterations: int) -> tuple[Map, Map]:
+    def _checked(self, left: Image8, right: Image8, disparity: Map, disparity_right: Map) -> tuple[Map, Map]:
         """The disparities that the right image confirms, refined, and their confidence."""
         gap = left_right_gap(disparity, disparity_right)
         allowed = np.maximum(self.check_px, self.check_share * disparity)
         kept = np.where((disparity > 0) & (gap <= allowed), disparity, np.float32(0))
-        refined = refine_disparity(left, right, kept, self.refine_window, iterations) if iterations else kept
+        refined = refine_disparity(left, right, kept, self.refine_window, self.refine_iterations)
         return refined, np.where(refined > 0, 1 - 0.5 * gap / allowed, np.float32(0))
 
     def _disparity(self, left: Image8, right: Image8, d_min: int, d_max: int) -> Map:
