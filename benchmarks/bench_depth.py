@@ -1,16 +1,19 @@
 """Seconds and memory of one depth map at 1345 x 1008 from four partners on two cores: ``python -m benchmarks.bench_depth``.
 
 Each matcher runs in a process of its own, one after another, on the same pictures: a floor, a wall and a box before it, painted
-with noise of two scales, seen by five cameras as far apart and as far from the scene as those of a real rig.
+with noise of two scales, seen by five cameras as far apart and as far from the scene as those of a real rig. With ``rig`` behind
+it, only what `play` and `view` wait for is measured: the depth of all five cameras, by two processes.
 """
 
 import json
 import os
+import resource
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +24,13 @@ from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
-from ggvs_eval.files.images import quantise
+from ggvs_eval.capture import Capture
+from ggvs_eval.datasets.frames import ImageFrames
+from ggvs_eval.depth_store import DepthStore
+from ggvs_eval.files.images import quantise, write_image
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import find_matcher
+from ggvs_eval.pipelines.offline.depth.fill_store import plan_rig_depth, prepare_depth
 from ggvs_eval.pipelines.offline.stereo.raft_config import PUBLISHED
 from ggvs_eval.pipelines.offline.stereo.raft_stereo import RaftStereo
 
@@ -32,12 +39,15 @@ WIDTH, HEIGHT, FOCAL_PX = 1345, 1008, 730.0
 PLACES = ((0.0, 0.0), (-1.1, 0.0), (1.1, 0.0), (-2.2, 0.0), (0.0, 2.75))  # of the camera and its partners, world units
 WALL, FLOOR, BOX, BOX_HALF = 20.0, 6.0, 11.0, 2.5
 CORES, MAX_RUNS, ENOUGH_S = 2, 3, 60.0
+RIG_INSTANTS = 2, 6  # each process takes half of them
+LIVE_TARGET_S = 0.6
 PEER = "sgbm"
 Options = Callable[[], DepthOptions]
 Figure = dict[str, Any]
 # What is timed; the first is the one that the others are compared with. A new matcher is one line.
 MATCHERS: Mapping[str, Options] = {
     PEER: lambda: DepthOptions(matcher=find_matcher("sgbm")),
+    "live": lambda: DepthOptions(matcher=find_matcher("live")),
     "sweep": lambda: DepthOptions(matcher=find_matcher("sweep")),
     "raft": lambda: DepthOptions(matcher=find_matcher("raft")),
 }
@@ -74,10 +84,52 @@ def measure_networks() -> dict[str, Figure]:
     }
 
 
+def measure_rig() -> dict[str, Figure]:
+    """Seconds a map of a rig of five cameras, each matched with the four others, as two processes fill a store with them.
+
+    What six instants take less what two take: processes start and pairs are rectified once, however long the capture is. The
+    processors' seconds say the same of a machine that has other work to do.
+    """
+    values_of = {}
+    with tempfile.TemporaryDirectory() as root:
+        capture = write_rig(Path(root) / "rig", max(RIG_INSTANTS))
+        for name in (PEER, "live"):
+            options = replace(MATCHERS[name](), consistency=None)
+            jobs, times = plan_rig_depth(capture, options), []
+            for instants in RIG_INSTANTS:
+                store, start = DepthStore(Path(root) / f"{name}{instants}"), _clocks()
+                prepare_depth(capture, jobs, range(instants), store, options, CORES)
+                times.append(_clocks() - start)
+            values_of[name] = (times[1] - times[0]) / (len(jobs) * (RIG_INSTANTS[1] - RIG_INSTANTS[0]))
+    figures = {}
+    for number, (measured, unit) in enumerate((("rig_seconds", "s a map"), ("rig_cpu_seconds", "CPU s a map"))):
+        for name, values in values_of.items():
+            figures[f"depth.{measured}.{name}"] = _figure(name, float(values[number]), unit, float(values_of[PEER][number]))
+    figures["depth.rig_seconds.live"]["target"] = LIVE_TARGET_S
+    return figures
+
+
+def _clocks() -> NDArray[np.float64]:
+    """Seconds on the wall, and those of processors in this process and in those that it has ended."""
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return np.array([time.perf_counter(), sum(each.ru_utime + each.ru_stime for each in used)])
+
+
+def write_rig(folder: Path, n_frames: int) -> Capture:
+    """The scene as all five cameras see it, the same at every instant, as folders of images."""
+    texture, cameras = make_texture(), tuple(camera_at(*place) for place in PLACES)
+    for camera in cameras:
+        image = look(camera, texture)
+        for frame in range(n_frames):
+            write_image(folder / camera.name / f"{frame:04d}.png", image)
+    sources = tuple(ImageFrames(folder / camera.name) for camera in cameras)
+    return Capture("rig", "folders", folder, cameras, sources, n_frames, 30.0, 1.0, "known")
+
+
 def measure() -> dict[str, Figure]:
     """Name -> figure; a matcher that fails, as one without weights does, is named and left out."""
     values_of = {name: values for name in MATCHERS if (values := _in_a_child(name)) is not None}
-    figures = measure_networks()
+    figures = measure_networks() | measure_rig()
     for name, values in values_of.items():
         for measured, unit in (("seconds", "s per depth map"), ("memory_mb", "MB at most")):
             figures[f"depth.{measured}.{name}"] = _figure(name, values[measured], unit, values_of.get(PEER, {}).get(measured))
@@ -159,12 +211,16 @@ def make_texture() -> NDArray[np.float32]:
     return np.asarray(0.5 + 0.1 * (fine / fine.std() + coarse / coarse.std()), np.float32)
 
 
+def _print(figures: Mapping[str, Figure]) -> None:
+    for name, figure in figures.items():
+        ratio = f", ratio {figure['ratio']:.3g}" if "ratio" in figure else ""
+        print(f"{name}: {figure['value']:.4g} {figure['unit']}{ratio}")
+
+
 if __name__ == "__main__":
-    if len(sys.argv) > 1:
+    if sys.argv[1:] == ["rig"]:
+        _print(measure_rig())
+    elif len(sys.argv) > 1:
         print(json.dumps(_measure_here(sys.argv[1])))
     else:
-        for shown, figure in measure().items():
-            print(
-                f"{shown}: {figure['value']:.4g} {figure['unit']}"
-                + (f", ratio {figure['ratio']:.3g}" if "ratio" in figure else "")
-            )
+        _print(measure())

@@ -38,7 +38,9 @@ def main() -> None:
     """Print the tables of the methods and domains that are asked for."""
     arguments = _arguments()
     methods = {label: find_method(label).make for label in arguments.methods}
-    plan = ViewPlan(arguments.targets, arguments.views, arguments.frames, arguments.seeds, arguments.matcher)
+    plan = ViewPlan(
+        arguments.targets, arguments.views, arguments.frames, arguments.seeds, arguments.matcher, alone=arguments.alone
+    )
     scores = validate_domains(methods, arguments.out / "domains", arguments.domains, plan, arguments.data, workers=arguments.jobs)
     print(show_tables(scores))
     absent = REAL in arguments.domains and REAL not in set(scores["domain"])
@@ -155,6 +157,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--views", type=int, default=4, help="K")
     parser.add_argument("--frames", type=int, default=1, help="instants per view of fixed rigs; 2 or more give STED")
     parser.add_argument("--matcher", default="sgbm", help="whose depth rigs get")
+    parser.add_argument("--alone", action="store_true", help="depth as play and view have it, not held against other sources'")
     parser.add_argument("--data", type=Path, default=None, help=f"folder with {REAL_CAPTURE}")
     parser.add_argument("--out", type=Path, default=Path("out"), help="folder for validate_domains.json and what is kept")
     parser.add_argument("--jobs", type=int, default=default_workers(), help="processes that film and compute depth")

@@ -43,6 +43,7 @@ class ViewPlan:
         seeds: how many of the validation seeds.
         matcher: whose depth rigs get; sensors' depth is taken where there is one.
         size: of the images, pixels; each domain's own by default.
+        alone: depth is not held against that of the other sources, as `play` and `view` have it.
     """
 
     targets: int = 3
@@ -51,6 +52,7 @@ class ViewPlan:
     seeds: int = 1
     matcher: str = "sgbm"
     size: tuple[int, int] | None = None
+    alone: bool = False
 
 
 @dataclass(frozen=True)
@@ -113,7 +115,8 @@ def make_views(cache: Path, domain: str, seed: int, plan: ViewPlan, data: Path |
     """Film one capture, or open the real one, and write its views that are not there yet."""
     capture, choices = _real(data, plan) if domain == REAL else _rendered(cache, domain, seed, plan)
     for frame in range(len(views_of(cache, domain, seed, plan)[0].files)):
-        maker = MeasuredSampleMaker(capture, DepthRunOptions(plan.matcher).options(), frame)
+        options = DepthRunOptions(plan.matcher).options()
+        maker = MeasuredSampleMaker(capture, replace(options, consistency=None) if plan.alone else options, frame)
         for view, (target, sources) in zip(views_of(cache, domain, seed, plan), choices, strict=True):
             if not view.files[frame].is_file():
                 write_view(view.files[frame], InstantSample(maker.instant(target, sources), maker.truth(target)))

@@ -111,6 +111,38 @@ def rectify(reference: Camera, partner: Camera) -> RectifiedPair:
     )
 
 
+def exchange_roles(pair: RectifiedPair, reference: Camera, partner: Camera) -> RectifiedPair:
+    """The same canvas turned upside down, on which the partner plays the left image: its pixels, matched with the reference's.
+
+    Args:
+        pair: what `rectify` has made of the two.
+        reference: the camera that plays the left image there.
+        partner: the one that plays it here.
+
+    Returns:
+        The pair with the roles exchanged; what one image shows in (column, row) of the canvas lies in (width - 1 - column,
+        height - 1 - row) of this one.
+    """
+    half_turn = np.diag([-1.0, -1.0, 1.0])
+    rotation = product(half_turn, product(product(pair.rotation, reference.rotation), partner.rotation.T))
+    focal_px = pair.projection[0, 0]
+    centre = np.array(pair.size) - pair.projection[:2, 2]
+    rays = transformed(rotation, _rays(partner))  # (H, W, 3)
+    return RectifiedPair(
+        left_map=pair.right_map[::-1, ::-1],
+        right_map=pair.left_map[::-1, ::-1],
+        left_inside=pair.right_inside[::-1, ::-1],
+        right_inside=pair.left_inside[::-1, ::-1],
+        canvas_map=(rays[..., :2] / rays[..., 2:] * focal_px + centre - 0.5).astype(np.float32),
+        depth_scale=(focal_px * pair.baseline / rays[..., 2]).astype(np.float32),
+        rotation=rotation,
+        projection=np.array([[focal_px, 0.0, centre[0]], [0.0, focal_px, centre[1]], [0.0, 0.0, 1.0]]),
+        baseline=pair.baseline,
+        d_min=pair.d_min,
+        d_max=pair.d_max,
+    )
+
+
 def depth_from_disparity(pair: RectifiedPair, disparity: Map, confidence: Map) -> tuple[Map, Map, Map]:
     """Bring a disparity map on the canvas back to the pixels of the reference.
 

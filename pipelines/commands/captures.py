@@ -16,7 +16,7 @@ from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.pipelines.offline.calibration.calibrate import CalibrationOptions
 from ggvs_eval.pipelines.offline.calibration.undistort import UndistortOptions
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
+from ggvs_eval.pipelines.offline.depth.depth_choice import LIVE_MATCHER, DepthRunOptions
 from ggvs_eval.synthetic.film.options import DemoOptions
 
 NONE = "(none by default)"
@@ -101,6 +101,7 @@ BY_DEFAULT = ReadingOptions()
 Calibrating = tyro.conf.OmitArgPrefixes[CalibrationOptions]
 Finding = tyro.conf.OmitArgPrefixes[DepthRunOptions]
 FOUND_BY_DEFAULT = DepthRunOptions()
+FOUND_LIVE = DepthRunOptions(LIVE_MATCHER)  # what play and view wait for
 
 
 def demo(

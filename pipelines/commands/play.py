@@ -6,7 +6,7 @@ from typing import Annotated
 import tyro
 
 from ggvs_eval.geometry.source_views import SourceChoice
-from ggvs_eval.pipelines.commands.captures import BY_DEFAULT, FOUND_BY_DEFAULT, ONE_PER_CORE, Finding, Jobs, Reading
+from ggvs_eval.pipelines.commands.captures import BY_DEFAULT, FOUND_LIVE, ONE_PER_CORE, Finding, Jobs, Reading
 from ggvs_eval.pipelines.commands.runs import Device
 from ggvs_eval.pipelines.methods.network_options import checked_device
 from ggvs_eval.pipelines.methods.registry import METHODS
@@ -26,7 +26,7 @@ def play(
     sources: SourceChoice | None = None,
     device: Device = "cpu",
     reading: Reading = BY_DEFAULT,
-    depth: Finding = FOUND_BY_DEFAULT,
+    depth: Finding = FOUND_LIVE,
     jobs: Jobs = ONE_PER_CORE,
 ) -> None:
     """Synthesise the view of a camera that goes round between the cameras of a rig into a video, and tell how fast.
@@ -75,7 +75,7 @@ def view(
     export: Path | None = None,
     device: Device = "cpu",
     reading: Reading = BY_DEFAULT,
-    depth: Finding = FOUND_BY_DEFAULT,
+    depth: Finding = FOUND_LIVE,
     jobs: Jobs = ONE_PER_CORE,
 ) -> None:
     """Look at a scene in the browser: drag the camera, and a method renders what it sees while time plays or stands.

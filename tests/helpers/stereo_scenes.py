@@ -1,5 +1,6 @@
 """Textured surfaces seen by cameras that differ in place and direction, in closed form."""
 
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -27,11 +28,14 @@ def look_from(x: float, y: float, name: str, turn: float = 0.0) -> Camera:
     return Camera(name, K, world_to_camera, WIDTH, HEIGHT, NEAR, FAR)
 
 
+@cache
 def random_texture(seed: int = 0) -> np.ndarray:
-    """Band-limited noise, (1024, 1024), in [0, 1]."""
+    """Band-limited noise, (1024, 1024), in [0, 1]; made once, so it must not be written to."""
     noise = np.random.default_rng(seed).normal(size=(1024, 1024))
     fine, coarse = (cv2.GaussianBlur(noise, (0, 0), sigma) for sigma in (2.5, 10))
-    return np.clip(0.5 + 0.12 * (fine / fine.std() + coarse / coarse.std()), 0, 1)
+    texture = np.clip(0.5 + 0.12 * (fine / fine.std() + coarse / coarse.std()), 0, 1)
+    texture.flags.writeable = False
+    return texture
 
 
 def plane_depth(camera: Camera, plane: np.ndarray = PLANE) -> np.ndarray:

@@ -24,6 +24,7 @@ from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.consistency import ConsistencyOptions
 from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthOptions
+from ggvs_eval.pipelines.offline.stereo.live import LiveMatcher
 from ggvs_eval.pipelines.offline.stereo.raft_matcher import RaftMatcher
 from ggvs_eval.pipelines.run.render import method_code
 from ggvs_eval.pipelines.run.score_code import ceilings_code, metric_code, path_code
@@ -60,7 +61,7 @@ OTHERS = with_parts("PSNR", "L1", "IV_PSNR", "PSNR_YCbCr", "MS_SSIM", "FLIP") | 
 STEADY, PATHS = {"mTV", "mTV2"}, {"path", "path with COLMAP"}
 ALL_SCORES = WITH_SSIM | OTHERS | STED | FLICKER | LPIPS | STEADY | {"Sharpness"} | PATHS
 REGIONS = {name for name in ALL_SCORES if name.endswith(("_static", "_moving", "_disoccluded"))}
-STEREO = {"depth by sgbm", "depth by sweep", "depth by raft"}
+STEREO = {"depth by sgbm", "depth by live", "depth by sweep", "depth by raft"}
 ALL_DEPTH = STEREO | {"checked depth", "sensor depth"}
 
 # A file of the package, and the jobs that are stale when one byte of it changes.
@@ -86,7 +87,8 @@ STALE: dict[str, set[str]] = {
     "pipelines/online/depth_filter.py": OURS,
     "pipelines/online/whole_sequence.py": {"ours-geometric+offline"},
     "pipelines/run/instants.py": ALL_METHODS,
-    "pipelines/offline/stereo/sgbm.py": {"depth by sgbm", "depth by raft"},
+    "pipelines/offline/stereo/sgbm.py": {"depth by sgbm", "depth by live", "depth by raft"},
+    "pipelines/offline/stereo/live.py": {"depth by live"},
     "pipelines/offline/stereo/raft_update.py": {"depth by raft"},
     "pipelines/offline/plane_sweep/plane_sweep.py": {"depth by sweep"},
     "pipelines/offline/depth/depth_stream.py": STEREO,
@@ -157,7 +159,12 @@ def changed_byte(tree: CodeTree, name: str) -> Iterator[None]:
 
 def codes_of(tree: CodeTree) -> dict[str, Any]:
     """Hashes of the code of every kind of job, by its name."""
-    matchers = {"sgbm": DepthOptions().matcher, "sweep": PlaneSweep(), "raft": RaftMatcher(Path("weights"), "")}
+    matchers = {
+        "sgbm": DepthOptions().matcher,
+        "live": LiveMatcher(),
+        "sweep": PlaneSweep(),
+        "raft": RaftMatcher(Path("weights"), ""),
+    }
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(identity, "installed_code", lambda: tree)
         return {

@@ -16,6 +16,7 @@ from ggvs_eval.pipelines.offline.plane_sweep.plane_sweep import PlaneSweepEstima
 from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthOptions
 from ggvs_eval.pipelines.offline.stereo.fusion import PairwiseEstimator, drop_flying_pixels, fill_background, smooth_surfaces
+from ggvs_eval.pipelines.offline.stereo.live import LiveEstimator, LiveMatcher
 from ggvs_eval.pipelines.offline.stereo.matcher import StereoMatcher
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
 
@@ -89,7 +90,8 @@ class DepthOptions:
 
     def _code(self) -> str:
         """Hash of the code that finds depth by this matcher, and by no other."""
-        estimator = PlaneSweepEstimator if isinstance(self.matcher, PlaneSweep) else PairwiseEstimator
+        estimators = {PlaneSweep: PlaneSweepEstimator, LiveMatcher: LiveEstimator}
+        estimator = estimators.get(type(self.matcher), PairwiseEstimator)
         modules = (part.__module__ for part in (fill_background, estimator, type(self.matcher)))
         return code_identity(__name__, STREAM, *modules, unfollowed=(__name__,))
 
@@ -112,9 +114,11 @@ class DepthEstimator:
         self.camera = camera
         self.partners = tuple(partners)
         self.options = options
-        self._raw: PairwiseEstimator | PlaneSweepEstimator
+        self._raw: PairwiseEstimator | PlaneSweepEstimator | LiveEstimator
         if isinstance(options.matcher, PlaneSweep):
             self._raw = PlaneSweepEstimator(camera, partners, options.matcher)
+        elif isinstance(options.matcher, LiveMatcher):
+            self._raw = LiveEstimator(camera, partners, options.matcher, options.error_px)
         else:
             self._raw = PairwiseEstimator(camera, partners, options.matcher, options.error_px, options.time.warm)
 

@@ -8,12 +8,15 @@ from ggvs_eval.errors import DepthError, did_you_mean
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions, TimeOptions
 from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import RegistrationName, SensorDepthOptions
+from ggvs_eval.pipelines.offline.stereo.live import LiveMatcher
 from ggvs_eval.pipelines.offline.stereo.matcher import StereoMatcher
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
 
 DEFAULT_MATCHER = "sgbm"
+LIVE_MATCHER = "live"  # the default of play and view
 MATCHERS = {
     "sgbm": "OpenCV's semi-global matching over an image pyramid, each partner on its own",
+    "live": "semi-global matching at half size, each pair once for both of its cameras; for play and view",
     "sweep": "planes swept through all partners at once, then semi-global matching over the planes",
     "raft": "the compact RAFT-Stereo that ships, started from semi-global matching",
     "raft:CHECKPOINT": "RAFT-Stereo with a checkpoint of its authors, e.g. raft:raftstereo-middlebury.pth",
@@ -34,6 +37,8 @@ def find_matcher(name: str) -> StereoMatcher | PlaneSweep:
         return _raft(checkpoint)
     if name == "sgbm":
         return SgbmMatcher()
+    if name == LIVE_MATCHER:
+        return LiveMatcher()
     if name == "sweep":
         return PlaneSweep()
     raise DepthError(f"no stereo matcher {name!r}; there are {', '.join(MATCHERS)}{did_you_mean(name, MATCHERS)}")
@@ -55,7 +60,7 @@ class DepthRunOptions:
     """Options of depth estimation, as the command line takes them and a run folder keeps them.
 
     Attributes:
-        matcher: sgbm, sweep, raft (compact, ships with the package) or raft:CHECKPOINT.
+        matcher: sgbm, live (at half size, for play and view), sweep, raft (compact, ships with the package) or raft:CHECKPOINT.
         stereo_weights: a checkpoint of RAFT-Stereo's authors, e.g. raftstereo-middlebury.pth; the same as raft:CHECKPOINT.
         sensor: take the depth that a sensor measured where the capture has it (RGB-D), filtered, instead of stereo.
         registration: estimated: align sensor depth with its colour where the images of a sequence show that it is clearly off;
@@ -76,7 +81,7 @@ class DepthRunOptions:
             DepthError: no such matcher, or weights for one that takes none.
             WeightsError: weights that are not RAFT-Stereo's.
         """
-        if self.stereo_weights is not None and self.matcher not in (DEFAULT_MATCHER, "raft"):
+        if self.stereo_weights is not None and self.matcher not in (DEFAULT_MATCHER, LIVE_MATCHER, "raft"):
             raise DepthError(f"--stereo-weights are for the matcher raft, got the matcher {self.matcher}")
         name = self.matcher if self.stereo_weights is None else f"raft:{self.stereo_weights}"
         time = TimeOptions(KEYFRAME_EVERY, warm=True, reuse=True) if self.reuse_static else TimeOptions()

@@ -3,18 +3,23 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import TypeVar
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthJob, DepthStore, describe_depth
 from ggvs_eval.geometry.source_views import SourceChoice, choose_sources
-from ggvs_eval.jobs.engine import Workers
+from ggvs_eval.jobs.engine import Workers, as_engine
 from ggvs_eval.jobs.run_all import run_all
-from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions, check_depth
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions, check_depth, finish
 from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
 from ggvs_eval.pipelines.offline.depth.pairing import choose_partners
 from ggvs_eval.pipelines.offline.sensor.registered_capture import registered
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthEstimator
+from ggvs_eval.pipelines.offline.stereo.live import LiveMatcher, RigEstimator
+
+Item = TypeVar("Item")
+MOST_TOGETHER = 12  # cameras whose depth one process computes at once: it holds the maps of all their pairs
 
 
 def plan_depth(
@@ -139,8 +144,51 @@ def prepare_depth(
     missing = [job for job in dict.fromkeys(jobs) if _missing(store, job.key, frames)]
     checked = [job for job in missing if job.checked_with]
     unchecked = [each for job in missing for each in (job.unchecked, *job.checked_with)]
+    if isinstance(options.matcher, LiveMatcher) and options.time.keyframe_every == 1:
+        _share_pairs(capture, unchecked, frames, store, options, workers)
     _in_workers(_run, capture, unchecked, frames, store, options, workers, "depth maps per camera")
     _in_workers(_check, capture, checked, frames, store, options, workers, "depth held against other cameras")
+
+
+def _share_pairs(
+    capture: Capture, jobs: Sequence[DepthJob], frames: Sequence[int], store: DepthStore, options: DepthOptions, workers: Workers
+) -> None:
+    """Do the jobs that match cameras, together, so that they share their pairs; each process takes some of the instants."""
+    missing = {job for job in jobs if job.partner_names and _missing(store, job.key, frames)}
+    if not missing:
+        return
+    ordered = sorted(missing)  # by name, as neighbours mostly are, and neighbours are each other's partners
+    processes = as_engine(workers).jobs
+    groups = max(-(-len(ordered) // MOST_TOGETHER), min(-(-processes // len(frames)), len(ordered)))
+    spans = min(-(-processes // groups), len(frames))
+    items = [(span, group) for span in _split(frames, spans) for group in _split(ordered, groups)]
+    run_all(partial(_run_together, capture, store, options), items, workers, "depth maps of some cameras and instants")
+
+
+def _split(items: Sequence[Item], parts: int) -> list[Sequence[Item]]:
+    return [items[len(items) * n // parts : len(items) * (n + 1) // parts] for n in range(parts)]
+
+
+def _run_together(
+    capture: Capture, store: DepthStore, options: DepthOptions, item: tuple[Sequence[int], Sequence[DepthJob]]
+) -> None:
+    """Compute what is missing of some jobs at some instants, each pair of cameras matched once; runs in a worker."""
+    frames, jobs = item
+    missing = {job: _missing(store, store.write_spec(job.spec), frames) for job in jobs}
+    instants = set().union(*missing.values())
+    if not instants or not isinstance(options.matcher, LiveMatcher):
+        return
+    matched = [(job.camera_name, *job.partner_names) for job in jobs]
+    names = list(dict.fromkeys(name for each in matched for name in each))
+    rig = RigEstimator([capture.camera(name) for name in names], matched, options.matcher, options.error_px)
+    start, stop = min(instants), max(instants) + 1
+    decoded = [capture.frames(name, start, stop) for name in names]
+    for frame, images in zip(range(start, stop), zip(*decoded, strict=True), strict=True):
+        if frame not in instants:
+            continue
+        for job, depth_map in zip(jobs, rig.estimate(dict(zip(names, images, strict=True))), strict=True):
+            if frame in missing[job]:
+                store.write(job.key, frame, finish(depth_map, options))
 
 
 def _in_workers(

@@ -11,6 +11,8 @@ from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.geometry.rectification import RectifiedPair, depth_from_disparity, rectify
 from ggvs_eval.pipelines.offline.stereo.matcher import StereoMatcher
 
+FUSED_ROWS = 16  # at a time: what they need stays in the processor's cache
+
 
 def fuse(depths: Map, confidences: Map, disparities: Map, error_px: float) -> tuple[Map, Map]:
     """Per pixel, the estimate that most others support, averaged with its supporters.
@@ -27,18 +29,26 @@ def fuse(depths: Map, confidences: Map, disparities: Map, error_px: float) -> tu
     Returns:
         Depth (H, W), 0 where nobody has an opinion, and confidence (H, W): the supporters' summed confidence over N.
     """
+    best, support = np.zeros_like(depths[0]), np.zeros_like(depths[0])
+    for first in range(0, len(best), FUSED_ROWS):
+        rows = slice(first, first + FUSED_ROWS)
+        _fuse_rows(depths[:, rows], confidences[:, rows], disparities[:, rows], error_px, best[rows], support[rows])
+    return best, support / np.float32(len(depths))
+
+
+def _fuse_rows(depths: Map, confidences: Map, disparities: Map, error_px: float, best: Map, support: Map) -> None:
+    """Write some rows of the fused depth and its support into `best` and `support`, both 0 before."""
     with np.errstate(divide="ignore"):
         share = np.where(depths > 0, np.float32(error_px) / disparities, np.float32(0))  # (N, H, W), error in units of the depth
     weights = confidences * np.square(disparities)
-    best, support = np.zeros_like(depths[0]), np.zeros_like(depths[0])
     for candidate, candidate_share in zip(depths, share, strict=True):
         agree = (depths > 0) & (np.abs(depths - candidate) <= (share + candidate_share) * candidate)  # (N, H, W)
         total = np.where(agree, confidences, np.float32(0)).sum(axis=0)
         better = total > support
         agreeing = np.where(agree, weights, np.float32(0))
         mean = np.divide((agreeing * depths).sum(axis=0), agreeing.sum(axis=0), out=np.zeros_like(best), where=better)
-        best, support = np.where(better, mean, best), np.where(better, total, support)
-    return best, support / np.float32(len(depths))
+        np.copyto(best, mean, where=better)
+        np.copyto(support, total, where=better)
 
 
 def drop_flying_pixels(depth: Map, share: float) -> Map:

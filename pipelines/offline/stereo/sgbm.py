@@ -1,6 +1,8 @@
 """OpenCV's semi-global matching over an image pyramid, checked left against right."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -8,6 +10,7 @@ import numpy as np
 from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.pipelines.offline.stereo.matcher import left_right_gap, refine_disparity
 
+Side = Literal["left", "right"]
 SUBPIXEL = 16  # OpenCV counts disparity in sixteenths of a pixel
 
 
@@ -49,24 +52,51 @@ class SgbmMatcher:
 
     def match(self, left: Image8, right: Image8, d_min: int, d_max: int, previous: Map | None = None) -> tuple[Map, Map]:
         """Match a rectified pair, see StereoMatcher.match; the frame before is not needed."""
+        return self.match_sides(left, right, d_min, d_max, ("left",))[0]
+
+    def match_sides(self, left: Image8, right: Image8, d_min: int, d_max: int, sides: Sequence[Side]) -> list[tuple[Map, Map]]:
+        """Match a rectified pair for either or both of its images: the check of one against the other finds both anyway.
+
+        Args:
+            left: RGB, (H, W, 3).
+            right: RGB, (H, W, 3).
+            d_min: smallest disparity, pixels.
+            d_max: largest disparity, pixels.
+            sides: the images whose disparity is wanted.
+
+        Returns:
+            For each side disparity and confidence, (H, W) each, as `match` gives them for the left one; a point in column x of
+            the right one lies at x + disparity on the left.
+        """
         pyramid = [tuple(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in (left, right))]
         for _ in range(1, self.levels):
             pyramid.append(tuple(cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA) for image in pyramid[-1]))
-        disparity = confidence = np.zeros((1, 1), np.float32)
+        results = [(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32)) for _ in sides]
         for level, (small_left, small_right) in reversed(list(enumerate(pyramid))):
-            size, scale = small_left.shape[::-1], 2**level
-            fine, fine_confidence = self._match_level(small_left, small_right, d_min // scale, -(-d_max // scale))
-            kept = fine > 0
-            disparity = np.where(kept, fine, 2 * _enlarge(disparity, size))
-            coarse_confidence = self.coarse_confidence * cv2.resize(confidence, size, interpolation=cv2.INTER_NEAREST)
-            confidence = np.where(kept, fine_confidence, coarse_confidence)
-        return disparity, confidence
+            fine = self._match_level(small_left, small_right, d_min // 2**level, -(-d_max // 2**level), sides)
+            results = [self._completed(*each, *coarse) for each, coarse in zip(fine, results, strict=True)]
+        return [
+            (np.fliplr(each[0]), np.fliplr(each[1])) if side == "right" else each
+            for side, each in zip(sides, results, strict=True)
+        ]
 
-    def _match_level(self, left: Image8, right: Image8, d_min: int, d_max: int) -> tuple[Map, Map]:
-        """Match grey images at one size; rejects what the right image does not confirm."""
-        disparity = self._disparity(left, right, d_min, d_max)
-        mirrored = self._disparity(np.fliplr(right), np.fliplr(left), d_min, d_max)
-        gap = left_right_gap(disparity, np.fliplr(mirrored))
+    def _completed(self, fine: Map, fine_confidence: Map, coarse: Map, coarse_confidence: Map) -> tuple[Map, Map]:
+        """What one size has found, and where it has found nothing what the smaller one has."""
+        size, kept = fine.shape[::-1], fine > 0
+        disparity = np.where(kept, fine, 2 * _enlarge(coarse, size))
+        enlarged = self.coarse_confidence * cv2.resize(coarse_confidence, size, interpolation=cv2.INTER_NEAREST)
+        return disparity, np.where(kept, fine_confidence, enlarged)
+
+    def _match_level(self, left: Image8, right: Image8, d_min: int, d_max: int, sides: Sequence[Side]) -> list[tuple[Map, Map]]:
+        """Match grey images at one size, the right one in its mirror image; rejects what the other does not confirm."""
+        mirrored = np.fliplr(right), np.fliplr(left)
+        of_left, of_right = self._disparity(left, right, d_min, d_max), self._disparity(*mirrored, d_min, d_max)
+        tried = {"left": (left, right, of_left, np.fliplr(of_right)), "right": (*mirrored, of_right, np.fliplr(of_left))}
+        return [self._checked(*tried[side]) for side in sides]
+
+    def _checked(self, left: Image8, right: Image8, disparity: Map, disparity_right: Map) -> tuple[Map, Map]:
+        """The disparities that the right image confirms, refined, and their confidence."""
+        gap = left_right_gap(disparity, disparity_right)
         allowed = np.maximum(self.check_px, self.check_share * disparity)
         kept = np.where((disparity > 0) & (gap <= allowed), disparity, np.float32(0))
         refined = refine_disparity(left, right, kept, self.refine_window, self.refine_iterations)

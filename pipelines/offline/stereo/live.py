@@ -1,0 +1,214 @@
+"""Live depth, for play and view: images of a limited size, each pair of cameras matched once for the depth of both.
+
+Every instant is computed from itself alone, so that cuts, gaps and first instants are nothing special. What the instant before
+has found would not narrow the search: scenes fill the range of disparities that near and far allow (docs/depth.md).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ggvs_eval.arrays import Image8, Map
+from ggvs_eval.camera import Camera
+from ggvs_eval.depth_store import DepthMap
+from ggvs_eval.errors import DepthError
+from ggvs_eval.geometry.rectification import depth_from_disparity, exchange_roles, rectify
+from ggvs_eval.pipelines.offline.stereo.fusion import fuse
+from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher, Side
+
+SAME_SURFACE = 0.01  # of the depth; neighbours that differ by less are one surface
+Indices = NDArray[np.int32]
+Estimate = tuple[Map, Map, Map]  # depth, confidence and disparity at the pixels of a camera, (H, W) each
+
+
+@dataclass(frozen=True)
+class LiveMatcher(SgbmMatcher):
+    """Semi-global block matching of images of a limited size, each pair once for both of its cameras.
+
+    Attributes:
+        levels: sizes at which the pair is matched.
+        longest_px: larger images are made smaller until their longer side is this long.
+    """
+
+    levels: int = 2
+    longest_px: int = 1008
+
+    @property
+    def name(self) -> str:
+        """See StereoMatcher.name."""
+        return "sgbm-3way-shared"
+
+    def small(self, camera: Camera) -> Camera:
+        """The camera at the size at which it is matched."""
+        share = min(self.longest_px / max(camera.size), 1.0)
+        return camera.resized(round(camera.width * share), round(camera.height * share))
+
+
+class SharedPair:
+    """Two cameras matched with each other once, for the depth of both.
+
+    Args:
+        first: one of them, at the size at which they are matched.
+        second: the other.
+        matcher: the stereo algorithm.
+
+    Raises:
+        DepthError: the pair cannot be rectified.
+    """
+
+    def __init__(self, first: Camera, second: Camera, matcher: LiveMatcher) -> None:
+        self._matcher = matcher
+        self._pair = rectify(first, second)
+        self._turned = exchange_roles(self._pair, first, second)
+        self._d_min = min(self._pair.d_min, int(np.floor(self._turned.depth_scale.min() / second.far)))
+        self._d_max = max(self._pair.d_max, int(np.ceil(self._turned.depth_scale.max() / second.near)))
+
+    def match(self, image: Image8, other: Image8, sides: Sequence[Side]) -> list[Estimate]:
+        """What the cameras learn from each other.
+
+        Args:
+            image: what the first camera saw, RGB, (H, W, 3).
+            other: what the second camera saw at the same instant.
+            sides: left for the depth of the first camera, right for that of the second.
+        """
+        left, right = self._pair.warp_left(image), self._pair.warp_right(other)
+        matches = self._matcher.match_sides(left, right, self._d_min, self._d_max, sides)
+        return [self._seen(side, *each) for side, each in zip(sides, matches, strict=True)]
+
+    def _seen(self, side: Side, disparity: Map, confidence: Map) -> Estimate:
+        """What was found on the canvas, at the pixels of a camera."""
+        pair = self._pair
+        if side == "right":
+            pair, disparity, confidence = self._turned, disparity[::-1, ::-1], confidence[::-1, ::-1]
+        depth, sure, sampled = depth_from_disparity(pair, np.where(pair.sees(disparity), disparity, np.float32(0)), confidence)
+        matched = (
+            sampled >= max(self._d_min, 1) - 0.5
+        )  # between a match and none the interpolation passes through tiny disparities
+        return np.where(matched, depth, np.float32(0)), np.where(matched, sure, np.float32(0)), sampled
+
+
+class RigEstimator:
+    """Depth of several cameras at once; everything that does not depend on the images is prepared once.
+
+    Whatever cameras are asked for together, each has the same depth to the last bit: a pair is always matched in the order of its
+    cameras' names.
+
+    Args:
+        cameras: the rig.
+        matched: for each depth map that is wanted the name of its camera, and those of the cameras that it is matched with.
+        matcher: the stereo algorithm.
+        error_px: estimates of two partners agree when disparity errors of this size, in the smaller images, explain their
+            difference.
+
+    Raises:
+        DepthError: a pair that cannot be rectified.
+    """
+
+    def __init__(
+        self, cameras: Sequence[Camera], matched: Sequence[Sequence[str]], matcher: LiveMatcher, error_px: float
+    ) -> None:
+        self.matched = [tuple(names) for names in matched]
+        self._cameras = {camera.name: camera for camera in cameras}
+        self._matcher, self._error_px = matcher, error_px
+        self._requested = {(name, each) for name, *partners in self.matched for each in partners}
+        ordered = sorted({(min(names), max(names)) for names in self._requested})
+        small = {camera.name: matcher.small(camera) for camera in cameras}
+        self._pairs = {(first, second): SharedPair(small[first], small[second], matcher) for first, second in ordered}
+
+    def estimate(self, images: Mapping[str, Image8]) -> list[DepthMap]:
+        """Depth at one instant, invalid where no partner has an opinion.
+
+        Args:
+            images: what each camera of the rig saw that is wanted or matched, RGB, (H, W, 3).
+
+        Returns:
+            Depth, (H, W), and confidence of each map that is wanted: the share of partners that agree, weighted by their
+            left-right agreement.
+
+        Raises:
+            DepthError: an image is missing, or does not have its camera's size.
+        """
+        small = {name: self._shrunk(name, images) for name in dict.fromkeys(name for names in self.matched for name in names)}
+        estimates: dict[tuple[str, str], Estimate] = {}
+        for (first, second), pair in self._pairs.items():
+            views: dict[Side, tuple[str, str]] = {"left": (first, second), "right": (second, first)}
+            sides = [side for side, names in views.items() if names in self._requested]
+            for side, each in zip(sides, pair.match(small[first], small[second], sides), strict=True):
+                estimates[views[side]] = each
+        return [
+            self._fused([estimates[name, each] for each in partners], images[name], small[name])
+            for name, *partners in self.matched
+        ]
+
+    def _shrunk(self, name: str, images: Mapping[str, Image8]) -> Image8:
+        camera, image = self._cameras[name], images.get(name)
+        if image is None or image.shape != (camera.height, camera.width, 3) or image.dtype != np.uint8:
+            given = "none" if image is None else f"{image.dtype} {image.shape}"
+            expected_shape = (camera.height, camera.width, 3)
+            raise DepthError(f"camera {name}: wanted a uint8 image of {expected_shape}, got {given}; give one of every camera")
+        size = self._matcher.small(camera).size
+        return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+    def _fused(self, estimates: Sequence[Estimate], image: Image8, small_image: Image8) -> DepthMap:
+        depths, confidences, disparities = (np.stack(maps) for maps in zip(*estimates, strict=True))  # (N, H, W) each
+        return enlarge(DepthMap(*fuse(depths, confidences, disparities, self._error_px)), small_image, image)
+
+
+class LiveEstimator:
+    """Depth of one camera as `RigEstimator` finds it for many.
+
+    Args:
+        camera: the camera whose depth is wanted.
+        partners: the cameras it is matched with.
+        matcher: the stereo algorithm.
+        error_px: see `RigEstimator`.
+    """
+
+    def __init__(self, camera: Camera, partners: Sequence[Camera], matcher: LiveMatcher, error_px: float) -> None:
+        cameras = (camera, *partners)
+        self._names = [each.name for each in cameras]
+        self._rig = RigEstimator(cameras, [self._names], matcher, error_px)
+
+    def estimate(self, image: Image8, partner_images: Sequence[Image8]) -> DepthMap:
+        """Depth at one instant, see `RigEstimator.estimate`."""
+        return self._rig.estimate(dict(zip(self._names, (image, *partner_images), strict=True)))[0]
+
+    def forget(self) -> None:
+        """Begin a new sequence; every instant is computed from nothing anyway."""
+
+
+def enlarge(small: DepthMap, small_image: Image8, image: Image8) -> DepthMap:
+    """Bring depth to the size of the image that it is of.
+
+    A pixel takes the depth of that of the four nearest small pixels whose colour is most like its own, so that depth ends where
+    the image's edges are, and is interpolated within surfaces only.
+
+    Args:
+        small: depth and confidence, (h, w).
+        small_image: the image at that size, RGB, (h, w, 3).
+        image: the image, (H, W, 3).
+    """
+    if small_image.shape == image.shape:
+        return small
+    rows, columns = (_nearest_two(*sizes) for sizes in zip(image.shape[:2], small_image.shape[:2], strict=True))
+    index, best = np.zeros(image.shape[:2], np.int32), np.full(image.shape[:2], 256, np.int16)
+    for row, column in np.ndindex(2, 2):
+        candidate = np.ascontiguousarray(small_image[rows[row]][:, columns[column]])
+        difference = cv2.cvtColor(cv2.absdiff(image, candidate), cv2.COLOR_RGB2GRAY)  # (H, W)
+        closer = difference < best
+        index = np.where(closer, rows[row][:, None] * small_image.shape[1] + columns[column], index)
+        best = np.where(closer, difference, best)
+    depth, confidence = (each.ravel()[index] for each in (small.depth, small.confidence))
+    smooth = cv2.resize(small.depth, image.shape[1::-1], interpolation=cv2.INTER_LINEAR)
+    return DepthMap(np.where(np.abs(smooth - depth) < np.float32(SAME_SURFACE) * depth, smooth, depth), confidence)
+
+
+def _nearest_two(size: int, small_size: int) -> tuple[Indices, Indices]:
+    """The nearest small pixel of each pixel along an axis, and the next one, (size,) each."""
+    place = (np.arange(size) + 0.5) * (small_size / size) - 0.5
+    nearest = np.rint(place).astype(np.int32)
+    beside = nearest + np.where(place < nearest, -1, 1).astype(np.int32)
+    return np.clip(nearest, 0, small_size - 1), np.clip(beside, 0, small_size - 1)
