@@ -59,9 +59,9 @@ class Setting:
 
 WARM_UP = 2
 SETTINGS = (
-    Setting("online_step", WIDTH, HEIGHT, 4, 12, target_ms=700.0),
+    Setting("online_step", WIDTH, HEIGHT, 4, 12, target_ms=420.0),
     Setting("online_geometric_step", WIDTH, HEIGHT, 4, 12, learned=False),
-    Setting("online_small_step", 640, 360, 2, 40, target_hz=8.0),
+    Setting("online_small_step", 640, 360, 2, 40, target_hz=16.0),
 )
 
 
