@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from importlib import import_module
+from threading import Event, Thread
 from typing import Any, TypeVar
 
 from ggvs_eval.errors import RenderError
@@ -12,6 +13,7 @@ from ggvs_eval.jobs.ledger import LostJob
 from ggvs_eval.jobs.processes import default_workers, share_cpus
 
 CONNECT_S = 30
+REPLACE_EVERY_S = 2.0
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -88,8 +90,31 @@ def _connect(distributed: Any, workers: int, scheduler: str | None) -> Iterator[
     with (
         distributed.LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as cluster,
         distributed.Client(cluster) as client,
+        _kept_at(workers, cluster),
     ):
         yield client
+
+
+@contextmanager
+def _kept_at(workers: int, cluster: Any) -> Iterator[None]:
+    """Have the cluster replace workers that it has lost for good.
+
+    A worker that dies is started again; where that takes longer than dask's `lost-worker-timeout`, as on a busy machine, dask
+    takes it out of the cluster, and without any worker left every item would wait forever.
+    """
+    ended = Event()
+
+    def replace_lost() -> None:
+        while not ended.wait(REPLACE_EVERY_S):
+            cluster.scale(workers)
+
+    watch = Thread(target=replace_lost, daemon=True)
+    watch.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        watch.join()
 
 
 def _import_distributed() -> Any:
