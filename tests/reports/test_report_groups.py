@@ -20,6 +20,8 @@ from ggvs_eval.reports.tables.leaders import leaders
 from helpers.page_reader import PageReader
 from helpers.run_folders import LABELS, NAMES, RunShape, write_run
 
+pytestmark = pytest.mark.slow  # two reports with every figure, a report of three runs
+
 SMALL = RunShape(metrics=("PSNR", "TCC"), poses=2)
 SHAPES = {
     "room": replace(SMALL, scene="room"),
@@ -77,7 +79,6 @@ def test_a_demo_is_called_by_its_data_set(tmp_path):
     assert "Demo room, D3DMV's layout</h1>" in html.unescape(render_page(read_groups([demo])))
 
 
-@pytest.mark.slow  # draws every figure of two reports
 def test_no_value_of_one_protocol_stands_among_anothers(report, runs):
     """Each group's main table is what a report of its runs alone holds; the CSV names protocol, K and hash in every line."""
     together = rows_of(report)

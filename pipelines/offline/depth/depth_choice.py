@@ -16,7 +16,7 @@ DEFAULT_MATCHER = "sgbm"
 LIVE_MATCHER = "live"  # the default of play and view
 MATCHERS = {
     "sgbm": "OpenCV's semi-global matching over an image pyramid, each partner on its own",
-    "live": "semi-global matching at half size, each pair once for both of its cameras; for play and view",
+    "live": "semi-global matching of images of at most 1008 pixels, each pair once for both of its cameras; for play and view",
     "sweep": "planes swept through all partners at once, then semi-global matching over the planes",
     "raft": "the compact RAFT-Stereo that ships, started from semi-global matching",
     "raft:CHECKPOINT": "RAFT-Stereo with a checkpoint of its authors, e.g. raft:raftstereo-middlebury.pth",
@@ -60,7 +60,8 @@ class DepthRunOptions:
     """Options of depth estimation, as the command line takes them and a run folder keeps them.
 
     Attributes:
-        matcher: sgbm, live (at half size, for play and view), sweep, raft (compact, ships with the package) or raft:CHECKPOINT.
+        matcher: sgbm, live (images of at most 1008 pixels, for play and view), sweep, raft (compact, ships with the package) or
+            raft:CHECKPOINT.
         stereo_weights: a checkpoint of RAFT-Stereo's authors, e.g. raftstereo-middlebury.pth; the same as raft:CHECKPOINT.
         sensor: take the depth that a sensor measured where the capture has it (RGB-D), filtered, instead of stereo.
         registration: estimated: align sensor depth with its colour where the images of a sequence show that it is clearly off;

@@ -84,9 +84,8 @@ class SharedPair:
         if side == "right":
             pair, disparity, confidence = self._turned, disparity[::-1, ::-1], confidence[::-1, ::-1]
         depth, sure, sampled = depth_from_disparity(pair, np.where(pair.sees(disparity), disparity, np.float32(0)), confidence)
-        matched = (
-            sampled >= max(self._d_min, 1) - 0.5
-        )  # between a match and none the interpolation passes through tiny disparities
+        # Between a match and none the interpolation passes through tiny disparities.
+        matched = sampled >= max(self._d_min, 1) - 0.5
         return np.where(matched, depth, np.float32(0)), np.where(matched, sure, np.float32(0)), sampled
 
 
