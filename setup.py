@@ -8,7 +8,20 @@ from typing import Any
 KERNELS = Path("ggvs_eval/kernels")
 SOURCES = (
     *("core", "splat", "tsdf", "occupancy", "warp", "dispatch", "level_baseline", "level_avx2", "level_avx512"),
-    *("images", "filter", "blend", "push_pull", "remember", "contested", "shade", "register", "compose", "refine", "learned"),
+    *(
+        "images",
+        "filter",
+        "blend",
+        "push_pull",
+        "remember",
+        "recur",
+        "contested",
+        "shade",
+        "register",
+        "compose",
+        "refine",
+        "learned",
+    ),
     *("unet", "unet_bindings", "memory", "overview", "network_inputs", "ray_pooling", "ray_pooling_bindings"),
 )
 GAUSSIANS = (
@@ -19,7 +32,17 @@ DEFORMATION = (
     *("deformation_bindings", "deformation", "deformation_baseline", "deformation_avx2", "deformation_avx512"),
     "memory",
 )
-STEREO = ("stereo", "plane_sweep", "sgm", "weighted_median", "stereo_levels", "stereo_baseline", "stereo_avx2", "stereo_avx512")
+STEREO = (
+    "stereo",
+    "plane_sweep",
+    "sgm",
+    "weighted_median",
+    "edge_enlarge",
+    "stereo_levels",
+    "stereo_baseline",
+    "stereo_avx2",
+    "stereo_avx512",
+)
 
 # No -march: the instruction set is chosen when the program runs (dispatch.cpp), so that one wheel serves every machine.
 # No contraction to fused multiply-adds: then every instruction set gives the same bits.

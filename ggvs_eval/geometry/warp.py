@@ -152,7 +152,7 @@ def register_views(
     splats: Sequence[Splat],
     tolerance: float,
     faint: float,
-) -> tuple[Map, Map, Map, Map, Map]:
+) -> tuple[Map, Map, Map]:
     """Register views in one pass, without images in between: what `warp` gives for each (bicubic), mixed with its splat.
 
     Args:
@@ -166,7 +166,7 @@ def register_views(
     Returns:
         Stacks of the K views, float32: colours (K, H, W, 3), the splat's, and as far as the view is visible its image's at the
         fused surface; coverage (K, H, W), the visibility, or the faint coverage of the splat if that is more; visibilities
-        (K, H, W) in [0, 1], as in `warp`; coverages and depths of the splats side by side, (K, H, W).
+        (K, H, W) in [0, 1], as in `warp`.
 
     Raises:
         RenderError: no view, not as many splats as views, images that do not fit their cameras or are not 8-bit RGB, or a
@@ -183,7 +183,6 @@ def register_views(
             *_source_fields(target, source),
             evenly_spaced(splat.features),
             as_image(splat.alpha, target, "coverage of the splat", RenderError),
-            as_image(splat.depth, target, "depth of the splat", RenderError),
         )
         for source, splat in zip(sources, splats, strict=True)
     ]

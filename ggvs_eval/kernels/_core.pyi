@@ -92,21 +92,22 @@ def remember(
     past_depth: Image,
     threads: int,
 ) -> None: ...
-def push_pull(colour: Image, known: NDArray[np.bool_], threads: int) -> Image: ...
+def recur(now: Image, past: Image, cells: Image, threads: int) -> Image: ...  # cells as recur.hpp has them
+def push_pull(colour: Image, known: NDArray[np.bool_], out: Image, threads: int) -> None: ...
 def register_views(
     target: Pinhole,
     depth: Image,
-    views: Sequence[tuple[Pinhole, Matrix, Image8, Image, Image, Image, Image]],  # camera, from_target, image, depth, splat (3)
+    views: Sequence[tuple[Pinhole, Matrix, Image8, Image, Image, Image]],  # camera, from_target, image, depth, splat, its alpha
     tolerance: float,
     faint: float,
     threads: int,
     level: int,
-) -> tuple[Image, Image, Image, Image, Image]: ...
+) -> tuple[Image, Image, Image]: ...
 def overview(
     colours: Image,
     coverage: Image,
     seen: Image,
-    alphas: Image,
+    alphas: Sequence[Image],
     weights: Image,
     scale: int,
     covered_alpha: float,

@@ -1,4 +1,4 @@
-"""The compiled stereo kernels; plane_sweep.hpp, sgm.hpp and weighted_median.hpp explain the arguments."""
+"""The compiled stereo kernels; the headers of their names explain the arguments."""
 
 from collections.abc import Sequence
 
@@ -31,3 +31,6 @@ def aggregate(
 def weighted_median(
     surface: Image, guide: Bytes, planes: int, radius: int, colour_scale: float, tolerance: float, threads: int
 ) -> Image: ...
+def enlarge_to_edges(
+    depth: Image, confidence: Image, small_image: Bytes, image: Bytes, smooth: Image, same_surface: float, threads: int
+) -> tuple[Image, Image]: ...

@@ -22,12 +22,13 @@ struct SmallMaps {
     int width, height, scale;
 };
 
-// Where the centres of fine pixels lie between those of pixels `scale` times as large; the border is repeated.
+// Where the centres of fine pixels lie between those of pixels `scale` times as large, which may be a fraction; the border is
+// repeated.
 struct FinePixels {
     std::vector<int> first, second;
     std::vector<float> share;  // of the second
 
-    FinePixels(int fine, int coarse, int scale) {
+    FinePixels(int fine, int coarse, double scale) {
         for (int n = 0; n < fine; ++n) {
             const double at = std::max((n + 0.5) / scale - 0.5, 0.0);
             first.push_back(std::min(int(at), coarse - 1)), second.push_back(std::min(int(at) + 1, coarse - 1));

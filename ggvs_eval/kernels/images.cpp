@@ -8,6 +8,7 @@
 #include "contested.hpp"
 #include "filter.hpp"
 #include "push_pull.hpp"
+#include "recur.hpp"
 #include "remember.hpp"
 #include "shade.hpp"
 
@@ -151,21 +152,19 @@ py::array_t<uint8_t> shade_of(const py::array& image, const py::handle& gain, co
     return out;
 }
 
-py::array_t<float> push_pull_of(const py::array& colour, const py::handle& known, int threads) {
-    const auto [height, width] = size_of(colour, "colour");
-    const HoledImage image{data_of<float>(colour, "colour", {height, width, 3}),
-                           reinterpret_cast<const uint8_t*>(data_of<bool>(known, "known", {height, width})), width, height};
-    py::array_t<float> out = empty({height, width, 3});
-    float* data = out.mutable_data();
-    py::gil_scoped_release released;
-    ggvs::push_pull(image, data, threads);
-    return out;
-}
-
 // A float32 array of this shape to be written into.
 float* writable(const py::array& array, const char* name, const std::vector<py::ssize_t>& shape) {
     data_of<float>(array, name, shape);
     return static_cast<float*>(py::array(array).mutable_data());
+}
+
+void push_pull_of(const py::array& colour, const py::handle& known, const py::array& out, int threads) {
+    const auto [height, width] = size_of(colour, "colour");
+    const HoledImage image{data_of<float>(colour, "colour", {height, width, 3}),
+                           reinterpret_cast<const uint8_t*>(data_of<bool>(known, "known", {height, width})), width, height};
+    float* data = writable(out, "out", {height, width, 3});
+    py::gil_scoped_release released;
+    ggvs::push_pull(image, data, threads);
 }
 
 void remember_of(const py::array& depth, const py::array& still, const py::sequence& alphas, const py::tuple& rules,
@@ -185,6 +184,25 @@ void remember_of(const py::array& depth, const py::array& still, const py::seque
     ggvs::remember(job, shown, colours, depths, threads);
 }
 
+py::array_t<float> recur_of(const py::array& now, const py::handle& past, const py::array& cells, int threads) {
+    const auto [height, width] = size_of(now, "now");
+    const auto shape = shape_of(cells, "cells", 3);
+    if (shape[0] != 4 || shape[1] < 1 || shape[2] < 1 || shape[1] > height || shape[2] > width)
+        throw py::type_error("cells: wanted four maps, not larger than the image, got " + describe(cells));
+    const Recurrence job{width,
+                         height,
+                         int(shape[2]),
+                         int(shape[1]),
+                         data_of<float>(now, "now", {height, width, 3}),
+                         data_of<float>(past, "past", {height, width, 3}),
+                         data_of<float>(cells, "cells", shape)};
+    py::array_t<float> out = empty({height, width, 3});
+    float* data = out.mutable_data();
+    py::gil_scoped_release released;
+    ggvs::recur(job, data, threads);
+    return out;
+}
+
 }  // namespace
 
 void bind_images(py::module_& m) {
@@ -197,7 +215,8 @@ void bind_images(py::module_& m) {
           "ratio"_a, "threads"_a);
     m.def("shade", &shade_of, "image"_a, "gain"_a, "down"_a, "across"_a, "threads"_a);
     m.def("remember", &remember_of, "depth"_a, "still"_a, "alphas"_a, "rules"_a, "image"_a, "past"_a, "past_depth"_a, "threads"_a);
-    m.def("push_pull", &push_pull_of, "colour"_a, "known"_a, "threads"_a);
+    m.def("recur", &recur_of, "now"_a, "past"_a, "cells"_a, "threads"_a);
+    m.def("push_pull", &push_pull_of, "colour"_a, "known"_a, "out"_a, "threads"_a);
 }
 
 }  // namespace ggvs

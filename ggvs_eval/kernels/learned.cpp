@@ -30,7 +30,7 @@ int colour_stride(const py::array& image, const Pinhole& target) {
 py::tuple register_views_of(const py::handle& target, const py::handle& depth, const py::sequence& views, float tolerance,
                             float faint, int threads, int level) {
     const Pinhole to = pinhole_of(target);
-    Registration job{to, image_of(depth, "depth", to), tolerance, faint, {}, {}};
+    Registration job{to, image_of(depth, "depth", to), tolerance, faint, {}};
     for (const py::handle& item : views) {
         const py::tuple view = py::cast<py::tuple>(item);
         const Pinhole from = pinhole_of(view[0]);
@@ -43,19 +43,16 @@ py::tuple register_views_of(const py::handle& target, const py::handle& depth, c
         const py::array splat = py::cast<py::array>(view[4]);
         const int stride = colour_stride(splat, to);
         job.views.push_back({captured, static_cast<const float*>(splat.data()), stride, image_of(view[5], "alpha", to)});
-        job.splat_depths.push_back(image_of(view[6], "splatted depth", to));
     }
     const py::ssize_t count = py::ssize_t(job.views.size());
     py::array_t<float> colours = empty({count, to.height, to.width, 3}), coverage = empty({count, to.height, to.width});
-    py::array_t<float> seen = empty({count, to.height, to.width}), alphas = empty({count, to.height, to.width});
-    py::array_t<float> depths = empty({count, to.height, to.width});
-    const RegisteredMaps out{colours.mutable_data(), coverage.mutable_data(), seen.mutable_data(), alphas.mutable_data(),
-                             depths.mutable_data()};
+    py::array_t<float> seen = empty({count, to.height, to.width});
+    const RegisteredMaps out{colours.mutable_data(), coverage.mutable_data(), seen.mutable_data()};
     {
         py::gil_scoped_release released;
         ggvs::register_views(job, out, threads, level);
     }
-    return py::make_tuple(colours, coverage, seen, alphas, depths);
+    return py::make_tuple(colours, coverage, seen);
 }
 
 // Small maps (channels, h, w) of a view of this size, at least so many channels.
@@ -91,23 +88,25 @@ py::tuple compose_of(const py::array& colours, const py::handle& coverage, const
     return py::make_tuple(picture, spread, shown);
 }
 
-py::tuple overview_of(const py::array& colours, const py::handle& coverage, const py::handle& seen, const py::handle& alphas,
+py::tuple overview_of(const py::array& colours, const py::handle& coverage, const py::handle& seen, const py::sequence& alphas,
                       const py::handle& weights, int scale, float covered_alpha, int threads, int level) {
     const auto shape = shape_of(colours, "colours", 4);
     if (shape[0] < 1 || shape[1] < 1 || shape[2] < 1 || scale < 1 || shape[1] > kMostPixels || shape[2] > kMostPixels)
         throw py::value_error("overview: wanted views of 1 to 65535 pixels per side and a scale of at least 1");
     const py::ssize_t views = shape[0], height = shape[1], width = shape[2], rows = (height + scale - 1) / scale;
     const py::ssize_t columns = (width + scale - 1) / scale;
-    const Views job{int(width),
-                    int(height),
-                    int(views),
-                    scale,
-                    data_of<float>(colours, "colours", {views, height, width, 3}),
-                    data_of<float>(coverage, "coverage", {views, height, width}),
-                    data_of<float>(seen, "seen", {views, height, width}),
-                    data_of<float>(alphas, "alphas", {views, height, width}),
-                    data_of<float>(weights, "weights", {views}),
-                    covered_alpha};
+    if (py::ssize_t(py::len(alphas)) != views) throw py::value_error("overview: wanted a coverage for each view");
+    Views job{int(width),
+              int(height),
+              int(views),
+              scale,
+              data_of<float>(colours, "colours", {views, height, width, 3}),
+              data_of<float>(coverage, "coverage", {views, height, width}),
+              data_of<float>(seen, "seen", {views, height, width}),
+              {},
+              data_of<float>(weights, "weights", {views}),
+              covered_alpha};
+    for (const py::handle& alpha : alphas) job.alphas.push_back(data_of<float>(alpha, "alpha", {height, width}));
     py::array_t<float> mean = empty({height, width, 3}), unseen = empty({height, width});
     py::array_t<bool> covered({height, width});
     py::array_t<float> small[4] = {empty({views, rows, columns, 3}), empty({views, rows, columns}), empty({views, rows, columns}),

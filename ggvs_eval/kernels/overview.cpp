@@ -23,32 +23,31 @@ public:
             for (int y = cell * job_.scale; y < std::min((cell + 1) * job_.scale, job_.height); ++y)
                 kernels_.overview_row(job_, out_, y);
             for (int k = 0; k < job_.views; ++k) {
-                average<3>(job_.colours, k, cell, out_.small[0]);
-                average<1>(job_.coverage, k, cell, out_.small[1]);
-                average<1>(job_.seen, k, cell, out_.small[2]);
-                average<1>(job_.alphas, k, cell, out_.small[3]);
+                const int64_t first = int64_t(k) * job_.height * job_.width;
+                average<3>(job_.colours + 3 * first, k, cell, out_.small[0]);
+                average<1>(job_.coverage + first, k, cell, out_.small[1]);
+                average<1>(job_.seen + first, k, cell, out_.small[2]);
+                average<1>(job_.alphas[k], k, cell, out_.small[3]);
             }
         }
     }
 
 private:
-    int64_t at(int k, int y) const { return (int64_t(k) * job_.height + y) * job_.width; }
-
-    // One row of cells of one view.
+    // One row of cells of one view, whose map is given.
     template <int kChannels>
-    void average(const float* maps, int k, int cell, float* out) const {
+    void average(const float* map, int k, int cell, float* out) const {
         const int columns = (job_.width + job_.scale - 1) / job_.scale, cells = (job_.height + job_.scale - 1) / job_.scale;
         float* to = out + (int64_t(k) * cells + cell) * columns * kChannels;
         int x = 0;
         if (job_.scale == 4) {
             const float* rows[4];
-            for (int n = 0; n < 4; ++n) rows[n] = maps + at(k, std::min(4 * cell + n, job_.height - 1)) * kChannels;
+            for (int n = 0; n < 4; ++n) rows[n] = map + row(4 * cell + n) * kChannels;
             // Colours are read with one value more, which the last cell may not have, and written so but for the last one.
             const int reserve = kChannels == 3 ? 4 : 0;
             for (; 4 * x + 4 + reserve <= job_.width; ++x) average_of_4<kChannels>(rows, x, to + x * kChannels);
         }
         for (; x < columns; ++x)
-            for (int c = 0; c < kChannels; ++c) to[x * kChannels + c] = mean<kChannels>(maps + c, k, cell, x);
+            for (int c = 0; c < kChannels; ++c) to[x * kChannels + c] = mean<kChannels>(map + c, cell, x);
     }
 
     // The usual scale, each row of four summed from left to right, as `mean` does.
@@ -71,11 +70,10 @@ private:
 
     // Any cell: four values at a time, which is how cv2.resize sums them.
     template <int kChannels>
-    float mean(const float* map, int k, int cell, int x) const {
+    float mean(const float* map, int cell, int x) const {
         const int scale = job_.scale, area = scale * scale;
         const auto value = [&](int n) {
-            const int row = std::min(cell * scale + n / scale, job_.height - 1);
-            return map[(at(k, row) + std::min(x * scale + n % scale, job_.width - 1)) * kChannels];
+            return map[(row(cell * scale + n / scale) + std::min(x * scale + n % scale, job_.width - 1)) * kChannels];
         };
         float sum = 0.0f;
         int n = 0;
@@ -83,6 +81,9 @@ private:
         for (; n < area; ++n) sum += value(n);
         return sum * (1.0f / float(area));
     }
+
+    // Where a row begins; beyond the last one, that.
+    int64_t row(int y) const { return int64_t(std::min(y, job_.height - 1)) * job_.width; }
 
     const Views& job_;
     const OverviewMaps& out_;

@@ -1,18 +1,19 @@
 // What blending wants to know of the views before it looks closer, in one pass over them.
 #pragma once
 #include <cstdint>
+#include <vector>
 
 namespace ggvs {
 
 // K views in the target view, nearest first.
 struct Views {
     int width, height, views, scale;
-    const float* colours;   // (views, height, width, 3)
-    const float* coverage;  // (views, height, width), factors of the weights
-    const float* seen;      // (views, height, width), how far they show what the target sees
-    const float* alphas;    // (views, height, width), coverages of the splats
-    const float* weights;   // (views), of each beside the others
-    float covered_alpha;    // coverage from which a splat shows something
+    const float* colours;              // (views, height, width, 3)
+    const float* coverage;             // (views, height, width), factors of the weights
+    const float* seen;                 // (views, height, width), how far they show what the target sees
+    std::vector<const float*> alphas;  // of each view (height, width), coverage of its splat
+    const float* weights;              // (views), of each beside the others
+    float covered_alpha;               // coverage from which a splat shows something
 };
 
 struct OverviewMaps {

@@ -19,7 +19,7 @@ GGVS_INLINE void overview_packet(const Views& job, const OverviewMaps& out, int6
         sum.green = sum.green + weight * colour.green;
         sum.blue = sum.blue + weight * colour.blue;
         shown = shown + load_part(job.seen + at, count);
-        covered = select(less(least, load_part(job.alphas + at, count)), one, covered);
+        covered = select(less(least, load_part(job.alphas[k] + first, count)), one, covered);
     }
     total = max(total, all(kNoWeight));
     store_colour(out.mean + 3 * first, {sum.red / total, sum.green / total, sum.blue / total}, count);

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "area.hpp"
+#include "enlarge.hpp"
 #include "parallel.hpp"
 
 namespace ggvs {
@@ -50,6 +51,26 @@ void average(const Level<K>& level, Cell columns, Cell rows, float* colour, floa
     *known = std::min(4.0f * weight, 1.0f);
 }
 
+// A row of cells of exactly two by two pixels, most of which are known whole; the same sums as `average`.
+template <class K>
+void average_pairs(const Level<K>& level, const AreaCells& columns, const AreaCells& rows, int y, int width, float* colour,
+                   float* known) {
+    const K *above = level.known + int64_t(2) * y * level.width, *below = above + level.width;
+    const float *upper = level.colour + int64_t(6) * y * level.width, *lower = upper + 3 * level.width;
+    for (int x = 0; x < width; ++x) {
+        const int left = 2 * x;
+        const bool whole = above[left] == K(1) && above[left + 1] == K(1) && below[left] == K(1) && below[left + 1] == K(1);
+        if (!whole || x + 1 == width) {  // colours are read with one value more, which the last pixel may not have
+            average(level, columns[x], rows[y], colour + 3 * x, known + x);
+            continue;
+        }
+        const float *first = upper + 3 * left, *second = lower + 3 * left;
+        const Four sum = 0.25f * four_of(first) + 0.25f * four_of(first + 3) + 0.25f * four_of(second) + 0.25f * four_of(second + 3);
+        std::memcpy(colour + 3 * x, &sum, 3 * sizeof(float));
+        known[x] = 1.0f;
+    }
+}
+
 // Where the centres of fine pixels lie between those of coarse ones, the border repeated.
 struct Between {
     std::vector<int> first, second;
@@ -71,7 +92,7 @@ void pull_row(const Level<K>& level, int y, const Between& across, const Between
     const float* upper = coarse + int64_t(down.first[y]) * coarse_width * 3;
     const float* lower = coarse + int64_t(down.second[y]) * coarse_width * 3;
     const int64_t row = int64_t(y) * level.width;
-    std::memcpy(out + 3 * row, level.colour + 3 * row, sizeof(float) * 3 * level.width);
+    if (out != level.colour) std::memcpy(out + 3 * row, level.colour + 3 * row, sizeof(float) * 3 * level.width);
     for (int x = 0; x < level.width; ++x) {
         if (level.known[row + x] >= K(1)) continue;
         const int left = 3 * across.first[x], right = 3 * across.second[x];
@@ -90,17 +111,18 @@ template <class K>
 void fill(const Level<K>& level, float* out, int threads) {
     const int64_t pixels = int64_t(level.width) * level.height;
     if (std::min(level.width, level.height) < 2 || all_known(level)) {
-        std::memcpy(out, level.colour, sizeof(float) * 3 * pixels);
+        if (out != level.colour) std::memcpy(out, level.colour, sizeof(float) * 3 * pixels);
         return;
     }
     const int width = (level.width + 1) / 2, height = (level.height + 1) / 2;
     std::vector<float> colour(size_t(width) * height * 3), known(size_t(width) * height), filled(colour.size());
     const AreaCells columns(level.width, width), rows(level.height, height);
+    const bool in_pairs = level.width == 2 * width && level.height == 2 * height;
     for_rows(height, threads, [&](int y) {
-        for (int x = 0; x < width; ++x) {
-            const int64_t pixel = int64_t(y) * width + x;
-            average(level, columns[x], rows[y], colour.data() + 3 * pixel, known.data() + pixel);
-        }
+        const int64_t row = int64_t(y) * width;
+        if (in_pairs) return average_pairs(level, columns, rows, y, width, colour.data() + 3 * row, known.data() + row);
+        for (int x = 0; x < width; ++x)
+            average(level, columns[x], rows[y], colour.data() + 3 * (row + x), known.data() + row + x);
     });
     fill(Level<float>{colour.data(), known.data(), width, height}, filled.data(), threads);
     const Between across(level.width, width), down(level.height, height);

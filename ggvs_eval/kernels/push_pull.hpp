@@ -10,7 +10,7 @@ struct HoledImage {
     int width, height;
 };
 
-// Known pixels are copied.
+// Known pixels are copied. `out` may be the colours themselves.
 void push_pull(const HoledImage& image, float* out, int threads);
 
 }  // namespace ggvs

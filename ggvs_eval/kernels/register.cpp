@@ -17,13 +17,8 @@ void register_views(Registration& job, const RegisteredMaps& out, int threads, i
     const int height = job.target.height, bands = (height + kBandRows - 1) / kBandRows;
     parallel_for(bands, threads, [&](int band, int) {
         const int first = band * kBandRows, last = std::min(first + kBandRows, height);
-        for (size_t k = 0; k < job.views.size(); ++k) {  // view by view: the source's rows stay in the cache
+        for (size_t k = 0; k < job.views.size(); ++k)  // view by view: the source's rows stay in the cache
             for (int y = first; y < last; ++y) kernels.register_row(job, int(k), y, out);
-            const int64_t from = int64_t(first) * job.target.width, count = int64_t(last - first) * job.target.width;
-            const int64_t to = int64_t(k) * height * job.target.width + from;
-            std::copy_n(job.views[k].alpha + from, count, out.alphas + to);
-            std::copy_n(job.splat_depths[k] + from, count, out.depths + to);
-        }
     });
 }
 

@@ -19,7 +19,6 @@ struct Registration {
     float tolerance;     // visibility as in warp.hpp
     float faint;         // coverage where only a splat shows, per coverage of that splat
     std::vector<RegisteredView> views;
-    std::vector<const float*> splat_depths;  // of each view, (pixels) of the target
 };
 
 // What register_views fills, views one after another.
@@ -27,8 +26,6 @@ struct RegisteredMaps {
     float* colours;   // (views, height, width, 3)
     float* coverage;  // (views, height, width): visibility, or the faint coverage of the splat if that is more
     float* seen;      // (views, height, width): visibility
-    float* alphas;    // (views, height, width): the splats' coverages side by side
-    float* depths;    // (views, height, width): their depths
 };
 
 void register_views(Registration& job, const RegisteredMaps& out, int threads, int level);

@@ -1,4 +1,4 @@
-// Python bindings of the plane sweep, of semi-global matching and of the weighted median. Whatever comes, no kernel reads or
+// Python bindings of the plane sweep, of semi-global matching and of what moves edges of depth. Whatever comes, no kernel reads or
 // writes beyond its arrays; the GIL is released while one runs.
 #include <pybind11/numpy.h>
 #include <pybind11/pybind11.h>
@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "array_arguments.hpp"
+#include "edge_enlarge.hpp"
 #include "plane_sweep.hpp"
 #include "sgm.hpp"
 #include "sources.hpp"
@@ -146,6 +147,30 @@ py::array_t<float> weighted_median(const py::array& surface, const py::array& gu
     return filtered;
 }
 
+py::tuple enlarge_to_edges(const py::array& depth, const py::array& confidence, const py::array& small_image,
+                           const py::array& image, const py::array& smooth, float same_surface, int threads) {
+    const auto small = shape_of(depth, "depth", 2), size = shape_of(smooth, "smooth", 2);
+    check_size(small[0], small[1], "depth: wanted 1 x 1 to 65535 x 65535 pixels");
+    check_size(size[0], size[1], "smooth: wanted 1 x 1 to 65535 x 65535 pixels");
+    const ggvs::EdgeTask task{data_of<float>(depth, "depth", small),
+                              data_of<float>(confidence, "confidence", small),
+                              data_of<uint8_t>(small_image, "small_image", {small[0], small[1], 3}),
+                              data_of<uint8_t>(image, "image", {size[0], size[1], 3}),
+                              data_of<float>(smooth, "smooth", size),
+                              int(size[0]),
+                              int(size[1]),
+                              int(small[0]),
+                              int(small[1]),
+                              same_surface};
+    py::array_t<float> depths({size[0], size[1]}), confidences({size[0], size[1]});
+    float *deep = depths.mutable_data(), *sure = confidences.mutable_data();
+    {
+        py::gil_scoped_release released;
+        ggvs::enlarge_to_edges(task, deep, sure, threads);
+    }
+    return py::make_tuple(depths, confidences);
+}
+
 }  // namespace
 
 PYBIND11_MODULE(_stereo, module) {
@@ -158,4 +183,6 @@ PYBIND11_MODULE(_stereo, module) {
                "Semi-global matching: the surface in planes and its margin, (H, W) each.");
     module.def("weighted_median", &weighted_median, "surface"_a, "guide"_a, "planes"_a, "radius"_a, "colour_scale"_a,
                "tolerance"_a, "threads"_a, "A surface with its edges moved to those of the guide, (H, W).");
+    module.def("enlarge_to_edges", &enlarge_to_edges, "depth"_a, "confidence"_a, "small_image"_a, "image"_a, "smooth"_a,
+               "same_surface"_a, "threads"_a, "Depth and confidence at the size of an image, ending at its edges, (H, W) each.");
 }

@@ -28,8 +28,8 @@ class BlendMaps:
         colours: I_k, (K, H, W, 3), float32 in [0, 1].
         coverage: how far a view shows anything to blend, the factor of its weight, (K, H, W).
         visibilities: how far it shows what the target sees; where none does the background takes over, (K, H, W).
-        alphas: coverage of the splats, (K, H, W), in [0, 1).
-        depths: splatted depth, (K, H, W), world units, 0 where unknown.
+        alphas: coverage of the splats, K maps (H, W), in [0, 1).
+        depths: splatted depth, K maps (H, W), world units, 0 where unknown.
         fused_depth: of the ray march, (H, W), world units, 0 where unknown.
         shares: of the views, see `SourceView.share`, (K,); 1 unless given.
     """
@@ -39,8 +39,8 @@ class BlendMaps:
     colours: Map
     coverage: Map
     visibilities: Map
-    alphas: Map
-    depths: Map
+    alphas: Map | Sequence[Map]  # apart as they are splatted: side by side they would be one more copy of all views
+    depths: Map | Sequence[Map]
     fused_depth: Map
     shares: tuple[float, ...] | None = None
 
@@ -59,7 +59,8 @@ class BlendMaps:
         height, width = (-(-size // scale) for size in self.fused_depth.shape)
         target = replace(self.target, width=width * scale, height=height * scale).resized(width, height)
         top, left = (min(scale // 2, size - 1) for size in self.fused_depth.shape)
-        picked = (maps[..., top::scale, left::scale] for maps in (self.depths, self.fused_depth))
+        cells = np.s_[top::scale, left::scale]
+        picked = np.stack([depth[cells] for depth in self.depths]), self.fused_depth[cells]
         depths, fused_depth = (_continued(maps, height, width) for maps in picked)
         colours, coverage, visibilities, alphas = averaged
         return BlendMaps(target, self.sources, colours, coverage, visibilities, alphas, depths, fused_depth, self.shares)
@@ -86,10 +87,11 @@ def blend_maps(inputs: BlendingInputs, guidance: Guidance) -> BlendMaps:
     if guidance == "registered":
         stacks = register_views(target, inputs.depth, sources, splats, inputs.tau, float(FAINT))
     else:
-        alphas, depths = np.stack([view.alpha for view in splats]), np.stack([view.depth for view in splats])
-        stacks = np.stack([view.features[..., :3] for view in splats]), alphas, alphas, alphas, depths
+        coverage = np.stack([view.alpha for view in splats])
+        stacks = np.stack([view.features[..., :3] for view in splats]), coverage, coverage
     cameras, shares = tuple(source.camera for source in sources), tuple(source.share for source in sources)
-    return BlendMaps(target, cameras, *stacks, inputs.depth, shares)
+    alphas, depths = [view.alpha for view in splats], [view.depth for view in splats]
+    return BlendMaps(target, cameras, *stacks, alphas, depths, inputs.depth, shares)
 
 
 def nearest_first(inputs: BlendingInputs) -> list[int]:
@@ -105,19 +107,17 @@ def nearness(camera: Camera, target: Camera) -> tuple[float, str]:
     return float(np.linalg.norm(camera.centre - target.centre)), camera.name
 
 
-def _averaged(maps: Map, scale: int) -> Map:
-    """Mean of each block, of maps (K, H, W) or (K, H, W, 3)."""
-    views, height, width = maps.shape[:3]
-    means = np.empty((views, -(-height // scale), -(-width // scale), *maps.shape[3:]), np.float32)
+def _averaged(maps: Map | Sequence[Map], scale: int) -> Map:
+    """Mean of each block, of K maps (H, W) or (H, W, 3)."""
+    height, width, *channels = maps[0].shape
+    means = np.empty((len(maps), -(-height // scale), -(-width // scale), *channels), np.float32)
     for view, mean in zip(maps, means, strict=True):
         for rows in _parts(height, scale):
             for columns in _parts(width, scale):
                 part = _whole_blocks(view[rows, columns], scale)
                 cells = mean[rows.start // scale :, columns.start // scale :]
                 size = part.shape[1] // scale, part.shape[0] // scale
-                cells[: size[1], : size[0]] = cv2.resize(part, size, interpolation=cv2.INTER_AREA).reshape(
-                    *size[::-1], *mean.shape[2:]
-                )
+                cells[: size[1], : size[0]] = cv2.resize(part, size, interpolation=cv2.INTER_AREA).reshape(*size[::-1], *channels)
     return means
 
 

@@ -53,19 +53,23 @@ class Blender(Protocol):
         """The target view of one instant."""
 
 
-def push_pull(colour: Map, covered: NDArray[np.bool_]) -> Map:
+def push_pull(colour: Map, covered: NDArray[np.bool_], out: Map | None = None) -> Map:
     """Fill unknown pixels from ever coarser averages of the known ones (push-pull, Gortler et al. 1996).
 
     Args:
         colour: (H, W, 3), float32; values of unknown pixels are ignored.
         covered: (H, W).
+        out: where the image is written, contiguous; may be `colour` itself. A new array unless given.
 
     Returns:
         Image, (H, W, 3), float32; known pixels keep their colour.
     """
     from ggvs_eval.kernels import _core
 
-    return _core.push_pull(np.ascontiguousarray(colour, np.float32), np.ascontiguousarray(covered, np.bool_), get_threads())
+    colour = np.ascontiguousarray(colour, np.float32)
+    filled = _core.empty(colour.shape) if out is None else out
+    _core.push_pull(colour, np.ascontiguousarray(covered, np.bool_), filled, get_threads())
+    return filled
 
 
 @dataclass(frozen=True)
@@ -105,4 +109,4 @@ class GeometricBlender:
         covered = alphas[0] > COVERED_ALPHA
         for alpha in alphas[1:]:
             covered |= alpha > COVERED_ALPHA
-        return push_pull(mean, covered) if self.background else mean * covered[..., None]
+        return push_pull(mean, covered, out=mean) if self.background else mean * covered[..., None]

@@ -45,8 +45,9 @@ def overview(maps: BlendMaps, scale: int) -> Overview:
     """
     from ggvs_eval.kernels import _core
 
-    arrays = (maps.colours, maps.coverage, maps.visibilities, maps.alphas)
-    colours, coverage, visibilities, alphas = (np.ascontiguousarray(each, np.float32) for each in arrays)
+    arrays = (maps.colours, maps.coverage, maps.visibilities)
+    colours, coverage, visibilities = (np.ascontiguousarray(each, np.float32) for each in arrays)
+    alphas = [np.ascontiguousarray(each, np.float32) for each in maps.alphas]
     level = SIMD_LEVELS.index(get_simd_level())
     picture, unseen, covered, means = _core.overview(
         colours, coverage, visibilities, alphas, maps.weights, scale, COVERED_ALPHA, get_threads(), level

@@ -56,7 +56,9 @@ def blend_on(network: BlendNetwork, maps: BlendMaps, device: torch.device) -> Bl
     channels = network_channels(summary.small, config.guidance, config.views)
     with rendering_on(device):
         raw = network(torch.as_tensor(channels)[None])
-        background = push_pull(summary.picture, summary.covered)  # while a GPU works on what it was asked for
+        background = push_pull(
+            summary.picture, summary.covered, out=summary.picture
+        )  # while a GPU works on what it was asked for
         start = _tensors({"weights": maps.weights, "unseen": summary.unseen, "background": np.moveaxis(background, 2, 0)})
         views = _tensors({"coverage": maps.coverage, "fused_depth": maps.fused_depth})
         views["colours"] = torch.as_tensor(maps.colours)[None].permute(0, 1, 4, 2, 3)  # (1, K, 3, H, W)
@@ -117,7 +119,8 @@ def blend_by(network: BlendNetwork, maps: BlendMaps) -> Blended:
     config = network.config
     summary = overview(maps, config.scale)
     (small, weights), background = side_by_side(
-        lambda: _small_outputs(network, summary.small), lambda: push_pull(summary.picture, summary.covered)
+        lambda: _small_outputs(network, summary.small),
+        lambda: push_pull(summary.picture, summary.covered, out=summary.picture),
     )
     picture = composed(maps, summary.unseen, background, small, config.scale)
     if network.refiner is None:
@@ -147,4 +150,4 @@ def blend_start(maps: BlendMaps) -> dict[str, Map]:
 def filled_picture(maps: BlendMaps) -> Map:
     """The views blended by coverage and their weights, what none covers filled from its surroundings, (H, W, 3)."""
     blended = weighted_mean(list(maps.colours), list(maps.coverage), maps.weights.tolist())
-    return push_pull(blended, maps.alphas.max(axis=0) > COVERED_ALPHA)
+    return push_pull(blended, np.max(maps.alphas, axis=0) > COVERED_ALPHA)

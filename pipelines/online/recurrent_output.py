@@ -10,6 +10,7 @@ from ggvs_eval.arrays import Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.splat import COVERED_ALPHA, Splat
+from ggvs_eval.kernels import get_threads
 
 REDUCTION = 4  # stillness is decided at a quarter of the size, as the difference masks are
 REACH = 2  # cells: what no view covers moves as its surroundings do
@@ -17,7 +18,6 @@ QUIET_QUANTILE = 0.25  # so much of the picture at least is taken to stand still
 QUIET_RANGE = (0.5 / 255, 3.0 / 255)  # what the sensors' noise may be, as it shows in the difference masks
 STILL, MOVING = 2.0, 4.0  # times the noise
 LIGHT_PX = 32  # changes as wide as this are light, and are let through
-SHARES = np.float32(1000)  # cv2.blendLinear adds 1e-5 to the sum of its weights, which would darken a weight of 1 in the long run
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,15 +126,10 @@ def mixed(image: Map, past: Map, weight: Map) -> Map:
     """
     from ggvs_eval.kernels import _core
 
-    size, flat = image.shape[1::-1], image.shape[:2]
-    light = weight[..., None] * _wide(past[::REDUCTION, ::REDUCTION] - image[::REDUCTION, ::REDUCTION], weight)
-    fine = cv2.resize(weight, size, _core.empty(flat), interpolation=cv2.INTER_LINEAR)
-    rest = np.subtract(np.float32(1), fine, out=_core.empty(flat))
-    rest *= SHARES
-    fine *= SHARES
-    blended = cv2.blendLinear(past, image, fine, rest, _core.empty(image.shape))
-    wide = cv2.resize(light, size, _core.empty(image.shape), interpolation=cv2.INTER_LINEAR)
-    return np.asarray(cv2.subtract(blended, wide, dst=blended), np.float32)
+    light = _wide(past[::REDUCTION, ::REDUCTION] - image[::REDUCTION, ::REDUCTION], weight)
+    cells = np.stack([weight, *(weight * light[..., channel] for channel in range(3))])
+    now, before = (np.ascontiguousarray(each, np.float32) for each in (image, past))
+    return _core.recur(now, before, cells, get_threads())
 
 
 def _wide(difference: Map, weight: Map) -> Map:

@@ -51,7 +51,7 @@ def test_one_pass_is_warps_mixed_with_splats(seed, size, views, features, level)
     kernels.set_simd_level(level)
     found, expected = blend_maps(inputs, "registered"), raw_views(inputs).maps("registered")
     for name in ("colours", "coverage", "visibilities", "alphas", "depths", "fused_depth"):
-        ours, theirs = getattr(found, name), getattr(expected, name)
+        ours, theirs = np.asarray(getattr(found, name)), np.asarray(getattr(expected, name))
         assert ours.dtype == theirs.dtype == np.float32
         np.testing.assert_allclose(ours, theirs, atol=2e-6, err_msg=name)
     assert found.sources == expected.sources

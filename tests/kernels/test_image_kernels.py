@@ -76,6 +76,9 @@ def test_push_pull_keeps_what_is_known_and_looks_at_nothing_else():
     random = np.random.default_rng(0)
     colour, known = random.random((61, 83, 3), dtype=np.float32), holes(random, 61, 83)
     filled = push_pull(colour, known)
+    in_place = colour.copy()
+    assert push_pull(in_place, known, out=in_place) is in_place
+    np.testing.assert_array_equal(in_place, filled)
 
     np.testing.assert_array_equal(filled[known], colour[known])
     np.testing.assert_array_equal(push_pull(np.where(known[..., None], colour, np.float32(np.nan)), known), filled)

@@ -7,6 +7,8 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from ggvs_eval.depth_store import DepthMap, DepthStore
 from ggvs_eval.errors import DepthError
@@ -17,10 +19,12 @@ from ggvs_eval.pipelines.offline.depth import fill_store
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import plan_rig_depth, prepare_depth
-from ggvs_eval.pipelines.offline.stereo.live import LiveEstimator, LiveMatcher, RigEstimator, enlarge
+from ggvs_eval.pipelines.offline.stereo.live import SAME_SURFACE, LiveEstimator, LiveMatcher, RigEstimator, enlarge
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
 from ggvs_eval.pipelines.play.playback import PlayOptions, viewing_of_capture
+from helpers.geometry_scenes import seeds
 from helpers.stereo_scenes import PLANE, look_from, paint, plane_depth, random_texture, write_capture
+from helpers.twins.enlarging import alike_twin
 
 PLACES = {"cam00": (0, 0), "cam01": (0.4, 0), "cam02": (-0.4, 0), "cam03": (0, 0.4)}
 RIG = [look_from(*place, name, turn=0.03).resized(300, 225) for name, place in PLACES.items()]
@@ -143,6 +147,21 @@ def test_missing_and_wrong_images_are_refused():
         rig.estimate({name: image for name, image in images.items() if name != "cam03"})
     with pytest.raises(DepthError, match=r"camera cam01: .* got uint8 \(100, 300, 3\)"):
         rig.estimate(images | {"cam01": images["cam01"][:100]})
+
+
+@settings(deadline=None, max_examples=40)
+@given(seeds, st.integers(1, 40), st.integers(1, 40), st.integers(1, 60), st.integers(1, 60))
+def test_each_pixel_takes_the_depth_of_its_like(seed, small_width, small_height, width, height):
+    """Larger, smaller or skewed: of four small pixels the one of the likest colour, where surfaces are too far apart to mix."""
+    random = np.random.default_rng(seed)
+    small_image = random.integers(0, 256, (small_height, small_width, 3)).astype(np.uint8)
+    image = random.integers(0, 256, (height, width, 3)).astype(np.uint8)
+    depth = np.float32(2) ** random.integers(1, 6, (small_height, small_width)).astype(np.float32)
+    confidence = random.random(depth.shape, dtype=np.float32)
+    enlarged = enlarge(DepthMap(depth, confidence), small_image, image)
+    if image.shape != small_image.shape:
+        np.testing.assert_array_equal(enlarged.confidence, alike_twin(confidence, small_image, image))
+        np.testing.assert_allclose(enlarged.depth, alike_twin(depth, small_image, image), rtol=SAME_SURFACE)
 
 
 def test_depth_ends_where_the_image_does():

@@ -166,7 +166,7 @@ def test_contested_depth_and_registration(rig):
     there = depth_stages.settle_depth(rig.target, tensor(fused), rig.views, rig.device_splats, 0.05)
     assert 0.05 < (here != fused).mean() < 0.95
     np.testing.assert_array_equal(there.numpy(), here)
-    colours, coverage, visibilities, _, _ = register_views(rig.target, here, rig.sources, rig.splats, 0.1, 0.02)
+    colours, coverage, visibilities = register_views(rig.target, here, rig.sources, rig.splats, 0.1, 0.02)
     found = picture.register_views(rig.target, there, rig.views, rig.device_splats, 0.1)
     assert 0.1 < (visibilities > 0).mean() < 1
     np.testing.assert_array_equal(found.colours.permute(0, 2, 3, 1).numpy(), colours)

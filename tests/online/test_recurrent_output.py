@@ -5,15 +5,20 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from ggvs_eval import kernels
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.splat import Splat
+from ggvs_eval.kernels import _core
 from ggvs_eval.method import Instant
 from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
 from ggvs_eval.pipelines.online.recurrent_output import RecurrentOutput, splatted_change, stillness
+from helpers.geometry_scenes import seeds
 from helpers.scenes import camera_at, instant, look
+from helpers.twins.enlarging import recur_twin
 
 TARGET = camera_at(0.0, name="target")
 SOURCES = [camera_at(-0.15), camera_at(0.15), camera_at(-0.45), camera_at(0.45)]
@@ -52,6 +57,26 @@ def test_four_still_instants_are_their_mean():
         output = recurrent.step(index, TARGET, noise, NOTHING_MOVES)
 
     assert output.std() == pytest.approx(NOISE / 2, rel=0.06)
+
+
+@settings(deadline=None, max_examples=40)
+@given(seeds, st.integers(1, 70), st.integers(1, 70), st.integers(1, 3))
+def test_the_kernel_mixes_as_cells_say(seed, width, height, threads):
+    """Of any size the bilinear mix of two pictures, the same bits for any number of threads."""
+    random = np.random.default_rng(seed)
+    now, past = random.random((2, height, width, 3), dtype=np.float32)
+    cells = random.random((4, -(-height // 4), -(-width // 4)), dtype=np.float32)
+    mixed = _core.recur(now, past, cells, threads)
+    np.testing.assert_allclose(mixed, recur_twin(now, past, cells), atol=2e-6)
+    np.testing.assert_array_equal(mixed, _core.recur(now, past, cells, 1))
+
+
+def test_cells_that_do_not_fit_are_refused():
+    """Fewer maps than four, none at all, or more cells than pixels."""
+    image = np.zeros((8, 8, 3), np.float32)
+    for shape in ((3, 2, 2), (4, 0, 2), (4, 9, 2)):
+        with pytest.raises(TypeError, match="cells: wanted four maps, not larger than the image"):
+            _core.recur(image, image, np.zeros(shape, np.float32), 1)
 
 
 def test_the_limit_bounds_the_past():

@@ -9,18 +9,17 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
 from ggvs_eval.geometry.rectification import depth_from_disparity, exchange_roles, rectify
+from ggvs_eval.kernels import get_threads
 from ggvs_eval.pipelines.offline.stereo.fusion import fuse
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher, Side
 
 SAME_SURFACE = 0.01  # of the depth; neighbours that differ by less are one surface
-Indices = NDArray[np.int32]
 Estimate = tuple[Map, Map, Map]  # depth, confidence and disparity at the pixels of a camera, (H, W) each
 
 
@@ -192,22 +191,9 @@ def enlarge(small: DepthMap, small_image: Image8, image: Image8) -> DepthMap:
     """
     if small_image.shape == image.shape:
         return small
-    rows, columns = (_nearest_two(*sizes) for sizes in zip(image.shape[:2], small_image.shape[:2], strict=True))
-    index, best = np.zeros(image.shape[:2], np.int32), np.full(image.shape[:2], 256, np.int16)
-    for row, column in np.ndindex(2, 2):
-        candidate = np.ascontiguousarray(small_image[rows[row]][:, columns[column]])
-        difference = cv2.cvtColor(cv2.absdiff(image, candidate), cv2.COLOR_RGB2GRAY)  # (H, W)
-        closer = difference < best
-        index = np.where(closer, rows[row][:, None] * small_image.shape[1] + columns[column], index)
-        best = np.where(closer, difference, best)
-    depth, confidence = (each.ravel()[index] for each in (small.depth, small.confidence))
-    smooth = cv2.resize(small.depth, image.shape[1::-1], interpolation=cv2.INTER_LINEAR)
-    return DepthMap(np.where(np.abs(smooth - depth) < np.float32(SAME_SURFACE) * depth, smooth, depth), confidence)
+    from ggvs_eval.kernels import _stereo
 
-
-def _nearest_two(size: int, small_size: int) -> tuple[Indices, Indices]:
-    """The nearest small pixel of each pixel along an axis, and the next one, (size,) each."""
-    place = (np.arange(size) + 0.5) * (small_size / size) - 0.5
-    nearest = np.rint(place).astype(np.int32)
-    beside = nearest + np.where(place < nearest, -1, 1).astype(np.int32)
-    return np.clip(nearest, 0, small_size - 1), np.clip(beside, 0, small_size - 1)
+    depth, confidence = (np.ascontiguousarray(each, np.float32) for each in (small.depth, small.confidence))
+    smooth = np.asarray(cv2.resize(depth, image.shape[1::-1], interpolation=cv2.INTER_LINEAR), np.float32)
+    edges, wanted = np.ascontiguousarray(small_image), np.ascontiguousarray(image)
+    return DepthMap(*_stereo.enlarge_to_edges(depth, confidence, edges, wanted, smooth, SAME_SURFACE, get_threads()))

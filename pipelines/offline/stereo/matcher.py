@@ -4,6 +4,7 @@ Semi-global matching interpolates its costs between whole pixels and so prefers 
 largest error in depth. Least squares on the images (one-dimensional Lucas-Kanade) take it away.
 """
 
+from collections.abc import Callable
 from typing import Protocol
 
 import cv2
@@ -53,23 +54,26 @@ def refine_disparity(left: Image8, right: Image8, disparity: Map, window: int, i
     valid = disparity > 0
     if not valid.any():
         return disparity
-    matched = _sample(other, columns - disparity, rows)[valid]
-    gain = reference[valid].std() / max(matched.std(), np.float32(1))
-    refined = disparity
-    for _ in range(iterations):
-        warped, warped_slope = (gain * _sample(image, columns - refined, rows) for image in (other, slope))
-        step = _solve(reference - warped, warped_slope, valid.astype(np.float32), window)
-        refined = np.where(valid, refined + np.clip(step, -LARGEST_STEP_PX, LARGEST_STEP_PX), np.float32(0))
-    return np.maximum(refined, 0)
-
-
-def _solve(difference: Map, slope: Map, weight: Map, window: int) -> Map:
-    """The step that explains the difference but for a constant per window, (H, W)."""
+    places, weight = columns - disparity, valid.astype(np.float32)
+    matched = _sample(other, places, rows)
+    gain = reference[valid].std() / max(matched[valid].std(), np.float32(1))
     share = np.maximum(cv2.blur(weight, (window, window)), np.float32(1e-6))
 
     def mean(values: Map) -> Map:
         return cv2.blur(values * weight, (window, window)) / share
 
+    refined = disparity
+    for iteration in range(iterations):
+        if iteration:
+            places = columns - refined
+            matched = _sample(other, places, rows)
+        step = _solve(reference - gain * matched, gain * _sample(slope, places, rows), mean)
+        refined = np.where(valid, refined + np.clip(step, -LARGEST_STEP_PX, LARGEST_STEP_PX), np.float32(0))
+    return np.maximum(refined, 0)
+
+
+def _solve(difference: Map, slope: Map, mean: Callable[[Map], Map]) -> Map:
+    """The step that explains the difference but for a constant per window, (H, W); `mean` is over windows."""
     mean_slope, mean_difference = mean(slope), mean(difference)
     covariance = mean(slope * difference) - mean_slope * mean_difference
     variance: Map = np.maximum(mean(slope * slope) - mean_slope * mean_slope, np.float32(0))
