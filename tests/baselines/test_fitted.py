@@ -162,7 +162,7 @@ def test_each_instant_alone_depends_on_no_other(sliding_footage, tmp_path):
 
 def test_a_stream_goes_from_instant_to_instant(sliding_footage, tmp_path):
     """`3dgstream` follows what moves, goes on after a kill with equal bytes, and renders its instants in any order."""
-    fitter = Stream(steps=60, transforming=12, spawning=8, spawned=40, points=400, most=500)
+    fitter = Stream(steps=60, transforming=40, spawning=8, spawned=40, points=400, most=500)
     whole = fitted(fitter, sliding_footage, tmp_path / "whole")
 
     def kill(done: int, steps: int) -> None:
@@ -183,7 +183,7 @@ def test_a_stream_goes_from_instant_to_instant(sliding_footage, tmp_path):
     assert all(np.array_equal(image, twin) for image, twin in zip(forward, backward, strict=True))
     own = psnr_db(forward[3], sliding_footage.image(camera.name, 3))
     still = psnr_db(forward[0], sliding_footage.image(camera.name, 3))
-    assert own > still + 1
+    assert own > still + 6  # at a rate that moves all planes' nodes alike it gains 2.4 dB
 
 
 def test_what_cannot_be_is_said_in_a_line(sliding_footage, tmp_path):
