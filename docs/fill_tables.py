@@ -38,7 +38,7 @@ from ggvs_eval.reports.tables.study_tables import (
 
 ROOT = Path(__file__).parents[1]
 OUT = ROOT / "out"
-OFFLINE_RUN = OUT / "offline" / "offline"
+OFFLINE_RUN, UNSEEN_RUN = OUT / "offline" / "offline", OUT / "offline_unseen" / "offline"
 # Of the validation rooms the whole picture stands for all regions; the validation of depth prints the others.
 DEPTH_FIGURES = r"depth\.(motorcycle\.(epe_px|bad_[23]_percent)\.[^.]*$|sparse|rendering\.PSNR|reuse|rooms\.whole_picture|demo\.)"
 MATCHERS = ("sgbm", "sweep", "raft")
@@ -114,6 +114,7 @@ def main() -> None:
             "offline": lambda: report_table(OFFLINE_RUN, ("quality", "consistency", "path"), OFFLINE_METRICS),
             "offline_price": lambda: report_table(OFFLINE_RUN, ("price",), PRICE_METRICS),
             "offline_costs": lambda: report_table(OFFLINE_RUN, ("costs",)),
+            "offline_unseen": lambda: report_table(UNSEEN_RUN, ("quality", "consistency", "path"), OFFLINE_METRICS),
             "over_k": lambda: k_table(OUT / "rooms_k", BASELINE_METRICS),
             "held": lambda: results_table(OUT / "real_frame_held"),
             "calibration": lambda: figures_table(OUT / "validate.json", r"calibration\."),
