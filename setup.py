@@ -8,20 +8,8 @@ from typing import Any
 KERNELS = Path("ggvs_eval/kernels")
 SOURCES = (
     *("core", "splat", "tsdf", "occupancy", "warp", "dispatch", "level_baseline", "level_avx2", "level_avx512"),
-    *(
-        "images",
-        "filter",
-        "blend",
-        "push_pull",
-        "remember",
-        "recur",
-        "contested",
-        "shade",
-        "register",
-        "compose",
-        "refine",
-        "learned",
-    ),
+    *("images", "filter", "blend", "push_pull", "remember", "recur", "contested", "shade"),
+    *("register", "compose", "refine", "learned"),
     *("unet", "unet_bindings", "memory", "overview", "network_inputs", "ray_pooling", "ray_pooling_bindings"),
 )
 GAUSSIANS = (
@@ -33,15 +21,8 @@ DEFORMATION = (
     "memory",
 )
 STEREO = (
-    "stereo",
-    "plane_sweep",
-    "sgm",
-    "weighted_median",
-    "edge_enlarge",
-    "stereo_levels",
-    "stereo_baseline",
-    "stereo_avx2",
-    "stereo_avx512",
+    *("stereo", "plane_sweep", "sgm", "weighted_median", "edge_enlarge"),
+    *("stereo_levels", "stereo_baseline", "stereo_avx2", "stereo_avx512"),
 )
 
 # No -march: the instruction set is chosen when the program runs (dispatch.cpp), so that one wheel serves every machine.

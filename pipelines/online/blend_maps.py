@@ -39,8 +39,8 @@ class BlendMaps:
     colours: Map
     coverage: Map
     visibilities: Map
-    alphas: Map | Sequence[Map]  # apart as they are splatted: side by side they would be one more copy of all views
-    depths: Map | Sequence[Map]
+    alphas: tuple[Map, ...]  # apart as they are splatted: side by side they would be one more copy of all views
+    depths: tuple[Map, ...]
     fused_depth: Map
     shares: tuple[float, ...] | None = None
 
@@ -51,7 +51,8 @@ class BlendMaps:
         """
         if scale == 1:
             return self
-        averaged = [_averaged(maps, scale) for maps in (self.colours, self.coverage, self.visibilities, self.alphas)]
+        stacks = self.colours, self.coverage, self.visibilities, np.stack(self.alphas)
+        averaged = [_averaged(maps, scale) for maps in stacks]
         return self.with_means(scale, averaged)
 
     def with_means(self, scale: int, averaged: Sequence[Map]) -> "BlendMaps":
@@ -63,7 +64,8 @@ class BlendMaps:
         picked = np.stack([depth[cells] for depth in self.depths]), self.fused_depth[cells]
         depths, fused_depth = (_continued(maps, height, width) for maps in picked)
         colours, coverage, visibilities, alphas = averaged
-        return BlendMaps(target, self.sources, colours, coverage, visibilities, alphas, depths, fused_depth, self.shares)
+        splatted = tuple(alphas), tuple(depths)
+        return BlendMaps(target, self.sources, colours, coverage, visibilities, *splatted, fused_depth, self.shares)
 
     @property
     def weights(self) -> Map:
@@ -90,7 +92,7 @@ def blend_maps(inputs: BlendingInputs, guidance: Guidance) -> BlendMaps:
         coverage = np.stack([view.alpha for view in splats])
         stacks = np.stack([view.features[..., :3] for view in splats]), coverage, coverage
     cameras, shares = tuple(source.camera for source in sources), tuple(source.share for source in sources)
-    alphas, depths = [view.alpha for view in splats], [view.depth for view in splats]
+    alphas, depths = tuple(view.alpha for view in splats), tuple(view.depth for view in splats)
     return BlendMaps(target, cameras, *stacks, alphas, depths, inputs.depth, shares)
 
 
@@ -107,10 +109,10 @@ def nearness(camera: Camera, target: Camera) -> tuple[float, str]:
     return float(np.linalg.norm(camera.centre - target.centre)), camera.name
 
 
-def _averaged(maps: Map | Sequence[Map], scale: int) -> Map:
-    """Mean of each block, of K maps (H, W) or (H, W, 3)."""
-    height, width, *channels = maps[0].shape
-    means = np.empty((len(maps), -(-height // scale), -(-width // scale), *channels), np.float32)
+def _averaged(maps: Map, scale: int) -> Map:
+    """Mean of each block, of maps (K, H, W) or (K, H, W, 3)."""
+    views, height, width, *channels = maps.shape
+    means = np.empty((views, -(-height // scale), -(-width // scale), *channels), np.float32)
     for view, mean in zip(maps, means, strict=True):
         for rows in _parts(height, scale):
             for columns in _parts(width, scale):

@@ -44,9 +44,9 @@ def guide_depth(maps: BlendMaps, guidance: Guidance) -> Map:
     """
     if guidance in GUIDED:
         return maps.fused_depth
-    covers = np.asarray(maps.alphas) >= COVERED_ALPHA  # (K, H, W)
+    covers = np.stack(maps.alphas) >= COVERED_ALPHA  # (K, H, W)
     first = np.argmax(covers, axis=0)[None]
-    return np.where(covers.any(axis=0), np.take_along_axis(np.asarray(maps.depths), first, axis=0)[0], np.float32(0))
+    return np.where(covers.any(axis=0), np.take_along_axis(np.stack(maps.depths), first, axis=0)[0], np.float32(0))
 
 
 def reference_depth(depth: Map, camera: Camera) -> float:
@@ -85,8 +85,8 @@ def input_channels(maps: BlendMaps, guidance: Guidance, views: int | None = None
     guided, count, flat = guidance in GUIDED, len(maps.sources), guidance == "naive"
     of_views = [
         np.moveaxis(maps.colours, 3, 1).reshape(-1, *size),
-        None if flat else _inverse(np.asarray(maps.depths), unit),
-        np.asarray(maps.alphas),
+        None if flat else _inverse(np.stack(maps.depths), unit),
+        np.stack(maps.alphas),
         _cosines(to_sources, surface_normals(points, surface)) if guided else None,
         None if flat else _cosines(to_sources, _unit(-points)),
         _constant([_distance(source, maps.target) / unit for source in maps.sources], size),

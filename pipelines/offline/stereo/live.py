@@ -179,7 +179,7 @@ class LiveEstimator:
 
 
 def enlarge(small: DepthMap, small_image: Image8, image: Image8) -> DepthMap:
-    """Bring depth to the size of the image that it is of.
+    """Bring depth to the size of the image that it is of: edge-aware upsampling.
 
     A pixel takes the depth of that of the four nearest small pixels whose colour is most like its own, so that depth ends where
     the image's edges are, and is interpolated within surfaces only.
@@ -195,5 +195,5 @@ def enlarge(small: DepthMap, small_image: Image8, image: Image8) -> DepthMap:
 
     depth, confidence = (np.ascontiguousarray(each, np.float32) for each in (small.depth, small.confidence))
     smooth = np.asarray(cv2.resize(depth, image.shape[1::-1], interpolation=cv2.INTER_LINEAR), np.float32)
-    edges, wanted = np.ascontiguousarray(small_image), np.ascontiguousarray(image)
-    return DepthMap(*_stereo.enlarge_to_edges(depth, confidence, edges, wanted, smooth, SAME_SURFACE, get_threads()))
+    small_guide, guide = np.ascontiguousarray(small_image), np.ascontiguousarray(image)
+    return DepthMap(*_stereo.enlarge_to_edges(depth, confidence, small_guide, guide, smooth, SAME_SURFACE, get_threads()))

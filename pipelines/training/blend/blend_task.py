@@ -150,8 +150,8 @@ def crop_arrays(
     of_views = {
         "colours": np.moveaxis(maps.colours, 3, 1),
         "coverage": maps.coverage,
-        "alphas": np.asarray(maps.alphas),
-        "depths": np.asarray(maps.depths) / np.float32(unit),
+        "alphas": np.stack(maps.alphas),
+        "depths": np.stack(maps.depths) / np.float32(unit),
     }
     start = blend_start(maps)
     of_views |= {"weights": start.pop("weights")}

@@ -62,7 +62,7 @@ class RawViews:
     @property
     def splatted(self) -> BlendMaps:
         """The views by their splats alone."""
-        stacks = (self.splats, self.alphas, self.alphas, self.alphas, self.depths)
+        stacks = self.splats, self.alphas, self.alphas, tuple(self.alphas), tuple(self.depths)
         return BlendMaps(self.target, self.sources, *stacks, self.fused_depth, self.shares)
 
     def maps(self, guidance: Guidance) -> BlendMaps:
@@ -179,8 +179,8 @@ def raw_views(inputs: BlendingInputs) -> RawViews:
         target,
         splatted.sources,
         splats=splatted.colours,
-        depths=np.asarray(splatted.depths),
-        alphas=np.asarray(splatted.alphas),
+        depths=np.stack(splatted.depths),
+        alphas=np.stack(splatted.alphas),
         warps=np.stack([each.colour for each in warps]),
         visibilities=np.stack([each.visibility for each in warps]),
         fused_depth=inputs.depth,
