@@ -1,4 +1,4 @@
-"""The online step on a GPU, checked against the compiled path and timed part by part: ``make bench-device``.
+"""The online step on a GPU, checked against the compiled path and timed part by part, then scoring: ``make bench-device``.
 
 Three questions, in this order. Does the device render what the CPU renders, and twice the same? How long does each part take,
 by events of the GPU, median and 95th percentile of warm frames? For how much of that does the GPU compute, by torch's profiler:
@@ -17,6 +17,7 @@ import numpy as np
 import torch
 
 from benchmarks.bench_device import scene
+from benchmarks.bench_device_scoring import LEAST_CLOSE, print_scoring
 from ggvs_eval.compute_device import compute_device, describe_device
 from ggvs_eval.kernels import get_threads
 from ggvs_eval.method import Instant, Method, Rendering
@@ -127,9 +128,11 @@ def main() -> None:
         figure = {"check": check(instants, str(device)), "times": time_parts(instants, str(device))}
         _print(size, figure, options.shrink)
         figures[f"{size[0]}x{size[1]}"] = figure
+    scoring = print_scoring(size, str(device))
     if options.json:
-        options.json.write_text(json.dumps({"machine": machine, "figures": figures}, indent=1))
-    if min(figure["check"]["within_a_level"] for figure in figures.values()) < LEAST_SHARE:
+        options.json.write_text(json.dumps({"machine": machine, "figures": figures, "scoring": scoring}, indent=1))
+    rendered = min(figure["check"]["within_a_level"] for figure in figures.values()) >= LEAST_SHARE
+    if not rendered or scoring["largest_difference"] > LEAST_CLOSE:
         raise SystemExit(1)
 
 

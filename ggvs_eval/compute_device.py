@@ -68,14 +68,23 @@ def rendering_on(device: torch.device) -> Iterator[None]:
     rounds = torch.backends.cudnn.allow_tf32
     torch.backends.cudnn.allow_tf32 = False
     try:
-        with one_thread(), torch.inference_mode(), computing_on(device):
+        with out_of_memory(device, "render at a smaller size"), one_thread(), torch.inference_mode(), computing_on(device):
             yield
-    except torch.OutOfMemoryError as error:
-        raise DeviceError(
-            f"device {device}: its memory is out; render at a smaller size, or fewer jobs at once (--jobs)"
-        ) from error
     finally:
         torch.backends.cudnn.allow_tf32 = rounds
+
+
+@contextmanager
+def out_of_memory(device: torch.device | str, mend: str) -> Iterator[None]:
+    """Within, a GPU whose memory is out is an error of the user's, with what may mend it.
+
+    Raises:
+        DeviceError: it is.
+    """
+    try:
+        yield
+    except torch.OutOfMemoryError as error:
+        raise DeviceError(f"device {device}: its memory is out; {mend}, or fewer jobs at once (--jobs)") from error
 
 
 def clock_s(device: torch.device) -> float:

@@ -51,7 +51,7 @@ class MetricOptions:
         colour_scope: one colour correction per view, or one per frame.
         ddof: 1 for unbiased standard deviations, 0 for plain ones.
         first_frame: number, counted from the protocol's first one, of the frame that is measured first.
-        device: where networks compute; no choice of the protocol's.
+        device: where metrics compute that can (`ViewMetric.on_device`); no choice of the protocol's.
     """
 
     ssim: SsimName = "gaussian-valid"
@@ -239,6 +239,7 @@ class ViewMetric(Metric):
         inside_note: what that adds to the line that describes the part.
         corrects_colours: whether it wants that colour map.
         weights: file of trained weights that it needs; None where it needs none.
+        on_device: whether it computes on `MetricOptions.device`, so that its values are those of a device.
         series: the metric of a video without truth; None where it compares with one.
     """
 
@@ -247,6 +248,7 @@ class ViewMetric(Metric):
     inside_note: str = ""
     corrects_colours: bool = False
     weights: Callable[[MetricOptions], Path] | None = None
+    on_device: bool = False
     series: Series | None = None
 
 

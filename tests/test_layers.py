@@ -26,6 +26,7 @@ FLOORS = (
     ("synthetic.layouts", "synthetic.stereo"),
     ("synthetic",),
     ("baselines", "metrics.inputs", "metrics.metric"),
+    ("metrics.on_device",),
     (*LEARNED, "metrics.image", "metrics.noise"),
     ("baselines.registry", "metrics.path", "metrics.time"),
     ("metrics",),

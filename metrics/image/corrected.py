@@ -135,5 +135,6 @@ LPIPS_CC = ViewMetric(
     inside=_lpips_inside,
     inside_note=", by the features whose pixels lie in it",
     weights=weights_file,
+    on_device=True,
     corrects_colours=True,
 )

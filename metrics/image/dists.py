@@ -67,7 +67,7 @@ def dists_features(image: Image, device: str = "cpu") -> "list[torch.Tensor]":
     with torch.inference_mode(), torch.backends.cudnn.flags(enabled=True, deterministic=True, allow_tf32=False):
         unit = torch.from_numpy(np.ascontiguousarray(image, dtype=np.float32)) / white_level(image)
         stages = [unit.permute(2, 0, 1)[None].to(device)]
-        features = network_input(image)[None].to(device).contiguous(memory_format=torch.channels_last)
+        features = network_input(image, device)[None].contiguous(memory_format=torch.channels_last)
         for i, layer in enumerate(LAYERS["vgg"]):
             features = _l2_pool(features) if layer.pool else features
             features = functional.conv2d(features, weights[f"conv{i}.weight"], weights[f"conv{i}.bias"], 1, 1).relu_()
@@ -202,4 +202,5 @@ DISTS = ViewMetric(
     inside=lambda pair, mask: _to_truth(pair.rendered, pair.truth, pair.options.device, mask),
     inside_note=", by the features whose pixels lie in it",
     weights=_weights_file,
+    on_device=True,
 )

@@ -126,7 +126,7 @@ def lpips_features(image: Image, net: LpipsNet, device: str = "cpu") -> "list[to
     weights = load_weights(net, device)
     # On a GPU without rounded factors, and with equal bits from call to call.
     with torch.inference_mode(), torch.backends.cudnn.flags(enabled=True, deterministic=True, allow_tf32=False):
-        features = network_input(image)[None].to(weights["conv0.weight"]).contiguous(memory_format=torch.channels_last)
+        features = network_input(image, device)[None].to(weights["conv0.weight"]).contiguous(memory_format=torch.channels_last)
         return [tap.float() for tap in _tapped_layers(features, LAYERS[net], weights)]
 
 
@@ -216,12 +216,14 @@ def _kernel(tensor: "torch.Tensor") -> "torch.Tensor":
     return tensor.contiguous(memory_format=torch.channels_last) if tensor.ndim == 4 else tensor
 
 
-def network_input(image: Image) -> "torch.Tensor":
-    """A frame as the networks were trained on it, (3, H, W) float32."""
+def network_input(image: Image, device: str = "cpu") -> "torch.Tensor":
+    """A frame as the networks were trained on it, (3, H, W) float32; bytes are uploaded, not the floats that they become."""
     import torch
 
-    signed = torch.from_numpy(np.ascontiguousarray(image, dtype=np.float32)) * (2.0 / white_level(image)) - 1.0
-    return ((signed - torch.tensor(COLOUR_SHIFT)) / torch.tensor(COLOUR_SCALE)).permute(2, 0, 1)
+    levels = image if image.dtype == np.uint8 else image.astype(np.float32)
+    signed = torch.from_numpy(np.ascontiguousarray(levels)).to(device).float() * (2.0 / white_level(image)) - 1.0
+    shift, scale = (torch.tensor(each, device=device) for each in (COLOUR_SHIFT, COLOUR_SCALE))
+    return ((signed - shift) / scale).permute(2, 0, 1)
 
 
 def _tapped_layers(
@@ -247,13 +249,14 @@ def _feature_distance(
     """Weighted squared difference of the unit feature vectors of two frames (1, C, H, W): mean over the pixels, and (H, W)."""
     import torch
 
-    total, maps = 0.0, []
-    for rows in zip(rendered.split(ROWS_AT_ONCE, dim=2), truth.split(ROWS_AT_ONCE, dim=2), strict=True):
+    rows_at_once = ROWS_AT_ONCE if truth.device.type == "cpu" else truth.shape[2]
+    sums, maps = [], []  # downloaded at the end: a device is not waited for in between
+    for rows in zip(rendered.split(rows_at_once, dim=2), truth.split(rows_at_once, dim=2), strict=True):
         ours, theirs = (row / (torch.linalg.vector_norm(row, dim=1, keepdim=True) + 1e-10) for row in rows)
         squared = (ours - theirs).square_()  # (1, C, rows, W)
-        total += float(torch.einsum("nchw,c->", squared, channel_weights))
-        maps.append(torch.einsum("nchw,c->hw", squared, channel_weights).cpu().numpy())
-    return total / (truth.shape[2] * truth.shape[3]), np.concatenate(maps)
+        sums.append(torch.einsum("nchw,c->", squared, channel_weights))
+        maps.append(torch.einsum("nchw,c->hw", squared, channel_weights))
+    return sum(map(float, sums)) / (truth.shape[2] * truth.shape[3]), torch.cat(maps).numpy(force=True)
 
 
 def truth_features(truth: TruthFrame, options: MetricOptions) -> "list[torch.Tensor]":
@@ -348,4 +351,5 @@ LPIPS = ViewMetric(
     inside=_inside,
     inside_note=", by the features whose pixels lie in it",
     weights=weights_file,
+    on_device=True,
 )

@@ -1,18 +1,21 @@
 """The SSIMs in use, by name: one formula, other windows, borders and ranges, and numbers up to 0.1 apart on the same frame."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ggvs_eval.arrays import Mask
+from ggvs_eval.arrays import Image8, Mask
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.image.ssim import ssim
 from ggvs_eval.metrics.inputs import Image, check_mask, check_pair, require_finite, white_level
-from ggvs_eval.metrics.metric import QUALITY, ColourMap, FrameScorer, MetricOptions, SsimName, ViewMetric
+from ggvs_eval.metrics.metric import QUALITY, ColourMap, MetricOptions, SsimName, TruthFrame, Value, ViewMetric
+
+if TYPE_CHECKING:
+    import torch
 
 Plane = NDArray[np.float32]
 SIGMA_PX = 1.5
@@ -46,6 +49,15 @@ class SsimVariant:
         weights = np.exp(-0.5 * (offsets / SIGMA_PX) ** 2) if self.is_gaussian else np.ones(self.window_px)
         return np.asarray(weights / weights.sum(), dtype=np.float64)
 
+    def require_window(self, height: int, width: int) -> None:
+        """Refuse images that are smaller than the window.
+
+        Raises:
+            MetricError: they are.
+        """
+        if min(height, width) < self.window_px:
+            raise MetricError(f"SSIM needs {self.window_px} x {self.window_px} pixels for its window, got {height} x {width}")
+
 
 SSIM_VARIANTS: dict[SsimName, SsimVariant] = {
     "gaussian-valid": SsimVariant(11, True, False, 1.0, False, "Wang et al. 2004; this project's default"),
@@ -74,14 +86,12 @@ def ssim_map(rendered: Image, truth: Image, name: SsimName = "gaussian-valid") -
     if name not in SSIM_VARIANTS:
         raise MetricError(f"SSIM: no variant {name!r}; there are {', '.join(SSIM_VARIANTS)}")
     variant = SSIM_VARIANTS[name]
-    height, width = truth.shape[:2]
-    if min(height, width) < variant.window_px:
-        raise MetricError(f"SSIM needs {variant.window_px} x {variant.window_px} pixels for its window, got {height} x {width}")
+    variant.require_window(*truth.shape[:2])
     x, y = (_unit_range(image, variant) for image in (rendered, truth))
     values = np.empty((len(x) - variant.window_px + 1, x.shape[1] - variant.window_px + 1, 3), dtype=np.float32)
     for start in range(0, len(values), ROWS_AT_ONCE):
         rows = slice(start, start + ROWS_AT_ONCE + variant.window_px - 1)
-        values[start : start + ROWS_AT_ONCE] = _similarity(x[rows], y[rows], variant)
+        values[start : start + ROWS_AT_ONCE] = similarity(x[rows], y[rows], variant, _window_means)
     return values
 
 
@@ -100,6 +110,28 @@ def ssim_variant(rendered: Image, truth: Image, name: SsimName) -> float:
     if name == "gaussian-valid":
         return ssim(rendered, truth)
     return require_finite(float(ssim_map(rendered, truth, name).mean(dtype=np.float64)), "SSIM")
+
+
+def device_ssim(rendered: "torch.Tensor", truth: "torch.Tensor", name: SsimName = "gaussian-valid") -> NDArray[np.float64]:
+    """SSIM of each channel, (3,), as `ssim_map` defines it, computed in double precision where the frames are.
+
+    Args:
+        rendered: (H, W, 3) uint8.
+        truth: captured frame, same shape, on the same device.
+        name: which variant.
+
+    Raises:
+        MetricError: the images are smaller than the window.
+    """
+    from ggvs_eval.metrics.on_device import unit_range, window_means
+
+    variant = SSIM_VARIANTS[name]
+    variant.require_window(*truth.shape[:2])
+    border = variant.window_px // 2 if variant.pads_with_zeros else 0
+    taps = variant.taps().tolist()
+    x, y = (unit_range(image, border) for image in (rendered, truth))
+    values = similarity(x, y, variant, lambda planes, _: window_means(planes, taps))
+    return np.asarray(values.mean(dim=(0, 1)).numpy(force=True), dtype=np.float64)
 
 
 def masked_ssim(rendered: Image, truth: Image, mask: Mask, name: SsimName = "gaussian-valid") -> float:
@@ -188,22 +220,22 @@ def _unit_range(image: Image, variant: SsimVariant) -> Plane:
     return np.pad(unit, ((border, border), (border, border), (0, 0)))
 
 
-def _similarity(x: Plane, y: Plane, variant: SsimVariant) -> Plane:
-    """SSIM of the windows inside two images.
+def similarity(x: Any, y: Any, variant: SsimVariant, window_means: Callable[[Any, SsimVariant], Any]) -> Any:
+    """SSIM of the windows inside two images (H, W, 3) in [0, 1], arrays or tensors.
 
     Written in the sum a and the difference d of the images: mean(x)^2 + mean(y)^2 is half of mean(a)^2 + mean(d)^2, and the same
     holds for variances. Nothing small is then the difference of large numbers, so that float32 suffices.
     """
-    unbias = np.float32(variant.window_px**2 / (variant.window_px**2 - 1) if variant.unbiased else 1.0)
-    c1, c2 = (np.float32((k * variant.data_range) ** 2) for k in (0.01, 0.03))
+    unbias = variant.window_px**2 / (variant.window_px**2 - 1) if variant.unbiased else 1.0
+    c1, c2 = ((k * variant.data_range) ** 2 for k in (0.01, 0.03))
     total, difference = x + y - 1, x - y  # the sum is centred, which its variance does not see
-    mean_total, mean_difference = _window_means(total, variant), _window_means(difference, variant)
+    mean_total, mean_difference = window_means(total, variant), window_means(difference, variant)
     squared_difference = mean_difference * mean_difference
-    variance_total = (_window_means(total * total, variant) - mean_total * mean_total) * unbias
-    variance_difference = (_window_means(difference * difference, variant) - squared_difference) * unbias
+    variance_total = (window_means(total * total, variant) - mean_total * mean_total) * unbias
+    variance_difference = (window_means(difference * difference, variant) - squared_difference) * unbias
     luminance = 1 - squared_difference / (((mean_total + 1) ** 2 + squared_difference) / 2 + c1)
     contrast = 1 - variance_difference / ((variance_total + variance_difference) / 2 + c2)
-    return np.asarray(luminance * contrast, dtype=np.float32)
+    return luminance * contrast
 
 
 def _window_means(image: Plane, variant: SsimVariant) -> Plane:
@@ -212,8 +244,28 @@ def _window_means(image: Plane, variant: SsimVariant) -> Plane:
     return np.asarray(means[radius:-radius, radius:-radius], dtype=np.float32)
 
 
-def _scorer(names: Sequence[str], options: MetricOptions, _colour_map: ColourMap | None) -> FrameScorer:
-    return FrameScorer(names[0], partial(ssim_variant, name=options.ssim))
+class SsimScorer:
+    """SSIM of each frame, on the device that is asked for."""
+
+    names = ("SSIM",)
+
+    def __init__(self, _names: Sequence[str], options: MetricOptions, _colour_map: ColourMap | None) -> None:
+        self._variant, self._device = options.ssim, options.device
+
+    def add(self, index: int, rendered: Image8, truth: TruthFrame) -> list[Value]:
+        """See `Scorer`."""
+        return [("SSIM", index, self._value(rendered, truth))]
+
+    def finish(self) -> list[Value]:
+        """See `Scorer`."""
+        return []
+
+    def _value(self, rendered: Image8, truth: TruthFrame) -> float:
+        if self._device == "cpu":
+            return ssim_variant(rendered, truth.image, self._variant)
+        from ggvs_eval.metrics.on_device import upload_pair
+
+        return float(device_ssim(*upload_pair(rendered, truth, self._device), self._variant).mean())
 
 
 SSIM = ViewMetric(
@@ -226,7 +278,8 @@ SSIM = ViewMetric(
     describe="structural similarity, 11 x 11 Gaussian window, RGB mean",
     reference="Wang et al. 2004",
     has_ceiling=True,
-    scorer=_scorer,
+    scorer=SsimScorer,
+    on_device=True,
     inside=lambda pair, mask: masked_ssim(pair.rendered, pair.truth.image, mask),
     inside_note=" in windows wholly inside it",
 )

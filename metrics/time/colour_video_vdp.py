@@ -197,4 +197,5 @@ CVVDP = ViewMetric(
     describe=f"ColorVideoVDP on its display {DISPLAY} at {FRAMES_PER_SECOND:g} frames per second; 10 is no visible difference",
     reference="Mantiuk et al. 2024",
     scorer=ColourVideoVdpScorer,
+    on_device=True,
 )

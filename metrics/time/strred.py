@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from itertools import product
-from typing import NamedTuple, get_args
+from typing import TYPE_CHECKING, NamedTuple, get_args
 
 import cv2
 import numpy as np
@@ -23,6 +23,9 @@ from ggvs_eval.metrics.metric import (
     ViewMetric,
 )
 from ggvs_eval.statistics.pooling import Pooling, powers_of_means
+
+if TYPE_CHECKING:
+    import torch
 
 MIN_SIDE_PX = 48  # two 3 x 3 blocks in a band of one eighth of the size; fewer have no statistics
 BLOCK = 3
@@ -126,15 +129,47 @@ def spatial_band(luma_255: NDArray) -> Array:
     Raises:
         MetricError: not a plane, a side below 48 pixels, or values that are not finite.
     """
-    if luma_255.ndim != 2 or min(luma_255.shape) < MIN_SIDE_PX:
-        raise MetricError(f"STED needs a plane of at least {MIN_SIDE_PX} x {MIN_SIDE_PX} pixels, got {luma_255.shape}")
+    require_band(luma_255.shape)
     if not np.isfinite(luma_255).all():
         raise MetricError("STED: the frame holds values that are not finite; render it again")
-    _, lowpass, band = _pyramid_kernels()
-    low = _correlate_halved(luma_255, _first_two_lowpasses())
-    for _ in range(BAND_LEVEL - 2):
-        low = _correlate_halved(low, lowpass)
+    low = luma_255
+    *halvings, band = band_kernels()
+    for kernel in halvings:
+        low = _correlate_halved(low, kernel)
     return _correlate(low, band)
+
+
+def device_band(image: "torch.Tensor") -> Array:
+    """Compute `spatial_band` of the luma of an image, (H, W, 3) uint8, on its device; the band comes back to the host.
+
+    Raises:
+        MetricError: a side below 48 pixels.
+    """
+    from ggvs_eval.metrics.on_device import correlate
+
+    require_band(tuple(image.shape[:2]))
+    levels = image.float()
+    low = (levels * levels.new_tensor(LUMA_WEIGHTS)).sum(dim=2).double()
+    *halvings, band = band_kernels()
+    for kernel in halvings:
+        low = correlate(low, kernel, stride=2)
+    return np.asarray(correlate(low, band).numpy(force=True), dtype=np.float64)
+
+
+def require_band(shape: tuple[int, ...]) -> None:
+    """Refuse planes that are too small for the band.
+
+    Raises:
+        MetricError: not a plane, or a side below 48 pixels.
+    """
+    if len(shape) != 2 or min(shape) < MIN_SIDE_PX:
+        raise MetricError(f"STED needs a plane of at least {MIN_SIDE_PX} x {MIN_SIDE_PX} pixels, got {shape}")
+
+
+def band_kernels() -> tuple[Array, ...]:
+    """Kernels of `spatial_band` in their order: those after which every second row and column is left, and the band's own."""
+    _, lowpass, band = _pyramid_kernels()
+    return (_first_two_lowpasses(), *[lowpass] * (BAND_LEVEL - 2), band)
 
 
 def block_entropies(band: Array) -> tuple[Array, Array]:
@@ -256,6 +291,7 @@ class StredScorer:
 
     def __init__(self, names: Sequence[str], options: MetricOptions, _colour_map: ColourMap | None) -> None:
         self.names = names
+        self._device = options.device
         self._pairing = options.sted_pairing
         self._pooling = options.sted_pooling
         self._previous: tuple[Array, Array] | None = None
@@ -263,7 +299,7 @@ class StredScorer:
 
     def add(self, index: int, rendered: Image8, truth: TruthFrame) -> list[Value]:
         """See `Scorer`."""
-        bands = spatial_band(luma(rendered)), truth.once(spatial_band, lambda: spatial_band(luma(truth.image)))
+        bands = self._bands(rendered, truth)
         previous, self._previous = self._previous, bands
         if previous is None or (self._pairing == "disjoint" and index % 2 == 0):
             return []
@@ -277,6 +313,15 @@ class StredScorer:
             ("STED_ssn", "_temporal", difference.temporal_single),
         )
         return [(name + part, index - 1, value) for name, part, value in parts if name in self.names]
+
+    def _bands(self, rendered: Image8, truth: TruthFrame) -> tuple[Array, Array]:
+        """Bands of both frames; the truth's once for all methods."""
+        if self._device == "cpu":
+            return spatial_band(luma(rendered)), truth.once(spatial_band, lambda: spatial_band(luma(truth.image)))
+        from ggvs_eval.metrics.on_device import upload_pair
+
+        ours, theirs = upload_pair(rendered, truth, self._device)
+        return device_band(ours), truth.once(device_band, lambda: device_band(theirs))
 
     def finish(self) -> list[Value]:
         """See `Scorer`."""
@@ -304,6 +349,7 @@ STED = ViewMetric(
     reference="Soundararajan & Bovik 2013",
     has_ceiling=True,
     scorer=StredScorer,
+    on_device=True,
 )
 STED_SSN = ViewMetric(
     name="STED_ssn",
@@ -315,4 +361,5 @@ STED_SSN = ViewMetric(
     describe="ST-RRED from single-number differences",
     reference="Soundararajan & Bovik 2013",
     scorer=StredScorer,
+    on_device=True,
 )

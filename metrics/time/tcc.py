@@ -1,6 +1,7 @@
 """Temporal change consistency of a view."""
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -8,9 +9,12 @@ import numpy as np
 from ggvs_eval.arrays import Image8, Mask
 from ggvs_eval.errors import MetricError
 from ggvs_eval.metrics.image.ssim import ssim_per_channel
-from ggvs_eval.metrics.image.ssim_variants import windows_inside
+from ggvs_eval.metrics.image.ssim_variants import device_ssim, windows_inside
 from ggvs_eval.metrics.inputs import Image, check_pair, require_finite, same_kind
 from ggvs_eval.metrics.metric import CONSISTENCY, ColourMap, FramePair, MetricOptions, TruthFrame, Value, ViewMetric
+
+if TYPE_CHECKING:
+    import torch
 
 
 def tcc(rendered: Sequence[Image] | Image, truth: Sequence[Image] | Image) -> float:
@@ -70,6 +74,18 @@ def temporal_change_ssim(rendered: Image, rendered_next: Image, truth: Image, tr
     return require_finite(float(np.maximum(ssim_per_channel(*changes), 0.0).mean()), "TCC")
 
 
+def device_change_ssim(
+    rendered: "torch.Tensor", rendered_next: "torch.Tensor", truth: "torch.Tensor", truth_next: "torch.Tensor"
+) -> float:
+    """Compute `temporal_change_ssim` in double precision where the frames are, (H, W, 3) uint8.
+
+    Raises:
+        MetricError: the images are smaller than the window.
+    """
+    change, true_change = (a.maximum(b) - a.minimum(b) for a, b in ((rendered, rendered_next), (truth, truth_next)))
+    return float(np.maximum(device_ssim(change, true_change), 0.0).mean())
+
+
 def _change(first: Image, second: Image) -> Image:
     """Absolute difference in the kind of the images; 8-bit ones do not wrap around."""
     return cv2.absdiff(*same_kind(first, second))
@@ -88,17 +104,30 @@ class ChangeScorer:
 
     names = ("TCC",)
 
-    def __init__(self, _names: Sequence[str], _options: MetricOptions, _colour_map: ColourMap | None) -> None:
-        self._previous: tuple[Image8, Image8] | None = None
+    def __init__(self, _names: Sequence[str], options: MetricOptions, _colour_map: ColourMap | None) -> None:
+        self._device = options.device
+        self._previous: Any = None  # rendered and captured, in memory or on the device
         self._pairs = 0
 
     def add(self, index: int, rendered: Image8, truth: TruthFrame) -> list[Value]:
         """See `Scorer`."""
-        previous, self._previous = self._previous, (rendered, truth.image)
+        frames = self._frames(rendered, truth)
+        previous, self._previous = self._previous, frames
         if previous is None:
             return []
         self._pairs += 1
-        return [("TCC", index - 1, temporal_change_ssim(previous[0], rendered, previous[1], truth.image))]
+        return [("TCC", index - 1, self._term(previous, frames))]
+
+    def _frames(self, rendered: Image8, truth: TruthFrame) -> Any:
+        if self._device == "cpu":
+            return rendered, truth.image
+        from ggvs_eval.metrics.on_device import upload_pair
+
+        return upload_pair(rendered, truth, self._device)
+
+    def _term(self, before: Any, after: Any) -> float:
+        compute = temporal_change_ssim if self._device == "cpu" else device_change_ssim
+        return compute(before[0], after[0], before[1], after[1])
 
     def finish(self) -> list[Value]:
         """See `Scorer`."""
@@ -118,6 +147,7 @@ TCC = ViewMetric(
     reference="Ha et al. 2025, Eq. 8",
     has_ceiling=True,
     scorer=ChangeScorer,
+    on_device=True,
     inside=_inside,
     inside_note=" in windows wholly inside it",
 )

@@ -55,7 +55,7 @@ def score(
         protocol: a .toml file or a packaged name; the run's own, or the packaged one that fits the capture, by default.
         run: run folder to make or to go on with; scores/CAPTURE by default.
         allow_partial: score what there is of incomplete renders; their row is marked.
-        device: where the networks of LPIPS compute; a GPU rounds otherwise than the CPU.
+        device: where LPIPS, SSIM, TCC, STED and other metrics of many operations compute; a GPU rounds otherwise than the CPU.
         first_frame: number of the protocol's first frame in the names of your frames (its place, from 0, in videos and arrays);
             needed where the numbers can be read in two ways.
         reading: how the capture is read.

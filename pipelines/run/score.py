@@ -22,7 +22,7 @@ from ggvs_eval.protocol import Protocol
 from ggvs_eval.results import Results, describe_machine, installed_versions, make_table
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
 
-METRIC_NETWORKS = "networks of metrics"  # stands among the renders that are not the CPU's
+METRICS_ON_DEVICE = "metrics"  # stands among the renders that are not the CPU's
 
 
 def score(run: RunFolder, workers: Workers = 1, without: Collection[str] = (), device: str = "cpu") -> Results:
@@ -32,7 +32,7 @@ def score(run: RunFolder, workers: Workers = 1, without: Collection[str] = (), d
         run: a folder with truth and renders of the protocol's views and frames.
         workers: where jobs run.
         without: methods whose renders are known to be incomplete, which are left out.
-        device: where networks of metrics compute.
+        device: where metrics compute that can.
 
     Returns:
         All values, also written to the run folder.
@@ -55,7 +55,7 @@ def score(run: RunFolder, workers: Workers = 1, without: Collection[str] = (), d
     paths = read_paths(of_paths)
     results = _collect(run, protocol, coverage, labels, paths)
     if device != "cpu":
-        results.provenance.setdefault("devices", {})[METRIC_NETWORKS] = _described(device)
+        results.provenance.setdefault("devices", {})[METRICS_ON_DEVICE] = _described(device)
     results.write(run.root)
     write_references(run, paths, read_ceilings(of_ceilings))
     _write_shown_names(run, protocol, labels)

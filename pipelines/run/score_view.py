@@ -3,6 +3,7 @@
 import hashlib
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -33,7 +34,7 @@ def view_job(
         coverage: which frames of which method there are.
         labels: methods.
         view: the view.
-        device: where networks of metrics compute.
+        device: where metrics compute that can.
     """
     options = metric_options(protocol.measurement, device)
     measurement = protocol.measurement
@@ -57,11 +58,9 @@ def view_job(
 
 def _metric_identity(metric: ViewMetric, options: MetricOptions) -> dict[str, Any]:
     """Return what one metric depends on beside the frames and the measurement; the CPU goes without saying."""
-    code = {"code": metric_code(metric)}
-    if metric.weights is None:
-        return code
-    elsewhere = {} if options.device == "cpu" else {"device": options.device}
-    return code | {"weights": metric.weights(options).is_file()} | elsewhere
+    weights = {} if metric.weights is None else {"weights": metric.weights(options).is_file()}
+    elsewhere = {"device": options.device} if metric.on_device and options.device != "cpu" else {}
+    return {"code": metric_code(metric)} | weights | elsewhere
 
 
 def digest_frames(folder: Path, frames: Sequence[int]) -> str:
@@ -96,10 +95,21 @@ def _score_view(
         if stale := tuple(name for name in identity["metrics"] if name not in fresh):
             alike[stretches[label], stale].append(label)
     for (there, metrics), labels in alike.items():
-        for label, measured in zip(labels, _score_methods(run, view, labels, there, metrics, protocol, options), strict=True):
+        with _computing(options.device):
+            scores = _score_methods(run, view, labels, there, metrics, protocol, options)
+        for label, measured in zip(labels, scores, strict=True):
             methods[label]["values"] += measured["values"]
             methods[label]["not_computed"] |= measured["not_computed"]
     return {"methods": methods}
+
+
+def _computing(device: str) -> AbstractContextManager[None]:
+    """What may go wrong on a device is told; the CPU goes without torch."""
+    if device == "cpu":
+        return nullcontext()
+    from ggvs_eval.compute_device import out_of_memory
+
+    return out_of_memory(device, "score on the cpu (--device cpu)")
 
 
 def fresh_metrics(recorded: Mapping[str, Any], current: Mapping[str, Any]) -> set[str]:
@@ -151,7 +161,7 @@ def _score_methods(
 
 
 def metric_options(measurement: Measurement, device: str = "cpu") -> MetricOptions:
-    """Return the protocol's options of the metrics, and where their networks compute."""
+    """Return the protocol's options of the metrics, and where those compute that can."""
     return MetricOptions(
         ssim=measurement.ssim,
         lpips_net=measurement.lpips_net,

@@ -4,9 +4,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import pytest
+import torch
 
+from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import read_image, write_image
-from ggvs_eval.metrics import stream
+from ggvs_eval.metrics import on_device, stream
 from ggvs_eval.pipelines.run import score_view
 from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.pipelines.run.score import score, score_jobs
@@ -73,6 +75,30 @@ def test_the_metrics_whose_code_has_changed(changed, run, measured, monkeypatch)
     assert [set(metrics) for metrics in measured] == [set(changed)] * 2  # once per view
     assert records(run) == before
     assert all(job.is_done() for job in score_jobs(run, run.labels(), [VIEW]))
+
+
+def test_another_device_measures_again_what_computes_there(run, measured, monkeypatch):
+    """Values are told from those of the CPU, and a device without room is an error of one line that leaves them alone."""
+    before = records(run)
+
+    def run_out(*_: Any) -> None:
+        raise torch.OutOfMemoryError("CUDA out of memory")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(on_device, "upload", run_out)
+        with pytest.raises(RenderError, match=r"device cpu:0: its memory is out; score on the cpu"):
+            score(run, device="cpu:0")
+    assert records(run) == before
+
+    measured.clear()
+    results = score(run, device="cpu:0")
+    assert [set(metrics) for metrics in measured] == [{"TCC", "STED", "STED_ssn"}] * 2  # once per view
+    assert results.provenance["devices"]["metrics"] == "cpu"
+    for label, (values, reasons) in records(run).items():
+        assert reasons == before[label][1]
+        for value, earlier in zip(values, before[label][0], strict=True):
+            assert value[:2] == earlier[:2]
+            assert value[2] == pytest.approx(earlier[2], rel=1e-4)
 
 
 def test_values_that_stand_are_those_on_disk(run, monkeypatch):
