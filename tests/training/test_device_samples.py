@@ -8,13 +8,13 @@ import pytest
 
 from ggvs_eval.compute_device import one_thread
 from ggvs_eval.pipelines.online.blend_network import BlendNetworkOptions
-from ggvs_eval.pipelines.training import train_one
+from ggvs_eval.pipelines.training import train_all, train_one
 from ggvs_eval.pipelines.training.blend.blend_task import BlendTask
 from ggvs_eval.pipelines.training.request import TrainingRequest
 from ggvs_eval.pipelines.training.samples.blend_samples import OF_VIEWS, rendered_views
 from ggvs_eval.pipelines.training.samples.room_plan import RoomPlan, validation_plan
 from ggvs_eval.pipelines.training.samples.sample_kinds import RoomInstants, RoomSamples
-from ggvs_eval.pipelines.training.samples.training_data import blend_samples
+from ggvs_eval.pipelines.training.samples.samples import JoinedSamples
 from ggvs_eval.training.loop import TrainingOptions, train
 from helpers.device_scenes import room_instants
 from helpers.stereo_scenes import HEIGHT, WIDTH, write_capture
@@ -29,7 +29,7 @@ DEVICE = "cpu:0"  # the CPU as one device of several: Warp's, where a plain ``cp
 PLAN = RoomPlan(rooms=1, targets=2, views=2, other_views=(), other_share=0.0, width=WIDTH, height=HEIGHT)
 VALIDATION = replace(validation_plan(2, "sgbm", targets=1), rooms=1, width=WIDTH, height=HEIGHT)
 LEVEL = 1 / 255
-ROUNDING = 5e-6  # of colours: `warp` takes images in [0, 1], the device in 8 bit
+ROUNDING = 1e-6  # of colours: `warp` takes images in [0, 1], the device in 8 bit
 
 
 def shared_out(moment):
@@ -102,16 +102,19 @@ def test_samples_of_a_device_lie_apart(tmp_path):
 
 
 def test_a_training_s_device_reaches_its_samples(tmp_path, monkeypatch):
-    """That of the request, the worker's job included; without Warp the compiled path computes them, into its own folder."""
+    """That of the request, of one training and of all, in the worker too; without Warp the compiled path is taken."""
+    prepared = []
+    for module in (train_one, train_all):
+        monkeypatch.setattr(module, "prepare_samples", lambda *samples: prepared.append(JoinedSamples(*samples[:2])))
     request = TrainingRequest(rooms=1, targets=1, domains=("plain",), views=2, device=DEVICE)
-    devices = [train_one.sample_device(replace(request, device=name)) for name in ("cpu", DEVICE)]
-    assert devices == ["cpu", DEVICE]
-    data = train_one.requested_data(request)
-    for samples in blend_samples(tmp_path, data, DEVICE):
-        jobs = [pickle.loads(pickle.dumps(job)) for job in samples.jobs()]
-        assert {job.func.__self__._kind.device for job in jobs} == {DEVICE}
+    planned = [request, replace(request, device="cpu")]
+    for each in planned:
+        train_one.planned_task("blend", tmp_path, each)
+        train_all.prepare_all(tmp_path, each, [("blend", "registered")])
     monkeypatch.setattr(train_one, "find_spec", lambda name: None)
-    assert train_one.sample_device(request) == "cpu"
+    train_one.planned_task("blend", tmp_path, request)
+    jobs = [[pickle.loads(pickle.dumps(job)) for job in samples.jobs()] for samples in prepared]
+    assert [{job.func.__self__._kind.device for job in each} for each in jobs] == [{DEVICE}] * 2 + [{"cpu"}] * 3
 
 
 def test_workers_that_share_a_gpu_fit_into_it(monkeypatch):
