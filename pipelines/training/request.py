@@ -36,7 +36,7 @@ class TrainingRequest:
         captures: blend, baselines: folders of captures to learn from beside the rooms (RGB-D sequences by ScanNet's rule,
             Spaces, DyNeRF, rigs of your own), never those that you test on.
         hold_back: captures: RGB-D sequences are learned from in their first half, and what is new in the rest validates.
-        device: cpu, cuda, or the better one by default.
+        device: cpu, cuda, or the better one by default; with NVIDIA Warp it computes the blending network's samples too.
         precision: of convolutions; auto takes bfloat16 where the hardware multiplies it faster.
         workers: processes that make batches.
         compile_network: let torch compile it first: some minutes once, a fifth less per step.

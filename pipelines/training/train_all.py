@@ -13,7 +13,7 @@ from ggvs_eval.pipelines.online.blend_weights import weights_name
 from ggvs_eval.pipelines.training.request import Guidance, TrainingRequest
 from ggvs_eval.pipelines.training.samples.training_data import baseline_samples, blend_samples, prepare_samples
 from ggvs_eval.pipelines.training.side_by_side import Training, default_jobs, run_trainings
-from ggvs_eval.pipelines.training.train_one import CACHE, requested_data
+from ggvs_eval.pipelines.training.train_one import CACHE, requested_data, sample_device, sample_workers
 
 Network = tuple[str, Guidance]  # what `train` calls it, and what blend sees of the fused depth
 NETWORKS: tuple[Network, ...] = (
@@ -90,6 +90,7 @@ def prepare_all(cache: Path, request: TrainingRequest, networks: Sequence[Networ
     """
     data = requested_data(request)
     if any(what == "blend" for what, _ in networks):
-        prepare_samples(*blend_samples(cache, data), default_workers())
+        device = sample_device(request)
+        prepare_samples(*blend_samples(cache, data, device), sample_workers(device))
     for depth in sorted({LEARNED_BASELINES[what].takes_depth for what, _ in networks if what in LEARNED_BASELINES}):
         prepare_samples(*baseline_samples(cache, data, depth), default_workers())

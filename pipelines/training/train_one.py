@@ -1,6 +1,9 @@
 """The training of one network as it is asked for: samples in place, steps, the card."""
 
+from importlib.util import find_spec
 from pathlib import Path
+
+import torch
 
 from ggvs_eval.compute_device import compute_device, describe_device
 from ggvs_eval.jobs.processes import default_workers
@@ -15,6 +18,7 @@ from ggvs_eval.training.loop import TrainingOptions, train
 from ggvs_eval.training.task import Schedule, Task
 
 CACHE = "blend-samples"  # beside the folders of the trainings
+WORKER_BYTES = 2**30  # of a GPU, for a worker that makes samples: its context, kernels, and a sample's maps
 
 
 def train_one(what: str, folder: Path, request: TrainingRequest) -> tuple[Path, Path]:
@@ -63,7 +67,23 @@ def planned_task(what: str, cache: Path, request: TrainingRequest) -> Task:
         baseline = baseline_task(what, cache, data, request.configuration, request.seed)
         prepare_samples(baseline.training, baseline.validation, default_workers())
         return baseline
-    config = BlendNetworkOptions(request.views, request.guidance, WIDTHS[request.size])
-    blend = BlendTask(*blend_samples(cache, data), config, seed=request.seed)
-    prepare_samples(blend.training, blend.validation, default_workers())
+    config, device = BlendNetworkOptions(request.views, request.guidance, WIDTHS[request.size]), sample_device(request)
+    blend = BlendTask(*blend_samples(cache, data, device), config, seed=request.seed)
+    prepare_samples(blend.training, blend.validation, sample_workers(device))
     return blend
+
+
+def sample_device(request: TrainingRequest) -> str:
+    """Where the blending network's samples are computed: where it trains if NVIDIA Warp is installed, else on the CPU.
+
+    Raises:
+        DeviceError: there is no such device here.
+    """
+    return str(compute_device(request.device)) if find_spec("warp") else "cpu"
+
+
+def sample_workers(device: str) -> int:
+    """Processes that make samples side by side: one per CPU, but of those that share a GPU no more than its memory holds."""
+    if device.startswith("cuda"):
+        return max(min(default_workers(), torch.cuda.mem_get_info(device)[0] // WORKER_BYTES), 1)
+    return default_workers()

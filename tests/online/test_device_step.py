@@ -18,7 +18,7 @@ from ggvs_eval.geometry.contested_depth import settle_depth
 from ggvs_eval.geometry.difference_mask import difference_mask
 from ggvs_eval.geometry.splat import splat
 from ggvs_eval.geometry.tsdf import PreviousDepth, fusion_weights, ray_march
-from ggvs_eval.geometry.warp import register_views
+from ggvs_eval.geometry.warp import register_views, warp
 from ggvs_eval.pipelines.methods import ours
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.methods.registry import find_method
@@ -47,6 +47,7 @@ from ggvs_eval.pipelines.online.device import (
     filter_kernels,
     march_kernels,
     picture,
+    sampling,
     splat_kernels,
     splats,
     step,
@@ -174,6 +175,18 @@ def test_contested_depth_and_registration(rig):
     np.testing.assert_array_equal(found.visibilities.numpy(), visibilities)
 
 
+def test_warps_are_those_of_the_compiled_path(rig):
+    """Colours wherever the surface lies in an image, seen or not, but for rounding; visibilities are equal."""
+    fused = random_depth(np.random.default_rng(9), rig.target, noise=0.02)
+    colours, visibilities = sampling.warp_views(rig.target, tensor(fused), rig.views, TAU)
+    for k, source in enumerate(rig.sources):
+        image = source.image.astype(np.float32) / np.float32(255)
+        here = warp(rig.target, fused, source.camera, image, source.depth, TAU, bicubic=True)
+        assert 0.02 < ((here.visibility == 0) & here.colour.any(axis=-1)).mean() < 0.98
+        np.testing.assert_array_equal(visibilities[k].numpy(), here.visibility)
+        np.testing.assert_allclose(colours[k].permute(1, 2, 0).numpy(), here.colour, atol=1e-6)
+
+
 @pytest.mark.parametrize("scale", [1, 4])
 def test_what_the_network_sees(rig, scale):
     """Its channels, of reduced maps whose size the scale does not divide; and push-pull, from much and from nothing."""
@@ -261,12 +274,12 @@ def test_the_demo_room_is_rendered_alike(on_device, compiled):
 def test_equal_inputs_give_equal_bits(on_device):
     """From run to run, and where there was not room enough for the pairs at first."""
     tight = DeviceGuided()
-    tight._pairs = 0.1
+    tight._room.per_gaussian = 0.1
     for method in (DeviceGuided(), tight):
         for again, before in zip(rendered(method, room_instants()), on_device, strict=True):
             np.testing.assert_array_equal(again.image, before.image)
             np.testing.assert_array_equal(again.depth, before.depth)
-    assert tight._pairs > 1
+    assert tight._room.per_gaussian > 1
 
 
 @pytest.mark.parametrize(

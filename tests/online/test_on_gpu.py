@@ -1,4 +1,4 @@
-"""On a GPU: every method with networks renders what it renders on the CPU, within a small tolerance."""
+"""On a GPU: methods with networks render what they render on the CPU, and samples are what they are there, but for a little."""
 
 import numpy as np
 import pytest
@@ -7,6 +7,7 @@ import torch
 from ggvs_eval.compute_device import compute_device, describe_device
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.methods.registry import find_method
+from ggvs_eval.pipelines.training.samples.blend_samples import OF_VIEWS, rendered_views
 from helpers.device_scenes import room_instants
 from helpers.scenes import camera_at, instant
 from helpers.seeded_baselines import turned_rig
@@ -74,3 +75,14 @@ def test_the_whole_step_waits_for_nothing(monkeypatch):
         assert (np.abs(there.image - here.image).max(axis=-1) <= LEVEL).mean() >= 0.999
         assert (np.abs(there.depth - here.depth) <= 1e-4 * here.depth).mean() >= 0.999
         np.testing.assert_array_equal(there.image, again.image)
+
+
+def test_training_samples_are_those_of_the_cpu():
+    """With Warp every map of a sample, and the picture that the network has to beat, is computed on the GPU."""
+    pytest.importorskip("warp", reason="samples on a device want NVIDIA Warp: pip install 'ggvs-eval[gpu]'")
+    for moment in room_instants()[:2]:
+        (here, picture), (there, same) = (rendered_views(moment, device) for device in ("cpu", "cuda"))
+        assert there.sources == here.sources
+        pairs = [(getattr(there, name), getattr(here, name)) for name in (*OF_VIEWS, "fused_depth")]
+        for found, expected in (*pairs, (same, picture)):
+            assert (np.abs(found - expected) <= 1e-4 * (1 + np.abs(expected))).mean() >= 0.999

@@ -182,6 +182,58 @@ def cubic_colour(image: wp.array3d[wp.uint8], width: wp.int32, height: wp.int32,
     return limited
 
 
+@wp.func
+def surface_in_view(fused: wp.array2d[wp.float32], m: wp.array[wp.float32], y: wp.int32, x: wp.int32) -> wp.vec3f:
+    """Image coordinates and depth in a view of what the target sees at a pixel; the depth is not positive where it is unknown."""
+    depth = fused[y, x]
+    at = wp.vec3f()
+    if depth > 0.0:
+        at = image_point(m, wp.vec2f(wp.float32(x) + 0.5, wp.float32(y) + 0.5), depth)
+    return at
+
+
+@wp.func
+def is_inside(at: wp.vec3f, width: wp.int32, height: wp.int32) -> wp.bool:
+    """Whether a point lies before a camera, and in its image."""
+    return at[2] > 0.0 and at[0] >= 0.0 and at[0] < wp.float32(width) and at[1] >= 0.0 and at[1] < wp.float32(height)
+
+
+@wp.func
+def visibility_of(
+    depth: wp.array2d[wp.float32], width: wp.int32, height: wp.int32, at: wp.vec3f, tolerance: wp.float32
+) -> wp.float32:
+    """How far a view's own depth agrees that it sees a point in its image."""
+    there = depth_at(depth, width, height, at[0], at[1], tolerance)
+    visibility = wp.float32(0.0)
+    if there > 0.0:
+        visibility = wp.min(wp.max(2.0 - wp.abs(there - at[2]) / tolerance, 0.0), 1.0)
+    return visibility
+
+
+@wp.kernel
+def warp_views(
+    fused: wp.array2d[wp.float32],
+    images: wp.array4d[wp.uint8],
+    source_depths: wp.array3d[wp.float32],
+    maps: wp.array2d[wp.float32],
+    sizes: wp.array2d[wp.int32],
+    tolerance: wp.float32,
+    colours: wp.array4d[wp.float32],
+    visibilities: wp.array3d[wp.float32],
+):
+    """Each view's image at the fused surface, 0 outside of it, and whether the view sees that; colours are (K, 3, H, W)."""
+    k, y, x = wp.tid()
+    colour_there = wp.vec3f()
+    visibility = wp.float32(0.0)
+    at = surface_in_view(fused, maps[k], y, x)
+    if is_inside(at, sizes[k, 0], sizes[k, 1]):
+        visibility = visibility_of(source_depths[k], sizes[k, 0], sizes[k, 1], at, tolerance)
+        colour_there = cubic_colour(images[k], sizes[k, 0], sizes[k, 1], at[0], at[1]) * (1.0 / 255.0)
+    for c in range(3):
+        colours[k, c, y, x] = colour_there[c]
+    visibilities[k, y, x] = visibility
+
+
 @wp.kernel
 def register_views(
     fused: wp.array2d[wp.float32],
@@ -199,22 +251,14 @@ def register_views(
 ):
     """Each view at the fused surface, mixed with its splat by visibility; colours are (K, 3, H, W)."""
     k, y, x = wp.tid()
-    depth = fused[y, x]
     shown = wp.vec3f(splats[k, y, x, 0], splats[k, y, x, 1], splats[k, y, x, 2])
     visibility = wp.float32(0.0)
-    if depth > 0.0:
-        width = sizes[k, 0]
-        height = sizes[k, 1]
-        at = image_point(maps[k], wp.vec2f(wp.float32(x) + 0.5, wp.float32(y) + 0.5), depth)
-        u = at[0]
-        v = at[1]
-        if at[2] > 0.0 and u >= 0.0 and u < wp.float32(width) and v >= 0.0 and v < wp.float32(height):
-            there = depth_at(source_depths[k], width, height, u, v, tolerance)
-            if there > 0.0:
-                visibility = wp.min(wp.max(2.0 - wp.abs(there - at[2]) / tolerance, 0.0), 1.0)
-            if visibility > 0.0:
-                captured = cubic_colour(images[k], width, height, u, v) * (1.0 / 255.0)
-                shown += visibility * (captured - shown)
+    at = surface_in_view(fused, maps[k], y, x)
+    if is_inside(at, sizes[k, 0], sizes[k, 1]):
+        visibility = visibility_of(source_depths[k], sizes[k, 0], sizes[k, 1], at, tolerance)
+        if visibility > 0.0:
+            captured = cubic_colour(images[k], sizes[k, 0], sizes[k, 1], at[0], at[1]) * (1.0 / 255.0)
+            shown += visibility * (captured - shown)
     for c in range(3):
         colours[k, c, y, x] = shown[c]
     coverage[k, y, x] = wp.max(visibility, faint * alphas[k, y, x])

@@ -1,7 +1,7 @@
 """The online method on a device: between the decoded frames and the picture nothing is copied to the host."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from time import perf_counter
@@ -12,37 +12,23 @@ from torch import Tensor
 
 from ggvs_eval.compute_device import compute_device, rendering_on
 from ggvs_eval.errors import RenderError
-from ggvs_eval.geometry.splat import COVERED_ALPHA
 from ggvs_eval.method import Instant, Rendering
 from ggvs_eval.pipelines.online.blend_maps import Guidance, nearness
 from ggvs_eval.pipelines.online.blend_weights import load_blend_network, shipped_blend_weights
-from ggvs_eval.pipelines.online.device import depth_stages, memories, picture
-from ggvs_eval.pipelines.online.device.depth_stages import DeviceMarch, History, MarchOptions, MaskOptions, PastDepth
-from ggvs_eval.pipelines.online.device.exposure import (
-    ExposureState,
-    compensate,
-    estimate_exposure,
-    show_fall_off,
-)
+from ggvs_eval.pipelines.online.device import memories, picture
+from ggvs_eval.pipelines.online.device.exposure import show_fall_off
+from ggvs_eval.pipelines.online.device.geometry import GeometryState, PairRoom, blending_inputs
 from ggvs_eval.pipelines.online.device.launch import on_stream_of
 from ggvs_eval.pipelines.online.device.memories import Background, Shown
-from ggvs_eval.pipelines.online.device.splats import DeviceSplats, splat_views
 from ggvs_eval.pipelines.online.device.views import DeviceViews, upload
-from ggvs_eval.pipelines.online.exposure_compensation import MEMORY
-from ggvs_eval.pipelines.online.geometry_guided import SAME_SURFACE_TAU, OnlineOptions
-
-PAIRS_PER_GAUSSIAN = 2.0  # that there is room for at first
-ROOM = 1.25  # times what was needed when it was not enough
+from ggvs_eval.pipelines.online.geometry_guided import OnlineOptions
 
 
 @dataclass(frozen=True, eq=False)
 class _State:
     """What one instant leaves for the next."""
 
-    index: int = -2
-    history: History = field(default_factory=dict)
-    exposure: ExposureState | None = None
-    march: DeviceMarch | None = None
+    geometry: GeometryState = field(default_factory=GeometryState)
     background: Background | None = None
     shown: Shown | None = None
 
@@ -98,7 +84,7 @@ class DeviceGuided:
         if not covers(self.options, guidance):
             raise RenderError(f"online step on {device}: wanted the method as it ships, got {self.options}, guidance {guidance}")
         self._registered = guidance == "registered"
-        self._state, self._pairs = _State(), PAIRS_PER_GAUSSIAN
+        self._state, self._room = _State(), PairRoom()
         self.details: dict[str, float] = {}
 
     def step(self, instant: Instant) -> Rendering:
@@ -116,14 +102,12 @@ class DeviceGuided:
         with rendering_on(self._device), on_stream_of(self._device):
             clock.mark("filter", "upload")
             views = upload(sources, self._device)
-            gaussians = views.depths.numel()
             while True:
                 outcome = self._render(instant, views, clock)
                 clock.mark("blend", "download")
                 image = outcome.image.permute(1, 2, 0).contiguous().numpy(force=True)
-                if int(outcome.pairs) <= self._capacity(gaussians):  # known only now; nothing was remembered yet
+                if self._room.sufficed(views, outcome.pairs):  # nothing was remembered yet
                     break
-                self._pairs = ROOM * int(outcome.pairs) / gaussians
             self._state = outcome.state
             diagnostics = {name: value.contiguous().numpy(force=True) for name, value in outcome.diagnostics.items()}
             depth = outcome.depth.numpy(force=True)
@@ -131,55 +115,18 @@ class DeviceGuided:
         seconds, self.details = clock.seconds()
         return Rendering(image, depth, seconds, diagnostics)
 
-    def _capacity(self, gaussians: int) -> int:
-        return int(self._pairs * gaussians) + 1
-
     def _render(self, instant: Instant, views: DeviceViews, clock: "_StageClock") -> _Outcome:
         """All of a step that computes; the state is read and not changed."""
         chosen, state, index, target = self.options, self._state, instant.index, instant.target
-        tau, units = chosen.tau_m * instant.units_per_metre, instant.units_per_metre
-        clock.mark("filter", "masks and filter")
-        masked = MaskOptions(
-            chosen.lambda_t, chosen.beta_mask, chosen.history_tolerance, chosen.temporal, chosen.mask_channels == "mean"
-        )
-        depths, masks, history = depth_stages.filter_views(index, views, state.history, masked)
-        filtered = replace(views, depths=depths)
-        clock.mark("filter", "exposure")
-        exposure, exposure_state = estimate_exposure(
-            index, target, filtered, depths, tau, state.exposure, MEMORY if chosen.temporal else 1
-        )
-        if chosen.compensated:
-            filtered = replace(filtered, images=compensate(filtered, exposure))
-        clock.mark("filter", "fusion weights")
-        weights = torch.zeros_like(depths)
-        for k in range(len(views.cameras)):
-            layer = views.layer(depths, k)
-            views.layer(weights, k).copy_(depth_stages.fusion_weights(layer, tau, chosen.depth_noise_m * units))
-        clock.mark("splat", "splat")
-        splatted = depths if chosen.splatted_depth == "filtered" else views.depths
-        splats = splat_views(
-            target,
-            filtered,
-            splatted,
-            masks,
-            near=instant.near_plane,
-            scale=chosen.gaussian_scale_px,
-            capacity=self._capacity(splatted.numel()),
-        )
-        clock.mark("tsdf", "occupancy and march")
-        past = self._past(index, splats)
-        march = depth_stages.ray_march(target, filtered, depths, weights, MarchOptions(tau, chosen.min_step), past)
-        surface = march.depth
-        clock.mark("tsdf", "contested depth")
-        if chosen.settled:
-            surface = depth_stages.settle_depth(target, surface, filtered, splats, SAME_SURFACE_TAU * tau)
+        inputs = blending_inputs(instant, views, chosen, state.geometry, self._room.capacity(views), clock.mark)
+        splats, surface = inputs.splats, inputs.depth
         clock.mark("blend", "registration")
         still = memories.stillness(splats, chosen.beta_mask, chosen.lambda_t)
-        maps = picture.register_views(target, surface, filtered, splats, tau)
+        maps = picture.register_views(target, surface, inputs.views, splats, inputs.tau)
         clock.mark("blend", "network and composition")
         image, shares = picture.blend_views(self._network, maps, self._registered)
-        if chosen.compensated:
-            image = show_fall_off(image, target, exposure)
+        if inputs.exposure is not None:
+            image = show_fall_off(image, target, inputs.exposure)
         clock.mark("blend", "memories")
         background, shown = state.background, state.shown
         if chosen.temporal and chosen.remembered:
@@ -194,16 +141,7 @@ class DeviceGuided:
             "depth": surface[::cells, ::cells],
             "weights": shares,
         }
-        after = _State(index, history, exposure_state, march, background, shown)
-        return _Outcome(image, surface, diagnostics, splats.pairs, after)
-
-    def _past(self, index: int, splats: DeviceSplats) -> PastDepth | None:
-        """The fused depth of the instant before, trusted where nothing moves (Eqs. 13-14)."""
-        if not self.options.temporal or self._state.march is None or self._state.index != index - 1:
-            return None
-        mask = torch.where(splats.alphas >= COVERED_ALPHA, splats.features[..., 3], 0.0).amax(dim=0)
-        gain = (1 - torch.where(mask > 0, mask, 1.0)).clamp(min=0) * self.options.beta_temporal
-        return PastDepth(self._state.march, gain, self.options.eta)
+        return _Outcome(image, surface, diagnostics, splats.pairs, _State(inputs.state, background, shown))
 
 
 def covers(options: OnlineOptions | None, guidance: Guidance) -> bool:

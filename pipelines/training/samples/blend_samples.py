@@ -16,7 +16,7 @@ from ggvs_eval.geometry.warp import warp
 from ggvs_eval.method import Instant, SourceView
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions, check_depth
 from ggvs_eval.pipelines.offline.depth.pairing import choose_partners
-from ggvs_eval.pipelines.online.blend_maps import FAINT, BlendMaps, Guidance, blend_maps, nearest_first
+from ggvs_eval.pipelines.online.blend_maps import FAINT, BlendMaps, Guidance, blend_maps, nearest_first, nearness
 from ggvs_eval.pipelines.online.blending import Blended, Blender, BlendingInputs, GeometricBlender
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
 from ggvs_eval.pipelines.online.network_inputs import reference_depth
@@ -110,16 +110,22 @@ class SampleMaker:
         self._images: dict[str, Image8] = {}
         self._depths: dict[tuple[str, ...], DepthMap] = {}
 
-    def sample(self, target: Camera, sources: Sequence[Camera]) -> BlendSample:
+    def sample(self, target: Camera, sources: Sequence[Camera], device: str = "cpu") -> BlendSample:
         """The sample of a target and its K source cameras; the target is none of them.
+
+        Args:
+            target: the camera that is rendered.
+            sources: of the views.
+            device: where views are splatted and warped; another one than ``cpu`` wants NVIDIA Warp.
+
+        Raises:
+            DeviceError: no such device here, or its memory is out.
 
         Reading:
             The paper shifts the principal point to render a crop; a crop of the whole rendering shows the same.
         """
-        instant = self.instant(target, sources)
-        recorder = _Recorder(GeometricBlender())
-        GeometryGuided(OnlineOptions(temporal=False, compensated=False), recorder).step(instant)
-        return BlendSample(raw_views(recorder.inputs[-1]), self.truth(target), quantise(recorder.images[-1]))
+        views, geometric = rendered_views(self.instant(target, sources), device)
+        return BlendSample(views, self.truth(target), quantise(geometric))
 
     def instant(self, target: Camera, sources: Sequence[Camera]) -> Instant:
         """Return what a method is shown of a target and its K source cameras, depth as it is prepared for that view."""
@@ -150,6 +156,23 @@ class SampleMaker:
         if name not in self._images:
             self._images[name] = self.capture.frame(name, self._frame)
         return self._images[name]
+
+
+def rendered_views(instant: Instant, device: str) -> tuple[RawViews, Map]:
+    """The views of one instant by themselves, and what the geometric blender makes of them; see `SampleMaker.sample`."""
+    options = OnlineOptions(temporal=False, compensated=False)
+    if device == "cpu":
+        recorder = _Recorder(GeometricBlender())
+        GeometryGuided(options, recorder).step(instant)
+        return raw_views(recorder.inputs[-1]), recorder.images[-1]
+    from ggvs_eval.compute_device import compute_device
+    from ggvs_eval.pipelines.online.device.sampling import sampled_maps
+
+    maps, sources, target = sampled_maps(instant, options, compute_device(device)), instant.sources, instant.target
+    order = sorted(range(len(sources)), key=lambda k: nearness(sources[k].camera, target))
+    cameras, shares = tuple(sources[k].camera for k in order), tuple(sources[k].share for k in order)
+    of_views = {name: maps[name][order] for name in OF_VIEWS}
+    return RawViews(target, cameras, **of_views, fused_depth=maps["fused_depth"], shares=shares), maps["geometric"]
 
 
 class _Recorder:

@@ -45,7 +45,7 @@ class CapturePool(Samples[Sample]):
     ) -> None:
         self.plan = plan
         self._kind = kind
-        self._folder = folder / f"{name}-{_digest(plan, version, kind.depth)}"
+        self._folder = folder / f"{name}-{_digest(plan, version, kind)}"
         self._names = [_name(capture) for capture in captures]
         if not captures or len(set(self._names)) < len(captures):
             listed = ", ".join(str(capture.path) for capture in captures) or "none"
@@ -195,14 +195,15 @@ def _name(capture: Capture) -> str:
     return f"{capture.scene}-{digest_values(capture.sources[0].digest, str(capture.n_frames), *cameras)[:12]}"
 
 
-def _digest(plan: CapturePlan, version: int, depth: bool) -> str:
+def _digest(plan: CapturePlan, version: int, kind: SampleKind[Sample]) -> str:
     """Names all that a sample depends on but its capture and its number."""
     options = DepthRunOptions(plan.matcher).options()
     described: dict[str, object] = {
         "version": version,
         "plan": {name: value for name, value in asdict(plan).items() if name != "targets"},
-        "depth": options.describe() if depth else None,
-        "sensor": options.sensor.describe() if depth and options.sensor else None,
-        "consistency": options.consistency.describe() if depth and options.consistency else None,
+        "depth": options.describe() if kind.depth else None,
+        "sensor": options.sensor.describe() if kind.depth and options.sensor else None,
+        "consistency": options.consistency.describe() if kind.depth and options.consistency else None,
+        **kind.describe(),
     }
     return hashlib.sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()[:12]

@@ -33,7 +33,7 @@ class RoomPool(Samples[Sample]):
         self.plan = plan
         self._kind = kind
         self._rooms = folder / "rooms"
-        self._samples = folder / f"{name}-{_digest(plan, version, kind.depth)}"
+        self._samples = folder / f"{name}-{_digest(plan, version, kind)}"
 
     def __repr__(self) -> str:
         """The plan; the model card shows it, and where the folder lies is nobody's business."""
@@ -86,7 +86,7 @@ class RoomPool(Samples[Sample]):
         return self._samples / f"room{seed}-{number:02d}.npz"
 
 
-def _digest(plan: RoomPlan, version: int, depth: bool) -> str:
+def _digest(plan: RoomPlan, version: int, kind: SampleKind[Sample]) -> str:
     """Names all that a sample depends on but its room and its number."""
     options = DepthRunOptions(plan.matcher).options()
     described = {
@@ -94,13 +94,14 @@ def _digest(plan: RoomPlan, version: int, depth: bool) -> str:
         "views": [plan.views, plan.other_views, plan.other_share],
         "size": [plan.width, plan.height],
         "wide_share": plan.wide_share,
-        "depth": options.describe() if depth else None,
-        "consistency": options.consistency.describe() if depth and options.consistency else None,
+        "depth": options.describe() if kind.depth else None,
+        "consistency": options.consistency.describe() if kind.depth and options.consistency else None,
     }
     if plan.domain != PLAIN:
         described |= _describe_domain(plan.domain)
     if plan.window:
         described["window"] = plan.window
+    described |= kind.describe()
     return hashlib.sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()[:12]
 
 

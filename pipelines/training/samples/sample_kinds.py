@@ -22,12 +22,19 @@ BLEND_ROOM_VERSION, BLEND_CAPTURE_VERSION = 4, 2
 INSTANT_ROOM_VERSION, INSTANT_CAPTURE_VERSION = 1, 1
 
 
+@dataclass(frozen=True)
 class BlendSampleKind(SampleKind[BlendSample]):
-    """The views of the sources in the target, and what the geometric blender makes of them."""
+    """The views of the sources in the target, and what the geometric blender makes of them.
+
+    Attributes:
+        device: where they are splatted and warped.
+    """
+
+    device: str = "cpu"
 
     def make(self, maker: SampleMaker, target: Camera, sources: Sequence[Camera]) -> BlendSample:
         """See `SampleMaker.sample`."""
-        return maker.sample(target, sources)
+        return maker.sample(target, sources, self.device)
 
     def cropped(self, sample: BlendSample, left: int, top: int, width: int, height: int) -> BlendSample:
         """A window of all that belongs to the target view."""
@@ -48,13 +55,14 @@ class RoomSamples(RoomPool[BlendSample]):
     Args:
         folder: where rooms and samples are kept.
         plan: which samples.
+        device: where they are computed, see `SampleKind`.
 
     Raises:
         TrainingError: seeds of neither training nor validation rooms, or a plan without samples.
     """
 
-    def __init__(self, folder: Path, plan: RoomPlan) -> None:
-        super().__init__(folder, plan, BlendSampleKind(), "samples", BLEND_ROOM_VERSION)
+    def __init__(self, folder: Path, plan: RoomPlan, device: str = "cpu") -> None:
+        super().__init__(folder, plan, BlendSampleKind(device), "samples", BLEND_ROOM_VERSION)
 
 
 class CaptureSamples(CapturePool[BlendSample]):
@@ -64,13 +72,14 @@ class CaptureSamples(CapturePool[BlendSample]):
         folder: where samples are kept.
         captures: what to learn from, at their own size.
         plan: which samples.
+        device: where they are computed, see `SampleKind`.
 
     Raises:
         TrainingError: a capture that is for tests, too small, given twice, or has too few cameras.
     """
 
-    def __init__(self, folder: Path, captures: Sequence[Capture], plan: CapturePlan) -> None:
-        super().__init__(folder, captures, plan, BlendSampleKind(), "captures", BLEND_CAPTURE_VERSION)
+    def __init__(self, folder: Path, captures: Sequence[Capture], plan: CapturePlan, device: str = "cpu") -> None:
+        super().__init__(folder, captures, plan, BlendSampleKind(device), "captures", BLEND_CAPTURE_VERSION)
 
 
 @dataclass(frozen=True)

@@ -31,9 +31,11 @@ class SampleKind(ABC, Generic[Sample]):
 
     Attributes:
         depth: whether it depends on the depth of its sources.
+        device: where it is computed, beside its depth; another one than ``cpu`` wants NVIDIA Warp.
     """
 
     depth: bool = True
+    device: str = "cpu"
 
     @abstractmethod
     def make(self, maker: SampleMaker, target: Camera, sources: Sequence[Camera]) -> Sample:
@@ -54,6 +56,15 @@ class SampleKind(ABC, Generic[Sample]):
     @abstractmethod
     def write(self, path: Path, sample: Sample) -> None:
         """Write a sample, the whole file or none."""
+
+    def describe(self) -> dict[str, str]:
+        """Describe what the bits of a sample depend on beside its plan; folders are named by it.
+
+        Reading:
+            Samples of a GPU lie apart: on the CPU equal inputs give equal bits, of a training too, and theirs differ in the last
+            ones. Which GPU is not told, since samples are rounded to 8 bits, where that moves next to nothing.
+        """
+        return {} if self.device == "cpu" else {"device": self.device.partition(":")[0]}
 
 
 class Samples(ABC, Generic[Sample]):

@@ -68,17 +68,21 @@ class TrainingData:
         return self.domains or tuple(DOMAINS)
 
 
-def blend_samples(cache: Path, data: TrainingData) -> tuple[JoinedSamples[BlendSample], JoinedSamples[BlendSample]]:
+def blend_samples(
+    cache: Path, data: TrainingData, device: str = "cpu"
+) -> tuple[JoinedSamples[BlendSample], JoinedSamples[BlendSample]]:
     """The blending network's samples to learn from, and those to be validated by; `prepare` makes them.
 
     Args:
         cache: where rooms and samples are kept.
         data: what is learned from.
+        device: where they are computed, see `SampleKind`.
 
     Raises:
         TrainingError: nothing to learn from, or captures that cannot be learned from.
     """
-    return _samples(data, partial(RoomSamples, cache), lambda capture, plan: CaptureSamples(cache, [capture], plan))
+    rooms = partial(RoomSamples, cache, device=device)
+    return _samples(data, rooms, lambda capture, plan: CaptureSamples(cache, [capture], plan, device))
 
 
 def baseline_samples(

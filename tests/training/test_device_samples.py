@@ -1,0 +1,128 @@
+"""The blending network's samples by a device, Warp's CPU device here: those of the compiled path, and learned from like them."""
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ggvs_eval.compute_device import one_thread
+from ggvs_eval.pipelines.online.blend_network import BlendNetworkOptions
+from ggvs_eval.pipelines.training import train_all, train_one
+from ggvs_eval.pipelines.training.blend.blend_task import BlendTask
+from ggvs_eval.pipelines.training.request import TrainingRequest
+from ggvs_eval.pipelines.training.samples.blend_samples import OF_VIEWS, rendered_views
+from ggvs_eval.pipelines.training.samples.room_plan import RoomPlan, validation_plan
+from ggvs_eval.pipelines.training.samples.sample_kinds import RoomInstants, RoomSamples
+from ggvs_eval.pipelines.training.samples.samples import JoinedSamples
+from ggvs_eval.training.loop import TrainingOptions, train
+from helpers.device_scenes import room_instants
+from helpers.stereo_scenes import HEIGHT, WIDTH, write_capture
+
+pytest.importorskip("warp", reason="samples on a device want NVIDIA Warp: pip install 'ggvs-eval[gpu]'")
+
+from ggvs_eval.pipelines.online.device import geometry
+
+pytestmark = pytest.mark.slow
+
+DEVICE = "cpu:0"  # the CPU as one device of several: Warp's, where a plain ``cpu`` is the compiled path
+PLAN = RoomPlan(rooms=1, targets=2, views=2, other_views=(), other_share=0.0, width=WIDTH, height=HEIGHT)
+VALIDATION = replace(validation_plan(2, "sgbm", targets=1), rooms=1, width=WIDTH, height=HEIGHT)
+LEVEL = 1 / 255
+ROUNDING = 1e-6  # of colours: `warp` takes images in [0, 1], the device in 8 bit
+
+
+def shared_out(moment):
+    """The instant with sources of unlike shares, the nearest not first."""
+    sources = [replace(source, share=1 - 0.2 * k) for k, source in enumerate(moment.sources)]
+    return replace(moment, sources=tuple(reversed(sources)))
+
+
+@pytest.mark.parametrize("pairs", [geometry.PAIRS_PER_GAUSSIAN, 0.1])
+def test_views_are_those_of_the_compiled_path(pairs, monkeypatch):
+    """Every map of a real room, bit by bit or but for rounding, though room for pairs may lack at first; nearest views first."""
+    monkeypatch.setattr(geometry, "PAIRS_PER_GAUSSIAN", pairs)
+    moment = shared_out(room_instants()[1])
+    (here, picture), (there, same) = (rendered_views(moment, device) for device in ("cpu", DEVICE))
+    assert there.target is here.target
+    assert there.sources == here.sources
+    assert there.shares == here.shares
+    for name in (*OF_VIEWS, "fused_depth"):
+        ours, theirs = getattr(there, name), getattr(here, name)
+        assert ours.dtype == theirs.dtype == np.float32
+        assert ours.shape == theirs.shape
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=ROUNDING if name == "warps" else 0, err_msg=name)
+    assert same.dtype == np.float32
+    np.testing.assert_allclose(same, picture, atol=ROUNDING)
+
+
+@pytest.fixture(scope="module")
+def pools(tmp_path_factory):
+    """The samples of a training room and of a validation room, a plane before five cameras: compiled, and by the device."""
+    capture, folder = write_capture(tmp_path_factory.mktemp("plane"), n_frames=1), tmp_path_factory.mktemp("samples")
+    pools = [[RoomSamples(folder, plan, device) for plan in (PLAN, VALIDATION)] for device in ("cpu", DEVICE)]
+    for pool in (*pools[0], *pools[1]):
+        pool.prepare_capture(pool.plan.first_room, capture)
+    return pools
+
+
+def test_stored_samples_are_alike(pools):
+    """At most one level apart in 8 bit, in next to no pixel, and equal in depth; truth and cameras are the same."""
+    here, there = (pool.read(1) for pool, _ in pools)
+    for name in ("splats", "alphas", "warps", "visibilities"):
+        off = np.abs(getattr(there.views, name) - getattr(here.views, name))
+        assert off.max() <= 1.001 * LEVEL
+        assert (off > 0).mean() < 1e-3
+    assert np.abs(there.geometric.astype(int) - here.geometric).max() <= 1
+    assert (there.geometric != here.geometric).mean() < 1e-3
+    np.testing.assert_array_equal(there.truth, here.truth)
+    assert [camera.name for camera in there.views.sources] == [camera.name for camera in here.views.sources]
+    np.testing.assert_array_equal(there.views.depths, here.views.depths)
+    np.testing.assert_array_equal(there.views.fused_depth, here.views.fused_depth)
+
+
+def test_a_network_learns_from_them(pools, tmp_path):
+    """Two steps and a validation; the loss of a batch is that of the compiled path's samples to a thousandth."""
+    config = BlendNetworkOptions(views=3, width=4)
+    here, there = (BlendTask(*each, config, crop_width=64, crop_height=48, batch_size=2) for each in pools)
+    with one_thread():
+        assert train(there, tmp_path, TrainingOptions(steps=2, device="cpu", workers=0)).is_file()
+        network = here.network()
+        losses = [float(task.loss(network, task.batch(0))[0].detach()) for task in (here, there)]
+    assert 0 < losses[1] == pytest.approx(losses[0], rel=1e-3)
+
+
+def test_samples_of_a_device_lie_apart(tmp_path):
+    """In a folder of their own, whichever GPU made them, beside the same rooms; the baselines' are not computed there."""
+    folders = [RoomSamples(tmp_path, PLAN, device)._samples for device in ("cpu", "cuda", "cuda:1", DEVICE)]
+    assert folders[0] == RoomSamples(tmp_path, PLAN)._samples
+    assert folders[1] == folders[2]
+    assert len(set(folders)) == 3
+    assert RoomInstants(tmp_path, PLAN)._kind.device == "cpu"
+
+
+def test_a_training_s_device_reaches_its_samples(tmp_path, monkeypatch):
+    """That of the request, of one training and of all, in the worker too; without Warp the compiled path is taken."""
+    prepared = []
+    for module in (train_one, train_all):
+        monkeypatch.setattr(module, "prepare_samples", lambda *samples: prepared.append(JoinedSamples(*samples[:2])))
+    request = TrainingRequest(rooms=1, targets=1, domains=("plain",), views=2, device=DEVICE)
+    planned = [request, replace(request, device="cpu")]
+    for each in planned:
+        train_one.planned_task("blend", tmp_path, each)
+        train_all.prepare_all(tmp_path, each, [("blend", "registered")])
+    monkeypatch.setattr(train_one, "find_spec", lambda name: None)
+    train_one.planned_task("blend", tmp_path, request)
+    jobs = [[pickle.loads(pickle.dumps(job)) for job in samples.jobs()] for samples in prepared]
+    assert [{job.func.__self__._kind.device for job in each} for each in jobs] == [{DEVICE}] * 2 + [{"cpu"}] * 3
+
+
+def test_workers_that_share_a_gpu_fit_into_it(monkeypatch):
+    """One per CPU where there is no GPU or memory enough, fewer on a small one, and always one."""
+    monkeypatch.setattr(train_one, "default_workers", lambda: 16)
+    counts = []
+    for free in (100, 3, 0.5):
+        monkeypatch.setattr(train_one.torch.cuda, "mem_get_info", lambda device, free=free: (int(free * 2**30), 2**37))
+        counts.append(train_one.sample_workers("cuda"))
+    assert counts == [16, 3, 1]
+    assert train_one.sample_workers("cpu") == 16
