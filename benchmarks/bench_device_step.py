@@ -17,6 +17,7 @@ import numpy as np
 import torch
 
 from benchmarks.bench_device import scene
+from benchmarks.bench_device_depth import is_as_the_cpu, measure_depth
 from ggvs_eval.compute_device import compute_device, describe_device
 from ggvs_eval.kernels import get_threads
 from ggvs_eval.method import Instant, Method, Rendering
@@ -127,9 +128,10 @@ def main() -> None:
         figure = {"check": check(instants, str(device)), "times": time_parts(instants, str(device))}
         _print(size, figure, options.shrink)
         figures[f"{size[0]}x{size[1]}"] = figure
+    depth = measure_depth(str(device), options.shrink)
     if options.json:
-        options.json.write_text(json.dumps({"machine": machine, "figures": figures}, indent=1))
-    if min(figure["check"]["within_a_level"] for figure in figures.values()) < LEAST_SHARE:
+        options.json.write_text(json.dumps({"machine": machine, "figures": figures, "depth": depth}, indent=1))
+    if not is_as_the_cpu(depth) or min(figure["check"]["within_a_level"] for figure in figures.values()) < LEAST_SHARE:
         raise SystemExit(1)
 
 
