@@ -113,7 +113,10 @@ def view(
         playback, protocol = playback_of_run(run, options), run.protocol
     else:
         capture = reading.open(source)
-        playback, protocol = viewing_of_capture(capture, options, depth.options(device), out / "cache", jobs), suggest_protocol(capture)
+        playback, protocol = (
+            viewing_of_capture(capture, options, depth.options(device), out / "cache", jobs),
+            suggest_protocol(capture),
+        )
     if export is not None:
         export_page(playback, sorted(set(playback.instants)), export)
         print(export)

@@ -9,12 +9,14 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import deepcopy
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
@@ -29,8 +31,6 @@ from ggvs_eval.pipelines.offline.stereo.raft_matcher import (
     start_from_matching,
 )
 from ggvs_eval.pipelines.offline.stereo.raft_stereo import SIZE_MULTIPLE, RaftStereo
-
-Pair = tuple[Image8, Image8]
 
 
 @lru_cache(maxsize=2)
@@ -82,33 +82,38 @@ class DeviceRaftMatcher(RaftMatcher):
 
     def _disparities(self, left: Image8, right: Image8, d_min: int, d_max: int, previous: Map | None, sides: int) -> Tensor:
         """Disparity of the pair and, with two sides, of its mirror image, (sides, H, W), on the device."""
-        device = compute_device(self.device)
-        network, size = network_on(self.weights, device), (left.shape[1], left.shape[0])
-        scale = 2 if max(size) > self.largest_side_px else 1
+        device, size = compute_device(self.device), (left.shape[1], left.shape[0])
+        network, scale = network_on(self.weights, device), 2 if max(size) > self.largest_side_px else 1
         across, down = size[0] // scale, size[1] // scale
-        small = [cv2.resize(image, (across, down), interpolation=cv2.INTER_AREA) for image in (left, right)]
-        before = None if previous is None else cv2.resize(previous, (across, down), interpolation=cv2.INTER_NEAREST) / scale
-        pairs: list[Pair] = [(_padded(small[0]), _padded(small[1])), (_padded(small[1][:, ::-1]), _padded(small[0][:, ::-1]))]
+        begin = partial(self._begin, scale, d_min // scale, -(-d_max // scale), network.config.factor)
         with ThreadPoolExecutor(min(2, kernels.get_threads())) as pool:
-            asked = [(pair, d_min // scale, -(-d_max // scale), network.config.factor) for pair in pairs[:sides]]
-            starts = list(pool.map(self._start, *zip(*asked, strict=True), (before, None)))
-        flow = self._flow(network, pairs[:sides], starts, device, warm=previous is not None)
+            mirrored = [pool.submit(begin, right[:, ::-1], left[:, ::-1], None)] if sides == 2 else []
+            pairs, starts = zip(*(each.result() for each in (pool.submit(begin, left, right, previous), *mirrored)), strict=True)
+        flow = self._flow(network, pairs, starts, device, warm=previous is not None)
         top, first = ((-side % SIZE_MULTIPLE) // 2 for side in (down, across))
         disparity = -flow[:, :, top : top + down, first : first + across]
         return (disparity if scale == 1 else _enlarge(disparity, size, scale))[:, 0]
 
-    def _start(self, pair: Pair, d_min: int, d_max: int, factor: int, previous: Map | None) -> Map:
-        """Flow that the network starts from, in cells of a padded pair, (H / factor, W / factor)."""
-        if previous is not None and (previous > 0).mean() > 0.5:
-            return start_from_disparity(_padded(previous), factor)
-        if self.from_matching:
-            return start_from_matching(*pair, d_min, d_max, factor)
-        return np.zeros([side // factor for side in pair[0].shape[:2]], np.float32)
+    def _begin(
+        self, scale: int, d_min: int, d_max: int, factor: int, left: Image8, right: Image8, previous: Map | None
+    ) -> tuple[NDArray[np.uint8], Map]:
+        """The pair at its scale and padded, (2, H, W, 3), and the flow to start from, (H / factor, W / factor), by the CPU."""
+        size = left.shape[1] // scale, left.shape[0] // scale
+        before = None if previous is None else cv2.resize(previous, size, interpolation=cv2.INTER_NEAREST) / scale
+        pair = [_padded(cv2.resize(np.ascontiguousarray(each), size, interpolation=cv2.INTER_AREA)) for each in (left, right)]
+        start = np.zeros([side // factor for side in pair[0].shape[:2]], np.float32)
+        if before is not None and (before > 0).mean() > 0.5:
+            start = start_from_disparity(_padded(before), factor)
+        elif self.from_matching:
+            start = start_from_matching(pair[0], pair[1], d_min, d_max, factor)
+        return np.stack(pair), start
 
-    def _flow(self, network: RaftStereo, pairs: Sequence[Pair], starts: Sequence[Map], device: torch.device, warm: bool) -> Tensor:
+    def _flow(
+        self, network: RaftStereo, pairs: Sequence[NDArray[np.uint8]], starts: Sequence[Map], device: torch.device, warm: bool
+    ) -> Tensor:
         """Flow of padded pairs in pixels, (B, 1, H, W): in one batch, but for a warm start, which takes fewer updates."""
-        images = torch.from_numpy(np.stack([image for pair in pairs for image in pair])).to(device)  # (2 B, H, W, 3)
-        lefts, rights = images.permute(0, 3, 1, 2).float().contiguous().unflatten(0, (-1, 2)).unbind(1)
+        images = torch.from_numpy(np.stack(pairs)).to(device)  # (B, 2, H, W, 3)
+        lefts, rights = images.permute(1, 0, 4, 2, 3).float().contiguous().unbind(0)
         initial = torch.from_numpy(np.stack(starts)[:, None]).to(device)
         if not warm:
             return network.flow(lefts, rights, self.iterations, initial)[0]
@@ -117,11 +122,11 @@ class DeviceRaftMatcher(RaftMatcher):
         return torch.cat([network.flow(*one)[0] for one in each])
 
 
-def _padded(image: Image8 | Map) -> Image8 | Map:
+def _padded(image: NDArray[Any]) -> NDArray[Any]:
     """The image with its border repeated, so that both sides become multiples of 32."""
     tall, wide = (-side % SIZE_MULTIPLE for side in image.shape[:2])
     margins = tall // 2, tall - tall // 2, wide // 2, wide - wide // 2
-    return cv2.copyMakeBorder(np.ascontiguousarray(image), *margins, cv2.BORDER_REPLICATE)
+    return cv2.copyMakeBorder(image, *margins, cv2.BORDER_REPLICATE)
 
 
 def _enlarge(disparity: Tensor, size: tuple[int, int], scale: int) -> Tensor:
