@@ -41,8 +41,8 @@ def measure_depth(device: str, shrink: int = 1) -> dict[str, dict[str, float]]:
         shrink: divides every side.
     """
     weights = shipped_weights()
-    known = weights, weights_digest(weights)
-    matcher, reference = DeviceRaftMatcher(*known, device=device), RaftMatcher(*known)
+    digest = weights_digest(weights)
+    matcher, reference = DeviceRaftMatcher(weights, digest, device=device), RaftMatcher(weights, digest)
     figures = {}
     for width, height in SIZES:
         rig = _rig(width // shrink, height // shrink)

@@ -2,8 +2,9 @@
 
 Three questions, in this order. Does the device render what the CPU renders, and twice the same? How long does each part take,
 by events of the GPU, median and 95th percentile of warm frames? For how much of that does the GPU compute, by torch's profiler:
-else it waits for the host, which a CUDA graph could save. The command needs CUDA's torch, numpy, OpenCV, safetensors, pybind11, a
-C++ compiler and Warp, and no network; ``--device cpu --shrink 8`` tries it by Warp's CPU device, whose times mean nothing.
+else it waits for the host, which a CUDA graph could save. Learned depth follows (`bench_device_depth`). The command needs CUDA's
+torch, numpy, OpenCV, safetensors, pybind11, a C++ compiler and Warp, and no network; ``--device cpu --shrink 8`` tries it by
+Warp's CPU device, whose times mean nothing.
 """
 
 import argparse

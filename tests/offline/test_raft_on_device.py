@@ -23,6 +23,7 @@ from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions, find_matcher
+from ggvs_eval.pipelines.offline.stereo import raft_on_device
 from ggvs_eval.pipelines.offline.stereo.matcher import refine_disparity
 from ggvs_eval.pipelines.offline.stereo.raft_matcher import RaftMatcher, shipped_weights, weights_digest
 from ggvs_eval.pipelines.offline.stereo.raft_on_device import DeviceRaftMatcher, _refine_disparity, network_on
@@ -222,18 +223,22 @@ def test_the_command_line_takes_depth_to_the_device(capture, tmp_path, monkeypat
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="torch finds no GPU here")
 def test_a_gpu_finds_what_the_cpu_finds(monkeypatch):
     """Within 0.1 px, twice the same, and the host never waits for the network."""
-    flow = RaftStereo.flow
 
-    def watched(*arguments):
-        torch.cuda.set_sync_debug_mode("error")
-        try:
-            return flow(*arguments)
-        finally:
-            torch.cuda.set_sync_debug_mode("default")
+    def watched(work):
+        def without_waiting(*arguments):
+            torch.cuda.set_sync_debug_mode("error")
+            try:
+                return work(*arguments)
+            finally:
+                torch.cuda.set_sync_debug_mode("default")
+
+        return without_waiting
 
     here, _ = find_matcher("raft").match(*pair())
     find_matcher("raft", "cuda").match(*pair())
-    monkeypatch.setattr(RaftStereo, "flow", watched)
+    for name in ("features", "_walk"):
+        monkeypatch.setattr(RaftStereo, name, watched(getattr(RaftStereo, name)))
+    monkeypatch.setattr(raft_on_device, "_refine_disparity", watched(_refine_disparity))
     there, again = (find_matcher("raft", "cuda").match(*pair())[0] for _ in range(2))
     assert (((there > 0) == (here > 0)) & (np.abs(there - here) <= 0.1)).mean() >= 0.99
     np.testing.assert_array_equal(there, again)

@@ -5,9 +5,8 @@ small images and what the network starts from are made by OpenCV on the CPU as t
 compute on the device without a word from the host, and one download brings disparity and confidence back.
 """
 
-from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
-from copy import deepcopy
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
@@ -31,12 +30,27 @@ from ggvs_eval.pipelines.offline.stereo.raft_matcher import (
     start_from_matching,
 )
 from ggvs_eval.pipelines.offline.stereo.raft_stereo import SIZE_MULTIPLE, RaftStereo
+from ggvs_eval.pipelines.offline.stereo.raft_update import upsample_convex
+
+
+class StagedRaftStereo(RaftStereo):
+    """RAFT-Stereo whose start may come late: a device finds features meanwhile."""
+
+    @torch.inference_mode()
+    def flow_from(self, left: Tensor, right: Tensor, iterations: int, start: Callable[[], Tensor]) -> Tensor:
+        """Flow in pixels, (B, 1, H, W); arguments as of `forward`, but that `start` is asked once the features are under way."""
+        features = self.features(left, right)
+        flows, weights = self._walk(*features, iterations, start())
+        return upsample_convex(flows[-1], weights, self.config.factor)
 
 
 @lru_cache(maxsize=2)
-def network_on(path: Path, device: torch.device) -> RaftStereo:
+def network_on(path: Path, device: torch.device) -> StagedRaftStereo:
     """The network of a weights file on a device, see `load_network`."""
-    return deepcopy(load_network(path)).to(device)
+    network = load_network(path)
+    staged = StagedRaftStereo(network.config)
+    staged.load_state_dict(network.state_dict())
+    return staged.eval().to(device)
 
 
 @dataclass(frozen=True)
@@ -85,41 +99,44 @@ class DeviceRaftMatcher(RaftMatcher):
         device, size = compute_device(self.device), (left.shape[1], left.shape[0])
         network, scale = network_on(self.weights, device), 2 if max(size) > self.largest_side_px else 1
         across, down = size[0] // scale, size[1] // scale
-        begin = partial(self._begin, scale, d_min // scale, -(-d_max // scale), network.config.factor)
+
+        def small(image: NDArray[Any], by: int = cv2.INTER_AREA) -> NDArray[Any]:
+            return _padded(cv2.resize(image, (across, down), interpolation=by))
+
+        pairs = [(small(left), small(right)), (small(cv2.flip(right, 1)), small(cv2.flip(left, 1)))][:sides]
+        before = None if previous is None else small(previous, cv2.INTER_NEAREST) / scale
+        start = partial(self._start, d_min // scale, -(-d_max // scale), network.config.factor)
         with ThreadPoolExecutor(min(2, kernels.get_threads())) as pool:
-            mirrored = [pool.submit(begin, right[:, ::-1], left[:, ::-1], None)] if sides == 2 else []
-            pairs, starts = zip(*(each.result() for each in (pool.submit(begin, left, right, previous), *mirrored)), strict=True)
-        flow = self._flow(network, pairs, starts, device, warm=previous is not None)
+            starts = [pool.submit(start, pair, prior) for pair, prior in zip(pairs, (before, None), strict=False)]
+            images = torch.from_numpy(np.stack(pairs)).to(device)  # (sides, 2, H, W, 3)
+            lefts, rights = images.permute(1, 0, 4, 2, 3).float().contiguous().unbind(0)
+            if previous is None:
+                flow = network.flow_from(lefts, rights, self.iterations, partial(_uploaded, starts, device))
+            else:  # the pair takes fewer updates than its mirror image, so that they are no batch
+                counts = (self.warm_iterations, self.iterations)
+                each = zip(lefts.split(1), rights.split(1), counts, starts, strict=False)
+                flow = torch.cat(
+                    [
+                        network.flow_from(one, other, count, partial(_uploaded, [begun], device))
+                        for one, other, count, begun in each
+                    ]
+                )
         top, first = ((-side % SIZE_MULTIPLE) // 2 for side in (down, across))
         disparity = -flow[:, :, top : top + down, first : first + across]
         return (disparity if scale == 1 else _enlarge(disparity, size, scale))[:, 0]
 
-    def _begin(
-        self, scale: int, d_min: int, d_max: int, factor: int, left: Image8, right: Image8, previous: Map | None
-    ) -> tuple[NDArray[np.uint8], Map]:
-        """The pair at its scale and padded, (2, H, W, 3), and the flow to start from, (H / factor, W / factor), by the CPU."""
-        size = left.shape[1] // scale, left.shape[0] // scale
-        before = None if previous is None else cv2.resize(previous, size, interpolation=cv2.INTER_NEAREST) / scale
-        pair = [_padded(cv2.resize(np.ascontiguousarray(each), size, interpolation=cv2.INTER_AREA)) for each in (left, right)]
-        start = np.zeros([side // factor for side in pair[0].shape[:2]], np.float32)
-        if before is not None and (before > 0).mean() > 0.5:
-            start = start_from_disparity(_padded(before), factor)
-        elif self.from_matching:
-            start = start_from_matching(pair[0], pair[1], d_min, d_max, factor)
-        return np.stack(pair), start
+    def _start(self, d_min: int, d_max: int, factor: int, pair: tuple[Image8, Image8], previous: Map | None) -> Map:
+        """Flow that the network starts from, in cells of a padded pair, (H / factor, W / factor), by the CPU."""
+        if previous is not None and (previous > 0).mean() > 0.5:
+            return start_from_disparity(previous, factor)
+        if self.from_matching:
+            return start_from_matching(*pair, d_min, d_max, factor)
+        return np.zeros([side // factor for side in pair[0].shape[:2]], np.float32)
 
-    def _flow(
-        self, network: RaftStereo, pairs: Sequence[NDArray[np.uint8]], starts: Sequence[Map], device: torch.device, warm: bool
-    ) -> Tensor:
-        """Flow of padded pairs in pixels, (B, 1, H, W): in one batch, but for a warm start, which takes fewer updates."""
-        images = torch.from_numpy(np.stack(pairs)).to(device)  # (B, 2, H, W, 3)
-        lefts, rights = images.permute(1, 0, 4, 2, 3).float().contiguous().unbind(0)
-        initial = torch.from_numpy(np.stack(starts)[:, None]).to(device)
-        if not warm:
-            return network.flow(lefts, rights, self.iterations, initial)[0]
-        counts = (self.warm_iterations, self.iterations)
-        each = zip(lefts.split(1), rights.split(1), counts, initial.split(1), strict=False)
-        return torch.cat([network.flow(*one)[0] for one in each])
+
+def _uploaded(starts: Sequence[Future[Map]], device: torch.device) -> Tensor:
+    """What the CPU has found by then, (B, 1, h, w)."""
+    return torch.from_numpy(np.stack([each.result() for each in starts])[:, None]).to(device)
 
 
 def _padded(image: NDArray[Any]) -> NDArray[Any]:
