@@ -2,8 +2,9 @@
 
 Three questions, in this order. Does the device render what the CPU renders, and twice the same? How long does each part take,
 by events of the GPU, median and 95th percentile of warm frames? For how much of that does the GPU compute, by torch's profiler:
-else it waits for the host, which a CUDA graph could save. The command needs CUDA's torch, numpy, OpenCV, safetensors, pybind11, a
-C++ compiler and Warp, and no network; ``--device cpu --shrink 8`` tries it by Warp's CPU device, whose times mean nothing.
+else it waits for the host, which a CUDA graph could save. Learned depth follows (`bench_device_depth`). The command needs CUDA's
+torch, numpy, OpenCV, safetensors, pybind11, a C++ compiler and Warp, and no network; ``--device cpu --shrink 8`` tries it by
+Warp's CPU device, whose times mean nothing.
 """
 
 import argparse
@@ -17,6 +18,7 @@ import numpy as np
 import torch
 
 from benchmarks.bench_device import scene
+from benchmarks.bench_device_depth import is_as_the_cpu, measure_depth
 from benchmarks.bench_device_scoring import LEAST_CLOSE, print_scoring
 from ggvs_eval.compute_device import compute_device, describe_device
 from ggvs_eval.kernels import get_threads
@@ -128,11 +130,12 @@ def main() -> None:
         figure = {"check": check(instants, str(device)), "times": time_parts(instants, str(device))}
         _print(size, figure, options.shrink)
         figures[f"{size[0]}x{size[1]}"] = figure
-    scoring = print_scoring(size, str(device))
+    depth, scoring = measure_depth(str(device), options.shrink), print_scoring(size, str(device))
     if options.json:
-        options.json.write_text(json.dumps({"machine": machine, "figures": figures, "scoring": scoring}, indent=1))
+        record = {"machine": machine, "figures": figures, "depth": depth, "scoring": scoring}
+        options.json.write_text(json.dumps(record, indent=1))
     rendered = min(figure["check"]["within_a_level"] for figure in figures.values()) >= LEAST_SHARE
-    if not rendered or scoring["largest_difference"] > LEAST_CLOSE:
+    if not (rendered and is_as_the_cpu(depth) and scoring["largest_difference"] <= LEAST_CLOSE):
         raise SystemExit(1)
 
 

@@ -40,7 +40,7 @@ def play(
         width: of the video in pixels; that of the captured frames by default.
         sources: which cameras are source views: the nearest, or those that see most of the view (coverage); as the run's protocol
             says, or the nearest, by default.
-        device: where networks of the method compute.
+        device: where networks compute, of the method and of a capture's depth (--matcher raft).
         reading: how a capture is read.
         depth: how depth of a capture is found.
         jobs: processes that prepare a capture; synthesis takes one instant after the other.
@@ -57,7 +57,7 @@ def play(
         playback = playback_of_run(reopen(source, jobs), options)
     else:
         cache = out.with_name(f"{out.stem}-cache")
-        playback = playback_of_capture(reading.open(source), options, depth.options(), cache, jobs)
+        playback = playback_of_capture(reading.open(source), options, depth.options(device), cache, jobs)
     timing = record(playback, out, method, device)
     size = "{} x {}".format(*playback.poses[0].size)
     print(f"{out}: {len(playback.poses)} frames of {size} by {method}, K = {playback.k}", timing.table(), sep="\n")
@@ -93,7 +93,7 @@ def view(
         port: the next free one is taken where it is in use.
         out: folder of recorded paths, and of a capture's frames and depth.
         export: write a page with the cameras and the points of every instant, which needs no server, and stop.
-        device: where networks of the method compute.
+        device: where networks compute, of the method and of a capture's depth (--matcher raft).
         reading: how a capture is read.
         depth: how depth of a capture is found.
         jobs: processes that prepare a capture.
@@ -113,7 +113,10 @@ def view(
         playback, protocol = playback_of_run(run, options), run.protocol
     else:
         capture = reading.open(source)
-        playback, protocol = viewing_of_capture(capture, options, depth.options(), out / "cache", jobs), suggest_protocol(capture)
+        playback, protocol = (
+            viewing_of_capture(capture, options, depth.options(device), out / "cache", jobs),
+            suggest_protocol(capture),
+        )
     if export is not None:
         export_page(playback, sorted(set(playback.instants)), export)
         print(export)

@@ -44,6 +44,7 @@ def prepare(
     protocol: str | None = None,
     fuse: bool = False,
     dense_workspace: Path | None = None,
+    device: Device = "cpu",
     reading: Reading = BY_DEFAULT,
     depth: Finding = FOUND_BY_DEFAULT,
     engine: Running = HERE,
@@ -57,6 +58,7 @@ def prepare(
         protocol: a .toml file or a packaged name; by default the packaged one that fits the capture.
         fuse: also fuse the first instant into a point cloud and a mesh, RUN/fused/<frame>/{points,mesh}.ply.
         dense_workspace: also write the first instant's depth as a COLMAP dense workspace into this folder.
+        device: where the network of depth computes (--matcher raft); the run's depth stays on it.
         reading: how the capture is read.
         depth: how depth is found.
         engine: where jobs run.
@@ -66,9 +68,10 @@ def prepare(
     from ggvs_eval.pipelines.run.prepare import prepare_run
     from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
 
+    networks = _networks((), device)
     root, opened = engine.place(run), _open(reading, engine.place(capture), protocol)
     chosen = _protocol(protocol, opened)
-    plan = plan_run(RunRequest(root, opened, chosen, depth=depth))
+    plan = plan_run(RunRequest(root, opened, chosen, depth=depth, networks=networks))
     print_plan([plan], engine.jobs, root, dry_run)
     if dry_run:
         return
@@ -125,7 +128,8 @@ def run(
         methods: which methods; by default the demo's smallest room has the baselines too. splats:PATH or NAME=splats:PATH renders
             3D Gaussians that others have fitted: a .ply, a folder with one per frame, an output folder of 3D Gaussian splatting.
         weights: METHOD=FILE of a method whose weights do not ship: the authors' checkpoint of a baseline.
-        device: where networks of methods compute; on a GPU pixels may differ by a level from those of the CPU.
+        device: where networks compute, of methods and of depth (--matcher raft); on a GPU pixels may differ by a level from those
+            of the CPU.
         reading: how the capture is read.
         depth: how depth is found.
         engine: where jobs run.
@@ -189,7 +193,8 @@ def sweep(
         capture: folder of the capture, or of several, whose means then stand beside them; without one the demo capture is made.
         protocol: what the variants start from; by default the packaged one that fits the capture.
         weights: METHOD=FILE of a method whose weights do not ship; without, its rows are not computed.
-        device: where networks of methods compute; on a GPU pixels may differ by a level from those of the CPU.
+        device: where networks compute, of methods and of depth (--matcher raft); on a GPU pixels may differ by a level from those
+            of the CPU.
         reading: how the capture is read.
         depth: how depth is found.
         engine: where jobs run.

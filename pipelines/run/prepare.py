@@ -8,7 +8,7 @@ from typing import Any
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.frame_coding import coding_of
 from ggvs_eval.depth_store import DepthStore
-from ggvs_eval.errors import ProtocolError
+from ggvs_eval.errors import DeviceError, ProtocolError
 from ggvs_eval.files.atomic import write_text
 from ggvs_eval.files.images import resize, write_image
 from ggvs_eval.jobs.engine import Workers
@@ -51,17 +51,17 @@ def prepare_run(plan: RunPlan, workers: Workers = 1) -> RunPlan:
     Raises:
         CaptureError: frames that cannot be read.
         DepthError: depth that cannot be computed.
+        DeviceError: depth is missing, and the device that it is found on is not here or has no memory left.
         ProtocolError: the folder belongs to another protocol or capture.
     """
     run = plan.run
     _claim_folder(run, plan.protocol, plan.capture)
     if not run.depth_record.is_file():
-        write_json(run.depth_record, plan.depth.record())
+        write_json(run.depth_record, plan.depth.record(plan.depth_device))
     capture = cache_frames(plan.capture, plan.frames_of_cameras(), run.root / "truth", workers)
     prepared, store = replace(plan, capture=capture), DepthStore(run.depth)
     _write_path_truth(prepared)
-    for jobs, frames in plan.depth_work():
-        prepare_depth(capture, jobs, frames, store, plan.depth_options, workers)
+    _fill_store(prepared, store, workers)
     if any(name.endswith("_disoccluded") for name in plan.protocol.measurement.metrics):
         views = {view: (each.target, each.depth_keys) for view, each in plan.plans.items()}
         write_disocclusions(capture, views, plan.frames, run.depth, run.root / "disoccluded", workers)
@@ -69,6 +69,16 @@ def prepare_run(plan: RunPlan, workers: Workers = 1) -> RunPlan:
         poses = [(pose.target, pose.depth_keys) for pose in plan.path]
         write_path_depth(capture, poses, plan.path_frame, store, run.path_depth)
     return prepared
+
+
+def _fill_store(prepared: RunPlan, store: DepthStore, workers: Workers) -> None:
+    """Compute the depth that is missing, where the run's other depth was computed."""
+    try:
+        for jobs, frames in prepared.depth_work():
+            prepare_depth(prepared.capture, jobs, frames, store, prepared.depth_options, workers)
+    except DeviceError as error:
+        record = f"{prepared.run.depth_record}: this run's depth is found on {prepared.depth_device}"
+        raise DeviceError(f"{record}: {error}; or begin a new run folder") from error
 
 
 def prepare_truth(root: Path, capture: Capture, protocol: Protocol, workers: Workers = 1) -> RunFolder:

@@ -14,10 +14,10 @@ from ggvs_eval.depth_store import DepthJob
 from ggvs_eval.errors import CaptureError, ProtocolError
 from ggvs_eval.geometry.sight import require_sight
 from ggvs_eval.geometry.source_views import choose_sources
-from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
+from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions, checked_device
 from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
+from ggvs_eval.pipelines.offline.depth.depth_choice import DEVICE, DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import plan_depth
 from ggvs_eval.pipelines.run.camera_path import choose_path
 from ggvs_eval.pipelines.run.folds import FitPlan, fill_folds, plan_fits, plan_folds, visible_cameras
@@ -79,6 +79,7 @@ class RunPlan:
         request: what it was made of.
         run: the folder.
         depth: how depth is found.
+        depth_device: where a network computes that finds it; ``cpu`` where none does.
         capture: the capture at synthesis size; its frames are read from the run folder once that is prepared.
         plans: test view -> how it is synthesised.
         path: poses of the camera path, each with its plan.
@@ -90,6 +91,7 @@ class RunPlan:
     request: RunRequest
     run: RunFolder
     depth: DepthRunOptions
+    depth_device: str
     capture: Capture
     plans: dict[str, SourcePlan]
     path: tuple[SourcePlan, ...]
@@ -105,7 +107,7 @@ class RunPlan:
     @property
     def depth_options(self) -> DepthOptions:
         """The parameters of depth."""
-        return self.depth.options()
+        return self.depth.options(self.depth_device)
 
     @property
     def shared_root(self) -> Path:
@@ -158,6 +160,7 @@ def plan_run(request: RunRequest) -> RunPlan:
         CaptureError: the capture lacks what the protocol asks for.
         CameraError: fewer sources than the protocol wants, or sources that can show too little of a test view.
         DepthError: a source that no camera can be matched with.
+        DeviceError: depth is learned, and there is no such device.
         ProtocolError: the folder's depth is found otherwise.
 
     Reading:
@@ -167,8 +170,8 @@ def plan_run(request: RunRequest) -> RunPlan:
     run, fitted = RunFolder(request.root), _fitters(request)
     request = replace(request, protocol=_state_folds(request.protocol, run, request.capture, bool(fitted)))
     protocol = request.protocol
-    capture, depth = fit_capture(request.capture, protocol), _depth_of(run, request.depth)
-    options, path = depth.options(), choose_path(capture, protocol)
+    capture, (depth, device) = fit_capture(request.capture, protocol), _depth_of(run, request)
+    options, path = depth.options(device), choose_path(capture, protocol)
     visible = visible_cameras(capture, protocol)
     targets = [*(capture.camera(view) for view in protocol.views.test), *path.cameras]
     k, choice = protocol.synthesis.k, protocol.synthesis.sources
@@ -189,7 +192,7 @@ def plan_run(request: RunRequest) -> RunPlan:
     chosen_frame = protocol.path.frame if protocol.path.cameras else round(path.time_s * capture.fps)
     frame = min(max(chosen_frame, protocol.frames.start), capture.n_frames - 1)
     poses = tuple(plans[pose.name] for pose in path.cameras)
-    plan = RunPlan(request, run, depth, capture, views, poses, frame, path.images)
+    plan = RunPlan(request, run, depth, device, capture, views, poses, frame, path.images)
     if not fitted:
         return plan
     folds = plan_folds(visible, protocol.views.folds, bool(poses), options)
@@ -234,14 +237,22 @@ def fit_capture(capture: Capture, protocol: Protocol) -> Capture:
     return capture
 
 
-def _depth_of(run: RunFolder, asked: DepthRunOptions | None) -> DepthRunOptions:
-    """Return how this folder's depth is found, or will be; methods of one table must have been given the same."""
+def _depth_of(run: RunFolder, request: RunRequest) -> tuple[DepthRunOptions, str]:
+    """Return how this folder's depth is found, or will be, and on which device; methods of one table must be given the same.
+
+    Reading:
+        Learned depth stays on the device that found its first map, whatever later calls name for their networks: else a run that
+        was prepared on a GPU would be prepared again where it is looked at. That device is missed only where a map is.
+    """
+    asked = request.depth
     if not run.depth_record.is_file():
-        return asked or DepthRunOptions()
-    record = DepthRunOptions.from_record(read_json(run.depth_record))
+        asked = asked or DepthRunOptions()
+        return asked, checked_device(request.networks.device) if asked.is_learned else "cpu"
+    values = read_json(run.depth_record)
+    record = DepthRunOptions.from_record(values)
     if asked not in (None, record):
         raise ProtocolError(
             f"{run.root}: holds a run whose depth is found by {record.options().matcher.name} ({run.depth_record.name}), wanted "
             f"{asked}; choose a new folder or delete it"
         )
-    return record
+    return record, values.get(DEVICE, "cpu")

@@ -1,6 +1,7 @@
 """Choice of depth estimation: the matchers by name, and the few words that the command line takes and a run folder keeps."""
 
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +24,15 @@ MATCHERS = {
 }
 PUBLISHED_ITERATIONS = 32  # what the authors' networks are made for
 KEYFRAME_EVERY = 16  # instants, where instants depend on each other
+DEVICE = "device"  # in a record of depth
 
 
-def find_matcher(name: str) -> StereoMatcher | PlaneSweep:
+def find_matcher(name: str, device: str = "cpu") -> StereoMatcher | PlaneSweep:
     """The matcher of a name, see `MATCHERS`.
+
+    Args:
+        name: of the matcher.
+        device: where RAFT-Stereo's network computes; the others are the CPU's. Whether it is there shows when it computes.
 
     Raises:
         DepthError: no matcher of that name.
@@ -34,7 +40,7 @@ def find_matcher(name: str) -> StereoMatcher | PlaneSweep:
     """
     kind, _, checkpoint = name.partition(":")
     if kind == "raft":
-        return _raft(checkpoint)
+        return _raft(checkpoint, device)
     if name == "sgbm":
         return SgbmMatcher()
     if name == LIVE_MATCHER:
@@ -44,15 +50,17 @@ def find_matcher(name: str) -> StereoMatcher | PlaneSweep:
     raise DepthError(f"no stereo matcher {name!r}; there are {', '.join(MATCHERS)}{did_you_mean(name, MATCHERS)}")
 
 
-def _raft(checkpoint: str) -> StereoMatcher:
+def _raft(checkpoint: str, device: str) -> StereoMatcher:
     from ggvs_eval.pipelines.offline.stereo.raft_matcher import RaftMatcher, load_network, shipped_weights, weights_digest
+    from ggvs_eval.pipelines.offline.stereo.raft_on_device import DeviceRaftMatcher
 
     path = Path(checkpoint) if checkpoint else shipped_weights()
     digest = weights_digest(path)
     load_network(path)  # what is wrong with it is said before hours of work
+    make = RaftMatcher if device == "cpu" else partial(DeviceRaftMatcher, device=device)
     if checkpoint:
-        return RaftMatcher(path, digest, iterations=PUBLISHED_ITERATIONS, from_matching=False)
-    return RaftMatcher(path, digest)
+        return make(path, digest, iterations=PUBLISHED_ITERATIONS, from_matching=False)
+    return make(path, digest)
 
 
 @dataclass(frozen=True)
@@ -75,8 +83,16 @@ class DepthRunOptions:
     reuse_static: bool = False
     registration: RegistrationName = "given"
 
-    def options(self) -> DepthOptions:
+    @property
+    def is_learned(self) -> bool:
+        """Whether a network finds it, which may compute on a GPU."""
+        return self.stereo_weights is not None or self.matcher.partition(":")[0] == "raft"
+
+    def options(self, device: str = "cpu") -> DepthOptions:
         """All parameters of the depth estimation.
+
+        Args:
+            device: where the matcher's network computes, if it has one.
 
         Raises:
             DepthError: no such matcher, or weights for one that takes none.
@@ -87,14 +103,16 @@ class DepthRunOptions:
         name = self.matcher if self.stereo_weights is None else f"raft:{self.stereo_weights}"
         time = TimeOptions(KEYFRAME_EVERY, warm=True, reuse=True) if self.reuse_static else TimeOptions()
         sensor = SensorDepthOptions(registration=self.registration) if self.sensor else None
-        return DepthOptions(matcher=find_matcher(name), time=time, sensor=sensor)
+        return DepthOptions(matcher=find_matcher(name, device), time=time, sensor=sensor)
 
-    def record(self) -> dict[str, Any]:
-        """As values that JSON knows."""
-        return asdict(self) | {"stereo_weights": None if self.stereo_weights is None else str(self.stereo_weights)}
+    def record(self, device: str = "cpu") -> dict[str, Any]:
+        """As values that JSON knows; the device of a network is named where it is not the CPU."""
+        weights = None if self.stereo_weights is None else str(self.stereo_weights)
+        return asdict(self) | {"stereo_weights": weights} | ({DEVICE: device} if self.is_learned and device != "cpu" else {})
 
     @classmethod
     def from_record(cls, record: dict[str, Any]) -> "DepthRunOptions":
-        """Restore the options that `record` wrote."""
+        """Restore the options that `record` wrote, all but the device."""
         weights = record.get("stereo_weights")
-        return cls(**record | {"stereo_weights": None if weights is None else Path(weights)})
+        values = record | {"stereo_weights": None if weights is None else Path(weights)}
+        return cls(**{name: value for name, value in values.items() if name != DEVICE})
