@@ -114,6 +114,7 @@ def main() -> None:
             "offline": lambda: report_table(OFFLINE_RUN, ("quality", "consistency", "path"), OFFLINE_METRICS),
             "offline_price": lambda: report_table(OFFLINE_RUN, ("price",), PRICE_METRICS),
             "offline_costs": lambda: report_table(OFFLINE_RUN, ("costs",)),
+            "offline_seeds": lambda: report_table(OFFLINE_RUN, ("seeds",), OFFLINE_METRICS),
             "offline_unseen": lambda: report_table(UNSEEN_RUN, ("quality", "consistency", "path"), OFFLINE_METRICS),
             "over_k": lambda: k_table(OUT / "rooms_k", BASELINE_METRICS),
             "held": lambda: results_table(OUT / "real_frame_held"),
