@@ -34,6 +34,7 @@ Pair = tuple[Image8, Image8]
 
 def print_scoring(size: tuple[int, int], device: str) -> dict[str, Any]:
     """Print, and return, how far values differ from the CPU's, and milliseconds of a frame: all, and of each metric alone."""
+    device = "cpu:0" if device == "cpu" else device  # the way of a device, not the CPU's own
     frames = _frames(*size, WARM_UP + TIMED)
     metrics = EIGHT if find_spec("pyrtools") else tuple(name for name in EIGHT if name != "STED")
     title = "all eight" if metrics == EIGHT else "all but STED"
