@@ -116,6 +116,7 @@ def main() -> None:
             "offline_costs": lambda: report_table(OFFLINE_RUN, ("costs",)),
             "offline_seeds": lambda: report_table(OFFLINE_RUN, ("seeds",), OFFLINE_METRICS),
             "offline_unseen": lambda: report_table(UNSEEN_RUN, ("quality", "consistency", "path"), OFFLINE_METRICS),
+            "offline_unseen_seeds": lambda: report_table(UNSEEN_RUN, ("seeds",), OFFLINE_METRICS),
             "over_k": lambda: k_table(OUT / "rooms_k", BASELINE_METRICS),
             "held": lambda: results_table(OUT / "real_frame_held"),
             "calibration": lambda: figures_table(OUT / "validate.json", r"calibration\."),
