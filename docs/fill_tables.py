@@ -123,7 +123,8 @@ def main() -> None:
             "depth": lambda: figures_table(OUT / "depth_validation" / "figures.json", DEPTH_FIGURES),
             "validate": lambda: figures_table(OUT / "validate.json", r"(?!calibration|depth)"),
             "domains": domains_table,
-            "bench": lambda: figures_table(OUT / "bench.json"),
+            "bench": lambda: figures_table(OUT / "bench.json", r"(?!roofline|step_memory)"),
+            "roofline": lambda: roofline_table(OUT / "bench.json"),
             "device": device_table,
         },
     )
@@ -252,6 +253,22 @@ def figures_table(file: Path, names: str = "") -> str:
         peer = f"{figure['peer']}: {figure['peer_value']:.4g}" if figure.get("peer") else ""
         ratio = f"{figure['ratio']:.3g}" if figure.get("ratio") is not None else ""
         rows.append(f"| {name} | {figure['value']:.4g} {figure['unit']} | {_target(figure)} | {peer} | {ratio} |")
+    return "\n".join(rows)
+
+
+def roofline_table(file: Path) -> str:
+    """What each kernel of a step takes, beside what the machine could do, as Markdown."""
+    figures = {name: figure["value"] for name, figure in _read(file).items() if name.startswith("roofline_")}
+    kernels = [name.removesuffix("_share") for name in figures if name.endswith("_share")]
+    rows = ["| kernel | CPU ms | GFLOP | MB moved | MB made | share of its roof | AVX2 |", "| --- |" + " ---: |" * 6]
+    for kernel in kernels:
+        operations, moved, made, share, avx2 = (
+            figures[f"{kernel}_{what}"] for what in ("operations", "bytes", "results", "share", "avx2")
+        )
+        name = kernel.removeprefix("roofline_")
+        rows.append(
+            f"| {name} | {figures[kernel]:.1f} | {operations:.2f} | {moved:.0f} | {made:.0f} | {share:.0f} % | {avx2:.2f} x |"
+        )
     return "\n".join(rows)
 
 
