@@ -25,7 +25,7 @@ WHITE, GREY, BLACK = (Material(plain((tone,) * 3)) for tone in (0.9, 0.5, 0.02))
 
 @pytest.fixture(scope="module", autouse=True)
 def _little_light() -> Iterator[None]:
-    """An eighth of the rays finds the light that bounces: the same code in a fraction of the time. Nobody else may see its scenes."""
+    """An eighth of the rays finds the light that bounces: the same code in less time. Nobody else may see its scenes."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(lighting, "AMBIENT_DIRECTIONS", 8)
         pairs._kept_scene.cache_clear()
