@@ -52,7 +52,7 @@ class LineTask:
 
     def validate(self, network):
         """Distance at 0.5."""
-        return {"distance": float((network(torch.tensor([[0.5]])) - 0.0).abs())}
+        return {"distance": float(network(torch.tensor([[0.5]])).detach().abs())}
 
 
 OPTIONS = TrainingOptions(steps=120, device="cpu", precision="float32", save_every=10, validate_every=40, workers=0)
