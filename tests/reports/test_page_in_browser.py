@@ -35,7 +35,7 @@ def is_dark(browser) -> bool:
 
 
 def open_again(browser, page, theme: str, dark: bool = False) -> None:
-    """Open a page that keeps a theme; what is stored just before a page is left may be lost, and is chosen anew, with more time."""
+    """Open a page that keeps a theme; what is stored just before a page is left may be lost, and is chosen anew then."""
     for pause_s in PAUSES_S:
         time.sleep(pause_s)
         browser.visit(page, dark=dark)
