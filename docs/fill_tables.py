@@ -124,6 +124,7 @@ def main() -> None:
             "validate": lambda: figures_table(OUT / "validate.json", r"(?!calibration|depth)"),
             "domains": domains_table,
             "bench": lambda: figures_table(OUT / "bench.json", r"(?!roofline|step_memory)"),
+            "speed_before": lambda: compared_speed_table(OUT / "bench.json"),
             "roofline": lambda: roofline_table(OUT / "bench.json"),
             "device": device_table,
         },
@@ -253,6 +254,35 @@ def figures_table(file: Path, names: str = "") -> str:
         peer = f"{figure['peer']}: {figure['peer_value']:.4g}" if figure.get("peer") else ""
         ratio = f"{figure['ratio']:.3g}" if figure.get("ratio") is not None else ""
         rows.append(f"| {name} | {figure['value']:.4g} {figure['unit']} | {_target(figure)} | {peer} | {ratio} |")
+    return "\n".join(rows)
+
+
+# Title, figure of today, milliseconds (and those of its peer) before the kernels were revised, target.
+BEFORE_MS: tuple[tuple[str, str, float, float | None, float | None], ...] = (
+    ("splat of a view, Open3D's projection of points", "geometry_splat", 57.76, 45.62, None),
+    ("ray march, Open3D's VoxelBlockGrid", "geometry_tsdf_depth", 183.8, 11650.0, None),
+    ("all geometry of a step, both of these", "geometry_step", 437.7, 11840.0, None),
+    ("SSIM, scikit-image", "metrics.ssim_ms", 8.215, 437.9, 10.0),
+    ("splat, four views with the mask channel", "online_step_splat", 221.0, None, 112.0),
+    ("fusion and march", "online_step_tsdf", 170.0, None, 100.0),
+    ("blend, network included", "online_step_blend", 194.0, None, 130.0),
+    ("whole step, 1352x1014, K = 4", "online_step", 650.0, None, 420.0),
+    ("whole step, 640x360, K = 2", "online_small_step", 79.0, None, 62.0),
+    ("live depth of a map, SGBM", "depth.rig_seconds.live", 2700.0, None, 600.0),
+)
+
+
+def compared_speed_table(file: Path) -> str:
+    """Today's times beside those before the kernels were revised, each with the peer of its own run, as Markdown."""
+    figures = _read(file)
+    columns = ("before (ms)", "peer in that run (ms)", "ratio", "today (ms)", "peer in this run (ms)", "ratio", "target (ms)")
+    rows = ["| | " + " | ".join(columns) + " |", "| --- |" + " ---: |" * len(columns)]
+    for title, name, before, peer_before, target in BEFORE_MS:
+        figure = figures[name]
+        scale = 1e3 if figure["unit"].startswith("s") else 1.0
+        values = [before, peer_before, None if peer_before is None else peer_before / before, scale * figure["value"]]
+        values += [scale * figure["peer_value"], figure["ratio"]] if figure.get("peer") else [None, None]
+        rows.append(f"| {title} | " + " | ".join("" if each is None else f"{each:.4g}" for each in [*values, target]) + " |")
     return "\n".join(rows)
 
 

@@ -124,7 +124,7 @@ def _part(metric: ViewMetric, inside: Inside, region: Region) -> ViewMetric:
         reference="regions by the masks of Eq. 1",
         scorer=partial(_scorer, PairPartScorer if metric.kind == "pair" else PartScorer, name, region, inside),
         weights=metric.weights,
-        on_device=metric.on_device,
+        on_device=metric.on_device and metric.weights is not None,  # of networks; windows of a part are compared on the CPU
         corrects_colours=metric.corrects_colours,
     )
 
