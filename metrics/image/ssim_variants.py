@@ -174,20 +174,6 @@ def windows_inside(rendered: Image, truth: Image, mask: Mask, name: SsimName = "
     return _chosen(ssim_map(rendered[box], truth[box], name), mask[box], name)
 
 
-def ssim_inside(values: NDArray[np.float32], mask: Mask, name: SsimName = "gaussian-valid") -> float:
-    """Mean of a map over the windows inside a mask, so that one `ssim_map` serves several regions.
-
-    Args:
-        values: `ssim_map` of the frame.
-        mask: (H, W) of the frame.
-        name: which SSIM the map is of.
-
-    Raises:
-        MetricError: the mask does not fit the map, or no window inside.
-    """
-    return require_finite(float(_chosen(values, mask, name).mean(dtype=np.float64)), "SSIM")
-
-
 def _chosen(values: Plane, mask: Mask, name: SsimName) -> Plane:
     """Those values of a map whose windows lie inside a mask, (N, 3)."""
     variant = SSIM_VARIANTS[name]

@@ -15,9 +15,10 @@ from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
 from ggvs_eval.pipelines.training.baseline_task import BaselineTask, baseline_task
 from ggvs_eval.pipelines.training.samples.blend_samples import SampleMaker
-from ggvs_eval.pipelines.training.samples.room_plan import RoomPlan, choose_views, validation_plan
+from ggvs_eval.pipelines.training.samples.room_plan import RoomPlan, choose_views, domain_validation_plan
 from ggvs_eval.pipelines.training.samples.sample_kinds import RoomInstants
 from ggvs_eval.pipelines.training.samples.training_data import TrainingData
+from ggvs_eval.synthetic.domains import PLAIN
 from ggvs_eval.training.card import write_card
 from ggvs_eval.training.instant_samples import read_instant
 from ggvs_eval.training.loop import TrainingOptions, train
@@ -27,7 +28,7 @@ pytestmark = pytest.mark.slow
 
 WIDTH, HEIGHT = 100, 75
 PLAN = RoomPlan(rooms=1, targets=2, views=3, other_views=(), other_share=0.0, width=WIDTH, height=HEIGHT)
-VALIDATION = replace(validation_plan(3, "sgbm", targets=1), rooms=1, width=WIDTH, height=HEIGHT)
+VALIDATION = domain_validation_plan(PLAIN, views=3, targets=1, size=(WIDTH, HEIGHT))
 
 
 @pytest.fixture(autouse=True)

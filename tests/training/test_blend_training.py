@@ -15,9 +15,10 @@ from ggvs_eval.pipelines.online.network_inputs import input_channels
 from ggvs_eval.pipelines.training.blend.blend_loss import BlendLossWeights, blend_loss, depth_loss, mask_loss, structural_loss
 from ggvs_eval.pipelines.training.blend.blend_task import BlendTask, crop_arrays, mirrored, recoloured
 from ggvs_eval.pipelines.training.samples.blend_samples import SampleMaker, read_sample
-from ggvs_eval.pipelines.training.samples.room_plan import RoomPlan, choose_views, room_options, validation_plan
+from ggvs_eval.pipelines.training.samples.room_plan import RoomPlan, choose_views, domain_validation_plan, room_options
 from ggvs_eval.pipelines.training.samples.sample_kinds import RoomSamples
 from ggvs_eval.pipelines.training.samples.samples import JoinedSamples
+from ggvs_eval.synthetic.domains import PLAIN
 from ggvs_eval.training.card import write_card
 from ggvs_eval.training.loop import TrainingOptions, train
 from helpers.stereo_scenes import HEIGHT, WIDTH, plane_depth, write_capture
@@ -25,7 +26,7 @@ from helpers.stereo_scenes import HEIGHT, WIDTH, plane_depth, write_capture
 pytestmark = pytest.mark.slow
 
 PLAN = RoomPlan(rooms=1, targets=2, views=2, other_views=(), other_share=0.0, width=WIDTH, height=HEIGHT)
-VALIDATION = replace(validation_plan(2, "sgbm", targets=1), rooms=1, width=WIDTH, height=HEIGHT)
+VALIDATION = domain_validation_plan(PLAIN, views=2, targets=1, size=(WIDTH, HEIGHT))
 CONFIG = BlendNetworkOptions(views=3, width=4)  # one more than the samples have
 WINDOW = (20, 30, 64, 48)
 
@@ -185,7 +186,7 @@ def test_rooms_of_tests_are_never_learned_from(tmp_path):
     for first in (0, 99, 102, 999):
         with pytest.raises(TrainingError, match="wanted seeds from 1000 on for training"):
             RoomSamples(tmp_path, RoomPlan(first_room=first, rooms=3))
-    assert list(validation_plan(4, "sgbm").seeds) == [101, 102, 103]
+    assert list(domain_validation_plan(PLAIN, seeds=3).seeds) == [101, 102, 103]
     assert room_options(101, PLAN).noise_sigma_255 == 1.5
     assert room_options(1000, PLAN) != room_options(1001, replace(PLAN))
     with pytest.raises(TrainingError, match="at least one room, target and view"):

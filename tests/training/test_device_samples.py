@@ -12,9 +12,10 @@ from ggvs_eval.pipelines.training import train_all, train_one
 from ggvs_eval.pipelines.training.blend.blend_task import BlendTask
 from ggvs_eval.pipelines.training.request import TrainingRequest
 from ggvs_eval.pipelines.training.samples.blend_samples import OF_VIEWS, rendered_views
-from ggvs_eval.pipelines.training.samples.room_plan import RoomPlan, validation_plan
+from ggvs_eval.pipelines.training.samples.room_plan import RoomPlan, domain_validation_plan
 from ggvs_eval.pipelines.training.samples.sample_kinds import RoomInstants, RoomSamples
 from ggvs_eval.pipelines.training.samples.samples import JoinedSamples
+from ggvs_eval.synthetic.domains import PLAIN
 from ggvs_eval.training.loop import TrainingOptions, train
 from helpers.device_scenes import room_instants
 from helpers.stereo_scenes import HEIGHT, WIDTH, write_capture
@@ -27,7 +28,7 @@ pytestmark = pytest.mark.slow
 
 DEVICE = "cpu:0"  # the CPU as one device of several: Warp's, where a plain ``cpu`` is the compiled path
 PLAN = RoomPlan(rooms=1, targets=2, views=2, other_views=(), other_share=0.0, width=WIDTH, height=HEIGHT)
-VALIDATION = replace(validation_plan(2, "sgbm", targets=1), rooms=1, width=WIDTH, height=HEIGHT)
+VALIDATION = domain_validation_plan(PLAIN, views=2, targets=1, size=(WIDTH, HEIGHT))
 LEVEL = 1 / 255
 ROUNDING = 1e-6  # of colours: `warp` takes images in [0, 1], the device in 8 bit
 

@@ -69,11 +69,6 @@ class RoomPlan:
         return range(self.first_room, self.first_room + self.rooms)
 
 
-def validation_plan(views: int, matcher: str, targets: int = 3) -> RoomPlan:
-    """The rooms by which choices may be made, with the sources that an evaluation would take."""
-    return RoomPlan(VALIDATION_SEEDS[0], len(VALIDATION_SEEDS), targets, views, (), 0.0, wide_share=0.0, matcher=matcher)
-
-
 def refuse_tests(plan: RoomPlan) -> None:
     """Refuse rooms that are neither for training nor for validation, and plans without samples."""
     if not (plan.first_room >= FIRST_TRAINING_ROOM or set(plan.seeds) <= set(VALIDATION_SEEDS)):
