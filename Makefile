@@ -40,8 +40,8 @@ view-demo: .venv/.view
 	$(BIN)/pip install --disable-pip-version-check -q -e '.[view]'
 	touch $@
 
-# Heavier proofs: speed against peers (out/bench.json), quality on real captures (out/validate.json) and by domains of captures
-# (out/validate_domains.json).
+# Heavier proofs: speed against peers (out/bench.json), quality on real captures (out/validate.json), by domains of captures
+# (out/validate_domains.json) and by calibrations (out/validate_refinement.json).
 bench: $(READY)
 	$(BIN)/python -m benchmarks
 
@@ -55,6 +55,7 @@ bench-device: view
 validate: $(READY)
 	$(BIN)/python -m benchmarks.validate $(if $(DATA),--data $(DATA))
 	$(BIN)/python -m benchmarks.domain_validation $(if $(DATA),--data $(DATA))
+	$(BIN)/python -m benchmarks.refinement_validation
 
 # The site in build/site: the pages of docs/ and the docstrings of the public interface; a warning is an error.
 docs: .venv/.docs view

@@ -113,7 +113,7 @@ def views_of(cache: Path, domain: str, seed: int, plan: ViewPlan) -> list[View]:
 
 def make_views(cache: Path, domain: str, seed: int, plan: ViewPlan, data: Path | None) -> None:
     """Film one capture, or open the real one, and write its views that are not there yet."""
-    capture, choices = _real(data, plan) if domain == REAL else _rendered(cache, domain, seed, plan)
+    capture, choices = _real(data, plan) if domain == REAL else render_domain(cache, domain, seed, plan)
     for frame in range(len(views_of(cache, domain, seed, plan)[0].files)):
         options = DepthRunOptions(plan.matcher).options()
         maker = MeasuredSampleMaker(capture, replace(options, consistency=None) if plan.alone else options, frame)
@@ -130,8 +130,8 @@ def real_capture(data: Path | None) -> Path | None:
 Choices = list[tuple[Camera, list[Camera]]]
 
 
-def _rendered(cache: Path, domain: str, seed: int, plan: ViewPlan) -> tuple[Capture, Choices]:
-    """A procedural capture with the views that are drawn of it."""
+def render_domain(cache: Path, domain: str, seed: int, plan: ViewPlan) -> tuple[Capture, Choices]:
+    """Film a procedural capture, once, and draw its views: targets with their sources."""
     rooms = domain_validation_plan(domain, plan.views, plan.targets, plan.seeds, plan.matcher, plan.size)
     options = room_options(seed, rooms)
     if not find_domain(domain).hand_held:

@@ -69,6 +69,7 @@ SPEED_ROWS = {  # shown: first part of the figures' names
 STAGES = {"filter": "_filter", "splat": "_splat", "TSDF": "_tsdf", "blend": "_blend", "frame, p50": "", "frame, p95": "_p95"}
 
 ABLATION_METRICS = ("PSNR", "LPIPS", "TCC", "STED", "SDT", "EPI_coherence", "EPI_line_texture", "EPI_slope_error")
+REFINEMENT_FIGURES = {"reprojection": ".2f", "contradiction": ".2f", "PSNR": ".2f", "SSIM": ".3f"}
 DOMAIN_METRICS = {"PSNR": ".2f", "LPIPS": ".3f"}
 STUDIES = {"demo room": OUT / "metric_study", "hololens_rgbd": OUT / "metric_study_real"}
 STUDIED_GROUPS = {  # page: titles of the tables that its metrics stand in
@@ -120,6 +121,8 @@ def main() -> None:
             "over_k": lambda: k_table(OUT / "rooms_k", BASELINE_METRICS),
             "held": lambda: results_table(OUT / "real_frame_held"),
             "calibration": lambda: figures_table(OUT / "validate.json", r"calibration\."),
+            "refinement": refinement_table,
+            "real_frame_refined": lambda: results_table(OUT / "real_frame_refined"),
             "depth": lambda: figures_table(OUT / "depth_validation" / "figures.json", DEPTH_FIGURES),
             "validate": lambda: figures_table(OUT / "validate.json", r"(?!calibration|depth)"),
             "domains": domains_table,
@@ -230,6 +233,15 @@ def domains_table() -> str:
         cells = [f"{means[metric][label][domain]:{DOMAIN_METRICS[metric]}}" for metric, label in columns]
         rows.append(f"| {domain} | " + " | ".join(cells) + " |")
     return "\n".join([*rows, *(f"\nNot computed: {line}." for line in measured["not_computed"])])
+
+
+def refinement_table() -> str:
+    """Tabulate the output of ``python -m benchmarks.refinement_validation``: a row per calibration."""
+    rows = ["| calibration | reprojection (px) | contradiction (px) | PSNR | SSIM |", "| --- |" + " ---: |" * 4]
+    for state, means in _read(OUT / "validate_refinement.json")["means"].items():
+        cells = [f"{means[name]:{form}}" for name, form in REFINEMENT_FIGURES.items()]
+        rows.append(f"| {state} | " + " | ".join(cells) + " |")
+    return "\n".join(rows)
 
 
 def device_table() -> str:

@@ -26,7 +26,8 @@ QUESTION = "epipolar error"
 # Bounds for sequences that give each of hundreds of pictures a camera of its own.
 MOST_JUDGES, MOST_EXPLAINED = 24, 8
 GROSS_FOCAL = 0.03
-RECALIBRATE = "calibrate again, or leave this camera out"
+REFINE = "refine the poses (calibrate RIG NEW --known-poses RIG --refine)"
+RECALIBRATE = f"{REFINE}, or leave this camera out"
 
 
 @dataclass(frozen=True)
@@ -152,7 +153,7 @@ def _doubtful_rig(
     if repair is None:
         measured, advice = (
             f"{measured}; no camera agrees with most others",
-            "check that poses and frames belong together; recalibrate",
+            f"{REFINE}; if that does not help, check that poses and frames belong together, or calibrate without them",
         )
     else:
         measured, advice = f"{measured}; {repair.meaning}: {repair.error_px:.2f} px", "correct all cameras as named"

@@ -49,6 +49,8 @@ class CalibrationOptions:
         known_intrinsics: ``intrinsics.toml``, ``capture.toml``, a COLMAP model, a calibration of Qualisys, anipose, freemocap or
             OpenCV, or a capture whose lenses are kept fixed.
         known_poses: any of these that has poses; lenses and poses are kept fixed and points triangulated.
+        refine: known poses are nearly right: poses, focal lengths and principal points move to where the features are, camera by
+            camera; the world, its scale and the lenses' distortion stay.
         allow_missing: go on without cameras that cannot be registered.
         max_features: SIFT features per image.
         max_image_size_px: larger images are reduced to this for finding features.
@@ -60,6 +62,7 @@ class CalibrationOptions:
     shared_intrinsics: bool = False
     known_intrinsics: Path | None = None
     known_poses: Path | None = None
+    refine: bool = False
     allow_missing: bool = False
     max_features: int = 4096
     max_image_size_px: int = 3200
@@ -70,6 +73,8 @@ class CalibrationOptions:
         if self.known_intrinsics is not None and self.known_poses is not None:
             choice = f"{self.known_intrinsics} and {self.known_poses}"
             raise CaptureError(f"calibrate: wanted known intrinsics or known poses, which bring theirs, got {choice}; give one")
+        if self.refine and self.known_poses is None:
+            raise CaptureError("calibrate: wanted poses to refine, got none; give them as known poses")
         if self.frame < 0 or self.max_features < 1 or self.max_image_size_px < 1 or not 0 <= self.seed < 1 << 31:
             choice = f"{self.frame}, {self.max_features}, {self.max_image_size_px}, {self.seed}"
             raise CaptureError(f"calibrate: frame, features, image size and seed must not be negative (or zero), got {choice}")
@@ -210,6 +215,7 @@ def _job(
         "threads": min(default_workers(), MOST_THREADS),
         "max_features": options.max_features,
         "max_image_size_px": options.max_image_size_px,
+        "refine": options.refine,
         "known": {images[name]: view for name, view in described.items()} or None,
     }
 

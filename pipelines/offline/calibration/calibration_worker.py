@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from ggvs_eval.pipelines.offline.calibration.lens_release import posed_model, release_lenses
+from ggvs_eval.pipelines.offline.calibration.pose_refinement import refined_views
 
 # Tried in turn until every camera is registered: COLMAP's own settings, then smaller angles between the first two cameras, fewer
 # matches, and other guesses of the focal length (in units of the larger side of the image) for lenses far from a normal one.
@@ -24,6 +25,7 @@ ATTEMPTS: tuple[dict[str, float], ...] = (
     {"focal": 2.4, "init_angle": 2.0, "init_inliers": 25, "pose_inliers": 12, "pose_ratio": 0.1, "pose_error": 16.0},
 )
 LARGEST_MODELS = 5
+REFINEMENTS = 2
 LONGEST_ATTEMPT_S = 1800
 
 
@@ -32,8 +34,8 @@ def run_job(folder: Path) -> dict[str, Any]:
 
     Args:
         folder: its ``job.json`` holds ``groups`` (names of images below ``images/``, those of one size together), ``model``,
-            ``shared``, ``seed``, ``threads``, ``max_features``, ``max_image_size_px`` and ``known``: null, or image -> ``model``,
-            ``params``, ``width``, ``height`` and ``world_to_camera`` (3 x 4, or null).
+            ``shared``, ``refine``, ``seed``, ``threads``, ``max_features``, ``max_image_size_px`` and ``known``: null, or
+            image -> ``model``, ``params``, ``width``, ``height`` and ``world_to_camera`` (3 x 4, or null).
 
     Returns:
         ``registered``: image -> the number of points it sees; ``features`` and ``matches`` (with the best partner) per image;
@@ -47,7 +49,7 @@ def run_job(folder: Path) -> dict[str, Any]:
     _match(folder, job)
     views_by_image = job["known"] or {}
     if views_by_image and all(view["world_to_camera"] for view in views_by_image.values()):
-        model, attempt = _triangulate(folder, job), 0
+        model, attempt = _from_poses(folder, job), 0
     else:
         model, attempt = _map(folder, job)
         if model is not None and not job["known"] and not job["shared"]:
@@ -179,14 +181,24 @@ def _mapping_options(job: Mapping[str, Any], attempt: Mapping[str, float]) -> An
     return options
 
 
-def _triangulate(folder: Path, job: Mapping[str, Any]) -> Any:
+def _from_poses(folder: Path, job: Mapping[str, Any]) -> Any:
+    """Points for cameras that stay where they are, or that are then refined: more points come with better cameras."""
+    model = _triangulate(folder, job, job["known"])
+    for _ in range(REFINEMENTS if job["refine"] else 0):
+        views_by_image = refined_views(model, job["known"])
+        _set_known_intrinsics(folder / "database.db", views_by_image)
+        model = _triangulate(folder, job, views_by_image)
+    return model
+
+
+def _triangulate(folder: Path, job: Mapping[str, Any], views_by_image: Mapping[str, Mapping[str, Any]]) -> Any:
     """Points for cameras that stay where they are."""
     import pycolmap
 
-    poses = {name: pycolmap.Rigid3d(view["world_to_camera"]) for name, view in job["known"].items()}
+    poses = {name: pycolmap.Rigid3d(view["world_to_camera"]) for name, view in views_by_image.items()}
     posed = posed_model(folder / "database.db", poses)
     out = folder / "triangulated"
-    out.mkdir()
+    out.mkdir(exist_ok=True)
     options = _mapping_options(job, ATTEMPTS[0])
     return pycolmap.triangulate_points(posed, folder / "database.db", folder / "images", out, options=options)
 
