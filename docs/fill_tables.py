@@ -123,6 +123,7 @@ def main() -> None:
             "calibration": lambda: figures_table(OUT / "validate.json", r"calibration\."),
             "refinement": refinement_table,
             "real_frame_refined": lambda: results_table(OUT / "real_frame_refined"),
+            "real_frame_refined_coverage": lambda: results_table(OUT / "real_frame_refined_coverage"),
             "depth": lambda: figures_table(OUT / "depth_validation" / "figures.json", DEPTH_FIGURES),
             "validate": lambda: figures_table(OUT / "validate.json", r"(?!calibration|depth)"),
             "domains": domains_table,
