@@ -293,6 +293,8 @@ def test_options_that_contradict_each_other():
         CalibrationOptions(known_intrinsics=Path("a.toml"), known_poses=Path("b"))
     with pytest.raises(CaptureError, match="must not be negative"):
         CalibrationOptions(frame=-1)
+    with pytest.raises(CaptureError, match="give them with --known-poses RIG"):
+        CalibrationOptions(refine=True)
 
 
 @pytest.mark.parametrize(

@@ -74,7 +74,7 @@ class CalibrationOptions:
             choice = f"{self.known_intrinsics} and {self.known_poses}"
             raise CaptureError(f"calibrate: wanted known intrinsics or known poses, which bring theirs, got {choice}; give one")
         if self.refine and self.known_poses is None:
-            raise CaptureError("calibrate: wanted poses to refine, got none; give them as known poses")
+            raise CaptureError("calibrate: wanted poses to refine, got none; give them with --known-poses RIG")
         if self.frame < 0 or self.max_features < 1 or self.max_image_size_px < 1 or not 0 <= self.seed < 1 << 31:
             choice = f"{self.frame}, {self.max_features}, {self.max_image_size_px}, {self.seed}"
             raise CaptureError(f"calibrate: frame, features, image size and seed must not be negative (or zero), got {choice}")
