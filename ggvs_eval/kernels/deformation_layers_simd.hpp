@@ -1,5 +1,5 @@
 // Layers over batches of points, forward and backward; included once per instruction set, after its vectors and the planes.
-// A lane is a point. Multiplications and additions are fused where the processor can: the baseline rounds differently.
+// A lane is a point.
 #include <cstdint>
 
 namespace ggvs::GGVS_LEVEL {

@@ -1,6 +1,5 @@
 // The refiner's arithmetic, written once for every instruction set (included by level_*.cpp after compose_simd.hpp).
-// Unlike the other kernels it uses fused multiply-adds where a processor has them, which halves its time: AVX2 and AVX-512 give
-// the same bits, the baseline those of rounding twice. The U-Net before it uses the same convolutions.
+// The U-Net before it uses the same convolutions.
 #pragma once
 #include "refine.hpp"
 

@@ -1,4 +1,4 @@
-// Sixteen lanes of AVX-512; the names of simd_portable.hpp. No FMA but by multiply_add: every level must give the same bits.
+// Sixteen lanes of AVX-512; the names of simd_portable.hpp. No FMA but by multiply_add, so that every level gives the same bits.
 // All that follows is compiled for these instructions, up to simd_end.hpp. What must run everywhere is included before.
 #pragma once
 #include <immintrin.h>
@@ -45,7 +45,7 @@ GGVS_INLINE F select(M m, F a, F b) { return _mm512_mask_blend_ps(m, b, a); }
 GGVS_INLINE I select(M m, I a, I b) { return (I)_mm512_mask_blend_epi32(m, (__m512i)b, (__m512i)a); }
 GGVS_INLINE F min(F a, F b) { return _mm512_min_ps(a, b); }
 GGVS_INLINE F max(F a, F b) { return _mm512_max_ps(a, b); }
-// Rounded once. For kernels that say so: others must give the same bits at every level.
+// a b + c, rounded once.
 GGVS_INLINE F multiply_add(F a, F b, F c) { return _mm512_fmadd_ps(a, b, c); }
 GGVS_INLINE F sqrt(F x) { return _mm512_sqrt_ps(x); }
 GGVS_INLINE I truncate(F x) { return (I)_mm512_cvttps_epi32(x); }

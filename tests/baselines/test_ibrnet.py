@@ -279,7 +279,7 @@ def test_the_kernel_is_the_network(shaded):
 
 
 def test_vectors_of_any_size_agree(shaded):
-    """Every instruction set gives the same to rounding, those with fused multiply-adds the same bits."""
+    """Every instruction set gives the same bits."""
     best, by_level = kernels.get_simd_level(), {}
     try:
         for level in kernels.available_levels():
@@ -287,11 +287,7 @@ def test_vectors_of_any_size_agree(shaded):
             by_level[level] = shaded(with_gradients=False)
     finally:
         kernels.set_simd_level(best)
-    for colours, density in by_level.values():
-        np.testing.assert_allclose(colours, by_level["baseline"][0], atol=1e-5)
-        np.testing.assert_allclose(density, by_level["baseline"][1], atol=1e-5)
-    if "avx512" in by_level:
-        assert all(torch.equal(*pair) for pair in zip(by_level["avx512"], by_level["avx2"], strict=True))
+    assert all(torch.equal(*pair) for other in by_level.values() for pair in zip(other, by_level["baseline"], strict=True))
 
 
 def test_the_kernel_takes_what_fits_alone(networks):
