@@ -8,6 +8,7 @@ import pytest
 from ggvs_eval.capture import Extras
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
+from ggvs_eval.pipelines.offline.depth.consistency import ConsistencyOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import depth_job, plan_depth, prepare_depth
 from helpers.stereo_scenes import PLANE, plane_depth, write_capture
@@ -29,6 +30,19 @@ class PlaneSensor:
         for frame in range(start, stop):
             noise = np.random.default_rng(frame).normal(0, 1e-3, (self.camera.height, self.camera.width))
             yield (plane_depth(self.camera, PLANE - [0, 0, 0.2 * frame]) + noise).astype(np.float32)
+
+
+HOLE = np.s_[20:44, 30:60]
+
+
+class HoledSensor(PlaneSensor):
+    """Measures nothing in a part of every image."""
+
+    def depths(self, start, stop):
+        """Depth of some frames."""
+        for depth in super().depths(start, stop):
+            depth[HOLE] = 0
+            yield depth
 
 
 @pytest.fixture(scope="module")
@@ -59,3 +73,21 @@ def test_measured_depth_reaches_the_store(capture, tmp_path):
     stereo = depth_job(capture, "cam01", ("cam00",), options).spec
     assert DepthStore.key(stereo) != key
     assert job.spec["options"]["algorithm"].startswith("sensor-filter")
+
+
+def test_holes_of_measured_depth_are_filled_by_colour(capture, tmp_path):
+    """Held against another source, a sensor's hole is filled, under a key that knows how; stereo's key does not."""
+    store, options = DepthStore(tmp_path), DepthOptions(consistency=ConsistencyOptions(fill_support=0))
+    extras = tuple(replace(each, depth=each.depth and HoledSensor(each.depth.camera)) for each in capture.extras)
+    holed = replace(capture, extras=extras)
+    jobs = plan_depth(holed, [capture.camera("cam02")], 4, options)["cam02"]
+    prepare_depth(holed, [jobs["cam00"]], range(1), store, options, workers=1)
+
+    depth_map = store.read(jobs["cam00"].key, 0)
+
+    truth = plane_depth(capture.camera("cam00"), PLANE)
+    assert (depth_map.depth > 0).all()
+    assert (depth_map.confidence[HOLE] < 0.03).all()
+    assert np.median(np.abs(depth_map.depth / truth - 1)[HOLE]) < 0.02
+    described = {name: job.spec["check"] for name, job in jobs.items()}
+    assert ["fill" in described[name] for name in ("cam00", "cam03")] == [True, False]

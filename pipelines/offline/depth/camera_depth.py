@@ -14,6 +14,7 @@ from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.pipelines.offline.depth.consistency import ConsistencyOptions, check_consistency
 from ggvs_eval.pipelines.offline.plane_sweep.plane_sweep import PlaneSweepEstimator
 from ggvs_eval.pipelines.offline.plane_sweep.planes import PlaneSweep
+from ggvs_eval.pipelines.offline.sensor.colour_fill import fill_by_colour
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthOptions
 from ggvs_eval.pipelines.offline.stereo.fusion import PairwiseEstimator, drop_flying_pixels, fill_background, smooth_surfaces
 from ggvs_eval.pipelines.offline.stereo.live import LiveEstimator, LiveMatcher
@@ -182,3 +183,26 @@ def check_depth(
         return depth_map
     checked = check_consistency(camera, depth_map, others, options.consistency)
     return DepthMap(*fill_background(checked.depth, checked.confidence, options.filled_confidence))
+
+
+def check_measured_depth(
+    camera: Camera, image: Image8, depth_map: DepthMap, others: Sequence[tuple[Camera, DepthMap]], options: DepthOptions
+) -> DepthMap:
+    """`check_depth` of what a sensor measured: the rest is filled along the edges of the colours.
+
+    Holes of sensors are no shadows of nearer surfaces, as those of stereo are: the farther side is not likelier than the nearer.
+
+    Args:
+        camera: the camera of the depth map.
+        image: what it saw, RGB, (H, W, 3).
+        depth_map: filtered depth and confidence, (H, W).
+        others: other cameras with theirs, filtered too.
+        options: parameters.
+
+    Raises:
+        DepthError: a depth map that does not fit its camera.
+    """
+    if options.consistency is None or options.sensor is None:
+        return depth_map
+    checked = check_consistency(camera, depth_map, others, options.consistency)
+    return fill_by_colour(checked, image, options.sensor.fill)

@@ -11,7 +11,7 @@ from ggvs_eval.depth_store import DepthJob, DepthStore, describe_depth
 from ggvs_eval.geometry.source_views import SourceChoice, choose_sources
 from ggvs_eval.jobs.engine import Workers, as_engine
 from ggvs_eval.jobs.run_all import run_all
-from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions, check_depth, finish
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions, check_depth, check_measured_depth, finish
 from ggvs_eval.pipelines.offline.depth.depth_stream import DepthStream
 from ggvs_eval.pipelines.offline.depth.pairing import choose_partners
 from ggvs_eval.pipelines.offline.sensor.registered_capture import registered
@@ -85,7 +85,12 @@ def _matched_cameras(capture: Capture, source: Camera, target: Camera | None, op
 def _checked(job: DepthJob, jobs_by_source: Mapping[str, DepthJob], options: DepthOptions) -> DepthJob:
     """A source's depth held against that of the view's other sources; in the order of names, so that near targets share it."""
     others = tuple(jobs_by_source[name] for name in sorted(jobs_by_source) if name != job.camera_name)
-    return job if options.consistency is None or not others else job.checked_against(others, options.consistency.describe())
+    if options.consistency is None or not others:
+        return job
+    described = options.consistency.describe()
+    if options.sensor is not None and not job.partner_names:
+        described |= {"fill": options.sensor.fill.describe()}
+    return job.checked_against(others, described)
 
 
 def _sensor(capture: Capture, name: str, options: DepthOptions) -> SensorDepthEstimator | None:
@@ -212,7 +217,12 @@ def _check(capture: Capture, frames: Sequence[int], store: DepthStore, options: 
     own, *others = ((each.camera_name, each.key) for each in (job.unchecked, *job.checked_with))
     for frame in sorted(_missing(store, key, frames)):
         views = [(capture.camera(name), store.read(other, frame)) for name, other in others]
-        store.write(key, frame, check_depth(capture.camera(own[0]), store.read(own[1], frame), views, options))
+        camera, depth_map = capture.camera(own[0]), store.read(own[1], frame)
+        if job.partner_names:
+            checked = check_depth(camera, depth_map, views, options)
+        else:
+            checked = check_measured_depth(camera, capture.frame(camera.name, frame), depth_map, views, options)
+        store.write(key, frame, checked)
 
 
 def _run(capture: Capture, frames: Sequence[int], store: DepthStore, options: DepthOptions, job: DepthJob) -> None:

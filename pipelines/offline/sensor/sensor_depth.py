@@ -1,6 +1,6 @@
 """Depth that a sensor measured beside the images, made fit for rendering: what no surface explains goes, small holes close."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Literal
 
 import cv2
@@ -12,6 +12,7 @@ from ggvs_eval.capture import DepthSource
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
 from ggvs_eval.jobs.code_identity import code_identity
+from ggvs_eval.pipelines.offline.sensor.colour_fill import ColourFillOptions
 from ggvs_eval.pipelines.offline.sensor.registration import RegisteredDepth
 from ggvs_eval.pipelines.offline.sensor.sensor_grid import SensorGrid, close_edges, close_holes
 from ggvs_eval.pipelines.offline.stereo.fusion import drop_flying_pixels, smooth_surfaces
@@ -34,6 +35,7 @@ class SensorDepthOptions:
         smooth_radius_px: over neighbours this far away.
         edge_px: confidence falls nearer than this to edges and holes.
         filled_confidence: confidence of filled pixels, over that of measured ones.
+        fill: how what is unknown once depth has been held against that of other cameras is filled.
         registration: "estimated" from the images of a sequence, where that is significant, or as "given".
 
     Reading:
@@ -49,12 +51,13 @@ class SensorDepthOptions:
     smooth_radius_px: int = 4
     edge_px: float = 3.0
     filled_confidence: float = 0.2
+    fill: ColourFillOptions = field(default_factory=ColourFillOptions)
     registration: RegistrationName = "given"
 
     def describe(self) -> dict[str, object]:
-        """The filter as values that JSON knows, its code included; a registration tells of itself where it is."""
+        """The filter as values that JSON knows, its code included; fill and registration tell of themselves where they are."""
         described = {"algorithm": "sensor-filter", "code": code_identity(__name__), **asdict(self)}
-        del described["registration"]
+        del described["registration"], described["fill"]
         return described
 
 

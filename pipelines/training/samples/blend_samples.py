@@ -149,8 +149,11 @@ class SampleMaker:
 
     def _view(self, source: Camera, depth_map: DepthMap, others: Sequence[tuple[Camera, DepthMap]]) -> SourceView:
         """A source, its depth held against that of the others, as it is prepared for a view."""
-        checked = check_depth(source, depth_map, others, self._options)
+        checked = self._checked(source, depth_map, others)
         return SourceView(source, self._image(source.name), checked.depth, checked.confidence)
+
+    def _checked(self, source: Camera, depth_map: DepthMap, others: Sequence[tuple[Camera, DepthMap]]) -> DepthMap:
+        return check_depth(source, depth_map, others, self._options)
 
     def _image(self, name: str) -> Image8:
         if name not in self._images:

@@ -8,12 +8,12 @@ from functools import partial
 from pathlib import Path
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.capture import Capture
+from ggvs_eval.capture import Capture, DepthSource
 from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.files.digest import digest_values
-from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
+from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions, check_measured_depth
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.sensor.sensor_depth import SensorDepthEstimator
 from ggvs_eval.pipelines.training.samples.blend_samples import SampleMaker
@@ -126,13 +126,21 @@ class MeasuredSampleMaker(SampleMaker):
         self._measured: dict[str, DepthMap] = {}
 
     def _depth(self, source: Camera, target: Camera) -> DepthMap:
-        sensor = self.capture.extras_of(source.name).depth
+        sensor = self._sensor(source)
         if sensor is None or self._options.sensor is None:
             return super()._depth(source, target)
         if source.name not in self._measured:
             estimator = SensorDepthEstimator(source, sensor, self._options.sensor)
             self._measured[source.name] = estimator.at(self._frame, self._image(source.name))
         return self._measured[source.name]
+
+    def _checked(self, source: Camera, depth_map: DepthMap, others: Sequence[tuple[Camera, DepthMap]]) -> DepthMap:
+        if self._sensor(source) is None:
+            return super()._checked(source, depth_map, others)
+        return check_measured_depth(source, self._image(source.name), depth_map, others, self._options)
+
+    def _sensor(self, source: Camera) -> DepthSource | None:
+        return None if self._options.sensor is None else self.capture.extras_of(source.name).depth
 
 
 def _groups(capture: Capture, plan: CapturePlan) -> list[list[int]]:

@@ -1,0 +1,119 @@
+"""Depth that nobody measured, filled along the edges of the colours: the Fast Global Smoother (Min et al., IEEE TIP 2014)."""
+
+from dataclasses import asdict, dataclass
+
+import cv2
+import numpy as np
+from scipy.linalg import solve_banded
+
+from ggvs_eval.arrays import Image8, Map, Mask
+from ggvs_eval.depth_store import DepthMap
+from ggvs_eval.jobs.code_identity import code_identity
+
+LEAST_WEIGHT = 1e-12  # of depth that reaches a pixel; below, none does
+
+
+@dataclass(frozen=True)
+class ColourFillOptions:
+    """Options of the fill.
+
+    Attributes:
+        strength: lambda, weight of smoothness beside that of measured depth; its root is about the reach in pixels.
+        levels: difference of colours, of 255, across which smoothness counts for 1 / e.
+        rounds: passes along rows and columns.
+        jump: neighbours whose depths differ by more than this share of the nearer one are an edge of depth ...
+        edge_px: ... and what lies this near to it is filled anew: sensors see edges a little beside those of colours. 0 keeps it.
+        confidence: of filled pixels; 0 fills nothing.
+
+    Reading:
+        The paper takes depth without holes and names no fill. Chosen on validation data: nine views each of hand-held rooms (demo
+        seeds 101-103) with blurred pictures and with misplaced depth, three of the held-back part of a real sequence. Beside a
+        fill from the farther side of each row, `ours` gains 0.88, 1.13 and 0.23 dB there, geometric weights 0.64, 1.03 and 0.07;
+        with `edge_px` 0 ours 0.82, 1.06 and 0.24, geometric weights 0.76, 0.99 and 0.08.
+    """
+
+    strength: float = 900.0
+    levels: float = 4.0
+    rounds: int = 3
+    jump: float = 0.05
+    edge_px: int = 2
+    confidence: float = 0.02
+
+    def describe(self) -> dict[str, object]:
+        """All of it as values that JSON knows, its code included; part of a depth map's key."""
+        return {"algorithm": "fill-by-colour", "code": code_identity(__name__), **asdict(self)}
+
+
+def fill_by_colour(depth_map: DepthMap, image: Image8, options: ColourFillOptions) -> DepthMap:
+    """Fill invalid pixels, and edges of depth, with the smooth inverse depth of what has their colour.
+
+    Measured pixels count by their confidence.
+
+    Args:
+        depth_map: depth, world units, 0 = unknown, and confidence, (H, W).
+        image: what the camera saw, RGB, (H, W, 3).
+        options: parameters.
+
+    Returns:
+        Depth and confidence, (H, W); depth is unknown only where no pixel was known.
+    """
+    depth, confidence = depth_map.depth, depth_map.confidence
+    unknown = (depth == 0) | beside_jumps(depth, options)
+    if options.confidence <= 0 or not unknown.any() or unknown.all():
+        return depth_map
+    inverse = np.divide(1, depth, out=np.zeros_like(depth), where=~unknown)
+    weight = np.where(unknown, np.float32(0), np.maximum(confidence, np.float32(options.confidence)))
+    total, sure = np.moveaxis(smooth_by_colour(np.stack([weight * inverse, weight], axis=-1), image, options), -1, 0)
+    filled = unknown & (sure > LEAST_WEIGHT) & (total > 0)
+    result = np.where(filled, np.divide(sure, total, out=np.zeros_like(depth), where=filled), depth)
+    return DepthMap(result, np.where(filled, np.float32(options.confidence), confidence))
+
+
+def beside_jumps(depth: Map, options: ColourFillOptions) -> Mask:
+    """Mask what lies near to an edge between known depths, (H, W)."""
+    if options.edge_px <= 0:
+        return np.zeros(depth.shape, np.bool_)
+    neighbours, reach = np.ones((3, 3), np.uint8), 2 * options.edge_px + 1
+    farthest = cv2.dilate(depth, neighbours)
+    nearest = cv2.erode(np.where(depth > 0, depth, np.float32(np.inf)), neighbours)
+    jumps = farthest * np.float32(1 / (1 + options.jump)) > nearest
+    return cv2.dilate(jumps.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))) > 0
+
+
+def smooth_by_colour(maps: Map, image: Image8, options: ColourFillOptions) -> Map:
+    """Smooth maps within the edges of an image: weighted least squares along all rows, then along all columns, in some rounds.
+
+    Each line minimises the sum of (u - f)^2 + lambda exp(-|difference of colours| / levels) (difference of u)^2; later rounds
+    are weaker by four, so that streaks of the first go.
+
+    Args:
+        maps: f, (H, W, C), float32.
+        image: guide, RGB, (H, W, 3).
+        options: parameters.
+
+    Returns:
+        u, (H, W, C).
+    """
+    guide, strength = image.astype(np.float32), options.strength
+    along_rows, along_columns = _likeness(guide, options.levels), _likeness(guide.swapaxes(0, 1), options.levels)
+    for _ in range(options.rounds):
+        maps = _smooth_lines(maps, strength * along_rows)
+        maps = _smooth_lines(maps.swapaxes(0, 1), strength * along_columns).swapaxes(0, 1)
+        strength /= 4
+    return maps
+
+
+def _likeness(guide: Map, levels: float) -> Map:
+    """How alike each pixel and the next one of its line are, (N, M) in [0, 1]; 0 at the end of a line."""
+    likeness = np.zeros(guide.shape[:2], np.float32)
+    likeness[:, :-1] = np.exp(-np.linalg.norm(np.diff(guide, axis=1), axis=-1) / np.float32(levels))
+    return likeness
+
+
+def _smooth_lines(maps: Map, links: Map) -> Map:
+    """Solve all lines (N, M, C) as one tridiagonal system: what links the last pixel of a line to the next line is 0."""
+    above = links.ravel()
+    below = np.concatenate([np.zeros(1, np.float32), above[:-1]])
+    bands = np.stack([-below, 1 + above + below, -above])  # LAPACK's form: the entry above the diagonal stands in the next column
+    lines = solve_banded((1, 1), bands, maps.reshape(-1, maps.shape[2]), overwrite_ab=True, check_finite=False)
+    return np.asarray(lines, np.float32).reshape(maps.shape)
