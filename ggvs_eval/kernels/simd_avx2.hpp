@@ -43,6 +43,8 @@ GGVS_INLINE I bits(F x) { return (I)x; }
 GGVS_INLINE F from_bits(I x) { return (F)x; }
 GGVS_INLINE F select(M m, F a, F b) { return _mm256_blendv_ps(b, a, (__m256)m); }
 GGVS_INLINE I select(M m, I a, I b) { return (I)_mm256_blendv_ps((__m256)b, (__m256)a, (__m256)m); }
+// x in the lanes of the mask, 0 in the others.
+GGVS_INLINE F keep(M m, F x) { return _mm256_and_ps(x, (__m256)m); }
 GGVS_INLINE F min(F a, F b) { return _mm256_min_ps(a, b); }
 GGVS_INLINE F max(F a, F b) { return _mm256_max_ps(a, b); }
 // a b + c, rounded once.

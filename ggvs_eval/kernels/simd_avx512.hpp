@@ -43,6 +43,8 @@ GGVS_INLINE I bits(F x) { return (I)x; }
 GGVS_INLINE F from_bits(I x) { return (F)x; }
 GGVS_INLINE F select(M m, F a, F b) { return _mm512_mask_blend_ps(m, b, a); }
 GGVS_INLINE I select(M m, I a, I b) { return (I)_mm512_mask_blend_epi32(m, (__m512i)b, (__m512i)a); }
+// x in the lanes of the mask, 0 in the others.
+GGVS_INLINE F keep(M m, F x) { return _mm512_maskz_mov_ps(m, x); }
 GGVS_INLINE F min(F a, F b) { return _mm512_min_ps(a, b); }
 GGVS_INLINE F max(F a, F b) { return _mm512_max_ps(a, b); }
 // a b + c, rounded once.

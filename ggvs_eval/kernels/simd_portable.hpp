@@ -43,6 +43,8 @@ GGVS_INLINE I bits(F x) { return (I)x; }
 GGVS_INLINE F from_bits(I x) { return (F)x; }
 GGVS_INLINE F select(M m, F a, F b) { return from_bits((m & bits(a)) | (~m & bits(b))); }
 GGVS_INLINE I select(M m, I a, I b) { return (m & a) | (~m & b); }
+// x in the lanes of the mask, 0 in the others.
+GGVS_INLINE F keep(M m, F x) { return from_bits(m & bits(x)); }
 GGVS_INLINE F min(F a, F b) { return a < b ? a : b; }
 GGVS_INLINE F max(F a, F b) { return a > b ? a : b; }
 // a b + c, rounded once. Without an instruction for it the C library computes it, with the same bits at a tenth of the speed.

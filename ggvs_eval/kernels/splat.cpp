@@ -207,7 +207,7 @@ struct TileJob {
             kernels.ellipses(projectors[band.source], sources[band.source], channels, pixels + begin, int(filled - begin), left, top,
                              {work.list.data() + begin, work.ranges.data() + begin, work.depths.data() + begin});
         }
-        work.list[count] = {1e6f, 0.0f, -1.0f, 0.0f, 0.0f, 0.0f, {}};  // touches no pixel
+        work.list[count] = {0.0f, 0.0f, 2.0f, 0.0f, 0.0f, 0.0f, {}};  // touches no pixel
         work.ranges.resize(count);
     }
 

@@ -48,10 +48,10 @@ struct Projector {
     float last_x, last_y;  // largest pixel indices of the target
 };
 
-// A Gaussian in one tile's coordinates, in a cache line of its own. log2 of its alpha at (x, y) is
-// (xx dx + xy dy) dx + yy dy dy.
+// A Gaussian in one tile's coordinates, in a cache line of its own. Pixel (i, j) lies at (xx i + xy j + x, yy j + y) where the
+// ellipse on which its alpha falls to 1/255 is the unit circle.
 struct alignas(64) Ellipse {
-    float u, v, xx, xy, yy, depth;
+    float xx, xy, x, yy, y, depth;
     float features[kMaxFeatures];
 };
 

@@ -10,6 +10,9 @@ alignas(64) static const float kLaneNumber[16] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 
 alignas(64) static const float kLaneColumn[16] = {0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3};
 alignas(64) static const float kLaneRow[16] = {0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3};
 
+// alpha = exp(-q / 2) is 1/255 where q = 2 ln 255. What is looked at reaches a little further: alpha itself decides.
+constexpr float kSquaredCut = 11.0825270f, kSquaredReach = 11.09f, kCut = 1.00033708f;
+
 struct Footprint {
     M visible;
     F u, v, depth;        // pixel index coordinates in the target, depth there
@@ -41,8 +44,8 @@ GGVS_INLINE Footprint project(const Projector& p, F column, F row, F source_dept
     f.cov = jxz * jyz;
     f.var_y = jy * jy + jyz * jyz + all(0.3f);
     // alpha = exp(-q / 2) >= 1/255 holds for q <= 2 ln 255 = 11.08; the bound is a little generous, alpha itself decides.
-    f.reach_x = sqrt(all(11.09f) * f.var_x);
-    f.reach_y = sqrt(all(11.09f) * f.var_y);
+    f.reach_x = sqrt(all(kSquaredReach) * f.var_x);
+    f.reach_y = sqrt(all(kSquaredReach) * f.var_y);
 
     M valid = both(less(all(0.0f), source_depth), less(source_depth, all(1e30f)));
     M in_front = less(all(p.near), z);
@@ -134,7 +137,7 @@ GGVS_INLINE void read_features(const SplatSource& source, const Pixels& pixels, 
 template <int kChannels>
 static void ellipses_of(const Projector& p, const SplatSource& source, const uint32_t* pixels, int count, int left, int top,
                         const Ellipses& out) {
-    const F log2e = all(1.44269504f), half = all(-0.5f);
+    const F zero = all(0.0f);
     for (int first = 0; first < count; first += kWidth) {
         int used = count - first < kWidth ? count - first : kWidth;
         constexpr int kAhead = 64;
@@ -149,10 +152,10 @@ static void ellipses_of(const Projector& p, const SplatSource& source, const uin
         const Pixels read_at{row * all(int32_t(source.camera.width)) + column, row_of_them ? begin : -1};
         Footprint f = project(p, to_float(column), to_float(row), read(source.depth, read_at));
 
-        F determinant = f.var_x * f.var_y - f.cov * f.cov;
-        F per = log2e / determinant;
+        // The covariance's factors: of v its deviation, of u what v does not tell.
+        F slope = f.cov / f.var_y;
+        F yy = all(kCut) / f.reach_y, xx = all(1.0f) / sqrt(all(kSquaredCut) * (f.var_x - slope * f.cov)), xy = zero - slope * xx;
         F u = f.u - all(float(left)), v = f.v - all(float(top));
-        const F zero = all(0.0f);
         I x0 = truncate(ceiling(min(max(u - f.reach_x, zero), all(float(kTileWidth - 1))))) >> 2;
         I x1 = truncate(max(min(u + f.reach_x, all(float(kTileWidth - 1))), zero)) >> 2;
         constexpr int kRowShift = kBlockRows == 4 ? 2 : kBlockRows == 2 ? 1 : 0;
@@ -162,10 +165,10 @@ static void ellipses_of(const Projector& p, const SplatSource& source, const uin
         F features[kMaxFeatures] = {zero, zero, zero, zero};
         read_features<kChannels>(source, read_at, features);
         // Lanes beyond the last are written too, and overwritten by what follows.
-        float* fields = &out.list[first].u;
+        float* fields = &out.list[first].xx;
         constexpr int kStride = sizeof(Ellipse) / sizeof(float);
-        store_quads(fields, kStride, u, v, half * f.var_y * per, f.cov * per);
-        store_quads(fields + 4, kStride, half * f.var_x * per, f.depth, features[0], features[1]);
+        store_quads(fields, kStride, xx, xy, zero - (xx * u + xy * v), yy);
+        store_quads(fields + 4, kStride, zero - yy * v, f.depth, features[0], features[1]);
         store_quads(fields + 8, kStride, features[2], features[3], zero, zero);
         alignas(64) int32_t blocks[kWidth];
         store(blocks, x0 | (x1 << 8) | (y0 << 16) | (y1 << 24));
@@ -223,32 +226,45 @@ struct Sums {
     F transmittance, depth, features[kChannels];
 
     inline __attribute__((always_inline)) void add(const Ellipse& e, F weight) {
-        depth = depth + weight * all(e.depth);
+        depth = multiply_add(weight, all(e.depth), depth);
 #pragma GCC unroll 4
-        for (int c = 0; c < kChannels; ++c) features[c] = features[c] + weight * all(e.features[c]);
+        for (int c = 0; c < kChannels; ++c) features[c] = multiply_add(weight, all(e.features[c]), features[c]);
     }
 };
 
-// Step 6 for some Gaussians at once; 0 where a pixel is not touched.
-GGVS_INLINE void alphas_of(const Ellipse* const (&e)[kTogether], F column, F row, F left, F top, M active, F (&alpha)[kTogether]) {
+// Step 6 for some Gaussians at once; 0 where a pixel is not touched. On the rim of the unit circle alpha is 1/255, so it is the
+// eighth power of 255^(-d / 8), d being the squared distance from the middle; the polynomial makes it alpha to 2e-6.
+// Several at once, step by step: each step waits for the one before, and processors look ahead for work of their own only so far.
+GGVS_INLINE void alphas_of(const Ellipse* const (&e)[kTogether], F x, F y, M active, F (&alpha)[kTogether]) {
+    constexpr float kCoefficients[] = {-0.0541317581f, 0.239612494f, -0.692639191f, 0.999999825f};
+    F distance[kTogether];
     M touched[kTogether];
 #pragma GCC unroll 8
     for (int n = 0; n < kTogether; ++n) {
-        F dx = column + (left - all(e[n]->u)), dy = row + (top - all(e[n]->v));
-        alpha[n] = (all(e[n]->xx) * dx + all(e[n]->xy) * dy) * dx + all(e[n]->yy) * dy * dy;
-        touched[n] = both(active, at_most(all(kLog2MinAlpha), alpha[n]));
+        F across = multiply_add(all(e[n]->xx), x, multiply_add(all(e[n]->xy), y, all(e[n]->x)));
+        F down = multiply_add(all(e[n]->yy), y, all(e[n]->y));
+        distance[n] = multiply_add(across, across, down * down);
+        touched[n] = both(active, at_most(distance[n], all(1.0f)));
+        alpha[n] = all(0.00742563396f);
     }
-    exp2(alpha);
+#pragma GCC unroll 4
+    for (const float coefficient : kCoefficients)
 #pragma GCC unroll 8
-    for (int n = 0; n < kTogether; ++n) alpha[n] = select(touched[n], min(alpha[n], all(0.99f)), all(0.0f));
+        for (int n = 0; n < kTogether; ++n) alpha[n] = multiply_add(alpha[n], distance[n], all(coefficient));
+#pragma GCC unroll 3
+    for (int squaring = 0; squaring < 3; ++squaring)
+#pragma GCC unroll 8
+        for (int n = 0; n < kTogether; ++n) alpha[n] = alpha[n] * alpha[n];
+#pragma GCC unroll 8
+    for (int n = 0; n < kTogether; ++n) alpha[n] = keep(touched[n], min(alpha[n], all(0.99f)));
 }
 
 // Steps 6 and 7.
 template <int kChannels>
 GGVS_INLINE Sums<kChannels> blend(const BlockList& block) {
     const int part = block.top % kBlock * kBlock;  // of the 4 x 4 pixels that smaller vectors share out
-    const F column = load(kLaneColumn), row = load(kLaneRow + part), zero = all(0.0f), least = all(1e-4f);
-    const F left = all(float(block.left)), top = all(float(block.top - block.top % kBlock));
+    const F x = load(kLaneColumn) + all(float(block.left)), y = load(kLaneRow + part) + all(float(block.top - block.top % kBlock));
+    const F zero = all(0.0f), least = all(1e-4f);
     M active = less(zero, all(1.0f));
     Sums<kChannels> sums;
     sums.transmittance = all(1.0f), sums.depth = zero;
@@ -259,18 +275,17 @@ GGVS_INLINE Sums<kChannels> blend(const BlockList& block) {
         F alpha[kTogether], weight[kTogether];
 #pragma GCC unroll 8
         for (int n = 0; n < kTogether; ++n) e[n] = block.list + block.chosen[first + n];
-        alphas_of(e, column, row, left, top, active, alpha);
+        alphas_of(e, x, y, active, alpha);
         F after = sums.transmittance;
 #pragma GCC unroll 8
-        for (int n = 0; n < kTogether; ++n) weight[n] = after * alpha[n], after = after - weight[n];
+        for (int n = 0; n < kTogether; ++n) weight[n] = after * alpha[n], after = multiply_add(-after, alpha[n], after);
         if (__builtin_expect(any(less(after, least)), 0)) {
             // A pixel stops BEFORE the Gaussian that would bring its transmittance below the least.
             after = sums.transmittance;
             for (int n = 0; n < kTogether; ++n) {
-                weight[n] = select(active, after * alpha[n], zero);
-                active = but_not(active, less(after - weight[n], least));
-                weight[n] = select(active, weight[n], zero);
-                after = after - weight[n];
+                active = but_not(active, less(multiply_add(-after, alpha[n], after), least));
+                alpha[n] = keep(active, alpha[n]);
+                weight[n] = after * alpha[n], after = multiply_add(-after, alpha[n], after);
             }
         }
         sums.transmittance = after;
