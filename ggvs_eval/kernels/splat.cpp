@@ -36,11 +36,8 @@ struct Grid {
 struct Workspace {
     std::vector<uint32_t> pixels;
     std::vector<Ellipse> list;
-    std::vector<BlockRange> ranges;
-    std::vector<int32_t> depths;       // their bits
+    std::vector<int32_t> columns, rows, depths, lists;
     std::vector<uint64_t> keys, swap;  // depth bits, from the least on, << 32 | position in the list
-    std::vector<int32_t> counts;
-    std::vector<uint32_t> starts, next, chosen;
 };
 
 Projector make_projector(const SplatSource& source, const SplatTarget& target, float scale) {
@@ -130,54 +127,6 @@ void sort_by_depth(const std::vector<int32_t>& depths, size_t count, std::vector
     }
 }
 
-// Lists the Gaussians of every block, front to back: counts first, then fills.
-void share_out(Workspace& work, int down) {
-    // A Gaussian adds 1 to a rectangle of counts: that is four changes, to be summed up along rows and columns.
-    constexpr int kStride = kBlocksAcross + 1;
-    work.counts.assign(kStride * (down + 1), 0);
-    int32_t* counts = work.counts.data();
-    for (const BlockRange range : work.ranges) {
-        int32_t *above = counts + range.y0 * kStride, *below = counts + (range.y1 + 1) * kStride;
-        ++above[range.x0], --above[range.x1 + 1], --below[range.x0], ++below[range.x1 + 1];
-    }
-    const int blocks = kBlocksAcross * down;
-    work.starts.resize(blocks + 1), work.next.resize(blocks);
-    uint32_t sum = 0;
-    for (int y = 0; y < down; ++y) {
-        int32_t *row = counts + y * kStride, along = 0;
-        for (int x = 0; x < kBlocksAcross; ++x) {
-            along += row[x];
-            row[x] = along + (y ? row[x - kStride] : 0);
-            work.starts[y * kBlocksAcross + x] = work.next[y * kBlocksAcross + x] = sum;
-            sum += (row[x] + kTogether) / kTogether * kTogether;  // at least one place more than is counted
-        }
-    }
-    work.starts[blocks] = sum;
-    work.chosen.resize(sum);
-    const BlockRange* ranges = work.ranges.data();
-    uint32_t *chosen = work.chosen.data(), *next = work.next.data();
-    for (const uint64_t key : work.keys) {
-        const uint32_t gaussian = uint32_t(key);
-        const BlockRange range = ranges[gaussian];
-        // Two columns and two rows are usual, one is not rare: a place that does not count costs less than a wrong guess.
-        const uint32_t wide = range.x1 > range.x0;
-        for (int y = range.y0; y <= range.y1; y += 2) {
-            const uint32_t tall = y < range.y1;
-            uint32_t *above = next + y * kBlocksAcross, *below = above + tall * kBlocksAcross;
-            chosen[above[range.x0]++] = gaussian;
-            chosen[above[range.x1]] = gaussian, above[range.x1] += wide;
-            chosen[below[range.x0]] = gaussian, below[range.x0] += tall;
-            chosen[below[range.x1]] = gaussian, below[range.x1] += wide & tall;
-            for (int x = range.x0 + 1; x < range.x1; ++x) {
-                chosen[above[x]++] = gaussian;
-                if (tall) chosen[below[x]++] = gaussian;
-            }
-        }
-    }
-    const uint32_t nothing = uint32_t(work.keys.size());  // touches no pixel
-    for (int block = 0; block < blocks; ++block) std::fill(chosen + next[block], chosen + work.starts[block + 1], nothing);
-}
-
 // All that happens in one tile, steps 2 to 8.
 struct TileJob {
     const std::vector<SplatSource>& sources;
@@ -190,12 +139,13 @@ struct TileJob {
     const Kernels& kernels;
     SplatImages out;
 
-    void collect(int tile, int left, int top, Workspace& work) const {
+    size_t collect(int tile, int left, int top, Workspace& work) const {
         size_t count = 0;
         for (const Band& band : bands)
             for (uint32_t n = band.starts[tile]; n < band.starts[tile + 1]; ++n) count += band.runs[n].count;
         const size_t room = count + kLanes;  // for whole vectors
-        work.list.resize(room), work.ranges.resize(room), work.depths.resize(room);
+        work.list.resize(room);
+        for (std::vector<int32_t>* words : {&work.columns, &work.rows, &work.depths}) words->resize(room);
         work.pixels.resize(count);
         uint32_t* const pixels = work.pixels.data();
         size_t filled = 0;
@@ -205,29 +155,31 @@ struct TileJob {
                 for (uint32_t pixel = 0; pixel < band.runs[n].count; ++pixel) pixels[filled++] = band.runs[n].first + pixel;
             if (filled == begin) continue;
             kernels.ellipses(projectors[band.source], sources[band.source], channels, pixels + begin, int(filled - begin), left, top,
-                             {work.list.data() + begin, work.ranges.data() + begin, work.depths.data() + begin});
+                             {work.list.data() + begin, work.columns.data() + begin, work.rows.data() + begin,
+                              work.depths.data() + begin});
         }
         work.list[count] = {0.0f, 0.0f, 2.0f, 0.0f, 0.0f, 0.0f, {}};  // touches no pixel
-        work.ranges.resize(count);
+        return count;
     }
 
     void run(int tile, Workspace& work) const {
-        const int left = tile % grid.across * kTileWidth, top = tile / grid.across * kTileHeight;
-        collect(tile, left, top, work);
-        const size_t count = work.ranges.size();
+        const int left = tile % grid.across * kTile, top = tile / grid.across * kTile;
+        const size_t count = collect(tile, left, top, work), room = count + 2 * kLanes;
         sort_by_depth(work.depths, count, work.keys, work.swap);
-        share_out(work, kTileHeight / kernels.block_rows);
-        const int64_t width = target.camera.width;
-        const int rows = kernels.block_rows, right = std::min(left + kTileWidth, target.camera.width);
-        for (int y = top; y < std::min(top + kTileHeight, target.camera.height); y += rows) {
-            for (int x = left; x < right; x += kBlock) {
-                const int block = (y - top) / rows * kBlocksAcross + (x - left) / kBlock;
-                const int first = work.starts[block], listed = work.starts[block + 1] - first;
-                kernels.splat_block({work.list.data(), work.chosen.data() + first, listed, x - left, y - top,
-                                     std::min(kBlock, right - x), std::min(rows, target.camera.height - y), y * width + x, width},
-                                    channels, normalised, out);
-            }
+        SplatTile sorted{work.list.data(), int32_t(count), left, top, {}};
+        work.lists.resize(std::size(sorted.lists) * 3 * room);
+        int32_t* words = work.lists.data();
+        for (TileList& list : sorted.lists)
+            for (int32_t*& word : list.words) word = words, words += room;
+        sorted.lists[0].count = int(count);
+        for (size_t n = 0; n < count; ++n) {
+            const uint32_t gaussian = uint32_t(work.keys[n]);
+            sorted.lists[0].words[kGaussians][n] = int32_t(gaussian);
+            sorted.lists[0].words[kRows][n] = work.rows[gaussian];
+            sorted.lists[0].words[kColumns][n] = work.columns[gaussian];
         }
+        std::fill_n(sorted.lists[0].words[kColumns] + count, kLanes, 0);
+        kernels.splat_tile(sorted, channels, {target.camera.width, target.camera.height, normalised, out});
     }
 };
 
@@ -238,7 +190,7 @@ void splat(std::vector<SplatSource>& sources, int channels, const SplatTarget& t
     const Kernels& kernels = kernels_of(level);
     std::vector<Projector> projectors;
     for (const SplatSource& source : sources) projectors.push_back(make_projector(source, target, scale));
-    const Grid grid{(target.camera.width + kTileWidth - 1) / kTileWidth, (target.camera.height + kTileHeight - 1) / kTileHeight};
+    const Grid grid{(target.camera.width + kTile - 1) / kTile, (target.camera.height + kTile - 1) / kTile};
     std::vector<Band> bands = make_bands(sources);
     parallel_for(int(bands.size()), threads,
                  [&](int n, int) { fill_band(bands[n], sources[bands[n].source], projectors[bands[n].source], grid, kernels); });

@@ -65,7 +65,7 @@ static bool tile_ranges(const Projector& p, const float* depth, int column, int 
         Footprint f = project(p, columns, all(float(row)), load(padded + lane));
         F x0 = max(f.u - f.reach_x, all(0.0f)), x1 = min(f.u + f.reach_x, all(p.last_x));
         F y0 = max(f.v - f.reach_y, all(0.0f)), y1 = min(f.v + f.reach_y, all(p.last_y));
-        F across = all(1.0f / kTileWidth), down = all(1.0f / kTileHeight);
+        F across = all(1.0f / kTile), down = all(1.0f / kTile);
         store(out->x0 + lane, select(f.visible, truncate(x0 * across), all(int32_t(1))));
         store(out->x1 + lane, select(f.visible, truncate(x1 * across), all(int32_t(0))));
         store(out->y0 + lane, truncate(y0 * down));
@@ -84,7 +84,8 @@ GGVS_INLINE F ceiling(F x) {  // of 0 <= x < 2^31
     return select(less(whole, x), whole + all(1.0f), whole);
 }
 
-constexpr int kBlockRows = kWidth / kBlock;
+// The bits of `from` and `to`, from 0 to 31, and those between them; none where `to` comes just before `from`.
+GGVS_INLINE I bits_between(I from, I to) { return (all(int32_t(2)) << to) - (all(int32_t(1)) << from); }
 
 // Neighbours in a list are neighbours in a row of the source, but its rows lie too far apart for a processor to foresee them.
 template <int kChannels>
@@ -156,11 +157,9 @@ static void ellipses_of(const Projector& p, const SplatSource& source, const uin
         F slope = f.cov / f.var_y;
         F yy = all(kCut) / f.reach_y, xx = all(1.0f) / sqrt(all(kSquaredCut) * (f.var_x - slope * f.cov)), xy = zero - slope * xx;
         F u = f.u - all(float(left)), v = f.v - all(float(top));
-        I x0 = truncate(ceiling(min(max(u - f.reach_x, zero), all(float(kTileWidth - 1))))) >> 2;
-        I x1 = truncate(max(min(u + f.reach_x, all(float(kTileWidth - 1))), zero)) >> 2;
-        constexpr int kRowShift = kBlockRows == 4 ? 2 : kBlockRows == 2 ? 1 : 0;
-        I y0 = truncate(ceiling(min(max(v - f.reach_y, zero), all(float(kTileHeight - 1))))) >> kRowShift;
-        I y1 = truncate(max(min(v + f.reach_y, all(float(kTileHeight - 1))), zero)) >> kRowShift;
+        F last = all(float(kTile - 1));
+        I x0 = truncate(ceiling(min(max(u - f.reach_x, zero), last))), x1 = truncate(max(min(u + f.reach_x, last), zero));
+        I y0 = truncate(ceiling(min(max(v - f.reach_y, zero), last))), y1 = truncate(max(min(v + f.reach_y, last), zero));
 
         F features[kMaxFeatures] = {zero, zero, zero, zero};
         read_features<kChannels>(source, read_at, features);
@@ -170,9 +169,8 @@ static void ellipses_of(const Projector& p, const SplatSource& source, const uin
         store_quads(fields, kStride, xx, xy, zero - (xx * u + xy * v), yy);
         store_quads(fields + 4, kStride, zero - yy * v, f.depth, features[0], features[1]);
         store_quads(fields + 8, kStride, features[2], features[3], zero, zero);
-        alignas(64) int32_t blocks[kWidth];
-        store(blocks, x0 | (x1 << 8) | (y0 << 16) | (y1 << 24));
-        __builtin_memcpy(out.ranges + first, blocks, sizeof blocks);
+        store(out.columns + first, bits_between(x0 >> 2, x1 >> 2));
+        store(out.rows + first, bits_between(y0 >> 1, y1 >> 1));
         store(out.depths + first, bits(f.depth));
     }
 }
@@ -220,6 +218,34 @@ GGVS_INLINE F exp2(F x) {
     return one[0];
 }
 
+// Step 6 for some Gaussians at once; 0 where a pixel is not touched. On the rim of the unit circle alpha is 1/255, so it is the
+// eighth power of 255^(-d / 8), d being the squared distance from the middle; the polynomial makes it alpha to 2e-6.
+// Several at once, step by step: each step waits for the one before, and processors look ahead for work of their own only so far.
+template <int kCount>
+GGVS_INLINE void alphas_of(const Ellipse* const (&e)[kCount], F x, F y, M active, F (&alpha)[kCount]) {
+    constexpr float kCoefficients[] = {-0.0541317581f, 0.239612494f, -0.692639191f, 0.999999825f};
+    F distance[kCount];
+    M touched[kCount];
+#pragma GCC unroll 8
+    for (int n = 0; n < kCount; ++n) {
+        F across = multiply_add(all(e[n]->xx), x, multiply_add(all(e[n]->xy), y, all(e[n]->x)));
+        F down = multiply_add(all(e[n]->yy), y, all(e[n]->y));
+        distance[n] = multiply_add(across, across, down * down);
+        touched[n] = both(active, at_most(distance[n], all(1.0f)));
+        alpha[n] = all(0.00742563396f);
+    }
+#pragma GCC unroll 4
+    for (const float coefficient : kCoefficients)
+#pragma GCC unroll 8
+        for (int n = 0; n < kCount; ++n) alpha[n] = multiply_add(alpha[n], distance[n], all(coefficient));
+#pragma GCC unroll 3
+    for (int squaring = 0; squaring < 3; ++squaring)
+#pragma GCC unroll 8
+        for (int n = 0; n < kCount; ++n) alpha[n] = alpha[n] * alpha[n];
+#pragma GCC unroll 8
+    for (int n = 0; n < kCount; ++n) alpha[n] = keep(touched[n], min(alpha[n], all(0.99f)));
+}
+
 // One pixel per lane, in registers from the first Gaussian to the last.
 template <int kChannels>
 struct Sums {
@@ -232,107 +258,126 @@ struct Sums {
     }
 };
 
-// Step 6 for some Gaussians at once; 0 where a pixel is not touched. On the rim of the unit circle alpha is 1/255, so it is the
-// eighth power of 255^(-d / 8), d being the squared distance from the middle; the polynomial makes it alpha to 2e-6.
-// Several at once, step by step: each step waits for the one before, and processors look ahead for work of their own only so far.
-GGVS_INLINE void alphas_of(const Ellipse* const (&e)[kTogether], F x, F y, M active, F (&alpha)[kTogether]) {
-    constexpr float kCoefficients[] = {-0.0541317581f, 0.239612494f, -0.692639191f, 0.999999825f};
-    F distance[kTogether];
-    M touched[kTogether];
-#pragma GCC unroll 8
-    for (int n = 0; n < kTogether; ++n) {
-        F across = multiply_add(all(e[n]->xx), x, multiply_add(all(e[n]->xy), y, all(e[n]->x)));
-        F down = multiply_add(all(e[n]->yy), y, all(e[n]->y));
-        distance[n] = multiply_add(across, across, down * down);
-        touched[n] = both(active, at_most(distance[n], all(1.0f)));
-        alpha[n] = all(0.00742563396f);
-    }
-#pragma GCC unroll 4
-    for (const float coefficient : kCoefficients)
-#pragma GCC unroll 8
-        for (int n = 0; n < kTogether; ++n) alpha[n] = multiply_add(alpha[n], distance[n], all(coefficient));
-#pragma GCC unroll 3
-    for (int squaring = 0; squaring < 3; ++squaring)
-#pragma GCC unroll 8
-        for (int n = 0; n < kTogether; ++n) alpha[n] = alpha[n] * alpha[n];
-#pragma GCC unroll 8
-    for (int n = 0; n < kTogether; ++n) alpha[n] = keep(touched[n], min(alpha[n], all(0.99f)));
-}
-
-// Steps 6 and 7.
+// Steps 6 and 7 for the pixels (x, y) of a tile.
 template <int kChannels>
-GGVS_INLINE Sums<kChannels> blend(const BlockList& block) {
-    const int part = block.top % kBlock * kBlock;  // of the 4 x 4 pixels that smaller vectors share out
-    const F x = load(kLaneColumn) + all(float(block.left)), y = load(kLaneRow + part) + all(float(block.top - block.top % kBlock));
+GGVS_INLINE Sums<kChannels> blend(const Ellipse* list, const int32_t* chosen, int count, F x, F y) {
     const F zero = all(0.0f), least = all(1e-4f);
     M active = less(zero, all(1.0f));
     Sums<kChannels> sums;
     sums.transmittance = all(1.0f), sums.depth = zero;
 #pragma GCC unroll 4
     for (int c = 0; c < kChannels; ++c) sums.features[c] = zero;
-    for (int first = 0; first < block.count; first += kTogether) {
+    for (int first = 0; first < count; first += kTogether) {
         const Ellipse* e[kTogether];
         F alpha[kTogether], weight[kTogether];
 #pragma GCC unroll 8
-        for (int n = 0; n < kTogether; ++n) e[n] = block.list + block.chosen[first + n];
+        for (int n = 0; n < kTogether; ++n) e[n] = list + uint32_t(chosen[first + n]);
         alphas_of(e, x, y, active, alpha);
         F after = sums.transmittance;
 #pragma GCC unroll 8
-        for (int n = 0; n < kTogether; ++n) weight[n] = after * alpha[n], after = multiply_add(-after, alpha[n], after);
+        for (int n = 0; n < kTogether; ++n) weight[n] = after * alpha[n], after = without_product(after, alpha[n], after);
         if (__builtin_expect(any(less(after, least)), 0)) {
-            // A pixel stops BEFORE the Gaussian that would bring its transmittance below the least.
-            after = sums.transmittance;
+            // One by one: a pixel stops BEFORE the Gaussian that would bring its transmittance below the least.
+#pragma GCC unroll 1
             for (int n = 0; n < kTogether; ++n) {
-                active = but_not(active, less(multiply_add(-after, alpha[n], after), least));
-                alpha[n] = keep(active, alpha[n]);
-                weight[n] = after * alpha[n], after = multiply_add(-after, alpha[n], after);
+                const Ellipse* const one[1] = {list + uint32_t(chosen[first + n])};
+                F its[1];
+                alphas_of(one, x, y, active, its);
+                after = without_product(sums.transmittance, its[0], sums.transmittance);
+                active = but_not(active, less(after, least));
+                sums.add(*one[0], keep(active, sums.transmittance * its[0]));
+                sums.transmittance = select(active, after, sums.transmittance);
             }
+            if (!any(active)) break;
+            continue;
         }
         sums.transmittance = after;
 #pragma GCC unroll 8
         for (int n = 0; n < kTogether; ++n) sums.add(*e[n], weight[n]);
-        if (!any(active)) break;
     }
     return sums;
 }
 
 // Step 8: alpha = 1 - T; if asked, the sums are divided by it where alpha > 1/255, and 0 elsewhere.
+// Into the pixels from (x, y) of the picture on, as far as it reaches.
 template <int kChannels>
-static void block_of(const BlockList& block, bool normalised, SplatImages out) {
-    const Sums<kChannels> sums = blend<kChannels>(block);
+GGVS_INLINE void put(const SplatPicture& picture, const Sums<kChannels>& sums, int x, int y) {
     F alpha = all(1.0f) - sums.transmittance;
-    F factor = normalised ? select(less(all(kMinAlpha), alpha), all(1.0f) / alpha, all(0.0f)) : all(1.0f);
+    F factor = picture.normalised ? select(less(all(kMinAlpha), alpha), all(1.0f) / alpha, all(0.0f)) : all(1.0f);
     alignas(64) float alphas[kWidth], depths[kWidth], features[kWidth][kMaxFeatures];
     store(alphas, alpha), store(depths, sums.depth * factor);
     F values[kMaxFeatures] = {alpha, alpha, alpha, alpha};  // what is no channel is not written
 #pragma GCC unroll 4
     for (int c = 0; c < kChannels; ++c) values[c] = sums.features[c] * factor;
     store_quads(features[0], kMaxFeatures, values[0], values[1], values[2], values[3]);
-    for (int y = 0; y < block.rows; ++y) {
-        const int64_t pixel = block.first + y * block.width;
-        const int lane = y * kBlock, columns = block.columns;
+    const int columns = picture.width - x < kBlock ? picture.width - x : kBlock;
+    for (int lane = 0; lane < kWidth && y < picture.height; lane += kBlock, ++y) {
+        const int64_t pixel = int64_t(y) * picture.width + x;
         if (columns == kBlock) {  // as is usual: a size that the compiler knows
-            __builtin_memcpy(out.alpha + pixel, alphas + lane, kBlock * sizeof(float));
-            __builtin_memcpy(out.depth + pixel, depths + lane, kBlock * sizeof(float));
+            __builtin_memcpy(picture.out.alpha + pixel, alphas + lane, kBlock * sizeof(float));
+            __builtin_memcpy(picture.out.depth + pixel, depths + lane, kBlock * sizeof(float));
         } else {
-            __builtin_memcpy(out.alpha + pixel, alphas + lane, columns * sizeof(float));
-            __builtin_memcpy(out.depth + pixel, depths + lane, columns * sizeof(float));
+            __builtin_memcpy(picture.out.alpha + pixel, alphas + lane, columns * sizeof(float));
+            __builtin_memcpy(picture.out.depth + pixel, depths + lane, columns * sizeof(float));
         }
-        for (int x = 0; x < columns; ++x)
-            __builtin_memcpy(out.features + (pixel + x) * kChannels, features[lane + x], kChannels * sizeof(float));
+        for (int column = 0; column < columns; ++column)
+            __builtin_memcpy(picture.out.features + (pixel + column) * kChannels, features[lane + column], kChannels * sizeof(float));
     }
 }
 
-static void splat_block(const BlockList& block, int channels, bool normalised, SplatImages out) {
+// A list of what may touch a part of the tile that `parts` of its columns or rows have in common. What is behind the end of a list
+// touches nothing.
+template <int kTested, int kKept>
+GGVS_INLINE void narrow(const TileList& from, int32_t parts, TileList& to) {
+    int count = 0;
+    for (int first = 0; first < from.count; first += kWidth) {
+        const M touched = share_bits(load(from.words[kTested] + first), all(parts));
+#pragma GCC unroll 3
+        for (int word = 0; word < kKept; ++word) pack(touched, load(from.words[word] + first), to.words[word] + count);
+        count += count_of(touched);
+    }
+#pragma GCC unroll 3
+    for (int word = 1; word < kKept; ++word) store(to.words[word] + count, all(int32_t(0)));
+    to.count = count;
+}
+
+constexpr int kBlockRows = kWidth / kBlock, kListRows = kBlockRows < 2 ? 2 : kBlockRows;  // of a vector, and of what one list serves
+
+// The lists of a tile's parts, halved or quartered from level to level, so that what lies together is blended together.
+template <int kChannels>
+static void tile_of(const SplatTile& tile, const SplatPicture& picture) {
+    TileList strip = tile.lists[1], cell = tile.lists[2], column = tile.lists[3], block = tile.lists[4];
+    for (int left = 0; left < kTile && tile.left + left < picture.width; left += 16) {
+        narrow<kColumns, 3>(tile.lists[0], 0xf << left / 4, strip);
+        for (int top = 0; top < kTile && tile.top + top < picture.height; top += 16) {
+            narrow<kRows, 3>(strip, 0xff << top / 2, cell);
+            for (int x = left; x < left + 16 && tile.left + x < picture.width; x += kBlock) {
+                narrow<kColumns, 2>(cell, 1 << x / 4, column);
+                for (int y = top; y < top + 16 && tile.top + y < picture.height; y += kListRows) {
+                    narrow<kRows, 1>(column, ((1 << kListRows / 2) - 1) << y / 2, block);
+                    int32_t* chosen = block.words[kGaussians];
+                    for (int n = 0; n < kTogether; ++n) chosen[block.count + n] = tile.nothing;
+                    for (int part = 0; part < kListRows; part += kBlockRows) {
+                        const F columns = load(kLaneColumn) + all(float(x)), rows = load(kLaneRow) + all(float(y + part));
+                        put(picture, blend<kChannels>(tile.ellipses, chosen, block.count, columns, rows), tile.left + x,
+                            tile.top + y + part);
+                    }
+                }
+            }
+        }
+    }
+}
+
+static void splat_tile(const SplatTile& tile, int channels, const SplatPicture& picture) {
     switch (channels) {
         case 1:
-            return block_of<1>(block, normalised, out);
+            return tile_of<1>(tile, picture);
         case 2:
-            return block_of<2>(block, normalised, out);
+            return tile_of<2>(tile, picture);
         case 3:
-            return block_of<3>(block, normalised, out);
+            return tile_of<3>(tile, picture);
         default:
-            return block_of<4>(block, normalised, out);
+            return tile_of<4>(tile, picture);
     }
 }
 
