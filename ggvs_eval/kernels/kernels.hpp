@@ -14,7 +14,8 @@
 namespace ggvs {
 
 struct Kernels {
-    bool (*tile_ranges)(const Projector&, const float* depth, int column, int row, int count, TileRanges* out);
+    void (*tile_ranges)(const Projector&, const float* depth, int column, int row, int count, TileRanges* out);
+    uint32_t (*lanes_in_tile)(const TileRanges&, int x, int y);
     void (*ellipses)(const Projector&, const SplatSource&, int channels, const uint32_t* pixels, int count, int left, int top,
                      const Ellipses& out);
     void (*splat_tile)(const SplatTile&, int channels, const SplatPicture&);

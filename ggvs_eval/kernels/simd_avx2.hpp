@@ -34,6 +34,7 @@ GGVS_INLINE void store(int32_t* p, I x) { _mm256_storeu_si256((__m256i*)p, (__m2
 
 GGVS_INLINE M less(F a, F b) { return (M)_mm256_cmp_ps(a, b, _CMP_LT_OQ); }
 GGVS_INLINE M at_most(F a, F b) { return (M)_mm256_cmp_ps(a, b, _CMP_LE_OQ); }
+GGVS_INLINE M at_most(I a, I b) { return a <= b; }
 GGVS_INLINE M both(M a, M b) { return a & b; }
 GGVS_INLINE M either(M a, M b) { return a | b; }
 GGVS_INLINE M but_not(M a, M b) { return a & ~b; }
@@ -66,10 +67,12 @@ struct PackedLanes {
 alignas(64) static constexpr PackedLanes kPacked;
 // Lanes in which two numbers have a bit in common.
 GGVS_INLINE M share_bits(I a, I b) { return (a & b) != all(int32_t(0)); }
-GGVS_INLINE int count_of(M m) { return __builtin_popcount(unsigned(_mm256_movemask_ps((__m256)m))); }
+// A bit for every lane.
+GGVS_INLINE uint32_t lanes_of(M m) { return uint32_t(_mm256_movemask_ps((__m256)m)); }
+GGVS_INLINE int count_of(M m) { return __builtin_popcount(lanes_of(m)); }
 // The chosen lanes side by side; what comes after them is written over, up to a whole vector.
 GGVS_INLINE void pack(M chosen, I x, int32_t* to) {
-    const __m256i from = _mm256_cvtepu8_epi32(_mm_loadl_epi64((const __m128i*)kPacked.lanes[_mm256_movemask_ps((__m256)chosen)]));
+    const __m256i from = _mm256_cvtepu8_epi32(_mm_loadl_epi64((const __m128i*)kPacked.lanes[lanes_of(chosen)]));
     store(to, (I)_mm256_permutevar8x32_epi32((__m256i)x, from));
 }
 GGVS_INLINE F gather(const float* p, I at) { return _mm256_i32gather_ps(p, (__m256i)at, 4); }

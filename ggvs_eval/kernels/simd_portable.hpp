@@ -30,6 +30,7 @@ GGVS_INLINE void store(int32_t* p, I x) { __builtin_memcpy(p, &x, sizeof x); }
 
 GGVS_INLINE M less(F a, F b) { return a < b; }
 GGVS_INLINE M at_most(F a, F b) { return a <= b; }
+GGVS_INLINE M at_most(I a, I b) { return a <= b; }
 GGVS_INLINE M both(M a, M b) { return a & b; }
 GGVS_INLINE M either(M a, M b) { return a | b; }
 GGVS_INLINE M but_not(M a, M b) { return a & ~b; }
@@ -59,6 +60,8 @@ GGVS_INLINE I truncate(F x) { return __builtin_convertvector(x, I); }
 GGVS_INLINE F to_float(I x) { return __builtin_convertvector(x, F); }
 // Lanes in which two numbers have a bit in common.
 GGVS_INLINE M share_bits(I a, I b) { return (a & b) != all(int32_t(0)); }
+// A bit for every lane.
+GGVS_INLINE uint32_t lanes_of(M m) { return (m[0] & 1) | (m[1] & 2) | (m[2] & 4) | (m[3] & 8); }
 GGVS_INLINE int count_of(M m) { return -(m[0] + m[1] + m[2] + m[3]); }
 // The chosen lanes side by side; what comes after them is written over, up to a whole vector.
 GGVS_INLINE void pack(M chosen, I x, int32_t* to) {

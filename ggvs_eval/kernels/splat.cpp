@@ -6,7 +6,8 @@
 #include "splat.hpp"
 
 #include <algorithm>
-#include <cstring>
+#include <cstdint>
+#include <memory>
 #include <utility>
 
 #include "kernels.hpp"
@@ -17,9 +18,9 @@ namespace {
 
 constexpr int kBandRows = 8;
 
-// Pixels side by side in a row that one tile gets.
+// Of 16 pixels side by side in a row those that one tile gets.
 struct Run {
-    uint32_t tile, first, count;  // the first one packed
+    uint32_t tile, first, lanes;  // the first one packed; a bit for each
 };
 
 struct Band {
@@ -32,12 +33,26 @@ struct Grid {
     int across, down;
 };
 
+// Memory that is not set to zero, since all that is read is written before.
+template <class T>
+class Room {
+public:
+    T* of(size_t count) {
+        if (count > size_) data_.reset(new T[size_ = count + count / 4]);
+        return data_.get();
+    }
+
+private:
+    std::unique_ptr<T[]> data_;
+    size_t size_ = 0;
+};
+
 // Workspace of one thread, kept from tile to tile.
 struct Workspace {
-    std::vector<uint32_t> pixels;
-    std::vector<Ellipse> list;
-    std::vector<int32_t> columns, rows, depths, lists;
-    std::vector<uint64_t> keys, swap;  // depth bits, from the least on, << 32 | position in the list
+    Room<uint32_t> pixels;
+    Room<Ellipse> list;
+    Room<int32_t> columns, rows, depths, words;
+    Room<uint64_t> keys;
 };
 
 Projector make_projector(const SplatSource& source, const SplatTarget& target, float scale) {
@@ -65,24 +80,13 @@ std::vector<Band> make_bands(const std::vector<SplatSource>& sources) {
 void list_runs(const Projector& projector, const float* depth, int column, int row, int count, Grid grid, const Kernels& kernels,
                std::vector<Run>& runs) {
     TileRanges ranges;
-    const uint32_t first = uint32_t(row) << 16 | uint32_t(column);
-    if (kernels.tile_ranges(projector, depth, column, row, count, &ranges)) {  // as is usual
-        runs.push_back({uint32_t(ranges.y0[0] * grid.across + ranges.x0[0]), first, uint32_t(count)});
-        return;
-    }
-    for (uint32_t lane = 0; lane < uint32_t(count); ++lane) {
-        if (ranges.x0[lane] > ranges.x1[lane]) continue;
-        for (int y = ranges.y0[lane]; y <= ranges.y1[lane]; ++y) {
-            for (int x = ranges.x0[lane]; x <= ranges.x1[lane]; ++x) {
-                const uint32_t tile = uint32_t(y * grid.across + x);
-                if (!runs.empty() && runs.back().tile == tile && runs.back().first + runs.back().count == first + lane) {
-                    ++runs.back().count;
-                } else {
-                    runs.push_back({tile, first + lane, 1});
-                }
-            }
-        }
-    }
+    kernels.tile_ranges(projector, depth, column, row, count, &ranges);
+    const int x0 = *std::min_element(ranges.x0, ranges.x0 + kLanes), x1 = *std::max_element(ranges.x1, ranges.x1 + kLanes);
+    const int y0 = *std::min_element(ranges.y0, ranges.y0 + kLanes), y1 = *std::max_element(ranges.y1, ranges.y1 + kLanes);
+    for (int y = y0; y <= y1; ++y)
+        for (int x = x0; x <= x1; ++x)
+            if (const uint32_t lanes = kernels.lanes_in_tile(ranges, x, y))
+                runs.push_back({uint32_t(y * grid.across + x), uint32_t(row) << 16 | uint32_t(column), lanes});
 }
 
 // Lists the band's runs per tile: a counting sort, which keeps their order within a tile.
@@ -102,29 +106,48 @@ void fill_band(Band& band, const SplatSource& source, const Projector& projector
     for (const Run& run : runs) band.runs[next[run.tile]++] = run;
 }
 
-// Numbers of the Gaussians in the lower halves of `keys`, front to back: a stable least-significant-digit radix sort by the bits of
-// their depths, which sort like positive floats themselves; only the digits that differ within the tile are visited.
-void sort_by_depth(const std::vector<int32_t>& depths, size_t count, std::vector<uint64_t>& keys, std::vector<uint64_t>& swap) {
-    constexpr int kDigit = 11, kMost = 3;
-    constexpr uint32_t kMask = (1 << kDigit) - 1;
-    int32_t low = INT32_MAX, high = 0;
-    for (size_t n = 0; n < count; ++n) low = std::min(low, depths[n]), high = std::max(high, depths[n]);
-    int digits = 0;
-    for (uint32_t rest = count == 0 ? 0 : uint32_t(high - low); rest > 0; rest >>= kDigit) ++digits;
-    uint32_t starts[kMost][kMask + 1];
-    std::memset(starts, 0, digits * sizeof starts[0]);
-    keys.resize(count), swap.resize(count);
-    for (size_t n = 0; n < count; ++n) {
-        const uint32_t depth = uint32_t(depths[n] - low);
-        keys[n] = uint64_t(depth) << 32 | n;
-        for (int digit = 0; digit < digits; ++digit) ++starts[digit][depth >> (digit * kDigit) & kMask];
+// The bits by which the depths of a tile differ, in digits of the same size: few, each with a table that stays in the cache.
+struct Digits {
+    int32_t least = INT32_MAX;
+    int count, bits;
+
+    Digits(const int32_t* depths, size_t gaussians) {
+        int32_t most = 0;
+        for (size_t n = 0; n < gaussians; ++n) least = std::min(least, depths[n]), most = std::max(most, depths[n]);
+        int differing = 0;
+        for (uint32_t rest = gaussians ? uint32_t(most - least) : 0; rest > 0; rest >>= 1) ++differing;
+        count = std::max(1, (differing + kMostBits - 1) / kMostBits), bits = (differing + count - 1) / count;
     }
-    for (int digit = 0; digit < digits; ++digit) {
+
+    static constexpr int kMostBits = 12, kMost = 3;
+};
+
+// Fills the list of a tile's Gaussians front to back: a stable least-significant-digit radix sort by the bits of their depths, which
+// sort like positive floats themselves.
+void sort_by_depth(Workspace& work, size_t count, TileList& sorted) {
+    const int32_t *depths = work.depths.of(count), *rows = work.rows.of(count), *columns = work.columns.of(count);
+    const Digits digits(depths, count);
+    const uint32_t mask = (1u << digits.bits) - 1;
+    uint32_t starts[Digits::kMost][1 << Digits::kMostBits];
+    for (int digit = 0; digit < digits.count; ++digit) std::fill_n(starts[digit], mask + 1, 0);
+    for (size_t n = 0; n < count; ++n)
+        for (int digit = 0; digit < digits.count; ++digit)
+            ++starts[digit][uint32_t(depths[n] - digits.least) >> (digit * digits.bits) & mask];
+    uint64_t *from = work.keys.of(2 * count), *to = from + count;  // depth bits, from the least on, << 32 | number
+    for (int digit = 0; digit < digits.count; ++digit, std::swap(from, to)) {
         uint32_t sum = 0;
-        for (uint32_t& start : starts[digit]) sum += std::exchange(start, sum);
-        for (const uint64_t key : keys) swap[starts[digit][key >> (32 + digit * kDigit) & kMask]++] = key;
-        keys.swap(swap);
+        for (uint32_t place = 0; place <= mask; ++place) sum += std::exchange(starts[digit][place], sum);
+        for (size_t n = 0; n < count; ++n) {
+            const uint64_t key = digit ? from[n] : uint64_t(uint32_t(depths[n] - digits.least)) << 32 | n;
+            to[starts[digit][key >> (32 + digit * digits.bits) & mask]++] = key;
+        }
     }
+    for (size_t n = 0; n < count; ++n) {
+        const uint32_t gaussian = uint32_t(from[n]);
+        sorted.words[kGaussians][n] = int32_t(gaussian);
+        sorted.words[kRows][n] = rows[gaussian], sorted.words[kColumns][n] = columns[gaussian];
+    }
+    sorted.count = int(count);
 }
 
 // All that happens in one tile, steps 2 to 8.
@@ -139,46 +162,42 @@ struct TileJob {
     const Kernels& kernels;
     SplatImages out;
 
+    // Ellipses of all that may touch the tile, and behind them of one that touches nothing; how many there are before it.
     size_t collect(int tile, int left, int top, Workspace& work) const {
+        size_t runs = 0;
+        for (const Band& band : bands) runs += band.starts[tile + 1] - band.starts[tile];
+        const size_t room = (runs + 1) * kLanes;  // for whole vectors
+        uint32_t* const pixels = work.pixels.of(room);
+        Ellipse* const list = work.list.of(room);
+        int32_t *const columns = work.columns.of(room), *const rows = work.rows.of(room), *const depths = work.depths.of(room);
         size_t count = 0;
-        for (const Band& band : bands)
-            for (uint32_t n = band.starts[tile]; n < band.starts[tile + 1]; ++n) count += band.runs[n].count;
-        const size_t room = count + kLanes;  // for whole vectors
-        work.list.resize(room);
-        for (std::vector<int32_t>* words : {&work.columns, &work.rows, &work.depths}) words->resize(room);
-        work.pixels.resize(count);
-        uint32_t* const pixels = work.pixels.data();
-        size_t filled = 0;
         for (const Band& band : bands) {
-            const size_t begin = filled;
-            for (uint32_t n = band.starts[tile]; n < band.starts[tile + 1]; ++n)
-                for (uint32_t pixel = 0; pixel < band.runs[n].count; ++pixel) pixels[filled++] = band.runs[n].first + pixel;
-            if (filled == begin) continue;
-            kernels.ellipses(projectors[band.source], sources[band.source], channels, pixels + begin, int(filled - begin), left, top,
-                             {work.list.data() + begin, work.columns.data() + begin, work.rows.data() + begin,
-                              work.depths.data() + begin});
+            const size_t begin = count;
+            for (uint32_t n = band.starts[tile]; n < band.starts[tile + 1]; ++n) {
+                const Run& run = band.runs[n];
+                for (uint32_t lane = 0; lane < kLanes; ++lane) pixels[count] = run.first + lane, count += run.lanes >> lane & 1;
+            }
+            if (count > begin)
+                kernels.ellipses(projectors[band.source], sources[band.source], channels, pixels + begin, int(count - begin), left,
+                                 top, {list + begin, columns + begin, rows + begin, depths + begin});
         }
-        work.list[count] = {0.0f, 0.0f, 2.0f, 0.0f, 0.0f, 0.0f, {}};  // touches no pixel
+        list[count] = {0.0f, 0.0f, 2.0f, 0.0f, 0.0f, 0.0f, {}};  // far outside of the unit circle
         return count;
     }
 
     void run(int tile, Workspace& work) const {
         const int left = tile % grid.across * kTile, top = tile / grid.across * kTile;
         const size_t count = collect(tile, left, top, work), room = count + 2 * kLanes;
-        sort_by_depth(work.depths, count, work.keys, work.swap);
-        SplatTile sorted{work.list.data(), int32_t(count), left, top, {}};
-        work.lists.resize(std::size(sorted.lists) * 3 * room);
-        int32_t* words = work.lists.data();
-        for (TileList& list : sorted.lists)
+        SplatTile sorted{work.list.of(count), int32_t(count), left, top, {}, {}, {}, {}, {}};
+        int32_t* words = work.words.of(17 * 3 * room);
+        const auto make_room = [&](TileList& list) {
             for (int32_t*& word : list.words) word = words, words += room;
-        sorted.lists[0].count = int(count);
-        for (size_t n = 0; n < count; ++n) {
-            const uint32_t gaussian = uint32_t(work.keys[n]);
-            sorted.lists[0].words[kGaussians][n] = int32_t(gaussian);
-            sorted.lists[0].words[kRows][n] = work.rows[gaussian];
-            sorted.lists[0].words[kColumns][n] = work.columns[gaussian];
-        }
-        std::fill_n(sorted.lists[0].words[kColumns] + count, kLanes, 0);
+        };
+        make_room(sorted.all);
+        for (TileList(*lists)[4] : {&sorted.strips, &sorted.cells, &sorted.columns, &sorted.blocks})
+            for (TileList& list : *lists) make_room(list);
+        sort_by_depth(work, count, sorted.all);
+        std::fill_n(sorted.all.words[kColumns] + count, kLanes, 0);
         kernels.splat_tile(sorted, channels, {target.camera.width, target.camera.height, normalised, out});
     }
 };

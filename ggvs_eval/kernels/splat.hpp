@@ -73,7 +73,7 @@ struct SplatTile {
     const Ellipse* ellipses;
     int32_t nothing;  // of the ellipses, touches no pixel
     int left, top;    // in the picture
-    TileList lists[5];  // all of it, and room for those of smaller and smaller parts
+    TileList all, strips[4], cells[4], columns[4], blocks[4];  // all but the first are room, for the lists of smaller and smaller parts
 };
 
 struct SplatPicture {
@@ -82,7 +82,7 @@ struct SplatPicture {
     SplatImages out;
 };
 
-// Tile ranges of up to 16 neighbouring Gaussians; x0 > x1 where a Gaussian is invalid or invisible.
+// Tile ranges of up to 16 neighbouring Gaussians; of one that is invalid or invisible those of the least and the most are swapped.
 struct TileRanges {
     int32_t x0[kLanes], x1[kLanes], y0[kLanes], y1[kLanes];
 };
