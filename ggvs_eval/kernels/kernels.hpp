@@ -18,7 +18,7 @@ struct Kernels {
     uint32_t (*lanes_in_tile)(const TileRanges&, int x, int y);
     void (*ellipses)(const Projector&, const SplatSource&, int channels, const uint32_t* pixels, int count, int left, int top,
                      const Ellipses& out);
-    void (*splat_tile)(const SplatTile&, int channels, const SplatPicture&);
+    void (*splat_tile)(SplatTile&, int channels, const SplatPicture&);
     void (*fusion_row)(const FusionRow&);
     void (*march_column)(const March&, const MarchColumn&, float* depth, float* weight);
     void (*look_up_row)(const LookUp&, int y, float* out);

@@ -148,12 +148,11 @@ static void ellipses_of(const Projector& p, const SplatSource& source, const uin
         int used = count - first < kWidth ? count - first : kWidth;
         constexpr int kAhead = 64;
         prefetch_pixel<kChannels>(source, pixels[first + kAhead < count ? first + kAhead : count - 1]);
-        alignas(64) int32_t packed[kWidth] = {};
-        __builtin_memcpy(packed, pixels + first, used * sizeof(int32_t));
-        I pixel = load(packed);
+        I pixel = load((const int32_t*)pixels + first);
+        if (used < kWidth) pixel = select(less(load(kLaneNumber), all(float(used))), pixel, all(int32_t(pixels[first])));
         I column = pixel & all(int32_t(0xffff)), row = (pixel >> 16) & all(int32_t(0xffff));
-        const int64_t begin = int64_t(packed[0] >> 16 & 0xffff) * source.camera.width + (packed[0] & 0xffff);
-        const bool row_of_them = used == kWidth && packed[kWidth - 1] - packed[0] == kWidth - 1 &&
+        const int64_t begin = int64_t(pixels[first] >> 16) * source.camera.width + (pixels[first] & 0xffff);
+        const bool row_of_them = used == kWidth && pixels[first + kWidth - 1] - pixels[first] == kWidth - 1 &&
                                  begin + kWidth + 2 <= int64_t(source.camera.width) * source.camera.height;
         const Pixels read_at{row * all(int32_t(source.camera.width)) + column, row_of_them ? begin : -1};
         Footprint f = project(p, to_float(column), to_float(row), read(source.depth, read_at));

@@ -146,11 +146,9 @@ constexpr int kBlockRows = kWidth / kBlock, kListRows = kBlockRows < 2 ? 2 : kBl
 
 // The blocks of 4 columns, 4 of them from (x, y) of the tile down.
 template <int kChannels>
-GGVS_INLINE void blend_blocks(const SplatTile& tile, const SplatPicture& picture, const TileList& column, int x, int y) {
-    TileList blocks[4];
-    __builtin_memcpy(blocks, tile.blocks, sizeof blocks);
-    share_out<kRows, 1>(column, y / 2, kListRows / 2, blocks);
-    for (const TileList& block : blocks) {
+GGVS_INLINE void blend_blocks(SplatTile& tile, const SplatPicture& picture, const TileList& column, int x, int y) {
+    share_out<kRows, 1>(column, y / 2, kListRows / 2, tile.blocks);
+    for (const TileList& block : tile.blocks) {
         for (int n = 0; n < kTogether; ++n) block.words[kGaussians][block.count + n] = tile.nothing;
         for (int part = 0; part < kListRows && tile.top + y < picture.height; part += kBlockRows, y += kBlockRows) {
             const F columns = load(kLaneColumn) + all(float(x)), rows = load(kLaneRow) + all(float(y));
@@ -162,24 +160,20 @@ GGVS_INLINE void blend_blocks(const SplatTile& tile, const SplatPicture& picture
 
 // By strips, cells of 16 x 16 pixels and columns of these, so that what lies together is blended together.
 template <int kChannels>
-static void tile_of(const SplatTile& tile, const SplatPicture& picture) {
-    TileList strips[4], cells[4], columns[4];
-    __builtin_memcpy(strips, tile.strips, sizeof strips);
-    __builtin_memcpy(cells, tile.cells, sizeof cells);
-    __builtin_memcpy(columns, tile.columns, sizeof columns);
-    share_out<kColumns, 3>(tile.all, 0, 4, strips);
+static void tile_of(SplatTile& tile, const SplatPicture& picture) {
+    share_out<kColumns, 3>(tile.all, 0, 4, tile.strips);
     for (int left = 0; left < kTile && tile.left + left < picture.width; left += 16) {
-        share_out<kRows, 3>(strips[left / 16], 0, 8, cells);
+        share_out<kRows, 3>(tile.strips[left / 16], 0, 8, tile.cells);
         for (int top = 0; top < kTile && tile.top + top < picture.height; top += 16) {
-            share_out<kColumns, 2>(cells[top / 16], left / kBlock, 1, columns);
+            share_out<kColumns, 2>(tile.cells[top / 16], left / kBlock, 1, tile.columns);
             for (int x = left; x < left + 16 && tile.left + x < picture.width; x += kBlock)
                 for (int y = top; y < top + 16; y += 4 * kListRows)
-                    blend_blocks<kChannels>(tile, picture, columns[(x - left) / kBlock], x, y);
+                    blend_blocks<kChannels>(tile, picture, tile.columns[(x - left) / kBlock], x, y);
         }
     }
 }
 
-static void splat_tile(const SplatTile& tile, int channels, const SplatPicture& picture) {
+static void splat_tile(SplatTile& tile, int channels, const SplatPicture& picture) {
     switch (channels) {
         case 1:
             return tile_of<1>(tile, picture);
