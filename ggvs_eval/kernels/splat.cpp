@@ -8,6 +8,7 @@
 #include <algorithm>
 #include <cstdint>
 #include <memory>
+#include <numeric>
 #include <utility>
 
 #include "kernels.hpp"
@@ -51,8 +52,8 @@ private:
 struct Workspace {
     Room<uint32_t> pixels;
     Room<Ellipse> list;
-    Room<int32_t> columns, rows, depths, words;
-    Room<uint64_t> keys;
+    Room<int32_t> columns, rows, depths, numbers, words;
+    DepthRange depth_range;
 };
 
 Projector make_projector(const SplatSource& source, const SplatTarget& target, float scale) {
@@ -106,46 +107,29 @@ void fill_band(Band& band, const SplatSource& source, const Projector& projector
     for (const Run& run : runs) band.runs[next[run.tile]++] = run;
 }
 
-// The bits by which the depths of a tile differ, in digits of the same size: few, each with a table that stays in the cache.
-struct Digits {
-    int32_t least = INT32_MAX;
-    int count, bits;
-
-    Digits(const int32_t* depths, size_t gaussians) {
-        int32_t most = 0;
-        for (size_t n = 0; n < gaussians; ++n) least = std::min(least, depths[n]), most = std::max(most, depths[n]);
-        int differing = 0;
-        for (uint32_t rest = gaussians ? uint32_t(most - least) : 0; rest > 0; rest >>= 1) ++differing;
-        count = std::max(1, (differing + kMostBits - 1) / kMostBits), bits = (differing + count - 1) / count;
-    }
-
-    static constexpr int kMostBits = 12, kMost = 3;
-};
-
 // Fills the list of a tile's Gaussians front to back: a stable least-significant-digit radix sort by the bits of their depths, which
-// sort like positive floats themselves.
+// sort like positive floats themselves. Two digits are enough for most tiles. Each is counted in the order that the one before made:
+// neighbours in the source have much the same depth, and would wait for each other's counter.
 void sort_by_depth(Workspace& work, size_t count, TileList& sorted) {
+    constexpr int kMostBits = 12;
     const int32_t *depths = work.depths.of(count), *rows = work.rows.of(count), *columns = work.columns.of(count);
-    const Digits digits(depths, count);
-    const uint32_t mask = (1u << digits.bits) - 1;
-    uint32_t starts[Digits::kMost][1 << Digits::kMostBits];
-    for (int digit = 0; digit < digits.count; ++digit) std::fill_n(starts[digit], mask + 1, 0);
-    for (size_t n = 0; n < count; ++n)
-        for (int digit = 0; digit < digits.count; ++digit)
-            ++starts[digit][uint32_t(depths[n] - digits.least) >> (digit * digits.bits) & mask];
-    uint64_t *from = work.keys.of(2 * count), *to = from + count;  // depth bits, from the least on, << 32 | number
-    for (int digit = 0; digit < digits.count; ++digit, std::swap(from, to)) {
-        uint32_t sum = 0;
-        for (uint32_t place = 0; place <= mask; ++place) sum += std::exchange(starts[digit][place], sum);
-        for (size_t n = 0; n < count; ++n) {
-            const uint64_t key = digit ? from[n] : uint64_t(uint32_t(depths[n] - digits.least)) << 32 | n;
-            to[starts[digit][key >> (32 + digit * digits.bits) & mask]++] = key;
-        }
+    const int32_t least = work.depth_range.least;
+    int differing = 1;  // bits
+    while (count > 0 && (work.depth_range.most - least) >> differing > 0) ++differing;
+    const int digits = (differing + kMostBits - 1) / kMostBits, bits = (differing + digits - 1) / digits;
+    int32_t *from = work.numbers.of(2 * count), *to = from + count;
+    std::iota(from, to, 0);
+    for (int shift = 0; shift < digits * bits; shift += bits, std::swap(from, to)) {
+        const auto digit = [&](int32_t gaussian) { return uint32_t(depths[gaussian] - least) >> shift & ((1u << bits) - 1); };
+        uint32_t places[1 << kMostBits], sum = 0;
+        std::fill_n(places, 1 << bits, 0);
+        for (size_t n = 0; n < count; ++n) ++places[digit(from[n])];
+        for (int value = 0; value < 1 << bits; ++value) sum += std::exchange(places[value], sum);
+        for (size_t n = 0; n < count; ++n) to[places[digit(from[n])]++] = from[n];
     }
     for (size_t n = 0; n < count; ++n) {
-        const uint32_t gaussian = uint32_t(from[n]);
-        sorted.words[kGaussians][n] = int32_t(gaussian);
-        sorted.words[kRows][n] = rows[gaussian], sorted.words[kColumns][n] = columns[gaussian];
+        sorted.words[kGaussians][n] = from[n];
+        sorted.words[kRows][n] = rows[from[n]], sorted.words[kColumns][n] = columns[from[n]];
     }
     sorted.count = int(count);
 }
@@ -171,6 +155,7 @@ struct TileJob {
         Ellipse* const list = work.list.of(room);
         int32_t *const columns = work.columns.of(room), *const rows = work.rows.of(room), *const depths = work.depths.of(room);
         size_t count = 0;
+        work.depth_range = {};
         for (const Band& band : bands) {
             const size_t begin = count;
             for (uint32_t n = band.starts[tile]; n < band.starts[tile + 1]; ++n) {
@@ -179,7 +164,7 @@ struct TileJob {
             }
             if (count > begin)
                 kernels.ellipses(projectors[band.source], sources[band.source], channels, pixels + begin, int(count - begin), left,
-                                 top, {list + begin, columns + begin, rows + begin, depths + begin});
+                                 top, {list + begin, columns + begin, rows + begin, depths + begin, &work.depth_range});
         }
         list[count] = {0.0f, 0.0f, 2.0f, 0.0f, 0.0f, 0.0f, {}};  // far outside of the unit circle
         return count;

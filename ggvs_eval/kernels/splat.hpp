@@ -54,12 +54,18 @@ struct alignas(64) Ellipse {
     float features[kMaxFeatures];
 };
 
+// Bits of the least and the most depth.
+struct DepthRange {
+    int32_t least = INT32_MAX, most = 0;
+};
+
 // What is written of some Gaussians of a tile; there is room for whole vectors. Which parts of the tile a Gaussian may touch: a bit
 // for every four columns of pixels, and one for every two rows.
 struct Ellipses {
     Ellipse* list;
     int32_t *columns, *rows;
-    int32_t* depths;  // their bits
+    int32_t* depths;    // their bits
+    DepthRange* range;  // is widened by them
 };
 
 // Gaussians of a tile, front to back, by their numbers, and which rows and columns they may touch; there is room for whole vectors.

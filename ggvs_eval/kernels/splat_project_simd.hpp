@@ -127,6 +127,9 @@ GGVS_INLINE I read_bytes(const SplatSource& source, const Pixels& pixels) {
     return select(at_end, raw >> 8, raw);
 }
 
+// x / 255 with the bits of the division, for whole x from 0 to 255: its inverse in two parts is precise enough.
+GGVS_INLINE F share_of_255(F x) { return multiply_add(x, all(3.921569e-03f), x * all(-2.3191758e-10f)); }
+
 template <int kChannels>
 GGVS_INLINE void read_features(const SplatSource& source, const Pixels& pixels, F* features) {
     if (source.features) {
@@ -136,7 +139,7 @@ GGVS_INLINE void read_features(const SplatSource& source, const Pixels& pixels, 
     }
     const I raw = read_bytes(source, pixels), level = all(int32_t(255));
 #pragma GCC unroll 3
-    for (int c = 0; c < kChannels && c < 3; ++c) features[c] = to_float((raw >> (8 * c)) & level) / all(255.0f);
+    for (int c = 0; c < kChannels && c < 3; ++c) features[c] = share_of_255(to_float((raw >> (8 * c)) & level));
     if (kChannels > 3) features[3] = read(source.extra, pixels);
 }
 
@@ -144,6 +147,7 @@ template <int kChannels>
 static void ellipses_of(const Projector& p, const SplatSource& source, const uint32_t* pixels, int count, int left, int top,
                         const Ellipses& out) {
     const F zero = all(0.0f);
+    F least = all(1e38f), most = zero;
     for (int first = 0; first < count; first += kWidth) {
         int used = count - first < kWidth ? count - first : kWidth;
         constexpr int kAhead = 64;
@@ -158,8 +162,8 @@ static void ellipses_of(const Projector& p, const SplatSource& source, const uin
         Footprint f = project(p, to_float(column), to_float(row), read(source.depth, read_at));
 
         // The covariance's factors: of v its deviation, of u what v does not tell.
-        F slope = f.cov / f.var_y;
-        F yy = all(kCut) / f.reach_y, xx = all(kCut) / sqrt(all(kSquaredReach) * (f.var_x - slope * f.cov)), xy = zero - slope * xx;
+        F yy = all(kCut) / f.reach_y, slope = f.cov * (yy * yy * all(kSquaredCut));
+        F xx = all(kCut) / sqrt(all(kSquaredReach) * (f.var_x - slope * f.cov)), xy = zero - slope * xx;
         F u = f.u - all(float(left)), v = f.v - all(float(top));
         F last = all(float(kTile - 1));
         I x0 = truncate(ceiling(min(max(u - f.reach_x, zero), last))), x1 = truncate(max(min(u + f.reach_x, last), zero));
@@ -176,6 +180,13 @@ static void ellipses_of(const Projector& p, const SplatSource& source, const uin
         store(out.columns + first, bits_between(x0 >> 2, x1 >> 2));
         store(out.rows + first, bits_between(y0 >> 1, y1 >> 1));
         store(out.depths + first, bits(f.depth));
+        least = min(least, f.depth), most = max(most, f.depth);
+    }
+    alignas(64) int32_t lanes[2][kWidth];
+    store(lanes[0], bits(least)), store(lanes[1], bits(most));
+    for (int lane = 0; lane < kWidth; ++lane) {
+        if (lanes[0][lane] < out.range->least) out.range->least = lanes[0][lane];
+        if (lanes[1][lane] > out.range->most) out.range->most = lanes[1][lane];
     }
 }
 
