@@ -12,7 +12,6 @@ constexpr int kMaxFeatures = 4;
 constexpr int kTile = 64;                         // pixels across and down of the target that are sorted together
 constexpr int kBlock = 4;                         // a tile is made of blocks 4 pixels wide that fill one vector, 4 x 4 at most
 constexpr int kLanes = kBlock * kBlock;
-constexpr int kTogether = 4;                      // Gaussians that are blended step by step together
 constexpr float kMinAlpha = 1.0f / 255.0f, kLog2MinAlpha = -7.99435344f;
 
 // The features are floats, or an 8-bit colour and perhaps one float more: then no image of floats is ever made.

@@ -5,6 +5,8 @@
 
 namespace ggvs::GGVS_LEVEL {
 
+constexpr int kTogether = kWidth < 16 ? 2 : 4;  // Gaussians that are blended step by step together, as registers allow
+
 // Step 6 for some Gaussians at once; 0 where a pixel is not touched. At the squared distance d from the middle alpha is 255^-d, and
 // on the rim of the unit circle 1/255. A polynomial that is then squared, with a constant added each time, has a high degree for few
 // operations: fitted to [0, 1] it is alpha to 1e-7, and rounded to 1e-6.
