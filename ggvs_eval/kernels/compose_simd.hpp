@@ -1,5 +1,5 @@
-// The composition's arithmetic, written once for every instruction set (included by level_*.cpp after register_simd.hpp and
-// splat_simd.hpp, whose names it uses).
+// The composition's arithmetic, written once for every instruction set (included by level_*.cpp after register_simd.hpp,
+// whose names it uses).
 #pragma once
 #include "compose.hpp"
 
@@ -8,6 +8,16 @@ namespace ggvs::GGVS_LEVEL {
 GGVS_INLINE F mixed(F share, F from, F to) { return from + share * (to - from); }
 
 GGVS_INLINE F square(F x) { return x * x; }
+
+// 2^x for -126 < x < 126 to 2e-7, from integer and fractional part; the coefficients are the minimax polynomial on [-1/2, 1/2].
+GGVS_INLINE F exp2(F x) {
+    constexpr float kCoefficients[] = {9.671513338e-3f, 5.550733752e-2f, 2.402224207e-1f, 6.931469776e-1f, 1.0f};
+    F shifted = x + all(12582912.0f);  // 1.5 * 2^23: rounds to the nearest integer in the low mantissa bits
+    F rest = x - (shifted - all(12582912.0f)), p = all(1.326472634e-3f);
+#pragma GCC unroll 5
+    for (const float coefficient : kCoefficients) p = p * rest + all(coefficient);
+    return from_bits(bits(p) + (bits(shifted) << 23));
+}
 
 // The background's weight: the sigmoid of a change plus the logit of where it starts.
 GGVS_INLINE F background_weight(F change, F start, float sure) {

@@ -14,11 +14,11 @@
 namespace ggvs {
 
 struct Kernels {
-    bool (*tile_ranges)(const Projector&, const float* depth, int column, int row, int count, TileRanges* out);
+    void (*tile_ranges)(const Projector&, const float* depth, int column, int row, int count, TileRanges* out);
+    uint32_t (*lanes_in_tile)(const TileRanges&, int x, int y);
     void (*ellipses)(const Projector&, const SplatSource&, int channels, const uint32_t* pixels, int count, int left, int top,
                      const Ellipses& out);
-    void (*splat_block)(const BlockList&, int channels, bool normalised, SplatImages out);
-    int block_rows;
+    void (*splat_tile)(SplatTile&, int channels, const SplatPicture&);
     void (*fusion_row)(const FusionRow&);
     void (*march_column)(const March&, const MarchColumn&, float* depth, float* weight);
     void (*look_up_row)(const LookUp&, int y, float* out);

@@ -6,6 +6,7 @@
 #include "simd_avx2.hpp"
 // After the vectors, whose names they use:
 #include "blend_simd.hpp"
+#include "splat_project_simd.hpp"
 #include "splat_simd.hpp"
 #include "tsdf_simd.hpp"
 #include "register_simd.hpp"
@@ -20,7 +21,7 @@
 namespace ggvs {
 
 const Kernels kAvx2Kernels = {
-    avx2::tile_ranges, avx2::ellipses, avx2::splat_block, avx2::kBlockRows, avx2::fusion_row, avx2::march_column,
+    avx2::tile_ranges, avx2::lanes_in_tile, avx2::ellipses, avx2::splat_tile, avx2::fusion_row, avx2::march_column,
     avx2::look_up_row, avx2::register_row, avx2::overview_row, avx2::compose_row, avx2::evidence_row, avx2::look_row,
     avx2::taps_row, avx2::filter_row, avx2::convolve_row, avx2::moments_of_row, avx2::normalise_row, avx2::pool_ray,
     avx2::attend_ray,

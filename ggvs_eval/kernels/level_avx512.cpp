@@ -6,6 +6,7 @@
 #include "simd_avx512.hpp"
 // After the vectors, whose names they use:
 #include "blend_simd.hpp"
+#include "splat_project_simd.hpp"
 #include "splat_simd.hpp"
 #include "tsdf_simd.hpp"
 #include "register_simd.hpp"
@@ -20,7 +21,7 @@
 namespace ggvs {
 
 const Kernels kAvx512Kernels = {
-    avx512::tile_ranges, avx512::ellipses, avx512::splat_block, avx512::kBlockRows, avx512::fusion_row, avx512::march_column,
+    avx512::tile_ranges, avx512::lanes_in_tile, avx512::ellipses, avx512::splat_tile, avx512::fusion_row, avx512::march_column,
     avx512::look_up_row, avx512::register_row, avx512::overview_row, avx512::compose_row, avx512::evidence_row, avx512::look_row,
     avx512::taps_row, avx512::filter_row, avx512::convolve_row, avx512::moments_of_row, avx512::normalise_row, avx512::pool_ray,
     avx512::attend_ray,

@@ -3,6 +3,7 @@
 #include "simd_portable.hpp"
 // After the vectors, whose names they use:
 #include "blend_simd.hpp"
+#include "splat_project_simd.hpp"
 #include "splat_simd.hpp"
 #include "tsdf_simd.hpp"
 #include "register_simd.hpp"
@@ -16,7 +17,7 @@
 namespace ggvs {
 
 const Kernels kBaselineKernels = {
-    baseline::tile_ranges, baseline::ellipses, baseline::splat_block, baseline::kBlockRows, baseline::fusion_row,
+    baseline::tile_ranges, baseline::lanes_in_tile, baseline::ellipses, baseline::splat_tile, baseline::fusion_row,
     baseline::march_column, baseline::look_up_row, baseline::register_row, baseline::overview_row, baseline::compose_row,
     baseline::evidence_row, baseline::look_row, baseline::taps_row, baseline::filter_row, baseline::convolve_row,
     baseline::moments_of_row, baseline::normalise_row, baseline::pool_ray, baseline::attend_ray,

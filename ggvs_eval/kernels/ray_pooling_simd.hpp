@@ -1,5 +1,5 @@
 // IBRNet's pooling, a sample per lane: what the views show there, what each makes of the others, and what they say together
-// (included by level_*.cpp after splat_simd.hpp and register_simd.hpp). Layers use fused multiply-adds.
+// (included by level_*.cpp after compose_simd.hpp and register_simd.hpp). Layers use fused multiply-adds.
 #pragma once
 #include "ray_pooling.hpp"
 

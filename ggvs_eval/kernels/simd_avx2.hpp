@@ -34,6 +34,7 @@ GGVS_INLINE void store(int32_t* p, I x) { _mm256_storeu_si256((__m256i*)p, (__m2
 
 GGVS_INLINE M less(F a, F b) { return (M)_mm256_cmp_ps(a, b, _CMP_LT_OQ); }
 GGVS_INLINE M at_most(F a, F b) { return (M)_mm256_cmp_ps(a, b, _CMP_LE_OQ); }
+GGVS_INLINE M at_most(I a, I b) { return a <= b; }
 GGVS_INLINE M both(M a, M b) { return a & b; }
 GGVS_INLINE M either(M a, M b) { return a | b; }
 GGVS_INLINE M but_not(M a, M b) { return a & ~b; }
@@ -43,13 +44,37 @@ GGVS_INLINE I bits(F x) { return (I)x; }
 GGVS_INLINE F from_bits(I x) { return (F)x; }
 GGVS_INLINE F select(M m, F a, F b) { return _mm256_blendv_ps(b, a, (__m256)m); }
 GGVS_INLINE I select(M m, I a, I b) { return (I)_mm256_blendv_ps((__m256)b, (__m256)a, (__m256)m); }
+// x in the lanes of the mask, 0 in the others.
+GGVS_INLINE F keep(M m, F x) { return _mm256_and_ps(x, (__m256)m); }
 GGVS_INLINE F min(F a, F b) { return _mm256_min_ps(a, b); }
 GGVS_INLINE F max(F a, F b) { return _mm256_max_ps(a, b); }
 // a b + c, rounded once.
 GGVS_INLINE F multiply_add(F a, F b, F c) { return _mm256_fmadd_ps(a, b, c); }
+// c - a b, rounded once.
+GGVS_INLINE F without_product(F a, F b, F c) { return _mm256_fnmadd_ps(a, b, c); }
 GGVS_INLINE F sqrt(F x) { return _mm256_sqrt_ps(x); }
 GGVS_INLINE I truncate(F x) { return (I)_mm256_cvttps_epi32(x); }
 GGVS_INLINE F to_float(I x) { return _mm256_cvtepi32_ps((__m256i)x); }
+// For every choice of lanes, their numbers.
+struct PackedLanes {
+    uint8_t lanes[256][8];
+    constexpr PackedLanes() : lanes{} {
+        for (int chosen = 0; chosen < 256; ++chosen)
+            for (int lane = 0, count = 0; lane < 8; ++lane)
+                if (chosen >> lane & 1) lanes[chosen][count++] = uint8_t(lane);
+    }
+};
+alignas(64) static constexpr PackedLanes kPacked;
+// Lanes in which two numbers have a bit in common.
+GGVS_INLINE M share_bits(I a, I b) { return (a & b) != all(int32_t(0)); }
+// A bit for every lane.
+GGVS_INLINE uint32_t lanes_of(M m) { return uint32_t(_mm256_movemask_ps((__m256)m)); }
+GGVS_INLINE int count_of(M m) { return __builtin_popcount(lanes_of(m)); }
+// The chosen lanes side by side; what comes after them is written over, up to a whole vector.
+GGVS_INLINE void pack(M chosen, I x, int32_t* to) {
+    const __m256i from = _mm256_cvtepu8_epi32(_mm_loadl_epi64((const __m128i*)kPacked.lanes[lanes_of(chosen)]));
+    store(to, (I)_mm256_permutevar8x32_epi32((__m256i)x, from));
+}
 GGVS_INLINE F gather(const float* p, I at) { return _mm256_i32gather_ps(p, (__m256i)at, 4); }
 // Floats that lie side by side, at p[at] and p[at + 1]: half the reads of two gathers.
 GGVS_INLINE void gather_pairs(const float* p, I at, F* first, F* second) {

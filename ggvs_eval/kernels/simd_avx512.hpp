@@ -34,6 +34,7 @@ GGVS_INLINE void store(int32_t* p, I x) { _mm512_storeu_si512(p, (__m512i)x); }
 
 GGVS_INLINE M less(F a, F b) { return _mm512_cmp_ps_mask(a, b, _CMP_LT_OQ); }
 GGVS_INLINE M at_most(F a, F b) { return _mm512_cmp_ps_mask(a, b, _CMP_LE_OQ); }
+GGVS_INLINE M at_most(I a, I b) { return _mm512_cmple_epi32_mask((__m512i)a, (__m512i)b); }
 GGVS_INLINE M both(M a, M b) { return M(a & b); }
 GGVS_INLINE M either(M a, M b) { return M(a | b); }
 GGVS_INLINE M but_not(M a, M b) { return M(a & ~b); }
@@ -43,13 +44,24 @@ GGVS_INLINE I bits(F x) { return (I)x; }
 GGVS_INLINE F from_bits(I x) { return (F)x; }
 GGVS_INLINE F select(M m, F a, F b) { return _mm512_mask_blend_ps(m, b, a); }
 GGVS_INLINE I select(M m, I a, I b) { return (I)_mm512_mask_blend_epi32(m, (__m512i)b, (__m512i)a); }
+// x in the lanes of the mask, 0 in the others.
+GGVS_INLINE F keep(M m, F x) { return _mm512_maskz_mov_ps(m, x); }
 GGVS_INLINE F min(F a, F b) { return _mm512_min_ps(a, b); }
 GGVS_INLINE F max(F a, F b) { return _mm512_max_ps(a, b); }
 // a b + c, rounded once.
 GGVS_INLINE F multiply_add(F a, F b, F c) { return _mm512_fmadd_ps(a, b, c); }
+// c - a b, rounded once.
+GGVS_INLINE F without_product(F a, F b, F c) { return _mm512_fnmadd_ps(a, b, c); }
 GGVS_INLINE F sqrt(F x) { return _mm512_sqrt_ps(x); }
 GGVS_INLINE I truncate(F x) { return (I)_mm512_cvttps_epi32(x); }
 GGVS_INLINE F to_float(I x) { return _mm512_cvtepi32_ps((__m512i)x); }
+// Lanes in which two numbers have a bit in common.
+GGVS_INLINE M share_bits(I a, I b) { return _mm512_test_epi32_mask((__m512i)a, (__m512i)b); }
+// A bit for every lane.
+GGVS_INLINE uint32_t lanes_of(M m) { return m; }
+GGVS_INLINE int count_of(M m) { return __builtin_popcount(m); }
+// The chosen lanes side by side; what comes after them is written over, up to a whole vector.
+GGVS_INLINE void pack(M chosen, I x, int32_t* to) { store(to, (I)_mm512_maskz_compress_epi32(chosen, (__m512i)x)); }
 GGVS_INLINE F gather(const float* p, I at) { return _mm512_i32gather_ps((__m512i)at, p, 4); }
 // Floats that lie side by side, at p[at] and p[at + 1]: half the reads of two gathers.
 GGVS_INLINE void gather_pairs(const float* p, I at, F* first, F* second) {

@@ -30,6 +30,7 @@ GGVS_INLINE void store(int32_t* p, I x) { __builtin_memcpy(p, &x, sizeof x); }
 
 GGVS_INLINE M less(F a, F b) { return a < b; }
 GGVS_INLINE M at_most(F a, F b) { return a <= b; }
+GGVS_INLINE M at_most(I a, I b) { return a <= b; }
 GGVS_INLINE M both(M a, M b) { return a & b; }
 GGVS_INLINE M either(M a, M b) { return a | b; }
 GGVS_INLINE M but_not(M a, M b) { return a & ~b; }
@@ -43,6 +44,8 @@ GGVS_INLINE I bits(F x) { return (I)x; }
 GGVS_INLINE F from_bits(I x) { return (F)x; }
 GGVS_INLINE F select(M m, F a, F b) { return from_bits((m & bits(a)) | (~m & bits(b))); }
 GGVS_INLINE I select(M m, I a, I b) { return (m & a) | (~m & b); }
+// x in the lanes of the mask, 0 in the others.
+GGVS_INLINE F keep(M m, F x) { return from_bits(m & bits(x)); }
 GGVS_INLINE F min(F a, F b) { return a < b ? a : b; }
 GGVS_INLINE F max(F a, F b) { return a > b ? a : b; }
 // a b + c, rounded once. Without an instruction for it the C library computes it, with the same bits at a tenth of the speed.
@@ -50,9 +53,20 @@ GGVS_INLINE F multiply_add(F a, F b, F c) {
     return F{__builtin_fmaf(a[0], b[0], c[0]), __builtin_fmaf(a[1], b[1], c[1]), __builtin_fmaf(a[2], b[2], c[2]),
              __builtin_fmaf(a[3], b[3], c[3])};
 }
+// c - a b, rounded once.
+GGVS_INLINE F without_product(F a, F b, F c) { return multiply_add(-a, b, c); }
 GGVS_INLINE F sqrt(F x) { return F{__builtin_sqrtf(x[0]), __builtin_sqrtf(x[1]), __builtin_sqrtf(x[2]), __builtin_sqrtf(x[3])}; }
 GGVS_INLINE I truncate(F x) { return __builtin_convertvector(x, I); }
 GGVS_INLINE F to_float(I x) { return __builtin_convertvector(x, F); }
+// Lanes in which two numbers have a bit in common.
+GGVS_INLINE M share_bits(I a, I b) { return (a & b) != all(int32_t(0)); }
+// A bit for every lane.
+GGVS_INLINE uint32_t lanes_of(M m) { return (m[0] & 1) | (m[1] & 2) | (m[2] & 4) | (m[3] & 8); }
+GGVS_INLINE int count_of(M m) { return -(m[0] + m[1] + m[2] + m[3]); }
+// The chosen lanes side by side; what comes after them is written over, up to a whole vector.
+GGVS_INLINE void pack(M chosen, I x, int32_t* to) {
+    for (int lane = 0; lane < kWidth; ++lane) *to = x[lane], to -= chosen[lane];
+}
 GGVS_INLINE F gather(const float* p, I at) { return F{p[at[0]], p[at[1]], p[at[2]], p[at[3]]}; }
 // Floats that lie side by side, at p[at] and p[at + 1].
 GGVS_INLINE void gather_pairs(const float* p, I at, F* first, F* second) {

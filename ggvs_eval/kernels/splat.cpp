@@ -6,7 +6,9 @@
 #include "splat.hpp"
 
 #include <algorithm>
-#include <cstring>
+#include <cstdint>
+#include <memory>
+#include <numeric>
 #include <utility>
 
 #include "kernels.hpp"
@@ -17,9 +19,9 @@ namespace {
 
 constexpr int kBandRows = 8;
 
-// Pixels side by side in a row that one tile gets.
+// Of 16 pixels side by side in a row those that one tile gets.
 struct Run {
-    uint32_t tile, first, count;  // the first one packed
+    uint32_t tile, first, lanes;  // the first one packed; a bit for each
 };
 
 struct Band {
@@ -32,15 +34,26 @@ struct Grid {
     int across, down;
 };
 
+// Memory that is not set to zero, since all that is read is written before.
+template <class T>
+class Room {
+public:
+    T* of(size_t count) {
+        if (count > size_) data_.reset(new T[size_ = count + count / 4]);
+        return data_.get();
+    }
+
+private:
+    std::unique_ptr<T[]> data_;
+    size_t size_ = 0;
+};
+
 // Workspace of one thread, kept from tile to tile.
 struct Workspace {
-    std::vector<uint32_t> pixels;
-    std::vector<Ellipse> list;
-    std::vector<BlockRange> ranges;
-    std::vector<int32_t> depths;       // their bits
-    std::vector<uint64_t> keys, swap;  // depth bits, from the least on, << 32 | position in the list
-    std::vector<int32_t> counts;
-    std::vector<uint32_t> starts, next, chosen;
+    Room<uint32_t> pixels;
+    Room<Ellipse> list;
+    Room<int32_t> columns, rows, depths, numbers, words;
+    DepthRange depth_range;
 };
 
 Projector make_projector(const SplatSource& source, const SplatTarget& target, float scale) {
@@ -68,24 +81,13 @@ std::vector<Band> make_bands(const std::vector<SplatSource>& sources) {
 void list_runs(const Projector& projector, const float* depth, int column, int row, int count, Grid grid, const Kernels& kernels,
                std::vector<Run>& runs) {
     TileRanges ranges;
-    const uint32_t first = uint32_t(row) << 16 | uint32_t(column);
-    if (kernels.tile_ranges(projector, depth, column, row, count, &ranges)) {  // as is usual
-        runs.push_back({uint32_t(ranges.y0[0] * grid.across + ranges.x0[0]), first, uint32_t(count)});
-        return;
-    }
-    for (uint32_t lane = 0; lane < uint32_t(count); ++lane) {
-        if (ranges.x0[lane] > ranges.x1[lane]) continue;
-        for (int y = ranges.y0[lane]; y <= ranges.y1[lane]; ++y) {
-            for (int x = ranges.x0[lane]; x <= ranges.x1[lane]; ++x) {
-                const uint32_t tile = uint32_t(y * grid.across + x);
-                if (!runs.empty() && runs.back().tile == tile && runs.back().first + runs.back().count == first + lane) {
-                    ++runs.back().count;
-                } else {
-                    runs.push_back({tile, first + lane, 1});
-                }
-            }
-        }
-    }
+    kernels.tile_ranges(projector, depth, column, row, count, &ranges);
+    const int x0 = *std::min_element(ranges.x0, ranges.x0 + kLanes), x1 = *std::max_element(ranges.x1, ranges.x1 + kLanes);
+    const int y0 = *std::min_element(ranges.y0, ranges.y0 + kLanes), y1 = *std::max_element(ranges.y1, ranges.y1 + kLanes);
+    for (int y = y0; y <= y1; ++y)
+        for (int x = x0; x <= x1; ++x)
+            if (const uint32_t lanes = kernels.lanes_in_tile(ranges, x, y))
+                runs.push_back({uint32_t(y * grid.across + x), uint32_t(row) << 16 | uint32_t(column), lanes});
 }
 
 // Lists the band's runs per tile: a counting sort, which keeps their order within a tile.
@@ -105,77 +107,31 @@ void fill_band(Band& band, const SplatSource& source, const Projector& projector
     for (const Run& run : runs) band.runs[next[run.tile]++] = run;
 }
 
-// Numbers of the Gaussians in the lower halves of `keys`, front to back: a stable least-significant-digit radix sort by the bits of
-// their depths, which sort like positive floats themselves; only the digits that differ within the tile are visited.
-void sort_by_depth(const std::vector<int32_t>& depths, size_t count, std::vector<uint64_t>& keys, std::vector<uint64_t>& swap) {
-    constexpr int kDigit = 11, kMost = 3;
-    constexpr uint32_t kMask = (1 << kDigit) - 1;
-    int32_t low = INT32_MAX, high = 0;
-    for (size_t n = 0; n < count; ++n) low = std::min(low, depths[n]), high = std::max(high, depths[n]);
-    int digits = 0;
-    for (uint32_t rest = count == 0 ? 0 : uint32_t(high - low); rest > 0; rest >>= kDigit) ++digits;
-    uint32_t starts[kMost][kMask + 1];
-    std::memset(starts, 0, digits * sizeof starts[0]);
-    keys.resize(count), swap.resize(count);
+// Fills the list of a tile's Gaussians front to back: a stable least-significant-digit radix sort by the bits of their depths, which
+// sort like positive floats themselves. Two digits are enough for most tiles. Each is counted in the order that the one before made:
+// neighbours in the source have much the same depth, and would wait for each other's counter.
+void sort_by_depth(Workspace& work, size_t count, TileList& sorted) {
+    constexpr int kMostBits = 12;
+    const int32_t *depths = work.depths.of(count), *rows = work.rows.of(count), *columns = work.columns.of(count);
+    const int32_t least = work.depth_range.least;
+    int differing = 1;  // bits
+    while (count > 0 && (work.depth_range.most - least) >> differing > 0) ++differing;
+    const int digits = (differing + kMostBits - 1) / kMostBits, bits = (differing + digits - 1) / digits;
+    int32_t *from = work.numbers.of(2 * count), *to = from + count;
+    std::iota(from, to, 0);
+    for (int shift = 0; shift < digits * bits; shift += bits, std::swap(from, to)) {
+        const auto digit = [&](int32_t gaussian) { return uint32_t(depths[gaussian] - least) >> shift & ((1u << bits) - 1); };
+        uint32_t places[1 << kMostBits], sum = 0;
+        std::fill_n(places, 1 << bits, 0);
+        for (size_t n = 0; n < count; ++n) ++places[digit(from[n])];
+        for (int value = 0; value < 1 << bits; ++value) sum += std::exchange(places[value], sum);
+        for (size_t n = 0; n < count; ++n) to[places[digit(from[n])]++] = from[n];
+    }
     for (size_t n = 0; n < count; ++n) {
-        const uint32_t depth = uint32_t(depths[n] - low);
-        keys[n] = uint64_t(depth) << 32 | n;
-        for (int digit = 0; digit < digits; ++digit) ++starts[digit][depth >> (digit * kDigit) & kMask];
+        sorted.words[kGaussians][n] = from[n];
+        sorted.words[kRows][n] = rows[from[n]], sorted.words[kColumns][n] = columns[from[n]];
     }
-    for (int digit = 0; digit < digits; ++digit) {
-        uint32_t sum = 0;
-        for (uint32_t& start : starts[digit]) sum += std::exchange(start, sum);
-        for (const uint64_t key : keys) swap[starts[digit][key >> (32 + digit * kDigit) & kMask]++] = key;
-        keys.swap(swap);
-    }
-}
-
-// Lists the Gaussians of every block, front to back: counts first, then fills.
-void share_out(Workspace& work, int down) {
-    // A Gaussian adds 1 to a rectangle of counts: that is four changes, to be summed up along rows and columns.
-    constexpr int kStride = kBlocksAcross + 1;
-    work.counts.assign(kStride * (down + 1), 0);
-    int32_t* counts = work.counts.data();
-    for (const BlockRange range : work.ranges) {
-        int32_t *above = counts + range.y0 * kStride, *below = counts + (range.y1 + 1) * kStride;
-        ++above[range.x0], --above[range.x1 + 1], --below[range.x0], ++below[range.x1 + 1];
-    }
-    const int blocks = kBlocksAcross * down;
-    work.starts.resize(blocks + 1), work.next.resize(blocks);
-    uint32_t sum = 0;
-    for (int y = 0; y < down; ++y) {
-        int32_t *row = counts + y * kStride, along = 0;
-        for (int x = 0; x < kBlocksAcross; ++x) {
-            along += row[x];
-            row[x] = along + (y ? row[x - kStride] : 0);
-            work.starts[y * kBlocksAcross + x] = work.next[y * kBlocksAcross + x] = sum;
-            sum += (row[x] + kTogether) / kTogether * kTogether;  // at least one place more than is counted
-        }
-    }
-    work.starts[blocks] = sum;
-    work.chosen.resize(sum);
-    const BlockRange* ranges = work.ranges.data();
-    uint32_t *chosen = work.chosen.data(), *next = work.next.data();
-    for (const uint64_t key : work.keys) {
-        const uint32_t gaussian = uint32_t(key);
-        const BlockRange range = ranges[gaussian];
-        // Two columns and two rows are usual, one is not rare: a place that does not count costs less than a wrong guess.
-        const uint32_t wide = range.x1 > range.x0;
-        for (int y = range.y0; y <= range.y1; y += 2) {
-            const uint32_t tall = y < range.y1;
-            uint32_t *above = next + y * kBlocksAcross, *below = above + tall * kBlocksAcross;
-            chosen[above[range.x0]++] = gaussian;
-            chosen[above[range.x1]] = gaussian, above[range.x1] += wide;
-            chosen[below[range.x0]] = gaussian, below[range.x0] += tall;
-            chosen[below[range.x1]] = gaussian, below[range.x1] += wide & tall;
-            for (int x = range.x0 + 1; x < range.x1; ++x) {
-                chosen[above[x]++] = gaussian;
-                if (tall) chosen[below[x]++] = gaussian;
-            }
-        }
-    }
-    const uint32_t nothing = uint32_t(work.keys.size());  // touches no pixel
-    for (int block = 0; block < blocks; ++block) std::fill(chosen + next[block], chosen + work.starts[block + 1], nothing);
+    sorted.count = int(count);
 }
 
 // All that happens in one tile, steps 2 to 8.
@@ -190,44 +146,44 @@ struct TileJob {
     const Kernels& kernels;
     SplatImages out;
 
-    void collect(int tile, int left, int top, Workspace& work) const {
+    // Ellipses of all that may touch the tile, and behind them of one that touches nothing; how many there are before it.
+    size_t collect(int tile, int left, int top, Workspace& work) const {
+        size_t runs = 0;
+        for (const Band& band : bands) runs += band.starts[tile + 1] - band.starts[tile];
+        const size_t room = (runs + 1) * kLanes;  // for whole vectors
+        uint32_t* const pixels = work.pixels.of(room);
+        Ellipse* const list = work.list.of(room);
+        int32_t *const columns = work.columns.of(room), *const rows = work.rows.of(room), *const depths = work.depths.of(room);
         size_t count = 0;
-        for (const Band& band : bands)
-            for (uint32_t n = band.starts[tile]; n < band.starts[tile + 1]; ++n) count += band.runs[n].count;
-        const size_t room = count + kLanes;  // for whole vectors
-        work.list.resize(room), work.ranges.resize(room), work.depths.resize(room);
-        work.pixels.resize(count);
-        uint32_t* const pixels = work.pixels.data();
-        size_t filled = 0;
+        work.depth_range = {};
         for (const Band& band : bands) {
-            const size_t begin = filled;
-            for (uint32_t n = band.starts[tile]; n < band.starts[tile + 1]; ++n)
-                for (uint32_t pixel = 0; pixel < band.runs[n].count; ++pixel) pixels[filled++] = band.runs[n].first + pixel;
-            if (filled == begin) continue;
-            kernels.ellipses(projectors[band.source], sources[band.source], channels, pixels + begin, int(filled - begin), left, top,
-                             {work.list.data() + begin, work.ranges.data() + begin, work.depths.data() + begin});
+            const size_t begin = count;
+            for (uint32_t n = band.starts[tile]; n < band.starts[tile + 1]; ++n) {
+                const Run& run = band.runs[n];
+                for (uint32_t lane = 0; lane < kLanes; ++lane) pixels[count] = run.first + lane, count += run.lanes >> lane & 1;
+            }
+            if (count > begin)
+                kernels.ellipses(projectors[band.source], sources[band.source], channels, pixels + begin, int(count - begin), left,
+                                 top, {list + begin, columns + begin, rows + begin, depths + begin, &work.depth_range});
         }
-        work.list[count] = {1e6f, 0.0f, -1.0f, 0.0f, 0.0f, 0.0f, {}};  // touches no pixel
-        work.ranges.resize(count);
+        list[count] = {0.0f, 0.0f, 2.0f, 0.0f, 0.0f, 0.0f, {}};  // far outside of the unit circle
+        return count;
     }
 
     void run(int tile, Workspace& work) const {
-        const int left = tile % grid.across * kTileWidth, top = tile / grid.across * kTileHeight;
-        collect(tile, left, top, work);
-        const size_t count = work.ranges.size();
-        sort_by_depth(work.depths, count, work.keys, work.swap);
-        share_out(work, kTileHeight / kernels.block_rows);
-        const int64_t width = target.camera.width;
-        const int rows = kernels.block_rows, right = std::min(left + kTileWidth, target.camera.width);
-        for (int y = top; y < std::min(top + kTileHeight, target.camera.height); y += rows) {
-            for (int x = left; x < right; x += kBlock) {
-                const int block = (y - top) / rows * kBlocksAcross + (x - left) / kBlock;
-                const int first = work.starts[block], listed = work.starts[block + 1] - first;
-                kernels.splat_block({work.list.data(), work.chosen.data() + first, listed, x - left, y - top,
-                                     std::min(kBlock, right - x), std::min(rows, target.camera.height - y), y * width + x, width},
-                                    channels, normalised, out);
-            }
-        }
+        const int left = tile % grid.across * kTile, top = tile / grid.across * kTile;
+        const size_t count = collect(tile, left, top, work), room = count + 2 * kLanes;
+        SplatTile sorted{work.list.of(count), int32_t(count), left, top, {}, {}, {}, {}, {}};
+        int32_t* words = work.words.of(17 * 3 * room);
+        const auto make_room = [&](TileList& list) {
+            for (int32_t*& word : list.words) word = words, words += room;
+        };
+        make_room(sorted.all);
+        for (TileList(*lists)[4] : {&sorted.strips, &sorted.cells, &sorted.columns, &sorted.blocks})
+            for (TileList& list : *lists) make_room(list);
+        sort_by_depth(work, count, sorted.all);
+        std::fill_n(sorted.all.words[kColumns] + count, kLanes, 0);
+        kernels.splat_tile(sorted, channels, {target.camera.width, target.camera.height, normalised, out});
     }
 };
 
@@ -238,7 +194,7 @@ void splat(std::vector<SplatSource>& sources, int channels, const SplatTarget& t
     const Kernels& kernels = kernels_of(level);
     std::vector<Projector> projectors;
     for (const SplatSource& source : sources) projectors.push_back(make_projector(source, target, scale));
-    const Grid grid{(target.camera.width + kTileWidth - 1) / kTileWidth, (target.camera.height + kTileHeight - 1) / kTileHeight};
+    const Grid grid{(target.camera.width + kTile - 1) / kTile, (target.camera.height + kTile - 1) / kTile};
     std::vector<Band> bands = make_bands(sources);
     parallel_for(int(bands.size()), threads,
                  [&](int n, int) { fill_band(bands[n], sources[bands[n].source], projectors[bands[n].source], grid, kernels); });

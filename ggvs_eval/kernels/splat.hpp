@@ -9,11 +9,9 @@
 namespace ggvs {
 
 constexpr int kMaxFeatures = 4;
-constexpr int kTileWidth = 64, kTileHeight = 64;  // pixels of the target that are sorted together
+constexpr int kTile = 64;                         // pixels across and down of the target that are sorted together
 constexpr int kBlock = 4;                         // a tile is made of blocks 4 pixels wide that fill one vector, 4 x 4 at most
 constexpr int kLanes = kBlock * kBlock;
-constexpr int kTogether = 8;                       // Gaussians that are blended step by step together
-constexpr int kBlocksAcross = kTileWidth / kBlock;  // of blocks
 constexpr float kMinAlpha = 1.0f / 255.0f, kLog2MinAlpha = -7.99435344f;
 
 // The features are floats, or an 8-bit colour and perhaps one float more: then no image of floats is ever made.
@@ -48,36 +46,48 @@ struct Projector {
     float last_x, last_y;  // largest pixel indices of the target
 };
 
-// A Gaussian in one tile's coordinates, in a cache line of its own. log2 of its alpha at (x, y) is
-// (xx dx + xy dy) dx + yy dy dy.
+// A Gaussian in one tile's coordinates, in a cache line of its own. Pixel (i, j) lies at (xx i + xy j + x, yy j + y) where the
+// ellipse on which its alpha falls to 1/255 is the unit circle.
 struct alignas(64) Ellipse {
-    float u, v, xx, xy, yy, depth;
+    float xx, xy, x, yy, y, depth;
     float features[kMaxFeatures];
 };
 
-// The blocks that a Gaussian may touch, first and last column and row.
-struct BlockRange {
-    uint8_t x0, x1, y0, y1;
+// Bits of the least and the most depth.
+struct DepthRange {
+    int32_t least = INT32_MAX, most = 0;
 };
 
-// What is written of some Gaussians of a tile; there is room for whole vectors.
+// What is written of some Gaussians of a tile; there is room for whole vectors. Which parts of the tile a Gaussian may touch: a bit
+// for every four columns of pixels, and one for every two rows.
 struct Ellipses {
     Ellipse* list;
-    BlockRange* ranges;
-    int32_t* depths;  // their bits
+    int32_t *columns, *rows;
+    int32_t* depths;    // their bits
+    DepthRange* range;  // is widened by them
 };
 
-// The Gaussians that may touch one block, front to back, and the part of the picture that it is.
-struct BlockList {
-    const Ellipse* list;
-    const uint32_t* chosen;  // of the list
-    int count;               // a multiple of kTogether
-    int left, top;           // of the block in its tile
-    int columns, rows;       // of it that lie in the picture
-    int64_t first, width;    // first pixel and width of the picture
+// Gaussians of a tile, front to back, by their numbers, and which rows and columns they may touch; there is room for whole vectors.
+enum TileWord { kGaussians, kRows, kColumns };
+struct TileList {
+    int32_t* words[3];
+    int count;
 };
 
-// Tile ranges of up to 16 neighbouring Gaussians; x0 > x1 where a Gaussian is invalid or invisible.
+struct SplatTile {
+    const Ellipse* ellipses;
+    int32_t nothing;  // of the ellipses, touches no pixel
+    int left, top;    // in the picture
+    TileList all, strips[4], cells[4], columns[4], blocks[4];  // all but the first are room, for the lists of smaller and smaller parts
+};
+
+struct SplatPicture {
+    int width, height;
+    bool normalised;
+    SplatImages out;
+};
+
+// Tile ranges of up to 16 neighbouring Gaussians; of one that is invalid or invisible those of the least and the most are swapped.
 struct TileRanges {
     int32_t x0[kLanes], x1[kLanes], y0[kLanes], y1[kLanes];
 };

@@ -1,220 +1,39 @@
-// The inner loops of the splat, written once for every instruction set (included by level_*.cpp after a simd_*.hpp).
-// Steps and constants follow 3D Gaussian splatting's forward pass; the numbers in comments are those of the steps there:
-// 1 cull, 2 screen position, 3 covariance, 4 extent, 5 sort (splat.cpp), 6 alpha, 7 blending, 8 normalisation.
+// The splat's blending, written once for every instruction set (included by level_*.cpp after splat_project_simd.hpp, whose numbers
+// of the steps are meant here). Sums stay in registers.
 #pragma once
 #include "splat.hpp"
 
 namespace ggvs::GGVS_LEVEL {
 
-alignas(64) static const float kLaneNumber[16] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
-alignas(64) static const float kLaneColumn[16] = {0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3};
-alignas(64) static const float kLaneRow[16] = {0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3};
+constexpr int kTogether = kWidth < 16 ? 2 : 4;  // Gaussians that are blended step by step together, as registers allow
 
-struct Footprint {
-    M visible;
-    F u, v, depth;        // pixel index coordinates in the target, depth there
-    F var_x, cov, var_y;  // step 3
-    F reach_x, reach_y;   // half extents of the region where alpha >= 1/255
-};
-
-// Steps 1 to 4 for the Gaussians of source pixels (column, row).
-GGVS_INLINE Footprint project(const Projector& p, F column, F row, F source_depth) {
-    const float* m = p.map.matrix;
-    F u = column + all(0.5f), v = row + all(0.5f);
-    F x = source_depth * (all(m[0]) * u + all(m[1]) * v + all(m[2])) + all(p.map.offset[0]);
-    F y = source_depth * (all(m[3]) * u + all(m[4]) * v + all(m[5])) + all(p.map.offset[1]);
-    F z = source_depth * (all(m[6]) * u + all(m[7]) * v + all(m[8])) + all(p.map.offset[2]);
-    F inverse = all(1.0f) / z;
-    F slope_x = x * inverse, slope_y = y * inverse;
-
-    Footprint f;
-    f.depth = z;
-    f.u = all(p.fx) * slope_x + all(p.cx);
-    f.v = all(p.fy) * slope_y + all(p.cy);
-    // Isotropic Gaussians: J W Sigma W^T J^T = sigma^2 J J^T, plus the 0.3 that keeps them at least pixel sized.
-    F sigma = all(p.sigma) * source_depth * inverse;
-    F jx = all(p.fx) * sigma, jy = all(p.fy) * sigma;
-    F clamped_x = max(min(slope_x, all(p.max_x)), all(-p.max_x));
-    F clamped_y = max(min(slope_y, all(p.max_y)), all(-p.max_y));
-    F jxz = jx * clamped_x, jyz = jy * clamped_y;
-    f.var_x = jx * jx + jxz * jxz + all(0.3f);
-    f.cov = jxz * jyz;
-    f.var_y = jy * jy + jyz * jyz + all(0.3f);
-    // alpha = exp(-q / 2) >= 1/255 holds for q <= 2 ln 255 = 11.08; the bound is a little generous, alpha itself decides.
-    f.reach_x = sqrt(all(11.09f) * f.var_x);
-    f.reach_y = sqrt(all(11.09f) * f.var_y);
-
-    M valid = both(less(all(0.0f), source_depth), less(source_depth, all(1e30f)));
-    M in_front = less(all(p.near), z);
-    M across = both(at_most(all(0.0f), f.u + f.reach_x), at_most(f.u - f.reach_x, all(p.last_x)));
-    M down = both(at_most(all(0.0f), f.v + f.reach_y), at_most(f.v - f.reach_y, all(p.last_y)));
-    f.visible = both(both(valid, in_front), both(across, down));
-    return f;
-}
-
-// Which tiles the Gaussians of `count` (at most 16) neighbouring pixels of one source row touch; whether all touch the same one
-// alone.
-static bool tile_ranges(const Projector& p, const float* depth, int column, int row, int count, TileRanges* out) {
-    alignas(64) float padded[kLanes] = {};
-    __builtin_memcpy(padded, depth, count * sizeof(float));
-    for (int lane = 0; lane < kLanes; lane += kWidth) {
-        F columns = all(float(column + lane)) + load(kLaneNumber);
-        Footprint f = project(p, columns, all(float(row)), load(padded + lane));
-        F x0 = max(f.u - f.reach_x, all(0.0f)), x1 = min(f.u + f.reach_x, all(p.last_x));
-        F y0 = max(f.v - f.reach_y, all(0.0f)), y1 = min(f.v + f.reach_y, all(p.last_y));
-        F across = all(1.0f / kTileWidth), down = all(1.0f / kTileHeight);
-        store(out->x0 + lane, select(f.visible, truncate(x0 * across), all(int32_t(1))));
-        store(out->x1 + lane, select(f.visible, truncate(x1 * across), all(int32_t(0))));
-        store(out->y0 + lane, truncate(y0 * down));
-        store(out->y1 + lane, truncate(y1 * down));
-    }
-    int32_t others = 0;
-    for (int lane = 0; lane < kLanes; ++lane) {
-        const int32_t x = (out->x0[lane] ^ out->x0[0]) | (out->x1[lane] ^ out->x0[0]);
-        others |= lane < count ? x | (out->y0[lane] ^ out->y0[0]) | (out->y1[lane] ^ out->y0[0]) : 0;
-    }
-    return others == 0;
-}
-
-GGVS_INLINE F ceiling(F x) {  // of 0 <= x < 2^31
-    F whole = to_float(truncate(x));
-    return select(less(whole, x), whole + all(1.0f), whole);
-}
-
-constexpr int kBlockRows = kWidth / kBlock;
-
-// Neighbours in a list are neighbours in a row of the source, but its rows lie too far apart for a processor to foresee them.
-template <int kChannels>
-GGVS_INLINE void prefetch_pixel(const SplatSource& source, uint32_t pixel) {
-    const int64_t index = int64_t(pixel >> 16) * source.camera.width + (pixel & 0xffff);
-    __builtin_prefetch(source.depth + index);
-    if (source.features) {
-        __builtin_prefetch(source.features + index * kChannels);
-        if (kChannels > 2) __builtin_prefetch(source.features + (index + 8) * kChannels);
-    } else {
-        __builtin_prefetch(source.colours + index * 3);
-        if (kChannels > 3) __builtin_prefetch(source.extra + index);
-    }
-}
-
-// Some pixels of a source. Those of a tile mostly lie side by side in a row, where no gather is wanted.
-struct Pixels {
-    I index;
-    int64_t first;  // of them, where they lie side by side with two more behind them; else -1
-};
-
-GGVS_INLINE F read(const float* map, const Pixels& pixels) {
-    return pixels.first < 0 ? gather(map, pixels.index) : load(map + pixels.first);
-}
-
-// Colours, one byte per channel from the lowest on.
-GGVS_INLINE I read_bytes(const SplatSource& source, const Pixels& pixels) {
-    if (pixels.first >= 0) return load_byte_triples(source.colours + 3 * pixels.first);
-    // Four bytes are read at a time; the last pixel has three, so they are read one byte earlier and shifted.
-    const I last = all(int32_t(3 * (int64_t(source.camera.width) * source.camera.height - 1)));
-    I byte = pixels.index * all(int32_t(3));
-    M at_end = less(to_float(last - byte), all(1.0f));
-    I raw = gather_bytes(source.colours, select(at_end, byte - all(int32_t(1)), byte));
-    return select(at_end, raw >> 8, raw);
-}
-
-template <int kChannels>
-GGVS_INLINE void read_features(const SplatSource& source, const Pixels& pixels, F* features) {
-    if (source.features) {
-#pragma GCC unroll 4
-        for (int c = 0; c < kChannels; ++c) features[c] = gather(source.features + c, pixels.index * all(int32_t(kChannels)));
-        return;
-    }
-    const I raw = read_bytes(source, pixels), level = all(int32_t(255));
-#pragma GCC unroll 3
-    for (int c = 0; c < kChannels && c < 3; ++c) features[c] = to_float((raw >> (8 * c)) & level) / all(255.0f);
-    if (kChannels > 3) features[3] = read(source.extra, pixels);
-}
-
-template <int kChannels>
-static void ellipses_of(const Projector& p, const SplatSource& source, const uint32_t* pixels, int count, int left, int top,
-                        const Ellipses& out) {
-    const F log2e = all(1.44269504f), half = all(-0.5f);
-    for (int first = 0; first < count; first += kWidth) {
-        int used = count - first < kWidth ? count - first : kWidth;
-        constexpr int kAhead = 64;
-        prefetch_pixel<kChannels>(source, pixels[first + kAhead < count ? first + kAhead : count - 1]);
-        alignas(64) int32_t packed[kWidth] = {};
-        __builtin_memcpy(packed, pixels + first, used * sizeof(int32_t));
-        I pixel = load(packed);
-        I column = pixel & all(int32_t(0xffff)), row = (pixel >> 16) & all(int32_t(0xffff));
-        const int64_t begin = int64_t(packed[0] >> 16 & 0xffff) * source.camera.width + (packed[0] & 0xffff);
-        const bool row_of_them = used == kWidth && packed[kWidth - 1] - packed[0] == kWidth - 1 &&
-                                 begin + kWidth + 2 <= int64_t(source.camera.width) * source.camera.height;
-        const Pixels read_at{row * all(int32_t(source.camera.width)) + column, row_of_them ? begin : -1};
-        Footprint f = project(p, to_float(column), to_float(row), read(source.depth, read_at));
-
-        F determinant = f.var_x * f.var_y - f.cov * f.cov;
-        F per = log2e / determinant;
-        F u = f.u - all(float(left)), v = f.v - all(float(top));
-        const F zero = all(0.0f);
-        I x0 = truncate(ceiling(min(max(u - f.reach_x, zero), all(float(kTileWidth - 1))))) >> 2;
-        I x1 = truncate(max(min(u + f.reach_x, all(float(kTileWidth - 1))), zero)) >> 2;
-        constexpr int kRowShift = kBlockRows == 4 ? 2 : kBlockRows == 2 ? 1 : 0;
-        I y0 = truncate(ceiling(min(max(v - f.reach_y, zero), all(float(kTileHeight - 1))))) >> kRowShift;
-        I y1 = truncate(max(min(v + f.reach_y, all(float(kTileHeight - 1))), zero)) >> kRowShift;
-
-        F features[kMaxFeatures] = {zero, zero, zero, zero};
-        read_features<kChannels>(source, read_at, features);
-        // Lanes beyond the last are written too, and overwritten by what follows.
-        float* fields = &out.list[first].u;
-        constexpr int kStride = sizeof(Ellipse) / sizeof(float);
-        store_quads(fields, kStride, u, v, half * f.var_y * per, f.cov * per);
-        store_quads(fields + 4, kStride, half * f.var_x * per, f.depth, features[0], features[1]);
-        store_quads(fields + 8, kStride, features[2], features[3], zero, zero);
-        alignas(64) int32_t blocks[kWidth];
-        store(blocks, x0 | (x1 << 8) | (y0 << 16) | (y1 << 24));
-        __builtin_memcpy(out.ranges + first, blocks, sizeof blocks);
-        store(out.depths + first, bits(f.depth));
-    }
-}
-
-// Ellipses, in the coordinates of the tile that starts at (left, top), of the listed source pixels.
-static void ellipses(const Projector& p, const SplatSource& source, int channels, const uint32_t* pixels, int count, int left,
-                     int top, const Ellipses& out) {
-    switch (channels) {
-        case 1:
-            return ellipses_of<1>(p, source, pixels, count, left, top, out);
-        case 2:
-            return ellipses_of<2>(p, source, pixels, count, left, top, out);
-        case 3:
-            return ellipses_of<3>(p, source, pixels, count, left, top, out);
-        default:
-            return ellipses_of<4>(p, source, pixels, count, left, top, out);
-    }
-}
-
-// 2^x for -126 < x < 126 to 2e-7, from integer and fractional part; the coefficients are the minimax polynomial on [-1/2, 1/2].
+// Step 6 for some Gaussians at once; 0 where a pixel is not touched. At the squared distance d from the middle alpha is 255^-d, and
+// on the rim of the unit circle 1/255. A polynomial that is then squared, with a constant added each time, has a high degree for few
+// operations: fitted to [0, 1] it is alpha to 1e-7, and rounded to 1e-6.
 // Several at once, step by step: each step waits for the one before, and processors look ahead for work of their own only so far.
 template <int kCount>
-GGVS_INLINE void exp2(F (&x)[kCount]) {
-    constexpr float kCoefficients[] = {9.671513338e-3f, 5.550733752e-2f, 2.402224207e-1f, 6.931469776e-1f, 1.0f};
-    F p[kCount];
-    I whole[kCount];
+GGVS_INLINE void alphas_of(const Ellipse* const (&e)[kCount], F x, F y, M active, F (&alpha)[kCount]) {
+    constexpr float kFirst = 0.0106465108f, kFactors[] = {-0.0521149507f, 0.244050601f, -0.689524064f, 1.00018627f}, kSquares[] = {0.00397215164f, -0.00869712176f, -2.25079041e-05f};
+    F distance[kCount];
+    M touched[kCount];
 #pragma GCC unroll 8
     for (int n = 0; n < kCount; ++n) {
-        F shifted = x[n] + all(12582912.0f);  // 1.5 * 2^23: rounds to the nearest integer in the low mantissa bits
-        x[n] = x[n] - (shifted - all(12582912.0f));
-        whole[n] = bits(shifted) << 23;
-        p[n] = all(1.326472634e-3f);
+        F across = multiply_add(all(e[n]->xx), x, multiply_add(all(e[n]->xy), y, all(e[n]->x)));
+        F down = multiply_add(all(e[n]->yy), y, all(e[n]->y));
+        distance[n] = multiply_add(across, across, down * down);
+        touched[n] = both(active, at_most(distance[n], all(1.0f)));
+        alpha[n] = all(kFirst);
     }
 #pragma GCC unroll 5
-    for (const float coefficient : kCoefficients)
+    for (const float term : kFactors)
 #pragma GCC unroll 8
-        for (int n = 0; n < kCount; ++n) p[n] = p[n] * x[n] + all(coefficient);
+        for (int n = 0; n < kCount; ++n) alpha[n] = multiply_add(alpha[n], distance[n], all(term));
+#pragma GCC unroll 3
+    for (const float term : kSquares)
 #pragma GCC unroll 8
-    for (int n = 0; n < kCount; ++n) x[n] = from_bits(bits(p[n]) + whole[n]);
-}
-
-GGVS_INLINE F exp2(F x) {
-    F one[1] = {x};
-    exp2(one);
-    return one[0];
+        for (int n = 0; n < kCount; ++n) alpha[n] = multiply_add(alpha[n], alpha[n], all(term));
+#pragma GCC unroll 8
+    for (int n = 0; n < kCount; ++n) alpha[n] = keep(touched[n], min(alpha[n], all(0.99f)));
 }
 
 // One pixel per lane, in registers from the first Gaussian to the last.
@@ -223,101 +42,149 @@ struct Sums {
     F transmittance, depth, features[kChannels];
 
     inline __attribute__((always_inline)) void add(const Ellipse& e, F weight) {
-        depth = depth + weight * all(e.depth);
+        depth = multiply_add(weight, all(e.depth), depth);
 #pragma GCC unroll 4
-        for (int c = 0; c < kChannels; ++c) features[c] = features[c] + weight * all(e.features[c]);
+        for (int c = 0; c < kChannels; ++c) features[c] = multiply_add(weight, all(e.features[c]), features[c]);
     }
 };
 
-// Step 6 for some Gaussians at once; 0 where a pixel is not touched.
-GGVS_INLINE void alphas_of(const Ellipse* const (&e)[kTogether], F column, F row, F left, F top, M active, F (&alpha)[kTogether]) {
-    M touched[kTogether];
-#pragma GCC unroll 8
-    for (int n = 0; n < kTogether; ++n) {
-        F dx = column + (left - all(e[n]->u)), dy = row + (top - all(e[n]->v));
-        alpha[n] = (all(e[n]->xx) * dx + all(e[n]->xy) * dy) * dx + all(e[n]->yy) * dy * dy;
-        touched[n] = both(active, at_most(all(kLog2MinAlpha), alpha[n]));
-    }
-    exp2(alpha);
-#pragma GCC unroll 8
-    for (int n = 0; n < kTogether; ++n) alpha[n] = select(touched[n], min(alpha[n], all(0.99f)), all(0.0f));
-}
-
-// Steps 6 and 7.
+// Steps 6 and 7 for the pixels (x, y) of a tile.
 template <int kChannels>
-GGVS_INLINE Sums<kChannels> blend(const BlockList& block) {
-    const int part = block.top % kBlock * kBlock;  // of the 4 x 4 pixels that smaller vectors share out
-    const F column = load(kLaneColumn), row = load(kLaneRow + part), zero = all(0.0f), least = all(1e-4f);
-    const F left = all(float(block.left)), top = all(float(block.top - block.top % kBlock));
+GGVS_INLINE Sums<kChannels> blend(const Ellipse* list, const int32_t* chosen, int count, F x, F y) {
+    const F zero = all(0.0f), least = all(1e-4f);
     M active = less(zero, all(1.0f));
     Sums<kChannels> sums;
     sums.transmittance = all(1.0f), sums.depth = zero;
 #pragma GCC unroll 4
     for (int c = 0; c < kChannels; ++c) sums.features[c] = zero;
-    for (int first = 0; first < block.count; first += kTogether) {
+    for (int first = 0; first < count; first += kTogether) {
         const Ellipse* e[kTogether];
         F alpha[kTogether], weight[kTogether];
 #pragma GCC unroll 8
-        for (int n = 0; n < kTogether; ++n) e[n] = block.list + block.chosen[first + n];
-        alphas_of(e, column, row, left, top, active, alpha);
+        for (int n = 0; n < kTogether; ++n) e[n] = list + uint32_t(chosen[first + n]);
+        alphas_of(e, x, y, active, alpha);
         F after = sums.transmittance;
 #pragma GCC unroll 8
-        for (int n = 0; n < kTogether; ++n) weight[n] = after * alpha[n], after = after - weight[n];
+        for (int n = 0; n < kTogether; ++n) weight[n] = after * alpha[n], after = without_product(after, alpha[n], after);
         if (__builtin_expect(any(less(after, least)), 0)) {
-            // A pixel stops BEFORE the Gaussian that would bring its transmittance below the least.
-            after = sums.transmittance;
+            // One by one: a pixel stops BEFORE the Gaussian that would bring its transmittance below the least.
+#pragma GCC unroll 1
             for (int n = 0; n < kTogether; ++n) {
-                weight[n] = select(active, after * alpha[n], zero);
-                active = but_not(active, less(after - weight[n], least));
-                weight[n] = select(active, weight[n], zero);
-                after = after - weight[n];
+                const Ellipse* const one[1] = {list + uint32_t(chosen[first + n])};
+                F its[1];
+                alphas_of(one, x, y, active, its);
+                after = without_product(sums.transmittance, its[0], sums.transmittance);
+                active = but_not(active, less(after, least));
+                sums.add(*one[0], keep(active, sums.transmittance * its[0]));
+                sums.transmittance = select(active, after, sums.transmittance);
             }
+            if (!any(active)) break;
+            continue;
         }
         sums.transmittance = after;
 #pragma GCC unroll 8
         for (int n = 0; n < kTogether; ++n) sums.add(*e[n], weight[n]);
-        if (!any(active)) break;
     }
     return sums;
 }
 
 // Step 8: alpha = 1 - T; if asked, the sums are divided by it where alpha > 1/255, and 0 elsewhere.
+// Into the pixels from (x, y) of the picture on, as far as it reaches.
 template <int kChannels>
-static void block_of(const BlockList& block, bool normalised, SplatImages out) {
-    const Sums<kChannels> sums = blend<kChannels>(block);
+GGVS_INLINE void put(const SplatPicture& picture, const Sums<kChannels>& sums, int x, int y) {
     F alpha = all(1.0f) - sums.transmittance;
-    F factor = normalised ? select(less(all(kMinAlpha), alpha), all(1.0f) / alpha, all(0.0f)) : all(1.0f);
+    F factor = picture.normalised ? select(less(all(kMinAlpha), alpha), all(1.0f) / alpha, all(0.0f)) : all(1.0f);
     alignas(64) float alphas[kWidth], depths[kWidth], features[kWidth][kMaxFeatures];
     store(alphas, alpha), store(depths, sums.depth * factor);
     F values[kMaxFeatures] = {alpha, alpha, alpha, alpha};  // what is no channel is not written
 #pragma GCC unroll 4
     for (int c = 0; c < kChannels; ++c) values[c] = sums.features[c] * factor;
     store_quads(features[0], kMaxFeatures, values[0], values[1], values[2], values[3]);
-    for (int y = 0; y < block.rows; ++y) {
-        const int64_t pixel = block.first + y * block.width;
-        const int lane = y * kBlock, columns = block.columns;
+    const int columns = picture.width - x < kBlock ? picture.width - x : kBlock;
+    for (int lane = 0; lane < kWidth && y < picture.height; lane += kBlock, ++y) {
+        const int64_t pixel = int64_t(y) * picture.width + x;
         if (columns == kBlock) {  // as is usual: a size that the compiler knows
-            __builtin_memcpy(out.alpha + pixel, alphas + lane, kBlock * sizeof(float));
-            __builtin_memcpy(out.depth + pixel, depths + lane, kBlock * sizeof(float));
+            __builtin_memcpy(picture.out.alpha + pixel, alphas + lane, kBlock * sizeof(float));
+            __builtin_memcpy(picture.out.depth + pixel, depths + lane, kBlock * sizeof(float));
         } else {
-            __builtin_memcpy(out.alpha + pixel, alphas + lane, columns * sizeof(float));
-            __builtin_memcpy(out.depth + pixel, depths + lane, columns * sizeof(float));
+            __builtin_memcpy(picture.out.alpha + pixel, alphas + lane, columns * sizeof(float));
+            __builtin_memcpy(picture.out.depth + pixel, depths + lane, columns * sizeof(float));
         }
-        for (int x = 0; x < columns; ++x)
-            __builtin_memcpy(out.features + (pixel + x) * kChannels, features[lane + x], kChannels * sizeof(float));
+        for (int column = 0; column < columns; ++column)
+            __builtin_memcpy(picture.out.features + (pixel + column) * kChannels, features[lane + column], kChannels * sizeof(float));
     }
 }
 
-static void splat_block(const BlockList& block, int channels, bool normalised, SplatImages out) {
+// Lists of what may touch each of four parts of the tile, whose rows or columns are so many bits of a word. What is behind the end
+// of a list touches nothing.
+template <int kTested, int kKept>
+GGVS_INLINE void share_out(const TileList& from, int first_bit, int bits, TileList (&to)[4]) {
+    I part[4];
+    int count[4] = {0, 0, 0, 0};
+#pragma GCC unroll 4
+    for (int n = 0; n < 4; ++n) part[n] = all(int32_t(((1u << bits) - 1) << (first_bit + n * bits)));
+    for (int first = 0; first < from.count; first += kWidth) {
+        I words[3];
+#pragma GCC unroll 3
+        for (int word = 0; word < 3; ++word)
+            if (word < kKept || word == kTested) words[word] = load(from.words[word] + first);
+#pragma GCC unroll 4
+        for (int n = 0; n < 4; ++n) {
+            const M touched = share_bits(words[kTested], part[n]);
+#pragma GCC unroll 3
+            for (int word = 0; word < kKept; ++word) pack(touched, words[word], to[n].words[word] + count[n]);
+            count[n] += count_of(touched);
+        }
+    }
+#pragma GCC unroll 4
+    for (int n = 0; n < 4; ++n) {
+#pragma GCC unroll 3
+        for (int word = 1; word < kKept; ++word) store(to[n].words[word] + count[n], all(int32_t(0)));
+        to[n].count = count[n];
+    }
+}
+
+constexpr int kBlockRows = kWidth / kBlock, kListRows = kBlockRows < 2 ? 2 : kBlockRows;  // of a vector, and of what one list serves
+
+// The blocks of 4 columns, 4 of them from (x, y) of the tile down.
+template <int kChannels>
+GGVS_INLINE void blend_blocks(SplatTile& tile, const SplatPicture& picture, const TileList& column, int x, int y) {
+    share_out<kRows, 1>(column, y / 2, kListRows / 2, tile.blocks);
+    for (const TileList& block : tile.blocks) {
+        for (int n = 0; n < kTogether; ++n) block.words[kGaussians][block.count + n] = tile.nothing;
+        for (int part = 0; part < kListRows && tile.top + y < picture.height; part += kBlockRows, y += kBlockRows) {
+            const F columns = load(kLaneColumn) + all(float(x)), rows = load(kLaneRow) + all(float(y));
+            put(picture, blend<kChannels>(tile.ellipses, block.words[kGaussians], block.count, columns, rows), tile.left + x,
+                tile.top + y);
+        }
+    }
+}
+
+// By strips, cells of 16 x 16 pixels and columns of these, so that what lies together is blended together.
+template <int kChannels>
+static void tile_of(SplatTile& tile, const SplatPicture& picture) {
+    share_out<kColumns, 3>(tile.all, 0, 4, tile.strips);
+    for (int left = 0; left < kTile && tile.left + left < picture.width; left += 16) {
+        share_out<kRows, 3>(tile.strips[left / 16], 0, 8, tile.cells);
+        for (int top = 0; top < kTile && tile.top + top < picture.height; top += 16) {
+            share_out<kColumns, 2>(tile.cells[top / 16], left / kBlock, 1, tile.columns);
+            for (int x = left; x < left + 16 && tile.left + x < picture.width; x += kBlock)
+                for (int y = top; y < top + 16; y += 4 * kListRows)
+                    blend_blocks<kChannels>(tile, picture, tile.columns[(x - left) / kBlock], x, y);
+        }
+    }
+}
+
+static void splat_tile(SplatTile& tile, int channels, const SplatPicture& picture) {
     switch (channels) {
         case 1:
-            return block_of<1>(block, normalised, out);
+            return tile_of<1>(tile, picture);
         case 2:
-            return block_of<2>(block, normalised, out);
+            return tile_of<2>(tile, picture);
         case 3:
-            return block_of<3>(block, normalised, out);
+            return tile_of<3>(tile, picture);
         default:
-            return block_of<4>(block, normalised, out);
+            return tile_of<4>(tile, picture);
     }
 }
 
