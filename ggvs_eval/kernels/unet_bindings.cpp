@@ -24,9 +24,9 @@ UNetLayer layer_of(const py::handle& object, int before) {
     const int after = int(shape_of(bias, "bias", 1)[0]);
     if (after < 1 || after > kMostPixels) throw py::type_error("bias: wanted 1 to 65535 values, got " + describe(bias));
     const py::array weights = strided(layer[0], "weights", {after, before, 3, 3});
-    UNetLayer made{before, after, static_cast<const float*>(weights.data()), {}, data_of<float>(bias, "bias", {after}),
+    UNetLayer made{{before, after, static_cast<const float*>(weights.data()), {}}, data_of<float>(bias, "bias", {after}),
                    data_of<float>(layer[2], "gain", {after}), data_of<float>(layer[3], "shift", {after})};
-    for (int axis = 0; axis < 4; ++axis) made.weight_strides[axis] = weights.strides(axis) / py::ssize_t(sizeof(float));
+    for (int axis = 0; axis < 4; ++axis) made.filters.strides[axis] = weights.strides(axis) / py::ssize_t(sizeof(float));
     return made;
 }
 
@@ -36,16 +36,16 @@ void fill_blocks(UNet& job, const py::sequence& layers) {
         const int level = block <= kUNetLevels ? block : 2 * kUNetLevels - block;
         int before = job.channels;
         if (block > kUNetLevels) {
-            before = job.blocks[level][1].after + job.blocks[block - 1][1].after;
+            before = job.blocks[level][1].filters.after + job.blocks[block - 1][1].filters.after;
         } else if (block > 0) {
-            before = job.blocks[block - 1][1].after;
+            before = job.blocks[block - 1][1].filters.after;
         }
         for (int n = 0; n < 2; ++n) {
             job.blocks[block][n] = layer_of(layers[2 * block + n], before);
-            before = job.blocks[block][n].after;
+            before = job.blocks[block][n].filters.after;
         }
-        const int wanted = block == 0 ? job.blocks[0][1].after : job.blocks[0][1].after << level;
-        if (job.blocks[block][0].after != wanted || job.blocks[block][1].after != wanted)
+        const int wanted = block == 0 ? job.blocks[0][1].filters.after : job.blocks[0][1].filters.after << level;
+        if (job.blocks[block][0].filters.after != wanted || job.blocks[block][1].filters.after != wanted)
             throw py::type_error("unet: wanted twice as many channels at every further level");
     }
 }
@@ -62,7 +62,7 @@ py::array_t<float> unet_of(const py::array& channels, const py::sequence& layers
     const py::array bias = py::cast<py::array>(last[1]);
     job.outputs = int(shape_of(bias, "bias", 1)[0]);
     job.last_bias = data_of<float>(bias, "bias", {job.outputs});
-    job.last_weights = data_of<float>(last[0], "weights", {job.outputs, job.blocks[0][1].after});
+    job.last_weights = data_of<float>(last[0], "weights", {job.outputs, job.blocks[0][1].filters.after});
     py::array_t<float> out = empty({job.outputs, job.height, job.width});
     constexpr int64_t kLine = 64;  // bytes
     py::array_t<float> memory = empty({unet_workspace(job) + kLine / int64_t(sizeof(float))});
