@@ -27,21 +27,11 @@ void repeat_border(float* line, int left, int right, int margin, int width) {
     std::fill(line + last + 1, line + right - left + 2 * margin, line[last]);
 }
 
-// A layer's weights (before, 3, 3, padded) as strips take them.
-std::vector<float> strip_weights(const Layer& layer) {
-    const Filters filters{layer.before, layer.after, layer.weights, {1, 9 * layer.padded, 3 * layer.padded, layer.padded}};
-    const int groups = layer.padded / kGroupOutputs;
-    std::vector<float> made(groups * group_size(layer.before));
-    for (int group = 0; group < groups; ++group) pack_group(filters, group, made.data() + group * group_size(layer.before));
-    return made;
-}
-
 // What all tiles share.
 struct Shared {
     const Refinement& job;
     const Kernels& kernels;
     FinePixels across, down;
-    Layer looks[2];  // for strips
     float* out;
 };
 
@@ -127,7 +117,7 @@ private:
     // as they only enter rows that are not wanted, where they must not be left to chance: they cancel but for rounding.
     template <class Rows>
     ConvolvedStrip strip(int layer, int y, int count, const Rows& sources) {
-        ConvolvedStrip strip{shared_.looks[layer], {}, {}, count, kStride, work_.strip.data()};
+        ConvolvedStrip strip{job_.looks[layer], {}, {}, count, kStride, work_.strip.data()};
         for (int n = 0; n < kStripSources; ++n)
             strip.sources[n] = sources(std::clamp(y - 1 + n, std::max(top_ - kValueMargin, 0), job_.height - 1));
         return strip;
@@ -169,14 +159,8 @@ private:
 }  // namespace
 
 void refine(const Refinement& job, float* out, int threads, int level) {
-    const std::vector<float> weights[2] = {strip_weights(job.looks[0]), strip_weights(job.looks[1])};
-    Shared shared{job,
-                  kernels_of(level),
-                  FinePixels(job.width, job.small.width, job.small.scale),
-                  FinePixels(job.height, job.small.height, job.small.scale),
-                  {job.looks[0], job.looks[1]},
-                  out};
-    for (int n = 0; n < 2; ++n) shared.looks[n].weights = weights[n].data();
+    const Shared shared{job, kernels_of(level), FinePixels(job.width, job.small.width, job.small.scale),
+                        FinePixels(job.height, job.small.height, job.small.scale), out};
     const int across = (job.width + kTileColumns - 1) / kTileColumns, down = (job.height + kTileRows - 1) / kTileRows;
     threads = std::max(1, std::min(threads, across * down));
     std::vector<Workspace> workspaces(threads, Workspace(job, TileRefiner::kPlanes));

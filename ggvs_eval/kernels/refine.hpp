@@ -19,7 +19,7 @@ struct Refinement {
     const float* logarithm;  // (height, width), of the depth, 0 where unknown
     SmallMaps small;
     int first_feature, features;  // channels of `small`
-    Layer looks[2];               // 3 x 3, leaky; weights (before, 3, 3, padded)
+    Layer looks[2];               // 3 x 3, leaky
     Layer taps;                   // 1 x 1
 };
 

@@ -54,11 +54,11 @@ public:
         copy_input();
         for (int n = 0; n < kUNetLevels; ++n) {
             run_block(n, n ? plan_.pooled[n] : plan_.input, plan_.between[n], plan_.skip[n]);
-            pool(plan_.skip[n], job_.blocks[n][1].filters.after, plan_.pooled[n + 1]);
+            pool(plan_.skip[n], job_.blocks[n][1].convolution.after, plan_.pooled[n + 1]);
         }
         run_block(kUNetLevels, plan_.pooled[kUNetLevels], plan_.between[kUNetLevels], plan_.out[kUNetLevels]);
         for (int n = kUNetLevels - 1; n >= 0; --n) {
-            enlarge(plan_.out[n + 1], plan_.skip[n], job_.blocks[n][1].filters.after);
+            enlarge(plan_.out[n + 1], plan_.skip[n], job_.blocks[n][1].convolution.after);
             run_block(2 * kUNetLevels - n, plan_.skip[n], plan_.between[n], plan_.out[n]);
         }
         finish(out);
@@ -87,19 +87,9 @@ private:
         convolve(job_.blocks[block][1], between, to);
     }
 
-    void pack(const UNetLayer& layer) {
-        const int groups = int(rounded_up(layer.filters.after, kGroupOutputs)) / kGroupOutputs;
-        const int64_t size = group_size(layer.filters.before);
-        weights_.resize(std::max(weights_.size(), size_t(groups * size)));
-        bias_.assign(groups * kGroupOutputs, 0.0f);
-        std::copy_n(layer.bias, layer.filters.after, bias_.begin());
-        parallel_for(groups, threads_, [&](int group, int) { pack_group(layer.filters, group, weights_.data() + group * size); });
-    }
-
     // Into the first channels of `to`, normalised.
     void convolve(const UNetLayer& layer, const ReflectedMaps& from, const ReflectedMaps& to) {
-        pack(layer);
-        const int64_t sources = int64_t(kStripSources) * layer.filters.before * kStripLine, row = to.lines * to.stride + kMostLanes;
+        const int64_t sources = int64_t(kStripSources) * layer.convolution.before * kStripLine, row = to.lines * to.stride + kMostLanes;
         AlignedFloats scratch(threads_ * (sources + row));  // a row for those beyond the last one
         std::vector<Moments> moments(to.height);
         parallel_for((to.height + kStripRows - 1) / kStripRows, threads_, [&](int strip, int worker) {
@@ -107,7 +97,7 @@ private:
             float* memory = scratch.data() + worker * (sources + row);
             convolve_strip(layer, from, to, first, memory, memory + sources);
             for (int y = first; y < last; ++y)
-                moments[y] = kernels_.moments_of_row(to.row(y), to.stride, to.width, layer.filters.after);
+                moments[y] = kernels_.moments_of_row(to.row(y), to.stride, to.width, layer.convolution.after);
         });
         normalise(layer, to, moments);
     }
@@ -115,27 +105,26 @@ private:
     // Rows y .. y + kStripRows - 1 of all outputs.
     void convolve_strip(const UNetLayer& layer, const ReflectedMaps& from, const ReflectedMaps& to, int y, float* scratch,
                         float* beyond) const {
-        const Layer packed{layer.filters.before, layer.filters.after, int(bias_.size()), weights_.data(), bias_.data()};
-        ConvolvedStrip strip{packed, {}, {}, to.width, to.stride, scratch};
+        ConvolvedStrip strip{layer.convolution, {}, {}, to.width, to.stride, scratch};
         for (int n = 0; n < kStripSources; ++n) strip.sources[n] = from.row(std::min(y - 1 + n, from.height));
         for (int n = 0; n < kStripRows; ++n) strip.out[n] = y + n < to.height ? to.row(y + n) + 1 : beyond;
         kernels_.convolve_strip(strip);
     }
 
     void normalise(const UNetLayer& layer, const ReflectedMaps& maps, const std::vector<Moments>& moments) {
-        const double count = double(maps.width) * maps.height * layer.filters.after;
+        const double count = double(maps.width) * maps.height * layer.convolution.after;
         double sum = 0.0, squares = 0.0;
         for (const Moments& row : moments) sum += row.sum, squares += row.squares;
         const double mean = sum / count, variance = std::max(squares / count - mean * mean, 0.0);
         const double per = 1.0 / std::sqrt(variance + job_.epsilon);
-        std::vector<float> gain(layer.filters.after), shift(layer.filters.after);
-        for (int channel = 0; channel < layer.filters.after; ++channel) {
+        std::vector<float> gain(layer.convolution.after), shift(layer.convolution.after);
+        for (int channel = 0; channel < layer.convolution.after; ++channel) {
             gain[channel] = float(per * layer.gain[channel]);
             shift[channel] = float(layer.shift[channel] - mean * per * layer.gain[channel]);
         }
         for_rows(maps.height, threads_, [&](int y) {
-            kernels_.normalise_row({maps.row(y), maps.stride, maps.width, layer.filters.after, gain.data(), shift.data()});
-            reflect_row(maps, y, 0, layer.filters.after);
+            kernels_.normalise_row({maps.row(y), maps.stride, maps.width, layer.convolution.after, gain.data(), shift.data()});
+            reflect_row(maps, y, 0, layer.convolution.after);
         });
     }
 
@@ -199,7 +188,6 @@ private:
     const Plan plan_;
     const int threads_;
     const Kernels& kernels_;
-    std::vector<float> weights_, bias_;
 };
 
 }  // namespace

@@ -21,10 +21,10 @@ struct ReflectedMaps {
     float* row(int y) const { return data + (y + 1) * lines * stride; }
 };
 
-// One 3 x 3 convolution and the normalisation behind it, as torch has them.
+// One 3 x 3 convolution and the normalisation behind it.
 struct UNetLayer {
-    Filters filters;
-    const float *bias, *gain, *shift;  // (after)
+    Layer convolution;          // packed
+    const float *gain, *shift;  // (after)
 };
 
 struct UNet {

@@ -35,9 +35,9 @@ struct Plan {
         const int width = padded(job.width, &left), height = padded(job.height, &top);
         input = maps_of(width, height, job.channels, 0);
         for (int n = 0; n <= kUNetLevels; ++n) {
-            const int after = job.blocks[n][0].filters.after, w = width >> n, h = height >> n;
+            const int after = job.blocks[n][0].convolution.after, w = width >> n, h = height >> n;
             between[n] = out[n] = maps_of(w, h, after, after);
-            pooled[n] = maps_of(w, h, job.blocks[n][0].filters.before, 0);
+            pooled[n] = maps_of(w, h, job.blocks[n][0].convolution.before, 0);
             if (n < kUNetLevels) skip[n] = maps_of(w, h, 3 * after, after);
         }
         place({&input, &skip[0]}, memory);
