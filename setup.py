@@ -10,7 +10,7 @@ SOURCES = (
     *("core", "splat", "tsdf", "occupancy", "warp", "dispatch", "level_baseline", "level_avx2", "level_avx512"),
     *("images", "filter", "blend", "push_pull", "remember", "recur", "contested", "shade"),
     *("register", "compose", "refine", "learned"),
-    *("unet", "unet_bindings", "memory", "overview", "network_inputs", "ray_pooling", "ray_pooling_bindings"),
+    *("convolve", "unet", "unet_bindings", "memory", "overview", "network_inputs", "ray_pooling", "ray_pooling_bindings"),
 )
 GAUSSIANS = (
     *("gaussian_bindings", "gaussian_splat", "gaussian_levels", "gaussian_baseline", "gaussian_avx2", "gaussian_avx512"),

@@ -147,13 +147,14 @@ def refine(
     small: Image,
     scale: int,
     first_feature: int,
-    layers: Sequence[tuple[Image, Image, int]],  # weights (before, size, size, filled up), bias (filled up), after
+    layers: Sequence[tuple[Image, Image, int]],  # packed filters, bias, after; last weights (before, filled up), bias, after
     threads: int,
     level: int,
 ) -> Image: ...
+def pack_filters(weights: Image, bias: Image) -> tuple[Image, Image]: ...  # (after, before, 3, 3), (after), for refine and unet
 def unet(
     channels: Image,
-    layers: Sequence[tuple[Image, Image, Image, Image]],  # weights (after, before, 3, 3), bias, gain, shift, in order of use
+    layers: Sequence[tuple[Image, Image, Image, Image]],  # packed filters, bias, gain, shift, in order of use
     last: tuple[Image, Image],  # weights (outputs, width), bias
     epsilon: float,
     threads: int,

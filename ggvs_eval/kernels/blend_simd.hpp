@@ -44,7 +44,7 @@ GGVS_INLINE void neighbours(const LookUpView& view, I at, M last, F* left, F* ri
         return;
     }
     F first, second;  // from the last column but one on where there is nothing on the right
-    read_pairs(view.depth, select(last, at - all(int32_t(1)), at), &first, &second);
+    gather_pairs(view.depth, select(last, at - all(int32_t(1)), at), &first, &second);
     *left = select(last, second, first), *right = second;
 }
 
@@ -59,58 +59,81 @@ GGVS_INLINE F depth_at(const LookUpView& view, const Corners& c, float tolerance
     return select(smooth, mean, select(c.below, select(c.right, d3, d2), select(c.right, d1, d0)));
 }
 
-// Four pixels of a line and their Catmull-Rom weights, as in warp.cpp; the border is repeated.
+// Four pixels of a line from `first` on and their Catmull-Rom weights, as in warp.cpp.
 struct Taps {
-    I at[4];
+    F first;  // may lie before the border, which is repeated
     F share[4];
 };
 
-GGVS_INLINE Taps cubic_taps(F coordinate, int size) {
+GGVS_INLINE Taps cubic_taps(F coordinate) {
     // The index before is found by truncation, which rounds down here: coordinates are not negative.
-    const F one = all(1.0f), half = all(0.5f), last = all(float(size - 1));
-    F first = to_float(truncate(coordinate + half)) - one, f = coordinate - half - first;
+    const F one = all(1.0f), half = all(0.5f), three_halves = all(1.5f), minus_half = all(-0.5f);
+    F before = to_float(truncate(coordinate + half)) - one, f = coordinate - half - before, square = f * f;
     Taps taps;
-    for (int n = 0; n < 4; ++n) taps.at[n] = truncate(min(max(first + all(float(n - 1)), all(0.0f)), last));
-    taps.share[0] = f * (f * (one - half * f) - half);
-    taps.share[1] = one + f * f * (all(1.5f) * f - all(2.5f));
-    taps.share[2] = f * (half + f * (all(2.0f) - all(1.5f) * f));
-    taps.share[3] = f * f * (half * f - half);
+    taps.first = before - one;
+    taps.share[0] = f * multiply_add(f, multiply_add(minus_half, f, one), minus_half);
+    taps.share[1] = multiply_add(square, multiply_add(three_halves, f, all(-2.5f)), one);
+    taps.share[2] = f * multiply_add(f, multiply_add(all(-1.5f), f, all(2.0f)), half);
+    taps.share[3] = square * multiply_add(half, f, minus_half);
     return taps;
 }
 
-// Adds a pixel, one byte per channel from the lowest on, times its share.
-GGVS_INLINE void add_pixel(Colour& sum, I raw, F share) {
-    const I low_byte = all(int32_t(255));
-    sum.red = sum.red + share * to_float(raw & low_byte);
-    sum.green = sum.green + share * to_float((raw >> 8) & low_byte);
-    sum.blue = sum.blue + share * to_float((raw >> 16) & low_byte);
+// Whether one of the four pixels lies beyond the border of a line.
+GGVS_INLINE M beyond_border(const Taps& taps, int size) {
+    return either(less(taps.first, all(0.0f)), less(all(float(size - 4)), taps.first));
+}
+
+// The n-th pixel, the border repeated.
+GGVS_INLINE I tap(const Taps& taps, int n, int size) {
+    return truncate(min(max(taps.first + all(float(n)), all(0.0f)), all(float(size - 1))));
+}
+
+GGVS_INLINE F byte_of(I raw, int n) { return to_float((raw >> (8 * n)) & all(int32_t(255))); }
+
+// Adds a colour times its share.
+GGVS_INLINE void add(Colour& sum, F share, const Colour& colour) {
+    sum.red = multiply_add(share, colour.red, sum.red);
+    sum.green = multiply_add(share, colour.green, sum.green);
+    sum.blue = multiply_add(share, colour.blue, sum.blue);
 }
 
 // Sixteen pixels one by one: any of them may be repeated by the border.
 GGVS_INLINE Colour colour_near_border(const LookUpView& view, const Taps& x, const Taps& y) {
     // Four bytes are read at a time; the last pixel has three, so they are read one byte earlier and shifted.
     const I last = all(int32_t(3 * (int64_t(view.camera.width) * view.camera.height - 1)));
-    Colour sum{all(0.0f), all(0.0f), all(0.0f)};
-    for (int n = 0; n < 16; ++n) {
-        I byte = (y.at[n / 4] * all(int32_t(view.camera.width)) + x.at[n % 4]) * all(int32_t(3));
-        M at_end = less(to_float(last - byte), all(1.0f));
-        I raw = gather_bytes(view.image, select(at_end, byte - all(int32_t(1)), byte));
-        add_pixel(sum, select(at_end, raw >> 8, raw), y.share[n / 4] * x.share[n % 4]);
+    const F zero = all(0.0f);
+    Colour sum{zero, zero, zero};
+    for (int row = 0; row < 4; ++row) {
+        const I first = tap(y, row, view.camera.height) * all(int32_t(view.camera.width));
+        Colour line{zero, zero, zero};
+        for (int column = 0; column < 4; ++column) {
+            I byte = (first + tap(x, column, view.camera.width)) * all(int32_t(3));
+            M at_end = less(to_float(last - byte), all(1.0f));
+            I raw = gather_bytes(view.image, select(at_end, byte - all(int32_t(1)), byte));
+            raw = select(at_end, raw >> 8, raw);
+            add(line, x.share[column], {byte_of(raw, 0), byte_of(raw, 1), byte_of(raw, 2)});
+        }
+        add(sum, y.share[row], line);
     }
     return sum;
 }
 
 // The same where no pixel is repeated: four side by side are twelve bytes, which are read with the four behind them.
-GGVS_INLINE Colour colour_diagnostics(const LookUpView& view, const Taps& x, const Taps& y) {
-    const I low_byte = all(int32_t(255)), low_half = all(int32_t(0xffff)), low_three = all(int32_t(0xffffff));
-    Colour sum{all(0.0f), all(0.0f), all(0.0f)};
-    for (int n = 0; n < 4; ++n) {
+GGVS_INLINE Colour colour_inside(const LookUpView& view, const Taps& x, const Taps& y) {
+    const I first = (truncate(y.first) * all(int32_t(view.camera.width)) + truncate(x.first)) * all(int32_t(3));
+    const F zero = all(0.0f);
+    Colour sum{zero, zero, zero};
+#pragma GCC unroll 4
+    for (int row = 0; row < 4; ++row) {
         I quads[4];
-        gather_quads(view.image, (y.at[n] * all(int32_t(view.camera.width)) + x.at[0]) * all(int32_t(3)), quads);
-        add_pixel(sum, quads[0], y.share[n] * x.share[0]);
-        add_pixel(sum, ((quads[0] >> 24) & low_byte) | ((quads[1] & low_half) << 8), y.share[n] * x.share[1]);
-        add_pixel(sum, ((quads[1] >> 16) & low_half) | ((quads[2] & low_byte) << 16), y.share[n] * x.share[2]);
-        add_pixel(sum, (quads[2] >> 8) & low_three, y.share[n] * x.share[3]);
+        gather_quads(view.image + int64_t(3) * row * view.camera.width, first, quads);
+        Colour line{zero, zero, zero};
+#pragma GCC unroll 4
+        for (int n = 0; n < 4; ++n) {
+            const auto byte = [&](int at) { return byte_of(quads[at / 4], at % 4); };
+            add(line, x.share[n], {byte(3 * n), byte(3 * n + 1), byte(3 * n + 2)});
+        }
+        add(sum, y.share[row], line);
     }
     return sum;
 }
@@ -123,16 +146,16 @@ struct Sight {
 
 // Catmull-Rom, clipped to the range of colours; where a view sees nothing it is some colour of its.
 GGVS_INLINE Colour colour_at(const LookUpView& view, const Sight& sight, F visibility) {
-    const F three = all(3.0f), zero = all(0.0f), most = all(255.0f), half = all(0.5f);
+    const F zero = all(0.0f), most = all(255.0f), half = all(0.5f);
     const M visible = less(zero, visibility);  // the others must not make all wait for the border
     const F u = select(visible, sight.u, half * all(float(view.camera.width)));
     const F v = select(visible, sight.v, half * all(float(view.camera.height)));
-    const Taps x = cubic_taps(u, view.camera.width), y = cubic_taps(v, view.camera.height);
-    M repeated = either(less(to_float(x.at[3] - x.at[0]), three), less(to_float(y.at[3] - y.at[0]), three));
+    const Taps x = cubic_taps(u), y = cubic_taps(v);
+    const int width = view.camera.width, height = view.camera.height;
+    M beyond = either(beyond_border(x, width), beyond_border(y, height));
     // Nor may sixteen bytes reach beyond the image, as they do from its last five pixels.
-    const M last_row = at_most(all(float(view.camera.height - 1)), to_float(y.at[3]));
-    repeated = either(repeated, both(last_row, at_most(all(float(view.camera.width - 2)), to_float(x.at[3]))));
-    const Colour sum = any(repeated) ? colour_near_border(view, x, y) : colour_diagnostics(view, x, y);
+    beyond = either(beyond, both(at_most(all(float(height - 4)), y.first), at_most(all(float(width - 5)), x.first)));
+    const Colour sum = any(beyond) ? colour_near_border(view, x, y) : colour_inside(view, x, y);
     return {min(max(sum.red, zero), most), min(max(sum.green, zero), most), min(max(sum.blue, zero), most)};
 }
 

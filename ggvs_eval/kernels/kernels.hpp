@@ -2,6 +2,7 @@
 #pragma once
 #include "blend.hpp"
 #include "compose.hpp"
+#include "convolve.hpp"
 #include "level.hpp"
 #include "overview.hpp"
 #include "ray_pooling.hpp"
@@ -26,10 +27,10 @@ struct Kernels {
     void (*overview_row)(const Views&, const OverviewMaps& out, int y);
     void (*compose_row)(const ComposedRow&);
     void (*evidence_row)(const EvidenceRow&);
-    void (*look_row)(const ConvolvedRow&);  // 3 x 3, leaky
-    void (*taps_row)(const ConvolvedRow&);  // 1 x 1
     void (*filter_row)(const FilteredRow&);
-    void (*convolve_row)(const ConvolvedRow&);  // 3 x 3
+    void (*convolve_row)(const ConvolvedRow&);      // 1 x 1
+    void (*convolve_strip)(const ConvolvedStrip&);  // 3 x 3
+    void (*look_strip)(const ConvolvedStrip&);      // the same, leaky
     Moments (*moments_of_row)(const float* row, int64_t stride, int width, int channels);
     void (*normalise_row)(const NormalisedRow&);
     void (*pool_ray)(const RayPooling&, int64_t ray, const RaySamples& out, void* memory);

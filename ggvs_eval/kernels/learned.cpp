@@ -5,6 +5,7 @@
 
 #include "camera_arguments.hpp"
 #include "compose.hpp"
+#include "layer_arguments.hpp"
 #include "network_inputs.hpp"
 #include "overview.hpp"
 #include "refine.hpp"
@@ -150,16 +151,17 @@ py::array_t<float> network_inputs_of(const py::array& colours, const py::handle&
     return out;
 }
 
-// (weights (before, size, size, padded), bias (padded), after)
-Layer layer_of(const py::handle& object, int size, int before) {
+// (what `pack_filters` makes of filters of 3 x 3 and bias, after)
+Layer look_of(const py::handle& object, int before) {
     const py::tuple layer = py::cast<py::tuple>(object);
-    const py::array weights = py::cast<py::array>(layer[0]);
-    const int after = py::cast<int>(layer[2]);
-    const auto shape = shape_of(weights, "weights", 4);
-    if (after < 1 || shape[3] < after || shape[3] % 8 != 0 || shape[3] > kMostPixels)
-        throw py::type_error("weights: wanted the outputs filled up to a multiple of 8, got " + describe(weights));
-    return {before, after, int(shape[3]), data_of<float>(weights, "weights", {before, size, size, shape[3]}),
-            data_of<float>(layer[1], "bias", {shape[3]})};
+    return packed_layer(layer[0], layer[1], before, py::cast<int>(layer[2]));
+}
+
+// (weights (before, padded), bias (padded), after)
+Layer taps_of(const py::handle& object, int before) {
+    const py::tuple layer = py::cast<py::tuple>(object);
+    const int after = py::cast<int>(layer[2]), padded = groups_of(after) * kGroupOutputs;
+    return {before, after, padded, data_of<float>(layer[0], "weights", {before, padded}), data_of<float>(layer[1], "bias", {padded})};
 }
 
 py::array_t<float> refine_of(const py::array& picture, const py::handle& spread, const py::handle& shown, const py::handle& depth,
@@ -182,9 +184,9 @@ py::array_t<float> refine_of(const py::array& picture, const py::handle& spread,
                    int(small.shape(0)) - first_feature,
                    {},
                    {}};
-    job.looks[0] = layer_of(layers[0], 3, job.features + kEvidence);
-    job.looks[1] = layer_of(layers[1], 3, job.looks[0].after);
-    job.taps = layer_of(layers[2], 1, job.looks[1].after);
+    job.looks[0] = look_of(layers[0], job.features + kEvidence);
+    job.looks[1] = look_of(layers[1], job.looks[0].after);
+    job.taps = taps_of(layers[2], job.looks[1].after);
     if (job.taps.after != kTaps) throw py::value_error("refine: wanted 12 taps");
     py::array_t<float> out = empty({height, width, 3});
     float* data = out.mutable_data();

@@ -12,6 +12,7 @@
 #include "register_simd.hpp"
 #include "overview_simd.hpp"
 #include "compose_simd.hpp"
+#include "convolve_simd.hpp"
 #include "refine_simd.hpp"
 #include "unet_simd.hpp"
 #include "ray_pooling_simd.hpp"
@@ -22,8 +23,8 @@ namespace ggvs {
 
 const Kernels kAvx2Kernels = {
     avx2::tile_ranges, avx2::lanes_in_tile, avx2::ellipses, avx2::splat_tile, avx2::fusion_row, avx2::march_column,
-    avx2::look_up_row, avx2::register_row, avx2::overview_row, avx2::compose_row, avx2::evidence_row, avx2::look_row,
-    avx2::taps_row, avx2::filter_row, avx2::convolve_row, avx2::moments_of_row, avx2::normalise_row, avx2::pool_ray,
+    avx2::look_up_row, avx2::register_row, avx2::overview_row, avx2::compose_row, avx2::evidence_row, avx2::filter_row,
+    avx2::convolve_row, avx2::convolve_strip, avx2::look_strip, avx2::moments_of_row, avx2::normalise_row, avx2::pool_ray,
     avx2::attend_ray,
 };
 

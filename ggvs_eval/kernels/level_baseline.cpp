@@ -9,6 +9,7 @@
 #include "register_simd.hpp"
 #include "overview_simd.hpp"
 #include "compose_simd.hpp"
+#include "convolve_simd.hpp"
 #include "refine_simd.hpp"
 #include "unet_simd.hpp"
 #include "ray_pooling_simd.hpp"
@@ -19,7 +20,7 @@ namespace ggvs {
 const Kernels kBaselineKernels = {
     baseline::tile_ranges, baseline::lanes_in_tile, baseline::ellipses, baseline::splat_tile, baseline::fusion_row,
     baseline::march_column, baseline::look_up_row, baseline::register_row, baseline::overview_row, baseline::compose_row,
-    baseline::evidence_row, baseline::look_row, baseline::taps_row, baseline::filter_row, baseline::convolve_row,
+    baseline::evidence_row, baseline::filter_row, baseline::convolve_row, baseline::convolve_strip, baseline::look_strip,
     baseline::moments_of_row, baseline::normalise_row, baseline::pool_ray, baseline::attend_ray,
 };
 

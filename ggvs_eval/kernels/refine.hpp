@@ -2,18 +2,13 @@
 #pragma once
 #include <vector>
 
+#include "convolve.hpp"
 #include "enlarge.hpp"
 
 namespace ggvs {
 
 constexpr int kTaps = 12;            // neighbours that a filter mixes, see refine_simd.hpp
 constexpr int kEvidence = 6;         // channels that are no features
-
-// A convolution: weights (before, size, size, padded) with the outputs side by side, bias (padded).
-struct Layer {
-    int before, after, padded;
-    const float *weights, *bias;
-};
 
 struct Refinement {
     int width, height;
@@ -35,15 +30,6 @@ struct EvidenceRow {
     int count;
     float* scratch;  // 8 lines of `stride`
     float* out;      // channels 2 .. 5, lines of `stride`
-    int64_t stride;
-};
-
-// A row of a convolution; lines of the input begin one column before those of `out` if it is 3 x 3.
-struct ConvolvedRow {
-    const Layer& layer;
-    const float* rows[3];  // each (before, stride)
-    float* out;            // (padded, stride)
-    int count;             // written and read in whole packets
     int64_t stride;
 };
 

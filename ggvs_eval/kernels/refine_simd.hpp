@@ -1,5 +1,4 @@
 // The refiner's arithmetic, written once for every instruction set (included by level_*.cpp after compose_simd.hpp).
-// The U-Net before it uses the same convolutions.
 #pragma once
 #include "refine.hpp"
 
@@ -48,64 +47,6 @@ static void evidence_row(const EvidenceRow& row) {
         store(row.out + 3 * stride + x, limited(all(kContrastGain) * range3(line + 6 * stride + 1, line + 7 * stride + 1)));
     }
 }
-
-constexpr int kLineFloats = 16;    // of the cache
-constexpr int kAheadChannels = 2;  // are fetched before they are wanted
-
-// kOutputs outputs from `first` on, of kPackets packets of pixels from x on, all in registers.
-template <int kSize, int kOutputs, int kPackets>
-GGVS_INLINE void convolve_packets(const ConvolvedRow& row, int first, int x, bool leaky) {
-    F sums[kOutputs][kPackets];
-#pragma GCC unroll 16
-    for (int o = 0; o < kOutputs; ++o)
-#pragma GCC unroll 4
-        for (int n = 0; n < kPackets; ++n) sums[o][n] = all(row.layer.bias[first + o]);
-    const float* weights = row.layer.weights + first;
-    for (int channel = 0; channel < row.layer.before; ++channel) {
-        for (int down = 0; down < kSize; ++down) {
-            const float* line = row.rows[down] + channel * row.stride + x;
-            // Lines of further channels lie too far apart for a processor to foresee them.
-            for (int n = 0; n <= kPackets * kWidth; n += kLineFloats) __builtin_prefetch(line + kAheadChannels * row.stride + n);
-#pragma GCC unroll 3
-            for (int right = 0; right < kSize; ++right, weights += row.layer.padded) {
-                F values[kPackets];
-#pragma GCC unroll 4
-                for (int n = 0; n < kPackets; ++n) values[n] = load(line + right + n * kWidth);
-#pragma GCC unroll 16
-                for (int o = 0; o < kOutputs; ++o) {
-                    F weight = all(weights[o]);
-#pragma GCC unroll 4
-                    for (int n = 0; n < kPackets; ++n) sums[o][n] = multiply_add(values[n], weight, sums[o][n]);
-                }
-            }
-        }
-    }
-#pragma GCC unroll 16
-    for (int o = 0; o < kOutputs; ++o)
-#pragma GCC unroll 4
-        for (int n = 0; n < kPackets; ++n) {
-            F sum = sums[o][n];
-            if (leaky) sum = max(sum, all(0.1f) * sum);
-            store(row.out + (first + o) * row.stride + x + n * kWidth, sum);
-        }
-}
-
-template <int kSize>
-GGVS_INLINE void convolve(const ConvolvedRow& row, bool leaky) {
-    // As many sums as registers hold beside the packets that are read.
-    constexpr int kOutputs = kWidth == 16 ? 8 : 4, kPackets = kWidth == 4 ? 2 : 3;
-    for (int first = 0; first < row.layer.after; first += kOutputs) {
-        int x = 0;
-        for (; x + kPackets * kWidth < row.count + kWidth; x += kPackets * kWidth)
-            convolve_packets<kSize, kOutputs, kPackets>(row, first, x, leaky);
-        for (; x + 2 * kWidth < row.count + kWidth; x += 2 * kWidth) convolve_packets<kSize, kOutputs, 2>(row, first, x, leaky);
-        for (; x < row.count; x += kWidth) convolve_packets<kSize, kOutputs, 1>(row, first, x, leaky);
-    }
-}
-
-static void look_row(const ConvolvedRow& row) { convolve<3>(row, true); }
-
-static void taps_row(const ConvolvedRow& row) { convolve<1>(row, false); }
 
 // Every pixel plus its differences to its neighbours, weighted by its own taps; limited to [0, 1].
 static void filter_row(const FilteredRow& row) {

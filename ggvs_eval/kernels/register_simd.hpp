@@ -42,14 +42,16 @@ GGVS_INLINE void store_colour(float* out, const Colour& colour, int count) {
     __builtin_memcpy(out, part, 3 * count * sizeof(float));
 }
 
-// A view's splatted colours; `whole` says that there are kWidth of them and that a float more may be read.
-GGVS_INLINE Colour splatted_colour(const RegisteredView& view, const float* splat, int count, bool whole) {
+// A view's splatted colours.
+GGVS_INLINE Colour splatted_colour(const RegisteredView& view, const float* splat, int count) {
     if (view.stride == 3) return load_colour(splat, count);
+    Colour colour;
+    if (view.stride == 4 && count == kWidth) {
+        load_quads(splat, &colour.red, &colour.green, &colour.blue);
+        return colour;
+    }
     const I at = strides(view.stride, count);
-    if (!whole) return {gather(splat, at), gather(splat + 1, at), gather(splat + 2, at)};
-    I quads[4];
-    gather_quads((const uint8_t*)splat, at * all(int32_t(sizeof(float))), quads);
-    return {from_bits(quads[0]), from_bits(quads[1]), from_bits(quads[2])};
+    return {gather(splat, at), gather(splat + 1, at), gather(splat + 2, at)};
 }
 
 // Some packets of a row at once, step by step: each step waits for the one before, and a processor looks ahead for work of its own
@@ -75,14 +77,11 @@ GGVS_INLINE void register_packets(const Registration& job, const RegisteredView&
         const float* splat = view.splat + (first + n * kWidth) * view.stride;
         for (int ahead = 0; ahead < kWidth * view.stride; ahead += 16)  // floats of a cache line
             __builtin_prefetch(splat + kTogetherPackets * kWidth * view.stride + ahead);
-        const bool whole = count == kWidth && first + (n + 1) * kWidth < int64_t(job.target.width) * job.target.height;
-        Colour colour = splatted_colour(view, splat, count, whole);
+        Colour colour = splatted_colour(view, splat, count);
         if (any(less(all(0.0f), visibility[n]))) {
             const Colour seen = colour_at(view.captured, sights[n], visibility[n]);
             F per = all(1.0f / 255.0f);
-            colour.red = colour.red + visibility[n] * (seen.red * per - colour.red);
-            colour.green = colour.green + visibility[n] * (seen.green * per - colour.green);
-            colour.blue = colour.blue + visibility[n] * (seen.blue * per - colour.blue);
+            add(colour, visibility[n], {seen.red * per - colour.red, seen.green * per - colour.green, seen.blue * per - colour.blue});
         }
         const int64_t at = row + left + n * kWidth;
         store_colour(out.colours + 3 * at, colour, count);

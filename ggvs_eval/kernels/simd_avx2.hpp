@@ -85,22 +85,6 @@ GGVS_INLINE void gather_pairs(const float* p, I at, F* first, F* second) {
     *first = _mm256_castpd_ps(_mm256_permute4x64_pd(_mm256_castps_pd(even), 0xd8));
     *second = _mm256_castpd_ps(_mm256_permute4x64_pd(_mm256_castps_pd(odd), 0xd8));
 }
-// The same, pair by pair: a fraction of the time, but code for places that are hot.
-GGVS_INLINE void read_pairs(const float* p, I at, F* first, F* second) {
-    alignas(32) int32_t from[8];
-    store(from, at);
-    F halves[2];  // lanes 0, 1, 4, 5 and 2, 3, 6, 7
-#pragma GCC unroll 2
-    for (int n = 0; n < 2; ++n) {
-        const auto pairs = [&](int lane) {
-            const __m128d low = _mm_load_sd((const double*)(p + from[lane + 2 * n]));
-            return _mm_castpd_ps(_mm_loadh_pd(low, (const double*)(p + from[lane + 2 * n + 1])));
-        };
-        halves[n] = _mm256_insertf128_ps(_mm256_castps128_ps256(pairs(0)), pairs(4), 1);
-    }
-    *first = _mm256_shuffle_ps(halves[0], halves[1], 0x88);
-    *second = _mm256_shuffle_ps(halves[0], halves[1], 0xdd);
-}
 // A patch of 8 x 4 floats in registers: lanes that look at neighbouring pixels read it once, and a look costs less than a gather.
 constexpr int kPatchColumns = 8, kPatchRows = 4;
 struct Patch {
@@ -140,6 +124,16 @@ GGVS_INLINE void store_quads(float* p, int stride, F a, F b, F c, F d) {
         _mm_storeu_ps(p + n * stride, _mm256_castps256_ps128(quads));
         _mm_storeu_ps(p + (n + 4) * stride, _mm256_extractf128_ps(quads, 1));
     }
+}
+// The first three of four values of every lane side by side.
+GGVS_INLINE void load_quads(const float* p, F* a, F* b, F* c) {
+    const auto lanes = [p](int n) {  // n and n + 4
+        return _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_loadu_ps(p + 4 * n)), _mm_loadu_ps(p + 4 * n + 16), 1);
+    };
+    const F ab[2] = {_mm256_unpacklo_ps(lanes(0), lanes(1)), _mm256_unpacklo_ps(lanes(2), lanes(3))};
+    const F cd[2] = {_mm256_unpackhi_ps(lanes(0), lanes(1)), _mm256_unpackhi_ps(lanes(2), lanes(3))};
+    *a = _mm256_shuffle_ps(ab[0], ab[1], 0x44), *b = _mm256_shuffle_ps(ab[0], ab[1], 0xee);
+    *c = _mm256_shuffle_ps(cd[0], cd[1], 0x44);
 }
 // Three values of every lane side by side, read and written: the two halves of a vector on their own.
 GGVS_INLINE void load_triples(const float* p, F* a, F* b, F* c) {

@@ -72,23 +72,6 @@ GGVS_INLINE void gather_pairs(const float* p, I at, F* first, F* second) {
     *first = _mm512_permutex2var_ps(low, even, high);
     *second = _mm512_permutex2var_ps(low, odd, high);
 }
-// The same, pair by pair: a fraction of the time, but code for places that are hot.
-GGVS_INLINE void read_pairs(const float* p, I at, F* first, F* second) {
-    alignas(64) int32_t from[16];
-    store(from, at);
-    __m512d halves[2];  // lanes n, n + 2, n + 4 ..
-#pragma GCC unroll 2
-    for (int n = 0; n < 2; ++n) {
-        const auto pairs = [&](int lane) {
-            const __m128d low = _mm_load_sd((const double*)(p + from[lane + 2 * n]));
-            return _mm_loadh_pd(low, (const double*)(p + from[lane + 2 * n + 1]));
-        };
-        halves[n] = _mm512_insertf64x2(_mm512_castpd128_pd512(pairs(0)), pairs(4), 1);
-        halves[n] = _mm512_insertf64x2(_mm512_insertf64x2(halves[n], pairs(8), 2), pairs(12), 3);
-    }
-    *first = _mm512_shuffle_ps(_mm512_castpd_ps(halves[0]), _mm512_castpd_ps(halves[1]), 0x88);
-    *second = _mm512_shuffle_ps(_mm512_castpd_ps(halves[0]), _mm512_castpd_ps(halves[1]), 0xdd);
-}
 // A patch of 8 x 8 floats in registers, two rows each: lanes that look at neighbouring pixels read it once, and a look costs a few
 // permutations where a gather costs twenty cycles.
 constexpr int kPatchColumns = 8, kPatchRows = 8;
@@ -133,6 +116,17 @@ GGVS_INLINE void store_quads(float* p, int stride, F a, F b, F c, F d) {
         _mm_storeu_ps(p + (n + 8) * stride, _mm512_extractf32x4_ps(quads, 2));
         _mm_storeu_ps(p + (n + 12) * stride, _mm512_extractf32x4_ps(quads, 3));
     }
+}
+// The first three of four values of every lane side by side.
+GGVS_INLINE void load_quads(const float* p, F* a, F* b, F* c) {
+    const F quarters[4] = {load(p), load(p + 16), load(p + 32), load(p + 48)};
+    const auto every_fourth = [&](__m512i of_two) {
+        return _mm512_shuffle_f32x4(_mm512_permutex2var_ps(quarters[0], of_two, quarters[1]),
+                                    _mm512_permutex2var_ps(quarters[2], of_two, quarters[3]), 0x44);
+    };
+    *a = every_fourth(_mm512_setr_epi32(0, 4, 8, 12, 16, 20, 24, 28, 0, 0, 0, 0, 0, 0, 0, 0));
+    *b = every_fourth(_mm512_setr_epi32(1, 5, 9, 13, 17, 21, 25, 29, 0, 0, 0, 0, 0, 0, 0, 0));
+    *c = every_fourth(_mm512_setr_epi32(2, 6, 10, 14, 18, 22, 26, 30, 0, 0, 0, 0, 0, 0, 0, 0));
 }
 // Three values of every lane side by side, read and written.
 GGVS_INLINE void load_triples(const float* p, F* a, F* b, F* c) {

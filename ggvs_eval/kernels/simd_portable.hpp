@@ -73,7 +73,6 @@ GGVS_INLINE void gather_pairs(const float* p, I at, F* first, F* second) {
     *first = gather(p, at);
     *second = gather(p + 1, at);
 }
-GGVS_INLINE void read_pairs(const float* p, I at, F* first, F* second) { gather_pairs(p, at, first, second); }
 // No patches: there is no permutation to look into them by.
 constexpr int kPatchColumns = 0, kPatchRows = 0;
 struct Patch {};
@@ -84,6 +83,10 @@ GGVS_INLINE bool halves_below(I, I, M) { return false; }
 // Four values of every lane side by side, those of the next lane `stride` floats further.
 GGVS_INLINE void store_quads(float* p, int stride, F a, F b, F c, F d) {
     for (int lane = 0; lane < kWidth; ++lane) store(p + lane * stride, F{a[lane], b[lane], c[lane], d[lane]});
+}
+// The same read: the first three of four values.
+GGVS_INLINE void load_quads(const float* p, F* a, F* b, F* c) {
+    *a = F{p[0], p[4], p[8], p[12]}, *b = F{p[1], p[5], p[9], p[13]}, *c = F{p[2], p[6], p[10], p[14]};
 }
 // Three values of every lane side by side, read and written.
 GGVS_INLINE void load_triples(const float* p, F* a, F* b, F* c) {

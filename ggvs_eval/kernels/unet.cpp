@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstring>
 
+#include "aligned.hpp"
 #include "kernels.hpp"
 #include "parallel.hpp"
 #include "unet_plan.hpp"
@@ -14,7 +15,6 @@ namespace ggvs {
 namespace {
 
 constexpr int kBands = 32;  // of rows: enough for many threads, few enough to reuse weights
-constexpr int kTaps3x3 = 9;
 
 template <class Job>
 void for_bands(int height, int threads, const Job& job) {
@@ -54,11 +54,11 @@ public:
         copy_input();
         for (int n = 0; n < kUNetLevels; ++n) {
             run_block(n, n ? plan_.pooled[n] : plan_.input, plan_.between[n], plan_.skip[n]);
-            pool(plan_.skip[n], job_.blocks[n][1].after, plan_.pooled[n + 1]);
+            pool(plan_.skip[n], job_.blocks[n][1].convolution.after, plan_.pooled[n + 1]);
         }
         run_block(kUNetLevels, plan_.pooled[kUNetLevels], plan_.between[kUNetLevels], plan_.out[kUNetLevels]);
         for (int n = kUNetLevels - 1; n >= 0; --n) {
-            enlarge(plan_.out[n + 1], plan_.skip[n], job_.blocks[n][1].after);
+            enlarge(plan_.out[n + 1], plan_.skip[n], job_.blocks[n][1].convolution.after);
             run_block(2 * kUNetLevels - n, plan_.skip[n], plan_.between[n], plan_.out[n]);
         }
         finish(out);
@@ -87,59 +87,44 @@ private:
         convolve(job_.blocks[block][1], between, to);
     }
 
-    // Weights as (groups of outputs, before, 3, 3, 8), the last group filled up with zeros.
-    void pack(const UNetLayer& layer) {
-        const int groups = int(rounded_up(layer.after, kUNetOutputs)) / kUNetOutputs;
-        weights_.assign(size_t(groups) * layer.before * kTaps3x3 * kUNetOutputs, 0.0f);
-        bias_.assign(size_t(groups) * kUNetOutputs, 0.0f);
-        std::copy_n(layer.bias, layer.after, bias_.begin());
-        const int64_t* strides = layer.weight_strides;
-        parallel_for(groups, threads_, [&](int group, int) {
-            const int first = group * kUNetOutputs, count = std::min(layer.after - first, kUNetOutputs);
-            float* out = weights_.data() + int64_t(group) * layer.before * kTaps3x3 * kUNetOutputs;
-            for (int channel = 0; channel < layer.before; ++channel) {
-                for (int tap = 0; tap < kTaps3x3; ++tap, out += kUNetOutputs) {
-                    const float* from = layer.weights + first * strides[0] + channel * strides[1];
-                    from += tap / 3 * strides[2] + tap % 3 * strides[3];
-                    for (int o = 0; o < count; ++o) out[o] = from[o * strides[0]];
-                }
-            }
-        });
-    }
-
     // Into the first channels of `to`, normalised.
     void convolve(const UNetLayer& layer, const ReflectedMaps& from, const ReflectedMaps& to) {
-        pack(layer);
+        const int64_t sources = int64_t(kStripSources) * layer.convolution.before * kStripLine, row = to.lines * to.stride + kMostLanes;
+        AlignedFloats scratch(threads_ * (sources + row));  // a row for those beyond the last one
         std::vector<Moments> moments(to.height);
-        for_bands(to.height, threads_, [&](int first, int last) {
-            for (int group = 0; group * kUNetOutputs < layer.after; ++group) {
-                const Layer part{layer.before, kUNetOutputs, kUNetOutputs,
-                                 weights_.data() + int64_t(group) * layer.before * kTaps3x3 * kUNetOutputs,
-                                 bias_.data() + group * kUNetOutputs};
-                for (int y = first; y < last; ++y)
-                    kernels_.convolve_row({part, {from.row(y - 1), from.row(y), from.row(y + 1)},
-                                           to.row(y) + group * kUNetOutputs * to.stride + 1, to.width, from.stride});
-            }
+        parallel_for((to.height + kStripRows - 1) / kStripRows, threads_, [&](int strip, int worker) {
+            const int first = strip * kStripRows, last = std::min(first + kStripRows, to.height);
+            float* memory = scratch.data() + worker * (sources + row);
+            convolve_strip(layer, from, to, first, memory, memory + sources);
             for (int y = first; y < last; ++y)
-                moments[y] = kernels_.moments_of_row(to.row(y), to.stride, to.width, layer.after);
+                moments[y] = kernels_.moments_of_row(to.row(y), to.stride, to.width, layer.convolution.after);
         });
         normalise(layer, to, moments);
     }
 
+    // Rows y .. y + kStripRows - 1 of all outputs.
+    void convolve_strip(const UNetLayer& layer, const ReflectedMaps& from, const ReflectedMaps& to, int y, float* scratch,
+                        float* beyond) const {
+        ConvolvedStrip strip{layer.convolution, {}, {}, to.width, to.stride, scratch};
+        for (int n = 0; n < kStripSources; ++n) strip.sources[n] = from.row(std::min(y - 1 + n, from.height));
+        for (int n = 0; n < kStripRows; ++n) strip.out[n] = y + n < to.height ? to.row(y + n) + 1 : beyond;
+        kernels_.convolve_strip(strip);
+    }
+
     void normalise(const UNetLayer& layer, const ReflectedMaps& maps, const std::vector<Moments>& moments) {
-        const double count = double(maps.width) * maps.height * layer.after;
+        const double count = double(maps.width) * maps.height * layer.convolution.after;
         double sum = 0.0, squares = 0.0;
         for (const Moments& row : moments) sum += row.sum, squares += row.squares;
         const double mean = sum / count, variance = std::max(squares / count - mean * mean, 0.0);
         const double per = 1.0 / std::sqrt(variance + job_.epsilon);
-        std::vector<float> gain(layer.after), shift(layer.after);
-        for (int channel = 0; channel < layer.after; ++channel) {
+        std::vector<float> gain(layer.convolution.after), shift(layer.convolution.after);
+        for (int channel = 0; channel < layer.convolution.after; ++channel) {
             gain[channel] = float(per * layer.gain[channel]);
             shift[channel] = float(layer.shift[channel] - mean * per * layer.gain[channel]);
         }
         for_rows(maps.height, threads_, [&](int y) {
-            kernels_.normalise_row({maps.row(y), maps.stride, maps.width, layer.after, gain.data(), shift.data()});
-            reflect_row(maps, y, 0, layer.after);
+            kernels_.normalise_row({maps.row(y), maps.stride, maps.width, layer.convolution.after, gain.data(), shift.data()});
+            reflect_row(maps, y, 0, layer.convolution.after);
         });
     }
 
@@ -183,7 +168,7 @@ private:
     // The last layer, 1 x 1, without the margins.
     void finish(float* out) {
         const ReflectedMaps& maps = plan_.out[0];
-        const int padded = int(rounded_up(job_.outputs, kUNetOutputs)), before = maps.channels;
+        const int padded = int(rounded_up(job_.outputs, kGroupOutputs)), before = maps.channels;
         std::vector<float> weights(size_t(before) * padded), bias(padded);
         std::copy_n(job_.last_bias, job_.outputs, bias.begin());
         for (int o = 0; o < job_.outputs; ++o)
@@ -192,7 +177,7 @@ private:
         const Layer layer{before, job_.outputs, padded, weights.data(), bias.data()};
         for_rows(job_.height, threads_, [&](int y) {
             std::vector<float> lines(padded * maps.stride);
-            kernels_.taps_row({layer, {maps.row(y + plan_.top) + plan_.left + 1}, lines.data(), job_.width, maps.stride});
+            kernels_.convolve_row({layer, maps.row(y + plan_.top) + plan_.left + 1, lines.data(), job_.width, maps.stride});
             for (int o = 0; o < job_.outputs; ++o)
                 std::memcpy(out + (int64_t(o) * job_.height + y) * job_.width, lines.data() + o * maps.stride,
                             sizeof(float) * job_.width);
@@ -203,7 +188,6 @@ private:
     const Plan plan_;
     const int threads_;
     const Kernels& kernels_;
-    std::vector<float> weights_, bias_;
 };
 
 }  // namespace

@@ -4,10 +4,11 @@
 #include <cstdint>
 #include <vector>
 
+#include "convolve.hpp"
+
 namespace ggvs {
 
 constexpr int kUNetLevels = 4, kUNetBlocks = 2 * kUNetLevels + 1;
-constexpr int kUNetOutputs = 8;  // of a convolution: so many are summed at once
 
 // Maps as rows (height + 2, lines, stride): a row holds one line per channel, from column -1 on. Row and column -1 repeat 1,
 // those beyond the last one the last but one.
@@ -20,12 +21,10 @@ struct ReflectedMaps {
     float* row(int y) const { return data + (y + 1) * lines * stride; }
 };
 
-// One 3 x 3 convolution and the normalisation behind it, as torch has them; strides in floats.
+// One 3 x 3 convolution and the normalisation behind it.
 struct UNetLayer {
-    int before, after;
-    const float* weights;      // (after, before, 3, 3)
-    int64_t weight_strides[4];
-    const float *bias, *gain, *shift;  // (after)
+    Layer convolution;          // packed
+    const float *gain, *shift;  // (after)
 };
 
 struct UNet {

@@ -1,7 +1,10 @@
 // Python bindings of the U-Net.
 #include "unet.hpp"
 
+#include <algorithm>
+
 #include "camera_arguments.hpp"
+#include "layer_arguments.hpp"
 #include "learned.hpp"
 
 namespace ggvs {
@@ -9,25 +12,29 @@ namespace {
 
 using namespace py::literals;
 
-// A float32 array of this shape, whatever its strides.
-py::array strided(const py::handle& object, const char* name, const std::vector<py::ssize_t>& shape) {
-    const py::array array = py::cast<py::array>(object);
-    const bool fits = py::isinstance<py::array_t<float>>(array) && array.ndim() == py::ssize_t(shape.size()) &&
-                      std::equal(shape.begin(), shape.end(), array.shape());
-    if (!fits) throw py::type_error(std::string(name) + ": wanted float32 that fits the other layers, got " + describe(array));
-    return array;
+// Filters (after, before, 3, 3), whatever their strides, and bias (after) as the kernels take them: filled up with zeros.
+py::tuple pack_filters(const py::array& weights, const py::array& bias) {
+    const auto shape = shape_of(weights, "weights", 4);
+    const int after = int(shape[0]), before = int(shape[1]), groups = groups_of(after);
+    if (!py::isinstance<py::array_t<float>>(weights) || shape[2] != 3 || shape[3] != 3 || after < 1 || before < 1)
+        throw py::type_error("weights: wanted float32 filters of 3 x 3, got " + describe(weights));
+    Filters filters{before, after, static_cast<const float*>(weights.data()), {}};
+    for (int axis = 0; axis < 4; ++axis) filters.strides[axis] = weights.strides(axis) / py::ssize_t(sizeof(float));
+    py::array_t<float> packed({groups, kStripSources, before, 3, kGroupOutputs}), padded(groups * kGroupOutputs);
+    for (int group = 0; group < groups; ++group) pack_group(filters, group, packed.mutable_data() + group * group_size(before));
+    std::fill_n(padded.mutable_data(), padded.size(), 0.0f);
+    std::copy_n(data_of<float>(bias, "bias", {after}), after, padded.mutable_data());
+    return py::make_tuple(packed, padded);
 }
 
+// What `pack_filters` made of a convolution, and the normalisation behind it.
 UNetLayer layer_of(const py::handle& object, int before) {
     const py::tuple layer = py::cast<py::tuple>(object);
-    const py::array bias = py::cast<py::array>(layer[1]);
-    const int after = int(shape_of(bias, "bias", 1)[0]);
-    if (after < 1 || after > kMostPixels) throw py::type_error("bias: wanted 1 to 65535 values, got " + describe(bias));
-    const py::array weights = strided(layer[0], "weights", {after, before, 3, 3});
-    UNetLayer made{before, after, static_cast<const float*>(weights.data()), {}, data_of<float>(bias, "bias", {after}),
-                   data_of<float>(layer[2], "gain", {after}), data_of<float>(layer[3], "shift", {after})};
-    for (int axis = 0; axis < 4; ++axis) made.weight_strides[axis] = weights.strides(axis) / py::ssize_t(sizeof(float));
-    return made;
+    const py::array gain = py::cast<py::array>(layer[2]);
+    const int after = int(shape_of(gain, "gain", 1)[0]);
+    if (after < 1 || after > kMostPixels) throw py::type_error("gain: wanted 1 to 65535 values, got " + describe(gain));
+    return {packed_layer(layer[0], layer[1], before, after), data_of<float>(gain, "gain", {after}),
+            data_of<float>(layer[3], "shift", {after})};
 }
 
 // Two layers of each block, and each block's outputs are what follows takes: the next level, and the skip beside twice as many.
@@ -36,16 +43,16 @@ void fill_blocks(UNet& job, const py::sequence& layers) {
         const int level = block <= kUNetLevels ? block : 2 * kUNetLevels - block;
         int before = job.channels;
         if (block > kUNetLevels) {
-            before = job.blocks[level][1].after + job.blocks[block - 1][1].after;
+            before = job.blocks[level][1].convolution.after + job.blocks[block - 1][1].convolution.after;
         } else if (block > 0) {
-            before = job.blocks[block - 1][1].after;
+            before = job.blocks[block - 1][1].convolution.after;
         }
         for (int n = 0; n < 2; ++n) {
             job.blocks[block][n] = layer_of(layers[2 * block + n], before);
-            before = job.blocks[block][n].after;
+            before = job.blocks[block][n].convolution.after;
         }
-        const int wanted = block == 0 ? job.blocks[0][1].after : job.blocks[0][1].after << level;
-        if (job.blocks[block][0].after != wanted || job.blocks[block][1].after != wanted)
+        const int wanted = block == 0 ? job.blocks[0][1].convolution.after : job.blocks[0][1].convolution.after << level;
+        if (job.blocks[block][0].convolution.after != wanted || job.blocks[block][1].convolution.after != wanted)
             throw py::type_error("unet: wanted twice as many channels at every further level");
     }
 }
@@ -62,7 +69,7 @@ py::array_t<float> unet_of(const py::array& channels, const py::sequence& layers
     const py::array bias = py::cast<py::array>(last[1]);
     job.outputs = int(shape_of(bias, "bias", 1)[0]);
     job.last_bias = data_of<float>(bias, "bias", {job.outputs});
-    job.last_weights = data_of<float>(last[0], "weights", {job.outputs, job.blocks[0][1].after});
+    job.last_weights = data_of<float>(last[0], "weights", {job.outputs, job.blocks[0][1].convolution.after});
     py::array_t<float> out = empty({job.outputs, job.height, job.width});
     constexpr int64_t kLine = 64;  // bytes
     py::array_t<float> memory = empty({unet_workspace(job) + kLine / int64_t(sizeof(float))});
@@ -78,6 +85,7 @@ py::array_t<float> unet_of(const py::array& channels, const py::sequence& layers
 }  // namespace
 
 void bind_unet(py::module_& m) {
+    m.def("pack_filters", &pack_filters, "weights"_a, "bias"_a);
     m.def("unet", &unet_of, "channels"_a, "layers"_a, "last"_a, "epsilon"_a, "threads"_a, "level"_a);
 }
 

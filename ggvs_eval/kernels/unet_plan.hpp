@@ -19,7 +19,7 @@ inline int64_t line_stride(int width) {
 }
 
 inline ReflectedMaps maps_of(int width, int height, int channels, int most_after) {
-    const int lines = std::max(channels, int(rounded_up(most_after, kUNetOutputs)));
+    const int lines = std::max(channels, int(rounded_up(most_after, kGroupOutputs)));
     return {width, height, channels, lines, line_stride(width), nullptr};
 }
 
@@ -35,9 +35,9 @@ struct Plan {
         const int width = padded(job.width, &left), height = padded(job.height, &top);
         input = maps_of(width, height, job.channels, 0);
         for (int n = 0; n <= kUNetLevels; ++n) {
-            const int after = job.blocks[n][0].after, w = width >> n, h = height >> n;
+            const int after = job.blocks[n][0].convolution.after, w = width >> n, h = height >> n;
             between[n] = out[n] = maps_of(w, h, after, after);
-            pooled[n] = maps_of(w, h, job.blocks[n][0].before, 0);
+            pooled[n] = maps_of(w, h, job.blocks[n][0].convolution.before, 0);
             if (n < kUNetLevels) skip[n] = maps_of(w, h, 3 * after, after);
         }
         place({&input, &skip[0]}, memory);

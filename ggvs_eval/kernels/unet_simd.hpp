@@ -1,11 +1,9 @@
-// The U-Net's arithmetic beside the convolutions, which are the refiner's (included by level_*.cpp after refine_simd.hpp).
+// The U-Net's arithmetic beside the convolutions (included by level_*.cpp after register_simd.hpp, whose names it uses).
 // Sums are kept in 16 lanes whatever the vectors' size, and added up in one order.
 #pragma once
 #include "unet.hpp"
 
 namespace ggvs::GGVS_LEVEL {
-
-static void convolve_row(const ConvolvedRow& row) { convolve<3>(row, false); }
 
 static Moments moments_of_row(const float* row, int64_t stride, int width, int channels) {
     constexpr int kSums = 16 / kWidth;

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from torch import nn
 
 from ggvs_eval.arrays import Map
 from ggvs_eval.geometry.splat import COVERED_ALPHA
 from ggvs_eval.kernels import SIMD_LEVELS, get_simd_level, get_threads
 from ggvs_eval.pipelines.online.blend_maps import BlendMaps
 from ggvs_eval.pipelines.online.blend_network import BEYOND_VIEWS, SURE
+from ggvs_eval.pipelines.online.packed_layers import packed_once, parameter_map
 from ggvs_eval.pipelines.online.refiner import Refiner
 
 OUTPUT_MULTIPLE = 8  # of a layer: so many are summed at once
@@ -107,15 +107,17 @@ def refined(refiner: Refiner, picture: Composed, depth: Map | None, small: Map, 
     depth = np.zeros_like(picture.spread) if depth is None else np.ascontiguousarray(depth, np.float32)
     logarithm = np.zeros_like(depth)
     np.log(depth, out=logarithm, where=depth > 0)
-    layers = [_packed(layer) for layer in (*refiner.looks, refiner.taps)]
+    layers = packed_once(refiner, None, lambda: _layers(refiner))
     evidence = picture.picture, picture.spread, picture.shown, depth, logarithm
     return _core.refine(*evidence, small, scale, views + BEYOND_VIEWS, layers, get_threads(), SIMD_LEVELS.index(get_simd_level()))
 
 
-def _packed(layer: nn.Module) -> tuple[Map, Map, int]:
-    """A convolution's weights (inputs, size, size, outputs) and bias (outputs), filled up with zeros, and how many there are."""
-    weights, bias = (layer.get_parameter(name).detach().float().cpu().numpy() for name in ("weight", "bias"))
-    outputs = len(bias)
-    missing = -outputs % OUTPUT_MULTIPLE
-    turned = np.pad(weights.transpose(1, 2, 3, 0), [(0, 0)] * 3 + [(0, missing)])
-    return np.ascontiguousarray(turned), np.pad(bias, (0, missing)), outputs
+def _layers(refiner: Refiner) -> list[tuple[Map, Map, int]]:
+    """Packed filters, bias and number of outputs of each layer; of the last one weights (inputs, outputs filled up)."""
+    from ggvs_eval.kernels import _core
+
+    looks = [(parameter_map(look, "weight"), parameter_map(look, "bias")) for look in refiner.looks]
+    weights, bias = parameter_map(refiner.taps, "weight")[:, :, 0, 0], parameter_map(refiner.taps, "bias")
+    missing = -len(bias) % OUTPUT_MULTIPLE
+    taps = np.ascontiguousarray(np.pad(weights.T, [(0, 0), (0, missing)])), np.pad(bias, (0, missing)), len(bias)
+    return [*((*_core.pack_filters(*look), len(look[1])) for look in looks), taps]

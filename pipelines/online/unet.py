@@ -8,6 +8,7 @@ from torch.nn import functional
 
 from ggvs_eval.arrays import Map
 from ggvs_eval.kernels import SIMD_LEVELS, get_simd_level, get_threads
+from ggvs_eval.pipelines.online.packed_layers import packed_once, parameter_map
 
 LEVELS = 4
 SIZE_MULTIPLE = 2**LEVELS
@@ -85,24 +86,25 @@ def unet_outputs(unet: UNet, channels: Map, given: NDArray[np.intp] | None = Non
     """
     from ggvs_eval.kernels import _core
 
-    layers = [layer for block in (*unet.down, *unet.up) for layer in _layers(block)]
-    if given is not None:
-        layers[0] = (layers[0][0][:, given], *layers[0][1:])
-    last = np.ascontiguousarray(_array(unet.last, "weight")[:, :, 0, 0]), _array(unet.last, "bias")
+    chosen = None if given is None else tuple(given.tolist())
+    layers = packed_once(unet, chosen, lambda: _layers(unet, given))
+    last = np.ascontiguousarray(parameter_map(unet.last, "weight")[:, :, 0, 0]), parameter_map(unet.last, "bias")
     epsilon = next(module.eps for module in unet.modules() if isinstance(module, nn.GroupNorm))
     inputs = np.ascontiguousarray(channels, np.float32)
     return _core.unet(inputs, layers, last, epsilon, get_threads(), SIMD_LEVELS.index(get_simd_level()))
 
 
-def _layers(block: nn.Module) -> list[tuple[Map, Map, Map, Map]]:
-    """Weights, bias, gain and shift of a block's convolutions and the normalisations behind them."""
-    convolutions = [module for module in block.modules() if isinstance(module, nn.Conv2d)]
-    norms = [module for module in block.modules() if isinstance(module, nn.GroupNorm)]
-    return [
-        (_array(convolution, "weight"), _array(convolution, "bias"), _array(norm, "weight"), _array(norm, "bias"))
-        for convolution, norm in zip(convolutions, norms, strict=True)
-    ]
+def _layers(unet: UNet, given: NDArray[np.intp] | None) -> list[tuple[Map, Map, Map, Map]]:
+    """Packed filters and bias, gain and shift of all convolutions and the normalisations behind them, in order of use."""
+    from ggvs_eval.kernels import _core
 
-
-def _array(module: nn.Module, name: str) -> Map:
-    return module.get_parameter(name).detach().float().cpu().numpy()
+    modules = [module for block in (*unet.down, *unet.up) for module in block.modules()]
+    convolutions = [module for module in modules if isinstance(module, nn.Conv2d)]
+    norms = [module for module in modules if isinstance(module, nn.GroupNorm)]
+    layers = []
+    for convolution, norm in zip(convolutions, norms, strict=True):
+        weights, bias = parameter_map(convolution, "weight"), parameter_map(convolution, "bias")
+        if given is not None and not layers:
+            weights = weights[:, given]
+        layers.append((*_core.pack_filters(weights, bias), parameter_map(norm, "weight"), parameter_map(norm, "bias")))
+    return layers

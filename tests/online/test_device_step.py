@@ -161,7 +161,7 @@ def test_marches_have_the_bits_of_the_compiled_path(rig, skip_empty):
 
 
 def test_contested_depth_and_registration(rig):
-    """A fused depth that the views contradict is settled by the same votes; registered views have the same bits."""
+    """A fused depth that the views contradict is settled by the same votes; registered views differ by rounding alone."""
     fused = np.abs(random_depth(np.random.default_rng(7), rig.target, noise=0.1))
     here = settle_depth(rig.target, fused, rig.sources, rig.splats, 0.05)
     there = depth_stages.settle_depth(rig.target, tensor(fused), rig.views, rig.device_splats, 0.05)
@@ -170,7 +170,7 @@ def test_contested_depth_and_registration(rig):
     colours, coverage, visibilities = register_views(rig.target, here, rig.sources, rig.splats, 0.1, 0.02)
     found = picture.register_views(rig.target, there, rig.views, rig.device_splats, 0.1)
     assert 0.1 < (visibilities > 0).mean() < 1
-    np.testing.assert_array_equal(found.colours.permute(0, 2, 3, 1).numpy(), colours)
+    np.testing.assert_allclose(found.colours.permute(0, 2, 3, 1).numpy(), colours, atol=1e-6)  # fused sums, row by row, here
     np.testing.assert_array_equal(found.coverage.numpy(), coverage)
     np.testing.assert_array_equal(found.visibilities.numpy(), visibilities)
 

@@ -146,7 +146,22 @@ def test_channels_that_are_not_given_are_zeros():
     np.testing.assert_array_equal(unet_outputs(network, channels[given], given), unet_outputs(network, zeros))
 
 
+def test_weights_that_change_count():
+    """Filters are packed once, but anew when somebody has written the weights, moved them or left other channels out."""
+    network, channels = restless_unet(5, 3, 4), channels_of(5, 20, 20)
+    first = unet_outputs(network, channels)
+    with torch.no_grad():
+        network.up[3][3].weight *= 1.5
+    changed = unet_outputs(network, channels)
+    assert not np.array_equal(changed, first)
+    assert not np.array_equal(unet_outputs(network, channels[1:], np.arange(1, 5)), changed)
+    network.load_state_dict({name: 2 * values for name, values in network.state_dict().items()})
+    with torch.inference_mode():
+        expected = network(torch.from_numpy(channels)[None])[0].numpy()
+    np.testing.assert_allclose(unet_outputs(network, channels), expected, atol=1e-3)
+
+
 def test_channels_of_another_number_are_refused():
     """Channels that the first layer does not take are a TypeError, not memory read beyond its end."""
-    with pytest.raises(TypeError, match="wanted float32 that fits the other layers"):
+    with pytest.raises(TypeError, match="filters: wanted float32"):
         unet_outputs(small_unet(), channels_of(4, 20, 20))
