@@ -37,7 +37,6 @@ struct March {
     Pinhole target;
     float near, far, tau;
     float step_fraction, min_step;  // of the distance, and in tau
-    int bisections;
     bool skip_empty;
     std::vector<FieldView> views;
     float per_tau;  // 1 / tau; filled by ray_march

@@ -31,24 +31,25 @@ struct PacketView {
     F gain;
 };
 
+struct Distance {
+    F mean;   // weighted mean of the clamped distances in units of tau, -1 .. 1
+    F total;  // sum of the weights, 0 = unknown
+};
+
 // Rays on their way to the surface.
 struct Packet {
     PacketView views[kMaxViews];
     F base, whole;  // the sample depth is base + whole * step: skipping steps then gives the same bits as taking them
     F previous;     // depth of the previous sample
-    M positive;     // rays whose previous sample was known and in front
-    M active, hit;
-    F front, behind;  // around the zero crossing
+    Distance before;  // there
+    M positive;       // rays whose previous sample was known and in front
+    M active;
+    F depth, weight;  // of the surface, 0 before it is met
 };
 
 // Packets are marched side by side, and each step is taken for all packets and views before the next: each waits for the one
 // before, and a processor looks ahead for work of its own only so far.
 constexpr int kMarchedPackets = 2;
-
-struct Distance {
-    F mean;   // weighted mean of the clamped distances in units of tau, -1 .. 1
-    F total;  // sum of the weights, 0 = unknown
-};
 
 GGVS_INLINE F clamp(F x, F low, F high) { return min(max(x, low), high); }
 
@@ -216,16 +217,17 @@ GGVS_INLINE void advance(const March& march, F z, const Distance& s, Packet& p) 
     M known = both(p.active, less(all(0.0f), s.total));
     M positive = both(known, less(all(0.0f), s.mean));
     M crossed = both(but_not(known, positive), p.positive);
-    p.front = select(crossed, p.previous, p.front);
-    p.behind = select(crossed, z, p.behind);
-    p.hit = either(p.hit, crossed);
+    // The surface is where the straight line through the two distances is zero.
+    const F share = p.before.mean / (p.before.mean - s.mean);
+    p.depth = select(crossed, multiply_add(share, z - p.previous, p.previous), p.depth);
+    p.weight = select(crossed, multiply_add(share, s.total - p.before.total, p.before.total), p.weight);
     p.active = but_not(p.active, crossed);
 
     M shorter = both(positive, less(s.mean, all(1.0f)));
     F length = max(all(march.step_fraction) * s.mean, all(march.min_step)) * all(march.tau);
     p.base = select(shorter, z + length, p.base);
     p.whole = select(shorter, all(0.0f), p.whole + all(1.0f));
-    p.previous = z;
+    p.previous = z, p.before = s;
     p.positive = positive;
 }
 
@@ -244,23 +246,6 @@ GGVS_INLINE void find_crossings(const March& march, const MarchColumn& column, P
     while (any(packets[0].active) && any(packets[1].active)) take_step<kMarchedPackets>(march, column, packets);
     for (Packet& packet : packets)
         while (any(packet.active)) take_step<1>(march, column, &packet);
-}
-
-// Halves the intervals around the crossings; the distance in the middle of what is left.
-GGVS_INLINE void bisect(const March& march, Packet (&packets)[kMarchedPackets], F (&middle)[kMarchedPackets],
-                        Distance (&found)[kMarchedPackets]) {
-    M hit[kMarchedPackets];
-    for (int n = 0; n < kMarchedPackets; ++n) hit[n] = packets[n].hit;
-    for (int round = 0;; ++round) {
-        for (int n = 0; n < kMarchedPackets; ++n) middle[n] = all(0.5f) * (packets[n].front + packets[n].behind);
-        sample<kMarchedPackets>(march, packets, middle, hit, found);
-        if (round == march.bisections) return;
-        for (int n = 0; n < kMarchedPackets; ++n) {
-            M positive = both(less(all(0.0f), found[n].total), less(all(0.0f), found[n].mean));
-            packets[n].front = select(positive, middle[n], packets[n].front);
-            packets[n].behind = select(positive, packets[n].behind, middle[n]);
-        }
-    }
 }
 
 GGVS_INLINE void start(const March& march, int left, int top, Packet& p) {
@@ -289,14 +274,14 @@ GGVS_INLINE void start(const March& march, int left, int top, Packet& p) {
         ray.gain = load(gain);
     }
     p.base = all(march.near);
-    p.whole = p.previous = p.front = p.behind = all(0.0f);
-    p.positive = p.hit = no_lanes();
+    p.whole = p.previous = p.before.mean = p.before.total = p.depth = p.weight = all(0.0f);
+    p.positive = no_lanes();
     p.active = less(all(0.5f), to_float(load(inside)));
 }
 
-GGVS_INLINE void write(const March& march, int left, int top, F z, F total, float* depth, float* weight) {
+GGVS_INLINE void write(const March& march, int left, int top, const Packet& p, float* depth, float* weight) {
     alignas(64) float lanes[2][kWidth];
-    store(lanes[0], z), store(lanes[1], total);
+    store(lanes[0], p.depth), store(lanes[1], p.weight);
     for (int lane = 0; lane < kWidth; ++lane) {
         const int x = left + lane % kPacket, y = top + lane / kPacket;
         if (x >= march.target.width || y >= march.target.height) continue;
@@ -313,15 +298,8 @@ static void march_column(const March& march, const MarchColumn& column, float* d
     for (int y = column.top; y < column.top + kMarchTile && y < march.target.height; y += kRows) {
         for (int n = 0; n < kMarchedPackets; ++n) start(march, column.left + n * kPacket, y, packets[n]);
         find_crossings(march, column, packets);
-        F middle[kMarchedPackets];
-        Distance found[kMarchedPackets];
-        const bool met = any(either(packets[0].hit, packets[1].hit));
-        if (met) bisect(march, packets, middle, found);
-        for (int n = 0; n < kMarchedPackets; ++n) {
-            F z = met ? select(packets[n].hit, middle[n], all(0.0f)) : all(0.0f);
-            F total = met ? select(packets[n].hit, found[n].total, all(0.0f)) : all(0.0f);
-            write(march, column.left + n * kPacket, y, z, total, depth, weight);
-        }
+        for (int n = 0; n < kMarchedPackets; ++n)
+            write(march, column.left + n * kPacket, y, packets[n], depth, weight);
     }
 }
 

@@ -25,7 +25,6 @@ class Field:
     tau: wp.float32
     step_fraction: wp.float32
     min_step: wp.float32
-    bisections: wp.int32
     skip_empty: wp.bool
     first_bits: wp.int32
     per_bit: wp.float32
@@ -254,7 +253,7 @@ def march_rays(
     out_depth: wp.array2d[wp.float32],
     out_weight: wp.array2d[wp.float32],
 ):
-    """Sphere tracing with the smallest step (Eq. 3 with the readings of ggvs_eval/geometry/tsdf.py), then bisection."""
+    """Sphere tracing with the smallest step (Eq. 3 with the readings of ggvs_eval/geometry/tsdf.py)."""
     y, x = wp.tid()
     pixel = wp.vec2f(wp.float32(x) + 0.5, wp.float32(y) + 0.5)
     gain = gains[y, x]
@@ -262,10 +261,10 @@ def march_rays(
     base = field.near
     whole = wp.float32(0.0)
     previous = wp.float32(0.0)
-    front = wp.float32(0.0)
-    behind = wp.float32(0.0)
+    before = wp.vec2f(0.0, 0.0)
+    depth = wp.float32(0.0)
+    total = wp.float32(0.0)
     was_positive = wp.bool(False)
-    hit = wp.bool(False)
     active = wp.bool(True)
     while active:
         z = base + whole * step
@@ -279,9 +278,10 @@ def march_rays(
             s = sample(field, depths, weights, maps, sizes, past_depth, past_weight, gain, limit, pixel, z)
             positive = s[1] > 0.0 and s[0] > 0.0
             if s[1] > 0.0 and was_positive and not positive:
-                front = previous
-                behind = z
-                hit = True
+                # The surface is where the straight line through the two distances is zero.
+                share = before[0] / (before[0] - s[0])
+                depth = share * (z - previous) + previous
+                total = share * (s[1] - before[1]) + before[1]
                 active = False
             else:
                 if positive and s[0] < 1.0:
@@ -290,19 +290,7 @@ def march_rays(
                 else:
                     whole += 1.0
                 previous = z
+                before = s
                 was_positive = positive
-    depth = wp.float32(0.0)
-    total = wp.float32(0.0)
-    if hit:
-        for _ in range(field.bisections):
-            middle = 0.5 * (front + behind)
-            s = sample(field, depths, weights, maps, sizes, past_depth, past_weight, gain, limit, pixel, middle)
-            if s[1] > 0.0 and s[0] > 0.0:
-                front = middle
-            else:
-                behind = middle
-        depth = 0.5 * (front + behind)
-        s = sample(field, depths, weights, maps, sizes, past_depth, past_weight, gain, limit, pixel, depth)
-        total = s[1]
     out_depth[y, x] = depth
     out_weight[y, x] = total
