@@ -137,11 +137,8 @@ def test_pairs_without_room_are_counted(rig):
 
 
 @pytest.mark.parametrize("skip_empty", [True, False])
-def test_marches_are_those_of_the_compiled_path(rig, skip_empty):
-    """Depth and weight of all rays but one in a thousand, with and without the depth of the instant before, whatever is skipped.
-
-    The compiled path rounds products and sums once, the device twice: not a bit more can be asked for.
-    """
+def test_marches_have_the_bits_of_the_compiled_path(rig, skip_empty):
+    """Depth and weight of every ray, with and without the depth of the instant before, whatever is skipped."""
     cameras, depths = [source.camera for source in rig.sources], [source.depth for source in rig.sources]
     weights = [fusion_weights(depth, TAU, 0.001) for depth in depths]
     stack = torch.zeros_like(rig.views.depths)
@@ -159,8 +156,8 @@ def test_marches_are_those_of_the_compiled_path(rig, skip_empty):
     later_there = depth_stages.ray_march(rig.target, rig.views, rig.views.depths, stack, options, past)
     assert not np.array_equal(here.depth, later.depth)
     for one, other in ((here, there), (later, later_there)):
-        assert np.isclose(other.depth.numpy(), one.depth, rtol=1e-4, atol=0).mean() >= 0.999
-        assert np.isclose(other.weight.numpy(), one.weight, rtol=1e-4, atol=0).mean() >= 0.999
+        np.testing.assert_array_equal(other.depth.numpy(), one.depth)
+        np.testing.assert_array_equal(other.weight.numpy(), one.weight)
 
 
 def test_contested_depth_and_registration(rig):

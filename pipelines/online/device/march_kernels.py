@@ -12,6 +12,7 @@ BLOCK = 4  # source pixels across and down that are marked together
 _COLUMN = wp.constant(COLUMN)
 _SLABS = wp.constant(SLABS)
 _BLOCK = wp.constant(BLOCK)
+_JUST_BELOW = wp.constant(wp.float32(0.99999994))  # the largest number below 1
 FAR_AWAY = wp.constant(wp.float32(1e18))
 NOWHERE = wp.constant(wp.float32(3e38))
 
@@ -185,8 +186,9 @@ def add_view(
         return wp.vec2f(0.0, 0.0)
     distance = (depth - depth_k) * (1.0 / tau)
     if distance > -2.01 and distance < 2.01:
-        left = wp.min(wp.max(u - 0.5, 0.0), wp.float32(width) - 1.0)
-        upper = wp.min(wp.max(v - 0.5, 0.0), wp.float32(height) - 1.0)
+        # At the border between the last two pixels, just before the centre of the last.
+        left = wp.min(wp.max(u - 0.5, 0.0), _JUST_BELOW * wp.float32(width - 1))
+        upper = wp.min(wp.max(v - 0.5, 0.0), _JUST_BELOW * wp.float32(height - 1))
         x0 = wp.int32(left)
         y0 = wp.int32(upper)
         x1 = wp.min(x0 + 1, width - 1)
