@@ -33,7 +33,7 @@ FRAMES = 3  # the last is recorded: by then every stage has a past
 REPEATS = 7
 SMALL = 16  # numbers of a matrix that is no map
 LANES_PER_GAUSSIAN = 4.2 * 16  # blocks of 4 x 4 pixels that a Gaussian touches; 28 % of the lanes are pixels that it reaches
-SAMPLES_PER_RAY = 13.6  # 4 of them halve the interval around the surface
+SAMPLES_PER_RAY = 9.6
 # Floating-point operations per pixel of a result, of all views; splat: of a source.
 OPERATIONS: dict[str, Callable[["Call"], float]] = {
     "splat": lambda call: LANES_PER_GAUSSIAN * (30 + 2 * (1 + call.arguments[4])),

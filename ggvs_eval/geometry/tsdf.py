@@ -7,6 +7,8 @@ Reading:
     * "Advance by 0.8 s" alone approaches a surface and never crosses it: a step is at least 0.1 tau.
     * A sample no view knows is passed by 0.8 tau and forgotten; a crossing counts only between two known samples. A surface
       entered from behind is not a hit.
+    * The surface is where the straight line through the distances on both sides of the crossing is zero, and its weight lies on
+      the line through their weights. Halving the interval in between costs a third of the march and is less exact.
     * D_k[u, v] is bilinear where the four neighbours are valid and differ by less than tau, else the nearest pixel's, so that no
       surface appears between foreground and background; weights are the nearest pixel's.
     * The previous frame's depth is one more depth camera at the previous target pose, so that a moving target is right too.
@@ -94,7 +96,6 @@ def ray_march(
     skip_empty: bool = True,
     step_fraction: float = 0.8,
     min_step: float = 0.1,
-    bisections: int = 3,
 ) -> RayMarch:
     """Find the first surface of the fused field along each ray, from the target's near to its far depth (Eqs. 3, 9, 10, 13, 14).
 
@@ -108,7 +109,6 @@ def ray_march(
         skip_empty: pass whole steps that no view can influence without sampling them; the result is the same, bit for bit.
         step_fraction: of the fused distance, taken as a step.
         min_step: smallest step, in tau.
-        bisections: of the interval around the zero crossing; its middle is the depth.
 
     Raises:
         DepthError: images that do not fit their cameras, too many of them, or parameters for which the march would not end.
@@ -138,7 +138,7 @@ def ray_march(
     if previous is not None:
         gain = as_image(previous.gain, target, "gain", DepthError)
         fields.append(_field(target, previous.camera, previous.depth, previous.accumulated_weight, gain, previous.limit))
-    settings = (tau, step_fraction, min_step, bisections, skip_empty, get_threads(), SIMD_LEVELS.index(get_simd_level()))
+    settings = (tau, step_fraction, min_step, skip_empty, get_threads(), SIMD_LEVELS.index(get_simd_level()))
     return RayMarch(*_core.ray_march(pinhole(target), (target.near, target.far), fields, *settings))
 
 

@@ -31,7 +31,6 @@ def ray_march(
     tau: float,
     step_fraction: float,
     min_step: float,
-    bisections: int,
     skip_empty: bool,
     threads: int,
     level: int,

@@ -58,14 +58,13 @@ py::array_t<float> fusion_weights(const py::array& depth, float tau, float depth
 }
 
 py::tuple ray_march(const py::handle& target, const py::tuple& range, const py::sequence& views, float tau, float step_fraction,
-                    float min_step, int bisections, bool skip_empty, int threads, int level) {
+                    float min_step, bool skip_empty, int threads, int level) {
     ggvs::March march{pinhole_of(target),
                       py::cast<float>(range[0]),
                       py::cast<float>(range[1]),
                       tau,
                       step_fraction,
                       min_step,
-                      bisections,
                       skip_empty,
                       {},
                       0.0f};
@@ -77,7 +76,9 @@ py::tuple ray_march(const py::handle& target, const py::tuple& range, const py::
                               nullptr,
                               nullptr,
                               std::numeric_limits<float>::max(),
-                              {}};
+                              {},
+                              0.0f,
+                              0.0f};
         field.depth = image_of(view[2], "depth", field.camera);
         field.weight = image_of(view[3], "weight", field.camera);
         if (!view[4].is_none()) {
@@ -121,7 +122,7 @@ PYBIND11_MODULE(_core, m) {
           "Index of the highest instruction set this processor runs: 0 baseline, 1 avx2, 2 avx512.");
     m.def("splat", &splat, "sources"_a, "target"_a, "near"_a, "scale"_a, "channels"_a, "normalised"_a, "threads"_a, "level"_a);
     m.def("fusion_weights", &fusion_weights, "depth"_a, "tau"_a, "depth_noise"_a, "threads"_a, "level"_a);
-    m.def("ray_march", &ray_march, "target"_a, "range"_a, "views"_a, "tau"_a, "step_fraction"_a, "min_step"_a, "bisections"_a,
+    m.def("ray_march", &ray_march, "target"_a, "range"_a, "views"_a, "tau"_a, "step_fraction"_a, "min_step"_a,
           "skip_empty"_a, "threads"_a, "level"_a);
     m.def("warp", &warp, "target"_a, "target_depth"_a, "source"_a, "from_target"_a, "image"_a, "source_depth"_a, "tolerance"_a,
           "bicubic"_a, "threads"_a);

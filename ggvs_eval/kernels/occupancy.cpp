@@ -4,7 +4,6 @@
 #include <atomic>
 #include <cmath>
 #include <cstring>
-#include <limits>
 
 #include "parallel.hpp"
 #include "tsdf.hpp"
@@ -31,6 +30,16 @@ float bits_float(int32_t bits) {
 int slab_of(SlabScale scale, float z) {
     const float slab = float(float_bits(z) - scale.first_bits) * scale.per_bit;
     return int(std::min(std::max(slab, 0.0f), float(kSlabs - 1)));
+}
+
+// The first slab from `slab` on that is occupied, or that is not; kSlabs if there is none.
+int next_slab(const uint64_t* words, int slab, bool occupied) {
+    while (slab < kSlabs) {
+        const uint64_t word = (occupied ? words[slab / 64] : ~words[slab / 64]) >> (slab % 64);
+        if (word) return slab + __builtin_ctzll(word);
+        slab = (slab / 64 + 1) * 64;
+    }
+    return kSlabs;
 }
 
 // Smallest and largest valid depth of each column over some rows. The loops are plain so that any compiler vectorises them.
@@ -143,7 +152,7 @@ void Occupancy::mark_block(const FieldView& view, const PixelMap& to_target, Blo
     auto mark = [&](float low, float high) {
         mark_frustum(to_target, block, {std::max(low - tau, ring.low) - tau, std::min(high + tau, ring.high) + tau});
     };
-    if (own.high - own.low <= 2.0f * tau) return mark(own.low, own.high);
+    if (own.high - own.low <= 4.0f * tau) return mark(own.low, own.high);
     float values[kSourceBlock * kSourceBlock];
     int count = 0;
     for (int y = block.top; y < block.bottom; ++y) {
@@ -202,13 +211,15 @@ void Occupancy::mark_columns(int x0, int x1, int y0, int y1, int first_slab, int
 }
 
 MarchColumn Occupancy::column(int left, int top) const {
-    MarchColumn column{left, top, slabs_, {}};
+    MarchColumn column;
+    column.left = left, column.top = top, column.slabs = slabs_;
     const uint64_t* words = bits_.data() + (size_t(top / kMarchTile) * across_ + left / kMarchTile) * kWords;
-    float next = std::numeric_limits<float>::max();
-    for (int slab = kSlabs - 1; slab >= 0; --slab) {
+    for (int slab = 0; slab < kSlabs;) {
+        const int first = next_slab(words, slab, true), behind = next_slab(words, first, false);
         // Rounded towards the camera: to stop early costs a sample, to stop late would lose one.
-        if (words[slab / 64] >> (slab % 64) & 1) next = bits_float(slabs_.first_bits + int32_t(slab / slabs_.per_bit * 0.99999f));
-        column.next_depth[slab] = next;
+        const float depth = bits_float(slabs_.first_bits + int32_t(first / slabs_.per_bit * 0.99999f));
+        std::fill(column.next_depth + slab, column.next_depth + behind, first < kSlabs ? depth : kFarAway);
+        slab = behind;
     }
     return column;
 }

@@ -35,6 +35,11 @@ GGVS_INLINE void store(int32_t* p, I x) { _mm256_storeu_si256((__m256i*)p, (__m2
 GGVS_INLINE M less(F a, F b) { return (M)_mm256_cmp_ps(a, b, _CMP_LT_OQ); }
 GGVS_INLINE M at_most(F a, F b) { return (M)_mm256_cmp_ps(a, b, _CMP_LE_OQ); }
 GGVS_INLINE M at_most(I a, I b) { return a <= b; }
+// 0 <= x < limit, by bits: -0 is outside.
+GGVS_INLINE M within(F x, float limit) {
+    const __m256i bits = (__m256i)x, below = _mm256_sub_epi32(bits, (__m256i)_mm256_set1_ps(limit));
+    return (M)_mm256_srai_epi32(_mm256_andnot_si256(bits, below), 31);
+}
 GGVS_INLINE M both(M a, M b) { return a & b; }
 GGVS_INLINE M either(M a, M b) { return a | b; }
 GGVS_INLINE M but_not(M a, M b) { return a & ~b; }

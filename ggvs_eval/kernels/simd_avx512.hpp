@@ -35,6 +35,8 @@ GGVS_INLINE void store(int32_t* p, I x) { _mm512_storeu_si512(p, (__m512i)x); }
 GGVS_INLINE M less(F a, F b) { return _mm512_cmp_ps_mask(a, b, _CMP_LT_OQ); }
 GGVS_INLINE M at_most(F a, F b) { return _mm512_cmp_ps_mask(a, b, _CMP_LE_OQ); }
 GGVS_INLINE M at_most(I a, I b) { return _mm512_cmple_epi32_mask((__m512i)a, (__m512i)b); }
+// 0 <= x < limit: as bits, numbers below 0 are beyond all others.
+GGVS_INLINE M within(F x, float limit) { return _mm512_cmplt_epu32_mask((__m512i)x, (__m512i)_mm512_set1_ps(limit)); }
 GGVS_INLINE M both(M a, M b) { return M(a & b); }
 GGVS_INLINE M either(M a, M b) { return M(a | b); }
 GGVS_INLINE M but_not(M a, M b) { return M(a & ~b); }

@@ -31,6 +31,8 @@ GGVS_INLINE void store(int32_t* p, I x) { __builtin_memcpy(p, &x, sizeof x); }
 GGVS_INLINE M less(F a, F b) { return a < b; }
 GGVS_INLINE M at_most(F a, F b) { return a <= b; }
 GGVS_INLINE M at_most(I a, I b) { return a <= b; }
+// 0 <= x < limit, by bits: -0 is outside.
+GGVS_INLINE M within(F x, float limit) { return ((I)x >= 0) & ((I)x < (I)all(limit)); }
 GGVS_INLINE M both(M a, M b) { return a & b; }
 GGVS_INLINE M either(M a, M b) { return a | b; }
 GGVS_INLINE M but_not(M a, M b) { return a & ~b; }

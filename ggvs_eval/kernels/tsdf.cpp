@@ -11,6 +11,7 @@ namespace ggvs {
 namespace {
 
 constexpr int kBandRows = 16;
+constexpr float kJustBelow = 0.99999994f;  // the largest number below 1: times another one, the next to that
 constexpr int kPadding = kReach + 16;  // on the right also what the last vector reads too much
 
 // Copies image row y, invalid depth and everything outside as kFarAway, into a padded row.
@@ -42,7 +43,11 @@ void fusion_weights(const float* depth, int width, int height, float tau, float 
 
 void ray_march(March& march, float* depth, float* weight, int threads, int level) {
     const Kernels& kernels = kernels_of(level);
-    for (FieldView& view : march.views) view.map = pixel_map(march.target, view.from_target, view.camera, true);
+    for (FieldView& view : march.views) {
+        view.map = pixel_map(march.target, view.from_target, view.camera, true);
+        view.last_left = kJustBelow * float(view.camera.width - 1);
+        view.last_upper = kJustBelow * float(view.camera.height - 1);
+    }
     march.per_tau = 1.0f / march.tau;
     const std::unique_ptr<Occupancy> occupancy = march.skip_empty ? std::make_unique<Occupancy>(march, threads) : nullptr;
     const int across = (march.target.width + kMarchTile - 1) / kMarchTile;

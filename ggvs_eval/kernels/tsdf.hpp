@@ -1,5 +1,6 @@
 // The image-based TSDF: fusion weights of a depth image and the march through the fused distance field.
 #pragma once
+#include <algorithm>
 #include <cstdint>
 #include <vector>
 
@@ -30,14 +31,14 @@ struct FieldView {
     const float* weight;        // (height, width)
     const float* gain;          // (target height, target width), or null for 1
     float limit;
-    PixelMap map;  // filled by ray_march
+    PixelMap map;  // this and the rest filled by ray_march
+    float last_left, last_upper;  // just before the centres of the last column and row: what lies there has a pixel behind it
 };
 
 struct March {
     Pinhole target;
     float near, far, tau;
     float step_fraction, min_step;  // of the distance, and in tau
-    int bisections;
     bool skip_empty;
     std::vector<FieldView> views;
     float per_tau;  // 1 / tau; filled by ray_march
@@ -49,7 +50,7 @@ struct SlabScale {
     float per_bit;
 };
 
-// One column's slabs: next_depth[i] = where the first occupied slab at or behind slab i begins.
+// One column's slabs: next_depth[i] = where the next occupied slabs begin or, of an occupied slab, they began.
 struct MarchColumn {
     int left, top;
     SlabScale slabs;

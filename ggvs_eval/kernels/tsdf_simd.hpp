@@ -31,109 +31,91 @@ struct PacketView {
     F gain;
 };
 
+struct Distance {
+    F mean;   // weighted mean of the clamped distances in units of tau, -1 .. 1
+    F total;  // sum of the weights, 0 = unknown
+};
+
 // Rays on their way to the surface.
 struct Packet {
     PacketView views[kMaxViews];
     F base, whole;  // the sample depth is base + whole * step: skipping steps then gives the same bits as taking them
     F previous;     // depth of the previous sample
-    M positive;     // rays whose previous sample was known and in front
-    M active, hit;
-    F front, behind;  // around the zero crossing
+    Distance before;  // there
+    M positive;       // rays whose previous sample was known and in front
+    M skipped;        // rays that took whole steps through empty space to this sample, the last without a sample before it
+    M active;
+    F depth, weight;  // of the surface, 0 before it is met
 };
 
 // Packets are marched side by side, and each step is taken for all packets and views before the next: each waits for the one
 // before, and a processor looks ahead for work of its own only so far.
 constexpr int kMarchedPackets = 2;
 
-struct Distance {
-    F mean;   // weighted mean of the clamped distances in units of tau, -1 .. 1
-    F total;  // sum of the weights, 0 = unknown
-};
-
 GGVS_INLINE F clamp(F x, F low, F high) { return min(max(x, low), high); }
 
-// Where samples lie in an image: the two pixels to interpolate between in each of two rows, and the nearest one.
-struct Place {
-    I x, y0, y1;  // the pairs begin at (x, y0) and (x, y1)
-    I near_x, near_y;
-    M last;  // in the last column, which is repeated, the pair begins one pixel earlier
-    F fx, fy;
-};
-
-GGVS_INLINE Place place_of(const Pinhole& camera, F u, F v) {
-    const F width = all(float(camera.width)), height = all(float(camera.height)), zero = all(0.0f), one = all(1.0f);
-    F left = clamp(u - all(0.5f), zero, width - one), upper = clamp(v - all(0.5f), zero, height - one);
-    Place place;
-    place.x = truncate(min(left, max(width - all(2.0f), zero)));
-    place.y0 = truncate(upper), place.y1 = truncate(min(upper + one, height - one));
-    place.near_x = truncate(u), place.near_y = truncate(v);
-    place.last = at_most(width - one, left);
-    place.fx = left - to_float(truncate(left)), place.fy = upper - to_float(place.y0);
-    return place;
-}
-
-// What a view holds at a place.
-struct Around {
-    F d00, d01, d10, d11, nearest, weight;
-};
-
-// The samples of one packet in one view.
+// The samples of one packet in one view. Each lies between four pixels, of which the upper left one is (x, y); at the border between
+// the last four.
 struct Site {
-    F u, v, depth;  // in its image, and seen from the view
-    M inside;       // the image
-    Place place;
-    int left, top;  // corner of the patch that holds them all, as is usual; -1 if they lie too far apart
-    Around around;
+    F depth;   // seen from the view
+    M inside;  // the image
+    I x, y;
+    F fx, fy;        // from there, in pixels
+    I at;            // the upper left pixels in a patch that holds them all, 8 * row + column
+    int64_t corner;  // where the patch begins; -1 if they lie too far apart for one, which is rare
 };
 
 // Projects the samples `z` into a view's image.
-GGVS_INLINE void project(const FieldView& view, const PacketView& ray, F z, Site& site) {
+GGVS_INLINE void project(const FieldView& view, const PacketView& ray, F z, M wanted, Site& site) {
+    const F zero = all(0.0f);
     site.depth = z * ray.z + all(view.map.offset[2]);
-    F inverse = all(1.0f) / site.depth;
-    site.u = (z * ray.x + all(view.map.offset[0])) * inverse;
-    site.v = (z * ray.y + all(view.map.offset[1])) * inverse;
-}
-
-GGVS_INLINE void find_place(const FieldView& view, M wanted, Site& site) {
-    const F width = all(float(view.camera.width)), height = all(float(view.camera.height)), zero = all(0.0f);
-    const F u = site.u, v = site.v;
-    M across = both(at_most(zero, u), less(u, width)), down = both(at_most(zero, v), less(v, height));
+    const F inverse = all(1.0f) / site.depth;
+    const F u = (z * ray.x + all(view.map.offset[0])) * inverse;
+    const F v = (z * ray.y + all(view.map.offset[1])) * inverse;
+    const M across = within(u, float(view.camera.width)), down = within(v, float(view.camera.height));
     site.inside = both(both(wanted, less(zero, site.depth)), both(across, down));
-    site.place = place_of(view.camera, u, v);
+    const F left = clamp(u - all(0.5f), zero, all(view.last_left)), upper = clamp(v - all(0.5f), zero, all(view.last_upper));
+    site.x = truncate(left), site.y = truncate(upper);
+    site.fx = left - to_float(site.x), site.fy = upper - to_float(site.y);
 }
 
 GGVS_INLINE void choose_patch(const FieldView& view, Site& site) {
     const int width = view.camera.width, height = view.camera.height;
-    const Place& place = site.place;
-    site.left = site.top = -1;
+    site.corner = -1;
     if (kPatchRows == 0 || width < kPatchColumns || height < kPatchRows || !any(site.inside)) return;
-    const uint32_t least = least_halves(select(site.inside, place.x | (place.y0 << 16), all(int32_t(-1))));
-    const int left = int(least & 0xffff) < width - kPatchColumns ? int(least & 0xffff) : width - kPatchColumns;
-    const int top = int(least >> 16) < height - kPatchRows ? int(least >> 16) : height - kPatchRows;
-    const I reach = (place.x - all(int32_t(left))) | ((place.y1 - all(int32_t(top))) << 16);
-    if (halves_below(reach, all(int32_t((kPatchColumns - 1) | kPatchRows << 16)), site.inside)) site.left = left, site.top = top;
+    const I pixel = site.x | (site.y << 16);
+    const uint32_t least = least_halves(select(site.inside, pixel, all(int32_t(-1))));
+    const int left = std::min(int(least & 0xffff), width - kPatchColumns);
+    const int top = std::min(int(least >> 16), height - kPatchRows);
+    const I reach = pixel - all(int32_t(left | top << 16));
+    if (!halves_below(reach, all(int32_t((kPatchColumns - 1) | (kPatchRows - 1) << 16)), site.inside)) return;
+    site.at = reach | (reach >> 13);
+    site.corner = int64_t(top) * width + left;
 }
 
-GGVS_INLINE Around read_patch(const FieldView& view, const Site& site) {
-    const Place& place = site.place;
-    const int64_t corner = int64_t(site.top) * view.camera.width + site.left;
-    const Patch depth = load_patch(view.depth + corner, view.camera.width);
-    const Patch weight = load_patch(view.weight + corner, view.camera.width);
-    const I left = all(int32_t(site.left)), top = all(int32_t(site.top)), one = all(int32_t(1));
-    const I upper = ((place.y0 - top) << 3) + (place.x - left), lower = ((place.y1 - top) << 3) + (place.x - left);
-    const I nearest = ((place.near_y - top) << 3) + (place.near_x - left);
-    return {look(depth, upper),       look(depth, upper + one), look(depth, lower),
-            look(depth, lower + one), look(depth, nearest),     look(weight, nearest)};
+// What a view holds around the samples: the depths of the four pixels, and the weight of the nearest of them.
+struct Around {
+    F d00, d01, d10, d11, weight;
+};
+
+// `right` and `below`: where the nearest of the four pixels lies.
+GGVS_INLINE Around read_patch(const FieldView& view, const Site& site, M right, M below) {
+    const Patch depth = load_patch(view.depth + site.corner, view.camera.width);
+    const Patch weight = load_patch(view.weight + site.corner, view.camera.width);
+    const I one = all(int32_t(1)), row = all(int32_t(kPatchColumns)), lower = site.at + row;
+    const I nearest = select(below, lower, site.at);
+    return {look(depth, site.at), look(depth, site.at + one), look(depth, lower), look(depth, lower + one),
+            look(weight, select(right, nearest + one, nearest))};
 }
 
-GGVS_INLINE Around gather_around(const FieldView& view, const Place& place, M chosen) {
-    const I stride = all(int32_t(view.camera.width)), zero = all(int32_t(0));
-    const I nearest = select(chosen, place.near_y * stride + place.near_x, zero);
-    const I upper = select(chosen, place.y0 * stride + place.x, zero), lower = select(chosen, place.y1 * stride + place.x, zero);
+GGVS_INLINE Around gather_around(const FieldView& view, const Site& site, M right, M below) {
+    const int32_t width = view.camera.width;
+    const I one = all(int32_t(width > 1)), row = all(int32_t(view.camera.height > 1 ? width : 0)), zero = all(int32_t(0));
+    const I upper = select(site.inside, site.y * all(width) + site.x, zero), lower = upper + row;
+    const I nearest = select(below, lower, upper);
     Around around;
-    around.nearest = gather(view.depth, nearest);
-    around.weight = gather(view.weight, nearest);
-    if (view.camera.width > 1) {
+    around.weight = gather(view.weight, select(right, nearest + one, nearest));
+    if (width > 1) {
         gather_pairs(view.depth, upper, &around.d00, &around.d01);
         gather_pairs(view.depth, lower, &around.d10, &around.d11);
     } else {
@@ -143,29 +125,21 @@ GGVS_INLINE Around gather_around(const FieldView& view, const Place& place, M ch
     return around;
 }
 
-GGVS_INLINE void look_around(const FieldView& view, Site& site) {
-    site.around = site.left >= 0 ? read_patch(view, site) : gather_around(view, site.place, site.inside);
-}
-
 // One view's share: distance s_k = D_k[u, v] - z_k (Eq. 9, positive in front of the surface) clamped to +-tau, weight 0 where it is
 // below -tau (behind the surface = unknown), outside the image or invalid.
 GGVS_INLINE void add_view(const March& march, const FieldView& view, const PacketView& ray, const Site& site, F& sum, F& total) {
-    const Place& place = site.place;
-    const Around& a = site.around;
-    const F per_tau = all(march.per_tau);
-    M inside = both(site.inside, less(all(0.0f), a.nearest));
-    F distance = (a.nearest - site.depth) * per_tau;
-    // Neighbours that may be interpolated differ from the nearest pixel by less than tau: beyond 2 tau they change nothing.
-    M close = both(inside, both(less(all(-2.01f), distance), less(distance, all(2.01f))));
-    F d00 = select(place.last, a.d01, a.d00), d10 = select(place.last, a.d11, a.d10);
-    F low = min(min(d00, a.d01), min(d10, a.d11)), high = max(max(d00, a.d01), max(d10, a.d11));
-    M smooth = both(close, both(less(all(0.0f), low), less(high - low, all(march.tau))));
-    F top = d00 + place.fx * (a.d01 - d00), bottom = d10 + place.fx * (a.d11 - d10);
-    F between = (top + place.fy * (bottom - top) - site.depth) * per_tau;
-    distance = select(smooth, between, distance);
-    M counts = both(inside, at_most(all(-1.0f), distance));
-    F weight = select(counts, min(ray.gain * a.weight, all(view.limit)), all(0.0f));
-    sum = sum + weight * min(distance, all(1.0f));
+    const F zero = all(0.0f), one = all(1.0f);
+    const M right = at_most(all(0.5f), site.fx), below = at_most(all(0.5f), site.fy);
+    const Around a = site.corner >= 0 ? read_patch(view, site, right, below) : gather_around(view, site, right, below);
+    const F nearest = select(below, select(right, a.d11, a.d10), select(right, a.d01, a.d00));
+    const F low = min(min(a.d00, a.d01), min(a.d10, a.d11)), high = max(max(a.d00, a.d01), max(a.d10, a.d11));
+    const M smooth = both(less(zero, low), less(high - low, all(march.tau)));
+    const F top = a.d00 + site.fx * (a.d01 - a.d00), bottom = a.d10 + site.fx * (a.d11 - a.d10);
+    const F between = top + site.fy * (bottom - top);
+    const F distance = (select(smooth, between, nearest) - site.depth) * all(march.per_tau);
+    const M counts = both(both(site.inside, less(zero, nearest)), at_most(all(-1.0f), distance));
+    const F weight = select(counts, view.gain ? min(ray.gain * a.weight, all(view.limit)) : a.weight, zero);
+    sum = sum + weight * min(distance, one);
     total = total + weight;
 }
 
@@ -181,22 +155,21 @@ GGVS_INLINE void sample(const March& march, const Packet* packets, const F (&z)[
     };
     F sum[kCount], total[kCount];
     for (int n = 0; n < kCount; ++n) sum[n] = total[n] = all(0.0f);
-    each([&](const FieldView& view, const PacketView& ray, Site& site, int n) { project(view, ray, z[n], site); });
-    each([&](const FieldView& view, const PacketView&, Site& site, int n) { find_place(view, wanted[n], site); });
+    each([&](const FieldView& view, const PacketView& ray, Site& site, int n) { project(view, ray, z[n], wanted[n], site); });
     each([&](const FieldView& view, const PacketView&, Site& site, int) { choose_patch(view, site); });
-    each([&](const FieldView& view, const PacketView&, Site& site, int) { look_around(view, site); });
     each([&](const FieldView& view, const PacketView& ray, Site& site, int n) {
         add_view(march, view, ray, site, sum[n], total[n]);
     });
     for (int n = 0; n < kCount; ++n) out[n] = {select(less(all(0.0f), total[n]), sum[n] / total[n], all(0.0f)), total[n]};
 }
 
-// How many whole steps from z stay in empty slabs, the last of them still evaluated so that its sign is known.
+// How many whole steps from z end before the next occupied slab begins, or one more: the last of them needs no sample, as its end
+// does not.
 GGVS_INLINE F empty_steps(const MarchColumn& column, F z, float step) {
     F slab = to_float(bits(z) - all(column.slabs.first_bits)) * all(column.slabs.per_bit);
     F next = gather(column.next_depth, truncate(clamp(slab, all(0.0f), all(float(kSlabs - 1)))));
     F steps = (next - z) * all(1.0f / step) - all(0.01f);
-    return to_float(truncate(clamp(steps, all(0.0f), all(1e6f))));
+    return select(less(all(0.0f), steps), to_float(truncate(min(steps, all(1e6f)))) + all(1.0f), all(0.0f));
 }
 
 // The depth of a packet's next sample; rays that leave the range end there.
@@ -204,28 +177,48 @@ GGVS_INLINE F next_depth(const March& march, const MarchColumn& column, Packet& 
     const float step = march.step_fraction * march.tau;
     F z = p.base + p.whole * all(step);
     if (march.skip_empty) {
-        p.whole = p.whole + empty_steps(column, z, step);
+        const F skipped = empty_steps(column, z, step);
+        p.whole = p.whole + skipped;
         z = p.base + p.whole * all(step);
+        p.skipped = less(all(0.0f), skipped);
     }
     p.active = both(p.active, at_most(z, all(march.far)));
     return z;
+}
+
+// Where empty space was skipped, the sample before the one at z is taken after all for rays that may have crossed the surface between
+// the two, which is rare.
+static __attribute__((noinline)) void look_back(const March& march, M rays, Packet& p) {
+    const F z[1] = {p.base + (p.whole - all(1.0f)) * all(march.step_fraction * march.tau)};
+    const M wanted[1] = {rays};
+    Distance found[1];
+    sample<1>(march, &p, z, wanted, found);
+    p.previous = select(rays, z[0], p.previous);
+    p.before = {select(rays, found[0].mean, p.before.mean), select(rays, found[0].total, p.before.total)};
+    p.positive = either(p.positive, both(rays, both(less(all(0.0f), found[0].total), less(all(0.0f), found[0].mean))));
 }
 
 // What a packet's rays do after the sample at z.
 GGVS_INLINE void advance(const March& march, F z, const Distance& s, Packet& p) {
     M known = both(p.active, less(all(0.0f), s.total));
     M positive = both(known, less(all(0.0f), s.mean));
+    if (march.skip_empty) {
+        p.positive = but_not(p.positive, p.skipped);
+        const M doubtful = both(but_not(known, positive), p.skipped);
+        if (any(doubtful)) look_back(march, doubtful, p);
+    }
     M crossed = both(but_not(known, positive), p.positive);
-    p.front = select(crossed, p.previous, p.front);
-    p.behind = select(crossed, z, p.behind);
-    p.hit = either(p.hit, crossed);
+    // The surface is where the straight line through the two distances is zero.
+    const F share = p.before.mean / (p.before.mean - s.mean);
+    p.depth = select(crossed, p.previous + share * (z - p.previous), p.depth);
+    p.weight = select(crossed, p.before.total + share * (s.total - p.before.total), p.weight);
     p.active = but_not(p.active, crossed);
 
     M shorter = both(positive, less(s.mean, all(1.0f)));
     F length = max(all(march.step_fraction) * s.mean, all(march.min_step)) * all(march.tau);
     p.base = select(shorter, z + length, p.base);
     p.whole = select(shorter, all(0.0f), p.whole + all(1.0f));
-    p.previous = z;
+    p.previous = z, p.before = s;
     p.positive = positive;
 }
 
@@ -246,23 +239,6 @@ GGVS_INLINE void find_crossings(const March& march, const MarchColumn& column, P
         while (any(packet.active)) take_step<1>(march, column, &packet);
 }
 
-// Halves the intervals around the crossings; the distance in the middle of what is left.
-GGVS_INLINE void bisect(const March& march, Packet (&packets)[kMarchedPackets], F (&middle)[kMarchedPackets],
-                        Distance (&found)[kMarchedPackets]) {
-    M hit[kMarchedPackets];
-    for (int n = 0; n < kMarchedPackets; ++n) hit[n] = packets[n].hit;
-    for (int round = 0;; ++round) {
-        for (int n = 0; n < kMarchedPackets; ++n) middle[n] = all(0.5f) * (packets[n].front + packets[n].behind);
-        sample<kMarchedPackets>(march, packets, middle, hit, found);
-        if (round == march.bisections) return;
-        for (int n = 0; n < kMarchedPackets; ++n) {
-            M positive = both(less(all(0.0f), found[n].total), less(all(0.0f), found[n].mean));
-            packets[n].front = select(positive, middle[n], packets[n].front);
-            packets[n].behind = select(positive, packets[n].behind, middle[n]);
-        }
-    }
-}
-
 GGVS_INLINE void start(const March& march, int left, int top, Packet& p) {
     const int width = march.target.width, height = march.target.height;
     alignas(64) float u[kWidth], v[kWidth];
@@ -276,9 +252,10 @@ GGVS_INLINE void start(const March& march, int left, int top, Packet& p) {
         const FieldView& view = march.views[k];
         const float* m = view.map.matrix;
         PacketView& ray = p.views[k];
-        ray.x = all(m[0]) * load(u) + all(m[1]) * load(v) + all(m[2]);
-        ray.y = all(m[3]) * load(u) + all(m[4]) * load(v) + all(m[5]);
-        ray.z = all(m[6]) * load(u) + all(m[7]) * load(v) + all(m[8]);
+        const auto along = [&](const float* row) {
+            return all(row[0]) * load(u) + all(row[1]) * load(v) + all(row[2]);
+        };
+        ray.x = along(m), ray.y = along(m + 3), ray.z = along(m + 6);
         ray.gain = all(1.0f);
         if (!view.gain) continue;
         alignas(64) float gain[kWidth];
@@ -289,14 +266,14 @@ GGVS_INLINE void start(const March& march, int left, int top, Packet& p) {
         ray.gain = load(gain);
     }
     p.base = all(march.near);
-    p.whole = p.previous = p.front = p.behind = all(0.0f);
-    p.positive = p.hit = no_lanes();
+    p.whole = p.previous = p.before.mean = p.before.total = p.depth = p.weight = all(0.0f);
+    p.positive = p.skipped = no_lanes();
     p.active = less(all(0.5f), to_float(load(inside)));
 }
 
-GGVS_INLINE void write(const March& march, int left, int top, F z, F total, float* depth, float* weight) {
+GGVS_INLINE void write(const March& march, int left, int top, const Packet& p, float* depth, float* weight) {
     alignas(64) float lanes[2][kWidth];
-    store(lanes[0], z), store(lanes[1], total);
+    store(lanes[0], p.depth), store(lanes[1], p.weight);
     for (int lane = 0; lane < kWidth; ++lane) {
         const int x = left + lane % kPacket, y = top + lane / kPacket;
         if (x >= march.target.width || y >= march.target.height) continue;
@@ -313,15 +290,8 @@ static void march_column(const March& march, const MarchColumn& column, float* d
     for (int y = column.top; y < column.top + kMarchTile && y < march.target.height; y += kRows) {
         for (int n = 0; n < kMarchedPackets; ++n) start(march, column.left + n * kPacket, y, packets[n]);
         find_crossings(march, column, packets);
-        F middle[kMarchedPackets];
-        Distance found[kMarchedPackets];
-        const bool met = any(either(packets[0].hit, packets[1].hit));
-        if (met) bisect(march, packets, middle, found);
-        for (int n = 0; n < kMarchedPackets; ++n) {
-            F z = met ? select(packets[n].hit, middle[n], all(0.0f)) : all(0.0f);
-            F total = met ? select(packets[n].hit, found[n].total, all(0.0f)) : all(0.0f);
-            write(march, column.left + n * kPacket, y, z, total, depth, weight);
-        }
+        for (int n = 0; n < kMarchedPackets; ++n)
+            write(march, column.left + n * kPacket, y, packets[n], depth, weight);
     }
 }
 

@@ -65,7 +65,6 @@ def printed_march(
     tau: float,
     previous: PreviousDepth | None = None,
     min_step: float = 0.1,
-    bisections: int = 3,
     reading: FieldReading,
 ) -> RayMarch:
     """Find the first surface along each ray, see `ggvs_eval.geometry.ray_march` for the arguments.
@@ -78,7 +77,6 @@ def printed_march(
         tau: truncation distance, world units.
         previous: the previous frame's result.
         min_step: smallest step, in tau.
-        bisections: of the interval around the zero crossing.
         reading: of the fused field.
     """
     views = [_view(target, *each) for each in zip(cameras, depths, weights, strict=True)]
@@ -86,34 +84,30 @@ def printed_march(
         gain = previous.gain.reshape(-1).astype(np.float64)
         views.append(_view(target, previous.camera, previous.depth, previous.accumulated_weight, gain, previous.limit))
     front, behind, hit = _crossings(views, target, tau, min_step, reading)
-    for _ in range(bisections):
-        middle = (front + behind) / 2
-        s, total = _field(views, hit, middle, tau, reading)
-        positive = (s > 0) & (total > 0)
-        front, behind = np.where(positive, middle, front), np.where(positive, behind, middle)
+    share = front[1] / (front[1] - behind[1])
     depth, weight = (np.zeros(target.height * target.width, np.float32) for _ in range(2))
-    depth[hit] = (front + behind) / 2
-    weight[hit] = _field(views, hit, (front + behind) / 2, tau, reading)[1]
+    depth[hit], _, weight[hit] = front + share * (behind - front)
     return RayMarch(depth.reshape(target.height, target.width), weight.reshape(target.height, target.width))
 
 
 def _crossings(
     cameras: Sequence[_View], target: Camera, tau: float, min_step: float, reading: FieldReading
 ) -> tuple[Values, Values, Rays]:
-    """Depths before and after the first change from positive to not positive, and the rays that have one."""
+    """Depth, distance and weight before and after the first change from positive to not positive, and the rays that have one."""
     active = np.arange(target.height * target.width)
-    z, before = np.full(active.size, target.near), np.full(active.size, np.nan)  # the last sample where known and positive
+    z, before = np.full(active.size, target.near), np.full((3, active.size), np.nan)  # the last sample where known and positive
     crossings: list[tuple[Values, Values, Rays]] = []
     while active.size:
         s, total = _field(cameras, active, z, tau, reading)
-        crossed = (total > 0) & (s <= 0) & np.isfinite(before)
-        crossings.append((before[crossed], z[crossed], active[crossed]))
+        here = np.stack([z, s, total])
+        crossed = (total > 0) & (s <= 0) & np.isfinite(before[0])
+        crossings.append((before[:, crossed], here[:, crossed], active[crossed]))
         positive = (total > 0) & (s > 0)
-        before = np.where(positive, z, np.nan)
+        before = np.where(positive, here, np.nan)
         z = z + tau * np.where(positive, np.maximum(STEP * s, min_step), STEP)
         going = ~crossed & (z <= target.far)
-        active, z, before = active[going], z[going], before[going]
-    front, behind, hit = (np.concatenate(parts) for parts in zip(*crossings, strict=True))
+        active, z, before = active[going], z[going], before[:, going]
+    front, behind, hit = (np.concatenate(parts, axis=-1) for parts in zip(*crossings, strict=True))
     return front, behind, hit
 
 

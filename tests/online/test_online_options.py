@@ -218,9 +218,14 @@ def gaussian_scale_px() -> None:
 
 
 def min_step() -> None:
-    """The march takes no smaller step: with a small one it comes nearer to the exact depth of the wall."""
-    errors = [np.median(np.abs(play(still(1, 0.0), min_step=value).depths[0][BLOCK] - WALL_Z)) for value in (0.1, 0.001)]
-    assert errors[1] < errors[0]
+    """The march takes no smaller step: with a small one it comes nearer to the middle of two walls, 1.5 tau apart."""
+    tau = OnlineOptions().tau_m * UNITS_PER_METRE
+    (wall,) = still(1, 0.0)
+    far = with_sources(wall, lambda image: image, lambda depth: depth + np.float32(1.5 * tau))
+    both = replace(wall, sources=wall.sources[:2] + far.sources[2:])
+    middle = WALL_Z + 0.75 * tau
+    errors = [np.median(np.abs(play([both], min_step=value).depths[0][BLOCK] - middle)) for value in (0.5, 0.1)]
+    assert errors[1] < 0.5 * errors[0]
 
 
 def signed_distance() -> None:

@@ -151,15 +151,19 @@ def test_holes_stay_black_without_background():
     np.testing.assert_allclose(images[False][shown > 0.6], images[True][shown > 0.6], atol=1e-6)
 
 
-def test_a_smaller_floor_comes_closer_to_the_wall():
-    """The march with a hundredth of the floor still ends, nearer to the exact depth."""
+def test_a_smaller_floor_comes_closer_to_the_surface():
+    """Half of the views see a wall 1.5 tau farther away: the march with a smaller floor is nearer to the middle of the two."""
     inside = look(TARGET)[1] == WALL_Z
     inside[10:65, 15:80] = False
+    cameras, depths, weights = weighted_depths()
+    apart = [depth + np.float32(1.5 * TAU * (k % 2)) for k, depth in enumerate(depths)]
+    middle = WALL_Z + 0.75 * TAU
     errors = [
-        np.abs(ray_march(TARGET, *weighted_depths(), tau=TAU, min_step=floor).depth - WALL_Z)[inside] for floor in (0.1, 0.001)
+        np.abs(ray_march(TARGET, cameras, apart, weights, tau=TAU, min_step=floor).depth - middle)[inside]
+        for floor in (0.5, 0.001)
     ]
 
-    assert np.median(errors[1]) < np.median(errors[0])
+    assert np.median(errors[1]) < 0.5 * np.median(errors[0])
 
 
 def test_a_label_may_set_options():

@@ -101,7 +101,6 @@ class MarchOptions:
     tau: float
     min_step: float = 0.1
     step_fraction: float = 0.8
-    bisections: int = 3
     skip_empty: bool = True
 
 
@@ -132,7 +131,7 @@ def _field(target: Camera, options: MarchOptions) -> march_kernels.Field:
     constants = march_kernels.Field()
     constants.near, constants.far, constants.tau = target.near, target.far, options.tau
     constants.step_fraction, constants.min_step = options.step_fraction, options.min_step
-    constants.bisections, constants.skip_empty = options.bisections, options.skip_empty
+    constants.skip_empty = options.skip_empty
     first, last = (int(np.float32(depth).view(np.int32)) for depth in (target.near, target.far))
     constants.first_bits, constants.per_bit = first, march_kernels.SLABS / (last - first)
     constants.width, constants.height = target.width, target.height

@@ -12,6 +12,7 @@ BLOCK = 4  # source pixels across and down that are marked together
 _COLUMN = wp.constant(COLUMN)
 _SLABS = wp.constant(SLABS)
 _BLOCK = wp.constant(BLOCK)
+_JUST_BELOW = wp.constant(wp.float32(0.99999994))  # the largest number below 1
 FAR_AWAY = wp.constant(wp.float32(1e18))
 NOWHERE = wp.constant(wp.float32(3e38))
 
@@ -25,7 +26,6 @@ class Field:
     tau: wp.float32
     step_fraction: wp.float32
     min_step: wp.float32
-    bisections: wp.int32
     skip_empty: wp.bool
     first_bits: wp.int32
     per_bit: wp.float32
@@ -186,8 +186,9 @@ def add_view(
         return wp.vec2f(0.0, 0.0)
     distance = (depth - depth_k) * (1.0 / tau)
     if distance > -2.01 and distance < 2.01:
-        left = wp.min(wp.max(u - 0.5, 0.0), wp.float32(width) - 1.0)
-        upper = wp.min(wp.max(v - 0.5, 0.0), wp.float32(height) - 1.0)
+        # At the border between the last two pixels, just before the centre of the last.
+        left = wp.min(wp.max(u - 0.5, 0.0), _JUST_BELOW * wp.float32(width - 1))
+        upper = wp.min(wp.max(v - 0.5, 0.0), _JUST_BELOW * wp.float32(height - 1))
         x0 = wp.int32(left)
         y0 = wp.int32(upper)
         x1 = wp.min(x0 + 1, width - 1)
@@ -254,7 +255,7 @@ def march_rays(
     out_depth: wp.array2d[wp.float32],
     out_weight: wp.array2d[wp.float32],
 ):
-    """Sphere tracing with the smallest step (Eq. 3 with the readings of ggvs_eval/geometry/tsdf.py), then bisection."""
+    """Sphere tracing with the smallest step (Eq. 3 with the readings of ggvs_eval/geometry/tsdf.py)."""
     y, x = wp.tid()
     pixel = wp.vec2f(wp.float32(x) + 0.5, wp.float32(y) + 0.5)
     gain = gains[y, x]
@@ -262,10 +263,10 @@ def march_rays(
     base = field.near
     whole = wp.float32(0.0)
     previous = wp.float32(0.0)
-    front = wp.float32(0.0)
-    behind = wp.float32(0.0)
+    before = wp.vec2f(0.0, 0.0)
+    depth = wp.float32(0.0)
+    total = wp.float32(0.0)
     was_positive = wp.bool(False)
-    hit = wp.bool(False)
     active = wp.bool(True)
     while active:
         z = base + whole * step
@@ -279,9 +280,10 @@ def march_rays(
             s = sample(field, depths, weights, maps, sizes, past_depth, past_weight, gain, limit, pixel, z)
             positive = s[1] > 0.0 and s[0] > 0.0
             if s[1] > 0.0 and was_positive and not positive:
-                front = previous
-                behind = z
-                hit = True
+                # The surface is where the straight line through the two distances is zero.
+                share = before[0] / (before[0] - s[0])
+                depth = share * (z - previous) + previous
+                total = share * (s[1] - before[1]) + before[1]
                 active = False
             else:
                 if positive and s[0] < 1.0:
@@ -290,19 +292,7 @@ def march_rays(
                 else:
                     whole += 1.0
                 previous = z
+                before = s
                 was_positive = positive
-    depth = wp.float32(0.0)
-    total = wp.float32(0.0)
-    if hit:
-        for _ in range(field.bisections):
-            middle = 0.5 * (front + behind)
-            s = sample(field, depths, weights, maps, sizes, past_depth, past_weight, gain, limit, pixel, middle)
-            if s[1] > 0.0 and s[0] > 0.0:
-                front = middle
-            else:
-                behind = middle
-        depth = 0.5 * (front + behind)
-        s = sample(field, depths, weights, maps, sizes, past_depth, past_weight, gain, limit, pixel, depth)
-        total = s[1]
     out_depth[y, x] = depth
     out_weight[y, x] = total
