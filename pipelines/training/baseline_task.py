@@ -15,15 +15,16 @@ from ggvs_eval.baselines.registry import LEARNED_BASELINES
 from ggvs_eval.files.images import quantise
 from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.metrics.image.ssim import ssim
+from ggvs_eval.pipelines.training.blend.blend_task import FINE_TUNING, LEARNING
 from ggvs_eval.pipelines.training.samples.samples import Samples, require_room
 from ggvs_eval.pipelines.training.samples.training_data import TrainingData, baseline_samples
 from ggvs_eval.training.instant_samples import InstantSample
 from ggvs_eval.training.task import Schedule
 
-LEARNING_RATE = 1e-3  # ours has the same: what a rate for a GPU's day would learn in an hour of one core is little
 
-
-def baseline_task(name: str, cache: Path, data: TrainingData, configuration: str = "compact", seed: int = 0) -> "BaselineTask":
+def baseline_task(
+    name: str, cache: Path, data: TrainingData, configuration: str = "compact", seed: int = 0, is_trained: bool = False
+) -> "BaselineTask":
     """The training of a baseline on the views that the blending network learns from.
 
     Args:
@@ -32,6 +33,7 @@ def baseline_task(name: str, cache: Path, data: TrainingData, configuration: str
         data: what is learned from.
         configuration: of the network.
         seed: of the weights and the crops.
+        is_trained: begins with weights that have learned already, and changes them less.
 
     Raises:
         TrainingError: nothing to learn from, or a configuration that cannot be trained here.
@@ -39,12 +41,7 @@ def baseline_task(name: str, cache: Path, data: TrainingData, configuration: str
     baseline = LEARNED_BASELINES[name]
     samples = baseline_samples(cache, data, baseline.takes_depth)
     recipe = baseline.make_recipe(configuration, seed)
-    return BaselineTask(*samples, baseline, recipe, recipe.batch_size)
-
-
-def compact_schedule() -> Schedule:
-    """The schedule of the blending network's training."""
-    return Schedule(LEARNING_RATE, weight_decay=1e-5, warm_up=100, cool_down=0.4)
+    return BaselineTask(*samples, baseline, recipe, recipe.batch_size, FINE_TUNING if is_trained else LEARNING)
 
 
 @dataclass(frozen=True)
@@ -57,7 +54,7 @@ class BaselineTask:
         baseline: which one.
         recipe: its network, its loss and the size of its crops.
         batch_size: crops per step.
-        schedule: see `Schedule`.
+        schedule: that of the blending network; what a rate for a GPU's day would learn in an hour of one core is little.
     """
 
     training: Samples[InstantSample]
@@ -65,7 +62,7 @@ class BaselineTask:
     baseline: LearnedBaseline = field(repr=False)
     recipe: TrainingRecipe[Any]
     batch_size: int = 1
-    schedule: Schedule = field(default_factory=compact_schedule)
+    schedule: Schedule = LEARNING
 
     def __post_init__(self) -> None:
         """Refuse what does not fit together."""

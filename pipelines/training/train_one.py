@@ -9,10 +9,12 @@ from ggvs_eval.compute_device import compute_device, describe_device
 from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.pipelines.online.blend_network import WIDTHS, BlendNetworkOptions
 from ggvs_eval.pipelines.training.baseline_task import baseline_task
+from ggvs_eval.pipelines.training.blend import blend_task
 from ggvs_eval.pipelines.training.blend.blend_task import BlendTask
 from ggvs_eval.pipelines.training.request import TrainingRequest
 from ggvs_eval.pipelines.training.samples.training_data import TrainingData, blend_samples, prepare_samples
-from ggvs_eval.pipelines.training.stereo.stereo_task import FINE_TUNING, StereoTask
+from ggvs_eval.pipelines.training.stereo import stereo_task
+from ggvs_eval.pipelines.training.stereo.stereo_task import StereoTask
 from ggvs_eval.training.card import write_card
 from ggvs_eval.training.loop import TrainingOptions, train
 from ggvs_eval.training.task import Schedule, Task
@@ -61,14 +63,15 @@ def requested_data(request: TrainingRequest) -> TrainingData:
 def planned_task(what: str, cache: Path, request: TrainingRequest) -> Task:
     """The task that is asked for, its samples in place."""
     if what == "stereo":
-        return StereoTask(seed=request.seed, schedule=Schedule() if request.start_from is None else FINE_TUNING)
-    data = requested_data(request)
+        return StereoTask(seed=request.seed, schedule=Schedule() if request.start_from is None else stereo_task.FINE_TUNING)
+    data, is_trained = requested_data(request), request.start_from is not None
     if what != "blend":
-        baseline = baseline_task(what, cache, data, request.configuration, request.seed)
+        baseline = baseline_task(what, cache, data, request.configuration, request.seed, is_trained)
         prepare_samples(baseline.training, baseline.validation, default_workers())
         return baseline
     config, device = BlendNetworkOptions(request.views, request.guidance, WIDTHS[request.size]), sample_device(request)
-    blend = BlendTask(*blend_samples(cache, data, device), config, seed=request.seed)
+    schedule = blend_task.FINE_TUNING if is_trained else blend_task.LEARNING
+    blend = BlendTask(*blend_samples(cache, data, device), config, seed=request.seed, schedule=schedule)
     prepare_samples(blend.training, blend.validation, sample_workers(device))
     return blend
 

@@ -15,7 +15,7 @@ from ggvs_eval.pipelines.training.samples import training_data
 from ggvs_eval.pipelines.training.samples.training_data import TrainingData, baseline_samples, blend_samples
 from ggvs_eval.pipelines.training.side_by_side import Training, default_jobs, run_trainings
 from ggvs_eval.pipelines.training.train_all import NETWORKS, planned_trainings, train_all
-from ggvs_eval.pipelines.training.train_one import CACHE, requested_data
+from ggvs_eval.pipelines.training.train_one import CACHE, planned_task, requested_data
 from ggvs_eval.synthetic.domains import DOMAINS
 from helpers.stereo_scenes import write_capture
 
@@ -57,6 +57,13 @@ def test_every_network_learns_from_the_same_views(capture, tmp_path, monkeypatch
         assert f"{training_data.CAPTURE_TARGETS} views of the captures {capture.scene}" in training.data
     with pytest.raises(TrainingError, match="wanted rooms or captures to learn from, got neither; give --rooms"):
         baseline_samples(tmp_path, TrainingData(rooms=0), True)
+
+
+@pytest.mark.parametrize("what", ["blend", "enerf"])
+def test_weights_that_have_learned_are_moved_more_gently(what, cache, tmp_path):
+    """A training that starts from weights has a third of the rate."""
+    fresh, tuned = (planned_task(what, cache, replace(REQUEST, start_from=path)) for path in (None, tmp_path / "shipped"))
+    assert tuned.schedule.rate(400, 2000) == pytest.approx(0.3 * fresh.schedule.rate(400, 2000))
 
 
 @pytest.mark.parametrize("what", LEARNED_BASELINES)

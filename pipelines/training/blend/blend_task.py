@@ -25,6 +25,8 @@ from ggvs_eval.pipelines.training.samples.samples import Samples, require_room
 from ggvs_eval.training.task import Schedule
 
 Change = Callable[[RawViews, Map], tuple[RawViews, Map]]
+LEARNING = Schedule(1e-3, weight_decay=1e-5, warm_up=100, cool_down=0.4)
+FINE_TUNING = Schedule(3e-4, weight_decay=1e-5, warm_up=50, cool_down=0.5)  # of weights that have learned already
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,7 @@ class BlendTask:
     batch_size: int = 4
     weights: BlendLossWeights = field(default_factory=BlendLossWeights)
     augmentation: Augmentation | None = field(default_factory=Augmentation)
-    schedule: Schedule = field(default_factory=lambda: Schedule(1e-3, weight_decay=1e-5, warm_up=100, cool_down=0.4))
+    schedule: Schedule = LEARNING
 
     def __post_init__(self) -> None:
         """Refuse what does not fit together."""
