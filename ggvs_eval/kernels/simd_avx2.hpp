@@ -119,15 +119,19 @@ GGVS_INLINE bool halves_below(I halves, I limits, M chosen) {
     const __m256i x = (__m256i)(halves & chosen), beyond = _mm256_subs_epu16((__m256i)limits, x);
     return _mm256_movemask_epi8(_mm256_cmpeq_epi16(beyond, _mm256_setzero_si256())) == 0;
 }
-// Four values of every lane side by side, those of the next lane `stride` floats further.
-GGVS_INLINE void store_quads(float* p, int stride, F a, F b, F c, F d) {
+// Every four lanes side by side, the next four `row` floats further.
+GGVS_INLINE void store_rows(float* p, int row, F x) {
+    _mm_storeu_ps(p, _mm256_castps256_ps128(x)), _mm_storeu_ps(p + row, _mm256_extractf128_ps(x, 1));
+}
+// Four values of every lane side by side, those of the next lane `stride` floats further, of the next four lanes `row` floats.
+GGVS_INLINE void store_quads(float* p, int stride, int row, F a, F b, F c, F d) {
     const F ab[2] = {_mm256_unpacklo_ps(a, b), _mm256_unpackhi_ps(a, b)}, cd[2] = {_mm256_unpacklo_ps(c, d), _mm256_unpackhi_ps(c, d)};
 #pragma GCC unroll 4
     for (int n = 0; n < 4; ++n) {  // lanes n and n + 4
         const __m256d left = _mm256_castps_pd(ab[n / 2]), right = _mm256_castps_pd(cd[n / 2]);
         const F quads = _mm256_castpd_ps(n % 2 ? _mm256_unpackhi_pd(left, right) : _mm256_unpacklo_pd(left, right));
         _mm_storeu_ps(p + n * stride, _mm256_castps256_ps128(quads));
-        _mm_storeu_ps(p + (n + 4) * stride, _mm256_extractf128_ps(quads, 1));
+        _mm_storeu_ps(p + n * stride + row, _mm256_extractf128_ps(quads, 1));
     }
 }
 // The first three of four values of every lane side by side.

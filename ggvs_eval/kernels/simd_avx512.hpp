@@ -106,17 +106,22 @@ GGVS_INLINE bool halves_below(I halves, I limits, M chosen) {
     const __m512i x = _mm512_maskz_mov_epi32(chosen, (__m512i)halves);
     return _mm512_cmplt_epu16_mask(x, (__m512i)limits) == 0xffffffffu;
 }
-// Four values of every lane side by side, those of the next lane `stride` floats further.
-GGVS_INLINE void store_quads(float* p, int stride, F a, F b, F c, F d) {
+// Every four lanes side by side, the next four `row` floats further.
+GGVS_INLINE void store_rows(float* p, int row, F x) {
+    _mm_storeu_ps(p, _mm512_castps512_ps128(x)), _mm_storeu_ps(p + row, _mm512_extractf32x4_ps(x, 1));
+    _mm_storeu_ps(p + 2 * row, _mm512_extractf32x4_ps(x, 2)), _mm_storeu_ps(p + 3 * row, _mm512_extractf32x4_ps(x, 3));
+}
+// Four values of every lane side by side, those of the next lane `stride` floats further, of the next four lanes `row` floats.
+GGVS_INLINE void store_quads(float* p, int stride, int row, F a, F b, F c, F d) {
     const F ab[2] = {_mm512_unpacklo_ps(a, b), _mm512_unpackhi_ps(a, b)}, cd[2] = {_mm512_unpacklo_ps(c, d), _mm512_unpackhi_ps(c, d)};
 #pragma GCC unroll 4
     for (int n = 0; n < 4; ++n) {  // lanes n, n + 4, n + 8, n + 12
         const __m512d left = _mm512_castps_pd(ab[n / 2]), right = _mm512_castps_pd(cd[n / 2]);
         const F quads = _mm512_castpd_ps(n % 2 ? _mm512_unpackhi_pd(left, right) : _mm512_unpacklo_pd(left, right));
         _mm_storeu_ps(p + n * stride, _mm512_castps512_ps128(quads));
-        _mm_storeu_ps(p + (n + 4) * stride, _mm512_extractf32x4_ps(quads, 1));
-        _mm_storeu_ps(p + (n + 8) * stride, _mm512_extractf32x4_ps(quads, 2));
-        _mm_storeu_ps(p + (n + 12) * stride, _mm512_extractf32x4_ps(quads, 3));
+        _mm_storeu_ps(p + n * stride + row, _mm512_extractf32x4_ps(quads, 1));
+        _mm_storeu_ps(p + n * stride + 2 * row, _mm512_extractf32x4_ps(quads, 2));
+        _mm_storeu_ps(p + n * stride + 3 * row, _mm512_extractf32x4_ps(quads, 3));
     }
 }
 // The first three of four values of every lane side by side.

@@ -82,8 +82,10 @@ GGVS_INLINE Patch load_patch(const float*, int64_t) { return {}; }
 GGVS_INLINE F look(const Patch&, I) { return all(0.0f); }
 GGVS_INLINE uint32_t least_halves(I) { return 0; }
 GGVS_INLINE bool halves_below(I, I, M) { return false; }
-// Four values of every lane side by side, those of the next lane `stride` floats further.
-GGVS_INLINE void store_quads(float* p, int stride, F a, F b, F c, F d) {
+// Every four lanes side by side, the next four `row` floats further.
+GGVS_INLINE void store_rows(float* p, int, F x) { store(p, x); }
+// Four values of every lane side by side, those of the next lane `stride` floats further, of the next four lanes `row` floats.
+GGVS_INLINE void store_quads(float* p, int stride, int, F a, F b, F c, F d) {
     for (int lane = 0; lane < kWidth; ++lane) store(p + lane * stride, F{a[lane], b[lane], c[lane], d[lane]});
 }
 // The same read: the first three of four values.

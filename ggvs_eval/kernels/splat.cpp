@@ -1,8 +1,9 @@
 // Forward rendering of pixel-sized Gaussians (paper 3.1; 3D Gaussian splatting's forward pass) on the CPU.
 //
 // Source rows are projected in bands and their Gaussians listed per target tile; then each tile projects its Gaussians again
-// (cheaper than keeping them), sorts them by depth and shares them out to its blocks, which blend front to back with all sums in
-// registers. Lists follow the order (source, row, column) whatever the number of threads, and the sort is stable: so are the results.
+// (cheaper than keeping them), sorts them by depth and shares them out to smaller and smaller parts, at last to its blocks, which
+// blend front to back with all sums in registers. Lists follow the order (source, row, column) whatever the number of threads, and
+// the sort is stable: so are the results.
 #include "splat.hpp"
 
 #include <algorithm>
@@ -17,11 +18,11 @@
 namespace ggvs {
 namespace {
 
-constexpr int kBandRows = 8;
+constexpr int kBandRows = 8, kListsOfTile = 1 + 4 * 4;
 
-// Of 16 pixels side by side in a row those that one tile gets.
+// Those of 16 pixels side by side in a row that one tile gets.
 struct Run {
-    uint32_t tile, first, lanes;  // the first one packed; a bit for each
+    uint32_t tile, first, lanes;  // the first of the 16 packed; a bit for each of them
 };
 
 struct Band {
@@ -34,7 +35,7 @@ struct Grid {
     int across, down;
 };
 
-// Memory that is not set to zero, since all that is read is written before.
+// Memory that grows and is never set to zero, which would take its time: pages that no list reaches are not even fetched.
 template <class T>
 class Room {
 public:
@@ -107,9 +108,9 @@ void fill_band(Band& band, const SplatSource& source, const Projector& projector
     for (const Run& run : runs) band.runs[next[run.tile]++] = run;
 }
 
-// Fills the list of a tile's Gaussians front to back: a stable least-significant-digit radix sort by the bits of their depths, which
-// sort like positive floats themselves. Two digits are enough for most tiles. Each is counted in the order that the one before made:
-// neighbours in the source have much the same depth, and would wait for each other's counter.
+// Fills the list of a tile's Gaussians front to back: a stable least-significant-digit radix sort by the bits of their depths,
+// which sort like positive floats themselves. Two digits are enough for most tiles. Each is counted in the order that the one before
+// made: neighbours in the source have much the same depth, and would wait for each other's counter.
 void sort_by_depth(Workspace& work, size_t count, TileList& sorted) {
     constexpr int kMostBits = 12;
     const int32_t *depths = work.depths.of(count), *rows = work.rows.of(count), *columns = work.columns.of(count);
@@ -173,17 +174,17 @@ struct TileJob {
     void run(int tile, Workspace& work) const {
         const int left = tile % grid.across * kTile, top = tile / grid.across * kTile;
         const size_t count = collect(tile, left, top, work), room = count + 2 * kLanes;
-        SplatTile sorted{work.list.of(count), int32_t(count), left, top, {}, {}, {}, {}, {}};
-        int32_t* words = work.words.of(17 * 3 * room);
+        SplatTile parts{work.list.of(count), int32_t(count), left, top, {}, {}, {}, {}, {}};
+        int32_t* words = work.words.of(size_t(kListsOfTile) * 3 * room);
         const auto make_room = [&](TileList& list) {
             for (int32_t*& word : list.words) word = words, words += room;
         };
-        make_room(sorted.all);
-        for (TileList(*lists)[4] : {&sorted.strips, &sorted.cells, &sorted.columns, &sorted.blocks})
+        make_room(parts.all);
+        for (auto* lists : {&parts.strips, &parts.cells, &parts.columns, &parts.blocks})
             for (TileList& list : *lists) make_room(list);
-        sort_by_depth(work, count, sorted.all);
-        std::fill_n(sorted.all.words[kColumns] + count, kLanes, 0);
-        kernels.splat_tile(sorted, channels, {target.camera.width, target.camera.height, normalised, out});
+        sort_by_depth(work, count, parts.all);
+        std::fill_n(parts.all.words[kColumns] + count, kLanes, 0);
+        kernels.splat_tile(parts, channels, {target.camera.width, target.camera.height, normalised, out});
     }
 };
 

@@ -9,10 +9,10 @@
 namespace ggvs {
 
 constexpr int kMaxFeatures = 4;
-constexpr int kTile = 64;                         // pixels across and down of the target that are sorted together
-constexpr int kBlock = 4;                         // a tile is made of blocks 4 pixels wide that fill one vector, 4 x 4 at most
+constexpr int kTile = 64;  // pixels across and down of the target that are sorted together
+constexpr int kBlock = 4;  // a tile is made of blocks 4 pixels wide that fill one vector, 4 x 4 at most
 constexpr int kLanes = kBlock * kBlock;
-constexpr float kMinAlpha = 1.0f / 255.0f, kLog2MinAlpha = -7.99435344f;
+constexpr float kMinAlpha = 1.0f / 255.0f;
 
 // The features are floats, or an 8-bit colour and perhaps one float more: then no image of floats is ever made.
 struct SplatSource {
@@ -46,8 +46,8 @@ struct Projector {
     float last_x, last_y;  // largest pixel indices of the target
 };
 
-// A Gaussian in one tile's coordinates, in a cache line of its own. Pixel (i, j) lies at (xx i + xy j + x, yy j + y) where the
-// ellipse on which its alpha falls to 1/255 is the unit circle.
+// A Gaussian in one tile's coordinates, in a cache line of its own. (xx i + xy j + x, yy j + y) takes pixel (i, j) to where the
+// ellipse on which alpha falls to 1/255 is the unit circle.
 struct alignas(64) Ellipse {
     float xx, xy, x, yy, y, depth;
     float features[kMaxFeatures];
@@ -67,7 +67,7 @@ struct Ellipses {
     DepthRange* range;  // is widened by them
 };
 
-// Gaussians of a tile, front to back, by their numbers, and which rows and columns they may touch; there is room for whole vectors.
+// Some of a tile's Gaussians, front to back: their numbers, and which rows and columns they may touch, with room for whole vectors.
 enum TileWord { kGaussians, kRows, kColumns };
 struct TileList {
     int32_t* words[3];
@@ -78,7 +78,8 @@ struct SplatTile {
     const Ellipse* ellipses;
     int32_t nothing;  // of the ellipses, touches no pixel
     int left, top;    // in the picture
-    TileList all, strips[4], cells[4], columns[4], blocks[4];  // all but the first are room, for the lists of smaller and smaller parts
+    TileList all;
+    TileList strips[4], cells[4], columns[4], blocks[4];  // room for the lists of smaller and smaller parts
 };
 
 struct SplatPicture {
@@ -87,7 +88,7 @@ struct SplatPicture {
     SplatImages out;
 };
 
-// Tile ranges of up to 16 neighbouring Gaussians; of one that is invalid or invisible those of the least and the most are swapped.
+// Tile ranges of up to 16 neighbouring Gaussians; x0 and y0 are huge and x1 and y1 negative where one is invalid or invisible.
 struct TileRanges {
     int32_t x0[kLanes], x1[kLanes], y0[kLanes], y1[kLanes];
 };

