@@ -174,6 +174,14 @@ def register_views(
     """
     from ggvs_eval.kernels import _core
 
+    arguments = registration_arguments(target, target_depth, sources, splats, tolerance)
+    return _core.register_views(*arguments, faint, get_threads(), SIMD_LEVELS.index(get_simd_level()))
+
+
+def registration_arguments(
+    target: Camera, target_depth: NDArray[np.float32], sources: Sequence[SourceView], splats: Sequence[Splat], tolerance: float
+) -> tuple[Any, ...]:
+    """Check and pack what `register_views` is given, but for `faint`, for the kernels."""
     if not len(sources) == len(splats) > 0:
         raise RenderError(f"registration: wanted a splat per view, got {len(sources)} views and {len(splats)} splats")
     if not 0 < tolerance < np.inf:
@@ -186,6 +194,4 @@ def register_views(
         )
         for source, splat in zip(sources, splats, strict=True)
     ]
-    depth = as_image(target_depth, target, "target depth", RenderError)
-    level = SIMD_LEVELS.index(get_simd_level())
-    return _core.register_views(pinhole(target), depth, fields, tolerance, faint, get_threads(), level)
+    return pinhole(target), as_image(target_depth, target, "target depth", RenderError), fields, tolerance

@@ -107,12 +107,28 @@ def overview(
     coverage: Image,
     seen: Image,
     alphas: Sequence[Image],
+    depths: Sequence[Image],
     weights: Image,
     scale: int,
     covered_alpha: float,
     threads: int,
     level: int,
-) -> tuple[Image, Image, NDArray[np.bool_], tuple[Image, Image, Image, Image]]: ...
+) -> tuple[Image, Image, NDArray[np.bool_], tuple[Image, Image, Image, Image], Image]: ...
+def register_and_overview(
+    target: Pinhole,
+    depth: Image,
+    views: Sequence[tuple[Pinhole, Matrix, Image8, Image, Image, Image]],  # as register_views takes them
+    tolerance: float,
+    faint: float,
+    depths: Sequence[Image],
+    weights: Image,
+    scale: int,
+    covered_alpha: float,
+    threads: int,
+    level: int,
+) -> tuple[
+    tuple[Image, Image, Image], tuple[Image, Image, NDArray[np.bool_], tuple[Image, Image, Image, Image], Image]
+]: ...  # what register_views gives, and what overview does
 def network_inputs(
     colours: Image,
     depths: Image,

@@ -5,9 +5,7 @@
 
 namespace ggvs::GGVS_LEVEL {
 
-GGVS_INLINE F mixed(F share, F from, F to) { return from + share * (to - from); }
-
-GGVS_INLINE F square(F x) { return x * x; }
+GGVS_INLINE F mixed(F share, F from, F to) { return multiply_add(share, to - from, from); }
 
 // 2^x for -126 < x < 126 to 2e-7, from integer and fractional part; the coefficients are the minimax polynomial on [-1/2, 1/2].
 GGVS_INLINE F exp2(F x) {
@@ -28,33 +26,32 @@ GGVS_INLINE F background_weight(F change, F start, float sure) {
     return start / (start + (one - start) * odds);
 }
 
-// The views' weighted colours; their weights and colours are kept in `kept`, four packets a view.
-GGVS_INLINE Colour foreground(const ComposedRow& row, int x, int count, F* total, F* shown, float* kept) {
+// The views' mean colours and one over the sum of their weights; weights and colours are kept in `kept`, four packets a view.
+GGVS_INLINE Colour foreground(const ComposedRow& row, int x, int count, F* per, F* shown, float* kept) {
     const Composition& job = row.job;
     const int64_t pixels = int64_t(job.height) * job.width, first = int64_t(row.y) * job.width + x;
     Colour sum{all(0.0f), all(0.0f), all(0.0f)};
-    *total = all(0.0f), *shown = all(0.0f);
+    F total = all(0.0f);
+    *shown = all(0.0f);
     for (int k = 0; k < job.views; ++k, kept += 4 * kWidth) {
         F coverage = load_part(job.coverage + k * pixels + first, count);
         F weight = load(row.enlarged + k * row.stride + x) * coverage;
         Colour colour = load_colour(job.colours + 3 * (k * pixels + first), count);
-        sum.red = sum.red + weight * colour.red;
-        sum.green = sum.green + weight * colour.green;
-        sum.blue = sum.blue + weight * colour.blue;
-        *total = *total + weight, *shown = *shown + coverage;
+        add(sum, weight, colour);
+        total = total + weight, *shown = *shown + coverage;
         store(kept, weight), store(kept + kWidth, colour.red);
         store(kept + 2 * kWidth, colour.green), store(kept + 3 * kWidth, colour.blue);
     }
-    *total = max(*total, all(kNoWeight));
-    return {sum.red / *total, sum.green / *total, sum.blue / *total};
+    *per = all(1.0f) / max(total, all(kNoWeight));
+    return {sum.red * *per, sum.green * *per, sum.blue * *per};
 }
 
 GGVS_INLINE void compose_packet(const ComposedRow& row, int x, int count) {
     const Composition& job = row.job;
     const int64_t pixels = int64_t(job.height) * job.width, first = int64_t(row.y) * job.width + x;
     const float* change = row.enlarged + job.views * row.stride + x;
-    F total, shown, zero = all(0.0f), one = all(1.0f);
-    Colour picture = foreground(row, x, count, &total, &shown, row.scratch);
+    F per, shown, zero = all(0.0f), one = all(1.0f);
+    Colour picture = foreground(row, x, count, &per, &shown, row.scratch);
     Colour behind = load_colour(job.background + 3 * first, count);
     F share = background_weight(load(change), load_part(job.unseen + first, count), job.sure);
     picture.red = mixed(share, picture.red, min(max(behind.red + load(change + row.stride), zero), one));
@@ -65,12 +62,12 @@ GGVS_INLINE void compose_packet(const ComposedRow& row, int x, int count) {
     for (int k = 0; k < job.views; ++k, kept += 4 * kWidth) {
         F red = load(kept + kWidth) - picture.red, green = load(kept + 2 * kWidth) - picture.green;
         F blue = load(kept + 3 * kWidth) - picture.blue;
-        variance = variance + load(kept) * ((square(red) + square(green) + square(blue)) * all(1.0f / 3.0f));
+        variance = multiply_add(load(kept), multiply_add(red, red, multiply_add(green, green, blue * blue)), variance);
     }
     store_part(row.out.picture + first, picture.red, count);
     store_part(row.out.picture + pixels + first, picture.green, count);
     store_part(row.out.picture + 2 * pixels + first, picture.blue, count);
-    store_part(row.out.spread + first, sqrt(variance / total), count);
+    store_part(row.out.spread + first, sqrt(variance * per * all(1.0f / 3.0f)), count);
     store_part(row.out.shown + first, shown, count);
 }
 

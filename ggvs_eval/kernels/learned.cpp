@@ -28,8 +28,8 @@ int colour_stride(const py::array& image, const Pinhole& target) {
     return int(image.strides(1) / item);
 }
 
-py::tuple register_views_of(const py::handle& target, const py::handle& depth, const py::sequence& views, float tolerance,
-                            float faint, int threads, int level) {
+Registration registration_of(const py::handle& target, const py::handle& depth, const py::sequence& views, float tolerance,
+                             float faint) {
     const Pinhole to = pinhole_of(target);
     Registration job{to, image_of(depth, "depth", to), tolerance, faint, {}};
     for (const py::handle& item : views) {
@@ -45,15 +45,32 @@ py::tuple register_views_of(const py::handle& target, const py::handle& depth, c
         const int stride = colour_stride(splat, to);
         job.views.push_back({captured, static_cast<const float*>(splat.data()), stride, image_of(view[5], "alpha", to)});
     }
-    const py::ssize_t count = py::ssize_t(job.views.size());
-    py::array_t<float> colours = empty({count, to.height, to.width, 3}), coverage = empty({count, to.height, to.width});
-    py::array_t<float> seen = empty({count, to.height, to.width});
-    const RegisteredMaps out{colours.mutable_data(), coverage.mutable_data(), seen.mutable_data()};
+    return job;
+}
+
+// Colours, coverage and visibility of registered views.
+struct RegisteredArrays {
+    py::array_t<float> colours, coverage, seen;
+    RegisteredMaps maps;
+
+    explicit RegisteredArrays(const Registration& job)
+        : colours(empty({py::ssize_t(job.views.size()), job.target.height, job.target.width, 3})),
+          coverage(empty({py::ssize_t(job.views.size()), job.target.height, job.target.width})),
+          seen(empty({py::ssize_t(job.views.size()), job.target.height, job.target.width})),
+          maps{colours.mutable_data(), coverage.mutable_data(), seen.mutable_data(), 0, job.target.height} {}
+
+    py::tuple tuple() const { return py::make_tuple(colours, coverage, seen); }
+};
+
+py::tuple register_views_of(const py::handle& target, const py::handle& depth, const py::sequence& views, float tolerance,
+                            float faint, int threads, int level) {
+    Registration job = registration_of(target, depth, views, tolerance, faint);
+    const RegisteredArrays out(job);
     {
         py::gil_scoped_release released;
-        ggvs::register_views(job, out, threads, level);
+        ggvs::register_views(job, out.maps, threads, level);
     }
-    return py::make_tuple(colours, coverage, seen);
+    return out.tuple();
 }
 
 // Small maps (channels, h, w) of a view of this size, at least so many channels.
@@ -89,36 +106,72 @@ py::tuple compose_of(const py::array& colours, const py::handle& coverage, const
     return py::make_tuple(picture, spread, shown);
 }
 
-py::tuple overview_of(const py::array& colours, const py::handle& coverage, const py::handle& seen, const py::sequence& alphas,
-                      const py::handle& weights, int scale, float covered_alpha, int threads, int level) {
+std::vector<const float*> maps_of(const py::sequence& maps, const char* name, py::ssize_t height, py::ssize_t width) {
+    std::vector<const float*> found;
+    for (const py::handle& map : maps) found.push_back(data_of<float>(map, name, {height, width}));
+    return found;
+}
+
+// All that an overview fills.
+struct OverviewArrays {
+    py::array_t<float> mean, unseen, small[4], depths;
+    py::array_t<bool> covered;
+    OverviewMaps maps;
+
+    explicit OverviewArrays(const Views& job)
+        : mean(empty({job.height, job.width, 3})), unseen(empty({job.height, job.width})), covered({job.height, job.width}) {
+        const py::ssize_t rows = (job.height + job.scale - 1) / job.scale, columns = (job.width + job.scale - 1) / job.scale;
+        for (auto& each : small) each = empty({job.views, rows, columns});
+        small[0] = empty({job.views, rows, columns, 3});
+        depths = empty({py::ssize_t(job.depths.size()), rows, columns});
+        maps = {mean.mutable_data(), unseen.mutable_data(), covered.mutable_data(), {}, depths.mutable_data()};
+        for (int n = 0; n < 4; ++n) maps.small[n] = small[n].mutable_data();
+    }
+
+    py::tuple tuple() const {
+        return py::make_tuple(mean, unseen, covered, py::make_tuple(small[0], small[1], small[2], small[3]), depths);
+    }
+};
+
+py::tuple overview_of(const py::array& colours, const py::array& coverage, const py::array& seen, const py::sequence& alphas,
+                      const py::sequence& depths, const py::handle& weights, int scale, float covered_alpha, int threads,
+                      int level) {
     const auto shape = shape_of(colours, "colours", 4);
     if (shape[0] < 1 || shape[1] < 1 || shape[2] < 1 || scale < 1 || shape[1] > kMostPixels || shape[2] > kMostPixels)
         throw py::value_error("overview: wanted views of 1 to 65535 pixels per side and a scale of at least 1");
-    const py::ssize_t views = shape[0], height = shape[1], width = shape[2], rows = (height + scale - 1) / scale;
-    const py::ssize_t columns = (width + scale - 1) / scale;
+    const py::ssize_t views = shape[0], height = shape[1], width = shape[2];
     if (py::ssize_t(py::len(alphas)) != views) throw py::value_error("overview: wanted a coverage for each view");
-    Views job{int(width),
-              int(height),
-              int(views),
-              scale,
-              data_of<float>(colours, "colours", {views, height, width, 3}),
-              data_of<float>(coverage, "coverage", {views, height, width}),
-              data_of<float>(seen, "seen", {views, height, width}),
-              {},
-              data_of<float>(weights, "weights", {views}),
-              covered_alpha};
-    for (const py::handle& alpha : alphas) job.alphas.push_back(data_of<float>(alpha, "alpha", {height, width}));
-    py::array_t<float> mean = empty({height, width, 3}), unseen = empty({height, width});
-    py::array_t<bool> covered({height, width});
-    py::array_t<float> small[4] = {empty({views, rows, columns, 3}), empty({views, rows, columns}), empty({views, rows, columns}),
-                                   empty({views, rows, columns})};
-    OverviewMaps out{mean.mutable_data(), unseen.mutable_data(), covered.mutable_data(), {}};
-    for (int n = 0; n < 4; ++n) out.small[n] = small[n].mutable_data();
+    // They are only read.
+    const RegisteredMaps maps{const_cast<float*>(data_of<float>(colours, "colours", {views, height, width, 3})),
+                              const_cast<float*>(data_of<float>(coverage, "coverage", {views, height, width})),
+                              const_cast<float*>(data_of<float>(seen, "seen", {views, height, width})), 0, int(height)};
+    const Views job{int(width), int(height), int(views), scale, maps, maps_of(alphas, "alpha", height, width),
+                    maps_of(depths, "depth", height, width), data_of<float>(weights, "weights", {views}), covered_alpha};
+    const OverviewArrays out(job);
     {
         py::gil_scoped_release released;
-        ggvs::overview(job, out, threads, level);
+        ggvs::overview(job, out.maps, threads, level);
     }
-    return py::make_tuple(mean, unseen, covered, py::make_tuple(small[0], small[1], small[2], small[3]));
+    return out.tuple();
+}
+
+py::tuple register_and_overview_of(const py::handle& target, const py::handle& depth, const py::sequence& views, float tolerance,
+                                   float faint, const py::sequence& depths, const py::handle& weights, int scale,
+                                   float covered_alpha, int threads, int level) {
+    Registration registration = registration_of(target, depth, views, tolerance, faint);
+    const int width = registration.target.width, height = registration.target.height, count = int(registration.views.size());
+    if (count < 1 || width < 1 || height < 1 || scale < 1)
+        throw py::value_error("overview: wanted views of 1 to 65535 pixels per side and a scale of at least 1");
+    const RegisteredArrays registered(registration);
+    Views job{width, height, count, scale, registered.maps, {}, maps_of(depths, "depth", height, width),
+              data_of<float>(weights, "weights", {count}), covered_alpha};
+    for (const RegisteredView& view : registration.views) job.alphas.push_back(view.alpha);
+    const OverviewArrays out(job);
+    {
+        py::gil_scoped_release released;
+        ggvs::register_and_overview(registration, job, out.maps, threads, level);
+    }
+    return py::make_tuple(registered.tuple(), out.tuple());
 }
 
 py::array_t<float> network_inputs_of(const py::array& colours, const py::handle& depths, const py::handle& alphas,
@@ -200,8 +253,10 @@ py::array_t<float> refine_of(const py::array& picture, const py::handle& spread,
 void bind_learned(py::module_& m) {
     m.def("register_views", &register_views_of, "target"_a, "depth"_a, "views"_a, "tolerance"_a, "faint"_a, "threads"_a,
           "level"_a);
-    m.def("overview", &overview_of, "colours"_a, "coverage"_a, "seen"_a, "alphas"_a, "weights"_a, "scale"_a,
+    m.def("overview", &overview_of, "colours"_a, "coverage"_a, "seen"_a, "alphas"_a, "depths"_a, "weights"_a, "scale"_a,
           "covered_alpha"_a, "threads"_a, "level"_a);
+    m.def("register_and_overview", &register_and_overview_of, "target"_a, "depth"_a, "views"_a, "tolerance"_a, "faint"_a,
+          "depths"_a, "weights"_a, "scale"_a, "covered_alpha"_a, "threads"_a, "level"_a);
     m.def("network_inputs", &network_inputs_of, "colours"_a, "depths"_a, "alphas"_a, "seen"_a, "fused"_a, "rays"_a, "cameras"_a,
           "far"_a, "unit"_a, "most_views"_a, "threads"_a);
     m.def("compose", &compose_of, "colours"_a, "coverage"_a, "unseen"_a, "background"_a, "small"_a, "scale"_a, "sure"_a,

@@ -3,15 +3,16 @@
 #include <cstdint>
 #include <vector>
 
+#include "register.hpp"
+
 namespace ggvs {
 
 // K views in the target view, nearest first.
 struct Views {
     int width, height, views, scale;
-    const float* colours;              // (views, height, width, 3)
-    const float* coverage;             // (views, height, width), factors of the weights
-    const float* seen;                 // (views, height, width), how far they show what the target sees
+    RegisteredMaps maps;               // colours, factors of the weights, how far they show what the target sees
     std::vector<const float*> alphas;  // of each view (height, width), coverage of its splat
+    std::vector<const float*> depths;  // some maps (height, width)
     const float* weights;              // (views), of each beside the others
     float covered_alpha;               // coverage from which a splat shows something
 };
@@ -21,8 +22,12 @@ struct OverviewMaps {
     float* unseen;    // (height, width): how little of what the target sees any view shows
     bool* covered;    // (height, width): whether a splat shows something
     float* small[4];  // colours, coverage, seen, alphas: means of scale x scale pixels, the last row and column repeated
+    float* depths;    // one pixel of each so many, of each of the depths
 };
 
 void overview(const Views& job, const OverviewMaps& out, int threads, int level);
+
+// Registers the views into the maps of `job`, all rows of them, and looks at each band of them while it lies in the cache.
+void register_and_overview(Registration& registration, const Views& job, const OverviewMaps& out, int threads, int level);
 
 }  // namespace ggvs

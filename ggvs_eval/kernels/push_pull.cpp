@@ -6,8 +6,8 @@
 #include <vector>
 
 #include "area.hpp"
+#include "crew.hpp"
 #include "enlarge.hpp"
-#include "parallel.hpp"
 
 namespace ggvs {
 namespace {
@@ -23,8 +23,8 @@ struct Level {
 };
 
 template <class Job>
-void for_rows(int height, int threads, const Job& job) {
-    parallel_for((height + kBandRows - 1) / kBandRows, threads, [&](int band, int) {
+void for_rows(int height, Crew& crew, const Job& job) {
+    crew.run((height + kBandRows - 1) / kBandRows, [&](int band, int) {
         for (int y = band * kBandRows; y < std::min((band + 1) * kBandRows, height); ++y) job(y);
     });
 }
@@ -108,7 +108,7 @@ void pull_row(const Level<K>& level, int y, const Between& across, const Between
 }
 
 template <class K>
-void fill(const Level<K>& level, float* out, int threads) {
+void fill(const Level<K>& level, float* out, Crew& crew) {
     const int64_t pixels = int64_t(level.width) * level.height;
     if (std::min(level.width, level.height) < 2 || all_known(level)) {
         if (out != level.colour) std::memcpy(out, level.colour, sizeof(float) * 3 * pixels);
@@ -118,21 +118,22 @@ void fill(const Level<K>& level, float* out, int threads) {
     std::vector<float> colour(size_t(width) * height * 3), known(size_t(width) * height), filled(colour.size());
     const AreaCells columns(level.width, width), rows(level.height, height);
     const bool in_pairs = level.width == 2 * width && level.height == 2 * height;
-    for_rows(height, threads, [&](int y) {
+    for_rows(height, crew, [&](int y) {
         const int64_t row = int64_t(y) * width;
         if (in_pairs) return average_pairs(level, columns, rows, y, width, colour.data() + 3 * row, known.data() + row);
         for (int x = 0; x < width; ++x)
             average(level, columns[x], rows[y], colour.data() + 3 * (row + x), known.data() + row + x);
     });
-    fill(Level<float>{colour.data(), known.data(), width, height}, filled.data(), threads);
+    fill(Level<float>{colour.data(), known.data(), width, height}, filled.data(), crew);
     const Between across(level.width, width), down(level.height, height);
-    for_rows(level.height, threads, [&](int y) { pull_row(level, y, across, down, filled.data(), width, out); });
+    for_rows(level.height, crew, [&](int y) { pull_row(level, y, across, down, filled.data(), width, out); });
 }
 
 }  // namespace
 
 void push_pull(const HoledImage& image, float* out, int threads) {
-    fill(Level<uint8_t>{image.colour, image.known, image.width, image.height}, out, threads);
+    Crew crew(threads);
+    fill(Level<uint8_t>{image.colour, image.known, image.width, image.height}, out, crew);
 }
 
 }  // namespace ggvs

@@ -10,10 +10,14 @@ namespace ggvs {
 
 constexpr int kBandRows = 8;
 
-void register_views(Registration& job, const RegisteredMaps& out, int threads, int level) {
-    const Kernels& kernels = kernels_of(level);
+void find_pixel_maps(Registration& job) {
     for (RegisteredView& view : job.views)
         view.captured.map = pixel_map(job.target, view.captured.from_target, view.captured.camera, true);
+}
+
+void register_views(Registration& job, const RegisteredMaps& out, int threads, int level) {
+    const Kernels& kernels = kernels_of(level);
+    find_pixel_maps(job);
     const int height = job.target.height, bands = (height + kBandRows - 1) / kBandRows;
     parallel_for(bands, threads, [&](int band, int) {
         const int first = band * kBandRows, last = std::min(first + kBandRows, height);

@@ -21,12 +21,16 @@ struct Registration {
     std::vector<RegisteredView> views;
 };
 
-// What register_views fills, views one after another.
+// What is registered, views one after another: some rows of the target, or all.
 struct RegisteredMaps {
-    float* colours;   // (views, height, width, 3)
-    float* coverage;  // (views, height, width): visibility, or the faint coverage of the splat if that is more
-    float* seen;      // (views, height, width): visibility
+    float* colours;      // (views, rows, width, 3)
+    float* coverage;     // (views, rows, width): visibility, or the faint coverage of the splat if that is more
+    float* seen;         // (views, rows, width): visibility
+    int first_row, rows;
 };
+
+// Finds out how the target's pixels map to those of the views; before any row is registered.
+void find_pixel_maps(Registration& job);
 
 void register_views(Registration& job, const RegisteredMaps& out, int threads, int level);
 

@@ -95,7 +95,7 @@ GGVS_INLINE void register_packets(const Registration& job, const RegisteredView&
 static void register_row(const Registration& job, int k, int y, const RegisteredMaps& out) {
     constexpr int kPixels = kTogetherPackets * kWidth;
     const int width = job.target.width;
-    const int64_t row = (int64_t(k) * job.target.height + y) * width;
+    const int64_t row = (int64_t(k) * out.rows + y - out.first_row) * width;
     for (int x = 0; x < width; x += kPixels)
         register_packets(job, job.views[k], y, x, width - x < kPixels ? width - x : kPixels, out, row);
 }

@@ -7,28 +7,14 @@
 #include <cstring>
 
 #include "aligned.hpp"
+#include "crew.hpp"
 #include "kernels.hpp"
-#include "parallel.hpp"
 #include "unet_plan.hpp"
 
 namespace ggvs {
 namespace {
 
-constexpr int kBands = 32;  // of rows: enough for many threads, few enough to reuse weights
-
-template <class Job>
-void for_bands(int height, int threads, const Job& job) {
-    const int rows = std::max(1, height / kBands);
-    parallel_for((height + rows - 1) / rows, threads,
-                 [&](int band, int) { job(band * rows, std::min((band + 1) * rows, height)); });
-}
-
-template <class Job>
-void for_rows(int height, int threads, const Job& job) {
-    for_bands(height, threads, [&](int first, int last) {
-        for (int y = first; y < last; ++y) job(y);
-    });
-}
+constexpr int kBands = 32;  // of rows, enough for many threads
 
 void reflect_columns(float* line, int width) {  // `line` begins at column 0
     line[-1] = line[1];
@@ -48,7 +34,7 @@ void reflect_row(const ReflectedMaps& maps, int y, int first_channel, int channe
 class Runner {
 public:
     Runner(const UNet& job, float* workspace, int threads, int level)
-        : job_(job), plan_(job, workspace), threads_(threads), kernels_(kernels_of(level)) {}
+        : job_(job), plan_(job, workspace), threads_(threads), kernels_(kernels_of(level)), crew_(threads) {}
 
     void run(float* out) {
         copy_input();
@@ -65,10 +51,18 @@ public:
     }
 
 private:
+    template <class Job>
+    void for_rows(int height, const Job& job) {
+        const int rows = std::max(1, height / kBands);
+        crew_.run((height + rows - 1) / rows, [&](int band, int) {
+            for (int y = band * rows; y < std::min((band + 1) * rows, height); ++y) job(y);
+        });
+    }
+
     // The border repeated to the margins' width, then reflected.
     void copy_input() {
         const ReflectedMaps& maps = plan_.input;
-        for_rows(maps.height, threads_, [&](int y) {
+        for_rows(maps.height, [&](int y) {
             const int from_row = std::clamp(y - plan_.top, 0, job_.height - 1);
             for (int channel = 0; channel < maps.channels; ++channel) {
                 const float* from = job_.input + (int64_t(channel) * job_.height + from_row) * job_.width;
@@ -92,7 +86,7 @@ private:
         const int64_t sources = int64_t(kStripSources) * layer.convolution.before * kStripLine, row = to.lines * to.stride + kMostLanes;
         AlignedFloats scratch(threads_ * (sources + row));  // a row for those beyond the last one
         std::vector<Moments> moments(to.height);
-        parallel_for((to.height + kStripRows - 1) / kStripRows, threads_, [&](int strip, int worker) {
+        crew_.run((to.height + kStripRows - 1) / kStripRows, [&](int strip, int worker) {
             const int first = strip * kStripRows, last = std::min(first + kStripRows, to.height);
             float* memory = scratch.data() + worker * (sources + row);
             convolve_strip(layer, from, to, first, memory, memory + sources);
@@ -122,7 +116,7 @@ private:
             gain[channel] = float(per * layer.gain[channel]);
             shift[channel] = float(layer.shift[channel] - mean * per * layer.gain[channel]);
         }
-        for_rows(maps.height, threads_, [&](int y) {
+        for_rows(maps.height, [&](int y) {
             kernels_.normalise_row({maps.row(y), maps.stride, maps.width, layer.convolution.after, gain.data(), shift.data()});
             reflect_row(maps, y, 0, layer.convolution.after);
         });
@@ -130,7 +124,7 @@ private:
 
     // Largest of 3 x 3 values, every second row and column. What is reflected lies in the window already.
     void pool(const ReflectedMaps& from, int channels, const ReflectedMaps& to) {
-        for_rows(to.height, threads_, [&](int y) {
+        for_rows(to.height, [&](int y) {
             std::vector<float> highest(from.stride);
             for (int channel = 0; channel < channels; ++channel) {
                 const float* rows[3];
@@ -147,7 +141,7 @@ private:
 
     // Twice the size, bilinear, the border repeated, into the channels of `to` from the given one on.
     void enlarge(const ReflectedMaps& from, const ReflectedMaps& to, int first_channel) {
-        for_rows(to.height, threads_, [&](int y) {
+        for_rows(to.height, [&](int y) {
             const float* near = from.row(y / 2);
             const float* far = from.row(std::clamp(y % 2 ? y / 2 + 1 : y / 2 - 1, 0, from.height - 1));
             std::vector<float> mixed(from.width + 2);
@@ -175,7 +169,7 @@ private:
             for (int channel = 0; channel < before; ++channel)
                 weights[size_t(channel) * padded + o] = job_.last_weights[int64_t(o) * before + channel];
         const Layer layer{before, job_.outputs, padded, weights.data(), bias.data()};
-        for_rows(job_.height, threads_, [&](int y) {
+        for_rows(job_.height, [&](int y) {
             std::vector<float> lines(padded * maps.stride);
             kernels_.convolve_row({layer, maps.row(y + plan_.top) + plan_.left + 1, lines.data(), job_.width, maps.stride});
             for (int o = 0; o < job_.outputs; ++o)
@@ -188,6 +182,7 @@ private:
     const Plan plan_;
     const int threads_;
     const Kernels& kernels_;
+    Crew crew_;
 };
 
 }  // namespace

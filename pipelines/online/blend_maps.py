@@ -11,7 +11,9 @@ from ggvs_eval.arrays import Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.per_pixel import view_weights
+from ggvs_eval.geometry.splat import Splat
 from ggvs_eval.geometry.warp import register_views
+from ggvs_eval.method import SourceView
 from ggvs_eval.pipelines.online.blending import BlendingInputs
 
 Guidance = Literal["registered", "channels", "none", "naive"]
@@ -53,19 +55,17 @@ class BlendMaps:
             return self
         stacks = self.colours, self.coverage, self.visibilities, np.stack(self.alphas)
         averaged = [_averaged(maps, scale) for maps in stacks]
-        return self.with_means(scale, averaged)
-
-    def with_means(self, scale: int, averaged: Sequence[Map]) -> "BlendMaps":
-        """`reduced`, the averages of colours, coverage, seen and alphas being known."""
-        height, width = (-(-size // scale) for size in self.fused_depth.shape)
-        target = replace(self.target, width=width * scale, height=height * scale).resized(width, height)
         top, left = (min(scale // 2, size - 1) for size in self.fused_depth.shape)
-        cells = np.s_[top::scale, left::scale]
-        picked = np.stack([depth[cells] for depth in self.depths]), self.fused_depth[cells]
-        depths, fused_depth = (_continued(maps, height, width) for maps in picked)
+        picked = np.stack([depth[top::scale, left::scale] for depth in (*self.depths, self.fused_depth)])
+        return self.with_means(scale, averaged, _continued(picked, *averaged[-1].shape[1:]))
+
+    def with_means(self, scale: int, averaged: Sequence[Map], picked: Map) -> "BlendMaps":
+        """`reduced`, the averages of colours, coverage, seen and alphas and the picked depths, fused ones last, being known."""
+        height, width = picked.shape[1:]
+        target = replace(self.target, width=width * scale, height=height * scale).resized(width, height)
         colours, coverage, visibilities, alphas = averaged
-        splatted = tuple(alphas), tuple(depths)
-        return BlendMaps(target, self.sources, colours, coverage, visibilities, *splatted, fused_depth, self.shares)
+        splatted = tuple(alphas), tuple(picked[:-1])
+        return BlendMaps(target, self.sources, colours, coverage, visibilities, *splatted, picked[-1], self.shares)
 
     @property
     def weights(self) -> Map:
@@ -84,16 +84,27 @@ def blend_maps(inputs: BlendingInputs, guidance: Guidance) -> BlendMaps:
         The paper blends the splats. Splats are blurred by the Gaussians' footprint; with ``registered`` guidance each source
         image is sampled at the fused surface instead wherever its view sees that, and splats only stand in elsewhere.
     """
-    target, order = inputs.instant.target, nearest_first(inputs)
-    sources, splats = [inputs.instant.sources[k] for k in order], [inputs.splats[k] for k in order]
+    target, (sources, splats) = inputs.instant.target, in_order(inputs)
     if guidance == "registered":
         stacks = register_views(target, inputs.depth, sources, splats, inputs.tau, float(FAINT))
     else:
         coverage = np.stack([view.alpha for view in splats])
         stacks = np.stack([view.features[..., :3] for view in splats]), coverage, coverage
+    return maps_of(inputs, stacks)
+
+
+def in_order(inputs: BlendingInputs) -> tuple[list[SourceView], list[Splat]]:
+    """Source views and their splats, nearest camera first."""
+    order = nearest_first(inputs)
+    return [inputs.instant.sources[k] for k in order], [inputs.splats[k] for k in order]
+
+
+def maps_of(inputs: BlendingInputs, stacks: tuple[Map, Map, Map]) -> BlendMaps:
+    """The maps of one instant, colours, coverage and visibilities of the views in their order being known."""
+    sources, splats = in_order(inputs)
     cameras, shares = tuple(source.camera for source in sources), tuple(source.share for source in sources)
     alphas, depths = tuple(view.alpha for view in splats), tuple(view.depth for view in splats)
-    return BlendMaps(target, cameras, *stacks, alphas, depths, inputs.depth, shares)
+    return BlendMaps(inputs.instant.target, cameras, *stacks, alphas, depths, inputs.depth, shares)
 
 
 def nearest_first(inputs: BlendingInputs) -> list[int]:

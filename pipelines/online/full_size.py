@@ -3,16 +3,20 @@
 The torch code of `blend_network` and `refiner` says the same, is what training differentiates, and defines these in the tests.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Map
+from ggvs_eval.geometry.per_pixel import view_weights
 from ggvs_eval.geometry.splat import COVERED_ALPHA
+from ggvs_eval.geometry.warp import registration_arguments
 from ggvs_eval.kernels import SIMD_LEVELS, get_simd_level, get_threads
-from ggvs_eval.pipelines.online.blend_maps import BlendMaps
+from ggvs_eval.pipelines.online.blend_maps import FAINT, BlendMaps, in_order, maps_of
 from ggvs_eval.pipelines.online.blend_network import BEYOND_VIEWS, SURE
+from ggvs_eval.pipelines.online.blending import BlendingInputs
 from ggvs_eval.pipelines.online.packed_layers import packed_once, parameter_map
 from ggvs_eval.pipelines.online.refiner import Refiner
 
@@ -48,11 +52,35 @@ def overview(maps: BlendMaps, scale: int) -> Overview:
     arrays = (maps.colours, maps.coverage, maps.visibilities)
     colours, coverage, visibilities = (np.ascontiguousarray(each, np.float32) for each in arrays)
     alphas = [np.ascontiguousarray(each, np.float32) for each in maps.alphas]
-    level = SIMD_LEVELS.index(get_simd_level())
-    picture, unseen, covered, means = _core.overview(
-        colours, coverage, visibilities, alphas, maps.weights, scale, COVERED_ALPHA, get_threads(), level
-    )
-    return Overview(maps.with_means(scale, means), unseen, picture, covered)
+    found = _core.overview(colours, coverage, visibilities, alphas, _depths(maps), *_overview_settings(maps.weights, scale))
+    return _overview(maps, scale, *found)
+
+
+def registered(inputs: BlendingInputs, scale: int) -> tuple[BlendMaps, Overview]:
+    """`blend_maps` with registered views, and their `overview`, in one pass: while the views lie in the cache."""
+    from ggvs_eval.kernels import _core
+
+    target, (sources, splats) = inputs.instant.target, in_order(inputs)
+    arguments = registration_arguments(target, inputs.depth, sources, splats, inputs.tau)
+    weights = view_weights(target, [source.camera for source in sources], [source.share for source in sources])
+    depths = [np.ascontiguousarray(each, np.float32) for each in (*(view.depth for view in splats), inputs.depth)]
+    stacks, found = _core.register_and_overview(*arguments, float(FAINT), depths, *_overview_settings(weights, scale))
+    maps = maps_of(inputs, stacks)
+    return maps, _overview(maps, scale, *found)
+
+
+def _depths(maps: BlendMaps) -> list[Map]:
+    return [np.ascontiguousarray(each, np.float32) for each in (*maps.depths, maps.fused_depth)]
+
+
+def _overview_settings(weights: Map, scale: int) -> tuple[Map, int, float, int, int]:
+    return weights, scale, COVERED_ALPHA, get_threads(), SIMD_LEVELS.index(get_simd_level())
+
+
+def _overview(
+    maps: BlendMaps, scale: int, picture: Map, unseen: Map, covered: NDArray[np.bool_], means: Sequence[Map], depths: Map
+) -> Overview:
+    return Overview(maps.with_means(scale, means, depths), unseen, picture, covered)
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from ggvs_eval.pipelines.online.blend_maps import BlendMaps, Guidance, blend_map
 from ggvs_eval.pipelines.online.blend_network import SURE, BlendNetwork, compose_tensors, read_outputs, small_outputs
 from ggvs_eval.pipelines.online.blend_weights import load_blend_network, shipped_blend_weights
 from ggvs_eval.pipelines.online.blending import Blended, BlendingInputs, push_pull
-from ggvs_eval.pipelines.online.full_size import composed, overview, refined
+from ggvs_eval.pipelines.online.full_size import Overview, composed, overview, refined, registered
 from ggvs_eval.pipelines.online.network_inputs import GUIDED, network_channels, present_channels
 from ggvs_eval.pipelines.online.refiner import NO_WEIGHT
 from ggvs_eval.pipelines.online.unet import unet_outputs
@@ -107,17 +107,26 @@ class NetworkBlender:
                 f"{path.name}: a blending network for at most {network.config.views} source views, got {views}; "
                 "change the protocol's number of sources, or train one for more (ggvs-eval train blend --views)"
             )
-        maps = blend_maps(inputs, network.config.guidance)
-        return blend_by(network, maps) if device.type == "cpu" else blend_on(network, maps, device)
+        guidance = network.config.guidance
+        if device.type != "cpu":
+            return blend_on(network, blend_maps(inputs, guidance), device)
+        if guidance == "registered":
+            return blend_by(network, *registered(inputs, network.config.scale))
+        return blend_by(network, blend_maps(inputs, guidance))
 
 
-def blend_by(network: BlendNetwork, maps: BlendMaps) -> Blended:
+def blend_by(network: BlendNetwork, maps: BlendMaps, summary: Overview | None = None) -> Blended:
     """Blend the views by a network; equal bits whatever the number of threads.
 
     Compiled kernels compute it, those of `unet` at the network's own size and those of `full_size` at full size.
+
+    Args:
+        network: its weights.
+        maps: the K views.
+        summary: their `overview`, if it is known.
     """
     config = network.config
-    summary = overview(maps, config.scale)
+    summary = summary or overview(maps, config.scale)
     (small, weights), background = side_by_side(
         lambda: _small_outputs(network, summary.small),
         lambda: push_pull(summary.picture, summary.covered, out=summary.picture),

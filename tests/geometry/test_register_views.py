@@ -15,6 +15,7 @@ from ggvs_eval.geometry.warp import register_views
 from ggvs_eval.method import Instant, SourceView
 from ggvs_eval.pipelines.online.blend_maps import FAINT, blend_maps
 from ggvs_eval.pipelines.online.blending import BlendingInputs
+from ggvs_eval.pipelines.online.full_size import overview, registered
 from ggvs_eval.pipelines.training.samples.blend_samples import raw_views
 from helpers.geometry_scenes import TAU, random_camera, random_depth, seeds, sizes, view_of
 
@@ -55,6 +56,21 @@ def test_one_pass_is_warps_mixed_with_splats(seed, size, views, features, level)
         assert ours.dtype == theirs.dtype == np.float32
         np.testing.assert_allclose(ours, theirs, atol=2e-6, err_msg=name)
     assert found.sources == expected.sources
+
+
+@settings(deadline=None, max_examples=25)
+@given(seeds, sizes, st.integers(1, 4), st.sampled_from((1, 3, 4, 8)), st.integers(1, 3))
+def test_registered_and_looked_at_in_one_pass(seed, size, views, scale, threads):
+    """Registration and overview at once have the bits of one after the other."""
+    inputs = random_inputs(seed, size, views, 4)
+    kernels.set_threads(threads)
+    maps, summary = registered(inputs, scale)
+    expected = blend_maps(inputs, "registered")
+    for ours, theirs in ((maps, expected), (summary.small, overview(expected, scale).small)):
+        for name in ("colours", "coverage", "visibilities", "alphas", "depths", "fused_depth"):
+            np.testing.assert_array_equal(np.asarray(getattr(ours, name)), np.asarray(getattr(theirs, name)), err_msg=name)
+    for name in ("unseen", "picture", "covered"):
+        np.testing.assert_array_equal(getattr(summary, name), getattr(overview(expected, scale), name), err_msg=name)
 
 
 def test_threads_and_instruction_sets_give_the_same_bits():

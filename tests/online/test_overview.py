@@ -97,6 +97,6 @@ def test_what_does_not_fit_is_refused():
     with pytest.raises(ValueError, match="not more than the network takes"):
         network_channels(maps, "registered", 2)
     with pytest.raises(ValueError, match="scale of at least 1"):
-        _core.overview(maps.colours, maps.coverage, maps.visibilities, maps.alphas, maps.weights, 0, 0.5, 1, 0)
+        _core.overview(maps.colours, maps.coverage, maps.visibilities, maps.alphas, maps.depths, maps.weights, 0, 0.5, 1, 0)
     with pytest.raises(TypeError, match="seen: wanted float32"):
         overview(replace(maps, visibilities=maps.visibilities[:, :5]), 2)
