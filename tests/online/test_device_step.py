@@ -165,7 +165,7 @@ def test_marches_have_the_bits_of_the_compiled_path(rig, skip_empty):
 
 
 def test_contested_depth_and_registration(rig):
-    """From equal splats a fused depth that the views contradict is settled by the same votes; registered views differ by rounding."""
+    """From equal splats depth that the views contradict is settled by the same votes; registered views differ by rounding."""
     stacks = (np.stack([getattr(view, name) for view in rig.splats]) for name in ("features", "alpha", "depth"))
     same_splats = splats.DeviceSplats(*map(tensor, stacks), rig.device_splats.pairs)
     fused = np.abs(random_depth(np.random.default_rng(7), rig.target, noise=0.1))
