@@ -7,6 +7,7 @@
 // After the vectors, whose names they use:
 #include "blend_simd.hpp"
 #include "splat_simd.hpp"
+#include "occupancy_simd.hpp"
 #include "tsdf_simd.hpp"
 #include "register_simd.hpp"
 #include "overview_simd.hpp"
@@ -20,10 +21,10 @@
 namespace ggvs {
 
 const Kernels kAvx2Kernels = {
-    avx2::tile_ranges, avx2::ellipses, avx2::splat_block, avx2::kBlockRows, avx2::fusion_row, avx2::march_column,
-    avx2::look_up_row, avx2::register_row, avx2::overview_row, avx2::compose_row, avx2::evidence_row, avx2::look_row,
-    avx2::taps_row, avx2::filter_row, avx2::convolve_row, avx2::moments_of_row, avx2::normalise_row, avx2::pool_ray,
-    avx2::attend_ray,
+    avx2::tile_ranges, avx2::ellipses, avx2::splat_block, avx2::kBlockRows, avx2::fusion_row, avx2::add_to_extent,
+    avx2::reach_of_shells, avx2::march_column, avx2::look_up_row, avx2::register_row, avx2::overview_row, avx2::compose_row,
+    avx2::evidence_row, avx2::look_row, avx2::taps_row, avx2::filter_row, avx2::convolve_row, avx2::moments_of_row,
+    avx2::normalise_row, avx2::pool_ray, avx2::attend_ray,
 };
 
 }  // namespace ggvs

@@ -4,6 +4,7 @@
 // After the vectors, whose names they use:
 #include "blend_simd.hpp"
 #include "splat_simd.hpp"
+#include "occupancy_simd.hpp"
 #include "tsdf_simd.hpp"
 #include "register_simd.hpp"
 #include "overview_simd.hpp"
@@ -17,9 +18,10 @@ namespace ggvs {
 
 const Kernels kBaselineKernels = {
     baseline::tile_ranges, baseline::ellipses, baseline::splat_block, baseline::kBlockRows, baseline::fusion_row,
-    baseline::march_column, baseline::look_up_row, baseline::register_row, baseline::overview_row, baseline::compose_row,
-    baseline::evidence_row, baseline::look_row, baseline::taps_row, baseline::filter_row, baseline::convolve_row,
-    baseline::moments_of_row, baseline::normalise_row, baseline::pool_ray, baseline::attend_ray,
+    baseline::add_to_extent, baseline::reach_of_shells, baseline::march_column, baseline::look_up_row, baseline::register_row,
+    baseline::overview_row, baseline::compose_row, baseline::evidence_row, baseline::look_row, baseline::taps_row,
+    baseline::filter_row, baseline::convolve_row, baseline::moments_of_row, baseline::normalise_row, baseline::pool_ray,
+    baseline::attend_ray,
 };
 
 }  // namespace ggvs

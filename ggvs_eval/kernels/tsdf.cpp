@@ -49,7 +49,7 @@ void ray_march(March& march, float* depth, float* weight, int threads, int level
         view.last_upper = kJustBelow * float(view.camera.height - 1);
     }
     march.per_tau = 1.0f / march.tau;
-    const std::unique_ptr<Occupancy> occupancy = march.skip_empty ? std::make_unique<Occupancy>(march, threads) : nullptr;
+    const std::unique_ptr<Occupancy> occupancy = march.skip_empty ? std::make_unique<Occupancy>(march, kernels, threads) : nullptr;
     const int across = (march.target.width + kMarchTile - 1) / kMarchTile;
     const int down = (march.target.height + kMarchTile - 1) / kMarchTile;
     parallel_for(down, threads, [&](int row, int) {
