@@ -60,7 +60,8 @@ static void reach_of_shells(const Pinhole& target, const PixelMap& to_target, fl
         const auto meets = [&](const Bounds& bounds, F low, F high) {
             return both(at_most(low, bounds.high), at_most(bounds.low, high));
         };
-        const M seen = both(meets(ahead, all(near), all(far)), both(meets(across, zero - margin, width), meets(down, zero - margin, height)));
+        const M in_image = both(meets(across, zero - margin, width), meets(down, zero - margin, height));
+        const M seen = both(in_image, meets(ahead, all(near), all(far)));
         const auto first = [&](F low) { return truncate(max(low - margin, zero) * tile); };
         const auto last = [&](F high, F size) { return truncate(min(high + margin, size - all(1.0f)) * tile); };
         store(shells.first_column + n, first(across.low)), store(shells.last_column + n, last(across.high, width));

@@ -66,9 +66,10 @@ GGVS_INLINE void read_pairs(const float* p, I at, F* first, F* second) { gather_
 constexpr int kPatchColumns = 0, kPatchRows = 0;
 struct Patch {};
 GGVS_INLINE Patch load_patch(const float*, int64_t) { return {}; }
-GGVS_INLINE F look(const Patch&, I) { return all(0.0f); }
+GGVS_INLINE M half_of_patch(I) { return no_lanes(); }
+GGVS_INLINE F look(const Patch&, I, M) { return all(0.0f); }
 GGVS_INLINE uint32_t least_halves(I) { return 0; }
-GGVS_INLINE bool halves_below(I, I, M) { return false; }
+GGVS_INLINE bool halves_below(I, I) { return false; }
 // Four values of every lane side by side, those of the next lane `stride` floats further.
 GGVS_INLINE void store_quads(float* p, int stride, F a, F b, F c, F d) {
     for (int lane = 0; lane < kWidth; ++lane) store(p + lane * stride, F{a[lane], b[lane], c[lane], d[lane]});

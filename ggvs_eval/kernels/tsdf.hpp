@@ -32,6 +32,7 @@ struct FieldView {
     const float* gain;          // (target height, target width), or null for 1
     float limit;
     PixelMap map;  // this and the rest filled by ray_march
+    float width, height;
     float last_left, last_upper;  // just before the centres of the last column and row: what lies there has a pixel behind it
 };
 
@@ -63,7 +64,8 @@ struct Extent {
     int width;
 };
 
-// Pieces of a source view's frustum, and the columns, rows of columns and slabs that each reaches; none if the last is below the first.
+// Pieces of a source view's frustum, and the columns, rows of columns and slabs that each reaches: none if the last slab is below
+// the first.
 struct Shells {
     static constexpr int kMost = 256;
     float left[kMost], right[kMost], top[kMost], bottom[kMost];  // pixels, the last ones excluded
