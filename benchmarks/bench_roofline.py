@@ -33,11 +33,11 @@ FRAMES = 3  # the last is recorded: by then every stage has a past
 REPEATS = 7
 SMALL = 16  # numbers of a matrix that is no map
 LANES_PER_GAUSSIAN = 4.2 * 16  # blocks of 4 x 4 pixels that a Gaussian touches; 28 % of the lanes are pixels that it reaches
-SAMPLES_PER_RAY = 9.6
+SAMPLES_PER_RAY = 8.6
 # Floating-point operations per pixel of a result, of all views; splat: of a source.
 OPERATIONS: dict[str, Callable[["Call"], float]] = {
     "splat": lambda call: LANES_PER_GAUSSIAN * (30 + 2 * (1 + call.arguments[4])),
-    "ray_march": lambda call: SAMPLES_PER_RAY * 70 * len(call.arguments[2]),
+    "ray_march": lambda call: SAMPLES_PER_RAY * 60 * len(call.arguments[2]),
     "fusion_weights": lambda call: 49 * 4,
     "register_views": lambda call: 170 * len(call.arguments[2]),
     "compose": lambda call: 22 * len(call.arguments[0]) + 60,

@@ -78,6 +78,8 @@ py::tuple ray_march(const py::handle& target, const py::tuple& range, const py::
                               std::numeric_limits<float>::max(),
                               {},
                               0.0f,
+                              0.0f,
+                              0.0f,
                               0.0f};
         field.depth = image_of(view[2], "depth", field.camera);
         field.weight = image_of(view[3], "weight", field.camera);

@@ -21,6 +21,8 @@ struct Kernels {
                      const Ellipses& out);
     void (*splat_tile)(SplatTile&, int channels, const SplatPicture&);
     void (*fusion_row)(const FusionRow&);
+    void (*add_to_extent)(const Extent&, const float* depth, const float* weight);
+    void (*reach_of_shells)(const Pinhole& target, const PixelMap& to_target, float near, float far, Shells&);
     void (*march_column)(const March&, const MarchColumn&, float* depth, float* weight);
     void (*look_up_row)(const LookUp&, int y, float* out);
     void (*register_row)(const Registration&, int view, int y, const RegisteredMaps& out);

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstring>
 
+#include "kernels.hpp"
 #include "parallel.hpp"
 #include "tsdf.hpp"
 
@@ -27,11 +28,6 @@ float bits_float(int32_t bits) {
     return x;
 }
 
-int slab_of(SlabScale scale, float z) {
-    const float slab = float(float_bits(z) - scale.first_bits) * scale.per_bit;
-    return int(std::min(std::max(slab, 0.0f), float(kSlabs - 1)));
-}
-
 // The first slab from `slab` on that is occupied, or that is not; kSlabs if there is none.
 int next_slab(const uint64_t* words, int slab, bool occupied) {
     while (slab < kSlabs) {
@@ -42,59 +38,16 @@ int next_slab(const uint64_t* words, int slab, bool occupied) {
     return kSlabs;
 }
 
-// Smallest and largest valid depth of each column over some rows. The loops are plain so that any compiler vectorises them.
-class RowExtent {
-public:
-    explicit RowExtent(int width) : low_(width), high_(width) {}
-
-    void clear() {
-        std::fill(low_.begin(), low_.end(), kFarAway);
-        std::fill(high_.begin(), high_.end(), 0.0f);
-    }
-
-    void add(const float* depth) {
-        for (size_t x = 0; x < low_.size(); ++x) include(x, depth[x], depth[x] > 0.0f);
-    }
-
-    void add(const float* depth, const float* weight) {
-        for (size_t x = 0; x < low_.size(); ++x) include(x, depth[x], (depth[x] > 0.0f) & (weight[x] > 0.0f));
-    }
-
-    Range over(int first, int last) const {
-        Range range{kFarAway, 0.0f};
-        for (int x = first; x < last; ++x) range = {std::min(range.low, low_[x]), std::max(range.high, high_[x])};
-        return range;
-    }
-
-private:
-    void include(size_t x, float depth, bool valid) {
-        const float low = valid ? depth : kFarAway, high = valid ? depth : 0.0f;
-        low_[x] = low < low_[x] ? low : low_[x];
-        high_[x] = high > high_[x] ? high : high_[x];
-    }
-
-    std::vector<float> low_, high_;
-};
-
-using Four = float __attribute__((vector_size(16)));
-
-struct Corners {
-    Four x, y, z;
-};
-
-Corners corners_at(float depth, const Four* along, const PixelMap& to_target) {
-    const Four z = depth * along[2] + to_target.offset[2];
-    return {(depth * along[0] + to_target.offset[0]) / z, (depth * along[1] + to_target.offset[1]) / z, z};
+// The smallest and the largest valid depth of some pixel columns.
+Range over(const Extent& extent, int first, int last) {
+    Range range{kFarAway, 0.0f};
+    for (int x = first; x < last; ++x) range = {std::min(range.low, extent.low[x]), std::max(range.high, extent.high[x])};
+    return range;
 }
 
-float least(Four a, Four b) {
-    const Four c = a < b ? a : b;
-    return std::min(std::min(c[0], c[1]), std::min(c[2], c[3]));
-}
-
-float most(Four a, Four b) {
-    const Four c = a > b ? a : b;
-    return std::max(std::max(c[0], c[1]), std::max(c[2], c[3]));
+void clear(const Extent& extent) {
+    std::fill_n(extent.low, extent.width, kFarAway);
+    std::fill_n(extent.high, extent.width, 0.0f);
 }
 
 }  // namespace
@@ -103,8 +56,9 @@ SlabScale slab_scale(float near, float far) {
     return {float_bits(near), float(kSlabs) / float(float_bits(far) - float_bits(near))};
 }
 
-Occupancy::Occupancy(const March& march, int threads)
+Occupancy::Occupancy(const March& march, const Kernels& kernels, int threads)
     : march_(march),
+      kernels_(kernels),
       across_((march.target.width + kMarchTile - 1) / kMarchTile),
       down_((march.target.height + kMarchTile - 1) / kMarchTile),
       slabs_(slab_scale(march.near, march.far)),
@@ -128,31 +82,41 @@ void Occupancy::mark_view(const FieldView& view, int first_row, int last_row) {
     }
     const PixelMap map = pixel_map(view.camera, to_target, march_.target, true);
     const int width = view.camera.width;
-    RowExtent block(width), ring(width);
+    std::vector<float> memory(size_t(4) * width);
+    const Extent block{memory.data(), memory.data() + width, width};
+    const Extent ring{block.high + width, block.high + 2 * width, width};
+    Shells shells;
     for (int top = first_row; top < last_row; top += kSourceBlock) {
         const int bottom = std::min(top + kSourceBlock, last_row);
-        block.clear(), ring.clear();
-        for (int y = top; y < bottom; ++y) block.add(view.depth + int64_t(y) * width, view.weight + int64_t(y) * width);
-        for (int y = std::max(top - 1, 0); y < std::min(bottom + 1, view.camera.height); ++y)
-            ring.add(view.depth + int64_t(y) * width);
+        clear(block), clear(ring);
+        for (int y = std::max(top - 1, 0); y < std::min(bottom + 1, view.camera.height); ++y) {
+            const int64_t row = int64_t(y) * width;
+            kernels_.add_to_extent(ring, view.depth + row, nullptr);
+            if (y >= top && y < bottom) kernels_.add_to_extent(block, view.depth + row, view.weight + row);
+        }
         for (int left = 0; left < width; left += kSourceBlock) {
             const int right = std::min(left + kSourceBlock, width);
-            const Range own = block.over(left, right);
+            const Range own = over(block, left, right);
             if (own.low > own.high) continue;
             // Interpolation with a pixel of the ring around the block moves a value, but by less than tau.
-            const Range near = ring.over(std::max(left - 1, 0), std::min(right + 1, width));
-            mark_block(view, map, {left, top, right, bottom}, own, near);
+            const Range near = over(ring, std::max(left - 1, 0), std::min(right + 1, width));
+            add_block(view, map, {left, top, right, bottom}, own, near, shells);
         }
     }
+    mark(map, shells);
 }
 
-// Marks the shells of one block's pixels, layer by layer where they lie far apart.
-void Occupancy::mark_block(const FieldView& view, const PixelMap& to_target, Block block, Range own, Range ring) {
+// Adds the shell of one block's pixels, or several, layer by layer, where they lie far apart.
+void Occupancy::add_block(const FieldView& view, const PixelMap& to_target, Block block, Range own, Range ring, Shells& shells) {
     const float tau = march_.tau;
-    auto mark = [&](float low, float high) {
-        mark_frustum(to_target, block, {std::max(low - tau, ring.low) - tau, std::min(high + tau, ring.high) + tau});
+    const auto add = [&](float low, float high) {
+        if (shells.count == Shells::kMost) mark(to_target, shells);
+        const int n = shells.count++;
+        shells.left[n] = float(block.left), shells.right[n] = float(block.right);
+        shells.top[n] = float(block.top), shells.bottom[n] = float(block.bottom);
+        shells.low[n] = std::max(low - tau, ring.low) - tau, shells.high[n] = std::min(high + tau, ring.high) + tau;
     };
-    if (own.high - own.low <= 4.0f * tau) return mark(own.low, own.high);
+    if (own.high - own.low <= 4.0f * tau) return add(own.low, own.high);
     float values[kSourceBlock * kSourceBlock];
     int count = 0;
     for (int y = block.top; y < block.bottom; ++y) {
@@ -164,47 +128,27 @@ void Occupancy::mark_block(const FieldView& view, const PixelMap& to_target, Blo
     std::sort(values, values + count);
     for (int first = 0, n = 1; n <= count; ++n) {
         if (n < count && values[n] - values[n - 1] <= 2.0f * tau) continue;
-        mark(values[first], values[n - 1]);
+        add(values[first], values[n - 1]);
         first = n;
     }
 }
 
-// Marks the columns and slabs that a piece of a source frustum reaches: it is convex, so its corners bound its image and its
-// depth.
-void Occupancy::mark_frustum(const PixelMap& to_target, Block block, Range shell) {
-    constexpr float kRounding = 0.01f;  // pixels; far above the error of the arithmetic
-    const float* m = to_target.matrix;
-    const float left = float(block.left), right = float(block.right), top = float(block.top), bottom = float(block.bottom);
-    // The four corners at one depth are what any processor computes at once.
-    const Four u{left, right, left, right}, v{top, top, bottom, bottom};
-    const Four along[3] = {m[0] * u + m[1] * v + m[2], m[3] * u + m[4] * v + m[5], m[6] * u + m[7] * v + m[8]};
-    const Corners near = corners_at(std::max(shell.low, 0.0f), along, to_target);
-    const Corners far = corners_at(std::max(shell.high, 0.0f), along, to_target);
-    float u0 = least(near.x, far.x), u1 = most(near.x, far.x), v0 = least(near.y, far.y), v1 = most(near.y, far.y);
-    float z0 = least(near.z, far.z), z1 = most(near.z, far.z);
-    const float width = float(march_.target.width), height = float(march_.target.height);
-    if (z0 < 0.1f * march_.near) u0 = v0 = 0.0f, u1 = width, v1 = height;  // behind the camera, the image is no bound
-    z0 *= 1.0f - 1e-5f, z1 *= 1.0f + 1e-5f;
-    if (z1 < march_.near || z0 > march_.far || u1 < -kRounding || v1 < -kRounding || u0 > width || v0 > height) return;
-    const float scale = 1.0f / kMarchTile;
-    mark_columns(int(std::max(u0 - kRounding, 0.0f) * scale), int(std::min(u1 + kRounding, width - 1.0f) * scale),
-                 int(std::max(v0 - kRounding, 0.0f) * scale), int(std::min(v1 + kRounding, height - 1.0f) * scale),
-                 slab_of(slabs_, std::max(z0, march_.near)), slab_of(slabs_, std::min(z1, march_.far)));
+// Marks what the shells reach, and forgets them.
+void Occupancy::mark(const PixelMap& to_target, Shells& shells) {
+    kernels_.reach_of_shells(march_.target, to_target, march_.near, march_.far, shells);
+    for (int n = 0; n < shells.count; ++n) mark_shell(shells, n);
+    shells.count = 0;
 }
 
-void Occupancy::mark_columns(int x0, int x1, int y0, int y1, int first_slab, int last_slab) {
-    uint64_t words[kWords];
-    for (int w = 0; w < kWords; ++w) {
-        const int low = std::max(first_slab - 64 * w, 0), high = std::min(last_slab - 64 * w, 63);
-        words[w] = low <= high ? (~uint64_t(0) << low) & (~uint64_t(0) >> (63 - high)) : 0;
-    }
-    for (int y = y0; y <= y1; ++y) {
-        for (int x = x0; x <= x1; ++x) {
-            uint64_t* column = bits_.data() + (size_t(y) * across_ + x) * kWords;
-            for (int w = first_slab / 64; w <= last_slab / 64; ++w) {
+void Occupancy::mark_shell(const Shells& shells, int n) {
+    for (int word = shells.first_slab[n] / 64; 64 * word <= shells.last_slab[n]; ++word) {
+        const int low = std::max(shells.first_slab[n] - 64 * word, 0), high = std::min(shells.last_slab[n] - 64 * word, 63);
+        const uint64_t slabs = (~uint64_t(0) << low) & (~uint64_t(0) >> (63 - high));
+        for (int y = shells.first_row[n]; y <= shells.last_row[n]; ++y) {
+            for (int x = shells.first_column[n]; x <= shells.last_column[n]; ++x) {
+                uint64_t* marks = bits_.data() + (size_t(y) * across_ + x) * kWords + word;
                 // Most bits are there already; a locked write costs far more than a look.
-                if ((__atomic_load_n(column + w, __ATOMIC_RELAXED) & words[w]) != words[w])
-                    __atomic_fetch_or(column + w, words[w], __ATOMIC_RELAXED);
+                if ((__atomic_load_n(marks, __ATOMIC_RELAXED) & slabs) != slabs) __atomic_fetch_or(marks, slabs, __ATOMIC_RELAXED);
             }
         }
     }

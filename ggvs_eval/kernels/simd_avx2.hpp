@@ -98,9 +98,11 @@ struct Patch {
 GGVS_INLINE Patch load_patch(const float* p, int64_t stride) {
     return {{load(p), load(p + stride), load(p + 2 * stride), load(p + 3 * stride)}};
 }
-// The floats at 8 * row + column of the patch.
-GGVS_INLINE F look(const Patch& patch, I at) {
-    const F odd = (F)(at << 28), lower = (F)(at << 27);  // the bits that choose the row become signs
+// Where 8 * row + column lies in the lower half of the patch; of a lane, the sign says it.
+GGVS_INLINE M half_of_patch(I at) { return at << 27; }
+// The floats at 8 * row + column of the patch, which lie in these halves.
+GGVS_INLINE F look(const Patch& patch, I at, M half) {
+    const F odd = (F)(at << 28), lower = (F)half;  // the bits that choose the row become signs
     const __m256i column = (__m256i)at;
     const F above = _mm256_blendv_ps(_mm256_permutevar8x32_ps(patch.rows[0], column),
                                      _mm256_permutevar8x32_ps(patch.rows[1], column), odd);
@@ -114,9 +116,9 @@ GGVS_INLINE uint32_t least_halves(I halves) {
     four = _mm_min_epu16(four, _mm_shuffle_epi32(four, 0x4e));
     return uint32_t(_mm_cvtsi128_si32(_mm_min_epu16(four, _mm_shuffle_epi32(four, 0xb1))));
 }
-// Whether both 16-bit numbers of all chosen lanes are below those of `limits`.
-GGVS_INLINE bool halves_below(I halves, I limits, M chosen) {
-    const __m256i x = (__m256i)(halves & chosen), beyond = _mm256_subs_epu16((__m256i)limits, x);
+// Whether both 16-bit numbers of all lanes are below those of `limits`.
+GGVS_INLINE bool halves_below(I halves, I limits) {
+    const __m256i beyond = _mm256_subs_epu16((__m256i)limits, (__m256i)halves);
     return _mm256_movemask_epi8(_mm256_cmpeq_epi16(beyond, _mm256_setzero_si256())) == 0;
 }
 // Every four lanes side by side, the next four `row` floats further.

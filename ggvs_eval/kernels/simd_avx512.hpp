@@ -88,11 +88,13 @@ GGVS_INLINE Patch load_patch(const float* p, int64_t stride) {
                                            _mm256_loadu_ps(p + (2 * n + 1) * stride), 1);
     return patch;
 }
-// The floats at 8 * row + column of the patch.
-GGVS_INLINE F look(const Patch& patch, I at) {
+// Where 8 * row + column lies in the lower half of the patch.
+GGVS_INLINE M half_of_patch(I at) { return _mm512_test_epi32_mask((__m512i)at, _mm512_set1_epi32(32)); }
+// The floats at 8 * row + column of the patch, which lie in these halves.
+GGVS_INLINE F look(const Patch& patch, I at, M half) {
     const F above = _mm512_permutex2var_ps(patch.rows[0], (__m512i)at, patch.rows[1]);
     const F below = _mm512_permutex2var_ps(patch.rows[2], (__m512i)at, patch.rows[3]);
-    return _mm512_mask_blend_ps(_mm512_test_epi32_mask((__m512i)at, _mm512_set1_epi32(32)), above, below);
+    return _mm512_mask_blend_ps(half, above, below);
 }
 // The smallest of each of two 16-bit numbers, over all lanes.
 GGVS_INLINE uint32_t least_halves(I halves) {
@@ -101,10 +103,9 @@ GGVS_INLINE uint32_t least_halves(I halves) {
     four = _mm_min_epu16(four, _mm_shuffle_epi32(four, 0x4e));
     return uint32_t(_mm_cvtsi128_si32(_mm_min_epu16(four, _mm_shuffle_epi32(four, 0xb1))));
 }
-// Whether both 16-bit numbers of all chosen lanes are below those of `limits`.
-GGVS_INLINE bool halves_below(I halves, I limits, M chosen) {
-    const __m512i x = _mm512_maskz_mov_epi32(chosen, (__m512i)halves);
-    return _mm512_cmplt_epu16_mask(x, (__m512i)limits) == 0xffffffffu;
+// Whether both 16-bit numbers of all lanes are below those of `limits`.
+GGVS_INLINE bool halves_below(I halves, I limits) {
+    return _mm512_cmplt_epu16_mask((__m512i)halves, (__m512i)limits) == 0xffffffffu;
 }
 // Every four lanes side by side, the next four `row` floats further.
 GGVS_INLINE void store_rows(float* p, int row, F x) {

@@ -79,9 +79,10 @@ GGVS_INLINE void gather_pairs(const float* p, I at, F* first, F* second) {
 constexpr int kPatchColumns = 0, kPatchRows = 0;
 struct Patch {};
 GGVS_INLINE Patch load_patch(const float*, int64_t) { return {}; }
-GGVS_INLINE F look(const Patch&, I) { return all(0.0f); }
+GGVS_INLINE M half_of_patch(I) { return no_lanes(); }
+GGVS_INLINE F look(const Patch&, I, M) { return all(0.0f); }
 GGVS_INLINE uint32_t least_halves(I) { return 0; }
-GGVS_INLINE bool halves_below(I, I, M) { return false; }
+GGVS_INLINE bool halves_below(I, I) { return false; }
 // Every four lanes side by side, the next four `row` floats further.
 GGVS_INLINE void store_rows(float* p, int, F x) { store(p, x); }
 // Four values of every lane side by side, those of the next lane `stride` floats further, of the next four lanes `row` floats.

@@ -45,11 +45,11 @@ void ray_march(March& march, float* depth, float* weight, int threads, int level
     const Kernels& kernels = kernels_of(level);
     for (FieldView& view : march.views) {
         view.map = pixel_map(march.target, view.from_target, view.camera, true);
-        view.last_left = kJustBelow * float(view.camera.width - 1);
-        view.last_upper = kJustBelow * float(view.camera.height - 1);
+        view.width = float(view.camera.width), view.height = float(view.camera.height);
+        view.last_left = kJustBelow * (view.width - 1.0f), view.last_upper = kJustBelow * (view.height - 1.0f);
     }
     march.per_tau = 1.0f / march.tau;
-    const std::unique_ptr<Occupancy> occupancy = march.skip_empty ? std::make_unique<Occupancy>(march, threads) : nullptr;
+    const std::unique_ptr<Occupancy> occupancy = march.skip_empty ? std::make_unique<Occupancy>(march, kernels, threads) : nullptr;
     const int across = (march.target.width + kMarchTile - 1) / kMarchTile;
     const int down = (march.target.height + kMarchTile - 1) / kMarchTile;
     parallel_for(down, threads, [&](int row, int) {

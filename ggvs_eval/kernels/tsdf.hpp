@@ -32,6 +32,7 @@ struct FieldView {
     const float* gain;          // (target height, target width), or null for 1
     float limit;
     PixelMap map;  // this and the rest filled by ray_march
+    float width, height;
     float last_left, last_upper;  // just before the centres of the last column and row: what lies there has a pixel behind it
 };
 
@@ -57,6 +58,22 @@ struct MarchColumn {
     float next_depth[kSlabs];
 };
 
+// The smallest and the largest depth of each pixel column over some rows, taken row by row.
+struct Extent {
+    float *low, *high;  // kFarAway and 0 to begin with
+    int width;
+};
+
+// Pieces of a source view's frustum, and the columns, rows of columns and slabs that each reaches: none if the last slab is below
+// the first.
+struct Shells {
+    static constexpr int kMost = 256;
+    float left[kMost], right[kMost], top[kMost], bottom[kMost];  // pixels, the last ones excluded
+    float low[kMost], high[kMost];                               // depth
+    int32_t first_column[kMost], last_column[kMost], first_row[kMost], last_row[kMost], first_slab[kMost], last_slab[kMost];
+    int count = 0;
+};
+
 struct Range {
     float low, high;
 };
@@ -65,19 +82,22 @@ struct Block {
     int left, top, right, bottom;  // pixels, the last ones excluded
 };
 
+struct Kernels;
+
 // Which slabs of which columns may hold a sample whose distance lies within the truncation of any view.
 class Occupancy {
 public:
-    Occupancy(const March& march, int threads);
+    Occupancy(const March& march, const Kernels& kernels, int threads);
     MarchColumn column(int left, int top) const;
 
 private:
     void mark_view(const FieldView& view, int first_row, int last_row);
-    void mark_block(const FieldView& view, const PixelMap& to_target, Block block, Range own, Range ring);
-    void mark_frustum(const PixelMap& to_target, Block block, Range shell);
-    void mark_columns(int x0, int x1, int y0, int y1, int first_slab, int last_slab);
+    void add_block(const FieldView& view, const PixelMap& to_target, Block block, Range own, Range ring, Shells& shells);
+    void mark(const PixelMap& to_target, Shells& shells);
+    void mark_shell(const Shells& shells, int n);
 
     const March& march_;
+    const Kernels& kernels_;
     int across_, down_;
     SlabScale slabs_;
     std::vector<uint64_t> bits_;  // (down, across, kSlabs / 64)

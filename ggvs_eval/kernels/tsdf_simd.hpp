@@ -1,4 +1,5 @@
 // The inner loops of the TSDF, written once for every instruction set (included by level_*.cpp after a simd_*.hpp).
+// Products are rounded before they are added: the march on a device (online/device/march_kernels.py) has the same bits.
 #pragma once
 #include "tsdf.hpp"
 
@@ -39,8 +40,8 @@ struct Distance {
 // Rays on their way to the surface.
 struct Packet {
     PacketView views[kMaxViews];
-    F base, whole;  // the sample depth is base + whole * step: skipping steps then gives the same bits as taking them
-    F previous;     // depth of the previous sample
+    F base, whole;    // the sample depth is base + whole * step: skipping steps then gives the same bits as taking them
+    F previous;       // depth of the previous sample
     Distance before;  // there
     M positive;       // rays whose previous sample was known and in front
     M skipped;        // rays that took whole steps through empty space to this sample, the last without a sample before it
@@ -54,13 +55,13 @@ constexpr int kMarchedPackets = 2;
 
 GGVS_INLINE F clamp(F x, F low, F high) { return min(max(x, low), high); }
 
-// The samples of one packet in one view. Each lies between four pixels, of which the upper left one is (x, y); at the border between
-// the last four.
+// The samples of one packet in one view. Each lies between four pixels, the upper left one of which is (x, y): at the border
+// between the last four.
 struct Site {
-    F depth;   // seen from the view
-    M inside;  // the image
-    I x, y;
-    F fx, fy;        // from there, in pixels
+    F depth;         // seen from the view
+    M inside;        // the image
+    I x, y;          // columns and rows of the upper left pixels
+    F fx, fy;        // from their centres, in pixels
     I at;            // the upper left pixels in a patch that holds them all, 8 * row + column
     int64_t corner;  // where the patch begins; -1 if they lie too far apart for one, which is rare
 };
@@ -72,7 +73,7 @@ GGVS_INLINE void project(const FieldView& view, const PacketView& ray, F z, M wa
     const F inverse = all(1.0f) / site.depth;
     const F u = (z * ray.x + all(view.map.offset[0])) * inverse;
     const F v = (z * ray.y + all(view.map.offset[1])) * inverse;
-    const M across = within(u, float(view.camera.width)), down = within(v, float(view.camera.height));
+    const M across = within(u, view.width), down = within(v, view.height);
     site.inside = both(both(wanted, less(zero, site.depth)), both(across, down));
     const F left = clamp(u - all(0.5f), zero, all(view.last_left)), upper = clamp(v - all(0.5f), zero, all(view.last_upper));
     site.x = truncate(left), site.y = truncate(upper);
@@ -87,8 +88,8 @@ GGVS_INLINE void choose_patch(const FieldView& view, Site& site) {
     const uint32_t least = least_halves(select(site.inside, pixel, all(int32_t(-1))));
     const int left = std::min(int(least & 0xffff), width - kPatchColumns);
     const int top = std::min(int(least >> 16), height - kPatchRows);
-    const I reach = pixel - all(int32_t(left | top << 16));
-    if (!halves_below(reach, all(int32_t((kPatchColumns - 1) | (kPatchRows - 1) << 16)), site.inside)) return;
+    const I reach = select(site.inside, pixel - all(int32_t(left | top << 16)), all(int32_t(0)));
+    if (!halves_below(reach, all(int32_t((kPatchColumns - 1) | (kPatchRows - 1) << 16)))) return;
     site.at = reach | (reach >> 13);
     site.corner = int64_t(top) * width + left;
 }
@@ -98,14 +99,24 @@ struct Around {
     F d00, d01, d10, d11, weight;
 };
 
+// Asks for what the columns of rays beside this one will look at: each row of each image is a stream of addresses, more than a
+// processor foresees by itself.
+GGVS_INLINE void prefetch_beside(const float* corner, int64_t stride) {
+    constexpr int kAhead = 3 * kMarchTile;
+    for (int row = 0; row < kMarchTile; ++row) __builtin_prefetch(corner + row * stride + kAhead);
+}
+
 // `right` and `below`: where the nearest of the four pixels lies.
 GGVS_INLINE Around read_patch(const FieldView& view, const Site& site, M right, M below) {
     const Patch depth = load_patch(view.depth + site.corner, view.camera.width);
     const Patch weight = load_patch(view.weight + site.corner, view.camera.width);
+    prefetch_beside(view.depth + site.corner, view.camera.width);
+    prefetch_beside(view.weight + site.corner, view.camera.width);
     const I one = all(int32_t(1)), row = all(int32_t(kPatchColumns)), lower = site.at + row;
     const I nearest = select(below, lower, site.at);
-    return {look(depth, site.at), look(depth, site.at + one), look(depth, lower), look(depth, lower + one),
-            look(weight, select(right, nearest + one, nearest))};
+    const M upper_half = half_of_patch(site.at), lower_half = half_of_patch(lower);
+    return {look(depth, site.at, upper_half), look(depth, site.at + one, upper_half), look(depth, lower, lower_half),
+            look(depth, lower + one, lower_half), look(weight, select(right, nearest + one, nearest), half_of_patch(nearest))};
 }
 
 GGVS_INLINE Around gather_around(const FieldView& view, const Site& site, M right, M below) {
@@ -127,16 +138,16 @@ GGVS_INLINE Around gather_around(const FieldView& view, const Site& site, M righ
 
 // One view's share: distance s_k = D_k[u, v] - z_k (Eq. 9, positive in front of the surface) clamped to +-tau, weight 0 where it is
 // below -tau (behind the surface = unknown), outside the image or invalid.
-GGVS_INLINE void add_view(const March& march, const FieldView& view, const PacketView& ray, const Site& site, F& sum, F& total) {
+GGVS_INLINE void add_view(F tau, F per_tau, const FieldView& view, const PacketView& ray, const Site& site, F& sum, F& total) {
     const F zero = all(0.0f), one = all(1.0f);
     const M right = at_most(all(0.5f), site.fx), below = at_most(all(0.5f), site.fy);
     const Around a = site.corner >= 0 ? read_patch(view, site, right, below) : gather_around(view, site, right, below);
     const F nearest = select(below, select(right, a.d11, a.d10), select(right, a.d01, a.d00));
     const F low = min(min(a.d00, a.d01), min(a.d10, a.d11)), high = max(max(a.d00, a.d01), max(a.d10, a.d11));
-    const M smooth = both(less(zero, low), less(high - low, all(march.tau)));
+    const M smooth = both(less(zero, low), less(high - low, tau));
     const F top = a.d00 + site.fx * (a.d01 - a.d00), bottom = a.d10 + site.fx * (a.d11 - a.d10);
     const F between = top + site.fy * (bottom - top);
-    const F distance = (select(smooth, between, nearest) - site.depth) * all(march.per_tau);
+    const F distance = (select(smooth, between, nearest) - site.depth) * per_tau;
     const M counts = both(both(site.inside, less(zero, nearest)), at_most(all(-1.0f), distance));
     const F weight = select(counts, view.gain ? min(ray.gain * a.weight, all(view.limit)) : a.weight, zero);
     sum = sum + weight * min(distance, one);
@@ -153,18 +164,19 @@ GGVS_INLINE void sample(const March& march, const Packet* packets, const F (&z)[
 #pragma GCC unroll 2
             for (int n = 0; n < kCount; ++n) step(march.views[k], packets[n].views[k], sites[k][n], n);
     };
+    const F tau = all(march.tau), per_tau = all(march.per_tau);
     F sum[kCount], total[kCount];
     for (int n = 0; n < kCount; ++n) sum[n] = total[n] = all(0.0f);
     each([&](const FieldView& view, const PacketView& ray, Site& site, int n) { project(view, ray, z[n], wanted[n], site); });
     each([&](const FieldView& view, const PacketView&, Site& site, int) { choose_patch(view, site); });
     each([&](const FieldView& view, const PacketView& ray, Site& site, int n) {
-        add_view(march, view, ray, site, sum[n], total[n]);
+        add_view(tau, per_tau, view, ray, site, sum[n], total[n]);
     });
     for (int n = 0; n < kCount; ++n) out[n] = {select(less(all(0.0f), total[n]), sum[n] / total[n], all(0.0f)), total[n]};
 }
 
-// How many whole steps from z end before the next occupied slab begins, or one more: the last of them needs no sample, as its end
-// does not.
+// How many whole steps lead from z to where a sample is needed: all but the last end in empty slabs, where views say 'free' or
+// 'unknown', and another whole step follows.
 GGVS_INLINE F empty_steps(const MarchColumn& column, F z, float step) {
     F slab = to_float(bits(z) - all(column.slabs.first_bits)) * all(column.slabs.per_bit);
     F next = gather(column.next_depth, truncate(clamp(slab, all(0.0f), all(float(kSlabs - 1)))));
@@ -186,8 +198,8 @@ GGVS_INLINE F next_depth(const March& march, const MarchColumn& column, Packet& 
     return z;
 }
 
-// Where empty space was skipped, the sample before the one at z is taken after all for rays that may have crossed the surface between
-// the two, which is rare.
+// Takes the last sample that was skipped after all, for rays that may have crossed the surface since. That is rare, as most
+// surfaces have occupied slabs before them.
 static __attribute__((noinline)) void look_back(const March& march, M rays, Packet& p) {
     const F z[1] = {p.base + (p.whole - all(1.0f)) * all(march.step_fraction * march.tau)};
     const M wanted[1] = {rays};
@@ -252,9 +264,7 @@ GGVS_INLINE void start(const March& march, int left, int top, Packet& p) {
         const FieldView& view = march.views[k];
         const float* m = view.map.matrix;
         PacketView& ray = p.views[k];
-        const auto along = [&](const float* row) {
-            return all(row[0]) * load(u) + all(row[1]) * load(v) + all(row[2]);
-        };
+        const auto along = [&](const float* row) { return all(row[0]) * load(u) + all(row[1]) * load(v) + all(row[2]); };
         ray.x = along(m), ray.y = along(m + 3), ray.z = along(m + 6);
         ray.gain = all(1.0f);
         if (!view.gain) continue;
@@ -290,8 +300,7 @@ static void march_column(const March& march, const MarchColumn& column, float* d
     for (int y = column.top; y < column.top + kMarchTile && y < march.target.height; y += kRows) {
         for (int n = 0; n < kMarchedPackets; ++n) start(march, column.left + n * kPacket, y, packets[n]);
         find_crossings(march, column, packets);
-        for (int n = 0; n < kMarchedPackets; ++n)
-            write(march, column.left + n * kPacket, y, packets[n], depth, weight);
+        for (int n = 0; n < kMarchedPackets; ++n) write(march, column.left + n * kPacket, y, packets[n], depth, weight);
     }
 }
 
