@@ -9,7 +9,7 @@ KERNELS = Path("ggvs_eval/kernels")
 SOURCES = (
     *("core", "splat", "tsdf", "occupancy", "warp", "dispatch", "level_baseline", "level_avx2", "level_avx512"),
     *("images", "filter", "blend", "push_pull", "remember", "recur", "contested", "shade"),
-    *("register", "compose", "refine", "learned"),
+    *("register", "compose", "outputs", "refine", "learned"),
     *("convolve", "unet", "unet_bindings", "memory", "overview", "network_inputs", "ray_pooling", "ray_pooling_bindings"),
 )
 GAUSSIANS = (

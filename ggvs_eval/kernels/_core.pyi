@@ -153,12 +153,21 @@ def compose(
     threads: int,
     level: int,
 ) -> tuple[Image, Image, Image]: ...
+def read_outputs(
+    raw: Image,
+    logarithms: Image,
+    coverage: Image,
+    seen: Image,
+    most_views: int,
+    sure: float,
+    threads: int,
+    level: int,
+) -> tuple[Image, Image]: ...
 def refine(
     picture: Image,
     spread: Image,
     shown: Image,
     depth: Image,
-    logarithm: Image,
     small: Image,
     scale: int,
     first_feature: int,

@@ -4,6 +4,7 @@
 #include "compose.hpp"
 #include "convolve.hpp"
 #include "level.hpp"
+#include "outputs.hpp"
 #include "overview.hpp"
 #include "ray_pooling.hpp"
 #include "refine.hpp"
@@ -28,6 +29,8 @@ struct Kernels {
     void (*register_row)(const Registration&, int view, int y, const RegisteredMaps& out);
     void (*overview_row)(const Views&, const OverviewMaps& out, int y);
     void (*compose_row)(const ComposedRow&);
+    void (*read_outputs_chunk)(const RawOutputs&, const ReadOutputs& out, int64_t first, int count);
+    void (*logarithm_row)(const float* depth, int count, float* logarithm, float* known);
     void (*evidence_row)(const EvidenceRow&);
     void (*filter_row)(const FilteredRow&);
     void (*convolve_row)(const ConvolvedRow&);      // 1 x 1

@@ -7,6 +7,7 @@
 #include "compose.hpp"
 #include "layer_arguments.hpp"
 #include "network_inputs.hpp"
+#include "outputs.hpp"
 #include "overview.hpp"
 #include "refine.hpp"
 #include "register.hpp"
@@ -204,6 +205,31 @@ py::array_t<float> network_inputs_of(const py::array& colours, const py::handle&
     return out;
 }
 
+py::tuple read_outputs_of(const py::array& raw, const py::array& logarithms, const py::handle& coverage, const py::handle& seen,
+                          int most_views, float sure, int threads, int level) {
+    const auto shape = shape_of(raw, "raw", 3);
+    const int views = int(shape_of(logarithms, "logarithms", 1)[0]), features = int(shape[0]) - most_views - 4;
+    if (views < 1 || views > most_views || features < 0)
+        throw py::value_error("read_outputs: wanted at least one view, not more than the network takes, and four outputs more");
+    const py::ssize_t height = shape[1], width = shape[2];
+    const RawOutputs job{height * width,
+                         views,
+                         most_views,
+                         features,
+                         data_of<float>(raw, "raw", shape),
+                         data_of<float>(logarithms, "logarithms", {views}),
+                         data_of<float>(coverage, "coverage", {views, height, width}),
+                         data_of<float>(seen, "seen", {views, height, width}),
+                         sure};
+    py::array_t<float> small = empty({views + 4 + features, height, width}), shares = empty({views, height, width});
+    const ReadOutputs out{small.mutable_data(), shares.mutable_data()};
+    {
+        py::gil_scoped_release released;
+        ggvs::read_outputs(job, out, threads, level);
+    }
+    return py::make_tuple(small, shares);
+}
+
 // (what `pack_filters` makes of filters of 3 x 3 and bias, after)
 Layer look_of(const py::handle& object, int before) {
     const py::tuple layer = py::cast<py::tuple>(object);
@@ -218,7 +244,7 @@ Layer taps_of(const py::handle& object, int before) {
 }
 
 py::array_t<float> refine_of(const py::array& picture, const py::handle& spread, const py::handle& shown, const py::handle& depth,
-                          const py::handle& logarithm, const py::array& small, int scale, int first_feature,
+                          const py::array& small, int scale, int first_feature,
                           const py::sequence& layers, int threads, int level) {
     const auto shape = shape_of(picture, "picture", 3);
     if (shape[1] > kMostPixels || shape[2] > kMostPixels || py::len(layers) != 3 || first_feature < 0)
@@ -231,7 +257,6 @@ py::array_t<float> refine_of(const py::array& picture, const py::handle& spread,
                    data_of<float>(spread, "spread", {height, width}),
                    data_of<float>(shown, "shown", {height, width}),
                    data_of<float>(depth, "depth", {height, width}),
-                   data_of<float>(logarithm, "logarithm", {height, width}),
                    maps,
                    first_feature,
                    int(small.shape(0)) - first_feature,
@@ -261,7 +286,9 @@ void bind_learned(py::module_& m) {
           "far"_a, "unit"_a, "most_views"_a, "threads"_a);
     m.def("compose", &compose_of, "colours"_a, "coverage"_a, "unseen"_a, "background"_a, "small"_a, "scale"_a, "sure"_a,
           "threads"_a, "level"_a);
-    m.def("refine", &refine_of, "picture"_a, "spread"_a, "shown"_a, "depth"_a, "logarithm"_a, "small"_a, "scale"_a,
+    m.def("read_outputs", &read_outputs_of, "raw"_a, "logarithms"_a, "coverage"_a, "seen"_a, "most_views"_a, "sure"_a, "threads"_a,
+          "level"_a);
+    m.def("refine", &refine_of, "picture"_a, "spread"_a, "shown"_a, "depth"_a, "small"_a, "scale"_a,
           "first_feature"_a, "layers"_a, "threads"_a, "level"_a);
 }
 

@@ -81,18 +81,22 @@ private:
         const int64_t pixels = int64_t(job_.width) * job_.height;
         for (int y = top_ - kWindowMargin; y < bottom_ + kWindowMargin; ++y) {
             const int64_t from = int64_t(clamped(y, job_.height)) * job_.width + first;
-            std::copy_n(job_.logarithm + from, count, window(kLogarithm, y) + at);
+            shared_.kernels.logarithm_row(job_.depth + from, count, window(kLogarithm, y) + at, window(kKnown, y) + at);
             for (int c = 0; c < 3; ++c) std::copy_n(job_.picture + c * pixels + from, count, window(kRed + c, y) + at);
             for (int plane : {kLogarithm, kRed, kGreen, kBlue})
                 repeat_border(window(plane, y), left_, right_, kWindowMargin, job_.width);
-            std::fill_n(window(kKnown, y), kStride, 0.0f);  // nothing is beyond the border
-            if (y >= 0 && y < job_.height)
-                std::transform(job_.depth + from, job_.depth + from + count, window(kKnown, y) + at,
-                               [](float depth) { return depth > 0.0f ? 1.0f : 0.0f; });
+            forget_border(window(kKnown, y), y, at, count);
             const float *red = window(kRed, y), *green = window(kGreen, y), *blue = window(kBlue, y);
             float* grey = window(kGrey, y);
             for (int x = 0; x < columns_ + 2 * kWindowMargin; ++x) grey[x] = (red[x] + green[x] + blue[x]) * (1.0f / 3.0f);
         }
+    }
+
+    // Beyond the border nothing is known.
+    void forget_border(float* known, int y, int at, int count) const {
+        if (y < 0 || y >= job_.height) count = 0;
+        std::fill(known, known + at, 0.0f);
+        std::fill(known + at + count, known + kStride, 0.0f);
     }
 
     // Evidence and features of row y, from column left - kValueMargin on.

@@ -16,7 +16,6 @@ struct Refinement {
     const float* spread;     // (height, width)
     const float* shown;      // (height, width)
     const float* depth;      // (height, width), 0 where unknown
-    const float* logarithm;  // (height, width), of the depth, 0 where unknown
     SmallMaps small;
     int first_feature, features;  // channels of `small`
     Layer looks[2];               // 3 x 3, leaky

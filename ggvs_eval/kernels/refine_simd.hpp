@@ -8,6 +8,30 @@ constexpr float kDepthGain = 20.0f, kContrastGain = 4.0f;
 
 GGVS_INLINE F limited(F x) { return min(max(x, all(-1.0f)), all(1.0f)); }
 
+// Of positive floats, but for those below 2^-126: to their last bit or nearly so (the polynomial is that of Moshier's logf).
+GGVS_INLINE F logarithm_of(F x) {
+    constexpr float kCoefficients[] = {-1.1514610310e-1f, 1.1676998740e-1f, -1.2420140846e-1f, 1.4249322787e-1f,
+                                       -1.6668057665e-1f, 2.0000714765e-1f, -2.4999993993e-1f, 3.3333331174e-1f};
+    const I root_half = all(int32_t(0x3f3504f3)), exponent = (bits(x) - root_half) >> 23;
+    const F f = from_bits(bits(x) - (exponent << 23)) - all(1.0f), e = to_float(exponent), square = f * f;
+    F p = all(7.0376836292e-2f);
+    for (const float coefficient : kCoefficients) p = multiply_add(p, f, all(coefficient));
+    const F rest = multiply_add(e, all(-2.12194440e-4f), square * (f * p));  // the logarithm of 2 in two parts
+    return multiply_add(e, all(0.693359375f), f + multiply_add(all(-0.5f), square, rest));
+}
+
+// The logarithms of known depths and whether they are known; 0 for both where they are not.
+static void logarithm_row(const float* depth, int count, float* logarithm, float* known) {
+    const F zero = all(0.0f), one = all(1.0f);
+    for (int x = 0; x < count; x += kWidth) {
+        const int left = count - x < kWidth ? count - x : kWidth;
+        const F here = load_part(depth + x, left);
+        const M there = less(zero, here);
+        store_part(logarithm + x, select(there, logarithm_of(select(there, here, one)), zero), left);
+        store_part(known + x, select(there, one, zero), left);
+    }
+}
+
 // Sums, largest and smallest values of each column of the window.
 GGVS_INLINE void column_statistics(const EvidenceRow& row, int x) {
     F sum = all(0.0f), known = sum;

@@ -133,10 +133,8 @@ def refined(refiner: Refiner, picture: Composed, depth: Map | None, small: Map, 
     from ggvs_eval.kernels import _core
 
     depth = np.zeros_like(picture.spread) if depth is None else np.ascontiguousarray(depth, np.float32)
-    logarithm = np.zeros_like(depth)
-    np.log(depth, out=logarithm, where=depth > 0)
     layers = packed_once(refiner, None, lambda: _layers(refiner))
-    evidence = picture.picture, picture.spread, picture.shown, depth, logarithm
+    evidence = picture.picture, picture.spread, picture.shown, depth
     return _core.refine(*evidence, small, scale, views + BEYOND_VIEWS, layers, get_threads(), SIMD_LEVELS.index(get_simd_level()))
 
 

@@ -26,21 +26,20 @@ from ggvs_eval.pipelines.online.remembered_background import RememberedBackgroun
 SAME_SURFACE_TAU = 2.0  # truncation distances within which a view's depth and the fused one are the same surface
 
 
-def diagnostics_maps(depth: Map | None, splats: Sequence[Splat], still: Map, weights: Map | None) -> dict[str, Map]:
-    """The maps of `Rendering.diagnostics`, at a quarter of the size: every fourth pixel, which costs next to nothing.
+def diagnostics_maps(depth: Map | None, splats: Sequence[Splat], still: Map) -> dict[str, Map]:
+    """The maps of `Rendering.diagnostics` but for the shares of the views, at a quarter of the size: every fourth pixel.
 
     Args:
         depth: fused depth, (H, W), world units, 0 where unknown; None without fusion.
         splats: forward renderings of the views.
         still: how sure it is that nothing moves, see `stillness`, (h, w).
-        weights: share of each view, (K, h, w), if the blender tells.
     """
     cells = np.s_[::REDUCTION, ::REDUCTION]
     coverage = np.maximum.reduce([view.alpha[cells] for view in splats])
     maps = {"coverage": coverage, "motion": 1 - still}
     if depth is not None:
         maps["depth"] = depth[cells].copy()
-    return maps if weights is None else maps | {"weights": weights}
+    return maps
 
 
 @dataclass(frozen=True)
@@ -172,15 +171,18 @@ class GeometryGuided:
         index, target = filtered.index, filtered.target
         surface = np.zeros((target.height, target.width), np.float32) if depth is None else depth
         inputs = BlendingInputs(filtered, splats, surface, self._tau(filtered))
-        blended, still = side_by_side(
-            partial(self.blender.blend, inputs),
-            lambda: stillness(splatted_change(splats, chosen.beta_mask, chosen.lambda_t)),
-        )
-        diagnostics = diagnostics_maps(depth, splats, still, blended.weights)
+        blended, (still, diagnostics) = side_by_side(partial(self.blender.blend, inputs), partial(self._observed, splats, depth))
+        if blended.weights is not None:
+            diagnostics["weights"] = blended.weights
         image = self._compensation.finish(blended.image, target) if chosen.compensated else blended.image
         if self._background is not None:
             image = self._background.step(index, target, image, surface, splats, still)
         return self._output.step(index, target, image, still), diagnostics
+
+    def _observed(self, splats: list[Splat], depth: Map | None) -> tuple[Map, dict[str, Map]]:
+        """How sure it is that nothing moves, and the maps of diagnostics but for the blender's."""
+        still = stillness(splatted_change(splats, self.options.beta_mask, self.options.lambda_t))
+        return still, diagnostics_maps(depth, splats, still)
 
     def _splat(self, instant: Instant, filtered: Instant, masks: Sequence[Map]) -> list[Splat]:
         """Render each view forward: colour, difference mask, coverage and depth (Sec. 3.1)."""

@@ -9,11 +9,11 @@ import torch
 from torch import Tensor
 
 from ggvs_eval.arrays import Map
-from ggvs_eval.compute_device import compute_device, one_thread, rendering_on
+from ggvs_eval.compute_device import compute_device, rendering_on
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.per_pixel import weighted_mean
 from ggvs_eval.geometry.splat import COVERED_ALPHA
-from ggvs_eval.kernels import side_by_side
+from ggvs_eval.kernels import SIMD_LEVELS, get_simd_level, get_threads, side_by_side
 from ggvs_eval.pipelines.online.blend_maps import BlendMaps, Guidance, blend_maps
 from ggvs_eval.pipelines.online.blend_network import SURE, BlendNetwork, compose_tensors, read_outputs, small_outputs
 from ggvs_eval.pipelines.online.blend_weights import load_blend_network, shipped_blend_weights
@@ -139,15 +139,17 @@ def blend_by(network: BlendNetwork, maps: BlendMaps, summary: Overview | None = 
 
 
 def _small_outputs(network: BlendNetwork, reduced: BlendMaps) -> tuple[Map, Map]:
-    """`small_outputs` of the network for one instant, (K + 4 + F, h, w), and the share of each view by them, (K, h, w)."""
+    """`small_outputs` of the network for one instant, (K + 4 + F, h, w), and `view_shares` by them, (K, h, w)."""
+    from ggvs_eval.kernels import _core
+
     config = network.config
     views = len(reduced.sources)
     channels = network_channels(reduced, config.guidance, views)
     raw = unet_outputs(network.unet, channels, present_channels(views, config.views, config.guidance))
-    with one_thread(), torch.inference_mode():
-        start = torch.from_numpy(reduced.weights)[None]
-        small = small_outputs(torch.from_numpy(raw)[None], start, config.views)[0].contiguous().numpy()
-    return small, view_shares(small, reduced)
+    logarithms = np.log(np.maximum(reduced.weights, np.float32(NO_WEIGHT)))
+    coverage, seen = (np.ascontiguousarray(each, np.float32) for each in (reduced.coverage, reduced.visibilities))
+    level = SIMD_LEVELS.index(get_simd_level())
+    return _core.read_outputs(raw, logarithms, coverage, seen, config.views, SURE, get_threads(), level)
 
 
 def blend_start(maps: BlendMaps) -> dict[str, Map]:

@@ -10,9 +10,11 @@ from hypothesis import strategies as st
 
 from ggvs_eval import kernels
 from ggvs_eval.compute_device import one_thread
+from ggvs_eval.kernels import _core
 from ggvs_eval.pipelines.online.blend_maps import BlendMaps
 from ggvs_eval.pipelines.online.blend_network import (
     BEYOND_VIEWS,
+    SURE,
     BlendNetwork,
     BlendNetworkOptions,
     compose_tensors,
@@ -20,7 +22,7 @@ from ggvs_eval.pipelines.online.blend_network import (
     small_outputs,
 )
 from ggvs_eval.pipelines.online.full_size import Composed, composed, refined
-from ggvs_eval.pipelines.online.network_blender import blend_by, blend_on, blend_start
+from ggvs_eval.pipelines.online.network_blender import blend_by, blend_on, blend_start, view_shares
 from ggvs_eval.pipelines.online.network_inputs import GUIDED, input_channels
 from ggvs_eval.pipelines.online.refiner import Refiner, evidence
 from helpers.blender_inputs import random_maps
@@ -133,6 +135,25 @@ def test_outputs_are_composed_as_the_twin_does(seed, width, height, views, scale
     # The root makes much of weights near 0.
     np.testing.assert_allclose(np.clip(10 * found.spread, 0, 1), sure[0], atol=1e-3)
     np.testing.assert_allclose(np.clip(found.shown / 3, 0, 1), sure[1], atol=1e-6)
+
+
+@settings(deadline=None, max_examples=20)
+@given(seeds, st.integers(1, 60), st.integers(1, 40), st.integers(1, 5), st.integers(0, 3))
+def test_outputs_are_read_as_the_twin_does(seed, width, height, views, features):
+    """Weights, changes, features and shares of any outputs, decided ones too, with the same bits whatever the instruction set."""
+    random = np.random.default_rng(seed)
+    maps, most = random_maps(random, width, height, views), views + 2
+    raw = random.normal(0, 20, (most + BEYOND_VIEWS + features, height, width)).astype(np.float32)
+    expected = small_outputs(torch.from_numpy(raw)[None], torch.from_numpy(maps.weights)[None], most)[0].numpy()
+    found = []
+    for level in range(len(kernels.available_levels())):
+        arrays = np.log(maps.weights), maps.coverage, maps.visibilities
+        found.append(_core.read_outputs(raw, *arrays, most, SURE, 2, level))
+    for small, shares in found:
+        np.testing.assert_allclose(small, expected, atol=2e-6)
+        np.testing.assert_allclose(shares, view_shares(expected, maps), atol=1e-5)
+        np.testing.assert_array_equal(small, found[0][0])
+        np.testing.assert_array_equal(shares, found[0][1])
 
 
 def refined_picture(refiner: Refiner, size: tuple[int, int]) -> np.ndarray:
