@@ -57,9 +57,9 @@ class DeviceGuided:
         details: seconds of every part of the last step, finer than the stages of its `Rendering`.
 
     Reading:
-        Pictures are those of the compiled path but for rounding. Filter, weights, march, contested depth and
-        registration give the same bits from the same inputs on a CPU; masks, splats, convolutions and sums differ in the last
-        ones. Where a comparison decides, a last bit may move a pixel: of the depths near a zero crossing of the fused field, of the votes on
+        Pictures are those of the compiled path but for rounding. Filter, weights, march, contested depth and registration give
+        the same bits from the same inputs on a CPU; masks, splats, convolutions and sums differ in the last ones. Where a
+        comparison decides, a last bit may move a pixel: of the depths near a zero crossing of the fused field, of the votes on
         contested depth, of what is remembered. Three instants of two views of the demo room at 480 x 360, K = 4: no pixel off by
         a level (0.25 of one at most), 0.005 % of the depths off by more than 0.1 mm.
     """
