@@ -144,6 +144,8 @@ def _share(view: _View, rays: Rays, z: Values, tau: float, reading: FieldReading
 def sample_depth(depth: NDArray[np.float32], u: Values, v: Values, tolerance: float) -> Values:
     """Depth at image coordinates: bilinear where the four neighbours are known and close, else the nearest.
 
+    At the border the neighbours are the last four pixels.
+
     Args:
         depth: (H, W), 0 = unknown.
         u: columns, (N,), 0 <= u < W; pixel centres lie at halves.
@@ -155,7 +157,7 @@ def sample_depth(depth: NDArray[np.float32], u: Values, v: Values, tolerance: fl
     """
     height, width = depth.shape
     x, y = np.clip(u - 0.5, 0, width - 1), np.clip(v - 0.5, 0, height - 1)
-    left, top = x.astype(np.int64), y.astype(np.int64)
+    left, top = np.minimum(x.astype(np.int64), max(width - 2, 0)), np.minimum(y.astype(np.int64), max(height - 2, 0))
     right, below = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
     corners = np.stack([depth[top, left], depth[top, right], depth[below, left], depth[below, right]]).astype(np.float64)
     across, down = x - left, y - top

@@ -25,7 +25,7 @@ def warp_twin(
     uv, z = source.project(points)
     seen = (target_depth.reshape(-1) > 0) & (z > 0) & (uv >= 0).all(axis=1) & (uv < [source.width, source.height]).all(axis=1)
     uv = np.where(seen[:, None], uv, 0.5)
-    there = sample_depth(source_depth, *uv.T, tolerance)
+    there = sample_depth(np.pad(source_depth, (0, 1), "edge"), *uv.T, tolerance)  # the kernel repeats the border
     agreement = np.clip(2 - np.abs(there - z) / tolerance, 0, 1)
     visibility = np.where(seen & (there > 0), agreement, 0.0)
     colour = np.where(seen[:, None], _sample_colour(image.astype(np.float64), uv, bicubic), 0.0)
