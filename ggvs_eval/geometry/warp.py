@@ -11,7 +11,7 @@ from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.per_pixel import evenly_spaced
-from ggvs_eval.geometry.pinhole import as_image, pinhole, rigid_between
+from ggvs_eval.geometry.pinhole import Pinhole, as_image, pinhole, rigid_between
 from ggvs_eval.geometry.splat import Splat
 from ggvs_eval.kernels import SIMD_LEVELS, get_simd_level, get_threads
 from ggvs_eval.method import SourceView
@@ -180,7 +180,7 @@ def register_views(
 
 def registration_arguments(
     target: Camera, target_depth: NDArray[np.float32], sources: Sequence[SourceView], splats: Sequence[Splat], tolerance: float
-) -> tuple[Any, ...]:
+) -> tuple[Pinhole, Map, list[tuple[Any, ...]], float]:
     """Check and pack what `register_views` is given, but for `faint`, for the kernels."""
     if not len(sources) == len(splats) > 0:
         raise RenderError(f"registration: wanted a splat per view, got {len(sources)} views and {len(splats)} splats")

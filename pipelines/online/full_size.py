@@ -61,10 +61,11 @@ def registered(inputs: BlendingInputs, scale: int) -> tuple[BlendMaps, Overview]
     from ggvs_eval.kernels import _core
 
     target, (sources, splats) = inputs.instant.target, in_order(inputs)
-    arguments = registration_arguments(target, inputs.depth, sources, splats, inputs.tau)
+    registration = registration_arguments(target, inputs.depth, sources, splats, inputs.tau)
     weights = view_weights(target, [source.camera for source in sources], [source.share for source in sources])
     depths = [np.ascontiguousarray(each, np.float32) for each in (*(view.depth for view in splats), inputs.depth)]
-    stacks, found = _core.register_and_overview(*arguments, float(FAINT), depths, *_overview_settings(weights, scale))
+    arguments = (*registration, float(FAINT), depths, *_overview_settings(weights, scale))
+    stacks, found = _core.register_and_overview(*arguments)
     maps = maps_of(inputs, stacks)
     return maps, _overview(maps, scale, *found)
 

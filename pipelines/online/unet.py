@@ -101,7 +101,7 @@ def _layers(unet: UNet, given: NDArray[np.intp] | None) -> list[tuple[Map, Map, 
     modules = [module for block in (*unet.down, *unet.up) for module in block.modules()]
     convolutions = [module for module in modules if isinstance(module, nn.Conv2d)]
     norms = [module for module in modules if isinstance(module, nn.GroupNorm)]
-    layers = []
+    layers: list[tuple[Map, Map, Map, Map]] = []
     for convolution, norm in zip(convolutions, norms, strict=True):
         weights, bias = parameter_map(convolution, "weight"), parameter_map(convolution, "bias")
         if given is not None and not layers:
