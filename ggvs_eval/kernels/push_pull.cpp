@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cstring>
+#include <memory>
 #include <vector>
 
 #include "area.hpp"
@@ -115,18 +116,19 @@ void fill(const Level<K>& level, float* out, Crew& crew) {
         return;
     }
     const int width = (level.width + 1) / 2, height = (level.height + 1) / 2;
-    std::vector<float> colour(size_t(width) * height * 3), known(size_t(width) * height), filled(colour.size());
+    const auto map = [&](int channels) { return std::unique_ptr<float[]>(new float[size_t(width) * height * channels]); };
+    const auto colour = map(3), known = map(1);  // every value is written: to clear them first would take as long
     const AreaCells columns(level.width, width), rows(level.height, height);
     const bool in_pairs = level.width == 2 * width && level.height == 2 * height;
     for_rows(height, crew, [&](int y) {
         const int64_t row = int64_t(y) * width;
-        if (in_pairs) return average_pairs(level, columns, rows, y, width, colour.data() + 3 * row, known.data() + row);
+        if (in_pairs) return average_pairs(level, columns, rows, y, width, colour.get() + 3 * row, known.get() + row);
         for (int x = 0; x < width; ++x)
-            average(level, columns[x], rows[y], colour.data() + 3 * (row + x), known.data() + row + x);
+            average(level, columns[x], rows[y], colour.get() + 3 * (row + x), known.get() + row + x);
     });
-    fill(Level<float>{colour.data(), known.data(), width, height}, filled.data(), crew);
+    fill(Level<float>{colour.get(), known.get(), width, height}, colour.get(), crew);
     const Between across(level.width, width), down(level.height, height);
-    for_rows(level.height, crew, [&](int y) { pull_row(level, y, across, down, filled.data(), width, out); });
+    for_rows(level.height, crew, [&](int y) { pull_row(level, y, across, down, colour.get(), width, out); });
 }
 
 }  // namespace
