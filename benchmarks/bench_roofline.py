@@ -34,6 +34,7 @@ REPEATS = 7
 SMALL = 16  # numbers of a matrix that is no map
 LANES_PER_GAUSSIAN = 4.2 * 16  # blocks of 4 x 4 pixels that a Gaussian touches; 28 % of the lanes are pixels that it reaches
 SAMPLES_PER_RAY = 8.6
+MINIMAL = 0.25  # multiplications a pixel and packed filter value of convolutions of 3 x 3: one filters four rows
 # Floating-point operations per pixel of a result, of all views; splat: of a source.
 OPERATIONS: dict[str, Callable[["Call"], float]] = {
     "splat": lambda call: LANES_PER_GAUSSIAN * (30 + 2 * (1 + call.arguments[4])),
@@ -42,11 +43,12 @@ OPERATIONS: dict[str, Callable[["Call"], float]] = {
     "register_views": lambda call: 170 * len(call.arguments[2]),
     "compose": lambda call: 22 * len(call.arguments[0]) + 60,
     "overview": lambda call: 16 * len(call.arguments[0]),
-    "refine": lambda call: 2 * sum(np.prod(layer[0].shape[:3]) * layer[2] for layer in call.arguments[8]) + 140,
+    "register_and_overview": lambda call: 186 * len(call.arguments[2]),
+    "refine": lambda call: (
+        2 * (sum(MINIMAL * look[0].size for look in call.arguments[7][:-1]) + call.arguments[7][-1][0].size) + 140
+    ),
     "mix_depth": lambda call: 8,
 }
-# The instruction set is their last argument.
-TAKE_LEVEL = ("splat", "ray_march", "fusion_weights", "register_views", "overview", "compose", "refine", "unet")
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,7 @@ class Call:
         channels, layers = self.arguments[0], self.arguments[1]
         levels = [min(n // 2, 8 - n // 2) for n in range(len(layers))]
         pixels = channels.shape[1] * channels.shape[2]
-        return float(sum(2 * layer[0].size * pixels / 4**level for layer, level in zip(layers, levels, strict=True)))
+        return float(sum(2 * MINIMAL * layer[0].size * pixels / 4**level for layer, level in zip(layers, levels, strict=True)))
 
     def bytes_moved(self) -> int:
         """Of the arrays that go in and come out."""
@@ -153,7 +155,7 @@ def _fastest(calls: list[Call], level: str) -> float:
     number, total = kernels.SIMD_LEVELS.index(level), 0.0
     for call in calls:
         function, arguments = getattr(_COMPILED, call.name), list(call.arguments)
-        if call.name in TAKE_LEVEL:
+        if "level: " in str(function.__doc__):  # the instruction set is its last argument
             arguments[-2:] = [1, number]
         else:
             arguments[-1] = 1
