@@ -37,7 +37,7 @@ SAMPLES_PER_RAY = 8.6
 MINIMAL = 0.25  # multiplications a pixel and packed filter value of convolutions of 3 x 3: one filters four rows
 # Floating-point operations per pixel of a result, of all views; splat: of a source.
 OPERATIONS: dict[str, Callable[["Call"], float]] = {
-    "splat": lambda call: LANES_PER_GAUSSIAN * (30 + 2 * (1 + call.arguments[4])),
+    "splat": lambda call: LANES_PER_GAUSSIAN * (26 + 2 * (1 + call.arguments[4])),
     "ray_march": lambda call: SAMPLES_PER_RAY * 60 * len(call.arguments[2]),
     "fusion_weights": lambda call: 49 * 4,
     "register_views": lambda call: 170 * len(call.arguments[2]),
