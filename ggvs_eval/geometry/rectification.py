@@ -7,9 +7,11 @@ roles and turned images for the rest, and either crops a converging rig or shrin
 """
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Array, Image8, Map, Mask
 from ggvs_eval.camera import Camera
@@ -17,6 +19,7 @@ from ggvs_eval.errors import DepthError
 from ggvs_eval.kernels.portable import length, product, transformed, unit
 
 MIN_RAY_Z = 0.1  # of a rectified ray; smaller ones would need a canvas more than ten focal lengths wide
+Values = TypeVar("Values", Map, NDArray[np.uint8])
 SAME_SURFACE_PX = 0.75  # neighbouring disparities that differ by less are one surface
 
 
@@ -57,9 +60,8 @@ class RectifiedPair:
 
     def sees(self, disparity: Map) -> Mask:
         """Canvas pixels that the reference sees and whose match at that disparity the partner sees, (Hc, Wc)."""
-        columns = np.rint(np.arange(self.size[0]) - disparity).astype(np.intp)  # (Hc, Wc)
-        matched = np.take_along_axis(self.right_inside, np.clip(columns, 0, self.size[0] - 1), axis=1)
-        return self.left_inside & matched & (columns >= 0) & (disparity > 0)
+        matched = at_matches(self.right_inside.view(np.uint8), disparity).view(np.bool_)
+        return self.left_inside & matched & (disparity > 0)
 
     def warp_left(self, image: Image8) -> Image8:
         """The reference image on the canvas."""
@@ -162,6 +164,22 @@ def depth_from_disparity(pair: RectifiedPair, disparity: Map, confidence: Map) -
     sampled = np.where(np.abs(smooth - nearest) < SAME_SURFACE_PX, smooth, nearest)
     depth = np.divide(pair.depth_scale, sampled, out=np.zeros_like(sampled), where=sampled > 0)
     return depth, np.where(sampled > 0, _sample(confidence, pair.canvas_map, cv2.INTER_NEAREST), np.float32(0)), sampled
+
+
+def at_matches(right: Values, disparity: Map) -> Values:
+    """Values of the right image at the match of each pixel of the left one, rounded to pixels.
+
+    Args:
+        right: (H, W).
+        disparity: of the left image, (H, W), pixels.
+
+    Returns:
+        (H, W), 0 where the match lies outside.
+    """
+    columns = np.rint(np.arange(disparity.shape[1], dtype=np.float32) - disparity)
+    rows = np.broadcast_to(np.arange(len(disparity), dtype=np.float32)[:, None], disparity.shape)
+    found = cv2.remap(right, columns, np.ascontiguousarray(rows), cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT)
+    return np.asarray(found, right.dtype)
 
 
 def _rectifying_rotation(reference: Camera, partner: Camera) -> tuple[Array, float]:

@@ -30,10 +30,12 @@ class LiveMatcher(SgbmMatcher):
     Attributes:
         levels: sizes at which the pair is matched.
         longest_px: larger images are made smaller until their longer side is this long.
+        refine_iterations: see SgbmMatcher.
     """
 
     levels: int = 2
-    longest_px: int = 1008
+    longest_px: int = 928
+    refine_iterations: int = 1
 
     @property
     def name(self) -> str:

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from ggvs_eval.arrays import Image8, Map
+from ggvs_eval.geometry.rectification import at_matches
 
 LARGEST_STEP_PX = 0.5  # larger corrections mean that the match itself is wrong
 NOISE_SLOPE = 4.0  # mean squared slope that noise alone makes, squared grey values per pixel
@@ -26,10 +27,8 @@ def left_right_gap(disparity: Map, disparity_right: Map) -> Map:
     Returns:
         Distance in pixels, (H, W); inf where the right image has no disparity or does not show the point.
     """
-    width = disparity.shape[1]
-    columns = np.rint(np.arange(width, dtype=np.float32) - disparity).astype(np.intp)
-    matched = np.take_along_axis(disparity_right, np.clip(columns, 0, width - 1), axis=1)
-    return np.where((matched > 0) & (columns >= 0), np.abs(disparity - matched), np.float32(np.inf))
+    matched = at_matches(disparity_right, disparity)
+    return np.where(matched > 0, np.abs(disparity - matched), np.float32(np.inf))
 
 
 def refine_disparity(left: Image8, right: Image8, disparity: Map, window: int, iterations: int) -> Map:
