@@ -22,7 +22,7 @@ constexpr int kBandRows = 8, kListsOfTile = 1 + 4 * 4;
 
 // Those of 16 pixels side by side in a row that one tile gets.
 struct Run {
-    uint32_t tile, first, lanes;  // the first of the 16 packed; a bit for each of them
+    uint32_t tile, first, lanes;  // the first of the 16 as row << 16 | column; a bit for each of them
 };
 
 struct Band {
@@ -135,7 +135,7 @@ void sort_by_depth(Workspace& work, size_t count, TileList& sorted) {
     sorted.count = int(count);
 }
 
-// All that happens in one tile, steps 2 to 8.
+// All that happens in one tile.
 struct TileJob {
     const std::vector<SplatSource>& sources;
     const std::vector<Projector>& projectors;

@@ -93,7 +93,6 @@ struct TileRanges {
     int32_t x0[kLanes], x1[kLanes], y0[kLanes], y1[kLanes];
 };
 
-// Source pixels packed as row << 16 | column.
 void splat(std::vector<SplatSource>& sources, int channels, const SplatTarget& target, float scale, bool normalised,
            SplatImages out, int threads, int level);
 
