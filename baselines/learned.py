@@ -126,6 +126,10 @@ class TrainingRecipe(ABC, Generic[Network]):
             step: number of the step, a seed for what the loss draws.
         """
 
+    def refusal(self, instant: Instant) -> str | None:
+        """Why the method cannot render an instant, whatever the network; None where it can."""
+        return None
+
     @abstractmethod
     def validated_view(self, network: Network, instant: Instant) -> "Tensor":
         """The target view by a network in evaluation mode, every `validated_step`-th pixel of it, (3, h, w) in [0, 1]."""

@@ -7,9 +7,10 @@ from torch import Tensor
 
 from ggvs_eval.baselines.gps_gaussian.method import instant_gaussians
 from ggvs_eval.baselines.gps_gaussian.network import CONFIGURATIONS, GpsGaussianNetwork
+from ggvs_eval.baselines.gps_gaussian.rectification import choose_pairs
 from ggvs_eval.baselines.gps_gaussian.rendering import blend_gaussians
 from ggvs_eval.baselines.learned import TrainingRecipe
-from ggvs_eval.errors import TrainingError
+from ggvs_eval.errors import RenderError, TrainingError
 from ggvs_eval.method import Instant
 from ggvs_eval.training.instant_samples import InstantSample
 from ggvs_eval.training.losses import structural_loss
@@ -47,6 +48,14 @@ class GpsGaussianRecipe(TrainingRecipe[GpsGaussianNetwork]):
         absolute = (image - truth).abs().mean()
         structure = structural_loss(image[None], truth[None])
         return L1_WEIGHT * absolute + STRUCTURE_WEIGHT * structure, {"l1_loss": absolute, "ssim_loss": structure}
+
+    def refusal(self, instant: Instant) -> str | None:
+        """Sources none of whose pairs can be rectified, as a camera that walks straight ahead makes them."""
+        try:
+            choose_pairs(instant.target, [source.camera for source in instant.sources], CONFIGURATIONS[self.configuration].pairs)
+        except RenderError as error:
+            return str(error)
+        return None
 
     def validated_view(self, network: GpsGaussianNetwork, instant: Instant) -> Tensor:
         """The target view."""

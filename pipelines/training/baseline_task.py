@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from torch import Tensor, nn
 from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.baselines.learned import LearnedBaseline, TrainingRecipe
 from ggvs_eval.baselines.registry import LEARNED_BASELINES
+from ggvs_eval.errors import TrainingError
 from ggvs_eval.files.images import quantise
 from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.metrics.image.ssim import ssim
@@ -86,10 +88,12 @@ class BaselineTask:
     @property
     def evaluated_on(self) -> str:
         """Sentence of the model card on what `validate` measures."""
-        step = self.recipe.validated_step
-        if step == 1:
-            return f"PSNR (dB) and SSIM, means of whole views, single instants: {self.validation.data}."
-        return f"PSNR (dB) of one pixel in {step} x {step}; means of single instants: {self.validation.data}."
+        step, refusals = self.recipe.validated_step, [each for each in self._refusals if each]
+        measured = "PSNR (dB) and SSIM, means of whole views, single instants"
+        if step > 1:
+            measured = f"PSNR (dB) of one pixel in {step} x {step}; means of single instants"
+        left_out = f"; without {len(refusals)} such as are not learned from either: {refusals[0]}" if refusals else ""
+        return f"{measured}: {self.validation.data}{left_out}."
 
     def network(self) -> nn.Module:
         """A fresh network."""
@@ -118,12 +122,21 @@ class BaselineTask:
         network.train()
         losses, figures = [], []
         for number, place, order in zip(*(batch[name].tolist() for name in ("samples", "places", "colours")), strict=True):
-            sample = self._crop(self.training.read(number), place)
-            loss, terms = self.recipe.sample_loss(network, sample.focused().recoloured(tuple(order)), int(batch["step"]))
+            sample = self._learnable(number, place).recoloured(tuple(order))
+            loss, terms = self.recipe.sample_loss(network, sample, int(batch["step"]))
             losses.append(loss)
             figures.append({name: float(term.detach()) for name, term in terms.items()})
         means = {name: sum(each[name] for each in figures) / len(figures) for name in figures[0]}
         return torch.stack(losses).mean(), means
+
+    def _learnable(self, number: int, place: Sequence[float]) -> InstantSample:
+        """The window at a place of a sample, or of the next one of which the method can render it."""
+        for passed_over in range(len(self.training)):
+            sample = self._crop(self.training.read((number + passed_over) % len(self.training)), place).focused()
+            refusal = self.recipe.refusal(sample.instant)
+            if refusal is None:
+                return sample
+        raise TrainingError(f"{self.name}: wanted views to learn from, got none that it can render: {refusal}; give others")
 
     def _crop(self, sample: InstantSample, place: Sequence[float]) -> InstantSample:
         """The window at a place of a sample, whatever the sample's size."""
@@ -132,15 +145,22 @@ class BaselineTask:
         left, top = int(place[0] * (width - across + 1)), int(place[1] * (height - down + 1))
         return sample.cropped(left, top, across, down)
 
+    @cached_property
+    def _refusals(self) -> list[str | None]:
+        """Of each validation view why the method cannot render it, None where it can."""
+        return [self.recipe.refusal(self.validation.read(index).instant) for index in range(len(self.validation))]
+
     def validate(self, network: nn.Module) -> Mapping[str, float]:
-        """Scores of the validation views, their means."""
+        """Scores of the validation views that the method can render, their means."""
         network.eval()
         scores = []
-        for index in range(len(self.validation)):
+        for index in (index for index, refusal in enumerate(self._refusals) if refusal is None):
             sample = self.validation.read(index)
             with torch.inference_mode():
                 view = self.recipe.validated_view(network, sample.instant).float()
             scores.append(self._scores(view.permute(1, 2, 0).numpy(force=True), sample.truth))
+        if not scores:
+            raise TrainingError(f"{self.name}: wanted views to validate by, got none that it can render: {self._refusals[0]}")
         return {name: sum(each[name] for each in scores) / len(scores) for name in scores[0]}
 
     def _scores(self, view: Map, truth: Image8) -> dict[str, float]:

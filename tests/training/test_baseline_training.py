@@ -17,6 +17,7 @@ from ggvs_eval.pipelines.training.baseline_task import BaselineTask, baseline_ta
 from ggvs_eval.pipelines.training.samples.blend_samples import SampleMaker
 from ggvs_eval.pipelines.training.samples.room_plan import RoomPlan, choose_views, domain_validation_plan
 from ggvs_eval.pipelines.training.samples.sample_kinds import RoomInstants
+from ggvs_eval.pipelines.training.samples.samples import JoinedSamples
 from ggvs_eval.pipelines.training.samples.training_data import TrainingData
 from ggvs_eval.synthetic.domains import PLAIN
 from ggvs_eval.training.card import write_card
@@ -161,6 +162,44 @@ def test_what_a_training_writes_renders(what, cache, tmp_path):
     card = write_card(task, tmp_path, f"ggvs-eval train {what}").read_text()
     assert "procedural rooms" in card
     assert str(tmp_path.parent) not in card
+
+
+class Walked(RoomInstants):
+    """The same views, but for their cameras: each stands behind the one before, as in a corridor."""
+
+    def read(self, index):
+        sample = super().read(index)
+        target, sources = sample.instant.target, []
+        for number, source in enumerate(sample.instant.sources):
+            pose = target.world_to_camera.copy()
+            pose[2, 3] += 0.1 * (number + 1)
+            sources.append(replace(source, camera=replace(source.camera, world_to_camera=pose)))
+        return replace(sample, instant=replace(sample.instant, sources=tuple(sources)))
+
+
+def test_what_a_method_cannot_render_is_passed_over_and_told(cache):
+    """GPS-Gaussian finds no stereo pair in a corridor: it learns from the next view, and the card says what is left out."""
+    task = small_task("gps-gaussian", cache)
+    walked = Walked(cache, PLAN), Walked(cache, VALIDATION)
+    with_walks = replace(
+        task,
+        **{name: JoinedSamples(walk, getattr(task, name)) for name, walk in zip(("training", "validation"), walked, strict=True)},
+    )
+    network = task.network()
+    batch = {name: torch.as_tensor(values) for name, values in (("samples", [0]), ("places", [[0.5, 0.5]]), ("step", 0))}
+    batch["colours"] = torch.arange(3)[None]
+    expected, _ = task.loss(network, batch)
+    for passed_over in range(len(walked[0]) + 1):
+        loss, _ = with_walks.loss(network, batch | {"samples": torch.tensor([passed_over])})
+        assert torch.equal(loss, expected)
+    assert with_walks.validate(network) == task.validate(network)
+    assert "without 1 such as are not learned from either: GPS-Gaussian needs a stereo pair" in with_walks.evaluated_on
+    assert "without" not in task.evaluated_on
+    alone = replace(task, training=walked[0], validation=walked[1])
+    with pytest.raises(TrainingError, match=r"wanted views to learn from, got none that it can render: .* no stereo pair"):
+        alone.loss(network, batch)
+    with pytest.raises(TrainingError, match="wanted views to validate by, got none that it can render"):
+        alone.validate(network)
 
 
 def test_a_configuration_that_is_not_taught_is_refused(cache):
