@@ -122,21 +122,26 @@ class BaselineTask:
         network.train()
         losses, figures = [], []
         for number, place, order in zip(*(batch[name].tolist() for name in ("samples", "places", "colours")), strict=True):
-            sample = self._learnable(number, place).recoloured(tuple(order))
-            loss, terms = self.recipe.sample_loss(network, sample, int(batch["step"]))
+            loss, terms = self._crop_loss(network, number, place, order, int(batch["step"]))
             losses.append(loss)
             figures.append({name: float(term.detach()) for name, term in terms.items()})
         means = {name: sum(each[name] for each in figures) / len(figures) for name in figures[0]}
         return torch.stack(losses).mean(), means
 
-    def _learnable(self, number: int, place: Sequence[float]) -> InstantSample:
-        """The window at a place of a sample, or of the next one of which the method can render it."""
+    def _crop_loss(
+        self, network: nn.Module, number: int, place: Sequence[float], order: Sequence[int], step: int
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """Loss of the window at a place of a sample, or of the next one that the method can render and that shows something."""
+        refusal = None
         for passed_over in range(len(self.training)):
             sample = self._crop(self.training.read((number + passed_over) % len(self.training)), place).focused()
             refusal = self.recipe.refusal(sample.instant)
             if refusal is None:
-                return sample
-        raise TrainingError(f"{self.name}: wanted views to learn from, got none that it can render: {refusal}; give others")
+                loss, terms = self.recipe.sample_loss(network, sample.recoloured(tuple(order)), step)
+                if loss.requires_grad:  # as it does not where no source has depth of what the window shows
+                    return loss, terms
+        reason = refusal or "no source has depth of what they show"
+        raise TrainingError(f"{self.name}: wanted views to learn from, got none that it can render: {reason}; give others")
 
     def _crop(self, sample: InstantSample, place: Sequence[float]) -> InstantSample:
         """The window at a place of a sample, whatever the sample's size."""

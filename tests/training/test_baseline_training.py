@@ -31,6 +31,13 @@ WIDTH, HEIGHT = 100, 75
 PLAN = RoomPlan(rooms=1, targets=2, views=3, other_views=(), other_share=0.0, width=WIDTH, height=HEIGHT)
 VALIDATION = domain_validation_plan(PLAIN, views=3, targets=1, size=(WIDTH, HEIGHT))
 
+ONE_CROP = {
+    "samples": torch.tensor([0]),
+    "places": torch.tensor([[0.5, 0.5]]),
+    "colours": torch.arange(3)[None],
+    "step": torch.tensor(0),
+}
+
 
 @pytest.fixture(autouse=True)
 def alone():
@@ -177,6 +184,28 @@ class Walked(RoomInstants):
         return replace(sample, instant=replace(sample.instant, sources=tuple(sources)))
 
 
+class Blind(RoomInstants):
+    """The same views without any depth, as sensors have them of what is far."""
+
+    def read(self, index):
+        sample = super().read(index)
+        sources = tuple(replace(source, depth=np.zeros_like(source.depth)) for source in sample.instant.sources)
+        return replace(sample, instant=replace(sample.instant, sources=sources))
+
+
+@pytest.mark.parametrize("what", ["fwd", "gps-gaussian"])
+def test_a_window_that_no_depth_reaches_teaches_nothing(what, cache):
+    """What is made of given depth shows nothing there, so the next view is learned from."""
+    task = small_task(what, cache)
+    network, blind = task.network(), Blind(cache, PLAN)
+    loss, _ = replace(task, training=JoinedSamples(blind, task.training)).loss(network, ONE_CROP)
+    loss.backward()
+    assert any(parameter.grad is not None and parameter.grad.any() for parameter in network.parameters())
+    if what == "gps-gaussian":  # FWD's network fills what its points do not reach
+        with pytest.raises(TrainingError, match="got none that it can render: no source has depth of what they show"):
+            replace(task, training=blind).loss(network, ONE_CROP)
+
+
 def test_what_a_method_cannot_render_is_passed_over_and_told(cache):
     """GPS-Gaussian finds no stereo pair in a corridor: it learns from the next view, and the card says what is left out."""
     task = small_task("gps-gaussian", cache)
@@ -186,18 +215,16 @@ def test_what_a_method_cannot_render_is_passed_over_and_told(cache):
         **{name: JoinedSamples(walk, getattr(task, name)) for name, walk in zip(("training", "validation"), walked, strict=True)},
     )
     network = task.network()
-    batch = {name: torch.as_tensor(values) for name, values in (("samples", [0]), ("places", [[0.5, 0.5]]), ("step", 0))}
-    batch["colours"] = torch.arange(3)[None]
-    expected, _ = task.loss(network, batch)
+    expected, _ = task.loss(network, ONE_CROP)
     for passed_over in range(len(walked[0]) + 1):
-        loss, _ = with_walks.loss(network, batch | {"samples": torch.tensor([passed_over])})
+        loss, _ = with_walks.loss(network, ONE_CROP | {"samples": torch.tensor([passed_over])})
         assert torch.equal(loss, expected)
     assert with_walks.validate(network) == task.validate(network)
     assert "without 1 such as are not learned from either: GPS-Gaussian needs a stereo pair" in with_walks.evaluated_on
     assert "without" not in task.evaluated_on
     alone = replace(task, training=walked[0], validation=walked[1])
     with pytest.raises(TrainingError, match=r"wanted views to learn from, got none that it can render: .* no stereo pair"):
-        alone.loss(network, batch)
+        alone.loss(network, ONE_CROP)
     with pytest.raises(TrainingError, match="wanted views to validate by, got none that it can render"):
         alone.validate(network)
 
