@@ -19,8 +19,8 @@ from ggvs_eval.errors import DepthError
 from ggvs_eval.kernels.portable import length, product, transformed, unit
 
 MIN_RAY_Z = 0.1  # of a rectified ray; smaller ones would need a canvas more than ten focal lengths wide
-Values = TypeVar("Values", Map, NDArray[np.uint8])
 SAME_SURFACE_PX = 0.75  # neighbouring disparities that differ by less are one surface
+Values = TypeVar("Values", Map, NDArray[np.uint8])
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,14 +167,14 @@ def depth_from_disparity(pair: RectifiedPair, disparity: Map, confidence: Map) -
 
 
 def at_matches(right: Values, disparity: Map) -> Values:
-    """Values of the right image at the match of each pixel of the left one, rounded to pixels.
+    """Look up the right image at the match of each pixel of the left one, rounded to whole pixels.
 
     Args:
-        right: (H, W).
+        right: any values, (H, W).
         disparity: of the left image, (H, W), pixels.
 
     Returns:
-        (H, W), 0 where the match lies outside.
+        Values, (H, W), 0 where the match lies outside.
     """
     columns = np.rint(np.arange(disparity.shape[1], dtype=np.float32) - disparity)
     rows = np.broadcast_to(np.arange(len(disparity), dtype=np.float32)[:, None], disparity.shape)

@@ -5,9 +5,11 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from ggvs_eval.errors import DepthError
-from ggvs_eval.geometry.rectification import depth_from_disparity, rectify
+from ggvs_eval.geometry.rectification import at_matches, depth_from_disparity, rectify
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
 from helpers.stereo_scenes import FAR, NEAR, look_from, plane_depth, see_plane
 
@@ -100,3 +102,20 @@ def test_opposite_cameras_are_refused():
     """Cameras that look too far apart raise DepthError that says to choose another."""
     with pytest.raises(DepthError, match="choose another"):
         rectify(REFERENCE, look_from(0.5, 0, "turned", 1.4))
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from((np.float32, np.uint8)))
+def test_values_at_matches_are_those_of_the_rounded_column(seed, kind):
+    """Pixel by pixel: column minus disparity, halves to the even column, zero outside; whatever lies in memory backwards too."""
+    rng = np.random.default_rng(seed)
+    right = rng.integers(1, 255, (5, 40)).astype(kind)
+    disparity = (rng.integers(-20, 120, right.shape) / 2).astype(np.float32)
+    expected = np.zeros_like(right)
+    for row, column in np.ndindex(right.shape):
+        at = round(float(column - disparity[row, column]))
+        if 0 <= at < right.shape[1]:
+            expected[row, column] = right[row, at]
+    assert np.array_equal(at_matches(right, disparity), expected)
+    backwards = at_matches(right[:, ::-1].copy()[:, ::-1], disparity)
+    assert backwards.dtype == kind
+    assert np.array_equal(backwards, expected)
