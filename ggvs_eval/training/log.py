@@ -43,12 +43,14 @@ class TrainingLog:
 
 
 def _append(path: Path, step: int, figures: Mapping[str, float]) -> None:
-    new = not path.is_file()
-    with path.open("a", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        if new:
-            writer.writerow(["step", *figures])
-        writer.writerow([step, *(f"{value:.6g}" for value in figures.values())])
+    """Add a line; a training that an earlier release began keeps the columns that it began with."""
+    with path.open("a+", newline="", encoding="utf-8") as file:
+        file.seek(0)
+        columns = next(csv.reader(file), None)
+        writer = csv.DictWriter(file, columns or ["step", *figures], extrasaction="ignore")
+        if not columns:
+            writer.writeheader()
+        writer.writerow({"step": step} | {name: f"{value:.6g}" for name, value in figures.items()})
 
 
 def _cut(path: Path, last: int) -> None:

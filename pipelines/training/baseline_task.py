@@ -92,7 +92,7 @@ class BaselineTask:
         measured = "PSNR (dB) and SSIM, means of whole views, single instants"
         if step > 1:
             measured = f"PSNR (dB) of one pixel in {step} x {step}; means of single instants"
-        left_out = f"; without {len(refusals)} such as are not learned from either: {refusals[0]}" if refusals else ""
+        left_out = f"; without {len(refusals)} of them, as the method cannot render such views: {refusals[0]}" if refusals else ""
         return f"{measured}: {self.validation.data}{left_out}."
 
     def network(self) -> nn.Module:
@@ -118,7 +118,7 @@ class BaselineTask:
         return {name: torch.as_tensor(values) for name, values in drawn.items()}
 
     def loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, Mapping[str, float]]:
-        """Mean over the crops."""
+        """Mean over the crops; ``passed_over`` tells how many views a crop skipped, see `_crop_loss`."""
         network.train()
         losses, figures = [], []
         for number, place, order in zip(*(batch[name].tolist() for name in ("samples", "places", "colours")), strict=True):
@@ -139,7 +139,7 @@ class BaselineTask:
             if refusal is None:
                 loss, terms = self.recipe.sample_loss(network, sample.recoloured(tuple(order)), step)
                 if loss.requires_grad:  # as it does not where no source has depth of what the window shows
-                    return loss, terms
+                    return loss, {**terms, "passed_over": torch.tensor(float(passed_over))}
         reason = refusal or "no source has depth of what they show"
         raise TrainingError(f"{self.name}: wanted views to learn from, got none that it can render: {reason}; give others")
 

@@ -217,10 +217,11 @@ def test_what_a_method_cannot_render_is_passed_over_and_told(cache):
     network = task.network()
     expected, _ = task.loss(network, ONE_CROP)
     for passed_over in range(len(walked[0]) + 1):
-        loss, _ = with_walks.loss(network, ONE_CROP | {"samples": torch.tensor([passed_over])})
+        loss, figures = with_walks.loss(network, ONE_CROP | {"samples": torch.tensor([passed_over])})
         assert torch.equal(loss, expected)
+        assert figures["passed_over"] == len(walked[0]) - passed_over
     assert with_walks.validate(network) == task.validate(network)
-    assert "without 1 such as are not learned from either: GPS-Gaussian needs a stereo pair" in with_walks.evaluated_on
+    assert "without 1 of them, as the method cannot render such views: GPS-Gaussian needs" in with_walks.evaluated_on
     assert "without" not in task.evaluated_on
     alone = replace(task, training=walked[0], validation=walked[1])
     with pytest.raises(TrainingError, match=r"wanted views to learn from, got none that it can render: .* no stereo pair"):

@@ -17,7 +17,7 @@ from ggvs_eval.pipelines.training.stereo.stereo_loss import matching_loss, seque
 from ggvs_eval.pipelines.training.stereo.stereo_task import StereoTask
 from ggvs_eval.pipelines.training.train_one import planned_task
 from ggvs_eval.training.card import write_card
-from ggvs_eval.training.log import draw_curves
+from ggvs_eval.training.log import TrainingLog, draw_curves
 from ggvs_eval.training.loop import TrainingOptions, train
 from ggvs_eval.training.task import Schedule
 
@@ -185,6 +185,16 @@ def test_a_training_is_drawn(tmp_path):
     log = (tmp_path / "log.csv").read_text().splitlines()
     (tmp_path / "log.csv").write_text("\n".join(log[: len(log) // 2]) + "\n")
     assert draw_curves(tmp_path, "line").read_bytes() != drawn
+
+
+def test_a_log_keeps_the_columns_that_it_began_with(tmp_path):
+    """A training that an earlier release began goes on with a figure more: the log stays a table, the old columns are filled."""
+    log = TrainingLog(tmp_path, 0)
+    log.step(0, {"loss": 0.5, "seconds": 2.0})
+    log.step(1, {"loss": 0.25, "passed_over": 3.0, "seconds": 1.0})
+    assert (tmp_path / "log.csv").read_text().split() == ["step,loss,seconds", "0,0.5,2", "1,0.25,1"]
+    log.validation(2, {"psnr_db": 20.0})
+    assert (tmp_path / "validation.csv").read_text().split() == ["step,psnr_db", "2,20"]
 
 
 def test_the_card_tells_cost_and_quality(tmp_path):
