@@ -127,7 +127,7 @@ def lpips_features(image: Image, net: LpipsNet, device: str = "cpu") -> "list[to
     # On a GPU without rounded factors, and with equal bits from call to call.
     with torch.inference_mode(), torch.backends.cudnn.flags(enabled=True, deterministic=True, allow_tf32=False):
         features = network_input(image, device)[None].to(weights["conv0.weight"]).contiguous(memory_format=torch.channels_last)
-        return [tap.float() for tap in _tapped_layers(features, LAYERS[net], weights)]
+        return [tap.float() for tap in tapped_layers(features, LAYERS[net], weights)]
 
 
 @dataclass(frozen=True)
@@ -203,10 +203,11 @@ def load_weights(net: LpipsNet, device: str = "cpu") -> "dict[str, torch.Tensor]
     if set(tensors) != convolution_names | {f"head{i}.weight" for i in range(heads)}:
         raise WeightsError(f"{path}: holds the tensors of another network; delete it and run `{FETCH_COMMAND}`")
     dtype = torch.bfloat16 if net == "vgg-bf16" else torch.float32
-    return {
-        name: tensor.to(device) if name.startswith("head") else _kernel(tensor.to(device, dtype))
-        for name, tensor in tensors.items()
-    }
+    with torch.inference_mode(False):  # whoever asks first, a training may learn by them later
+        return {
+            name: tensor.to(device, copy=True) if name.startswith("head") else _kernel(tensor.to(device, dtype, copy=True))
+            for name, tensor in tensors.items()
+        }
 
 
 def _kernel(tensor: "torch.Tensor") -> "torch.Tensor":
@@ -226,10 +227,18 @@ def network_input(image: Image, device: str = "cpu") -> "torch.Tensor":
     return ((signed - shift) / scale).permute(2, 0, 1)
 
 
-def _tapped_layers(
+def network_input_of(images: "torch.Tensor") -> "torch.Tensor":
+    """`network_input` of a batch (B, 3, H, W) in [0, 1], through which gradients flow."""
+    import torch
+
+    shift, scale = (torch.tensor(each, device=images.device)[:, None, None] for each in (COLOUR_SHIFT, COLOUR_SCALE))
+    return (images * 2 - 1 - shift) / scale
+
+
+def tapped_layers(
     features: "torch.Tensor", layers: tuple[Layer, ...], weights: "dict[str, torch.Tensor]"
 ) -> "list[torch.Tensor]":
-    """Run a frame (1, 3, H, W) through the network and keep what is compared."""
+    """Run `network_input` of frames (B, 3, H, W) through the network and keep what is compared."""
     from torch.nn import functional
 
     taps: list[torch.Tensor] = []

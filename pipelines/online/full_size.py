@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Map
@@ -18,7 +19,7 @@ from ggvs_eval.pipelines.online.blend_maps import FAINT, BlendMaps, in_order, ma
 from ggvs_eval.pipelines.online.blend_network import BEYOND_VIEWS, SURE
 from ggvs_eval.pipelines.online.blending import BlendingInputs
 from ggvs_eval.pipelines.online.packed_layers import packed_once, parameter_map
-from ggvs_eval.pipelines.online.refiner import Refiner
+from ggvs_eval.pipelines.online.refiner import COLOUR_GAIN, Refiner, picture_statistics
 
 OUTPUT_MULTIPLE = 8  # of a layer: so many are summed at once
 
@@ -134,9 +135,27 @@ def refined(refiner: Refiner, picture: Composed, depth: Map | None, small: Map, 
     from ggvs_eval.kernels import _core
 
     depth = np.zeros_like(picture.spread) if depth is None else np.ascontiguousarray(depth, np.float32)
-    layers = packed_once(refiner, None, lambda: _layers(refiner))
+    layers = _conditioned(packed_once(refiner, None, lambda: _layers(refiner)), refiner, picture)
     evidence = picture.picture, picture.spread, picture.shown, depth
     return _core.refine(*evidence, small, scale, views + BEYOND_VIEWS, layers, get_threads(), SIMD_LEVELS.index(get_simd_level()))
+
+
+def _conditioned(layers: list[tuple[Map, Map, int]], refiner: Refiner, picture: Composed) -> list[tuple[Map, Map, int]]:
+    """The layers as the statistics of a picture change them: shifted biases, scaled inputs of the last one.
+
+    Weights of half precision times statistics of few bits are exact in doubles, sums too: equal bits on every processor.
+    """
+    image, spread = torch.from_numpy(picture.picture)[None], torch.from_numpy(picture.spread)[None]
+    with torch.inference_mode():
+        statistics = picture_statistics(image, (COLOUR_GAIN * spread).clamp(-1, 1))[0]
+        condition = refiner.condition.weight.double() @ statistics + refiner.condition.bias.double()
+        *shifts, gain = (part.float().numpy(force=True) for part in condition.chunk(3))
+    shifted = [
+        (filters, bias + np.pad(shift, (0, len(bias) - len(shift))), count)
+        for (filters, bias, count), shift in zip(layers[:-1], shifts, strict=True)
+    ]
+    weights, *rest = layers[-1]
+    return [*shifted, (weights * (1 + gain)[:, None], *rest)]
 
 
 def _layers(refiner: Refiner) -> list[tuple[Map, Map, int]]:

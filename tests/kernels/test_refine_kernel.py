@@ -47,6 +47,8 @@ def random_network(config: BlendNetworkOptions, width: int | None = None) -> Ble
     torch.nn.init.normal_(network.unet.last.weight, std=0.5)
     if network.refiner is not None:
         torch.nn.init.normal_(network.refiner.taps.weight, std=0.3)
+        torch.nn.init.normal_(network.refiner.condition.weight, std=0.05)
+        torch.nn.init.normal_(network.refiner.condition.bias, std=0.2)
     return network
 
 
@@ -178,6 +180,18 @@ def test_threads_and_instruction_sets_change_no_bit():
         images[level] = alone[0]
     for image in images.values():
         np.testing.assert_array_equal(image, images["baseline"])
+
+
+def test_statistics_steer_the_filters():
+    """A network with a condition makes another picture than one without, and no statistic of a real size breaks it."""
+    network, maps = (
+        random_network(BlendNetworkOptions(2, "registered", 4, 4, 4)),
+        random_maps(np.random.default_rng(4), 60, 44, 2),
+    )
+    steered = blend_by(network, maps).image
+    for parameter in network.refiner.condition.parameters():
+        torch.nn.init.zeros_(parameter)
+    assert np.abs(blend_by(network, maps).image - steered).max() > 0.01
 
 
 def test_a_network_that_must_not_see_depth_does_not():

@@ -123,6 +123,16 @@ def test_the_network_decides(weights, tmp_path):
     assert black.max() < 1e-6
 
 
+def test_weights_of_before_the_condition_serve_on(weights, tmp_path):
+    """A file without the refiner's condition gives the picture of one whose condition is zero."""
+    tensors = {name: tensor.contiguous() for name, tensor in load_blend_network(weights).state_dict().items()}
+    files = tmp_path / "without.safetensors", tmp_path / "zero.safetensors"
+    save_file({name: tensor for name, tensor in tensors.items() if "condition" not in name}, files[0])
+    save_file({name: torch.zeros_like(tensor) if "condition" in name else tensor for name, tensor in tensors.items()}, files[1])
+    first, second = (NetworkBlender(file).blend(inputs_of(instant(0, TARGET, SOURCES))).image for file in files)
+    np.testing.assert_array_equal(first, second)
+
+
 def test_equal_bits_for_any_number_of_threads(weights):
     """The image is the same to the last bit with one thread and with three, and the number of threads is left as it was."""
     inputs, images = inputs_of(instant(0, TARGET, SOURCES)), []
@@ -221,6 +231,7 @@ def test_an_image_of_a_batch_is_the_blenders_image(config):
     network = BlendNetwork(config).eval()
     torch.nn.init.normal_(network.unet.last.weight, std=0.3)
     torch.nn.init.normal_(network.refiner.taps.weight, std=0.1)
+    torch.nn.init.normal_(network.refiner.condition.weight, std=0.05)
     maps = blend_maps(inputs_of(instant(0, TARGET, SOURCES)), config.guidance)
     start = {name: torch.from_numpy(array)[None] for name, array in blend_start(maps).items()}
     with torch.inference_mode():

@@ -4,7 +4,20 @@ import numpy as np
 import pytest
 import torch
 
-from ggvs_eval.pipelines.online.refiner import EVIDENCE, TAPS, Refiner, evidence, filtered, local_range, relief
+from ggvs_eval.pipelines.online.refiner import (
+    EVIDENCE,
+    LEAST,
+    STATISTICS_GAIN,
+    STATISTICS_GRID,
+    TAPS,
+    TYPICAL,
+    Refiner,
+    evidence,
+    filtered,
+    local_range,
+    picture_statistics,
+    relief,
+)
 
 HEIGHT, WIDTH = 9, 11
 
@@ -44,6 +57,7 @@ def trained(features: int) -> Refiner:
     torch.manual_seed(0)
     refiner = Refiner(features)
     torch.nn.init.normal_(refiner.taps.weight, std=0.3)
+    torch.nn.init.normal_(refiner.condition.weight, std=0.05)
     return refiner
 
 
@@ -56,6 +70,35 @@ def test_it_treats_colours_alike_and_keeps_flat_areas():
     assert not torch.allclose(found, picture, atol=0.01)
     flat = torch.full_like(picture, 0.3)
     torch.testing.assert_close(refiner(flat, *rest), flat, atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (2, 5), (9, 11), (32, 17)])
+def test_statistics_are_their_formula(size):
+    """Of every eighth row means, geometric and arithmetic, of the spread and of second differences, as logarithms."""
+    picture, spread = some(2, 3, *size), some(2, *size, seed=1)
+    found = picture_statistics(picture, spread).numpy()
+    for image, values, statistics in zip(picture.mean(1).double().numpy(), spread.double().numpy(), found, strict=True):
+        inner = image[1:-1, 1:-1]
+        along = np.abs(inner - (image[:-2, 1:-1] + image[2:, 1:-1]) / 2) + np.abs(
+            inner - (image[1:-1, :-2] + image[1:-1, 2:]) / 2
+        )
+        along = along if along.size else np.zeros((1, 1))
+        means = [mean for of in (values[::8], along[::8]) for mean in (np.log(of + LEAST).mean(), np.log(of.mean() + LEAST))]
+        np.testing.assert_allclose(statistics, STATISTICS_GAIN * (np.array(means) - TYPICAL), atol=1 / STATISTICS_GRID)
+        np.testing.assert_array_equal(statistics * STATISTICS_GRID % 1, 0)
+
+
+def test_statistics_know_noise_from_blur():
+    """Noise raises the detail, most where there was none; blur lowers it; the views' spread is taken as it is."""
+    rows, columns = torch.meshgrid(torch.arange(60), torch.arange(80), indexing="ij")
+    texture = (0.5 + 0.2 * torch.sin(columns / 3) * torch.sin(rows / 4)).expand(1, 3, -1, -1)
+    noise = 0.02 * torch.randn(1, 3, 60, 80, generator=torch.Generator().manual_seed(0))
+    blurred = torch.nn.functional.avg_pool2d(texture, 5, 1, 2, count_include_pad=False)
+    clean, noisy, soft = (picture_statistics(each, torch.zeros(1, 60, 80))[0] for each in (texture, texture + noise, blurred))
+    assert (soft[2:] < clean[2:]).all()
+    assert (clean[2:] < noisy[2:]).all()
+    assert noisy[2] - clean[2] > noisy[3] - clean[3]
+    assert (clean[:2] == noisy[:2]).all()
 
 
 def views(count: int, **changed: torch.Tensor) -> dict[str, torch.Tensor]:

@@ -88,23 +88,24 @@ def test_structural_loss_is_one_minus_the_metric():
     assert float(tensors[0].grad.abs().sum()) > 0
 
 
-@pytest.mark.parametrize("tsdf_guidance", [True, False])
-def test_the_loss_weighs_its_terms(tsdf_guidance):
-    """0.8 L1 + 0.2 (1 - SSIM) + 0.1 depth + 0.1 mask; without guidance no depth term."""
+@pytest.mark.parametrize(("tsdf_guidance", "perceptual"), [(True, 0.0), (False, 0.0), (True, 0.25)])
+def test_the_loss_weighs_its_terms(tsdf_guidance, perceptual):
+    """0.8 L1 + 0.2 (1 - SSIM) + 0.1 depth + 0.1 mask, and the perceptual one; without guidance no depth term."""
     generator = torch.Generator().manual_seed(0)
-    image, alphas = torch.rand(1, 3, 16, 16, generator=generator), torch.rand(1, 2, 16, 16, generator=generator)
-    shares = torch.softmax(torch.rand(1, 2, 16, 16, generator=generator), dim=1)
-    background = torch.rand(1, 3, 16, 16, generator=generator)
-    outputs = BlendOutputs(shares, torch.rand(1, 16, 16, generator=generator), background, torch.zeros(1, 0, 16, 16))
+    image, alphas = torch.rand(1, 3, 40, 48, generator=generator), torch.rand(1, 2, 40, 48, generator=generator)
+    shares = torch.softmax(torch.rand(1, 2, 40, 48, generator=generator), dim=1)
+    background = torch.rand(1, 3, 40, 48, generator=generator)
+    outputs = BlendOutputs(shares, torch.rand(1, 40, 48, generator=generator), background, torch.zeros(1, 0, 40, 48))
     batch = {
         "alphas": alphas,
-        "truth": torch.rand(1, 3, 16, 16, generator=generator),
-        "depths": torch.rand(1, 2, 16, 16, generator=generator),
-        "fused_depth": torch.rand(1, 16, 16, generator=generator),
+        "truth": torch.rand(1, 3, 40, 48, generator=generator),
+        "depths": torch.rand(1, 2, 40, 48, generator=generator),
+        "fused_depth": torch.rand(1, 40, 48, generator=generator),
     }
-    loss, terms = blend_loss(image, outputs, batch, BlendLossWeights(), tsdf_guidance)
-    factors = {"l1_loss": 0.8, "ssim_loss": 0.2, "mask_loss": 0.1, "depth_loss": 0.1}
-    assert terms.keys() == factors.keys() - (set() if tsdf_guidance else {"depth_loss"})
+    loss, terms = blend_loss(image, outputs, batch, BlendLossWeights(perceptual=perceptual), tsdf_guidance)
+    factors = {"l1_loss": 0.8, "ssim_loss": 0.2, "mask_loss": 0.1, "depth_loss": 0.1, "perceptual_loss": perceptual}
+    absent = {name for name, used in (("depth_loss", tsdf_guidance), ("perceptual_loss", perceptual)) if not used}
+    assert terms.keys() == factors.keys() - absent
     assert float(loss) == pytest.approx(sum(factors[name] * term for name, term in terms.items()), rel=1e-5)
     assert terms["l1_loss"] == pytest.approx(float((image - batch["truth"]).abs().mean()), rel=1e-5)
 

@@ -1,4 +1,4 @@
-"""The loss of the blending network (Eqs. 6-7)."""
+"""The loss of the blending network (Eqs. 6-7), and a perceptual term."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,30 +8,33 @@ from torch import Tensor
 
 from ggvs_eval.geometry.splat import COVERED_ALPHA
 from ggvs_eval.pipelines.online.blend_network import BlendOutputs, weighted_mean_tensor
+from ggvs_eval.pipelines.training.blend.perceptual_loss import perceptual_loss
 from ggvs_eval.training.losses import structural_loss
 
 
 @dataclass(frozen=True)
 class BlendLossWeights:
-    """The paper's weights of the terms.
+    """Weights of the terms: the paper's four, and ours.
 
     Attributes:
         l1: mean absolute error of the colour.
         ssim: 1 - SSIM.
         depth: `depth_loss`.
         mask: `mask_loss`.
+        perceptual: `perceptual_loss`; 0 for the paper's loss.
     """
 
     l1: float = 0.8
     ssim: float = 0.2
     depth: float = 0.1
     mask: float = 0.1
+    perceptual: float = 0.1
 
 
 def blend_loss(
     image: Tensor, outputs: BlendOutputs, batch: Mapping[str, Tensor], weights: BlendLossWeights, tsdf_guidance: bool
 ) -> tuple[Tensor, dict[str, float]]:
-    """Eq. 7.
+    """Eq. 7, and the perceptual term.
 
     Args:
         image: the synthesised view, (B, 3, H, W).
@@ -49,6 +52,8 @@ def blend_loss(
         "ssim": structural_loss(image, batch["truth"]),
         "mask": mask_loss(outputs.background_weight, batch["alphas"]),
     }
+    if weights.perceptual > 0:
+        terms["perceptual"] = perceptual_loss(image, batch["truth"])
     if tsdf_guidance:
         terms["depth"] = depth_loss(batch["depths"], batch["fused_depth"], outputs.weights * batch["alphas"])
     loss = torch.stack([getattr(weights, name) * term for name, term in terms.items()]).sum()

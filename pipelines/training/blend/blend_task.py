@@ -20,6 +20,7 @@ from ggvs_eval.pipelines.online.network_blender import blend_by, blend_start
 from ggvs_eval.pipelines.online.network_inputs import GUIDED, guide_depth, input_channels, reference_depth
 from ggvs_eval.pipelines.training.blend.blend_augmentation import Augmentation, augment
 from ggvs_eval.pipelines.training.blend.blend_loss import BlendLossWeights, blend_loss
+from ggvs_eval.pipelines.training.blend.perceptual_loss import require_perceptual
 from ggvs_eval.pipelines.training.samples.blend_samples import BlendSample, RawViews
 from ggvs_eval.pipelines.training.samples.samples import Samples, require_room
 from ggvs_eval.training.task import Schedule
@@ -69,6 +70,8 @@ class BlendTask:
                     f"a network for {self.config.views} views cannot learn from samples of {plan.most_views} views"
                 )
         require_room(self.training, self.crop_width, self.crop_height)
+        if self.weights.perceptual > 0:
+            require_perceptual(self.crop_width, self.crop_height)
 
     @property
     def name(self) -> str:
