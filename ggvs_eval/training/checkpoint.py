@@ -90,9 +90,10 @@ def write_weights(path: Path, network: nn.Module, notes: Mapping[str, str]) -> N
 
 
 def pour_weights(path: Path, network: nn.Module) -> None:
-    """Give a network the weights of such a file.
+    """Give a network the weights of such a file; one that says how earlier weights are `completed` takes those, too.
 
     Raises:
         WeightsError: absent, damaged, or of another network.
     """
-    load_strict(read_tensors(path, of=NETWORK), network, path, NETWORK)
+    completed = getattr(network, "completed", dict)
+    load_strict(completed(read_tensors(path, of=NETWORK)), network, path, NETWORK)

@@ -9,7 +9,7 @@ from torch.nn import functional
 
 from ggvs_eval.pipelines.online.blend_maps import Guidance
 from ggvs_eval.pipelines.online.network_inputs import GUIDED, channel_count
-from ggvs_eval.pipelines.online.refiner import NO_WEIGHT, Refiner, evidence
+from ggvs_eval.pipelines.online.refiner import NO_WEIGHT, STATISTICS, Refiner, evidence
 from ggvs_eval.pipelines.online.unet import UNet
 
 BEYOND_VIEWS = 4  # outputs beside one per view: weight of the background and change of its colour
@@ -63,6 +63,16 @@ class BlendNetwork(nn.Module):
         for parameter in self.unet.last.parameters():
             nn.init.zeros_(parameter)  # so it begins as geometric weights and learns what to change
         self.refiner = Refiner(config.features) if config.features else None
+
+    @staticmethod
+    def completed(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Give earlier weights the refiner's `condition` that they lack: zeros, by which no bit changes."""
+        taps = tensors.get("refiner.taps.weight")
+        if taps is None or taps.ndim != 4 or "refiner.condition.weight" in tensors:
+            return dict(tensors)
+        width = 3 * taps.shape[1]
+        zeros = {"refiner.condition.weight": taps.new_zeros(width, STATISTICS), "refiner.condition.bias": taps.new_zeros(width)}
+        return {**tensors, **zeros}
 
     def forward(self, channels: Tensor) -> Tensor:
         """Input channels (B, inputs, h, w) to raw outputs (B, views + 4 + features, h, w)."""

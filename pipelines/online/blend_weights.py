@@ -12,7 +12,7 @@ from ggvs_eval.files.weights_file import load_strict, read_tensors, require_shap
 from ggvs_eval.pipelines.online.blend_maps import Guidance
 from ggvs_eval.pipelines.online.blend_network import BEYOND_VIEWS, BlendNetwork, BlendNetworkOptions
 from ggvs_eval.pipelines.online.network_inputs import channel_count
-from ggvs_eval.pipelines.online.refiner import EVIDENCE, STATISTICS
+from ggvs_eval.pipelines.online.refiner import EVIDENCE
 
 NETWORK = "a blending network"  # in messages
 CPU = torch.device("cpu")
@@ -53,23 +53,13 @@ def load_blend_network(path: Path, device: torch.device = CPU) -> BlendNetwork:
     Raises:
         WeightsError: absent, damaged, or tensors of no blending network.
     """
-    tensors = _with_condition(read_tensors(path, of=NETWORK))
+    tensors = BlendNetwork.completed(read_tensors(path, of=NETWORK))
     network = BlendNetwork(_configuration(tensors, path))
     load_strict(tensors, network, path, NETWORK)
     if device.type != "cpu":
         return network.eval().to(device)
     # Channels that lie side by side are convolved twice as fast.
     return network.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-
-
-def _with_condition(tensors: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    """Give earlier weights the refiner's `condition` that they lack: zeros, by which no bit changes."""
-    taps = tensors.get("refiner.taps.weight")
-    if taps is None or taps.ndim != 4 or "refiner.condition.weight" in tensors:
-        return tensors
-    width = 3 * taps.shape[1]
-    added = {"refiner.condition.weight": taps.new_zeros(width, STATISTICS), "refiner.condition.bias": taps.new_zeros(width)}
-    return tensors | added
 
 
 def _configuration(tensors: Mapping[str, torch.Tensor], path: Path) -> BlendNetworkOptions:

@@ -21,9 +21,9 @@ from ggvs_eval.pipelines.online.packed_layers import packed_once, parameter_map
 from ggvs_eval.pipelines.online.refiner import (
     COLOUR_GAIN,
     LEAST,
+    ROW_STEP_PX,
     STATISTICS_GAIN,
     STATISTICS_GRID,
-    STEP_PX,
     TYPICAL,
     Refiner,
 )
@@ -153,7 +153,7 @@ def _conditioned(layers: list[tuple[Map, Map, int]], refiner: Refiner, picture: 
     Weights of half precision times statistics of few bits are exact in doubles, sums too: equal bits on every processor.
     """
     weights, bias = (parameter_map(refiner.condition, name).astype(np.float64) for name in ("weight", "bias"))
-    *shifts, gain = np.split(((weights * _statistics(picture)).sum(axis=1) + bias).astype(np.float32), 3)
+    *shifts, gain = np.split(((weights * statistics_of(picture)).sum(axis=1) + bias).astype(np.float32), 3)
     shifted = [
         (filters, bias + np.pad(shift, (0, len(bias) - len(shift))), count)
         for (filters, bias, count), shift in zip(layers[:-1], shifts, strict=True)
@@ -162,16 +162,20 @@ def _conditioned(layers: list[tuple[Map, Map, int]], refiner: Refiner, picture: 
     return [*shifted, (taps * (1 + gain)[:, None], *rest)]
 
 
-def _statistics(picture: Composed) -> NDArray[np.float64]:
-    """`picture_statistics` by numpy, (4,): torch's threads, once woken, would spin beside those of the kernels."""
-    spread = np.clip(np.float32(COLOUR_GAIN) * picture.spread[::STEP_PX], -1, 1)
+def statistics_of(picture: Composed) -> NDArray[np.float64]:
+    """`picture_statistics` by numpy, (4,), with equal bits: torch's threads, once woken, would spin beside those of the kernels.
+
+    Args:
+        picture: what the network's outputs compose.
+    """
+    spread = np.clip(np.float32(COLOUR_GAIN) * picture.spread[::ROW_STEP_PX], -1, 1)
     means = [*_log_means(spread), *_log_means(_detail(picture.picture))]
     return np.round(STATISTICS_GAIN * (np.array(means) - TYPICAL) * STATISTICS_GRID) / STATISTICS_GRID
 
 
 def _detail(picture: Map) -> Map:
     """Absolute second differences of the mean colour, of every eighth row; 0 in a picture that has none."""
-    parts = slice(1, -1, STEP_PX), slice(0, -2, STEP_PX), slice(2, None, STEP_PX)
+    parts = slice(1, -1, ROW_STEP_PX), slice(0, -2, ROW_STEP_PX), slice(2, None, ROW_STEP_PX)
     red, green, blue = picture
     rows, above, below = ((red[part] + green[part] + blue[part]) / np.float32(3) for part in parts)
     detail = np.abs(rows - (above + below) / 2)[:, 1:-1] + np.abs(rows[:, 1:-1] - (rows[:, :-2] + rows[:, 2:]) / 2)

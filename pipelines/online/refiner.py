@@ -10,9 +10,9 @@ REACH_PX = 2
 TAPS = ((-2, 0), (-1, -1), (-1, 0), (-1, 1), (0, -2), (0, -1), (0, 1), (0, 2), (1, -1), (1, 0), (1, 1), (2, 0))  # row, column
 EVIDENCE = 6  # channels of `evidence`
 STATISTICS = 4  # of `picture_statistics`
-STEP_PX = 8  # one row in so many speaks for the picture
+ROW_STEP_PX = 8  # one row in so many speaks for the picture
 STATISTICS_GAIN = 4.0
-STATISTICS_GRID = 1024.0  # steps of 1
+STATISTICS_GRID = 1024.0  # steps per unit that statistics are rounded to
 TYPICAL = (-2.9, -2.3, -4.3, -3.7)  # statistics of a validation room
 LEAST = 0.002  # half a level of 8 bits: nothing is smaller than that
 COLOUR_GAIN = 10.0  # a spread of a tenth of full scale is as much as can be
@@ -75,12 +75,12 @@ def picture_statistics(picture: Tensor, spread: Tensor) -> Tensor:
         neither the order of a sum nor the processor's logarithm changes a bit.
     """
     with torch.no_grad():
-        parts = slice(1, -1, STEP_PX), slice(0, -2, STEP_PX), slice(2, None, STEP_PX)
+        parts = slice(1, -1, ROW_STEP_PX), slice(0, -2, ROW_STEP_PX), slice(2, None, ROW_STEP_PX)
         rows, above, below = (picture[:, :, part].mean(dim=1) for part in parts)
         along_columns = (rows - (above + below) / 2).abs()[..., 1:-1]
         detail = along_columns + (rows[..., 1:-1] - (rows[..., :-2] + rows[..., 2:]) / 2).abs()
         means = []
-        for values in (spread[:, ::STEP_PX], detail if detail.numel() else torch.zeros_like(spread[:, :1, :1])):
+        for values in (spread[:, ::ROW_STEP_PX], detail if detail.numel() else torch.zeros_like(spread[:, :1, :1])):
             flat = values.double().flatten(1)
             means += [(flat + LEAST).log().mean(dim=1), (flat.mean(dim=1) + LEAST).log()]
         scaled = STATISTICS_GAIN * (torch.stack(means, dim=1) - torch.tensor(TYPICAL, dtype=torch.float64, device=picture.device))

@@ -21,10 +21,10 @@ from ggvs_eval.pipelines.online.blend_network import (
     read_outputs,
     small_outputs,
 )
-from ggvs_eval.pipelines.online.full_size import Composed, composed, refined
+from ggvs_eval.pipelines.online.full_size import Composed, composed, refined, statistics_of
 from ggvs_eval.pipelines.online.network_blender import blend_by, blend_on, blend_start, view_shares
 from ggvs_eval.pipelines.online.network_inputs import GUIDED, input_channels
-from ggvs_eval.pipelines.online.refiner import Refiner, evidence
+from ggvs_eval.pipelines.online.refiner import COLOUR_GAIN, Refiner, evidence, picture_statistics
 from helpers.blender_inputs import random_maps
 from helpers.geometry_scenes import seeds
 
@@ -183,7 +183,7 @@ def test_threads_and_instruction_sets_change_no_bit():
 
 
 def test_statistics_steer_the_filters():
-    """A network with a condition makes another picture than one without, and no statistic of a real size breaks it."""
+    """A network with a condition makes another picture than one whose condition is zero."""
     network, maps = (
         random_network(BlendNetworkOptions(2, "registered", 4, 4, 4)),
         random_maps(np.random.default_rng(4), 60, 44, 2),
@@ -192,6 +192,19 @@ def test_statistics_steer_the_filters():
     for parameter in network.refiner.condition.parameters():
         torch.nn.init.zeros_(parameter)
     assert np.abs(blend_by(network, maps).image - steered).max() > 0.01
+
+
+@settings(deadline=None, max_examples=20)
+@given(seeds, st.integers(1, 60), st.integers(1, 40), st.floats(1e-4, 0.3))
+def test_statistics_are_the_twins_to_the_last_bit(seed, width, height, noise):
+    """By numpy beside the kernels or by torch: rounded, they are equal."""
+    random = np.random.default_rng(seed)
+    image = np.clip(0.5 + random.normal(0, noise, (3, height, width)), 0, 1).astype(np.float32)
+    spread = np.abs(random.normal(0, noise, (height, width))).astype(np.float32)
+    composed_picture = Composed(image, spread, np.ones_like(spread))
+    twin_spread = (COLOUR_GAIN * torch.from_numpy(spread)[None]).clamp(-1, 1)
+    expected = picture_statistics(torch.from_numpy(image)[None], twin_spread)[0].numpy()
+    np.testing.assert_array_equal(statistics_of(composed_picture), expected)
 
 
 def test_a_network_that_must_not_see_depth_does_not():

@@ -20,7 +20,7 @@ from ggvs_eval.pipelines.online.blending import GeometricBlender
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
 from ggvs_eval.pipelines.online.network_blender import NetworkBlender, blend_by, blend_start
 from ggvs_eval.pipelines.online.network_inputs import input_channels
-from ggvs_eval.training.checkpoint import write_weights
+from ggvs_eval.training.checkpoint import pour_weights, write_weights
 from helpers.blender_inputs import inputs_of
 from helpers.scenes import camera_at, instant
 
@@ -131,6 +131,10 @@ def test_weights_of_before_the_condition_serve_on(weights, tmp_path):
     save_file({name: torch.zeros_like(tensor) if "condition" in name else tensor for name, tensor in tensors.items()}, files[1])
     first, second = (NetworkBlender(file).blend(inputs_of(instant(0, TARGET, SOURCES))).image for file in files)
     np.testing.assert_array_equal(first, second)
+    network = load_blend_network(weights)
+    torch.nn.init.ones_(network.refiner.condition.weight)
+    pour_weights(files[0], network)  # as a training that starts from it does
+    assert not network.refiner.condition.weight.any()
 
 
 def test_equal_bits_for_any_number_of_threads(weights):

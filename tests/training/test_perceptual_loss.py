@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from ggvs_eval.errors import TrainingError
-from ggvs_eval.metrics.image.lpips import lpips, weights_path
+from ggvs_eval.metrics.image.lpips import load_weights, lpips, weights_path
 from ggvs_eval.pipelines.training.blend.perceptual_loss import NOISE_255, noise_255, perceptual_loss, require_perceptual
 
 needs_weights = pytest.mark.skipif(not weights_path("alex").is_file(), reason="the weights of LPIPS are not fetched")
@@ -46,6 +46,17 @@ def test_gradients_lead_to_the_truth():
     assert losses == sorted(losses, reverse=True)
     assert losses[-1] < 0.95 * losses[0]
     assert float(perceptual_loss(truth, truth)) == 0
+
+
+@needs_weights
+def test_weights_first_read_while_scoring_serve_a_training():
+    """Whoever reads the weights first, in inference mode even, a loss can be learned by afterwards."""
+    load_weights.cache_clear()
+    with torch.inference_mode():
+        lpips(bytes_of(64, 80, 0), bytes_of(64, 80, 1), "alex")
+    image = batch(bytes_of(64, 80, 0)).requires_grad_()
+    perceptual_loss(image, batch(bytes_of(64, 80, 1))).backward()
+    assert float(image.grad.abs().sum()) > 0
 
 
 @pytest.mark.parametrize("sigma", [2.0, 8.0])
