@@ -13,7 +13,7 @@ from torch.optim.lr_scheduler import OneCycleLR
 from ggvs_eval.baselines.gps_gaussian.gaussians import Gaussians, rotation_matrices
 from ggvs_eval.baselines.gps_gaussian.method import GpsGaussian
 from ggvs_eval.baselines.gps_gaussian.network import GpsGaussianNetwork, load_network
-from ggvs_eval.baselines.gps_gaussian.rectification import choose_pairs, rectify
+from ggvs_eval.baselines.gps_gaussian.rectification import MOST_PIXELS, choose_pairs, rectify
 from ggvs_eval.baselines.gps_gaussian.rendering import blend_gaussians, render_gaussians
 from ggvs_eval.baselines.gps_gaussian.unet import MAX_SCALE_M
 from ggvs_eval.compute_device import one_thread
@@ -208,6 +208,26 @@ def test_whole_canvases_lose_nothing_and_are_no_larger_than_they_must_be(title):
     assert 0 <= pair.left.camera.height - height < 8
     left, right = (view.camera.project(np.array([[0.1, -0.2, 4.0]]))[0] for view in pair.views)
     np.testing.assert_allclose(left[:, 1], right[:, 1], atol=1e-9)
+
+
+@pytest.mark.parametrize("ahead", [0.0, 0.2, 0.3, 0.45])
+def test_whole_canvases_stay_within_a_multiple_of_the_image(ahead):
+    """However far ahead of the other the right camera stands: all of both images, on no more than so many of their pixels."""
+    left, right = camera_at(-0.15), camera_at(0.15)
+    walked = np.array(right.world_to_camera)
+    walked[2, 3] -= ahead
+    cameras = left, replace(right, world_to_camera=walked)
+    pair = rectify(*cameras, whole=True)
+    width, height = pair.left.camera.size
+    assert (width - 8) * (height - 8) <= MOST_PIXELS * left.width * left.height
+    shrunken = pair.left.camera.focal_px < left.focal_px * (1 - 1e-9)
+    assert shrunken == (ahead > 0.2)  # 8.5 and 81 times the image otherwise
+    for view, camera in zip(pair.views, cameras, strict=True):
+        uv, depth = view.camera.project(camera.unproject(camera.pixel_centres(), np.ones(camera.pixel_centres().shape[:-1])))
+        assert (depth > 0).all()
+        assert ((uv >= 0) & (uv <= [width, height])).all()
+    left_uv, right_uv = (view.camera.project(np.array([[0.1, -0.2, 4.0]]))[0] for view in pair.views)
+    np.testing.assert_allclose(left_uv[:, 1], right_uv[:, 1], atol=1e-9)
 
 
 def test_the_nearest_pair_that_is_one_is_taken():
