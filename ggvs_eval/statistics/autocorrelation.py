@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.fft import dct
+from scipy.fft import dct, dst
 from scipy.optimize import brentq
 from scipy.special import stdtr, stdtrit
 
@@ -155,7 +155,10 @@ def correlation_models(frames: int) -> Models:
 
 
 def model_variances(frames: int, correlations: Array, shares: Array, prior: Array) -> Models:
-    """Variances of the mean and of the cosine coefficients of short series, exactly.
+    """Variances of the mean and of the cosine coefficients of series, exactly.
+
+    Coefficient j of lag l overlaps itself by (1 - l / T) cos(pi j l / T) - sin(pi j l / T) / (T sin(pi j / T)); the sums over
+    lags are a cosine and a sine transform, so that memory grows with T alone.
 
     Args:
         frames: T.
@@ -164,12 +167,12 @@ def model_variances(frames: int, correlations: Array, shares: Array, prior: Arra
         prior: (G,).
     """
     lag = np.arange(1, frames)
-    angle = np.pi * lag / frames
     autocorrelation = (1.0 - shares)[:, None] * correlations[:, None] ** lag  # (G, T - 1)
-    of_mean = (1.0 + 2.0 * autocorrelation @ (1.0 - lag / frames)) / frames
-    turns = np.outer(lag, angle)
-    overlap = ((frames - lag)[:, None] * np.cos(turns) - np.sin(turns) / np.sin(angle)) / frames  # (lag, coefficient)
-    return Models((1.0 + 2.0 * autocorrelation @ overlap) / of_mean[:, None], prior, 1.0 / of_mean)
+    faded = autocorrelation * (1.0 - lag / frames)
+    of_mean = (1.0 + 2.0 * faded.sum(axis=1)) / frames
+    cosines = dct(np.pad(faded, ((0, 0), (1, 1)), constant_values=(1.0, 0.0)), type=1)[:, 1:-1]
+    sines = dst(autocorrelation, type=1) / (frames * np.sin(np.pi * lag / frames))
+    return Models((cosines - sines) / of_mean[:, None], prior, 1.0 / of_mean)
 
 
 def tail_probability(size: Array | np.float64, weights: Array, scales: Array, freedom: float) -> Array:

@@ -1,5 +1,7 @@
 """Errors of means of correlated series: Student's t in the simplest case, exact variances, laws, and coverage."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -49,6 +51,18 @@ def test_variances_are_those_of_the_whole_covariance(frames, correlation, share)
     of_mean = diagonal[0] / frames
     assert 1.0 / models.worth[0] == pytest.approx(of_mean, rel=1e-12)
     np.testing.assert_allclose(models.variances[0], diagonal[1:] / of_mean, rtol=1e-9)
+
+
+def test_memory_grows_with_the_length_of_a_clip_alone():
+    """Ten minutes of frames take the memory of a few arrays of that length for each model, not of its square."""
+    frames = 18_000
+    correlation_models.cache_clear()
+    tracemalloc.start()
+    correlation_posterior(np.random.default_rng(6).standard_normal(frames))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    n_models = len(correlation_models(frames).prior)
+    assert peak < 8 * n_models * frames * np.dtype(float).itemsize
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.5, 0.8])
