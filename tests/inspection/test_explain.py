@@ -449,7 +449,12 @@ def test_printed_digits_set_the_tolerance(quoted, value, tolerance):
     [
         ("niqe", "3.1", VIEWS, "no conventions known of 'niqe'"),
         ("psnr", "high", VIEWS, "wanted a number"),
-        ("psnr", "inf", VIEWS, "wanted a number"),
+        ("psnr", "inf", VIEWS, "wanted a finite number"),
+        ("psnr", "1e999", VIEWS, "wanted a finite number"),
+        ("psnr", "1e-999", VIEWS, "wanted a finite number"),
+        ("psnr", "", VIEWS, "wanted a number"),
+        ("psnr", "31.52 dB", VIEWS, "the unit 'dB', write 31.52"),
+        ("psnr", "31,52", VIEWS, "a decimal comma, write 31.52"),
         ("psnr", "30", (), "no views"),
         ("sdv", "0.1", VIEWS[:1], "needs 2"),
     ],

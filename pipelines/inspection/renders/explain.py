@@ -1,5 +1,6 @@
 """Explanation of a quoted number: recomputed under the conventions in use, of which those that give it are named."""
 
+import re
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -32,6 +33,7 @@ ROUNDING = 5e-6
 # Some dozen conventions lie within a decibel or two of each other: what two digits meet may be chance. A match is evidence where
 # few of the numbers near the quoted one would match something as well.
 NEIGHBOURHOOD, WEAK_CHANCE = 0.05, 0.25
+MOST_DIGITS = 100  # before or behind the point of a printed number
 OF_NO_VIEW = {"path": "a camera path", "depth": "depth videos"}
 Masks = Mapping[str, MaskReader]
 FAMILIES: Mapping[str, Callable[[Mapping[str, ViewFrames], Masks], list[Recomputed]]] = {
@@ -128,16 +130,26 @@ def printed(quoted: str) -> tuple[float, float]:
     """A printed number, and half of its last digit.
 
     Raises:
-        MetricError: not a finite number.
+        MetricError: not a finite number, or one that no metric has.
     """
     try:
         number = Decimal(quoted.strip())
     except InvalidOperation:
-        number = Decimal("NaN")
+        raise MetricError(f"wanted a number as it was printed, e.g. 0.936, got {quoted!r}{_mend(quoted)}") from None
     exponent = number.as_tuple().exponent
-    if not number.is_finite() or not isinstance(exponent, int):
-        raise MetricError(f"wanted a number as it was printed, e.g. 0.936, got {quoted!r}")
+    if not isinstance(exponent, int) or max(abs(exponent), abs(number.adjusted())) > MOST_DIGITS:
+        raise MetricError(f"wanted a finite number as it was printed, e.g. 0.936, got {quoted!r}")
     return float(number), 0.5 * 10.0**exponent
+
+
+def _mend(quoted: str) -> str:
+    """Suggest the number within a text: before a unit, or with a decimal comma."""
+    found = re.fullmatch(r"\s*([+-]?\d+)(?:[.,](\d+))?\s*([^\d\s.,]*)\s*", quoted)
+    if not found:
+        return ""
+    whole, digits, unit = found.groups()
+    wrong = [*(["a decimal comma"] if "," in quoted else []), *([f"the unit {unit!r}"] if unit else [])]
+    return f"; it has {' and '.join(wrong)}, write {whole + (f'.{digits}' if digits else '')}" if wrong else ""
 
 
 def tolerance(quoted: str, value: float) -> float:
