@@ -1,19 +1,16 @@
 """Prepare: what every method needs of a capture under a protocol - truth frames, source views, depth, a camera path."""
 
-import os
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from ggvs_eval.capture import Capture
-from ggvs_eval.datasets.frame_coding import coding_of
 from ggvs_eval.depth_store import DepthStore
-from ggvs_eval.errors import DeviceError, ProtocolError
-from ggvs_eval.files.atomic import write_text
+from ggvs_eval.errors import DeviceError
 from ggvs_eval.files.images import resize, write_image
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import prepare_depth
+from ggvs_eval.pipelines.run.claim import claim_folder
 from ggvs_eval.pipelines.run.disocclusion import write_disocclusions
 from ggvs_eval.pipelines.run.frame_cache import cache_frames
 from ggvs_eval.pipelines.run.path_depth import write_path_depth
@@ -55,7 +52,7 @@ def prepare_run(plan: RunPlan, workers: Workers = 1) -> RunPlan:
         ProtocolError: the folder belongs to another protocol or capture.
     """
     run = plan.run
-    _claim_folder(run, plan.protocol, plan.capture)
+    claim_folder(run, plan.protocol, plan.capture)
     if not run.depth_record.is_file():
         write_json(run.depth_record, plan.depth.record(plan.depth_device))
     capture = cache_frames(plan.capture, plan.frames_of_cameras(), run.root / "truth", workers)
@@ -95,49 +92,9 @@ def prepare_truth(root: Path, capture: Capture, protocol: Protocol, workers: Wor
         ProtocolError: the folder belongs to another protocol or capture.
     """
     capture, run = fit_capture(capture, protocol), RunFolder(root)
-    _claim_folder(run, protocol, capture)
+    claim_folder(run, protocol, capture)
     cache_frames(capture, dict.fromkeys(protocol.views.test, protocol.frames.numbers), run.root / "truth", workers)
     return run
-
-
-def _claim_folder(run: RunFolder, protocol: Protocol, capture: Capture) -> None:
-    """Make the folder this run's, or make sure that it already is."""
-    record = _capture_record(capture, run.root)
-    if run.protocol_file.is_file():
-        kept = run.protocol()
-        if not kept.agrees_with(protocol) or run.capture_record()["digests"] != record["digests"]:
-            raise ProtocolError(
-                f"{run.root}: holds a run of another protocol or capture ({kept.name}); choose a new folder or delete it"
-            )
-        protocol = protocol if protocol.views.folds else kept  # folds that were stated once stay
-    run.root.mkdir(parents=True, exist_ok=True)
-    write_json(run.root / "capture.json", record | {"coding": _coding_record(capture, protocol)})
-    write_text(run.protocol_file, protocol.to_toml())
-
-
-def _capture_record(capture: Capture, root: Path) -> dict[str, Any]:
-    """Describe a capture for its run folder: its path as given, and where it lies, seen from anywhere and from the run."""
-    place = capture.path.resolve()
-    return {
-        "path": str(capture.path),
-        "place": {"absolute": str(place), "from_run": os.path.relpath(place, root.resolve())},
-        "scene": capture.scene,
-        "layout": capture.layout,
-        "fps": capture.fps,
-        "n_frames": capture.n_frames,
-        "units_per_metre": capture.units_per_metre,
-        "units_origin": capture.units_origin,
-        "notes": list(capture.notes),
-        "edit": capture.edit and asdict(capture.edit),
-        "cameras": {camera.name: camera.to_json() for camera in capture.cameras},
-        "digests": {name: capture.digest(name) for name in capture.camera_names},
-    }
-
-
-def _coding_record(capture: Capture, protocol: Protocol) -> dict[str, dict[str, Any] | None]:
-    """Return the coding of each test view's frames; see `coding_of`."""
-    codings = {view: coding_of(capture.source(view), protocol.frames.numbers) for view in protocol.views.test}
-    return {view: None if coding is None else asdict(coding) for view, coding in codings.items()}
 
 
 def _write_path_truth(prepared: RunPlan) -> None:

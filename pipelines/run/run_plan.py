@@ -20,6 +20,7 @@ from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DEVICE, DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import plan_depth
 from ggvs_eval.pipelines.run.camera_path import choose_path
+from ggvs_eval.pipelines.run.claim import require_owner
 from ggvs_eval.pipelines.run.folds import FitPlan, fill_folds, plan_fits, plan_folds, visible_cameras
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import RunFolder, read_json
@@ -161,7 +162,7 @@ def plan_run(request: RunRequest) -> RunPlan:
         CameraError: fewer sources than the protocol wants, or sources that can show too little of a test view.
         DepthError: a source that no camera can be matched with.
         DeviceError: depth is learned, and there is no such device.
-        ProtocolError: the folder's depth is found otherwise.
+        ProtocolError: the folder's depth is found otherwise, or it holds a run of another protocol or capture.
 
     Reading:
         Shares are for targets that move. A test view stands still and its sources never change, so that all count whole: with the
@@ -171,6 +172,7 @@ def plan_run(request: RunRequest) -> RunPlan:
     request = replace(request, protocol=_state_folds(request.protocol, run, request.capture, bool(fitted)))
     protocol = request.protocol
     capture, (depth, device) = fit_capture(request.capture, protocol), _depth_of(run, request)
+    require_owner(run, protocol, capture)
     options, path = depth.options(device), choose_path(capture, protocol)
     visible = visible_cameras(capture, protocol)
     targets = [*(capture.camera(view) for view in protocol.views.test), *path.cameras]

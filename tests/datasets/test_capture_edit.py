@@ -191,7 +191,7 @@ def test_a_run_picks_up_the_same_frames_again(room, protocol, tmp_path):
     np.testing.assert_array_equal(first, wanted.frame("cam00", 3))
     np.testing.assert_array_equal(read_image(frame_path(tmp_path / "run" / "truth" / "cam00", 3)), first)
     assert sorted((tmp_path / "run" / "depth").rglob("*.np*")) == depth
-    with pytest.raises(ProtocolError, match="another protocol or capture"):
+    with pytest.raises(ProtocolError, match="other frames"):
         prepare(tmp_path / "run", perturb_capture(open_capture(room), CaptureEdit(4, 1, 1.5, 4)), protocol)
 
 

@@ -214,7 +214,7 @@ def test_a_folder_belongs_to_one_protocol(run, capture, protocol):
     """Another protocol in the same folder is refused instead of mixed."""
     other = dataclasses.replace(protocol, synthesis=Synthesis(2))
 
-    with pytest.raises(ProtocolError, match="another protocol or capture"):
+    with pytest.raises(ProtocolError, match="another protocol"):
         prepare(run.root, capture, other)
 
 

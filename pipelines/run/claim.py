@@ -1,0 +1,84 @@
+"""Owner of a run folder: the protocol and the capture that it was made for, and refusal of any other."""
+
+import os
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from ggvs_eval.capture import Capture
+from ggvs_eval.datasets.frame_coding import coding_of
+from ggvs_eval.errors import ProtocolError
+from ggvs_eval.files.atomic import write_text
+from ggvs_eval.protocol import Protocol
+from ggvs_eval.run_folder import RunFolder, write_json
+
+
+def require_owner(run: RunFolder, protocol: Protocol, capture: Capture) -> None:
+    """Refuse a folder that holds a run of another protocol or of other frames.
+
+    Args:
+        run: the folder; one that holds no run belongs to anybody.
+        protocol: what is to be evaluated.
+        capture: at synthesis size.
+
+    Raises:
+        ProtocolError: naming what differs, and of frames the cameras.
+    """
+    if not run.protocol_file.is_file():
+        return
+    kept = run.protocol()
+    if not kept.agrees_with(protocol):
+        _refuse(run, f"another protocol: {kept.name} (wanted {protocol.name}; compare {run.protocol_file})")
+    before, now = run.capture_record()["digests"], _digests(capture)
+    if before.keys() != now.keys():
+        _refuse(run, f"other cameras: {', '.join(sorted(before.keys() ^ now.keys()))} on one side only")
+    changed = [name for name in before if before[name] != now[name]]
+    if changed:
+        _refuse(run, f"other frames: those of {', '.join(changed)} were not as {capture.path} has them now")
+
+
+def claim_folder(run: RunFolder, protocol: Protocol, capture: Capture) -> None:
+    """Write protocol and capture into a folder that holds no run yet, or make sure that they are this run's.
+
+    Raises:
+        ProtocolError: see `require_owner`.
+    """
+    require_owner(run, protocol, capture)
+    if run.protocol_file.is_file() and not protocol.views.folds:
+        protocol = run.protocol()  # folds that were stated once stay
+    run.root.mkdir(parents=True, exist_ok=True)
+    write_json(run.root / "capture.json", _capture_record(capture, run.root) | {"coding": _coding_record(capture, protocol)})
+    write_text(run.protocol_file, protocol.to_toml())
+
+
+def _refuse(run: RunFolder, difference: str) -> None:
+    raise ProtocolError(f"{run.root}: holds a run of {difference}; choose a new folder or delete it")
+
+
+def _digests(capture: Capture) -> dict[str, str]:
+    return {name: capture.digest(name) for name in capture.camera_names}
+
+
+def _capture_record(capture: Capture, root: Path) -> dict[str, Any]:
+    """Describe a capture for its run folder: its path as given, and where it lies, seen from anywhere and from the run."""
+    place = capture.path.resolve()
+    return {
+        "path": str(capture.path),
+        "place": {"absolute": str(place), "from_run": os.path.relpath(place, root.resolve())},
+        "scene": capture.scene,
+        "layout": capture.layout,
+        "fps": capture.fps,
+        "n_frames": capture.n_frames,
+        "units_per_metre": capture.units_per_metre,
+        "units_origin": capture.units_origin,
+        "notes": list(capture.notes),
+        "edit": capture.edit and asdict(capture.edit),
+        "cameras": {camera.name: camera.to_json() for camera in capture.cameras},
+        "digests": _digests(capture),
+    }
+
+
+def _coding_record(capture: Capture, protocol: Protocol) -> dict[str, dict[str, Any] | None]:
+    """Return the coding of each test view's frames; see `coding_of`."""
+    codings = {view: coding_of(capture.source(view), protocol.frames.numbers) for view in protocol.views.test}
+    return {view: None if coding is None else asdict(coding) for view, coding in codings.items()}
