@@ -87,13 +87,8 @@ def rectify(reference: Camera, partner: Camera) -> RectifiedPair:
     rotation_partner = product(world_to_rectified, partner.rotation.T)
     rays = transformed(rotation, _rays(reference))  # (H, W, 3)
     rays_partner = transformed(rotation_partner, _rays(partner))
-    if min(rays[..., 2].min(), rays_partner[..., 2].min()) < MIN_RAY_Z:
-        raise DepthError(f"cameras {reference.name} and {partner.name} look too far apart to be matched; choose another partner")
+    depth_scale, (d_min, d_max), origin, size = _canvas(reference, partner, rays, rays_partner, baseline)
     focal_px = reference.focal_px
-    depth_scale = focal_px * baseline / rays[..., 2]  # (H, W)
-    d_min = int(np.floor(depth_scale.min() / reference.far))
-    d_max = int(np.ceil(depth_scale.max() / reference.near))
-    origin, size = _canvas(rays, rays_partner, focal_px, d_min, d_max)
     projection = np.array([[focal_px, 0.0, -origin[0]], [0.0, focal_px, -origin[1]], [0.0, 0.0, 1.0]])
     left_map, left_inside = _canvas_to_image(reference, rotation, projection, size)
     right_map, right_inside = _canvas_to_image(partner, rotation_partner, projection, size)
@@ -111,6 +106,17 @@ def rectify(reference: Camera, partner: Camera) -> RectifiedPair:
         d_min=d_min,
         d_max=d_max,
     )
+
+
+def require_overlap(reference: Camera, partner: Camera) -> None:
+    """Refuse a pair that `rectify` would refuse, in microseconds: a plane's view of an image ends at the image's corners.
+
+    Raises:
+        DepthError: as `rectify`.
+    """
+    world_to_rectified, baseline = _rectifying_rotation(reference, partner)
+    rays = [transformed(product(world_to_rectified, each.rotation.T), _corner_rays(each)) for each in (reference, partner)]
+    _canvas(reference, partner, rays[0], rays[1], baseline)
 
 
 def exchange_roles(pair: RectifiedPair, reference: Camera, partner: Camera) -> RectifiedPair:
@@ -198,12 +204,34 @@ def _rectifying_rotation(reference: Camera, partner: Camera) -> tuple[Array, flo
 
 def _rays(camera: Camera) -> Array:
     """Viewing rays in the camera's own frame, z = 1, (H, W, 3)."""
-    uv = (camera.pixel_centres() - camera.K[:2, 2]) / camera.K[[0, 1], [0, 1]]
-    return np.concatenate([uv, np.ones((camera.height, camera.width, 1))], axis=-1)
+    return _rays_at(camera, camera.pixel_centres())
 
 
-def _canvas(rays: Array, rays_partner: Array, focal_px: float, d_min: int, d_max: int) -> tuple[Array, tuple[int, int]]:
-    """Origin and size of the window that holds every reference pixel with a possible match, and its matches."""
+def _corner_rays(camera: Camera) -> Array:
+    """Those of the four outermost pixels, (2, 2, 3)."""
+    return _rays_at(camera, np.stack(np.meshgrid(*([0.5, side - 0.5] for side in camera.size)), axis=-1))
+
+
+def _rays_at(camera: Camera, uv: Array) -> Array:
+    """Viewing rays of pixels (H, W, 2) in the camera's own frame, z = 1, (H, W, 3)."""
+    uv = (uv - camera.K[:2, 2]) / camera.K[[0, 1], [0, 1]]
+    return np.concatenate([uv, np.ones((*uv.shape[:2], 1))], axis=-1)
+
+
+def _canvas(
+    reference: Camera, partner: Camera, rays: Array, rays_partner: Array, baseline: float
+) -> tuple[Array, tuple[int, int], Array, tuple[int, int]]:
+    """Depth x disparity of the rays, disparities, and the window of every reference pixel with a possible match, and its matches.
+
+    Returns:
+        (H, W); least and largest disparity, pixels; origin and size of the window, pixels.
+    """
+    if min(rays[..., 2].min(), rays_partner[..., 2].min()) < MIN_RAY_Z:
+        raise DepthError(f"cameras {reference.name} and {partner.name} look too far apart to be matched; choose another partner")
+    focal_px = reference.focal_px
+    depth_scale = focal_px * baseline / rays[..., 2]
+    d_min = int(np.floor(depth_scale.min() / reference.far))
+    d_max = int(np.ceil(depth_scale.max() / reference.near))
     low, high = _bounds(rays, focal_px)
     low_partner, high_partner = _bounds(rays_partner, focal_px)
     left, right = max(low[0], low_partner[0] + d_min), min(high[0], high_partner[0] + d_max)
@@ -213,7 +241,7 @@ def _canvas(rays: Array, rays_partner: Array, focal_px: float, d_min: int, d_max
     if width <= 2 * d_max or height < 1:
         overlap = f"{width - d_max:g} x {height:g} pixels"
         raise DepthError(f"two rectified images overlap by {overlap}, too little to be matched; choose another partner")
-    return origin, (int(width), int(height))
+    return depth_scale, (d_min, d_max), origin, (int(width), int(height))
 
 
 def _bounds(rays: Array, focal_px: float) -> tuple[Array, Array]:

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ggvs_eval.errors import DepthError
-from ggvs_eval.geometry.rectification import at_matches, depth_from_disparity, rectify
+from ggvs_eval.geometry.rectification import at_matches, depth_from_disparity, rectify, require_overlap
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
 from helpers.stereo_scenes import FAR, NEAR, look_from, plane_depth, see_plane
 
@@ -102,6 +102,23 @@ def test_opposite_cameras_are_refused():
     """Cameras that look too far apart raise DepthError that says to choose another."""
     with pytest.raises(DepthError, match="choose another"):
         rectify(REFERENCE, look_from(0.5, 0, "turned", 1.4))
+
+
+def message_of(check, *pair) -> str:
+    """What a check says of a pair; nothing where it accepts it."""
+    try:
+        check(*pair)
+    except DepthError as error:
+        return str(error)
+    return ""
+
+
+@given(*(st.floats(-limit, limit) for limit in (2.0, 1.0, 1.0)), st.floats(0.2, 3.0))
+def test_what_can_be_rectified_is_known_from_the_corners(x, y, turn, near):
+    """Pairs side by side and askew, of near and far surfaces, are accepted and refused as by `rectify`, word for word."""
+    reference = replace(REFERENCE.resized(40, 30), near=near)
+    partner = look_from(x, y, "partner", turn).resized(40, 30)
+    assert message_of(require_overlap, reference, partner) == message_of(rectify, reference, partner)
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from((np.float32, np.uint8)))

@@ -1,6 +1,7 @@
 """A run is planned before it starts: what is counted is what is made, what cannot fit is refused, one key serves all."""
 
 import dataclasses
+import shutil
 from collections import namedtuple
 from pathlib import Path
 
@@ -124,8 +125,9 @@ def test_time_is_that_of_frames_that_are_rendered(capture, protocol, finished, t
     assert text.splitlines()[-1] == (
         "time: about 5 min to render, as the frames took that are rendered; of 1 more methods no frame is rendered yet"
     )
-    wider = dataclasses.replace(protocol, views=dataclasses.replace(protocol.views, test=("cam00", "cam01", "cam02")))
-    lines = count_work([planned(finished, capture, wider)], finished).describe().splitlines()
+    root = Path(shutil.copytree(finished, tmp_path / "run"))
+    shutil.rmtree(RunFolder(root).renders(LABELS[0], protocol.views.test[0]))
+    lines = count_work([planned(root, capture, protocol)], root).describe().splitlines()
     assert [line.split(":")[0] for line in lines] == ["plan", "disk", "time"]
 
 
@@ -178,11 +180,28 @@ def test_a_sweep_is_planned_as_one(capture, protocol, tmp_path):
 
 
 def test_a_folder_of_another_run_is_refused(finished, capture, protocol):
-    """A plan of another protocol is not prepared into the folder of a run."""
-    other = planned(finished, capture, dataclasses.replace(protocol, synthesis=Synthesis(3)))
+    """A folder of another protocol is refused when it is planned, hence by a dry run, too; the message names both."""
+    with pytest.raises(ProtocolError, match=f"another protocol: {protocol.name}"):
+        planned(finished, capture, dataclasses.replace(protocol, synthesis=Synthesis(3)))
 
-    with pytest.raises(ProtocolError, match="another protocol or capture"):
-        prepare_run(other)
+
+def test_a_folder_of_other_frames_is_refused_by_a_dry_run(finished, capture, protocol):
+    """Two cameras whose frames were exchanged are named before anything is promised."""
+    first, second = capture.cameras[:2]
+    sources = (capture.source(second.name), capture.source(first.name), *capture.sources[2:])
+    with pytest.raises(ProtocolError, match=f"other frames: those of {first.name}, {second.name} "):
+        planned(finished, dataclasses.replace(capture, sources=sources), protocol)
+
+
+def test_partners_are_chosen_once_for_a_source_and_the_camera_it_must_not_see(capture, protocol, monkeypatch):
+    """A camera path of many poses asks for no more pairs than the rig has."""
+    asked = []
+    choose = fill_store.choose_partners
+    monkeypatch.setattr(fill_store, "choose_partners", lambda *each: asked.append((each[0].name, *each[3])) or choose(*each))
+    plan = planned(Path("nowhere"), capture, dataclasses.replace(protocol, path=CameraPath(poses=40)))
+    assert len(plan.path) == 40
+    assert len(asked) == len(set(asked))
+    assert len(asked) <= len(capture.cameras) * (1 + len(protocol.views.test))
 
 
 @pytest.mark.parametrize(("seconds", "text"), [(7.2, "7 s"), (119, "119 s"), (600, "10 min"), (9000, "2.5 h")])

@@ -43,12 +43,17 @@ def plan_depth(
         DepthError: a source that no camera can be matched with.
     """
     plan = {}
+    partners: dict[tuple[str, str | None], tuple[str, ...]] = {}
     cache: dict[tuple[str, ...], DepthJob] = {}  # near targets share jobs, whose specs take a digest of every frame source
     for target in targets:
         chosen = [each.camera for each in choose_sources(target, capture.cameras, k, sources)]
         jobs_by_source = {}
         for source in chosen:
-            names = _matched_cameras(capture, source, target, options)
+            left_out = target if target.name in capture.camera_names else None
+            pair = source.name, left_out and left_out.name
+            if pair not in partners:
+                partners[pair] = _matched_cameras(capture, source, left_out, options)
+            names = partners[pair]
             if names not in cache:
                 cache[names] = depth_job(capture, source.name, names[1:], options)
             jobs_by_source[source.name] = cache[names]

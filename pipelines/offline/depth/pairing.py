@@ -11,7 +11,7 @@ import numpy as np
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import DepthError
-from ggvs_eval.geometry.rectification import rectify
+from ggvs_eval.geometry.rectification import require_overlap
 
 GRID = (16, 12)  # rays across and down
 DEPTHS = 6  # depths per ray, evenly spaced in inverse depth
@@ -102,7 +102,7 @@ def _can_rectify(camera: Camera, other: Camera) -> bool:
     """
     small = [each.resized(each.width // RECTIFIED_SCALE or 1, each.height // RECTIFIED_SCALE or 1) for each in (camera, other)]
     try:
-        rectify(*small)
+        require_overlap(*small)
     except DepthError:
         return False
     return True
