@@ -1,6 +1,7 @@
 """The verbs of the command line that deal with captures alone: demo, check, calibrate, protocol, undistort."""
 
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -20,6 +21,7 @@ from ggvs_eval.pipelines.offline.depth.depth_choice import LIVE_MATCHER, DepthRu
 from ggvs_eval.synthetic.film.options import DemoOptions
 
 NONE = "(none by default)"
+MOST_NAMES = 6  # of cameras in one line
 
 
 def _at_least_one(words: list[str]) -> int:
@@ -198,16 +200,32 @@ def protocol(
     """
     from ggvs_eval.pipelines.inspection.capture.check import read_doubts
     from ggvs_eval.pipelines.inspection.table import text_table
-    from ggvs_eval.pipelines.run.suggest_protocol import propose_protocol
+    from ggvs_eval.pipelines.run.suggest_protocol import propose_protocol, published_protocols
 
     if out.exists():
         raise ProtocolError(f"{out}: wanted a new file for the protocol, it is there already; delete it or choose another name")
-    proposal = propose_protocol(reading.open(capture), read_doubts(checked) if checked else None)
+    opened = reading.open(capture)
+    proposal = propose_protocol(opened, read_doubts(checked) if checked else None)
     chosen = proposal.protocol.shortened(frames, path_poses)
     with atomic_file(out) as unfinished:
         unfinished.write_text(chosen.to_toml(), encoding="utf-8")
-    print(text_table({"camera": 0, "why it is held out, or not": 1}, proposal.reasons.items()))
+    print(text_table({"cameras": 0, "why they are held out, or not": 1}, _together(proposal.reasons)))
     print(f"{out}: {len(chosen.views.test)} test views, K = {chosen.synthesis.k}, {chosen.frames.count} frames")
+    for other in published_protocols(opened):
+        views, lacking = ", ".join(other.views.test), other.frames.numbers.stop - opened.n_frames
+        frames = f"{other.frames.count} frames" + (f", {lacking} more than there are" if lacking > 0 else "")
+        print(f"if this is {other.dataset}: --protocol {other.name} evaluates as published, {views} held out, {frames}")
+
+
+def _together(reasons: Mapping[str, str]) -> list[tuple[str, str]]:
+    """Cameras of one reason in one line: their names, of many the first, the last and their number."""
+    names: dict[str, list[str]] = {}
+    for name, reason in reasons.items():
+        names.setdefault(reason, []).append(name)
+    return [
+        (", ".join(each) if len(each) <= MOST_NAMES else f"{each[0]} ... {each[-1]} ({len(each)})", reason)
+        for reason, each in names.items()
+    ]
 
 
 def undistort(

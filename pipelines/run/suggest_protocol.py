@@ -1,7 +1,8 @@
 """The protocol that a capture is evaluated under when nobody names one."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.units import DEMO_NOTES
@@ -12,6 +13,8 @@ from ggvs_eval.protocol import Frames, Measurement, Protocol, Synthesis, Views, 
 
 DEMO = "demo"  # what the names of protocols of demo captures begin with
 MOST_VIEWS, MOST_FRAMES = 9, 100
+BY_AUTHORS = "chosen by the authors"  # what `views.chosen_by` of published tables begins with
+SAME_SHAPE = 0.01  # of width over height
 HAND_HELD = ("rgbd",)  # layouts of one camera that moves
 
 
@@ -36,11 +39,11 @@ def suggest_protocol(capture: Capture) -> Protocol:
 def propose_protocol(capture: Capture, doubts: Mapping[str, str] | None = None) -> Proposal:
     """Choose the protocol for a capture, and say of every camera why it is held out or not.
 
-    The rule: every second camera in the capture's order is a test view (at most nine, from the second on), at most 100 frames,
-    the capture's own size; K, filters and metrics of its layout's protocol, or DyNeRF's. ``views.chosen_by`` says so. Passed over
-    are cameras in doubt, whose frames would be a wrong truth, and views of which their sources can show too little; the others
-    take their place where none is left. Where one camera was carried through the scene (`HAND_HELD`), the nearest places may look
-    elsewhere: sources are chosen by what they see.
+    The rule: every second camera in the capture's order is a test view, of more than nine one in each ninth of them; at most 100
+    frames, the capture's own size; K, filters and metrics of its layout's protocol, or DyNeRF's. ``views.chosen_by`` says so.
+    Passed over are cameras in doubt, whose frames would be a wrong truth, and views of which their sources can show too little;
+    neighbours take their place, and the cameras between them where none is left. Where one camera was carried through the scene
+    (`HAND_HELD`), the nearest places may look elsewhere: sources are chosen by what they see.
 
     Args:
         capture: what will be evaluated.
@@ -70,6 +73,19 @@ def propose_protocol(capture: Capture, doubts: Mapping[str, str] | None = None) 
     return Proposal(protocol, reasons)
 
 
+def published_protocols(capture: Capture) -> list[Protocol]:
+    """Packaged protocols of published tables whose test views and shape of images a capture has; frames may be too few."""
+    width, height = capture.cameras[0].size
+    loaded = [load_protocol(name) for name in packaged_protocols()]
+    return [
+        each
+        for each in loaded
+        if each.views.chosen_by.startswith(BY_AUTHORS)
+        and set(each.views.test) <= set(capture.camera_names)
+        and abs(each.synthesis.width * height / (each.synthesis.height * width) - 1) <= SAME_SHAPE
+    ]
+
+
 def _packaged_reasons(capture: Capture, protocol: Protocol, doubts: Mapping[str, str]) -> dict[str, str]:
     kept = f"not a test view of the packaged protocol {protocol.name}"
     reasons = {name: protocol.views.chosen_by if name in protocol.views.test else kept for name in capture.camera_names}
@@ -79,27 +95,38 @@ def _packaged_reasons(capture: Capture, protocol: Protocol, doubts: Mapping[str,
 def _views(capture: Capture, synthesis: Synthesis, doubts: Mapping[str, str]) -> tuple[Views, dict[str, str]]:
     """Every second camera that can serve, else the others that can, else every second one; and the reasons."""
     names = capture.camera_names
-    reasons = dict.fromkeys(names, "stays a source: every second camera is held out, at most nine")
-    rule = "by rule: every second camera, at most nine"
+    few = len(names[1::2]) <= MOST_VIEWS
+    rule = "every second camera, at most nine" if few else f"nine of {len(names)} cameras, spread evenly"
+    reason = "every second camera is held out, at most nine" if few else f"{rule}, are held out"
+    reasons = dict.fromkeys(names, f"stays a source: {reason}")
     for candidates in (names[1::2], names[::2]):
         test: list[str] = []
-        for name in candidates:
-            if len(test) == MOST_VIEWS:
-                break
-            can_serve, why = _judge_view(capture, name, synthesis, doubts)
-            reasons[name] = f"{'held out' if can_serve else 'stays a source'}: {why}"
-            test += [name] if can_serve else []
-        passed_over = len(test) < min(len(candidates), MOST_VIEWS)
+        stretches = _stretches(candidates)
+        for stretch in stretches:
+            for name in stretch:
+                can_serve, why = _classify_view(capture, name, synthesis, doubts)
+                reasons[name] = f"{'held out' if can_serve else 'stays a source'}: {why}"
+                if can_serve:
+                    test.append(name)
+                    break
         if test:
             break
     if not test:
-        reasons |= dict.fromkeys(names[1::2][:MOST_VIEWS], "held out: by rule, though no camera can serve well")
-        return Views(names[1::2][:MOST_VIEWS], rule), reasons
-    without = ", without those in doubt and those that the other cameras hardly show" if passed_over else ""
-    return Views(tuple(test), rule + without), reasons
+        test = [stretch[0] for stretch in _stretches(names[1::2])]
+        reasons |= dict.fromkeys(test, "held out: by rule, though no camera can serve well")
+        return Views(tuple(test), f"by rule: {rule}"), reasons
+    without = "" if len(test) == len(stretches) else ", without those in doubt and those that the other cameras hardly show"
+    return Views(tuple(test), f"by rule: {rule}{without}"), reasons
 
 
-def _judge_view(capture: Capture, name: str, synthesis: Synthesis, doubts: Mapping[str, str]) -> tuple[bool, str]:
+def _stretches(names: Sequence[str]) -> list[list[str]]:
+    """Divide cameras into at most nine neighbourhoods of equal size, each from its middle outwards."""
+    count = min(len(names), MOST_VIEWS)
+    bounds = [len(names) * n // count for n in range(count + 1)]
+    return [[names[i] for i in sorted(range(a, b), key=lambda i: abs(i - (a + b - 1) // 2))] for a, b in pairwise(bounds)]
+
+
+def _classify_view(capture: Capture, name: str, synthesis: Synthesis, doubts: Mapping[str, str]) -> tuple[bool, str]:
     """Aptitude of a camera as a test view, with the reason."""
     if name in doubts:
         return False, f"the check says {doubts[name]}"

@@ -12,7 +12,7 @@ from ggvs_eval.errors import CaptureError, ProtocolError
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.inspection.capture.check import CaptureCheck, read_doubts
 from ggvs_eval.pipelines.inspection.finding import Finding
-from ggvs_eval.pipelines.run.suggest_protocol import propose_protocol, suggest_protocol
+from ggvs_eval.pipelines.run.suggest_protocol import propose_protocol, published_protocols, suggest_protocol
 from ggvs_eval.protocol import load_protocol
 from ggvs_eval.run_folder import write_json
 from helpers.captures import make_rig
@@ -40,6 +40,39 @@ def test_every_camera_has_a_reason():
     assert proposal.reasons["cam3"].endswith("% of its view")
     assert proposal.reasons["cam2"] == "stays a source: every second camera is held out, at most nine"
     assert suggest_protocol(rig_of()) == proposal.protocol
+
+
+@pytest.mark.parametrize("count", [21, 60, 240])
+def test_nine_of_many_cameras_are_spread_over_the_rig(count):
+    """One of each ninth of the cameras; the reason of the others is true of all of them, and said once."""
+    names = [f"{number:06d}" for number in range(count)]
+    proposal = propose_protocol(rig_of(names))
+    held_out = [int(name) for name in proposal.protocol.views.test]
+    assert len(held_out) == 9
+    assert max(held_out) - min(held_out) >= 0.75 * count
+    assert np.ptp(np.diff(held_out)) <= 2
+    others = {reason for name, reason in proposal.reasons.items() if name not in proposal.protocol.views.test}
+    assert others == {f"stays a source: nine of {count} cameras, spread evenly, are held out"}
+
+
+def test_a_doubtful_camera_among_many_gives_its_place_to_a_neighbour():
+    """The ninth of the rig that it lies in keeps a test view."""
+    names = [f"{number:06d}" for number in range(90)]
+    sure = propose_protocol(rig_of(names)).protocol.views.test
+    proposal = propose_protocol(rig_of(names), {sure[4]: "noise: 9"})
+    assert len(proposal.protocol.views.test) == 9
+    assert sure[4] not in proposal.protocol.views.test
+    assert abs(int(proposal.protocol.views.test[4]) - int(sure[4])) == 2
+
+
+def test_published_protocols_are_those_whose_cameras_a_capture_has():
+    """A capture of the cameras and the shape of Neural 3D Video is offered its protocols, whatever its layout and length."""
+    cameras = [camera.resized(1344, 1008) for camera in rig_of([f"cam{number:02d}" for number in range(21)]).cameras]
+    alike = replace(rig_of(), cameras=tuple(cameras), n_frames=1)
+    assert {each.name for each in published_protocols(alike)} == {"n3v_3dgstream", "n3v_4dgs", "n3v_queen", "n3v_stg"}
+    wide = replace(alike, cameras=tuple(camera.resized(1920, 1080) for camera in cameras))
+    assert {each.name for each in published_protocols(wide)} == {"meetroom_3dgstream"}
+    assert not published_protocols(rig_of())
 
 
 def test_a_camera_in_doubt_is_no_truth():
