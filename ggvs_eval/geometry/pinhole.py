@@ -1,8 +1,9 @@
 """Cameras and images in the form that the compiled kernels take."""
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import GgvsError
 from ggvs_eval.kernels.portable import product, transformed
@@ -36,3 +37,35 @@ def as_image(array: NDArray, camera: Camera, what: str, error: type[GgvsError]) 
             "resize one of them (Camera.resized)"
         )
     return np.ascontiguousarray(array, dtype=np.float32)
+
+
+def as_image8(array: ArrayLike | None, camera: Camera, error: type[GgvsError]) -> Image8:
+    """The array itself if it is an image of the camera, RGB uint8 (H, W, 3).
+
+    Raises:
+        GgvsError: the given kind of it; the message says what to do about what came.
+    """
+    shape = camera.height, camera.width, 3
+    if array is None:
+        raise error(f"camera {camera.name}: wanted a uint8 image of {shape}, got none; give one of every camera")
+    image = np.asarray(array)
+    if image.shape != shape or image.dtype != np.uint8:
+        raise error(
+            f"camera {camera.name}: wanted a uint8 image of {shape}, got {image.dtype} {image.shape}; {_mend(image, shape)}"
+        )
+    return image
+
+
+def _mend(image: NDArray, shape: tuple[int, int, int]) -> str:
+    """Say how to make an image of that shape of what was given."""
+    if image.shape == (shape[2], *shape[:2]):
+        return "channels come last: np.moveaxis(image, 0, -1)"
+    if image.shape == (*shape[:2], 4):
+        return "leave the fourth channel out, red first: image[..., :3] of RGBA, image[..., 2::-1] of BGRA"
+    if image.shape in (shape[:2], (*shape[:2], 1)):
+        return "repeat grey for red, green and blue"
+    if image.shape != shape:
+        return "resize all images of the rig, or build it of `camera.resized`"
+    if np.issubdtype(image.dtype, np.floating):
+        return "bring colours to 0..255 and round them, of [0, 1] by np.rint(255 * image).astype(np.uint8)"
+    return "bring colours to 0..255, of 16 bits by (image // 257).astype(np.uint8)"

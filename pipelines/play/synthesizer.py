@@ -10,10 +10,12 @@ from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import CameraError, DepthError, RenderError
+from ggvs_eval.geometry.pinhole import as_image8
 from ggvs_eval.geometry.source_views import ChosenSource, SourceChoice, choose_sources
 from ggvs_eval.method import Instant, LookaheadMethod, Method, Rendering, SourceView
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions, checked_device
 from ggvs_eval.pipelines.methods.registry import find_method
+from ggvs_eval.pipelines.play.plausibility import Doubts
 
 DEFAULT_METHOD = "ours"
 
@@ -70,6 +72,7 @@ class OnlineSynthesizer:
             raise CameraError(f"rig: wanted sources to be one of {', '.join(get_args(SourceChoice))}, got {sources!r}")
         self._make = online_method(method, device)
         self._choice: SourceChoice = sources
+        self._doubts = Doubts(self.cameras)
         self.k = k
         self.restart()
 
@@ -102,6 +105,9 @@ class OnlineSynthesizer:
     ) -> Rendering:
         """Synthesise the next instant. Arrays may be overwritten afterwards.
 
+        Warns, once each, of what gives a picture and is hardly meant: depth far outside near and far, as of millimetres, a K that
+        is not in pixels, a target far off the rig.
+
         Args:
             images_by_camera: what each camera saw, RGB uint8 (H, W, 3), at least of the cameras of `sources`.
             depths_by_camera: depth of the same cameras, (H, W), world units, 0 = unknown; a `DepthMap` knows its confidence, that
@@ -120,6 +126,9 @@ class OnlineSynthesizer:
         views = tuple(
             _source_view(each, images_by_camera[name], depths_by_camera[name]) for name, each in zip(names, chosen, strict=True)
         )
+        self._doubts.look_at_target(target)
+        for view in views:
+            self._doubts.look_at_depth(view.camera, view.depth)
         rendering = self._method.step(Instant(self._index, target, views, self.units_per_metre))
         self._index += 1
         return rendering
@@ -152,12 +161,7 @@ def _source_view(source: ChosenSource, image: Image8, source_depth: Map | DepthM
     """A copy of what a camera gives, since methods remember it and cameras write into the same memory again."""
     camera = source.camera
     shape = (camera.height, camera.width)
-    image = np.asarray(image)
-    if image.shape != (*shape, 3) or image.dtype != np.uint8:
-        raise RenderError(
-            f"camera {camera.name}: wanted a uint8 image of {(*shape, 3)}, got {image.dtype} {image.shape}; "
-            "resize the images, or build the rig of `camera.resized`"
-        )
+    image = as_image8(image, camera, RenderError)
     depth = _checked_depth(camera, source_depth.depth if isinstance(source_depth, DepthMap) else source_depth)
     confidence = source_depth.confidence if isinstance(source_depth, DepthMap) else (depth > 0).astype(np.float32)
     if confidence.shape != shape:
@@ -169,10 +173,10 @@ def _checked_depth(camera: Camera, depth: Map) -> Map:
     """Depth as float32 of its own memory."""
     depth, shape = np.asarray(depth), (camera.height, camera.width)
     if depth.shape != shape or not np.issubdtype(depth.dtype, np.floating):
-        raise DepthError(
-            f"camera {camera.name}: wanted floating-point depth of {shape}, got {depth.dtype} {depth.shape}; "
-            "depth has the size of its image, in world units"
-        )
+        mend = "depth has the size of its image, in world units"
+        if depth.shape == shape:
+            mend = "to world units, of a sensor's millimetres by depth.astype(np.float32) / 1000 * units_per_metre"
+        raise DepthError(f"camera {camera.name}: wanted floating-point depth of {shape}, got {depth.dtype} {depth.shape}; {mend}")
     low, high = float(depth.min()), float(depth.max())
     if not 0 <= low <= high < np.inf:
         raise DepthError(

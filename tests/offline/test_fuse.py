@@ -203,7 +203,7 @@ def test_what_cannot_be_fused(scene, tmp_path):
     maps = [confident(depth, 0.1) for depth in depths]
     with pytest.raises(DepthError, match=r"confidence of 0.3 or more, 4 depth maps have none; look at the depth page"):
         fuse_instant(rig, images, maps, tmp_path / "out")
-    with pytest.raises(DepthError, match=r"camera cam-0.5-0.4: wanted a uint8 image and a depth map of 150 x 200.*\(75, 200\)"):
+    with pytest.raises(DepthError, match=r"camera cam-0.5-0.4: depth must be 150 x 200 .*\(75, 200\)"):
         fuse_instant(rig[:1], images[:1], [confident(depths[0][::2])], tmp_path / "out")
     with pytest.raises(DepthError, match=r"got -1 and 5"):
         fuse_instant(rig, images, maps, tmp_path / "out", FuseOptions(voxel=-1))

@@ -1,6 +1,7 @@
 """Live synthesis: sources follow the target, history is kept as the method keeps it, and what does not fit is one line."""
 
 import re
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -133,6 +134,14 @@ def spoilt(kind: str):
         images[name] = images[name][::2, ::2]
     elif kind == "float image":
         images[name] = images[name] / 255
+    elif kind == "16-bit image":
+        images[name] = images[name].astype(np.uint16) * 257
+    elif kind == "BGRA image":
+        images[name] = np.dstack([images[name], images[name][..., :1]])
+    elif kind == "CHW image":
+        images[name] = np.moveaxis(images[name], -1, 0)
+    elif kind == "grey image":
+        images[name] = images[name][..., 0]
     elif kind == "small depth":
         depths[name] = depths[name][:-1]
     elif kind == "integer depth":
@@ -150,9 +159,13 @@ def spoilt(kind: str):
         ("no image", RenderError, r"camera virtual: wanted an image of each of its sources x\+0.15, x-0.15, got none of x\+0.15"),
         ("no depth", RenderError, r"wanted depth of each of its sources .* got none of x\+0.15"),
         ("small image", RenderError, r"camera x\+0.15: wanted a uint8 image of \(72, 96, 3\), got uint8 \(36, 48, 3\)"),
-        ("float image", RenderError, r"got float64 \(72, 96, 3\)"),
+        ("float image", RenderError, r"got float64 \(72, 96, 3\); .*255 \* image"),
+        ("16-bit image", RenderError, r"got uint16 \(72, 96, 3\); .*// 257"),
+        ("BGRA image", RenderError, r"got uint8 \(72, 96, 4\); leave the fourth channel out"),
+        ("CHW image", RenderError, r"got uint8 \(3, 72, 96\); channels come last: np\.moveaxis"),
+        ("grey image", RenderError, r"got uint8 \(72, 96\); repeat grey"),
         ("small depth", DepthError, r"camera x\+0.15: wanted floating-point depth of \(72, 96\), got float32 \(71, 96\)"),
-        ("integer depth", DepthError, r"got uint16 \(72, 96\)"),
+        ("integer depth", DepthError, r"got uint16 \(72, 96\); .*/ 1000 \* units_per_metre"),
         ("no confidence", DepthError, r"wanted confidence of \(72, 96\) like its depth, got \(2, 2\)"),
         ("NaN depth", DepthError, r"camera x\+0.15: depth must be finite and not negative, got nan"),
         ("negative depth", DepthError, r"got -1 \.\. 5"),
@@ -166,6 +179,37 @@ def test_what_does_not_fit_is_one_line(kind, error, words):
         live.step(*spoilt(kind), target)
     assert "\n" not in str(caught.value)
     np.testing.assert_array_equal(live.step(*seen(), target).image, untouched.step(*seen(), target).image)
+
+
+def doubts_of(step) -> list[str]:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        step()
+    return [str(each.message) for each in caught if issubclass(each.category, UserWarning)]
+
+
+def test_what_is_hardly_meant_is_said_once():
+    """Depth in millimetres, a normalised K and a target far off the rig give one warning each, with the number and the mend."""
+    images, depths = seen()
+    in_millimetres = {name: depth * np.float32(1000) for name, depth in depths.items()}
+    live, target = synthesizer(), camera_at(0.02, name="virtual")
+    (said,) = doubts_of(lambda: [live.step(images, in_millimetres, target) for _ in range(2)])
+    assert "near..far" in said
+    assert "divide millimetres by 1000" in said
+    far_off = camera_at(50.0, name="virtual")
+    (said,) = doubts_of(lambda: [synthesizer(sources="nearest").step(images, depths, far_off) for _ in range(1)])
+    assert "stands 49.55 from the nearest camera" in said
+    normalised = [replace(camera, K=np.diag([1 / camera.width, 1 / camera.height, 1]) @ camera.K) for camera in RIG]
+    (said,) = doubts_of(lambda: OnlineSynthesizer(normalised, 2))
+    assert "K is in pixels" in said
+
+
+def test_what_is_meant_is_not_doubted():
+    """Exact depth, with holes, from places between and a little beside the cameras."""
+    images, depths = seen()
+    depths[RIG[2].name][:20] = 0
+    live = synthesizer()
+    assert not doubts_of(lambda: [live.step(images, depths, camera_at(x, name="virtual")) for x in (-0.6, 0.0, 0.6)])
 
 
 def test_a_nan_pose_is_refused():

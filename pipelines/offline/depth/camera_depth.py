@@ -10,6 +10,7 @@ from ggvs_eval.arrays import Image8
 from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
+from ggvs_eval.geometry.pinhole import as_image8
 from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.pipelines.offline.depth.consistency import ConsistencyOptions, check_consistency
 from ggvs_eval.pipelines.offline.plane_sweep.plane_sweep import PlaneSweepEstimator
@@ -147,12 +148,7 @@ class DepthEstimator:
         if len(partner_images) != len(self.partners):
             raise DepthError(f"camera {self.camera.name}: wanted {len(self.partners)} partner images, got {len(partner_images)}")
         for camera, each in zip((self.camera, *self.partners), (image, *partner_images), strict=True):
-            if each.shape != (camera.height, camera.width, 3) or each.dtype != np.uint8:
-                expected_shape = (camera.height, camera.width, 3)
-                raise DepthError(
-                    f"camera {camera.name}: wanted a uint8 image of {expected_shape}, got {each.dtype} {each.shape}; "
-                    "resize the capture, not single images"
-                )
+            as_image8(each, camera, DepthError)
 
 
 def finish(raw: DepthMap, options: DepthOptions) -> DepthMap:

@@ -25,6 +25,7 @@ from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
 from ggvs_eval.files.atomic import atomic_folder, write_bytes
 from ggvs_eval.files.images import write_image
+from ggvs_eval.geometry.pinhole import as_image, as_image8
 from ggvs_eval.pipelines.offline.export.surfaces import surface_normals
 
 HEADER = re.compile(rb"(\d{1,9})&(\d{1,9})&(\d{1,9})&")
@@ -126,12 +127,8 @@ def _check(cameras: Sequence[Camera], images: Sequence[Image8], depth_maps: Sequ
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise DepthError(f"{folder}: wanted a folder to make, or an empty one, found files; choose another or delete it")
     for camera, image, depth_map in zip(cameras, images, depth_maps, strict=True):
-        shape = camera.height, camera.width
-        if image.shape != (*shape, 3) or image.dtype != np.uint8 or depth_map.depth.shape != shape:
-            raise DepthError(
-                f"camera {camera.name}: wanted a uint8 image and a depth map of {shape[0]} x {shape[1]}, got {image.dtype} "
-                f"{image.shape} and {depth_map.depth.shape}; bring both to the size of the camera"
-            )
+        as_image8(image, camera, DepthError)
+        as_image(depth_map.depth, camera, "depth", DepthError)
         if TELLING.search(camera.name):
             raise DepthError(
                 f"camera {camera.name!r}: wanted a name without blanks, commas and strokes, which COLMAP's files cannot hold; "

@@ -13,6 +13,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
 from ggvs_eval.files.atomic import atomic_file
+from ggvs_eval.geometry.pinhole import as_image, as_image8
 from ggvs_eval.pipelines.offline.export.surfaces import mesh_of, surface_normals
 
 FOOTPRINTS = 2.0  # a voxel by default, in median pixels on the surface
@@ -136,12 +137,8 @@ def _check_options(options: FuseOptions) -> None:
 
 def _check_sizes(cameras: Sequence[Camera], images: Sequence[Image8], depth_maps: Sequence[DepthMap]) -> None:
     for camera, image, depth_map in zip(cameras, images, depth_maps, strict=True):
-        height, width = camera.height, camera.width
-        if image.shape != (height, width, 3) or image.dtype != np.uint8 or depth_map.depth.shape != (height, width):
-            raise DepthError(
-                f"camera {camera.name}: wanted a uint8 image and a depth map of {height} x {width}, got {image.dtype} "
-                f"{image.shape} and {depth_map.depth.shape}; bring both to the size of the camera"
-            )
+        as_image8(image, camera, DepthError)
+        as_image(depth_map.depth, camera, "depth", DepthError)
 
 
 def _trusted(camera: Camera, image: Image8, depth_map: DepthMap, least_confidence: float) -> _View:

@@ -11,6 +11,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import DepthSource
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
+from ggvs_eval.geometry.pinhole import as_image8
 from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.pipelines.offline.sensor.colour_fill import ColourFillOptions
 from ggvs_eval.pipelines.offline.sensor.registration import RegisteredDepth
@@ -212,9 +213,4 @@ def _check(depth: Map, image: Image8, camera: Camera) -> None:
             f"camera {camera.name}: wanted sensor depth (h, w) of floating-point numbers, got {depth.dtype} {depth.shape}; "
             "scale the sensor's steps to world units first"
         )
-    if image.shape != (camera.height, camera.width, 3) or image.dtype != np.uint8:
-        shape = (camera.height, camera.width, 3)
-        raise DepthError(
-            f"camera {camera.name}: wanted a uint8 image of {shape}, got {image.dtype} {image.shape}; resize the capture, "
-            "not single images"
-        )
+    as_image8(image, camera, DepthError)

@@ -14,6 +14,7 @@ from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
 from ggvs_eval.errors import DepthError
+from ggvs_eval.geometry.pinhole import as_image8
 from ggvs_eval.geometry.rectification import depth_from_disparity, exchange_roles, rectify
 from ggvs_eval.kernels import get_threads
 from ggvs_eval.pipelines.offline.stereo.fusion import fuse
@@ -144,11 +145,8 @@ class RigEstimator:
         ]
 
     def _shrunk(self, name: str, images: Mapping[str, Image8]) -> Image8:
-        camera, image = self._cameras[name], images.get(name)
-        if image is None or image.shape != (camera.height, camera.width, 3) or image.dtype != np.uint8:
-            given = "none" if image is None else f"{image.dtype} {image.shape}"
-            expected_shape = (camera.height, camera.width, 3)
-            raise DepthError(f"camera {name}: wanted a uint8 image of {expected_shape}, got {given}; give one of every camera")
+        camera = self._cameras[name]
+        image = as_image8(images.get(name), camera, DepthError)
         size = self._matcher.small(camera).size
         return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 

@@ -1,0 +1,72 @@
+"""Doubts about what a rig is given live: mistakes that give a picture all the same, each said once."""
+
+import warnings
+from collections.abc import Sequence
+
+import numpy as np
+
+from ggvs_eval.arrays import Map
+from ggvs_eval.camera import Camera
+
+LEAST_FOCAL = 0.05  # of the image's width; a lens of 169 degrees
+MOST_OUTSIDE = 0.5  # of the pixels with depth, farther outside near..far than by the factor
+OUTSIDE_FACTOR = 2.0
+MILLIMETRES = 100.0  # times the far bound, from which on depth is taken for millimetres
+
+
+class Doubts:
+    """Warnings about a rig, its depth and the places of the virtual camera, at most one of each kind.
+
+    Args:
+        cameras: the rig.
+    """
+
+    def __init__(self, cameras: Sequence[Camera]) -> None:
+        self._centres = np.stack([camera.centre for camera in cameras])  # (N, 3)
+        self._near = min(camera.near for camera in cameras)
+        self._said: set[str] = set()
+        for camera in cameras:
+            self.look_at_intrinsics(camera)
+
+    def look_at_intrinsics(self, camera: Camera) -> None:
+        """Doubt a focal length that is no number of pixels."""
+        focal = float(min(camera.K[0, 0] / camera.width, camera.K[1, 1] / camera.height))
+        if focal < LEAST_FOCAL:
+            self._say(
+                "intrinsics",
+                f"camera {camera.name}: a focal length of {camera.K[0, 0]:g} x {camera.K[1, 1]:g} pixels for an image of "
+                f"{camera.width} x {camera.height}; K is in pixels: multiply the rows of a normalised one by width and height",
+            )
+
+    def look_at_target(self, target: Camera) -> None:
+        """Doubt a virtual camera that stands farther off the rig than the rig is wide and its nearest surfaces are away."""
+        self.look_at_intrinsics(target)
+        distance = float(np.linalg.norm(self._centres - target.centre, axis=1).min())
+        extent = float(np.linalg.norm(np.ptp(self._centres, axis=0)))
+        if distance > extent + self._near:
+            self._say(
+                "target",
+                f"camera {target.name}: stands {distance:g} from the nearest camera of a rig that is {extent:g} wide; "
+                "is its pose world_to_camera, in the rig's units and axes?",
+            )
+
+    def look_at_depth(self, camera: Camera, depth: Map) -> None:
+        """Doubt depth of which most lies far outside the camera's near and far bounds."""
+        known = depth[depth > 0]
+        outside = (known < camera.near / OUTSIDE_FACTOR) | (known > camera.far * OUTSIDE_FACTOR)
+        if not known.size or outside.mean() <= MOST_OUTSIDE:
+            return
+        median = float(np.median(known))
+        mend = (
+            "divide millimetres by 1000 and multiply by units_per_metre" if median > MILLIMETRES * camera.far else "as these are"
+        )
+        self._say(
+            "depth",
+            f"camera {camera.name}: {outside.mean():.0%} of its depth lies far outside near..far = {camera.near:g}.."
+            f"{camera.far:g}, its median is {median:g}; depth is in world units: {mend}",
+        )
+
+    def _say(self, kind: str, text: str) -> None:
+        if kind not in self._said:
+            self._said.add(kind)
+            warnings.warn(text, stacklevel=4)
