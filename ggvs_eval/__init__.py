@@ -10,6 +10,7 @@ Metrics stand in `ggvs_eval.metrics`.
 """
 
 from importlib import import_module
+from importlib.metadata import version
 from typing import Any
 
 # Module of each public name. As text, since these rooms stand above the package itself; __init__.pyi tells type checkers.
@@ -36,6 +37,8 @@ __all__ = sorted(_PUBLIC)
 
 def __getattr__(name: str) -> Any:
     """A public name, loaded now (PEP 562)."""
+    if name == "__version__":
+        return version("ggvs-eval")
     if name not in _PUBLIC:
         raise AttributeError(f"module 'ggvs_eval' has no attribute {name!r}; public are {', '.join(__all__)}")
     value = getattr(import_module(f"ggvs_eval.{_PUBLIC[name]}"), name)

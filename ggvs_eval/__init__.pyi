@@ -14,3 +14,5 @@ from ggvs_eval.protocol import Protocol as Protocol
 from ggvs_eval.protocol import load_protocol as load_protocol
 from ggvs_eval.results import Results as Results
 from ggvs_eval.run_folder import RunFolder as RunFolder
+
+__version__: str

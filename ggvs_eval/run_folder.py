@@ -103,13 +103,21 @@ class RunFolder:
         Raises:
             ResultsError: the folder is not a run.
         """
-        if not self.protocol_file.is_file():
-            raise ResultsError(f"{self.root}: not a run folder, it has no protocol.toml; make one with `ggvs-eval run`")
+        self._require_run()
         return load_protocol(self.protocol_file)
 
     def capture_record(self) -> dict[str, Any]:
-        """Scene, layout, fps, units and cameras of the capture, as `ggvs-eval prepare` wrote them."""
+        """Scene, layout, fps, units and cameras of the capture, as `ggvs-eval prepare` wrote them.
+
+        Raises:
+            ResultsError: the folder is not a run, or the record is damaged.
+        """
+        self._require_run()
         return read_json(self.root / "capture.json")
+
+    def _require_run(self) -> None:
+        if not self.protocol_file.is_file():
+            raise ResultsError(f"{self.root}: not a run folder, it has no protocol.toml; make one with `ggvs-eval run`")
 
     def capture_path(self) -> Path:
         """Return the capture's folder: where it lay when the run was prepared, or where it moved together with the run."""
@@ -195,5 +203,7 @@ def read_json(path: Path) -> Any:
     """
     try:
         return json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ResultsError(f"{path}: there is no such file; run the step that writes it") from None
     except (OSError, ValueError) as error:
         raise ResultsError(f"{path}: cannot be read ({error}); delete it and run the step again") from None

@@ -84,7 +84,7 @@ def select_metrics(names: Iterable[str]) -> tuple[Metric, ...]:
         if name in DEPTH_METRICS:
             raise MetricError(f"{name} is of depth videos, a protocol is of frames; measure it by `ggvs-eval steadiness --depth`")
         if name not in METRICS:
-            raise MetricError(f"no metric {name!r}{did_you_mean(name, METRICS)}; all are {', '.join(METRICS)}")
+            raise MetricError(f"no metric {name!r}{did_you_mean(name, METRICS) or '; all are ' + ', '.join(METRICS)}")
         selected[name] = METRICS[name]
         if (beside := METRICS[name].beside) and beside not in asked:
             selected[beside] = METRICS[beside]

@@ -4,11 +4,13 @@ import os
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Union
 
 import tyro
 
+from ggvs_eval import __version__
 from ggvs_eval.errors import CommandError, GgvsError, ProtocolError, did_you_mean, mendable
 from ggvs_eval.pipelines.commands.captures import (
     BY_DEFAULT,
@@ -67,7 +69,7 @@ def score(
 
     if folder and run:
         raise ProtocolError(f"wanted one run folder, got {folder} and --run {run}; give one of them")
-    target = run_for(run or folder, reading.open(capture) if capture else None, protocol, jobs)
+    target = run_for(run or folder, partial(reading.open, capture) if capture else None, protocol, jobs)
     for name, path in named_renders(renders).items():
         for note in import_renders(target, name, path, allow_partial, jobs, first_frame)["notes"]:
             print(f"{name}: {note}", file=sys.stderr)
@@ -148,6 +150,9 @@ def call_command(program: str, commands: Commands, words: Sequence[str]) -> None
     Raises:
         CommandError: no command of that name; the message suggests the nearest one.
     """
+    if list(words) == ["--version"]:
+        print(f"ggvs-eval {__version__}")
+        return
     if not words or words[0].startswith("-"):
         tyro.cli(_any_of(program, commands), prog=program, description=ABOUT[program], args=words)  # prints and exits
         return

@@ -1,6 +1,7 @@
 """The verbs of the command line that question frames: doctor and explain."""
 
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -86,10 +87,11 @@ def explain(
         jobs: processes.
     """
     from ggvs_eval.pipelines.inspection.renders.explain import explain as recompute
-    from ggvs_eval.pipelines.inspection.renders.explain import explanation_table, metric_family
+    from ggvs_eval.pipelines.inspection.renders.explain import explanation_table, metric_family, printed
     from ggvs_eval.pipelines.inspection.renders.view_frames import views_of_run
 
-    metric_family(metric)  # a mistyped name shows before anything is read
+    metric_family(metric)  # a mistyped name or number shows before anything is read
+    printed(quoted)
     folder, labels = _rendered(renders, capture, protocol, run, first_frame, reading, jobs)
     if method is None and len(labels) != 1:
         raise RenderError(f"{folder.root}: has {', '.join(labels)}; say which with --method")
@@ -113,7 +115,7 @@ def _rendered(
     from ggvs_eval.pipelines.run.import_renders import import_renders
     from ggvs_eval.pipelines.run.run_for import named_renders, run_for
 
-    folder = run_for(run, reading.open(capture) if capture else None, protocol, jobs)
+    folder = run_for(run, partial(reading.open, capture) if capture else None, protocol, jobs)
     ((label, path),) = named_renders((str(renders),)).items()
     for note in import_renders(folder, label, path, workers=jobs, first_frame=first_frame)["notes"]:
         print(f"{label}: {note}", file=sys.stderr)

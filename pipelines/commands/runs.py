@@ -24,7 +24,7 @@ from ggvs_eval.pipelines.commands.captures import (
 )
 from ggvs_eval.pipelines.commands.print_plan import print_plan
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions, checked_device
-from ggvs_eval.pipelines.methods.registry import METHODS, usual_methods
+from ggvs_eval.pipelines.methods.registry import METHODS, find_method, usual_methods
 from ggvs_eval.pipelines.methods.splats import named_splats
 from ggvs_eval.pipelines.run.run_plan import RunPlan
 from ggvs_eval.protocol import Protocol
@@ -101,6 +101,7 @@ def render(
 
     methods, splats = named_splats(methods)
     networks = _networks(weights, device, splats)
+    _require_methods(methods, networks)
     prepared = reopen(engine.place(run), engine, methods, networks)
     print(f"{synthesise(prepared, methods, engine, networks)} jobs rendered in {run}")
 
@@ -142,6 +143,7 @@ def run(
 
     methods, splats = named_splats(methods)
     root, networks = engine.place(run), _networks(weights, device, splats)
+    _require_methods(methods, networks)
     if capture is None and protocol is None:
         labels = room_labels(methods, USUAL_METHODS)
         if dry_run:
@@ -266,6 +268,12 @@ def _networks(weights: tuple[str, ...], device: str, splats: Mapping[str, Path] 
     return NetworkOptions(_checkpoints(weights), splats, checked_device(device))
 
 
+def _require_methods(methods: Sequence[str], networks: NetworkOptions) -> None:
+    """Refuse a mistyped method before anything is read."""
+    for label in methods:
+        find_method(label, networks)
+
+
 def _checkpoints(weights: tuple[str, ...]) -> dict[str, Path]:
     checkpoints: dict[str, Path] = {}
     for each in weights:
@@ -296,9 +304,9 @@ def _home(plans: Sequence[RunPlan]) -> Path:
 
 def _open(reading: ReadingOptions, path: Path, protocol: str | None) -> Capture:
     """Open a capture as its protocol wants it: with the cameras that are out of step where the protocol keeps them."""
-    from ggvs_eval.protocol import load_protocol
+    from ggvs_eval.pipelines.run.asked_protocol import asked_protocol
 
-    keeps = protocol is not None and load_protocol(protocol).views.keep_unsynced
+    keeps = protocol is not None and asked_protocol(protocol).views.keep_unsynced
     return (replace(reading, keep_unsynced=True) if keeps else reading).open(path)
 
 

@@ -1,43 +1,45 @@
 """The run folder that renders are scored in: one that there is, or one made of a capture and a protocol."""
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import ProtocolError
+from ggvs_eval.pipelines.run.asked_protocol import asked_protocol
 from ggvs_eval.pipelines.run.import_renders import plain_label
 from ggvs_eval.pipelines.run.prepare import prepare_truth
 from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
-from ggvs_eval.protocol import load_protocol
 from ggvs_eval.run_folder import RunFolder
 
 SCORES_ROOT = Path("scores")
 
 
-def run_for(root: Path | None, capture: Capture | None, protocol: str | None, workers: int) -> RunFolder:
+def run_for(root: Path | None, open_capture: Callable[[], Capture] | None, protocol: str | None, workers: int) -> RunFolder:
     """Open a run folder, or make one that holds the captured frames of the test views and nothing else.
 
     Args:
         root: the folder; ``scores/<capture's folder>`` where None.
-        capture: what was rendered; None where the folder has a run.
+        open_capture: opens what was rendered, once all else is known to be right; None where the folder has a run.
         protocol: a .toml file or a packaged name; the folder's own, or the packaged one that fits, where None.
         workers: processes.
 
     Raises:
         ProtocolError: neither a folder nor a capture, or a folder of another protocol or capture.
     """
-    if root is None and capture is None:
+    asked = asked_protocol(protocol) if protocol else None
+    if root is None and open_capture is None:
         raise ProtocolError("wanted a run folder, or --capture CAPTURE and --protocol PROTOCOL to make one, got neither")
+    capture = open_capture() if open_capture else None
     run = RunFolder(root or SCORES_ROOT / (capture.path.resolve().name if capture else ""))
     own = run.protocol() if run.protocol_file.is_file() else None
-    asked = load_protocol(protocol) if protocol else own
     if own and asked and not asked.agrees_with(own):
         raise ProtocolError(
             f"{run.root}: holds a run of protocol {own.name} ({own.sha256[:12]}), --protocol asks for another "
             f"({asked.sha256[:12]}); give another folder with --run"
         )
     if capture:
-        prepare_truth(run.root, capture, asked or suggest_protocol(capture), workers)
+        prepare_truth(run.root, capture, asked or own or suggest_protocol(capture), workers)
     return run
 
 

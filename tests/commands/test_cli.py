@@ -3,12 +3,15 @@
 import re
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import ggvs_eval
 from ggvs_eval.pipelines.commands.main import COMMANDS, run_command
+from ggvs_eval.protocol import load_protocol
 from helpers.captures import write_dynerf
 from helpers.command_line import refusal
 
@@ -143,3 +146,38 @@ def test_a_mistyped_option_suggests_that_of_its_own_command(capsys):
 def test_no_process_at_all_is_one_line(verb):
     """Each verb that starts processes wants at least one, also where it would find nothing to do."""
     assert refusal(*verb, "--jobs", "0").endswith("--jobs 0: wanted at least 1")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("run", "RUN", "--capture", "NOWHERE"),
+        ("score", "RUN", "--capture", "NOWHERE"),
+        ("sweep", "k", "RUN", "--capture", "NOWHERE"),
+    ],
+)
+def test_a_mistyped_metric_of_a_protocol_is_named_before_anything_is_read(words, tmp_path):
+    """The file, the wrong name and the nearest one, though the capture is not there."""
+    file = tmp_path / "typo.toml"
+    file.write_text(load_protocol("rooms").to_toml().replace('"PSNR"', '"PSRN"'))
+    message = refusal(*(tmp_path / word if word.isupper() else word for word in words), "--protocol", file)
+    assert f"{file}: measurement.metrics: no metric 'PSRN'; did you mean PSNR?" in message
+
+
+@pytest.mark.parametrize("words", [("render", "RUN"), ("run", "RUN", "--capture", "NOWHERE")])
+def test_a_mistyped_method_is_named_before_anything_is_read(words, tmp_path):
+    """Though there is no such run and no such capture."""
+    message = refusal(*(tmp_path / word if word.isupper() else word for word in words), "--methods", "oars")
+    assert "unknown method 'oars'; did you mean ours?" in message
+
+
+def test_a_folder_that_is_no_run_is_called_so(tmp_path):
+    """Nothing is to be deleted; a run is to be made."""
+    assert "not a run folder" in refusal("render", tmp_path, "--methods", "no-blending")
+
+
+def test_the_version_is_that_of_the_distribution(capsys):
+    """On the command line and as an attribute."""
+    run_command(["--version"])
+    assert capsys.readouterr().out == f"ggvs-eval {version('ggvs-eval')}\n"
+    assert ggvs_eval.__version__ == version("ggvs-eval")

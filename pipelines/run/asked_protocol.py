@@ -1,0 +1,22 @@
+"""A protocol as a user asks for it, known to be computable before anything is read."""
+
+from ggvs_eval.errors import MetricError, ProtocolError
+from ggvs_eval.metrics.registry import select_metrics
+from ggvs_eval.protocol import Protocol, load_protocol
+
+
+def asked_protocol(source: str) -> Protocol:
+    """Load a protocol and refuse metrics that there are not.
+
+    Args:
+        source: a .toml file or a packaged name.
+
+    Raises:
+        ProtocolError: no such protocol, or one that makes no sense; a mistyped metric is named with the nearest one.
+    """
+    protocol = load_protocol(source)
+    try:
+        select_metrics(protocol.measurement.metrics)
+    except MetricError as error:
+        raise ProtocolError(f"{source}: measurement.metrics: {error}") from None
+    return protocol
