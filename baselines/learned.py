@@ -112,6 +112,11 @@ class TrainingRecipe(ABC, Generic[Network]):
     batch_size: ClassVar[int] = 1
     validated_step: ClassVar[int] = 1
 
+    @property
+    def crop_pixels(self) -> int:
+        """Pixels of a crop that the loss looks at."""
+        return self.crop_width * self.crop_height
+
     @abstractmethod
     def network(self) -> Network:
         """A network with random weights, of the configuration."""

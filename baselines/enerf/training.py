@@ -1,6 +1,7 @@
 """Training task of ENeRF: locate surfaces and blend the views there, learned from images alone."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -27,8 +28,9 @@ class EnerfRecipe(TrainingRecipe[Networks]):
         features of VGG16. No weights of VGG ship here: 1 - SSIM stands in for that. Depth is not used.
     """
 
-    crop_width: int = 160
-    crop_height: int = 128
+    crop_width: int = 256
+    crop_height: int = 192
+    batch_size: ClassVar[int] = 2
 
     def network(self) -> Networks:
         """Networks with random weights."""

@@ -32,6 +32,11 @@ class IbrnetRecipe(TrainingRecipe[Networks]):
     rays: int = 320
     validated_step: ClassVar[int] = 4
 
+    @property
+    def crop_pixels(self) -> int:
+        """Pixels of a crop that the loss looks at: one per ray."""
+        return self.rays
+
     def network(self) -> Networks:
         """Networks with random weights."""
         return Networks(self.configuration)

@@ -55,16 +55,25 @@ def configuration_of(path: Path, names: Collection[str], of: str) -> str | None:
     Raises:
         WeightsError: a name that is not known, or a damaged file.
     """
-    if path.suffix != ".safetensors" or not path.is_file():
-        return None
-    try:
-        with safe_open(path, "pt") as file:
-            name: str | None = (file.metadata() or {}).get(CONFIGURATION_NOTE)
-    except (SafetensorError, OSError) as error:
-        raise WeightsError(f"{path}: damaged, or not safetensors ({error}); fetch it again") from error
+    name = read_notes(path).get(CONFIGURATION_NOTE)
     if name is not None and name not in names:
         raise WeightsError(f"{path}: wanted a configuration of {of} ({', '.join(names)}), got {name}; train it again")
     return name
+
+
+def read_notes(path: Path) -> dict[str, str]:
+    """The texts in the header of safetensors; none of a checkpoint, or where there is no file.
+
+    Raises:
+        WeightsError: a damaged file.
+    """
+    if path.suffix != ".safetensors" or not path.is_file():
+        return {}
+    try:
+        with safe_open(path, "pt") as file:
+            return dict(file.metadata() or {})
+    except (SafetensorError, OSError) as error:
+        raise WeightsError(f"{path}: damaged, or not safetensors ({error}); fetch it again") from error
 
 
 def load_strict(tensors: Mapping[str, Tensor], network: nn.Module, path: Path, of: str) -> None:

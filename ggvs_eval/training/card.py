@@ -6,8 +6,8 @@ import platform
 from dataclasses import asdict, fields, is_dataclass
 from pathlib import Path
 
-from safetensors import safe_open
-
+from ggvs_eval.files.weights_file import read_notes
+from ggvs_eval.training.checkpoint import PIXELS_NOTE
 from ggvs_eval.training.task import Task
 
 SHOWN_VALIDATIONS = 12
@@ -27,8 +27,8 @@ def write_card(task: Task, folder: Path, command: str, note: str = "", device: s
         The card's file.
     """
     weights = folder / f"{task.name}.safetensors"
-    with safe_open(weights, "pt") as file:
-        steps = int(file.metadata()["steps"])
+    notes = read_notes(weights)
+    steps, pixels = int(notes["steps"]), int(notes[PIXELS_NOTE])
     rows = _rows(folder / "log.csv")[:steps]
     hours = sum(float(row["seconds"]) for row in rows) / 3600
     on_cpu = sum(float(row.get("cpu_seconds") or 0) for row in rows) / 60
@@ -43,6 +43,7 @@ def write_card(task: Task, folder: Path, command: str, note: str = "", device: s
         "",
         f"- Command: `{command}`",
         f"- Steps: {steps}, {hours:.1f} hours on {platform.machine()} ({platform.system()}){cost}",
+        f"- Pixels of target views: {pixels / 1e6:.0f} million, with those of the weights that it began with, as far as they say",
         f"- Weights: `{weights.name}`, {weights.stat().st_size / 2**20:.1f} MB, half precision, averaged over the last steps,",
         f"  sha256 {hashlib.sha256(weights.read_bytes()).hexdigest()}",
         f"- Data: {task.data}",

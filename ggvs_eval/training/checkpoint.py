@@ -13,9 +13,10 @@ from torch.optim.swa_utils import AveragedModel
 
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.files.atomic import write_bytes
-from ggvs_eval.files.weights_file import load_strict, read_tensors
+from ggvs_eval.files.weights_file import load_strict, read_notes, read_tensors
 
 NETWORK = "the network to be trained"  # in messages
+PIXELS_NOTE = "pixels"  # in the header of weights
 
 
 @dataclass
@@ -24,12 +25,14 @@ class TrainingState:
 
     Attributes:
         step: steps done.
+        pixels: of target views that were learned from, those of the weights that it began with included.
         network: the weights that are moved.
         average: their running average.
         optimiser: with its moments.
     """
 
     step: int
+    pixels: int
     network: nn.Module
     average: AveragedModel
     optimiser: torch.optim.Optimizer
@@ -44,6 +47,7 @@ def write_state(folder: Path, state: TrainingState) -> None:
     """Write it under a temporary name and rename it, so that a kill leaves the old one or the new one."""
     values = {
         "step": state.step,
+        "pixels": state.pixels,
         "network": state.network.state_dict(),
         "average": state.average.state_dict(),
         "optimiser": state.optimiser.state_dict(),
@@ -67,7 +71,7 @@ def read_state(folder: Path, fresh: TrainingState, device: torch.device) -> Trai
         fresh.network.load_state_dict(values["network"])
         fresh.average.load_state_dict(values["average"])
         fresh.optimiser.load_state_dict(values["optimiser"])
-        fresh.step = int(values["step"])
+        fresh.step, fresh.pixels = int(values["step"]), int(values.get("pixels", 0))
     except (RuntimeError, KeyError, ValueError, TypeError, EOFError, pickle.UnpicklingError) as error:
         reason = str(error).splitlines()[0]
         raise TrainingError(f"{path}: not a state of this training ({reason}); choose another folder or delete it") from error
@@ -89,11 +93,15 @@ def write_weights(path: Path, network: nn.Module, notes: Mapping[str, str]) -> N
     write_bytes(path, save(tensors, dict(notes)))
 
 
-def pour_weights(path: Path, network: nn.Module) -> None:
+def pour_weights(path: Path, network: nn.Module) -> int:
     """Give a network the weights of such a file; one that says how earlier weights are `completed` takes those, too.
+
+    Returns:
+        Pixels that they have learned from, 0 where the file does not say.
 
     Raises:
         WeightsError: absent, damaged, or of another network.
     """
     completed = getattr(network, "completed", dict)
     load_strict(completed(read_tensors(path, of=NETWORK)), network, path, NETWORK)
+    return int(read_notes(path).get(PIXELS_NOTE, 0))

@@ -15,7 +15,15 @@ from torch.utils.data import DataLoader, Dataset
 from ggvs_eval.compute_device import compute_device, computing_on
 from ggvs_eval.files.weights_file import CONFIGURATION_NOTE
 from ggvs_eval.progress import track
-from ggvs_eval.training.checkpoint import TrainingState, pour_weights, read_state, state_file, write_state, write_weights
+from ggvs_eval.training.checkpoint import (
+    PIXELS_NOTE,
+    TrainingState,
+    pour_weights,
+    read_state,
+    state_file,
+    write_state,
+    write_weights,
+)
 from ggvs_eval.training.log import TrainingLog, draw_curves
 from ggvs_eval.training.task import Task
 
@@ -72,8 +80,11 @@ def train(task: Task, folder: Path, options: TrainingOptions) -> Path:
         started, on_cpu = perf_counter(), process_time()
         figures = _step(task, state, batch, step, options, device)
         log.step(step, figures | {"seconds": perf_counter() - started, "cpu_seconds": process_time() - on_cpu})
-        state.step = step + 1
+        state.step, state.pixels = step + 1, state.pixels + task.step_pixels
         last = state.step == options.steps
+        if last:
+            with computing_on(device):
+                task.settle(state.average.module)
         if last or state.step % options.validate_every == 0:
             with computing_on(device):
                 log.validation(state.step, task.validate(state.average.module))
@@ -86,9 +97,9 @@ def train(task: Task, folder: Path, options: TrainingOptions) -> Path:
 
 def _start(task: Task, folder: Path, device: torch.device, start_from: Path | None) -> TrainingState:
     """The folder's state, or a fresh one."""
-    network = task.network()
+    network, pixels = task.network(), 0
     if start_from is not None and not state_file(folder).is_file():
-        pour_weights(start_from, network)
+        pixels = pour_weights(start_from, network)
     network = network.to(device)
     for parameter in network.parameters():
         if parameter.dim() == 4:  # weights of images' convolutions; those of volumes stay as they are
@@ -96,14 +107,15 @@ def _start(task: Task, folder: Path, device: torch.device, start_from: Path | No
     average = AveragedModel(network, avg_fn=partial(_averaged, task.schedule.average), use_buffers=True)
     schedule = task.schedule
     optimiser = torch.optim.AdamW(network.parameters(), schedule.learning_rate, weight_decay=schedule.weight_decay)
-    state = TrainingState(0, network, average, optimiser)
+    state = TrainingState(0, pixels, network, average, optimiser)
     return read_state(folder, state, device)
 
 
 def _notes(state: TrainingState) -> dict[str, str]:
-    """Write the notes in the header of the weights: steps, and the configuration of a network that has several."""
+    """Write the notes in the header of the weights: steps, pixels, and the configuration of a network that has several."""
     configuration = getattr(state.network, "configuration", None)
-    return {"steps": str(state.step)} | ({} if configuration is None else {CONFIGURATION_NOTE: configuration})
+    notes = {"steps": str(state.step), PIXELS_NOTE: str(state.pixels)}
+    return notes if configuration is None else {**notes, CONFIGURATION_NOTE: configuration}
 
 
 def _averaged(decay: float, average: torch.Tensor, current: torch.Tensor, count: torch.Tensor | int) -> torch.Tensor:

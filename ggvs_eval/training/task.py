@@ -56,6 +56,10 @@ class Task(Protocol):
     def schedule(self) -> Schedule:
         """Optimiser settings: learning rate, weight decay, gradient clipping, averaged weights."""
 
+    @property
+    def step_pixels(self) -> int:
+        """Pixels of target views that a step learns from."""
+
     def network(self) -> nn.Module:
         """A fresh network with seeded weights."""
 
@@ -64,6 +68,9 @@ class Task(Protocol):
 
     def loss(self, network: nn.Module, batch: Any) -> tuple[Tensor, Mapping[str, float]]:
         """Return the loss to be minimised, and figures for the log."""
+
+    def settle(self, network: nn.Module) -> None:
+        """Make a network that has learned ready to be used: what small crops tell badly is computed anew from whole views."""
 
     def validate(self, network: nn.Module) -> Mapping[str, float]:
         """Figures on data that is never trained on."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +15,17 @@ from ggvs_eval.baselines.learned import LearnedBaseline, TrainingRecipe
 from ggvs_eval.baselines.registry import LEARNED_BASELINES
 from ggvs_eval.errors import TrainingError
 from ggvs_eval.files.images import quantise
+from ggvs_eval.method import Instant
 from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.metrics.image.ssim import ssim
 from ggvs_eval.pipelines.training.blend.blend_task import FINE_TUNING, LEARNING
 from ggvs_eval.pipelines.training.samples.samples import Samples, require_room
 from ggvs_eval.pipelines.training.samples.training_data import TrainingData, baseline_samples
 from ggvs_eval.training.instant_samples import InstantSample
+from ggvs_eval.training.normalisation import freeze_statistics, recompute_statistics
 from ggvs_eval.training.task import Schedule
+
+STATISTICS_VIEWS = 48  # that running statistics are computed over
 
 
 def baseline_task(
@@ -43,7 +47,7 @@ def baseline_task(
     baseline = LEARNED_BASELINES[name]
     samples = baseline_samples(cache, data, baseline.takes_depth)
     recipe = baseline.make_recipe(configuration, seed)
-    return BaselineTask(*samples, baseline, recipe, recipe.batch_size, FINE_TUNING if is_trained else LEARNING)
+    return BaselineTask(*samples, baseline, recipe, recipe.batch_size, FINE_TUNING if is_trained else LEARNING, is_trained)
 
 
 @dataclass(frozen=True)
@@ -57,6 +61,8 @@ class BaselineTask:
         recipe: its network, its loss and the size of its crops.
         batch_size: crops per step.
         schedule: that of the blending network; what a rate for a GPU's day would learn in an hour of one core is little.
+        has_statistics: the network begins with running statistics that are right, and learns under them; else they follow the
+            crops, and are computed anew at the end.
     """
 
     training: Samples[InstantSample]
@@ -65,6 +71,7 @@ class BaselineTask:
     recipe: TrainingRecipe[Any]
     batch_size: int = 1
     schedule: Schedule = LEARNING
+    has_statistics: bool = False
 
     def __post_init__(self) -> None:
         """Refuse what does not fit together."""
@@ -95,6 +102,11 @@ class BaselineTask:
         left_out = f"; without {len(refusals)} of them, as the method cannot render such views: {refusals[0]}" if refusals else ""
         return f"{measured}: {self.validation.data}{left_out}."
 
+    @property
+    def step_pixels(self) -> int:
+        """Pixels of target views that a step learns from."""
+        return self.batch_size * self.recipe.crop_pixels
+
     def network(self) -> nn.Module:
         """A fresh network."""
         torch.manual_seed(self.recipe.seed)
@@ -120,6 +132,8 @@ class BaselineTask:
     def loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, Mapping[str, float]]:
         """Mean over the crops; ``passed_over`` tells how many views a crop skipped, see `_crop_loss`."""
         network.train()
+        if self.has_statistics:
+            freeze_statistics(network)
         losses, figures = [], []
         for number, place, order in zip(*(batch[name].tolist() for name in ("samples", "places", "colours")), strict=True):
             loss, terms = self._crop_loss(network, number, place, order, int(batch["step"]))
@@ -154,6 +168,17 @@ class BaselineTask:
     def _refusals(self) -> list[str | None]:
         """Of each validation view why the method cannot render it, None where it can."""
         return [self.recipe.refusal(self.validation.read(index).instant) for index in range(len(self.validation))]
+
+    def settle(self, network: nn.Module) -> None:
+        """Compute running statistics anew, over whole views of all parts of the training data."""
+        if not self.has_statistics:
+            count = min(STATISTICS_VIEWS, len(self.training))
+            samples = (self.training.read(number * len(self.training) // count) for number in range(count))
+            instants = (each.instant for each in samples if self.recipe.refusal(each.instant) is None)
+            recompute_statistics(network, (partial(self._render, instant=instant) for instant in instants))
+
+    def _render(self, network: nn.Module, instant: Instant) -> Tensor:
+        return self.recipe.validated_view(network, instant)
 
     def validate(self, network: nn.Module) -> Mapping[str, float]:
         """Scores of the validation views that the method can render, their means."""

@@ -156,7 +156,7 @@ def test_a_disk_that_fills_while_a_demo_is_filmed(small_disk):
 def test_weights_and_states_name_a_full_disk(small_disk):
     """The libraries that write them would say that something failed."""
     network = torch.nn.Linear(200, 200)
-    state = TrainingState(1, network, AveragedModel(network), torch.optim.Adam(network.parameters()))
+    state = TrainingState(1, 0, network, AveragedModel(network), torch.optim.Adam(network.parameters()))
 
     for write in (lambda: write_weights(small_disk / "a.safetensors", network, {}), lambda: write_state(small_disk, state)):
         (small_disk / "other").write_bytes(bytes(70_000))

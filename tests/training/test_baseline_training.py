@@ -151,6 +151,25 @@ def test_a_batch_is_learned(what, cache):
     assert all(np.isfinite(value) for value in figures.values())
 
 
+@pytest.mark.parametrize("what", ["enerf", "fwd"])
+def test_trained_weights_learn_under_the_statistics_that_they_are_used_with(what, cache):
+    """Those of whole views are settled at the end of a first training, and stay where trained weights go on."""
+    first, further = small_task(what, cache), replace(small_task(what, cache), has_statistics=True)
+    network = first.network()
+    fresh = statistics_of(network)
+    first.settle(network)
+    settled = statistics_of(network)
+    assert any(not torch.equal(settled[name], fresh[name]) for name in fresh)
+    further.loss(network, ONE_CROP)
+    further.settle(network)
+    assert all(torch.equal(statistics_of(network)[name], settled[name]) for name in settled)
+
+
+def statistics_of(network):
+    """Running means and variances of a network by name."""
+    return {name: tensor.clone() for name, tensor in network.named_buffers() if "running" in name}
+
+
 @pytest.mark.parametrize("what", LEARNED_BASELINES)
 def test_what_a_training_writes_renders(what, cache, tmp_path):
     """The file says its configuration and renders by the method's label; its picture is the one that was validated."""

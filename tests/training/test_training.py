@@ -11,6 +11,7 @@ from torch import nn
 
 from ggvs_eval.errors import TrainingError, WeightsError
 from ggvs_eval.files.images import read_image
+from ggvs_eval.files.weights_file import read_notes
 from ggvs_eval.pipelines.offline.stereo.raft_config import COMPACT
 from ggvs_eval.pipelines.training.request import TrainingRequest
 from ggvs_eval.pipelines.training.stereo.stereo_loss import matching_loss, sequence_loss
@@ -19,6 +20,7 @@ from ggvs_eval.pipelines.training.train_one import planned_task
 from ggvs_eval.training.card import write_card
 from ggvs_eval.training.log import TrainingLog, draw_curves
 from ggvs_eval.training.loop import TrainingOptions, train
+from ggvs_eval.training.normalisation import freeze_statistics, recompute_statistics
 from ggvs_eval.training.task import Schedule
 
 pytestmark = pytest.mark.slow
@@ -33,6 +35,7 @@ class LineTask:
     summary = "The training of a line."
     data = "points on a line"
     evaluated_on = "Distance from the line."
+    step_pixels = 16
 
     def network(self):
         """One weight, one offset."""
@@ -49,6 +52,9 @@ class LineTask:
         """Squared distance."""
         error = (network(batch["x"]) - batch["y"]).square().mean()
         return error, {"squared": float(error.detach())}
+
+    def settle(self, network):
+        """Nothing."""
 
     def validate(self, network):
         """Distance at 0.5."""
@@ -126,6 +132,34 @@ def test_trained_weights_can_be_the_beginning(tmp_path):
     save_file({"weight": torch.zeros(2, 2)}, tmp_path / "wrong.safetensors")
     with pytest.raises(WeightsError, match=r"wrong\.safetensors: 2 tensors differ from the network to be trained"):
         train(LineTask(), tmp_path / "third", replace(OPTIONS, start_from=tmp_path / "wrong.safetensors"))
+
+
+def test_pixels_are_counted_over_all_trainings(tmp_path):
+    """The header of the weights says how many they have learned from, with those of the weights that they began with."""
+    first = train(LineTask(), tmp_path / "first", OPTIONS)
+    second = train(LineTask(), tmp_path / "second", replace(OPTIONS, steps=20, start_from=first))
+    assert read_notes(first)["pixels"] == str(120 * 16)
+    assert read_notes(second)["pixels"] == str(140 * 16)
+    train(LineTask(), tmp_path / "second", replace(OPTIONS, steps=30))
+    assert read_notes(second)["pixels"] == str(150 * 16)
+
+
+def test_statistics_are_those_of_whole_views():
+    """Mean and variance over all views, whatever the network remembered; frozen ones do not move while it learns."""
+    network = nn.Sequential(nn.BatchNorm2d(3), nn.Conv2d(3, 1, 1))
+    rng = np.random.default_rng(5)
+    views = [torch.from_numpy(rng.normal(2 * n, 1 + n, (1, 3, 40, 30))).float() for n in range(4)]
+    network(torch.full((1, 3, 8, 8), 100.0))
+    recompute_statistics(network, [lambda net, view=view: net(view) for view in views])
+    norm = network[0]
+    torch.testing.assert_close(norm.running_mean, torch.stack([view.mean((0, 2, 3)) for view in views]).mean(0))
+    torch.testing.assert_close(norm.running_var, torch.stack([view.var((0, 2, 3)) for view in views]).mean(0))
+    assert not norm.training
+    before = norm.running_mean.clone()
+    network.train()
+    freeze_statistics(network)
+    network(views[3])
+    assert torch.equal(norm.running_mean, before)
 
 
 def train_nothing_from(folder, weights):

@@ -96,10 +96,18 @@ class BlendTask:
             f"views: {self.validation.data}."
         )
 
+    @property
+    def step_pixels(self) -> int:
+        """Pixels of target views that a step learns from."""
+        return self.batch_size * self.crop_width * self.crop_height
+
     def network(self) -> nn.Module:
         """A fresh network."""
         torch.manual_seed(self.seed)
         return BlendNetwork(self.config)
+
+    def settle(self, network: nn.Module) -> None:
+        """Nothing: the network normalises by no statistics."""
 
     def batch(self, step: int) -> dict[str, Tensor]:
         """Channels (B, 9 K + 1, H, W), and what `blend_loss` wants."""

@@ -17,6 +17,7 @@ from ggvs_eval.synthetic.film.options import DemoOptions
 
 FIRST_TRAINING_ROOM = FIRST_TRAINING_SEED
 WINDOW = (480, 360)  # of large images, pixels
+LARGE_FACTOR = 3  # so many times the pixels, fewer rooms and more views of each
 
 
 @dataclass(frozen=True)
@@ -136,7 +137,7 @@ def domain_plans(domains: Iterable[str] = tuple(DOMAINS), rooms: int = 4, target
     Args:
         domains: their names.
         rooms: per domain; of domains whose images are large a third of that, as they take as much time.
-        targets: views per room.
+        targets: views per room; of domains whose images are large three times as many.
         shared: whatever else plans have in common, see `RoomPlan`.
     """
     plan = replace(RoomPlan(rooms=rooms, targets=targets), **shared)  # type: ignore[arg-type]
@@ -164,4 +165,5 @@ def _sized(plan: RoomPlan, domain: str) -> RoomPlan:
     width, height = find_domain(domain).size
     if width <= WINDOW[0] and height <= WINDOW[1]:
         return replace(plan, domain=domain, width=width, height=height)
-    return replace(plan, domain=domain, rooms=max(plan.rooms // 3, 1), width=width, height=height, window=WINDOW)
+    rooms, targets = max(plan.rooms // LARGE_FACTOR, 1), plan.targets * LARGE_FACTOR
+    return replace(plan, domain=domain, rooms=rooms, targets=targets, width=width, height=height, window=WINDOW)

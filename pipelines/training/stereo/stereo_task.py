@@ -74,10 +74,18 @@ class StereoTask:
             "nothing (24), and `start_` the semi-global matching itself, gaps filled."
         )
 
+    @property
+    def step_pixels(self) -> int:
+        """Pixels of left images that a step learns from."""
+        return self.batch_size * self.width * self.height
+
     def network(self) -> nn.Module:
         """A fresh network."""
         torch.manual_seed(self.seed)
         return RaftStereo(self.config)
+
+    def settle(self, network: nn.Module) -> None:
+        """Nothing: the network normalises by no statistics of a batch."""
 
     def batch(self, step: int) -> dict[str, Tensor]:
         """left, right (B, 3, H, W), disparity and visible (B, H, W), initial flow (B, 1, h, w)."""
