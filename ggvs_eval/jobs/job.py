@@ -163,7 +163,7 @@ def attempt_jobs(jobs: Sequence[Job], workers: Workers, description: str, ledger
 def _run_one(job: Job, code: str | None) -> Failure | None:
     """Run a job; give back why it failed, if it did. What runs on another machine must be the code that the job was made by."""
     try:
-        if code not in (None, package_digest()):
+        if code is not None and code != package_digest():
             return Failure(job.name, f"the worker on {socket.gethostname()} has another version of ggvs-eval; install the same")
         job.run()
     except Exception as error:
