@@ -8,6 +8,7 @@ from types import MappingProxyType
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import RenderError
 from ggvs_eval.jobs.engine import Workers, as_engine
+from ggvs_eval.jobs.pace import pace
 from ggvs_eval.jobs.processes import kept_workers
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
@@ -25,7 +26,7 @@ from ggvs_eval.synthetic.film.options import DemoOptions
 
 K_PROTOCOL = "demo-k"
 FEW = ("no-blending", "distance-based", "ours")
-# Seconds of filming and evaluating each room by the usual methods, and over K, times the two cores on which they were measured.
+# Seconds of filming and evaluating each room by the usual methods, and over K, times the cores: at `pace` 1.
 CORE_SECONDS = {MAIN: 380.0, "demo-enerf-outdoor": 100.0, "demo-d3dmv": 240.0, K_PROTOCOL: 130.0}
 # What the small rooms are evaluated by where nobody names methods: the smaller one by all that the paper compares itself with.
 SMALL_ROOMS_METHODS = {
@@ -88,12 +89,20 @@ def evaluate_demos(
     return page
 
 
-def describe_outlook(root: Path, labels: Mapping[str, Sequence[str]], jobs: int) -> str:
-    """Say in one line how long the demo takes and when its first page can be opened; empty once its rooms are evaluated."""
+def describe_outlook(root: Path, labels: Mapping[str, Sequence[str]], jobs: int, probe: Callable[[], float] = pace) -> str:
+    """Say in one line how long the demo takes and when its first page can be opened; empty once its rooms are evaluated.
+
+    Args:
+        root: run folder of the main room.
+        labels: name of a room -> its methods.
+        jobs: processes.
+        probe: seconds that work takes here for each second of `CORE_SECONDS`.
+    """
     page = RunFolder(root).report / "index.html"
     if page.is_file() or any(name not in CORE_SECONDS for name in labels):
         return ""
-    whole, first = sum(CORE_SECONDS.values()) / jobs, CORE_SECONDS[MAIN] / jobs
+    core_seconds = {name: seconds * probe() for name, seconds in CORE_SECONDS.items()}
+    whole, first = sum(core_seconds.values()) / jobs, core_seconds[MAIN] / jobs
     return (
         f"demo: about {duration(whole)} in all on {jobs} cores; in about {duration(first)} open {page}, which grows with each run"
     )

@@ -2,7 +2,9 @@
 
 import dataclasses
 import json
+import re
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,7 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.errors import CaptureError
+from ggvs_eval.jobs.pace import pace
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
 from ggvs_eval.pipelines.sweep import demo_runs
@@ -187,3 +190,16 @@ def test_a_dry_run_films_nothing(tmp_path, capsys):
     assert "5 runs of 2 views x 6 frames x 2 methods at 480 x 360, K = 2, 3, 4, 5, 6" in told[10]
     assert str(tmp_path / "out-k") + "," in told[11]
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_outlook_follows_the_machine(tmp_path):
+    """A machine that is three times slower is told three times as long; once the page is there nothing is told."""
+    labels = demo_runs.room_labels(("ours",), ("ours",))
+    slow, slower = (demo_runs.describe_outlook(tmp_path, labels, 2, partial(float, factor)) for factor in (2, 6))
+    minutes = [[int(number) for number in re.findall(r"about (\d+) min", text)] for text in (slow, slower)]
+    assert minutes[0]
+    assert [3 * number for number in minutes[0]] == pytest.approx(minutes[1], abs=2)
+    (tmp_path / "report").mkdir()
+    (tmp_path / "report" / "index.html").touch()
+    assert not demo_runs.describe_outlook(tmp_path, labels, 2)
+    assert pace() > 0
