@@ -34,6 +34,7 @@ ROUNDING = 5e-6
 # few of the numbers near the quoted one would match something as well.
 NEIGHBOURHOOD, WEAK_CHANCE = 0.05, 0.25
 MOST_DIGITS = 100  # before or behind the point of a printed number
+PRINTED = re.compile(r"(?P<number>[+-]?\d+(?:[.,]\d+)?)\s*(?P<unit>dB|%)?")
 OF_NO_VIEW = {"path": "a camera path", "depth": "depth videos"}
 Masks = Mapping[str, MaskReader]
 FAMILIES: Mapping[str, Callable[[Mapping[str, ViewFrames], Masks], list[Recomputed]]] = {
@@ -127,29 +128,26 @@ def metric_family(metric: str) -> str:
 
 
 def printed(quoted: str) -> tuple[float, float]:
-    """A printed number, and half of its last digit.
+    """A printed number, and half of its last digit; decibels, per cent and a decimal comma are read as they are meant.
 
     Raises:
         MetricError: not a finite number, or one that no metric has.
+
+    Examples:
+        >>> printed("31.52"), printed("31,52 dB"), printed("93.6 %")
+        ((31.52, 0.005), (31.52, 0.005), (0.936, 0.0005))
     """
+    found = PRINTED.fullmatch(quoted.strip())
     try:
-        number = Decimal(quoted.strip())
+        number = Decimal(found["number"].replace(",", ".")) if found else Decimal(quoted.strip())
     except InvalidOperation:
-        raise MetricError(f"wanted a number as it was printed, e.g. 0.936, got {quoted!r}{_mend(quoted)}") from None
+        raise MetricError(f"wanted a number as it was printed, e.g. 0.936, got {quoted!r}") from None
+    if found and found["unit"] == "%":
+        number = number.scaleb(-2)
     exponent = number.as_tuple().exponent
     if not isinstance(exponent, int) or max(abs(exponent), abs(number.adjusted())) > MOST_DIGITS:
         raise MetricError(f"wanted a finite number as it was printed, e.g. 0.936, got {quoted!r}")
     return float(number), 0.5 * 10.0**exponent
-
-
-def _mend(quoted: str) -> str:
-    """Suggest the number within a text: before a unit, or with a decimal comma."""
-    found = re.fullmatch(r"\s*([+-]?\d+)(?:[.,](\d+))?\s*([^\d\s.,]*)\s*", quoted)
-    if not found:
-        return ""
-    whole, digits, unit = found.groups()
-    wrong = [*(["a decimal comma"] if "," in quoted else []), *([f"the unit {unit!r}"] if unit else [])]
-    return f"; it has {' and '.join(wrong)}, write {whole + (f'.{digits}' if digits else '')}" if wrong else ""
 
 
 def tolerance(quoted: str, value: float) -> float:
