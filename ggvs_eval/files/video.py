@@ -112,11 +112,12 @@ def _exact_conversion() -> int:
 
 
 class FrameTime(NamedTuple):
-    """When a frame is shown and handed to the decoder, in ticks of its stream."""
+    """When a frame is shown and handed to the decoder, in ticks of its stream; hidden ones only lead to others (edit lists)."""
 
     presented: int
     decoded: int
     is_key: bool
+    is_hidden: bool
 
 
 @dataclass(frozen=True)
@@ -204,9 +205,9 @@ class VideoFrames:
         index, reason = start, "data missing or damaged"
         for key in self._key_frames_before(start):
             try:
-                for frame in islice(self._decode_from(key, index), stop - index):
+                for frame in islice(self._decode_from(key, self._shown[index].presented), stop - index):
                     # A frame that is missing or concealed must not shift or spoil those after it.
-                    if frame.pts != self._timestamps[index].presented or frame.is_corrupt:
+                    if frame.pts != self._shown[index].presented or frame.is_corrupt:
                         break
                     image = frame.to_ndarray(format="rgb24", interpolation=_exact_conversion()).astype(np.uint8, copy=False)
                     yield np.ascontiguousarray(np.rot90(image, self._quarter_turns)) if self._quarter_turns else image
@@ -217,14 +218,18 @@ class VideoFrames:
                 return
         raise self._damaged(index, reason)
 
-    def _key_frames_before(self, start: int) -> list[int]:
-        """List where decoding may begin: at the last key frame or, where that is not enough (intra refresh), at the first."""
-        last = max((index for index, frame in enumerate(self._timestamps[: start + 1]) if frame.is_key), default=0)
-        return [last, 0] if last else [0]
+    def _key_frames_before(self, start: int) -> list[FrameTime]:
+        """List where decoding may begin: at the last key frame or, where that is not enough (intra refresh), at the first frame.
 
-    def _decode_from(self, key: int, start: int) -> "Iterator[VideoFrame]":
-        """Frames in the order of presentation from `start` on, decoded from the key frame `key` <= `start`."""
-        first, presented = self._timestamps[key], self._timestamps[start].presented
+        Either may be hidden: a video that was cut without being encoded again keeps what its first frames refer to.
+        """
+        presented = self._shown[start].presented
+        first = min(self._timestamps, key=lambda frame: frame.decoded)
+        last = [frame for frame in self._timestamps if frame.is_key and frame.presented <= presented][-1:]
+        return list(dict.fromkeys([*last, first]))
+
+    def _decode_from(self, first: FrameTime, presented: int) -> "Iterator[VideoFrame]":
+        """Frames in the order of presentation from a time on, decoded from the frame `first`, which is shown no later."""
         with self._open() as container:
             stream = container.streams.video[0]
             stream.thread_type = "AUTO"
@@ -244,15 +249,21 @@ class VideoFrames:
         try:
             with self._open() as container:
                 timestamps = sorted(
-                    FrameTime(packet.pts, packet.dts, packet.is_keyframe)
+                    FrameTime(packet.pts, packet.dts, packet.is_keyframe, packet.is_discard)
                     for packet in container.demux(video=0)
-                    if packet.pts is not None and packet.dts is not None and not packet.is_discard
+                    if packet.pts is not None and packet.dts is not None
                 )
         except av.error.FFmpegError as error:
             raise self._damaged(0, str(error.strerror)) from error
-        if len(timestamps) != self.n_frames:
-            raise self._damaged(len(timestamps), "packets missing")
+        n_shown = sum(not frame.is_hidden for frame in timestamps)
+        if n_shown != self.n_frames:
+            raise self._damaged(n_shown, "packets missing")
         return timestamps
+
+    @cached_property
+    def _shown(self) -> list[FrameTime]:
+        """Those that are presented, in order; frame t is the one at index t."""
+        return [frame for frame in self._timestamps if not frame.is_hidden]
 
     @cached_property
     def _header(self) -> tuple[int, tuple[int, int], float]:

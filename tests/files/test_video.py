@@ -212,3 +212,38 @@ def test_digest_sees_changes_in_large_files(tmp_path):
     path.write_bytes(content[:-1].tobytes())
     digests.add(digest_files([path]))
     assert len(digests) == 5
+
+
+def trim(source: Path, target: Path, first: int, from_start: bool) -> None:
+    """Cut a video without encoding it again, as `ffmpeg -ss -c copy` and phones do: the lead-in stays, hidden by an edit list.
+
+    It begins at the last key frame, or at the start where key frames lead nowhere by themselves (intra refresh).
+    """
+    import av
+
+    with av.open(str(source)) as given, av.open(str(target), "w", options={"avoid_negative_ts": "disabled"}) as made:
+        stream = given.streams.video[0]
+        copy = made.add_stream_from_template(stream)
+        packets = [packet for packet in given.demux(stream) if packet.dts is not None]
+        start = sorted(packet.pts for packet in packets)[first]
+        keys = [index for index, packet in enumerate(packets) if packet.is_keyframe and packet.pts <= start]
+        for packet in packets[0 if from_start else keys[-1] :]:
+            packet.pts, packet.dts, packet.stream = packet.pts - start, packet.dts - start, copy
+            made.mux(packet)
+
+
+# With intra refresh FFmpeg drops the lead-in of a cut at a point of recovery, from which nothing can be decoded exactly.
+CUTS = [(group, first) for group in GROUPS for first in (1, 11, 12, 13, 30) if group != "intra refresh" or first not in (12, 13)]
+
+
+@pytest.mark.parametrize(("group", "first"), CUTS)
+def test_a_trimmed_video_has_the_frames_that_it_shows(group, first, tmp_path):
+    """Cut at a key frame, next to one and between: frame t is the t-th that is shown, from wherever reading begins."""
+    encode(tmp_path / "whole.mp4", GROUPS[group])
+    trim(tmp_path / "whole.mp4", tmp_path / "cut.mp4", first, from_start=group == "intra refresh")
+    video = VideoFrames(tmp_path / "cut.mp4")
+    shown = list(range(first, N_FRAMES))
+    assert video.n_frames == len(shown)
+    assert frame_numbers(video.frames(0, video.n_frames)) == shown
+    for start in (0, 1, 5, video.n_frames - 1):
+        assert frame_numbers(video.frames(start, start + 1)) == [shown[start]]
