@@ -1,17 +1,20 @@
-"""Folders that a run derives from others: masks, path depth, the report; made anew when what they are made from changes."""
+"""Folders that a run derives from others: frames, masks, path depth, the report; made anew when what they come from changes."""
 
 import hashlib
 import os
 import shutil
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import ResultsError
+from ggvs_eval.files.digest import digest_files
 from ggvs_eval.run_folder import read_json, write_json
 
 NOTE = "made_from.json"
+DIGESTS = ".digests.json"  # hidden: it holds times of this machine, and runs are merged without it
 RECORDS = (".json", ".toml", ".parquet", ".csv")
 
 
@@ -63,3 +66,53 @@ def digest_folder(folder: Path, without: Collection[str] = ()) -> str:
             content = file.read_bytes() if file.suffix in RECORDS else f"{about.st_size} {about.st_mtime_ns}".encode()
             digest.update(f"{file.relative_to(folder)}\0".encode() + content)
     return digest.hexdigest()
+
+
+@dataclass(frozen=True)
+class MadeFiles:
+    """Files of a folder that are made once, and again where they are lost, changed since, or made from something else.
+
+    A record holds the digest of each file and its status (inode, size, times); while the status is the same, so is the content,
+    since whatever writes a file sets a time (ctime) that nobody can set back. Files with another status are hashed.
+
+    Attributes:
+        folder: holds the files and the record.
+        made_from: identifies all that they depend on.
+    """
+
+    folder: Path
+    made_from: str
+
+    def missing(self, names: Iterable[str]) -> list[str]:
+        """Which of the wanted files are not here as they were made from just this."""
+        noted = self._noted()
+        return [name for name in names if not _is_as_noted(self.folder / name, noted.get(name))]
+
+    def note(self, names: Iterable[str]) -> None:
+        """Note files that have just been made, or that are as they were made."""
+        noted = self._noted()
+        files = {name: self.folder / name for name in names}
+        changed = {name: _entry(file) for name, file in files.items() if noted.get(name, ())[:-1] != _status(file)}
+        if changed:
+            write_json(self.folder / DIGESTS, {"made_from": self.made_from, "files": noted | changed})
+
+    def _noted(self) -> dict[str, list[Any]]:
+        """File name -> status and digest, as far as made from the same."""
+        try:
+            record = read_json(self.folder / DIGESTS)
+            return dict(record["files"]) if record["made_from"] == self.made_from else {}
+        except (ResultsError, KeyError, TypeError, ValueError):  # none yet, or damaged
+            return {}
+
+
+def _is_as_noted(file: Path, noted: list[Any] | None) -> bool:
+    return noted is not None and file.is_file() and (noted[:-1] == _status(file) or noted[-1] == digest_files([file]))
+
+
+def _entry(file: Path) -> list[Any]:
+    return [*_status(file), digest_files([file])]  # the status first: what is written meanwhile shows in the next one
+
+
+def _status(file: Path) -> list[int]:
+    about = file.stat()
+    return [about.st_ino, about.st_size, about.st_mtime_ns, about.st_ctime_ns]

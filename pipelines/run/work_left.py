@@ -10,6 +10,7 @@ from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import ProtocolError, ResultsError
 from ggvs_eval.pipelines.run import disocclusion, path_depth
 from ggvs_eval.pipelines.run.derived_files import is_stale
+from ggvs_eval.pipelines.run.frame_cache import frames_left, path_left
 from ggvs_eval.pipelines.run.render import needed_fits, render_jobs
 from ggvs_eval.pipelines.run.run_plan import RunPlan
 from ggvs_eval.progress import duration
@@ -27,7 +28,7 @@ class WorkLeft:
 
     Attributes:
         n_pixels: of a frame.
-        truth: captured frames of every camera that takes part.
+        truth: captured frames of every camera that takes part, and along the path.
         found_depth: depth maps as they are found.
         checked_depth: depth maps that are held against others.
         disoccluded: masks of every test view.
@@ -169,7 +170,6 @@ def count_work(plans: Sequence[RunPlan], folder: Path, jobs: int = 1) -> Workloa
 def work_left(plan: RunPlan) -> WorkLeft:
     """Count what one run lacks."""
     run, request, store = plan.run, plan.request, DepthStore(plan.shared_root / "depth")
-    truth = {plan.shared_root / "truth" / name: frames for name, frames in plan.frames_of_cameras().items()}
     masks = plan.plans if any(name.endswith("_disoccluded") for name in plan.protocol.measurement.metrics) else ()
     renders: dict[tuple[str, Path], int] = {}
     path_renders: dict[tuple[str, Path], int] = {}
@@ -187,7 +187,7 @@ def work_left(plan: RunPlan) -> WorkLeft:
     width, height = plan.capture.cameras[0].size
     return WorkLeft(
         width * height,
-        {folder: sum(len(missing_frames(folder, range(t, t + 1))) for t in frames) for folder, frames in truth.items()},
+        _truth_left(plan),
         *_depth_left(plan, store),
         {run.disoccluded(view): _masks_left(plan, view) for view in masks},
         _poses_left(plan),
@@ -199,6 +199,15 @@ def work_left(plan: RunPlan) -> WorkLeft:
             job.folder for job in needed_fits(plan, request.labels, 1, request.networks, request.views) if not job.is_done()
         ),
     )
+
+
+def _truth_left(plan: RunPlan) -> dict[Path, int]:
+    """Captured frames that are missing or were changed, of each camera and along the path."""
+    root, images, folder = plan.shared_root / "truth", plan.path_images, plan.run.path("truth")
+    left = {root / name: len(frames) for name, frames in frames_left(plan.capture, plan.frames_of_cameras(), root).items()}
+    if images is not None:
+        left[folder] = len(path_left(images, plan.path[0].target.size, plan.protocol.synthesis.resize_filter, folder))
+    return left
 
 
 def _masks_left(plan: RunPlan, view: str) -> int:
