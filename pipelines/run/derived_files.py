@@ -61,7 +61,7 @@ def digest_folder(folder: Path, without: Collection[str] = ()) -> str:
     digest = hashlib.sha256()
     for place, names, files in os.walk(folder):
         names[:] = sorted(name for name in names if name not in without)
-        for file in sorted(Path(place, name) for name in files):
+        for file in sorted(Path(place, name) for name in files if name != DIGESTS):
             about = file.stat()
             content = file.read_bytes() if file.suffix in RECORDS else f"{about.st_size} {about.st_mtime_ns}".encode()
             digest.update(f"{file.relative_to(folder)}\0".encode() + content)
@@ -87,6 +87,11 @@ class MadeFiles:
         """Which of the wanted files are not here as they were made from just this."""
         noted = self._noted()
         return [name for name in names if not _is_as_noted(self.folder / name, noted.get(name))]
+
+    def are_whole(self) -> bool:
+        """Tell whether files have been noted, and each of them is as it was."""
+        noted = self._noted()
+        return bool(noted) and not self.missing(noted)
 
     def note(self, names: Iterable[str]) -> None:
         """Note files that have just been made, or that are as they were made."""

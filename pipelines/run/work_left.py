@@ -112,13 +112,17 @@ class Workload:
         if self.is_nothing():
             return ""
         depth_maps: dict[Path, int] = {}
+        truth: dict[Path, int] = {}
         for each in self.left:
             depth_maps |= {**each.found_depth, **each.checked_depth}
+            truth |= each.truth
         rendered = sum(each.n_rendered for each in self.left)
         n_fits = len({folder for each in self.left for folder in each.fits})
         fits = f", {n_fits} scene{'' if n_fits == 1 else 's'} to fit" if n_fits else ""
+        n_truth = sum(truth.values())
+        decoded = f", {n_truth} captured frame{'' if n_truth == 1 else 's'} to decode" if n_truth else ""
         lines = [
-            f"plan: {self.title}; left are {rendered} frames to render, {sum(depth_maps.values())} depth maps{fits}",
+            f"plan: {self.title}; left are {rendered} frames to render, {sum(depth_maps.values())} depth maps{decoded}{fits}",
             f"disk: about {_size(self.disk_bytes)} more in {self.folder}, {_size(self.free_bytes)} free",
         ]
         return "\n".join([*lines, *self._time_line()])

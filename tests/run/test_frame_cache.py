@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from ggvs_eval.datasets import open_capture
+from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.errors import CaptureError
+from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.pipelines.run.derived_files import DIGESTS
-from ggvs_eval.pipelines.run.frame_cache import cache_frames, frames_left
+from ggvs_eval.pipelines.run.frame_cache import cache_frames, cache_path, frames_left, path_left
 from ggvs_eval.run_folder import frame_path
 from helpers.captures import NAMES, make_image, write_dynerf
 
@@ -108,3 +110,24 @@ def test_frames_of_unknown_origin_are_written_again(capture, tmp_path):
     assert frames_left(capture.resized(*capture.camera("cam02").size, "area"), {"cam02": [1]}, tmp_path) == {"cam02": [1]}
     (tmp_path / "cam02" / DIGESTS).write_text("{")
     assert frames_left(capture, {"cam02": [2]}, tmp_path) == {"cam02": [2]}
+
+
+def test_true_images_of_a_path_are_those_of_the_capture(tmp_path):
+    """They are written once, and again where the capture's change or where what was written did."""
+    images, out = [np.full((8, 12, 3), value, np.uint8) for value in (20, 90)], tmp_path / "out"
+    for pose, image in enumerate(images):
+        write_image(tmp_path / "path" / f"{pose:04d}.png", image)
+
+    def cached() -> list[int]:
+        frames = ImageFrames(tmp_path / "path")
+        left = path_left(frames, (6, 4), "area", out)
+        cache_path(frames, (6, 4), "area", out)
+        return left
+
+    assert (cached(), cached()) == ([0, 1], [])
+    write_image(frame_path(out, 1), 255 - images[1][:4, :6])
+    assert (cached(), cached()) == ([1], [])
+    assert (read_image(frame_path(out, 1)) == 90).all()
+    write_image(tmp_path / "path" / "0000.png", images[0] + 5)
+    assert (cached(), cached()) == ([0, 1], [])
+    assert (read_image(frame_path(out, 0)) == 25).all()
