@@ -99,18 +99,19 @@ def view(
         depth: how depth of a capture is found.
         jobs: processes that prepare a capture.
     """
+    from ggvs_eval.pipelines.view.listener import Listener, require_viser
+
+    require_viser()
+    listener = Listener(host, port)
+    print(f"reading {source} ...", file=sys.stderr, flush=True)
     from ggvs_eval.pipelines.play.playback import PlayOptions, playback_of_run, viewing_of_capture
     from ggvs_eval.pipelines.run.evaluate import reopen
     from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
-    from ggvs_eval.pipelines.view.listener import Listener
     from ggvs_eval.pipelines.view.session import ViewDefaults
-    from ggvs_eval.pipelines.view.viewer import Viewer, export_page, require_viser
+    from ggvs_eval.pipelines.view.viewer import Viewer, export_page
 
-    require_viser()
     device = checked_device(device)
     online_method(method, device)
-    listener = Listener(host, port)
-    print(f"reading {source} ...", file=sys.stderr, flush=True)
     options = PlayOptions(k, frames, None, sources)
     if (source / "protocol.toml").is_file():
         run = reopen(source, jobs)

@@ -3,7 +3,9 @@
 import dataclasses
 import errno
 import http
+import importlib.util
 import ipaddress
+import os
 import secrets
 import socket
 from collections.abc import Callable, Iterator
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
     from websockets.http11 import Request, Response
 
 PORTS_TRIED = 100
+MISSING = "the viewer wants the package viser; install it by `pip install 'ggvs-eval[view]'`"
 # No packet is sent there (RFC 5737): the route that one would take says by which address others reach this machine.
 ELSEWHERE = ("192.0.2.1", 9)
 HEADERS = {"Referrer-Policy": "no-referrer", "X-Frame-Options": "DENY", "Cache-Control": "no-store"}
@@ -87,6 +90,16 @@ class Listener:
         return False
 
 
+def require_viser() -> None:
+    """Say how to install what the viewer is built on, before anything is computed for it.
+
+    Raises:
+        CommandError: it is not installed.
+    """
+    if importlib.util.find_spec("viser") is None:
+        raise CommandError(MISSING)
+
+
 @contextmanager
 def guarded(listener: Listener) -> Iterator[None]:
     """Let the server that viser starts inside listen at our socket, and ask the listener about every request.
@@ -142,20 +155,24 @@ def _first_part(path: str) -> str:
 def _listening(host: str, port: int) -> socket.socket:
     """A socket that listens at the port, or at the next free one."""
     try:
-        family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        for tried in range(port, port + PORTS_TRIED):
-            try:
-                return socket.create_server((str(address[0]), tried), family=family)
-            except OSError as error:
-                if error.errno != errno.EADDRINUSE:
-                    raise
-        raise OSError(errno.EADDRINUSE, f"it is in use, and the next {PORTS_TRIED} are")
+        family, _, _, _, address = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0]
+        return _first_free(str(address[0]), port, family)
     except (OSError, OverflowError, UnicodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
+        reason = os.strerror(error.errno) if isinstance(error, OSError) and (error.errno or 0) > 0 else error
         raise CommandError(
             f"--host {host} --port {port}: nothing can listen there ({reason}); give an address of this machine, such as "
             "127.0.0.1, and a free port from 1024 to 65535"
         ) from error
+
+
+def _first_free(address: str, port: int, family: int) -> socket.socket:
+    for tried in range(port, port + PORTS_TRIED):
+        try:
+            return socket.create_server((address, tried), family=family)
+        except OSError as error:
+            if error.errno != errno.EADDRINUSE:
+                raise
+    raise OSError(errno.EADDRINUSE, "all of them are in use")
 
 
 def _own_address(family: socket.AddressFamily) -> str:

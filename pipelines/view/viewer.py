@@ -4,7 +4,6 @@
 """
 
 import contextlib
-import importlib.util
 import io
 import threading
 import traceback
@@ -13,7 +12,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-from ggvs_eval.errors import CommandError
 from ggvs_eval.pipelines.play.playback import Playback
 from ggvs_eval.pipelines.view.frame_stock import FrameStock
 from ggvs_eval.pipelines.view.listener import Listener, guarded
@@ -32,7 +30,6 @@ if TYPE_CHECKING:
 
 MOVING_PIXELS = 640 * 360
 IDLE_SECONDS = 0.02  # between looks at the clock while time plays or a camera comes to rest
-MISSING = "the viewer wants the package viser; install it by `pip install 'ggvs-eval[view]'`"
 
 
 class Viewer:
@@ -114,16 +111,6 @@ def _attempt(session: Session, work: Callable[[], bool | None]) -> bool:
         with contextlib.suppress(Exception):  # its window may be what is gone
             session.complain(f"{type(error).__name__}: {error}")
         return False
-
-
-def require_viser() -> None:
-    """Say how to install what the viewer is built on, before anything is computed for it.
-
-    Raises:
-        CommandError: it is not installed.
-    """
-    if importlib.util.find_spec("viser") is None:
-        raise CommandError(MISSING)
 
 
 def open_server(listener: Listener) -> "viser.ViserServer":

@@ -281,6 +281,20 @@ def test_a_killed_import_is_made_again(run, tmp_path):
     assert [item.name for item in (run.root / "renders").iterdir()] == ["mine"]
 
 
+@pytest.mark.parametrize("case", ["folders", "uint8 arrays"])
+def test_a_frame_that_was_changed_in_the_run_comes_back(case, run, tmp_path):
+    """What lies in the run is what was rendered, linked or decoded."""
+    source = EXACT[case][0](tmp_path / "theirs")
+    import_renders(run, "mine", source)
+    frame = frame_path(run.renders("mine", "cam00"), 3)
+    frame.unlink()
+    write_image(frame, 255 - rendered("cam00", 3))
+
+    import_renders(run, "mine", source)
+
+    assert largest_difference(run) == 0
+
+
 def test_the_record_names_every_source_file(run, tmp_path):
     """import.json holds the kind, the last part of the path and a digest of each file, and no absolute path."""
     import_renders(run, "mine", write_folders(tmp_path / "theirs"))
