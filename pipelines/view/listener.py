@@ -8,15 +8,15 @@ import ipaddress
 import os
 import secrets
 import socket
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from types import TracebackType
+from collections.abc import Callable
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from ggvs_eval.errors import CommandError
 
 if TYPE_CHECKING:
+    import viser
     from websockets.asyncio.server import ServerConnection
     from websockets.http11 import Request, Response
 
@@ -28,7 +28,7 @@ HEADERS = {"Referrer-Policy": "no-referrer", "X-Frame-Options": "DENY", "Cache-C
 
 
 class Listener:
-    """A socket that listens already, so that an impossible address shows before anything is computed; a context that closes it.
+    """A socket that listens already, so that an impossible address shows before anything is computed.
 
     A page of another site can make a browser talk to this machine, and other users of it can connect. Both lack the token, a
     random part of the address. Beside it, a browser's page must be ours (Origin), and called by an address or a name that is
@@ -70,18 +70,6 @@ class Listener:
             return "open the whole address that was printed, with the token at its end"
         return ""
 
-    def close(self) -> None:
-        """Stop listening."""
-        self.socket.close()
-
-    def __enter__(self) -> "Listener":
-        """The listener itself."""
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        """Close."""
-        self.close()
-
     def _is_own(self, host: str) -> bool:
         """Tell whether the Host of a request is a name of ours or a bare address, which nobody can point elsewhere."""
         with suppress(ValueError):
@@ -100,12 +88,15 @@ def require_viser() -> None:
         raise CommandError(MISSING)
 
 
-@contextmanager
-def guarded(listener: Listener) -> Iterator[None]:
-    """Let the server that viser starts inside listen at our socket, and ask the listener about every request.
+def start_guarded(listener: Listener, start: Callable[[], "viser.ViserServer"]) -> "viser.ViserServer":
+    """Start a server of viser that listens at our socket, and asks the listener about every request.
+
+    Args:
+        listener: where it listens.
+        start: makes the server.
 
     Raises:
-        CommandError: it was started in another way, and would let anybody in.
+        CommandError: it was started in another way, and would let anybody in; it is stopped again.
     """
     from websockets.asyncio import server
 
@@ -118,11 +109,13 @@ def guarded(listener: Listener) -> Iterator[None]:
 
     server.serve = serve_guarded  # type: ignore[misc, assignment]  # viser has no other way to be told
     try:
-        yield
+        started = start()
     finally:
         server.serve = serve  # type: ignore[misc]
     if not is_guarded:
+        started.stop()
         raise CommandError("this version of viser cannot be guarded; install another by `pip install 'ggvs-eval[view]'`")
+    return started
 
 
 def _asking(
@@ -158,7 +151,8 @@ def _listening(host: str, port: int) -> socket.socket:
         family, _, _, _, address = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0]
         return _first_free(str(address[0]), port, family)
     except (OSError, OverflowError, UnicodeError) as error:
-        reason = os.strerror(error.errno) if isinstance(error, OSError) and (error.errno or 0) > 0 else error
+        code = error.errno if isinstance(error, OSError) else None
+        reason = os.strerror(code) if code and code > 0 else error
         raise CommandError(
             f"--host {host} --port {port}: nothing can listen there ({reason}); give an address of this machine, such as "
             "127.0.0.1, and a free port from 1024 to 65535"

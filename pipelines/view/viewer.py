@@ -8,13 +8,14 @@ import io
 import threading
 import traceback
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING
 
 from ggvs_eval.pipelines.play.playback import Playback
 from ggvs_eval.pipelines.view.frame_stock import FrameStock
-from ggvs_eval.pipelines.view.listener import Listener, guarded
+from ggvs_eval.pipelines.view.listener import Listener, start_guarded
 from ggvs_eval.pipelines.view.scene import (
     Frusta,
     add_cloud,
@@ -122,9 +123,9 @@ def open_server(listener: Listener) -> "viser.ViserServer":
     import viser
     from viser import _messages
 
-    # Its banner goes; the command says the address in its own words.
-    with guarded(listener), contextlib.redirect_stdout(io.StringIO()):
-        server = viser.ViserServer(host="127.0.0.1", port=listener.port, label="ggvs-eval", verbose=False)
+    start = partial(viser.ViserServer, host="127.0.0.1", port=listener.port, label="ggvs-eval", verbose=False)
+    with contextlib.redirect_stdout(io.StringIO()):  # its banner; the command says the address in its own words
+        server = start_guarded(listener, start)
     for request in (_messages.ShareUrlRequest, _messages.ShareUrlDisconnect):
         server._websock_server.unregister_handler(request)  # the button alone would hide, a message would do as before
     server.gui.configure_theme(show_logo=False, show_share_button=False)

@@ -11,7 +11,7 @@ import pytest
 
 from ggvs_eval.errors import CommandError
 from ggvs_eval.pipelines.commands.main import run_command
-from ggvs_eval.pipelines.view.listener import Listener, guarded
+from ggvs_eval.pipelines.view.listener import Listener, start_guarded
 
 viser = pytest.importorskip("viser")
 EVIL = "evil.example"
@@ -168,19 +168,23 @@ def test_a_port_in_use_gives_the_next(served):
     listener = Listener(port=served.listener.port)
     assert served.listener.port < listener.port
     assert urlsplit(listener.address).port == listener.port
-    listener.close()
+    listener.socket.close()
 
 
 def test_an_address_for_all_can_be_opened():
     """What is printed for 0.0.0.0 is an address of this machine that answers."""
-    with Listener("0.0.0.0", 0) as listener:
-        parts = urlsplit(listener.address)
-        assert parts.hostname not in ("0.0.0.0", "::")
-        socket.create_connection((parts.hostname, parts.port), timeout=5).close()
-        assert listener._is_own(f"{socket.gethostname()}:{listener.port}")
+    listener = Listener("0.0.0.0", 0)
+    parts = urlsplit(listener.address)
+    assert parts.hostname not in ("0.0.0.0", "::")
+    socket.create_connection((parts.hostname, parts.port), timeout=5).close()
+    assert listener._is_own(f"{socket.gethostname()}:{listener.port}")
+    listener.socket.close()
 
 
 def test_a_server_that_would_not_ask_is_refused():
     """Where viser starts its server in some other way, nothing is served unguarded."""
-    with pytest.raises(CommandError, match="cannot be guarded"), Listener(port=0) as listener, guarded(listener):
-        pass
+    stopped, listener = [], Listener(port=0)
+    with pytest.raises(CommandError, match="cannot be guarded"):
+        start_guarded(listener, lambda: SimpleNamespace(stop=lambda: stopped.append(1)))
+    assert stopped == [1]
+    listener.socket.close()
