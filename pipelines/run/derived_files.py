@@ -1,8 +1,8 @@
 """Folders that a run derives from others: frames, masks, path depth, the report; made anew when what they come from changes."""
 
 import hashlib
+import json
 import os
-import shutil
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,9 +11,8 @@ from typing import Any
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.files.digest import digest_files
-from ggvs_eval.run_folder import read_json, write_json
+from ggvs_eval.run_folder import frame_path, read_json, write_json
 
-NOTE = "made_from.json"
 DIGESTS = ".digests.json"  # hidden: it holds times of this machine, and runs are merged without it
 RECORDS = (".json", ".toml", ".parquet", ".csv")
 
@@ -29,26 +28,6 @@ def seen_from(target: Camera, keys: Mapping[str, str]) -> dict[str, Any]:
         "target": target.to_json(),
         "depth": dict(keys),
     }
-
-
-def is_stale(folder: Path, made_from: Mapping[str, Any]) -> bool:
-    """Tell whether files of a folder, if there are any, were made from something else, or from unknown inputs."""
-    try:
-        return read_json(folder / NOTE) != made_from
-    except ResultsError:
-        return True
-
-
-def drop_stale(folder: Path, made_from: Mapping[str, Any]) -> None:
-    """Empty a folder whose files are stale, and note what those that follow are made from.
-
-    Args:
-        folder: made if absent.
-        made_from: all that they depend on, as JSON values.
-    """
-    if is_stale(folder, made_from):
-        shutil.rmtree(folder, ignore_errors=True)
-        write_json(folder / NOTE, dict(made_from))
 
 
 def digest_folder(folder: Path, without: Collection[str] = ()) -> str:
@@ -77,16 +56,21 @@ class MadeFiles:
 
     Attributes:
         folder: holds the files and the record.
-        made_from: identifies all that they depend on.
+        made_from: all that they depend on, as JSON values.
     """
 
     folder: Path
-    made_from: str
+    made_from: Any
 
     def missing(self, names: Iterable[str]) -> list[str]:
         """Which of the wanted files are not here as they were made from just this."""
         noted = self._noted()
         return [name for name in names if not _is_as_noted(self.folder / name, noted.get(name))]
+
+    def missing_frames(self, numbers: Iterable[int]) -> list[int]:
+        """Which of the wanted frames, ``<frame>.png``, are not here as they were made, in the order of time."""
+        frames = {_frame_name(number): number for number in sorted(set(numbers))}
+        return [frames[name] for name in self.missing(frames)]
 
     def are_whole(self) -> bool:
         """Tell whether files have been noted, and each of them is as it was."""
@@ -101,13 +85,35 @@ class MadeFiles:
         if changed:
             write_json(self.folder / DIGESTS, {"made_from": self.made_from, "files": noted | changed})
 
+    def note_frames(self, numbers: Iterable[int]) -> None:
+        """Note frames, see `note`."""
+        self.note(map(_frame_name, numbers))
+
     def _noted(self) -> dict[str, list[Any]]:
         """File name -> status and digest, as far as made from the same."""
-        try:
-            record = read_json(self.folder / DIGESTS)
-            return dict(record["files"]) if record["made_from"] == self.made_from else {}
-        except (ResultsError, KeyError, TypeError, ValueError):  # none yet, or damaged
-            return {}
+        record = _read_record(self.folder / DIGESTS)
+        return record["files"] if record["made_from"] == json.loads(json.dumps(self.made_from)) else {}
+
+
+def join_records(records: Iterable[Path], joined: Path) -> None:
+    """Write one record for files that were put together from several folders, as far as all were made from the same."""
+    noted = [record for record in map(_read_record, records) if record["files"]]
+    alike = [record for record in noted if record["made_from"] == noted[0]["made_from"]]
+    if alike:
+        files = {name: entry for record in alike for name, entry in record["files"].items()}
+        write_json(joined, {"made_from": alike[0]["made_from"], "files": files})
+
+
+def _read_record(file: Path) -> dict[str, Any]:
+    try:
+        record = read_json(file)
+        return {"made_from": record["made_from"], "files": dict(record["files"])}
+    except (ResultsError, KeyError, TypeError, ValueError):  # none yet, or damaged
+        return {"made_from": None, "files": {}}
+
+
+def _frame_name(number: int) -> str:
+    return frame_path(Path(), number).name
 
 
 def _is_as_noted(file: Path, noted: list[Any] | None) -> bool:

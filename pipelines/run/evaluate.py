@@ -1,6 +1,5 @@
 """The whole evaluation on one page: capture -> prepare -> render -> score -> report. Each step reads a folder and writes one."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import replace
 from importlib import resources
@@ -9,7 +8,6 @@ from pathlib import Path
 from ggvs_eval.capture import Capture, CaptureEdit
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.capture_edit import perturb_capture
-from ggvs_eval.files.digest import digest_values
 from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.jobs.processes import kept_workers
@@ -101,7 +99,7 @@ def report(roots: Sequence[Path], out: Path | None = None, tables_of: Sequence[P
     if not roots:
         return write_report(roots, out, tables_of, with_figures)  # which says that it takes a run
     folder = RunFolder(roots[0]).report if out is None else out
-    written = MadeFiles(folder, digest_values(json.dumps(made_from)))
+    written = MadeFiles(folder, made_from)
     if written.are_whole():
         return folder / "index.html"
     page = write_report(roots, out, tables_of, with_figures)

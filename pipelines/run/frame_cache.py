@@ -9,7 +9,6 @@ from ggvs_eval.arrays import Image8
 from ggvs_eval.capture import Capture, FrameSource, source_chain
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.files.atomic import sweep_files
-from ggvs_eval.files.digest import digest_values
 from ggvs_eval.files.images import ResizeFilter, read_image, resize, write_image
 from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.engine import Workers
@@ -63,7 +62,7 @@ def cache_frames(capture: Capture, numbers: Mapping[str, Sequence[int]], root: P
     run_all(partial(_write, capture, root), [each for each in absent.items() if each[1]], workers, "frames per camera")
     for name in numbers:
         if not absent[name]:
-            _camera_files(capture, name, root).note(map(_name, numbers[name]))
+            _camera_files(capture, name, root).note_frames(numbers[name])
     sources: list[FrameSource] = [
         CachedFrames(root / name, capture.n_frames, source.digest) if name in numbers else source
         for name, source in zip(capture.camera_names, capture.sources, strict=True)
@@ -73,7 +72,7 @@ def cache_frames(capture: Capture, numbers: Mapping[str, Sequence[int]], root: P
 
 def frames_left(capture: Capture, numbers: Mapping[str, Sequence[int]], root: Path) -> dict[str, list[int]]:
     """Camera -> frames that `cache_frames` would write, in the order of time; arguments as of that."""
-    return {name: _left(_camera_files(capture, name, root), frames) for name, frames in numbers.items()}
+    return {name: _camera_files(capture, name, root).missing_frames(frames) for name, frames in numbers.items()}
 
 
 def cache_path(images: ImageFrames, size: tuple[int, int], resize_filter: ResizeFilter, folder: Path) -> None:
@@ -88,12 +87,12 @@ def cache_path(images: ImageFrames, size: tuple[int, int], resize_filter: Resize
     if path_left(images, size, resize_filter, folder):
         for pose, image in enumerate(images.frames(0, images.n_frames)):
             write_image(frame_path(folder, pose), resize(image, *size, resize_filter))
-    _made_files(folder, images, size, resize_filter).note(map(_name, range(images.n_frames)))
+    _made_files(folder, images, size, resize_filter).note_frames(range(images.n_frames))
 
 
 def path_left(images: ImageFrames, size: tuple[int, int], resize_filter: ResizeFilter, folder: Path) -> list[int]:
     """Poses whose true images `cache_path` would write; arguments as of that."""
-    return _left(_made_files(folder, images, size, resize_filter), range(images.n_frames))
+    return _made_files(folder, images, size, resize_filter).missing_frames(range(images.n_frames))
 
 
 def _camera_files(capture: Capture, name: str, root: Path) -> MadeFiles:
@@ -103,16 +102,7 @@ def _camera_files(capture: Capture, name: str, root: Path) -> MadeFiles:
 def _made_files(folder: Path, source: FrameSource, size: tuple[int, int], resize_filter: ResizeFilter) -> MadeFiles:
     """The frames of a source at a size, as a folder holds them."""
     code = code_identity(*{type(each).__module__ for each in source_chain(source)}, resize.__module__)
-    return MadeFiles(folder, digest_values(source.digest, str(size), resize_filter, code))
-
-
-def _left(files: MadeFiles, numbers: Sequence[int]) -> list[int]:
-    names = {_name(number): number for number in sorted(set(numbers))}
-    return [names[name] for name in files.missing(names)]
-
-
-def _name(number: int) -> str:
-    return frame_path(Path(), number).name
+    return MadeFiles(folder, {"frames": source.digest, "size": size, "resize": resize_filter, "code": code})
 
 
 def _write(capture: Capture, root: Path, camera: tuple[str, Sequence[int]]) -> None:
@@ -123,4 +113,4 @@ def _write(capture: Capture, root: Path, camera: tuple[str, Sequence[int]]) -> N
     for index, image in enumerate(capture.frames(name, start, frames[-1] + 1), start):
         if index in wanted:
             write_image(frame_path(folder, index), image)
-    _camera_files(capture, name, root).note(map(_name, frames))
+    _camera_files(capture, name, root).note_frames(frames)

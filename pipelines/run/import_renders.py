@@ -1,6 +1,5 @@
 """Renders of others become a method of a run: understood, checked against the protocol, and put in place whole or not at all."""
 
-import json
 import re
 import shutil
 from collections.abc import Mapping
@@ -74,7 +73,7 @@ def _import(
     sources = [path] if packed else KINDS[kind].files(path, request)
     identity = _identity(request, path, sources, allow_partial)
     record = read_import(run, request.label)
-    if record and record["identity"] == identity and _made(run.root / "renders" / request.label, identity).are_whole():
+    if record and record["identity"] == identity and MadeFiles(run.root / "renders" / request.label, identity).are_whole():
         return record
     root = unpack(path, unpacked, _limits(request)) if packed else path
     kind = kind or detect(root, request)
@@ -102,7 +101,7 @@ def _put(target: Path, renders: RenderSet, fitted: Fit, record: dict[str, Any], 
         record["notes"] += [f"{view}: {note}" for view, lines in notes.items() for note in lines]
         write_json(temporary / IMPORT_FILE, record)
         names = (frame_path(Path(view), frame).as_posix() for view, frames in fitted.usable.items() for frame in frames)
-        _made(temporary, record["identity"]).note(names)
+        MadeFiles(temporary, record["identity"]).note(names)
         if target.is_symlink():
             target.unlink()
         shutil.rmtree(target, ignore_errors=True)
@@ -164,11 +163,6 @@ def _black_truth(request: FrameRequest) -> list[str]:
         black = [frame for frame in small if not request.truth(view, frame).any()]
         notes += [f"captured frames of {view} are all zero: {as_ranges(black)}"] if black else []
     return notes
-
-
-def _made(folder: Path, identity: Mapping[str, Any]) -> MadeFiles:
-    """The frames of an import, which come again where one of them is lost or changed."""
-    return MadeFiles(folder, digest_values(json.dumps(identity, sort_keys=True)))
 
 
 def _limits(request: FrameRequest) -> Limits:

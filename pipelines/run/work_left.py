@@ -8,13 +8,13 @@ from pathlib import Path
 
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import ProtocolError, ResultsError
-from ggvs_eval.pipelines.run import disocclusion, path_depth
-from ggvs_eval.pipelines.run.derived_files import is_stale
+from ggvs_eval.pipelines.run.disocclusion import mask_files
 from ggvs_eval.pipelines.run.frame_cache import frames_left, path_left
+from ggvs_eval.pipelines.run.path_depth import path_files, poses_left
 from ggvs_eval.pipelines.run.render import needed_fits, render_jobs
 from ggvs_eval.pipelines.run.run_plan import RunPlan
 from ggvs_eval.progress import duration
-from ggvs_eval.run_folder import JOB_FILE, RunFolder, missing_frames, read_json
+from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
 
 # Bytes per pixel: depth as it is stored, PNG of frames with and without sensor noise as on the demo.
 DEPTH_BYTES, TRUTH_BYTES, RENDER_BYTES, PATH_DEPTH_BYTES = 5.0, 2.1, 1.5, 4.0
@@ -216,17 +216,15 @@ def _truth_left(plan: RunPlan) -> dict[Path, int]:
 
 def _masks_left(plan: RunPlan, view: str) -> int:
     """Missing or stale masks of one test view."""
-    folder, source_plan = plan.run.disoccluded(view), plan.plans[view]
-    stale = is_stale(folder, disocclusion.made_from(plan.capture, source_plan.target, source_plan.depth_keys))
-    return len(plan.frames) if stale else len(missing_frames(folder, plan.frames))
+    source_plan = plan.plans[view]
+    files = mask_files(plan.run.disoccluded(view), plan.capture, source_plan.target, source_plan.depth_keys)
+    return len(files.missing_frames(plan.frames))
 
 
 def _poses_left(plan: RunPlan) -> int:
     """Missing or stale depth of poses."""
-    poses, folder = [(pose.target, pose.depth_keys) for pose in plan.path], plan.run.path_depth
-    if is_stale(folder, path_depth.made_from(plan.capture, poses, plan.path_frame)):
-        return len(poses)
-    return sum(not path_depth.pose_file(folder, pose).is_file() for pose in range(len(poses)))
+    poses = [(pose.target, pose.depth_keys) for pose in plan.path]
+    return len(poses_left(path_files(plan.run.path_depth, plan.capture, poses, plan.path_frame), len(poses)))
 
 
 def _depth_left(plan: RunPlan, store: DepthStore) -> tuple[dict[Path, int], dict[Path, int]]:
