@@ -13,7 +13,7 @@ from ggvs_eval.errors import ResultsError
 from ggvs_eval.files.digest import digest_files
 from ggvs_eval.run_folder import frame_path, read_json, write_json
 
-DIGESTS = ".digests.json"  # hidden: it holds times of this machine, and runs are merged without it
+DIGESTS = ".digests.json"  # hidden: it holds times of one machine, by which runs that are merged may differ
 RECORDS = (".json", ".toml", ".parquet", ".csv")
 
 
