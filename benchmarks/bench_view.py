@@ -23,9 +23,10 @@ from ggvs_eval.pipelines.methods.registry import METHODS
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.play.playback import Playback, PlayOptions, camera_loop, viewing_of_capture
 from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
+from ggvs_eval.pipelines.view.listener import Listener
 from ggvs_eval.pipelines.view.scene import vertical_fov
 from ggvs_eval.pipelines.view.session import ViewDefaults
-from ggvs_eval.pipelines.view.viewer import ServerOptions, Viewer
+from ggvs_eval.pipelines.view.viewer import Viewer
 
 WINDOW = 640, 360
 DRAG_SECONDS, JUMPS = 10.0, 12
@@ -43,8 +44,9 @@ def main() -> None:
     capture = open_capture(chosen.capture)
     playback = viewing_of_capture(capture, PlayOptions(k=chosen.k, frames=1), DepthRunOptions().options(), chosen.cache, 2)
     defaults = ViewDefaults(chosen.method, tuple(METHODS), chosen.k, suggest_protocol(capture), chosen.cache)
-    with Viewer(playback, defaults, ServerOptions(port=0)) as viewer:
-        print(json.dumps(measured(viewer.address, playback), indent=1))
+    listener = Listener(port=0)
+    with Viewer(playback, defaults, listener):
+        print(json.dumps(measured(listener.address, playback), indent=1))
 
 
 def measured(address: str, playback: Playback) -> dict[str, float]:

@@ -11,13 +11,14 @@
     RUN/renders/<method>/<view>/inside/<map>/    depth, weights, coverage, motion behind those frames, of methods that tell
     RUN/path/truth/<pose>.png                    a camera path at one instant: truth where there is one, poses in path.json
     RUN/path/<method>/<pose>.png                 the same path synthesised, for epipolar plane images
-    RUN/path_depth/<pose>.npy                    depth along the path, the same for all methods; made_from.json says by what
+    RUN/path_depth/<pose>.npy                    depth along the path, the same for all methods
     RUN/path_scores/<method>/job.json            view consistency of every method along the path
-    RUN/disoccluded/<view>/<frame>.png           white where no source camera sees the view; made_from.json
+    RUN/disoccluded/<view>/<frame>.png           white where no source camera sees the view
     RUN/ceilings/<view>/job.json                 what perfect renderings of the view would score
     RUN/scores/<view>/job.json                   values of every method in one view
     RUN/results.parquet  results.json            every value in one table, and where it comes from
     RUN/report/index.html                        the page
+    .digests.json                                beside files that are made once: their digests, and what they were made from
 """
 
 import json

@@ -40,20 +40,37 @@ STORED = {
 
 
 @dataclass(frozen=True)
+class H5File:
+    """A compressed file; it may be large, and is hashed once for all cameras and datasets in it."""
+
+    path: Path
+
+    @cached_property
+    def digest(self) -> str:
+        """Identifies the content; see `digest_files`."""
+        return digest_files([self.path])
+
+
+@dataclass(frozen=True)
 class H5Frames:
     """The frames of one camera in a compressed file, a `FrameSource` that holds one frame and, between uses, no open file.
 
     Of ``fg_rgb`` the alpha is given, white where the foreground is; ``bg_rgb`` is a single frame.
 
     Attributes:
-        path: the HDF5 file.
+        file: the HDF5 file.
         dataset: ``rgb``, ``fg_rgb`` or ``bg_rgb``.
         camera: index of the camera in it.
     """
 
-    path: Path
+    file: H5File
     dataset: str
     camera: int
+
+    @property
+    def path(self) -> Path:
+        """Path of the file."""
+        return self.file.path
 
     @cached_property
     def _shape(self) -> tuple[int, ...]:
@@ -75,10 +92,10 @@ class H5Frames:
         """(width, height) in pixels."""
         return self._shape[-2], self._shape[-3]
 
-    @cached_property
+    @property
     def digest(self) -> str:
-        """Identifies the file, see `digest_files`, and the part of it that is read."""
-        return digest_values(digest_files([self.path]), self.dataset, str(self.camera))
+        """Identifies the file and the part of it that is read."""
+        return digest_values(self.file.digest, self.dataset, str(self.camera))
 
     def frames(self, start: int, stop: int) -> Iterator[Image8]:
         """Read frames start <= t < stop one by one, RGB uint8 (H, W, 3).
@@ -102,13 +119,14 @@ def h5_parts(path: Path) -> dict[str, list[H5Frames]]:
     """
     with _opened_file(path) as file:
         names = [name for name in STORED if name == "rgb" or file.id.links.exists(name.encode())]
-    parts = {name: H5Frames(path, name, 0) for name in names}
+    whole = H5File(path)
+    parts = {name: H5Frames(whole, name, 0) for name in names}
     rgb_counts = parts["rgb"].counts
     for name, part in parts.items():
         if part.counts != rgb_counts[: len(part.counts)]:
             mend = "write both from the same frames"
             raise CaptureError(f"{path}: wanted {name} for the (cameras, frames) {rgb_counts} of rgb, got {part.counts}; {mend}")
-    return {name: [H5Frames(path, name, camera) for camera in range(rgb_counts[0])] for name in names}
+    return {name: [H5Frames(whole, name, camera) for camera in range(rgb_counts[0])] for name in names}
 
 
 @contextmanager

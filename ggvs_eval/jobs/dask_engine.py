@@ -3,17 +3,20 @@
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from importlib import import_module
 from threading import Event, Thread
 from typing import Any, TypeVar
 
 from ggvs_eval.errors import RenderError
 from ggvs_eval.jobs.ledger import LostJob
+from ggvs_eval.jobs.process_engine import GUARD
 from ggvs_eval.jobs.processes import default_workers, share_cpus
 
 CONNECT_S = 30
 REPLACE_EVERY_S = 2.0
+HTTP_ROUTES = ("distributed.scheduler.http.routes", "distributed.worker.http.routes")
+MISSING = "--engine dask: {}; install it with `pip install ggvs-eval[cluster]`"
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -86,13 +89,40 @@ def _connect(distributed: Any, workers: int, scheduler: str | None) -> Iterator[
         with client:
             yield client
         return
-    # no page of its own: it would need bokeh and a free port
-    with (
-        distributed.LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as cluster,
-        distributed.Client(cluster) as client,
-        _kept_at(workers, cluster),
-    ):
+    with _local_cluster(distributed, workers) as cluster, distributed.Client(cluster) as client, _kept_at(workers, cluster):
         yield client
+
+
+@contextmanager
+def _local_cluster(distributed: Any, workers: int) -> Iterator[Any]:
+    """A cluster on this machine that obeys this process alone.
+
+    Whoever may talk to a scheduler may have it run code, and other users of this machine reach its ports: it and its workers
+    therefore ask for a certificate that exists in their memory only (TLS). Their HTTP servers, which cannot be left away, are
+    left without a page.
+    """
+    import dask
+
+    try:
+        security = distributed.Security.temporary()
+    except ImportError as error:
+        raise RenderError(MISSING.format(error)) from None
+    closed = {"dashboard": False, "dashboard_address": "127.0.0.1:0"}
+    with dask.config.set({key: [] for key in HTTP_ROUTES}), ExitStack() as stack:
+        try:
+            cluster = distributed.LocalCluster(
+                n_workers=workers, threads_per_worker=1, dashboard_address=None, security=security, scheduler_kwargs=closed
+            )
+        except RuntimeError as error:
+            raise RenderError(f"dask's workers cannot start: {_root(error)}; {GUARD}") from error
+        yield stack.enter_context(cluster)
+
+
+def _root(error: BaseException) -> str:
+    """What an error comes from in the end, in one line."""
+    while error.__cause__ is not None:
+        error = error.__cause__
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
 
 @contextmanager
@@ -121,4 +151,4 @@ def _import_distributed() -> Any:
     try:
         return import_module("distributed")
     except ImportError as error:
-        raise RenderError(f"--engine dask: {error}; install it with `pip install ggvs-eval[cluster]`") from None
+        raise RenderError(MISSING.format(error)) from None

@@ -1,18 +1,28 @@
 """Run jobs in processes of this machine: no more at once than its memory holds, and again where a process was killed."""
 
+import os
+import re
+import sys
+import textwrap
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from multiprocessing import active_children
-from typing import TypeVar
+from tempfile import TemporaryFile
+from typing import IO, TypeVar
 
+from ggvs_eval.errors import RenderError
 from ggvs_eval.jobs.free_memory import has_room
 from ggvs_eval.jobs.ledger import LostJob
 from ggvs_eval.jobs.processes import borrowed_pool, worker_pool
 
 TRIES_ALONE = 2
 LOOK_AGAIN_S = 0.5  # while a job waits for memory
+STDERR = 2  # its file descriptor
+MESSAGE_LETTERS = 300
+GUARD = 'a script that works in processes calls its functions below `if __name__ == "__main__":`'
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -76,11 +86,57 @@ def _fits(running: int) -> bool:
 
 
 def _run_alone(work: Callable[[Item], Result], item: Item) -> Result | LostJob:
-    """Try an item in a process that nobody else's death can end."""
+    """Try an item in a process that nobody else's death can end; its errors are printed when it has ended.
+
+    Raises:
+        RenderError: the process died of an exception of its own, as every other one would: before the work began, since what the
+            work raises comes back by itself.
+    """
+    exit_code = None
     for _ in range(TRIES_ALONE):
-        try:
-            with worker_pool(1) as pool:
-                return pool.submit(work, item).result()
-        except BrokenProcessPool:
-            continue
+        with TemporaryFile() as errors:
+            try:
+                with worker_pool(1) as pool:
+                    before = active_children()
+                    with _errors_into(errors):
+                        running = pool.submit(work, item)
+                    started = [child for child in active_children() if child not in before]
+                    return running.result()
+            except BrokenProcessPool:
+                exit_code = started[0].exitcode if started else None
+            finally:
+                errors.seek(0)
+                text = errors.read().decode(errors="replace")
+                sys.stderr.write(text)
+            if exit_code and exit_code > 0 and (reason := last_error(text)):
+                raise RenderError(f"worker processes cannot start: {reason}; {GUARD}")
+    if exit_code and exit_code > 0:
+        last = "".join(text.strip().splitlines()[-1:]) or "it printed nothing"
+        return LostJob(f"its process ended by itself {TRIES_ALONE + 1} times, at last with status {exit_code} ({last})")
     return LostJob(f"its process was killed {TRIES_ALONE + 1} times, at last alone on the machine; it may need more memory")
+
+
+def last_error(text: str) -> str:
+    r"""The exception that a process ended with, in one line, out of what it printed; empty where it ended with none.
+
+    Examples:
+        >>> last_error("Traceback (most recent call last):\n  File ...\nKeyError: 'cam00'\n")
+        "KeyError: 'cam00'"
+        >>> last_error("a warning")
+        ''
+    """
+    _, traceback, raised = text.rpartition("Traceback (most recent call last):")
+    message = re.search(r"^\S.*", raised, re.MULTILINE | re.DOTALL) if traceback else None
+    return textwrap.shorten(message[0], MESSAGE_LETTERS, placeholder=" ...") if message else ""
+
+
+@contextmanager
+def _errors_into(file: IO[bytes]) -> Iterator[None]:
+    """Let processes that are started inside print their errors into a file."""
+    kept = os.dup(STDERR)
+    os.dup2(file.fileno(), STDERR)
+    try:
+        yield
+    finally:
+        os.dup2(kept, STDERR)
+        os.close(kept)

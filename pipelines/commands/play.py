@@ -1,5 +1,6 @@
 """The verbs of the command line that synthesise live: play into a video, view in a browser."""
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -89,7 +90,7 @@ def view(
         frames: instants from the first on; all by default.
         sources: which cameras are source views: the nearest, or those that see most of the view (coverage); as the run's protocol
             says, or the nearest, by default.
-        host: address to listen at; 0.0.0.0 lets other machines in.
+        host: address to listen at; 0.0.0.0 lets other machines in, who need the printed address all the same.
         port: the next free one is taken where it is in use.
         out: folder of recorded paths, and of a capture's frames and depth.
         export: write a page with the cameras and the points of every instant, which needs no server, and stop.
@@ -98,13 +99,17 @@ def view(
         depth: how depth of a capture is found.
         jobs: processes that prepare a capture.
     """
+    from ggvs_eval.pipelines.view.listener import Listener, require_viser
+
+    require_viser()
+    listener = Listener(host, port)
+    print(f"reading {source} ...", file=sys.stderr, flush=True)
     from ggvs_eval.pipelines.play.playback import PlayOptions, playback_of_run, viewing_of_capture
     from ggvs_eval.pipelines.run.evaluate import reopen
     from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
     from ggvs_eval.pipelines.view.session import ViewDefaults
-    from ggvs_eval.pipelines.view.viewer import ServerOptions, Viewer, export_page, require_viser
+    from ggvs_eval.pipelines.view.viewer import Viewer, export_page
 
-    require_viser()
     device = checked_device(device)
     online_method(method, device)
     options = PlayOptions(k, frames, None, sources)
@@ -118,10 +123,10 @@ def view(
             suggest_protocol(capture),
         )
     if export is not None:
-        export_page(playback, sorted(set(playback.instants)), export)
+        export_page(playback, sorted(set(playback.instants)), export, listener)
         print(export)
         return
     online = tuple(label for label, spec in METHODS.items() if spec.online)
-    with Viewer(playback, ViewDefaults(method, online, k, protocol, out), ServerOptions(host, port), device) as viewer:
-        print(f"{viewer.address} - open it in a browser; Ctrl-C ends it", flush=True)
+    with Viewer(playback, ViewDefaults(method, online, k, protocol, out), listener, device) as viewer:
+        print(f"{listener.address} - open it in a browser; Ctrl-C ends it", flush=True)
         viewer.wait()

@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -16,8 +15,8 @@ from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.jobs.run_all import run_all
 from ggvs_eval.method import NEAR_M
-from ggvs_eval.pipelines.run.derived_files import drop_stale, seen_from
-from ggvs_eval.run_folder import frame_path, missing_frames
+from ggvs_eval.pipelines.run.derived_files import MadeFiles, seen_from
+from ggvs_eval.run_folder import frame_path
 
 
 def write_disocclusions(
@@ -37,25 +36,25 @@ def write_disocclusions(
         The paper speaks of disoccluded regions and gives no mask. Here a pixel is disoccluded where no source view, splatted
         forward by its estimated depth (Sec. 3.1), covers it by half; errors of that depth are part of the mask.
     """
-    for view, (target, keys) in views.items():
-        drop_stale(root / view, made_from(capture, target, keys))
-    missing = [(root / view, *plan) for view, plan in views.items() if missing_frames(root / view, frames)]
+    plans = [(mask_files(root / view, capture, target, keys), target, keys) for view, (target, keys) in views.items()]
+    missing = [plan for plan in plans if plan[0].missing_frames(frames)]
     run_all(partial(_write, capture, frames, store), missing, workers, "what no camera sees")
 
 
-def made_from(capture: Capture, target: Camera, keys: Mapping[str, str]) -> dict[str, Any]:
-    """All that the masks of one view depend on; arguments as of `write_disocclusions`."""
+def mask_files(folder: Path, capture: Capture, target: Camera, keys: Mapping[str, str]) -> MadeFiles:
+    """The masks of one view as a folder holds them; arguments as of `write_disocclusions`."""
     code = code_identity(__name__, splat_depth.__module__, unfollowed=(__name__,))
-    return seen_from(target, keys) | {"units_per_metre": capture.units_per_metre, "code": code}
+    return MadeFiles(folder, seen_from(target, keys) | {"units_per_metre": capture.units_per_metre, "code": code})
 
 
-def _write(capture: Capture, frames: range, store: Path, view: tuple[Path, Camera, dict[str, str]]) -> None:
+def _write(capture: Capture, frames: range, store: Path, view: tuple[MadeFiles, Camera, dict[str, str]]) -> None:
     """Write the masks of one view; runs in a worker."""
-    (folder, target, keys), depths, near = view, DepthStore(store), NEAR_M * capture.units_per_metre
-    for index in missing_frames(folder, frames):
+    (files, target, keys), depths, near = view, DepthStore(store), NEAR_M * capture.units_per_metre
+    for index in files.missing_frames(frames):
         covered = np.zeros((target.height, target.width), np.float32)
         for name, key in keys.items():
             depth = depths.read(key, index).depth
             covered = np.maximum(covered, splat_depth(capture.camera(name), depth, target, near=near).alpha)
         mask = np.where(covered < COVERED_ALPHA, 255, 0).astype(np.uint8)
-        write_image(frame_path(folder, index), np.repeat(mask[..., None], 3, axis=-1))
+        write_image(frame_path(files.folder, index), np.repeat(mask[..., None], 3, axis=-1))
+        files.note_frames([index])

@@ -13,13 +13,13 @@ from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.jobs.processes import kept_workers
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
-from ggvs_eval.pipelines.run.derived_files import NOTE, digest_folder, is_stale
+from ggvs_eval.pipelines.run.derived_files import DIGESTS, MadeFiles, digest_folder
 from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.render import render
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
 from ggvs_eval.pipelines.run.score import score
 from ggvs_eval.protocol import Protocol
-from ggvs_eval.run_folder import RunFolder, write_json
+from ggvs_eval.run_folder import RunFolder
 
 
 def evaluate(
@@ -81,8 +81,12 @@ def recorded_capture(run: RunFolder) -> Capture:
 
 
 def report(roots: Sequence[Path], out: Path | None = None, tables_of: Sequence[Path] = (), with_figures: bool = True) -> Path:
-    """Write the page, tables and figures of one or several run folders, see `write_report`; one of the same runs is kept."""
+    """Write the page, tables and figures of one or several run folders, see `write_report`; one of the same runs is kept.
+
+    Kept is a report of which every file is as it was written.
+    """
     from ggvs_eval.reports.report import write_report
+    from ggvs_eval.reports.tables.excel import has_excel
 
     templates = Path(str(resources.files("ggvs_eval.reports")))
     made_from = {
@@ -90,10 +94,14 @@ def report(roots: Sequence[Path], out: Path | None = None, tables_of: Sequence[P
         "runs": [digest_folder(root, without=["report", "jobs"]) for root in (*roots, *tables_of)],
         "called": [[Path(root).name for root in each] for each in (roots, tables_of)],
         "figures": with_figures,
+        "excel": has_excel(),
     }
-    kept = None if not roots else (RunFolder(roots[0]).report if out is None else out) / "index.html"
-    if kept is not None and kept.is_file() and not is_stale(kept.parent, made_from):
-        return kept
+    if not roots:
+        return write_report(roots, out, tables_of, with_figures)  # which says that it takes a run
+    folder = RunFolder(roots[0]).report if out is None else out
+    written = MadeFiles(folder, made_from)
+    if written.are_whole():
+        return folder / "index.html"
     page = write_report(roots, out, tables_of, with_figures)
-    write_json(page.parent / NOTE, made_from)
+    written.note(file.relative_to(folder).as_posix() for file in folder.rglob("*") if file.is_file() and file.name != DIGESTS)
     return page

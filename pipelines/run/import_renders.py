@@ -12,6 +12,7 @@ from ggvs_eval.files.digest import digest_files, digest_values
 from ggvs_eval.jobs.processes import worker_pool
 from ggvs_eval.pipelines.methods.registry import METHODS
 from ggvs_eval.pipelines.run.coverage import IMPORT_FILE, read_import
+from ggvs_eval.pipelines.run.derived_files import MadeFiles
 from ggvs_eval.renders.archive import Limits, is_archive, unpack
 from ggvs_eval.renders.kinds import KINDS, detect
 from ggvs_eval.renders.request import Fit, FrameRequest, RenderedView, RenderSet, fit, partial_text, request_of, require_whole
@@ -72,7 +73,7 @@ def _import(
     sources = [path] if packed else KINDS[kind].files(path, request)
     identity = _identity(request, path, sources, allow_partial)
     record = read_import(run, request.label)
-    if record and record["identity"] == identity and _is_whole(run, request.label, record["frames"]):
+    if record and record["identity"] == identity and MadeFiles(run.root / "renders" / request.label, identity).are_whole():
         return record
     root = unpack(path, unpacked, _limits(request)) if packed else path
     kind = kind or detect(root, request)
@@ -99,6 +100,8 @@ def _put(target: Path, renders: RenderSet, fitted: Fit, record: dict[str, Any], 
         notes = _write(views, temporary, workers)
         record["notes"] += [f"{view}: {note}" for view, lines in notes.items() for note in lines]
         write_json(temporary / IMPORT_FILE, record)
+        names = (frame_path(Path(view), frame).as_posix() for view, frames in fitted.usable.items() for frame in frames)
+        MadeFiles(temporary, record["identity"]).note(names)
         if target.is_symlink():
             target.unlink()
         shutil.rmtree(target, ignore_errors=True)
@@ -160,10 +163,6 @@ def _black_truth(request: FrameRequest) -> list[str]:
         black = [frame for frame in small if not request.truth(view, frame).any()]
         notes += [f"captured frames of {view} are all zero: {as_ranges(black)}"] if black else []
     return notes
-
-
-def _is_whole(run: RunFolder, label: str, frames: Mapping[str, list[int]]) -> bool:
-    return all(frame_path(run.renders(label, view), frame).is_file() for view, there in frames.items() for frame in there)
 
 
 def _limits(request: FrameRequest) -> Limits:

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +14,7 @@ from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.geometry.tsdf import fusion_weights, ray_march
 from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.pipelines.online.geometry_guided import OnlineOptions
-from ggvs_eval.pipelines.run.derived_files import drop_stale, seen_from
+from ggvs_eval.pipelines.run.derived_files import MadeFiles, seen_from
 from ggvs_eval.progress import track
 
 
@@ -35,25 +34,32 @@ def write_path_depth(
         A method's own depth would hide its contradictions from the measures; this one is the same for all. It is fused as the
         online method does it (Eq. 3), without history.
     """
-    drop_stale(folder, made_from(capture, poses, frame))
-    missing = [index for index in range(len(poses)) if not pose_file(folder, index).is_file()]
-    for index in track(missing, "depth along the path"):
+    files = path_files(folder, capture, poses, frame)
+    for index in track(poses_left(files, len(poses)), "depth along the path"):
         target, keys = poses[index]
-        depth = _fused_depth(capture, target, keys, frame, store)
-        with atomic_file(pose_file(folder, index)) as temporary, temporary.open("wb") as file:
-            np.save(file, depth)
+        depth, file = _fused_depth(capture, target, keys, frame, store), pose_file(folder, index)
+        with atomic_file(file) as temporary, temporary.open("wb") as stream:
+            np.save(stream, depth)
+        files.note([file.name])
 
 
-def made_from(capture: Capture, poses: Sequence[tuple[Camera, dict[str, str]]], frame: int) -> dict[str, Any]:
-    """All that the depth of a path depends on; arguments as of `write_path_depth`."""
+def path_files(folder: Path, capture: Capture, poses: Sequence[tuple[Camera, dict[str, str]]], frame: int) -> MadeFiles:
+    """The depth of a path as a folder holds it; arguments as of `write_path_depth`."""
     options = OnlineOptions()
-    return {
+    made_from = {
         "poses": [seen_from(target, keys) for target, keys in poses],
         "frame": frame,
         "units_per_metre": capture.units_per_metre,
         "lengths_m": [options.tau_m, options.depth_noise_m],
         "code": code_identity(__name__, ray_march.__module__, unfollowed=(__name__,)),
     }
+    return MadeFiles(folder, made_from)
+
+
+def poses_left(files: MadeFiles, n_poses: int) -> list[int]:
+    """Poses of a path of so many whose depth is missing, or made from something else."""
+    poses = {pose_file(files.folder, pose).name: pose for pose in range(n_poses)}
+    return [poses[name] for name in files.missing(poses)]
 
 
 def read_path_depth(folder: Path, pose: int) -> NDArray[np.float32]:

@@ -6,18 +6,17 @@ from pathlib import Path
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import DeviceError
-from ggvs_eval.files.images import resize, write_image
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import prepare_depth
 from ggvs_eval.pipelines.run.claim import claim_folder
 from ggvs_eval.pipelines.run.disocclusion import write_disocclusions
-from ggvs_eval.pipelines.run.frame_cache import cache_frames
+from ggvs_eval.pipelines.run.frame_cache import cache_frames, cache_path
 from ggvs_eval.pipelines.run.path_depth import write_path_depth
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, fit_capture, plan_run
 from ggvs_eval.pipelines.run.score_path import write_path_record
 from ggvs_eval.protocol import Protocol
-from ggvs_eval.run_folder import RunFolder, frame_path, missing_frames, write_json
+from ggvs_eval.run_folder import RunFolder, write_json
 
 
 def prepare(
@@ -99,9 +98,7 @@ def prepare_truth(root: Path, capture: Capture, protocol: Protocol, workers: Wor
 
 def _write_path_truth(prepared: RunPlan) -> None:
     """Write the path's images where the capture has them, and where its poses lie."""
-    folder, images = prepared.run.path("truth"), prepared.path_images
-    if images is not None and missing_frames(folder, range(images.n_frames)):
-        size = prepared.path[0].target.size
-        for pose, image in enumerate(images.frames(0, images.n_frames)):
-            write_image(frame_path(folder, pose), resize(image, *size, prepared.protocol.synthesis.resize_filter))
+    if prepared.path_images is not None:
+        size, resize_filter = prepared.path[0].target.size, prepared.protocol.synthesis.resize_filter
+        cache_path(prepared.path_images, size, resize_filter, prepared.run.path("truth"))
     write_path_record(prepared.run, prepared.path_frame, [(plan.target, list(plan.depth_keys)) for plan in prepared.path])

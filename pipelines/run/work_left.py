@@ -8,12 +8,13 @@ from pathlib import Path
 
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import ProtocolError, ResultsError
-from ggvs_eval.pipelines.run import disocclusion, path_depth
-from ggvs_eval.pipelines.run.derived_files import is_stale
+from ggvs_eval.pipelines.run.disocclusion import mask_files
+from ggvs_eval.pipelines.run.frame_cache import frames_left, path_left
+from ggvs_eval.pipelines.run.path_depth import path_files, poses_left
 from ggvs_eval.pipelines.run.render import needed_fits, render_jobs
 from ggvs_eval.pipelines.run.run_plan import RunPlan
 from ggvs_eval.progress import duration
-from ggvs_eval.run_folder import JOB_FILE, RunFolder, missing_frames, read_json
+from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
 
 # Bytes per pixel: depth as it is stored, PNG of frames with and without sensor noise as on the demo.
 DEPTH_BYTES, TRUTH_BYTES, RENDER_BYTES, PATH_DEPTH_BYTES = 5.0, 2.1, 1.5, 4.0
@@ -27,7 +28,7 @@ class WorkLeft:
 
     Attributes:
         n_pixels: of a frame.
-        truth: captured frames of every camera that takes part.
+        truth: captured frames of every camera that takes part, and along the path.
         found_depth: depth maps as they are found.
         checked_depth: depth maps that are held against others.
         disoccluded: masks of every test view.
@@ -111,13 +112,17 @@ class Workload:
         if self.is_nothing():
             return ""
         depth_maps: dict[Path, int] = {}
+        truth: dict[Path, int] = {}
         for each in self.left:
             depth_maps |= {**each.found_depth, **each.checked_depth}
+            truth |= each.truth
         rendered = sum(each.n_rendered for each in self.left)
         n_fits = len({folder for each in self.left for folder in each.fits})
         fits = f", {n_fits} scene{'' if n_fits == 1 else 's'} to fit" if n_fits else ""
+        n_truth = sum(truth.values())
+        decoded = f", {n_truth} captured frame{'' if n_truth == 1 else 's'} to decode" if n_truth else ""
         lines = [
-            f"plan: {self.title}; left are {rendered} frames to render, {sum(depth_maps.values())} depth maps{fits}",
+            f"plan: {self.title}; left are {rendered} frames to render, {sum(depth_maps.values())} depth maps{decoded}{fits}",
             f"disk: about {_size(self.disk_bytes)} more in {self.folder}, {_size(self.free_bytes)} free",
         ]
         return "\n".join([*lines, *self._time_line()])
@@ -169,7 +174,6 @@ def count_work(plans: Sequence[RunPlan], folder: Path, jobs: int = 1) -> Workloa
 def work_left(plan: RunPlan) -> WorkLeft:
     """Count what one run lacks."""
     run, request, store = plan.run, plan.request, DepthStore(plan.shared_root / "depth")
-    truth = {plan.shared_root / "truth" / name: frames for name, frames in plan.frames_of_cameras().items()}
     masks = plan.plans if any(name.endswith("_disoccluded") for name in plan.protocol.measurement.metrics) else ()
     renders: dict[tuple[str, Path], int] = {}
     path_renders: dict[tuple[str, Path], int] = {}
@@ -187,7 +191,7 @@ def work_left(plan: RunPlan) -> WorkLeft:
     width, height = plan.capture.cameras[0].size
     return WorkLeft(
         width * height,
-        {folder: sum(len(missing_frames(folder, range(t, t + 1))) for t in frames) for folder, frames in truth.items()},
+        _truth_left(plan),
         *_depth_left(plan, store),
         {run.disoccluded(view): _masks_left(plan, view) for view in masks},
         _poses_left(plan),
@@ -201,19 +205,26 @@ def work_left(plan: RunPlan) -> WorkLeft:
     )
 
 
+def _truth_left(plan: RunPlan) -> dict[Path, int]:
+    """Captured frames that are missing or were changed, of each camera and along the path."""
+    root, images, folder = plan.shared_root / "truth", plan.path_images, plan.run.path("truth")
+    left = {root / name: len(frames) for name, frames in frames_left(plan.capture, plan.frames_of_cameras(), root).items()}
+    if images is not None:
+        left[folder] = len(path_left(images, plan.path[0].target.size, plan.protocol.synthesis.resize_filter, folder))
+    return left
+
+
 def _masks_left(plan: RunPlan, view: str) -> int:
     """Missing or stale masks of one test view."""
-    folder, source_plan = plan.run.disoccluded(view), plan.plans[view]
-    stale = is_stale(folder, disocclusion.made_from(plan.capture, source_plan.target, source_plan.depth_keys))
-    return len(plan.frames) if stale else len(missing_frames(folder, plan.frames))
+    source_plan = plan.plans[view]
+    files = mask_files(plan.run.disoccluded(view), plan.capture, source_plan.target, source_plan.depth_keys)
+    return len(files.missing_frames(plan.frames))
 
 
 def _poses_left(plan: RunPlan) -> int:
     """Missing or stale depth of poses."""
-    poses, folder = [(pose.target, pose.depth_keys) for pose in plan.path], plan.run.path_depth
-    if is_stale(folder, path_depth.made_from(plan.capture, poses, plan.path_frame)):
-        return len(poses)
-    return sum(not path_depth.pose_file(folder, pose).is_file() for pose in range(len(poses)))
+    poses = [(pose.target, pose.depth_keys) for pose in plan.path]
+    return len(poses_left(path_files(plan.run.path_depth, plan.capture, poses, plan.path_frame), len(poses)))
 
 
 def _depth_left(plan: RunPlan, store: DepthStore) -> tuple[dict[Path, int], dict[Path, int]]:

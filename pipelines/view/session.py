@@ -138,6 +138,11 @@ class Session:
         if picture is not None and is_current:
             self._send(picture)
 
+    def complain(self, reason: str) -> None:
+        """Say in the page why there is no picture."""
+        self._message.content = f"**{reason}**"
+        self._message.visible = True
+
     def _request(self) -> ViewRequest:
         label = self._label.value.strip() or self._method.value
         methods = (label,) if self._other.value == NOTHING else (label, self._other.value)
@@ -161,8 +166,7 @@ class Session:
         try:
             picture = view.picture(request)
         except GgvsError as error:
-            self._message.content = f"**{error}**"
-            self._message.visible = True
+            self.complain(str(error))
             return None
         self._message.visible = False
         return picture
@@ -195,7 +199,7 @@ class Session:
             self._points = gui.add_checkbox("points", initial_value=False, hint="the surface that depth says is there")
         self._add_recording(gui)
         with gui.add_folder("Latency"):
-            self._status = gui.add_markdown("")
+            self._status = gui.add_markdown("the first picture is being rendered")
         method = (self._method, self._label, self._k, self._layer, self._other, self._divider)
         for control in (*method, self._time, self._play, self._cameras):
             control.on_update(self.change)

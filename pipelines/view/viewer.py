@@ -4,18 +4,18 @@
 """
 
 import contextlib
-import importlib.util
 import io
 import threading
-from collections.abc import Sequence
-from dataclasses import dataclass
+import traceback
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-from ggvs_eval.errors import CommandError
 from ggvs_eval.pipelines.play.playback import Playback
 from ggvs_eval.pipelines.view.frame_stock import FrameStock
+from ggvs_eval.pipelines.view.listener import Listener, start_guarded
 from ggvs_eval.pipelines.view.scene import (
     Frusta,
     add_cloud,
@@ -31,22 +31,6 @@ if TYPE_CHECKING:
 
 MOVING_PIXELS = 640 * 360
 IDLE_SECONDS = 0.02  # between looks at the clock while time plays or a camera comes to rest
-MISSING = "the viewer wants the package viser; install it by `pip install 'ggvs-eval[view]'`"
-
-
-@dataclass(frozen=True)
-class ServerOptions:
-    """Options of the server of the page.
-
-    Attributes:
-        host: address to listen at; 0.0.0.0 lets other machines in.
-        port: the next free one is taken where it is in use.
-        moving_pixels: of a picture while something moves, at most.
-    """
-
-    host: str = "127.0.0.1"
-    port: int = 8080
-    moving_pixels: int = MOVING_PIXELS
 
 
 class Viewer:
@@ -55,29 +39,24 @@ class Viewer:
     Args:
         playback: what is looked at; its poses are not used.
         defaults: what a window shows at first.
-        options: where the page is served.
+        listener: where the page is served; its address is the one to open.
         device: where networks compute.
     """
 
-    def __init__(self, playback: Playback, defaults: ViewDefaults, options: ServerOptions, device: str = "cpu") -> None:
-        self._playback, self._defaults, self._options, self._device = playback, defaults, options, device
+    def __init__(self, playback: Playback, defaults: ViewDefaults, listener: Listener, device: str = "cpu") -> None:
+        self._playback, self._defaults, self._device = playback, defaults, device
         whole = middle_camera(playback.capture.cameras)
-        small_stock = FrameStock(playback, options.moving_pixels)
+        small_stock = FrameStock(playback, MOVING_PIXELS)
         self._stocks = small_stock, FrameStock(playback, whole.width * whole.height)
         self._sessions: dict[int, Session] = {}
         self._changed, self._stopped = threading.Event(), threading.Event()
-        self.server = open_server(options.host, options.port)
+        self.server = open_server(listener)
         set_camera(self.server, small_stock, playback.instants[0])
         self.server.on_client_connect(self._open_session)
         self.server.on_client_disconnect(self._close_session)
         self._threads = [threading.Thread(target=work, daemon=True) for work in (self._advance_all, self._refine_all)]
         for thread in self._threads:
             thread.start()
-
-    @property
-    def address(self) -> str:
-        """Address to open in a browser."""
-        return f"http://{self.server.get_host()}:{self.server.get_port()}"
 
     def wait(self) -> None:
         """Serve until interrupted."""
@@ -102,9 +81,7 @@ class Viewer:
         self.stop()
 
     def _open_session(self, client: "viser.ClientHandle") -> None:
-        session = Session(
-            client, self._playback, self._stocks, self._options.moving_pixels, self._defaults, self._device, self._changed.set
-        )
+        session = Session(client, self._playback, self._stocks, MOVING_PIXELS, self._defaults, self._device, self._changed.set)
         self._sessions[client.client_id] = session
         session.change()
 
@@ -115,7 +92,7 @@ class Viewer:
         """Give each window its next small picture in turn; wait where no window wants one."""
         while not self._stopped.is_set():
             self._changed.clear()
-            if not any([session.advance() for session in list(self._sessions.values())]):
+            if not any([_attempt(session, session.advance) for session in list(self._sessions.values())]):
                 self._changed.wait(IDLE_SECONDS if self._sessions else None)
 
     def _refine_all(self) -> None:
@@ -123,25 +100,34 @@ class Viewer:
         while not self._stopped.wait(IDLE_SECONDS):
             for session in list(self._sessions.values()):
                 if session.rests():
-                    session.refine()
+                    _attempt(session, session.refine)
 
 
-def require_viser() -> None:
-    """Say how to install what the viewer is built on, before anything is computed for it.
+def _attempt(session: Session, work: Callable[[], bool | None]) -> bool:
+    """Work for one window; what goes wrong is said in it and on the terminal, and the other windows go on."""
+    try:
+        return bool(work())
+    except Exception as error:
+        traceback.print_exc()
+        with contextlib.suppress(Exception):  # its window may be what is gone
+            session.complain(f"{type(error).__name__}: {error}")
+        return False
+
+
+def open_server(listener: Listener) -> "viser.ViserServer":
+    """A server without a scene, which nobody can have publish itself.
 
     Raises:
-        CommandError: it is not installed.
+        CommandError: this version of viser cannot be guarded.
     """
-    if importlib.util.find_spec("viser") is None:
-        raise CommandError(MISSING)
-
-
-def open_server(host: str, port: int) -> "viser.ViserServer":
-    """A server without a scene."""
     import viser
+    from viser import _messages
 
+    start = partial(viser.ViserServer, host="127.0.0.1", port=listener.port, label="ggvs-eval", verbose=False)
     with contextlib.redirect_stdout(io.StringIO()):  # its banner; the command says the address in its own words
-        server = viser.ViserServer(host=host, port=port, label="ggvs-eval", verbose=False)
+        server = start_guarded(listener, start)
+    for request in (_messages.ShareUrlRequest, _messages.ShareUrlDisconnect):
+        server._websock_server.unregister_handler(request)  # the button alone would hide, a message would do as before
     server.gui.configure_theme(show_logo=False, show_share_button=False)
     server.gui.main_panel.dock_right()
     return server
@@ -158,15 +144,22 @@ def set_camera(server: "viser.ViserServer", stock: FrameStock, instant: int) -> 
     server.initial_camera.near, server.initial_camera.far = camera.near / 100, camera.far * 10
 
 
-def export_page(playback: Playback, instants: Sequence[int], file: Path, pixels: int = MOVING_PIXELS) -> None:
+def export_page(playback: Playback, instants: Sequence[int], file: Path, listener: Listener, pixels: int = MOVING_PIXELS) -> None:
     """Write a page that needs no server: the cameras, and the points of each instant, played one after the other.
+
+    Args:
+        playback: what is looked at.
+        instants: which of it.
+        file: page to write.
+        listener: of the server that viser makes the page by, for as long as that takes.
+        pixels: of the frames that points are made of, at most.
 
     Reading:
         The method itself cannot run in a page without a server; what is exported is the scene that it looks at.
     """
     from ggvs_eval.files.atomic import write_text
 
-    stock, server = FrameStock(playback, pixels), open_server("127.0.0.1", 0)
+    stock, server = FrameStock(playback, pixels), open_server(listener)
     try:
         set_camera(server, stock, instants[0])
         Frusta(server.scene, stock.cameras)

@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from ggvs_eval.datasets import d3dmv, open_capture
-from ggvs_eval.datasets.h5_frames import H5Frames
+from ggvs_eval.datasets.h5_frames import H5File, H5Frames
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.images import write_image
 from helpers.captures import make_image, read_all, refusal
@@ -140,7 +140,7 @@ def test_holds_one_frame_at_a_time(tmp_path):
     frame = np.random.default_rng(0).integers(0, 256, (1, 1, 200, 300, 3), dtype=np.uint8)
     with h5py.File(tmp_path / "long.h5", "w") as h5:
         h5.create_dataset("rgb", data=np.repeat(frame, 60, axis=1), chunks=frame.shape)
-    source = H5Frames(tmp_path / "long.h5", "rgb", 0)
+    source = H5Frames(H5File(tmp_path / "long.h5"), "rgb", 0)
     next(source.frames(0, 1))
     tracemalloc.start()
     assert sum(1 for _ in source.frames(0, 60)) == 60
@@ -151,7 +151,7 @@ def test_holds_one_frame_at_a_time(tmp_path):
 def test_frames_that_are_not_there(scene):
     """Asking for more frames than there are is refused with their number."""
     with pytest.raises(CaptureError, match=r"wanted frames 2\.\.4 of rgb, it has 4"):
-        list(H5Frames(scene, "rgb", 0).frames(2, 5))
+        list(H5Frames(H5File(scene), "rgb", 0).frames(2, 5))
 
 
 SHAPE = (N_CAMERAS, N_FRAMES, HEIGHT, WIDTH, 3)

@@ -38,7 +38,7 @@ def test_what_is_no_plain_file_is_refused_at_once(make, kind, tmp_path):
         read_plain(file, 1_000_000)
     with pytest.raises(CaptureError, match=r"file: wanted a picture, got (a|8590)"):
         read_image(file)
-    if make is not make_endless:  # of which a sample is read
+    if make is not make_endless:  # which takes seconds to hash whole
         with pytest.raises(CaptureError, match=r"file: wanted a file, got a "):
             digest_files([file])
 

@@ -9,6 +9,7 @@ import pytest
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import CaptureError
+from ggvs_eval.files.digest import digest_files
 from ggvs_eval.files.video import VideoFrames, write_video
 from helpers.places import SHARED
 
@@ -196,22 +197,17 @@ def test_missing_video(tmp_path):
         _ = VideoFrames(tmp_path / "cam07.mp4").n_frames
 
 
-def test_digest_sees_changes_in_large_files(tmp_path):
-    """Files above the sampling limit change their digest with their size, their ends and any of the sampled blocks."""
-    from ggvs_eval.files.digest import digest_files
-
-    content = np.random.default_rng(0).integers(0, 256, 5 << 20, dtype=np.uint8)
-    path = tmp_path / "large.mp4"
-    digests = set()
-    for at in (None, 0, content.size // 15 * 7, content.size - 1):
-        changed = content.copy()
-        if at is not None:
-            changed[at] ^= 1
-        path.write_bytes(changed.tobytes())
-        digests.add(digest_files([path]))
-    path.write_bytes(content[:-1].tobytes())
-    digests.add(digest_files([path]))
-    assert len(digests) == 5
+def test_digest_sees_every_frame_of_a_large_file(tmp_path):
+    """A stack of 24 frames, 12 MB, any one of which is replaced at equal size, has another digest each time."""
+    frames = np.random.default_rng(0).integers(0, 256, (24, 360, 480, 3), dtype=np.uint8)
+    stack, digests = tmp_path / "stack.npy", set()
+    for replaced in (None, *range(24)):
+        changed = frames.copy()
+        if replaced is not None:
+            changed[replaced] = 255 - changed[replaced]
+        np.save(stack, changed)
+        digests.add(digest_files([stack]))
+    assert len(digests) == 25
 
 
 def trim(source: Path, target: Path, first: int, from_start: bool) -> None:

@@ -2,14 +2,18 @@
 
 import os
 import signal
+import subprocess
+import sys
 import time
+import urllib.error
+import urllib.request
 from functools import partial
 from pathlib import Path
 
 import pytest
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.jobs import free_memory
+from ggvs_eval.jobs import dask_engine, free_memory
 from ggvs_eval.jobs.engine import Engine
 from ggvs_eval.jobs.job import Job, attempt_jobs, run_jobs
 from ggvs_eval.jobs.processes import kept_workers
@@ -187,3 +191,76 @@ def test_dask_is_asked_for_when_it_is_not_there(monkeypatch, tmp_path):
 
     with pytest.raises(RenderError, match=r"pip install ggvs-eval\[cluster\]"):
         run_jobs([square_job(tmp_path, 1)], Engine(1, "dask"), "")
+
+
+UNGUARDED = """
+import math
+from ggvs_eval.jobs.engine import Engine
+from ggvs_eval.jobs.run_all import run_all
+
+run_all(math.sqrt, [1.0, 2.0, 3.0], Engine(2, {engine!r}), "roots")
+"""
+
+
+@pytest.mark.parametrize("engine", ENGINES, ids=["processes", "dask"])
+def test_workers_that_cannot_start_are_not_out_of_memory(engine, dask_or_skip, tmp_path):
+    """A script that starts processes at its top level learns why they died, and what to write instead."""
+    script = tmp_path / "script.py"
+    script.write_text(UNGUARDED.format(engine=engine.engine))
+    ended = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=300)
+    last = ended.stderr.strip().splitlines()[-1]
+    assert ended.returncode == 1
+    assert "cannot start" in last
+    assert "memory" not in last
+    assert '`if __name__ == "__main__":`' in last
+    if engine.engine == "processes":
+        assert "finished its bootstrapping phase" in last
+
+
+def give_up(number: int, folder: Path) -> dict:
+    """End as a library does that calls exit()."""
+    if number == 0:
+        print("licence not found", file=sys.stderr, flush=True)
+        os._exit(3)
+    return write_square(number, folder)
+
+
+def test_a_process_that_ends_by_itself_says_its_last_line(tmp_path):
+    """Its status and what it printed last, not that it may need more memory; the other jobs are done."""
+    jobs = [Job(f"{n}", tmp_path / f"s{n}", {"number": n}, partial(give_up, n)) for n in range(3)]
+    attempt = attempt_jobs(jobs, 2, "")
+    (failure,) = attempt.failures
+    assert attempt.done == 2
+    assert "status 3" in failure.message
+    assert "licence not found" in failure.message
+    assert "memory" not in failure.message
+
+
+def listening() -> list[tuple[str, int]]:
+    """Addresses and ports at which this process and its children listen."""
+    psutil = pytest.importorskip("psutil")
+    here = psutil.Process()
+    sockets = [each for process in (here, *here.children(recursive=True)) for each in process.net_connections("inet")]
+    return [tuple(each.laddr) for each in sockets if each.status == psutil.CONN_LISTEN]
+
+
+def test_a_local_cluster_obeys_its_own_process_alone():
+    """Every port that it opens is of this machine, wants our certificate or answers nothing; none is dask's well-known one."""
+    distributed = pytest.importorskip("distributed")
+    pytest.importorskip("cryptography")
+    before = listening()
+    with dask_engine._local_cluster(distributed, 2) as cluster, distributed.Client(cluster) as client:
+        assert client.submit(abs, -2).result() == 2
+        ports = [each for each in listening() if each not in before]
+        assert len(ports) >= 3  # scheduler and workers
+        for host, port in ports:
+            assert host == "127.0.0.1"
+            assert port != 8787
+            for path in ("", "health", "metrics", "info/main/workers.html", "json/identity.json"):
+                with pytest.raises((urllib.error.HTTPError, ConnectionError)) as refused:
+                    urllib.request.urlopen(f"http://{host}:{port}/{path}", timeout=20)
+                assert not isinstance(refused.value, urllib.error.HTTPError) or refused.value.code == 404
+        plain = cluster.scheduler_address.replace("tls", "tcp")
+        for address, security in ((plain, None), (cluster.scheduler_address, distributed.Security.temporary())):
+            with pytest.raises((OSError, RuntimeError)):
+                distributed.Client(address, security=security, timeout=2)

@@ -251,6 +251,23 @@ def test_a_changed_file_is_noticed(suffix, run, tmp_path):
     np.testing.assert_array_equal(read_image(frame_path(run.renders("mine", "cam00"), 3)), truth("cam00", 3))
 
 
+def test_one_frame_of_a_large_stack_is_noticed(tmp_path):
+    """An uncompressed array keeps its size when a frame in its middle is replaced; the import is made again all the same."""
+    frames = range(480)
+    run, folder = make_run(tmp_path / "run", frames=frames, n_frames=len(frames)), tmp_path / "theirs"
+    folder.mkdir()
+    for view in VIEWS:
+        np.save(folder / f"{view}.npy", stack(view, frames=frames))
+    import_renders(run, "mine", folder)
+    changed = np.load(folder / "cam00.npy", mmap_mode="r+")
+    changed[240] = 255 - changed[240]
+    changed.flush()
+
+    import_renders(run, "mine", folder)
+
+    np.testing.assert_array_equal(read_image(frame_path(run.renders("mine", "cam00"), 240)), changed[240])
+
+
 def test_a_killed_import_is_made_again(run, tmp_path):
     """Leftovers of a killed import are removed, lost frames are brought back."""
     source = write_folders(tmp_path / "theirs")
@@ -262,6 +279,20 @@ def test_a_killed_import_is_made_again(run, tmp_path):
 
     assert largest_difference(run) == 0
     assert [item.name for item in (run.root / "renders").iterdir()] == ["mine"]
+
+
+@pytest.mark.parametrize("case", ["folders", "uint8 arrays"])
+def test_a_frame_that_was_changed_in_the_run_comes_back(case, run, tmp_path):
+    """What lies in the run is what was rendered, linked or decoded."""
+    source = EXACT[case][0](tmp_path / "theirs")
+    import_renders(run, "mine", source)
+    frame = frame_path(run.renders("mine", "cam00"), 3)
+    frame.unlink()
+    write_image(frame, 255 - rendered("cam00", 3))
+
+    import_renders(run, "mine", source)
+
+    assert largest_difference(run) == 0
 
 
 def test_the_record_names_every_source_file(run, tmp_path):

@@ -9,7 +9,7 @@ import pytest
 from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.jobs import code_identity as identity
 from ggvs_eval.jobs.code_identity import CodeTree, installed_code
-from ggvs_eval.pipelines.run.derived_files import digest_folder
+from ggvs_eval.pipelines.run.derived_files import DIGESTS, digest_folder
 from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
 from ggvs_eval.pipelines.run.work_left import work_left
@@ -60,7 +60,6 @@ def change_code(monkeypatch, module: str) -> None:
 def test_what_the_code_has_made_otherwise(module, masks, poses, plan, monkeypatch):
     """The code that made them has changed: they are counted as missing, and made anew; what other code made stays."""
     prepare_run(plan)
-    mask, pose = damage(plan)
     change_code(monkeypatch, module)
 
     # Depth keys depend on cameras too, but a plan that is made keeps its own.
@@ -70,14 +69,25 @@ def test_what_the_code_has_made_otherwise(module, masks, poses, plan, monkeypatc
     prepare_run(plan)
     left = work_left(plan)
     assert (sum(left.disoccluded.values()), left.path_depth) == (0, 0)
-    assert (77 not in read_image(mask)) == masks
-    assert (pose.read_bytes() != b"damaged") == poses
+
+
+def test_what_was_changed_is_made_anew(plan):
+    """A mask and a pose's depth that somebody wrote over count as missing, alone, and come back."""
+    prepare_run(plan)
+    mask, pose = damage(plan)
+
+    left = work_left(plan)
+    assert (sum(left.disoccluded.values()), left.path_depth) == (1, 1)
+
+    prepare_run(plan)
+    assert 77 not in read_image(mask)
+    assert np.load(pose).dtype == np.float32
 
 
 def test_what_other_depth_has_made(plan):
     """A mask whose note names other depth is made anew, that of another view stays."""
     prepare_run(plan)
-    note = plan.run.disoccluded("cam00") / "made_from.json"
+    note = plan.run.disoccluded("cam00") / DIGESTS
     key = next(iter(plan.plans["cam00"].depth_keys.values()))
     note.write_text(note.read_text().replace(key, "another"))
 

@@ -1,11 +1,17 @@
 """Captured frames are decoded once per run: later steps read them from the run folder."""
 
+import os
+import shutil
+
 import numpy as np
 import pytest
 
 from ggvs_eval.datasets import open_capture
+from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.pipelines.run.frame_cache import cache_frames
+from ggvs_eval.files.images import read_image, write_image
+from ggvs_eval.pipelines.run.derived_files import DIGESTS
+from ggvs_eval.pipelines.run.frame_cache import cache_frames, cache_path, frames_left, path_left
 from ggvs_eval.run_folder import frame_path
 from helpers.captures import NAMES, make_image, write_dynerf
 
@@ -68,3 +74,60 @@ def test_cameras_that_take_no_part_stay_as_they_are(tmp_path):
 
     assert [folder.name for folder in (tmp_path / "cache").iterdir()] == ["cam00"]
     assert abs(float(cached.frame("cam03", 1).mean()) - float(make_image(3, 1).mean())) < 2
+
+
+@pytest.mark.parametrize("keeps_time", [False, True])
+def test_a_frame_that_was_changed_is_written_again(capture, tmp_path, keeps_time):
+    """Also where size and time of the file are as they were; until then it counts as work that is left."""
+    cached = cache_frames(capture, {"cam02": range(5)}, tmp_path, workers=1)
+    before, file = cached.frame("cam02", 3), frame_path(tmp_path / "cam02", 3)
+    about, content = file.stat(), bytearray(file.read_bytes())
+    content[len(content) // 2] ^= 1
+    file.write_bytes(content)
+    if keeps_time:
+        os.utime(file, ns=(about.st_atime_ns, about.st_mtime_ns))
+
+    assert frames_left(capture, {"cam02": range(5)}, tmp_path) == {"cam02": [3]}
+    cache_frames(capture, {"cam02": range(5)}, tmp_path, workers=1)
+
+    np.testing.assert_array_equal(cached.frame("cam02", 3), before)
+    assert frames_left(capture, {"cam02": range(5)}, tmp_path) == {"cam02": []}
+
+
+def test_a_frame_that_was_only_touched_stays(capture, tmp_path):
+    """A copy of a run folder has other times and inodes; its frames are hashed, not decoded."""
+    cache_frames(capture, {"cam02": range(5)}, tmp_path / "run", workers=1)
+    shutil.copytree(tmp_path / "run", tmp_path / "copy", copy_function=shutil.copyfile)
+
+    assert frames_left(capture, {"cam02": range(5)}, tmp_path / "copy") == {"cam02": []}
+
+
+def test_frames_of_unknown_origin_are_written_again(capture, tmp_path):
+    """Frames without a record, and those of another size, filter or capture, do not pass for this one's."""
+    cache_frames(capture, {"cam02": range(5)}, tmp_path, workers=1)
+
+    assert frames_left(capture.resized(32, 24, "area"), {"cam02": [0, 4]}, tmp_path) == {"cam02": [0, 4]}
+    assert frames_left(capture.resized(*capture.camera("cam02").size, "area"), {"cam02": [1]}, tmp_path) == {"cam02": [1]}
+    (tmp_path / "cam02" / DIGESTS).write_text("{")
+    assert frames_left(capture, {"cam02": [2]}, tmp_path) == {"cam02": [2]}
+
+
+def test_true_images_of_a_path_are_those_of_the_capture(tmp_path):
+    """They are written once, and again where the capture's change or where what was written did."""
+    images, out = [np.full((8, 12, 3), value, np.uint8) for value in (20, 90)], tmp_path / "out"
+    for pose, image in enumerate(images):
+        write_image(tmp_path / "path" / f"{pose:04d}.png", image)
+
+    def cached() -> list[int]:
+        frames = ImageFrames(tmp_path / "path")
+        left = path_left(frames, (6, 4), "area", out)
+        cache_path(frames, (6, 4), "area", out)
+        return left
+
+    assert (cached(), cached()) == ([0, 1], [])
+    write_image(frame_path(out, 1), 255 - images[1][:4, :6])
+    assert (cached(), cached()) == ([1], [])
+    assert (read_image(frame_path(out, 1)) == 90).all()
+    write_image(tmp_path / "path" / "0000.png", images[0] + 5)
+    assert (cached(), cached()) == ([0, 1], [])
+    assert (read_image(frame_path(out, 0)) == 25).all()

@@ -12,6 +12,7 @@ import pytest
 from ggvs_eval.errors import RenderError
 from ggvs_eval.jobs.engine import Engine
 from ggvs_eval.jobs.run_all import run_all
+from ggvs_eval.pipelines.run.derived_files import DIGESTS
 from ggvs_eval.pipelines.run.evaluate import measure
 from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
 from ggvs_eval.protocol import Protocol
@@ -20,7 +21,7 @@ from helpers.small_runs import LABELS, small_protocol, write_small_capture
 pytestmark = pytest.mark.slow
 
 ENGINES = [Engine(2), Engine(2, "dask")]
-CLOCKED = {"job.json", "results.json", "references.json"}  # hold times or hosts beside the results
+CLOCKED = {"job.json", "results.json", "references.json", DIGESTS}  # hold times or hosts beside the results
 
 
 @pytest.fixture(scope="module")

@@ -5,15 +5,18 @@ import shutil
 from collections import namedtuple
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError, ProtocolError
+from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.jobs.shard import WHOLE, Shard
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED
 from ggvs_eval.pipelines.offline.depth import fill_store
 from ggvs_eval.pipelines.run import work_left as counting
+from ggvs_eval.pipelines.run.derived_files import digest_folder
 from ggvs_eval.pipelines.run.evaluate import measure
 from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
@@ -22,7 +25,7 @@ from ggvs_eval.pipelines.sweep.demo_plan import demo_to_plan, renders_first
 from ggvs_eval.pipelines.sweep.run_sweep import plan_runs
 from ggvs_eval.progress import duration
 from ggvs_eval.protocol import CameraPath, Frames, Protocol, Synthesis
-from ggvs_eval.run_folder import RunFolder
+from ggvs_eval.run_folder import RunFolder, frame_path
 from ggvs_eval.sweep import Sweep, SweepRow
 from helpers.command_line import refusal
 from helpers.small_runs import LABELS, small_options, small_protocol, write_small_capture
@@ -106,6 +109,25 @@ def test_nothing_is_said_where_everything_is_done(capture, protocol, finished):
     assert more.left[0].n_depth == 0
     assert "9 frames to render, 0 depth maps" in more.describe()
     assert "time:" not in more.describe()
+
+
+def test_a_source_frame_that_was_changed_is_work(capture, protocol, finished, tmp_path, capsys):
+    """`run --dry-run` names it, `run` writes it again as captured, and nothing is left then; its renders stay."""
+    shutil.copytree(finished, tmp_path / "run")
+    file = frame_path(tmp_path / "run" / "truth" / "cam02", 1)  # no test view
+    pixels, renders = read_image(file), digest_folder(tmp_path / "run" / "renders")
+    write_image(file, 255 - pixels)
+    (tmp_path / "p.toml").write_text(protocol.to_toml())
+    arguments = ["run", str(tmp_path / "run"), "--capture", str(capture.path), "--protocol", str(tmp_path / "p.toml")]
+    arguments += ["--jobs", "1", "--methods", *LABELS]
+
+    run_command([*arguments, "--dry-run"])
+    assert "1 captured frame to decode" in capsys.readouterr().out
+    run_command(arguments)
+
+    np.testing.assert_array_equal(read_image(file), pixels)
+    assert digest_folder(tmp_path / "run" / "renders") == renders
+    assert count_work([planned(tmp_path / "run", capture, protocol)], tmp_path / "run").describe() == ""
 
 
 def test_a_run_is_told_in_two_lines(capture, protocol, tmp_path):

@@ -13,7 +13,9 @@ from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.run.prepare import prepare
 from ggvs_eval.pipelines.run.render import render
+from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
 from ggvs_eval.pipelines.run.score import score
+from ggvs_eval.pipelines.run.work_left import work_left
 from ggvs_eval.pipelines.sweep.merging import merge as merging
 from ggvs_eval.pipelines.sweep.merging.merge import merge_runs
 from ggvs_eval.protocol import Protocol, Synthesis
@@ -71,9 +73,10 @@ def test_merged_runs_give_the_table_of_one_machine(machines, runs, capsys):
 
 
 def test_a_merged_run_goes_on(capture, protocol, runs):
-    """`render` finds everything done in a merged run, and the values that were measured are not measured again."""
+    """Nothing is left to do in a merged run: no frame is decoded, rendered or measured again."""
     merged = merge_runs(runs / "out", [runs / "a", runs / "b"])
     before = read_json(merged.scores("cam00") / JOB_FILE)
+    assert work_left(plan_run(RunRequest(runs / "out", capture, protocol, LABELS))).is_nothing()
 
     prepared = prepare(runs / "out", capture, protocol)
 

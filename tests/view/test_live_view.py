@@ -13,12 +13,12 @@ from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.play.playback import PlayOptions, viewing_of_capture
 from ggvs_eval.pipelines.play.synthesizer import OnlineSynthesizer
 from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
-from ggvs_eval.pipelines.view import viewer as viewer_module
+from ggvs_eval.pipelines.view import listener as listener_module
 from ggvs_eval.pipelines.view.frame_stock import FrameStock
+from ggvs_eval.pipelines.view.listener import require_viser
 from ggvs_eval.pipelines.view.live_view import LAYERS, LiveView, ViewRequest
 from ggvs_eval.pipelines.view.recording import Recording
 from ggvs_eval.pipelines.view.scene import cloud, gazed_depth, middle_camera, up_direction
-from ggvs_eval.pipelines.view.viewer import require_viser
 from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthesis, Views, load_protocol
 from helpers.stereo_scenes import HEIGHT, PLANE, WIDTH, plane_depth, write_capture
 
@@ -203,6 +203,6 @@ def test_nothing_recorded_is_an_error(playback, tmp_path):
 
 def test_without_viser_one_line_says_what_to_install(monkeypatch):
     """Before anything is computed."""
-    monkeypatch.setattr(viewer_module.importlib.util, "find_spec", lambda _: None)
+    monkeypatch.setattr(listener_module.importlib.util, "find_spec", lambda _: None)
     with pytest.raises(CommandError, match=r"pip install 'ggvs-eval\[view\]'"):
         require_viser()

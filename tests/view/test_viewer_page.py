@@ -10,8 +10,10 @@ from PIL import Image
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.play.playback import PlayOptions, viewing_of_capture
 from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
+from ggvs_eval.pipelines.view.listener import Listener
+from ggvs_eval.pipelines.view.live_view import LiveView
 from ggvs_eval.pipelines.view.session import ViewDefaults
-from ggvs_eval.pipelines.view.viewer import ServerOptions, Viewer, export_page
+from ggvs_eval.pipelines.view.viewer import Viewer, export_page
 from helpers.browser import DESKTOP
 from helpers.stereo_scenes import write_capture
 
@@ -30,9 +32,10 @@ def page(playback, started, tmp_path):
     """The viewer's page, opened, with its first picture."""
     pytest.importorskip("viser")
     defaults = ViewDefaults("ours-geometric", ("ours-geometric", "no-blending"), 2, suggest_protocol(playback.capture), tmp_path)
-    with Viewer(playback, defaults, ServerOptions(port=0)) as viewer:
+    listener = Listener(port=0)
+    with Viewer(playback, defaults, listener) as viewer:
         started.resize(DESKTOP)
-        started.driven.get(viewer.address)
+        started.driven.get(listener.address)
         started.wait("document.body.innerText.includes('pictures per second')", seconds=60)
         yield started, viewer
 
@@ -85,10 +88,22 @@ def test_an_unknown_method_is_a_message_in_the_page(page):
     assert not browser.run("document.body.innerText.includes('unknown method')")
 
 
+def test_a_fault_in_one_picture_does_not_end_the_others(page, monkeypatch):
+    """A bug of a method is a message in the page and on the terminal; the next picture comes as before."""
+    browser, viewer = page
+    with monkeypatch.context() as broken:
+        broken.setattr(LiveView, "picture", lambda *_: 1 / 0)
+        session_of(viewer).change()
+        browser.wait("document.body.innerText.includes('ZeroDivisionError')", seconds=30)
+    session_of(viewer).change()
+    browser.wait("!document.body.innerText.includes('ZeroDivisionError')", seconds=30)
+    assert all(thread.is_alive() for thread in viewer._threads)
+
+
 def test_the_exported_page_needs_no_server(playback, started, tmp_path):
     """It draws the scene from the file alone; the browser of these tests reaches no network."""
     pytest.importorskip("viser")
-    export_page(playback, [0, 1], tmp_path / "view.html")
+    export_page(playback, [0, 1], tmp_path / "view.html", Listener(port=0))
     started.driven.get((tmp_path / "view.html").as_uri())
     started.wait("document.querySelector('canvas') !== null", seconds=60)
     assert [entry for entry in started.complaints() if "SEVERE" in entry] == []

@@ -11,6 +11,7 @@ from typing import Any
 from ggvs_eval.errors import ProtocolError, ResultsError
 from ggvs_eval.files.atomic import atomic_folder
 from ggvs_eval.jobs.ledger import JOBS_FOLDER
+from ggvs_eval.pipelines.run.derived_files import DIGESTS, join_records
 from ggvs_eval.pipelines.sweep.merging.units import Unit, job_units, plain_units, same_unit, same_values
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
 
@@ -46,6 +47,9 @@ def merge_runs(out: Path, roots: Sequence[Path], copy: bool = False) -> RunFolde
     with atomic_folder(out) as temporary:
         for unit in units.values():
             _place(unit, temporary / unit.name, _copy if copy else _link)
+        for record in {file.relative_to(run.root) for run in runs for file in run.root.rglob(DIGESTS)}:
+            if (temporary / record).parent.is_dir():
+                join_records([run.root / record for run in runs], temporary / record)
         _write_records(runs, temporary)
         merge_scores(runs, temporary)
     return RunFolder(out)

@@ -1,0 +1,40 @@
+"""A report is kept while its runs, its code and all of its files are as they were."""
+
+import pytest
+
+from ggvs_eval.pipelines.run.evaluate import report
+from ggvs_eval.reports.tables import excel
+from helpers.run_folders import RunShape, write_run
+
+pytestmark = pytest.mark.slow
+
+
+def test_every_file_that_is_lost_or_changed_comes_back(tmp_path):
+    """The page and each table, deleted in turn; nothing is written where nothing is missing."""
+    run = write_run(tmp_path / "run", RunShape())
+    folder = report([run], with_figures=False).parent
+    files = {file: file.read_bytes() for file in folder.iterdir() if not file.name.startswith(".")}
+    assert {"index.html", "tables.md", "tables.tex", "tables.csv", "reproduction.csv"} <= {file.name for file in files}
+    page = (folder / "index.html").stat().st_mtime_ns
+    report([run], with_figures=False)
+    assert (folder / "index.html").stat().st_mtime_ns == page
+    for lost in files:
+        lost.unlink()
+        report([run], with_figures=False)
+        assert lost.read_bytes() == files[lost], lost
+    (folder / "tables.tex").write_text("9.99")
+    report([run], with_figures=False)
+    assert (folder / "tables.tex").read_bytes() == files[folder / "tables.tex"]
+
+
+def test_a_workbook_comes_once_it_can_be_written(tmp_path, monkeypatch, capsys):
+    """Where openpyxl was installed after the first report, the next one has a workbook."""
+    pytest.importorskip("openpyxl")
+    run = write_run(tmp_path / "run", RunShape())
+    with monkeypatch.context() as without:
+        without.setattr(excel.importlib.util, "find_spec", lambda name: None)
+        folder = report([run], with_figures=False).parent
+    assert not (folder / "tables.xlsx").exists()
+    assert "openpyxl" in capsys.readouterr().err
+    report([run], with_figures=False)
+    assert (folder / "tables.xlsx").is_file()
