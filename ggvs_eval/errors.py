@@ -69,6 +69,10 @@ class TrainingError(GgvsError):
     """A training cannot start or go on."""
 
 
+class PluginError(GgvsError):
+    """A plug-in that cannot be used."""
+
+
 class ResultsError(GgvsError):
     """Results are absent, or two results must not stand in one table."""
 

@@ -64,7 +64,8 @@ def score_path(poses: Iterable[PathPose], options: PathOptions | None = None, me
 
 def measured_on_path(names: Collection[str]) -> list[PathMetric]:
     """List the metrics of a path that are measured: those that take no time, and of the others those that are named."""
-    of_paths = [metric for metric in METRICS.values() if isinstance(metric, PathMetric)]
+    known = [*METRICS.shipped.values(), *(METRICS[name] for name in names if name not in METRICS.shipped)]
+    of_paths = [metric for metric in known if isinstance(metric, PathMetric)]
     return [metric for metric in of_paths if metric.name in names or not metric.scorer.wants_images]
 
 

@@ -43,6 +43,7 @@ from ggvs_eval.metrics.time.strred import STED, STED_SSN
 from ggvs_eval.metrics.time.tcc import TCC
 from ggvs_eval.metrics.time.temporal_variation import MTV, MTV2
 from ggvs_eval.metrics.time.vmaf import VMAF
+from ggvs_eval.plugins import Registry
 
 # In the order in which they are scored and stand in the results.
 _OF_IMAGES = (PSNR, SSIM, L1, LPIPS, PSNR_CC, SSIM_CC, LPIPS_CC, IV_PSNR, PSNR_YCBCR, MS_SSIM, DSSIM1, DSSIM2, FLIP, DISTS)
@@ -56,7 +57,18 @@ _ALL: tuple[Metric, ...] = (
     *(REPROJECTION, REPROJECTION_VISIBLE, E_WARP, PATH_SHARPNESS, SWITCH_RATIO, SWITCH_EXCESS),
     *(COLMAP_REGISTERED, COLMAP_TRACK_LENGTH, COLMAP_MATCHES),
 )
-METRICS: dict[str, Metric] = {metric.name: metric for metric in _ALL}
+
+
+def _checked(name: str, metric: object) -> Metric:
+    """A metric of a plug-in."""
+    if not isinstance(metric, Metric) or isinstance(metric, DepthMetric):
+        raise TypeError(f"wanted a ViewMetric, TableMetric or PathMetric, got {type(metric).__name__}")
+    if metric.name != name:
+        raise TypeError(f"it calls itself {metric.name!r}")
+    return metric
+
+
+METRICS: Registry[Metric] = Registry("metrics", {metric.name: metric for metric in _ALL}, _checked)
 DEPTH_METRICS: dict[str, DepthMetric] = {
     metric.name: metric for metric in (DEPTH_MTV, DEPTH_SHARPNESS, DEPTH_MTV2, DEPTH_BLINKING)
 }
@@ -95,7 +107,8 @@ def scored_by_view(names: Iterable[str]) -> tuple[ViewMetric, ...]:
     """Select the metrics that score the frames of a view: those asked for per view, and those that others are made of."""
     asked = select_metrics(names)
     view_names = {metric.part if isinstance(metric, TableMetric) else metric.name for metric in asked}
-    return tuple(metric for metric in METRICS.values() if isinstance(metric, ViewMetric) and metric.name in view_names)
+    chosen = (METRICS[name] for name in METRICS if name in view_names)
+    return tuple(metric for metric in chosen if isinstance(metric, ViewMetric))
 
 
 def make_scorers(metrics: Sequence[ViewMetric], options: MetricOptions, colour_map: ColourMap | None) -> list[Scorer]:
@@ -171,4 +184,4 @@ def pooling_records(names: Iterable[str], options: MetricOptions) -> dict[str, d
 
 def ceiling_metrics() -> tuple[str, ...]:
     """Metrics that perfect renderings are scored with."""
-    return tuple(metric.name for metric in METRICS.values() if metric.has_ceiling)
+    return tuple(metric.name for metric in METRICS.shipped.values() if metric.has_ceiling)

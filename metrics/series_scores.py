@@ -11,7 +11,7 @@ from ggvs_eval.metrics.registry import DEPTH_METRICS, METRICS
 from ggvs_eval.metrics.stream import ViewScores
 
 OF_FRAMES: Mapping[str, Series] = {
-    name: metric.series for name, metric in METRICS.items() if isinstance(metric, ViewMetric) and metric.series
+    name: metric.series for name, metric in METRICS.shipped.items() if isinstance(metric, ViewMetric) and metric.series
 }
 OF_DEPTHS: Mapping[str, Series] = {name: metric.series for name, metric in DEPTH_METRICS.items()}
 

@@ -16,7 +16,7 @@ LEARNED = tuple(f"baselines.{folder.name}" for folder in sorted(BASELINES.iterdi
 # `ggvs_eval.camera`, is a room of its own; what stands in a folder belongs to the longest name listed here.
 FLOORS = (
     ("arrays", "errors", "kernels", "residual_block"),
-    ("camera", "progress"),
+    ("camera", "progress", "plugins"),
     ("files", "lens", "compute_device", "method"),
     ("geometry", "capture", "colour_maps"),
     ("depth_store", "protocol", "gaussians"),

@@ -25,6 +25,7 @@ from ggvs_eval.datasets.corrections import apply_corrections, corrections_file, 
 from ggvs_eval.datasets.known_traps import apply_known_traps
 from ggvs_eval.datasets.units import GivenUnits
 from ggvs_eval.errors import CaptureError, did_you_mean
+from ggvs_eval.plugins import Registry
 
 LISTED = 8
 
@@ -44,8 +45,15 @@ class DatasetSpec:
     load: Callable[[Path, GivenUnits], Capture]
 
 
-# In the order in which they are tried: what is particular before what is general.
-DATASETS = {
+def _checked(name: str, spec: object) -> DatasetSpec:
+    """A layout of a plug-in."""
+    if not isinstance(spec, DatasetSpec):
+        raise TypeError(f"wanted a DatasetSpec, got {type(spec).__name__}")
+    return spec
+
+
+# In the order in which they are tried: what is particular before what is general, plug-ins last.
+_SHIPPED = {
     "capture.toml": DatasetSpec("capture.toml, a rig of one's own", capture_toml.refuse, capture_toml.load),
     "d3dmv": DatasetSpec("SCENE.h5 with SCENE_pb.npy, or frames/ and background/", d3dmv.refuse, d3dmv.load),
     "spaces": DatasetSpec("models.json with cam_XX/ (Google Spaces)", spaces.refuse, spaces.load),
@@ -64,6 +72,7 @@ DATASETS = {
     name: DatasetSpec(kind.describe, partial(calibration_file.refuse, name), partial(calibration_file.load, name))
     for name, kind in calibration_file.KINDS.items()
 }
+DATASETS: Registry[DatasetSpec] = Registry("datasets", _SHIPPED, _checked)
 
 
 def open_capture(path: str | Path, layout: str | None = None, *, units: GivenUnits = None, drop_unsynced: bool = True) -> Capture:
@@ -123,7 +132,8 @@ def detect_layout(path: Path, layout: str | None = None) -> str:
     if layout is not None and layout not in DATASETS:
         layouts = ", ".join(DATASETS)
         raise CaptureError(f"{path}: no layout {layout!r}, there are {layouts}{did_you_mean(layout, DATASETS)}")
-    refusals = {name: spec.refuse(path) for name, spec in DATASETS.items() if layout in (None, name)}
+    candidates = DATASETS.working() if layout is None else [(layout, DATASETS[layout])]
+    refusals = {name: spec.refuse(path) for name, spec in candidates}
     fitting = [name for name, refusal in refusals.items() if refusal is None]
     if not fitting:
         reasons = "; ".join(f"not {name}: {refusal}" for name, refusal in refusals.items())
@@ -136,5 +146,5 @@ def detect_layout(path: Path, layout: str | None = None) -> str:
 def _captures_within(path: Path) -> list[str]:
     """Folders right below that hold a capture, when a whole data set was named instead of a scene."""
     folders = sorted(folder for folder in path.iterdir() if folder.is_dir())[: 4 * LISTED] if path.is_dir() else []
-    captures = [folder.name for folder in folders if any(spec.refuse(folder) is None for spec in DATASETS.values())]
+    captures = [folder.name for folder in folders if any(spec.refuse(folder) is None for _, spec in DATASETS.working())]
     return [*captures[:LISTED], "..."] if len(captures) > LISTED else captures

@@ -18,6 +18,8 @@ from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 
 import ggvs_eval
+from ggvs_eval.files.digest import digest_values
+from ggvs_eval.plugins import plugin_digest
 
 PACKAGE = ggvs_eval.__name__
 ROOMS_APART = ("baselines", "metrics", "pipelines", "reports")  # a checkout keeps them beside the package, see setup.cfg
@@ -82,9 +84,15 @@ class CodeTree:
 
 
 def code_identity(*roots: str, unfollowed: Collection[str] = ()) -> str:
-    """Hash of the installed code that some modules run; arguments as of `CodeTree.closure`."""
+    """Hash of the installed code that some modules run; arguments as of `CodeTree.closure`.
+
+    A module of a plug-in counts with all sources of its package; what it takes of this one is not followed.
+    """
     tree = installed_code()
-    return tree.digest(tree.closure(*roots, unfollowed=unfollowed))
+    ours = [root for root in roots if root.partition(".")[0] == PACKAGE]
+    own = tree.digest(tree.closure(*ours, unfollowed=unfollowed))
+    foreign = sorted({plugin_digest(root) for root in roots if root not in ours})
+    return digest_values(own, *foreign) if foreign else own
 
 
 @cache

@@ -33,6 +33,7 @@ from ggvs_eval.pipelines.commands.steadiness import steadiness
 from ggvs_eval.pipelines.commands.study import metric_study
 from ggvs_eval.pipelines.commands.training import TRAININGS
 from ggvs_eval.pipelines.methods.network_options import checked_device
+from ggvs_eval.plugins import use_file
 
 
 def score(
@@ -109,9 +110,11 @@ COMMANDS: Commands = {
     "steadiness": steadiness,
     "metric-study": metric_study,
 }
+PLUGIN = "--plugin"  # of any verb: a file with metrics, methods or layouts of the user's own
 CONTINUED = re.compile(r"\n {12,}(?=\S)")  # the second and later lines of an argument in a docstring
 ABOUT = {
-    "ggvs-eval": "How good and how steady, over views and over time, is a method on a multi-view capture - and why?",
+    "ggvs-eval": "How good and how steady, over views and over time, is a method on a multi-view capture - and why? "
+    "Every command also takes --plugin FILE.py: metrics, methods and layouts of your own.",
     "ggvs-eval train": "Train a network of this package; a second call goes on where the first one stopped.",
 }
 
@@ -119,7 +122,7 @@ ABOUT = {
 def run_command(arguments: list[str] | None = None) -> None:
     """Parse the command line and do what it says."""
     try:
-        call_command("ggvs-eval", COMMANDS, sys.argv[1:] if arguments is None else arguments)
+        call_command("ggvs-eval", COMMANDS, _without_plugins(sys.argv[1:] if arguments is None else arguments))
         sys.stdout.flush()
     except BrokenPipeError:  # `ggvs-eval ... | head`
         _forget_output()
@@ -130,6 +133,22 @@ def run_command(arguments: list[str] | None = None) -> None:
         except OSError:  # the full disk is that of our output
             _forget_output()
         sys.exit(f"ggvs-eval: {mendable(error)}")
+
+
+def _without_plugins(words: Sequence[str]) -> list[str]:
+    """The command line without ``--plugin FILE.py``, which any verb takes; the files' objects are known from then on.
+
+    Raises:
+        PluginError: a file that cannot be used.
+    """
+    left = list(words)
+    while PLUGIN in left:
+        at = left.index(PLUGIN)
+        if at + 1 == len(left):
+            raise CommandError(f"{PLUGIN}: wanted a file behind it, such as my_metrics.py")
+        use_file(Path(left[at + 1]))
+        del left[at : at + 2]
+    return left
 
 
 def _forget_output() -> None:

@@ -279,7 +279,7 @@ def _checkpoints(weights: tuple[str, ...]) -> dict[str, Path]:
     for each in weights:
         method, equals, file = each.partition("=")
         if not equals or method not in METHODS or not Path(file).is_file():
-            able = ", ".join(label for label, spec in METHODS.items() if spec.make_from and "+" not in label)
+            able = ", ".join(label for label, spec in METHODS.shipped.items() if spec.make_from and "+" not in label)
             raise WeightsError(f"--weights {each}: wanted METHOD=FILE with one of {able} and a file that exists")
         checkpoints[method] = Path(file).resolve()
     return checkpoints

@@ -12,19 +12,26 @@ from ggvs_eval.pipelines.methods.fitted import FITTED, configured_fit, splats_me
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
 from ggvs_eval.pipelines.methods.ours import OURS
 from ggvs_eval.pipelines.methods.spec import MethodSpec, option_values
+from ggvs_eval.plugins import Registry, imported
 
 
-def all_methods() -> dict[str, MethodSpec]:
-    """Every method by its label, `method` or `method+variant`; its renders lie in a folder of that name."""
-    return baseline_methods() | FITTED | OURS
+def _checked(name: str, offered: object) -> MethodSpec:
+    """A method of a plug-in: a `MethodSpec`, or what makes an object with `Method.step`."""
+    if isinstance(offered, MethodSpec):
+        return replace(offered, usual=False)
+    if not callable(offered):
+        raise TypeError(f"wanted a MethodSpec or a class with a step, got {type(offered).__name__}")
+    about = (getattr(offered, "__doc__", None) or "").strip().partition("\n")[0]
+    return MethodSpec(name, about or f"{name}, of a plug-in", offered, (offered.__module__,), usual=False)
 
 
-METHODS = all_methods()
+# Every method by its label, `method` or `method+variant`; its renders lie in a folder of that name.
+METHODS: Registry[MethodSpec] = Registry("methods", baseline_methods() | FITTED | OURS, _checked)
 
 
 def usual_methods() -> tuple[str, ...]:
     """Labels of the methods that are rendered where nobody names any."""
-    return tuple(label for label, spec in METHODS.items() if spec.usual)
+    return tuple(label for label, spec in METHODS.shipped.items() if spec.usual)
 
 
 def find_method(label: str, networks: NetworkOptions = AS_SHIPPED) -> MethodSpec:
@@ -50,6 +57,8 @@ def _found(label: str, checkpoints: Mapping[str, Path]) -> MethodSpec:
         return _with_checkpoint(label, checkpoints[method])
     if method in METHODS and "=" in variant:
         return _configured(label, METHODS[method], variant)
+    if label not in METHODS and ":" in label:
+        return _checked(label, imported(label))
     if label not in METHODS:
         suggestion = did_you_mean(label, METHODS, cutoff=0.0)
         raise RenderError(f"unknown method {label!r}{suggestion} Known are {', '.join(METHODS)}")
@@ -61,7 +70,7 @@ def _with_checkpoint(label: str, checkpoint: Path) -> MethodSpec:
     """A method with the weights that the user gave."""
     spec = find_method(label)
     if spec.make_from is None:
-        able = ", ".join(name for name, each in METHODS.items() if each.make_from)
+        able = ", ".join(name for name, each in METHODS.shipped.items() if each.make_from)
         raise RenderError(f"method {label}: {spec.title} takes no weights from outside; these do: {able}")
     title = spec.title_from or spec.title
     return replace(spec, title=title, make=partial(spec.make_from, checkpoint), make_from=None, weights=(checkpoint,))
@@ -74,7 +83,7 @@ def _configured(label: str, spec: MethodSpec, variant: str) -> MethodSpec:
     if spec.is_fitted:
         return configured_fit(label, spec, variant)
     if spec.make_with is None:
-        able = ", ".join(name for name, each in METHODS.items() if each.make_with or each.is_fitted)
+        able = ", ".join(name for name, each in METHODS.shipped.items() if each.make_with or each.is_fitted)
         raise RenderError(f"method {label}: {spec.title} has no options to set; these have: {able}")
     options = build_table(OnlineOptions, option_values(variant), f"method {label}", "", RenderError)
     title = f"{spec.title}, {variant.replace('+', ', ')}"

@@ -53,7 +53,7 @@ def study_metrics(names: Sequence[str]) -> tuple[str, ...]:
     select_metrics(named)
     if named and ALL not in names:
         return tuple(named)
-    whole = [name for name, metric in METRICS.items() if metric.group != REGION]
+    whole = [name for name, metric in METRICS.shipped.items() if metric.group != REGION]
     return tuple(dict.fromkeys([*(name for name in whole if ALL in names or name not in COSTLY), *named]))
 
 

@@ -115,7 +115,7 @@ def metric_family(metric: str) -> str:
         MetricError: a metric of which no conventions are known; the message suggests the nearest one.
     """
     family = metric.lower()
-    of_other = {name.lower(): one for name, one in {**METRICS, **DEPTH_METRICS}.items() if one.kind in OF_NO_VIEW}
+    of_other = {name.lower(): one for name, one in {**METRICS.shipped, **DEPTH_METRICS}.items() if one.kind in OF_NO_VIEW}
     if family not in FAMILIES and family in of_other:
         one = of_other[family]
         raise MetricError(

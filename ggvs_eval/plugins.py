@@ -1,0 +1,210 @@
+"""Plug-ins: metrics, methods and layouts of other packages and of single files, known by name beside those that ship.
+
+A package names its objects as entry points of the groups ``ggvs_eval.metrics``, ``ggvs_eval.methods`` and
+``ggvs_eval.datasets``; a file has tables of the same names, ``METRICS = {"P99": ...}``. An object is what the registry of its
+kind holds. It is imported when it is asked for by its name, or when everything of its kind is tried.
+"""
+
+import hashlib
+import importlib
+import importlib.util
+import os
+import pkgutil
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import entry_points
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Generic, Literal, TypeVar
+
+from ggvs_eval.errors import GgvsError, PluginError
+
+Kind = Literal["metrics", "methods", "datasets"]
+FILES = "GGVS_EVAL_PLUGINS"  # environment variable of plug-in files, which worker processes inherit
+Entry = TypeVar("Entry")
+
+
+@dataclass(frozen=True)
+class Plugin:
+    """One object of a plug-in, not yet imported.
+
+    Attributes:
+        name: that it is asked for by.
+        origin: package and version, or file, for messages and records.
+        load: imports it.
+    """
+
+    name: str
+    origin: str
+    load: Callable[[], Any]
+
+
+class Registry(Mapping[str, Entry], Generic[Entry]):
+    """Objects of one kind by name: those that ship, and those of plug-ins, which are imported when they are asked for.
+
+    Args:
+        kind: of the objects.
+        shipped: those of this package.
+        check: makes an object of what a plug-in offers; raises `TypeError` where that is of another kind.
+    """
+
+    def __init__(self, kind: Kind, shipped: Mapping[str, Entry], check: Callable[[str, Any], Entry]) -> None:
+        self.shipped = shipped
+        self._kind: Kind = kind
+        self._check = check
+        self._loaded: dict[str, Entry] = {}
+
+    @property
+    def plugins(self) -> dict[str, Plugin]:
+        """Those that are offered under names of their own; of one that is taken a line says so, once."""
+        return _offered(self._kind, frozenset(self.shipped))
+
+    def __getitem__(self, name: str) -> Entry:
+        """The object of a name.
+
+        Raises:
+            KeyError: no such name.
+            PluginError: its plug-in cannot be imported, or offers something else.
+        """
+        if name in self.shipped:
+            return self.shipped[name]
+        if name not in self._loaded:
+            self._loaded[name] = self._load(self.plugins[name])
+        return self._loaded[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.shipped or name in self.plugins
+
+    def __iter__(self) -> Iterator[str]:
+        yield from self.shipped
+        yield from self.plugins
+
+    def __len__(self) -> int:
+        return len(self.shipped) + len(self.plugins)
+
+    def working(self) -> Iterator[tuple[str, Entry]]:
+        """Every name with its object, without plug-ins that do not work, of which a line says so."""
+        for name in self:
+            try:
+                yield name, self[name]
+            except PluginError as error:
+                _say_once(str(error))
+
+    def _load(self, plugin: Plugin) -> Entry:
+        try:
+            return self._check(plugin.name, plugin.load())
+        except GgvsError:
+            raise
+        except Exception as error:  # whatever a module of somebody else's raises while it is imported
+            reason = " ".join(f"{type(error).__name__}: {error}".split())
+            raise PluginError(
+                f"plug-in {plugin.origin}: {self._kind} {plugin.name!r} cannot be used ({reason}); mend or remove it"
+            ) from error
+
+
+def use_file(path: Path) -> None:
+    """Take the objects of a file's tables for this process and those that it starts.
+
+    Raises:
+        PluginError: no such file, one that cannot be imported, or one without a table.
+    """
+    file = path.resolve()
+    module = _module_of(file)
+    if not any(isinstance(getattr(module, kind.upper(), None), Mapping) for kind in ("metrics", "methods", "datasets")):
+        raise PluginError(
+            f"{path}: wanted a table METRICS, METHODS or DATASETS of names and objects, got none; see docs/extending.md"
+        )
+    named = [each for each in os.environ.get(FILES, "").split(os.pathsep) if each]
+    os.environ[FILES] = os.pathsep.join(dict.fromkeys([*named, str(file)]))
+    _offered.cache_clear()
+
+
+def imported(reference: str) -> Any:
+    """The object of ``module:name``, with modules of the working folder.
+
+    Raises:
+        PluginError: it cannot be imported.
+    """
+    module, _, name = reference.partition(":")
+    if (here := os.getcwd()) not in sys.path:
+        sys.path.append(here)
+    try:
+        return pkgutil.resolve_name(f"{module}:{name}")
+    except Exception as error:  # whatever a module of somebody else's raises while it is imported
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        raise PluginError(
+            f"{reference}: wanted a module and what it defines, as my_method:Mine ({reason}); correct it"
+        ) from error
+
+
+def plugin_digest(module: str) -> str:
+    """SHA-256 of the code of a module that is not ours: of all sources of the package that it lies in, or of its file.
+
+    Raises:
+        PluginError: its sources are not to be found.
+    """
+    top = module.partition(".")[0]
+    spec = importlib.util.find_spec(top)
+    if spec is None or not spec.origin:
+        raise PluginError(
+            f"plug-in module {module}: wanted its source for the identity of jobs, found none; install it from source"
+        )
+    origin = Path(spec.origin)
+    files = sorted(origin.parent.rglob("*.py")) if spec.submodule_search_locations else [origin]
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(f"{file.relative_to(origin.parent)}\0".encode() + file.read_bytes())
+    return digest.hexdigest()
+
+
+@cache
+def _offered(kind: Kind, taken: frozenset[str]) -> dict[str, Plugin]:
+    """What entry points and files offer, by name; the first of a name stays."""
+    offered: dict[str, Plugin] = {}
+    for plugin in (*_of_packages(kind), *_of_files(kind)):
+        if plugin.name in taken or plugin.name in offered:
+            _say_once(f"plug-in {plugin.origin}: {kind} {plugin.name!r} is taken and left out; give it another name")
+        else:
+            offered[plugin.name] = plugin
+    return offered
+
+
+def _of_packages(kind: Kind) -> Iterator[Plugin]:
+    for entry in sorted(entry_points(group=f"ggvs_eval.{kind}"), key=lambda entry: entry.name):
+        version = f"{entry.dist.name} {entry.dist.version}" if entry.dist else entry.value
+        yield Plugin(entry.name, version, entry.load)
+
+
+def _of_files(kind: Kind) -> Iterator[Plugin]:
+    for file in filter(None, os.environ.get(FILES, "").split(os.pathsep)):
+        table = getattr(_module_of(Path(file)), kind.upper(), {})
+        for name, value in table.items():
+            yield Plugin(name, file, lambda value=value: value)
+
+
+def _module_of(file: Path) -> ModuleType:
+    """Import a file under its own name, by which worker processes find what is sent to them."""
+    if not file.is_file():
+        raise PluginError(f"{file}: wanted a Python file with plug-ins, there is none; check the path")
+    if file.suffix != ".py" or not file.stem.isidentifier():
+        raise PluginError(f"{file}: wanted a Python file whose name can be imported, such as my_metrics.py; rename it")
+    if str(file.parent) not in sys.path:
+        sys.path.append(str(file.parent))
+    try:
+        module = importlib.import_module(file.stem)
+    except Exception as error:  # whatever a file of somebody else's raises while it is imported
+        raise PluginError(f"plug-in {file}: cannot be imported ({_reason(error)}); mend it") from error
+    if Path(str(module.__file__)).resolve() != file:
+        raise PluginError(f"{file}: its name is that of the module {module.__file__}; rename it")
+    return module
+
+
+def _reason(error: Exception) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())
+
+
+@cache
+def _say_once(line: str) -> None:
+    print(f"ggvs-eval: {line}", file=sys.stderr, flush=True)
