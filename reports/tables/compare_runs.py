@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 
 from ggvs_eval.errors import ResultsError
-from ggvs_eval.reports.model.measured import METHODS_FILE, label_of
+from ggvs_eval.reports.model.measured import METHODS_FILE
 from ggvs_eval.reports.model.metric_note import MetricNote, read_metric_notes
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder, read_json
@@ -183,14 +183,12 @@ def _both(one: Side, other: Side) -> Results:
 
 
 def _renamed(side: Side, name: str) -> pd.DataFrame:
-    table = side.results.table
-    chosen = [label_of(*names) == side.label for names in zip(table["method"], table["variant"], strict=True)]
-    return table[chosen].assign(method=name, variant="")
+    chosen = [label == side.label for label in side.results.row_labels]
+    return side.results.table[chosen].assign(method=name, variant="")
 
 
 def _labels(results: Results) -> list[str]:
-    rows = results.table[["method", "variant"]].drop_duplicates()
-    return [label_of(*names) for names in zip(rows["method"], rows["variant"], strict=True)]
+    return list(dict.fromkeys(results.row_labels))
 
 
 def _require_label(results: Results, label: str, run: Path) -> None:

@@ -45,6 +45,7 @@ class RunShape:
     labels: tuple[str, ...] = LABELS
     metrics: tuple[str, ...] = METRICS
     scene: str = "room"
+    content: str = ""  # digest of its captured frames; follows from the name of the scene where empty
     dataset: str = "Demo room"
     names: tuple[tuple[str, str], ...] = tuple(NAMES.items())
     k: int = 2
@@ -96,7 +97,10 @@ def stage_seconds(label: str, count: int) -> dict[str, list[float]]:
 def _write_records(run: RunFolder, shape: RunShape, protocol: Protocol, not_computed: dict[str, str]) -> None:
     capture = {"path": "/home/somebody/captures/room", "scene": shape.scene, "layout": "dynerf", "fps": 30.0}
     write_json(run.root / "capture.json", capture)
-    write_json(run.root / "methods.json", {"labels": shape.labels, "names": dict(shape.names), "ours": LABELS[1:]})
+    write_json(
+        run.root / "methods.json",
+        {"labels": shape.labels, "names": dict(shape.names), "ours": LABELS[1:], "from_sources": shape.labels},
+    )
     notes = {
         name: {
             "unit": UNITS.get(name, ""),
@@ -111,7 +115,7 @@ def _write_records(run: RunFolder, shape: RunShape, protocol: Protocol, not_comp
     provenance = {
         "protocol": json.loads(json.dumps(dataclasses.asdict(protocol))),
         "protocol_sha256": protocol.sha256,
-        "inputs": {"room/cam00": "ab12"},
+        "inputs": {f"{shape.scene}/cam00": shape.content or f"frames of {shape.scene}"},
         "pooling": pooling_records(shape.metrics, MetricOptions()) | {"STED": MEAN.record()},  # without its parts
         "versions": {"ggvs-eval": "0.1.0"},
     }

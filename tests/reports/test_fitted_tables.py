@@ -44,7 +44,7 @@ def run(tmp_path_factory):
 def cells(table, name: str) -> dict[str, str]:
     """Head -> what is shown of a method."""
     row = next(row for row in table.rows if row.name == name)
-    return {column.name: cell.text for column, cell in zip(table.columns, row.cells, strict=True)}
+    return {column.name: cell.shown for column, cell in zip(table.columns, row.cells, strict=True)}
 
 
 def test_costs_of_every_method(run):
