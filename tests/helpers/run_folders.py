@@ -14,7 +14,7 @@ from ggvs_eval.metrics.registry import METRICS as REGISTERED
 from ggvs_eval.metrics.registry import metric_notes, pooling_records
 from ggvs_eval.protocol import Frames, Measurement, Protocol, Synthesis, Views
 from ggvs_eval.results import Results, make_table
-from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, write_json
+from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, read_json, write_json
 from ggvs_eval.statistics.pooling import MEAN
 
 METRICS = ("PSNR", "PSNR_cc", "SSIM", "LPIPS", "L1", "TCC", "STED", "SDT", "SDV")
@@ -77,6 +77,19 @@ def write_run(
             write_image(frame_path(run.path(label), pose), paint(label, "path", pose))
     run.protocol_file.write_text(protocol.to_toml(), encoding="utf-8")
     _write_records(run, shape, protocol, not_computed or {})
+    return root
+
+
+def make_fitted(root: Path, labels: Sequence[str]) -> Path:
+    """Make methods of a run fitted ones, two folds of one view each, by three of five cameras."""
+    run = RunFolder(root)
+    write_json(root / "capture.json", run.capture_record() | {"cameras": {f"cam{at:02d}": {} for at in range(5)}})
+    fit = {"instants": 4, "cameras": 3, "look_ahead": "sequence", "seed": 0, "size_bytes": 8_000_000}
+    for label in labels:
+        for view, seconds in zip(run.protocol().views.test, (40.0, 80.0), strict=True):
+            job = run.renders(label, view) / JOB_FILE
+            machine = {"seconds": seconds, "threads": 2, "machine": "a processor"}
+            write_json(job, read_json(job) | {"fit": fit | machine})
     return root
 
 

@@ -87,6 +87,17 @@ def test_tensorboard_reads_back_what_was_written(runs, tmp_path):
     )
 
 
+def test_runs_in_folders_of_one_name_are_tracked_apart(runs, tmp_path):
+    """Two run folders called alike in different places are two of the tracker's, and two names on the leaderboard."""
+    pytest.importorskip("tensorboardX")
+    roots = [Path(shutil.copytree(run, tmp_path / place / "run")) for run, place in zip(runs[:2], ("a", "b"), strict=True)]
+    out = track_results(roots, "tensorboard", tmp_path / "tracked")
+    project = out / read_scores(roots[0]).protocol.name
+    assert len(list(project.glob("*/run/*"))) == len(LABELS) + 2
+    page = write_leaderboard(roots, tmp_path / "board.html").read_text(encoding="utf-8")
+    assert "Runs: a/run, b/run." in page
+
+
 def read_scalars(file: Path) -> dict[tuple[str, int], float]:
     """Scalars of an event file: records of a length, its checksum, the event and its checksum."""
     from tensorboardX.proto.event_pb2 import Event

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from ggvs_eval.errors import ResultsError
@@ -15,11 +16,12 @@ from ggvs_eval.reports.model.measured import read_run
 from ggvs_eval.reports.model.table import Cell, Column, Row, Table, format_half_width, format_value, rank, shade
 from ggvs_eval.reports.report import write_report
 from ggvs_eval.reports.tables.error_budget import decomposition_table
+from ggvs_eval.reports.tables.leaders import leaders
 from ggvs_eval.reports.tables.published import published_rows, read_published
 from ggvs_eval.reports.tables.report_tables import main_tables
 from ggvs_eval.reports.tables.table_formats import escape_latex, to_latex, to_markdown
 from ggvs_eval.reports.tables.timing import timing_table
-from ggvs_eval.results import Results
+from ggvs_eval.results import Results, make_table
 from ggvs_eval.run_folder import read_json, write_json
 from ggvs_eval.statistics.intervals import intervals
 from helpers.page_reader import PageReader
@@ -131,6 +133,68 @@ def test_best_is_bold_and_the_better_half_blue():
     assert [cell.shade > 0 for cell in ranked] == [False, False, True, True, False]
     falling = [row.cells[0] for row in rank([Column("L1", "", False)], rows)]
     assert [cell.best for cell in falling] == [True, False, False, False, False]
+
+
+def test_where_nothing_is_told_apart_nothing_is_bold():
+    """Cells that all tie, by their digits or by a test, are none of them marked; what is not ranked takes no part."""
+    column = [Column("SDT", "", False)]
+    rows = [Row(str(value), (Cell(f"{value:.1f}", value),)) for value in (1.0, 2.0, 3.0)]
+    assert not any(row.cells[0].best for row in rank(column, rows, [frozenset({0, 1, 2})]))
+    same = [Row(name, (Cell("1.0", 1.0),)) for name in "ab"]
+    assert not any(row.cells[0].best for row in rank(column, same))
+    better = replace(rows[0], cells=(replace(rows[0].cells[0], unranked="better than real"),))
+    assert [(row.cells[0].best, row.cells[0].shade > 0) for row in rank(column, [better, *rows[1:]])] == [
+        (False, False),
+        (True, True),
+        (False, False),
+    ]
+
+
+def test_a_blurred_truth_wins_no_metric_of_the_path(tmp_path):
+    """Numbers better than those of the captured images are shown and not ranked; the best up to there is marked."""
+    metrics = ("PSNR", "reprojection", "E_warp")
+    root = write_run(tmp_path / "run", RunShape(metrics=metrics, poses=0))
+    found = Results.read(root)
+    values = {"no-blending": (0.46, 1.0), "ours-geometric": (0.95, 1.8), "ours-geometric+no-temporal": (1.20, 2.5)}
+    rows = [
+        ("Demo room", "room", *label.partition("+")[::2], "path", -1, metric, value)
+        for label, pair in values.items()
+        for metric, value in zip(metrics[1:], pair, strict=True)
+    ]
+    table = pd.concat([found.table[found.table["metric"] == "PSNR"], make_table(rows)])
+    replace(found, table=table).write(root)
+    captured = {"reprojection": 0.8625, "E_warp": 1.5}
+    write_json(root / "references.json", [{"group": "path", "name": "Captured images", "note": "real.", "values": captured}])
+    run = read_run(root)
+    (path,) = [table for table in main_tables([run], run.results) if table.key == "path"]
+    assert [[cell.best for cell in row.cells] for row in path.rows] == [
+        [False, False],
+        [True, True],
+        [False, False],
+        [False, False],
+    ]
+    assert path.rows[0].cells[0].value == 0.46
+    assert not path.rows[0].cells[0].shade
+    assert "not ranked: better than the captured images" in path.rows[0].cells[0].hint
+    assert "Not ranked: No Blending in reprojection, No Blending in E_warp, better than the captured images" in path.caption
+    assert all(leader.undecided for leader in leaders([path], metrics))
+
+
+def test_where_test_views_are_sources_the_caption_says_so(tmp_path):
+    """Left out of its own rendering only is not held out; a protocol whose sources are no test views has no such sentence."""
+    run = read_run(write_run(tmp_path / "run", SMALL))
+    two = replace(run.protocol, views=replace(run.protocol.views, test=("cam00", "cam03")))
+    apart = replace(two, views=replace(two.views, sources=("cam01", "cam02")))
+    said = {
+        name: "left out of its own rendering only" in main_tables([replace(run, protocol=protocol)], run.results)[0].caption
+        for name, protocol in {"one": run.protocol, "two": two, "apart": apart}.items()
+    }
+    assert said == {"one": False, "two": True, "apart": False}
+    foreign = replace(run, protocol=two, from_sources=frozenset())
+    caption = main_tables([foreign], run.results)[0].caption
+    assert "source" not in caption
+    mixed = main_tables([replace(foreign, from_sources=frozenset(LABELS[1:]))], run.results)[0].caption
+    assert f"K = 2 source views, but for {NAMES[LABELS[0]]}." in mixed
 
 
 def test_told_ties_are_bold_beside_equal_digits():

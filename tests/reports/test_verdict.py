@@ -106,6 +106,19 @@ def test_one_frame_of_one_view_proves_nothing(tmp_path):
     assert all(one.span is None and one.place is not None for one in verdict.contenders)
 
 
+def test_fewer_frames_name_no_more_winners(run, tmp_path):
+    """A clip cut to two frames, or to one, has no winner that the whole clip has not: what cannot be compared is not won."""
+    whole = {NAMES[BEST]: ["SSIM", "LPIPS"]}
+    assert verdict_of(run).others == whole
+    for count in (1, 2):
+        shape = replace(SHAPE, frames=Frames(0, count), metrics=(*SHAPE.metrics, "TCC", "STED", "SDT", "SDV"))
+        cut = verdict_of(read_run(write_run(tmp_path / str(count), shape)))
+        assert set(cut.others) <= set(whole)
+        assert set(cut.others.get(NAMES[BEST], ())) <= {"SSIM", "LPIPS"}
+        assert {"STED", "SDT"} <= set(cut.tied)
+    assert cut.others == {}
+
+
 def test_one_method_alone_is_no_winner(tmp_path):
     """A single method is not called the best of anything; its value is told."""
     verdict = verdict_of(read_run(write_run(tmp_path / "run", replace(SHAPE, labels=(BEST,)))))

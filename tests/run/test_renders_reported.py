@@ -51,6 +51,15 @@ def test_a_run_of_partial_renders_alone_has_a_page(run, tmp_path):
     assert "c (partial)" in page.read_text()
 
 
+def test_nothing_is_said_of_images_that_nobody_knows(run):
+    """Frames that others rendered are not said to be made from the protocol's sources, in tables or on the page."""
+    page = write_report([run.root]).read_text()
+
+    assert "other cameras" not in page
+    for text in (page, (run.report / "tables.md").read_text(), (run.report / "tables.tex").read_text()):
+        assert "source views" not in text
+
+
 def test_marks_survive_merging(run):
     """Results of several scenes in one keep the marks of each."""
     results = score(run)
