@@ -8,6 +8,7 @@ from typing import Any
 import pandas as pd
 
 from ggvs_eval.errors import ResultsError
+from ggvs_eval.merged_results import tell_scenes_apart
 from ggvs_eval.reports.model.measured import METHODS_FILE
 from ggvs_eval.reports.model.metric_note import MetricNote, read_metric_notes
 from ggvs_eval.results import Results
@@ -99,7 +100,9 @@ def run_sides(first: Path, second: Path) -> tuple[tuple[Side, Side], ...]:
     Raises:
         ResultsError: not scored runs, different protocols or captured frames, or no method in common.
     """
-    results = Results.read(first), Results.read(second)
+    results = [Results.read(first), Results.read(second)]
+    told = tell_scenes_apart(results)
+    results = told if told[0].scenes == told[1].scenes else results  # one scene may lie in folders of two names
     _require_alike(first, second, *results)
     names = read_json(first / METHODS_FILE)["names"]
     labels = _labels(results[0]), _labels(results[1])

@@ -152,7 +152,7 @@ def measured_rows(
         names = next((run for run in runs if label in run.labels), runs[0])
         values_of = by_label.get(label, {})
         cells = [
-            _cell(note, key, values_of.get(key), results, label, certain and certain[note.name])
+            _cell(note, key, values_of.get(key), results, label, certain[note.name] if certain else None)
             for key, note in zip(keys, notes, strict=True)
         ]
         kind: RowKind = "partial" if label in partial else "ours" if label in names.ours else "measured"
