@@ -7,11 +7,12 @@ from typing import Any
 import pandas as pd
 
 from ggvs_eval.errors import ResultsError
+from ggvs_eval.merged_results import merge_results
 from ggvs_eval.reports.figures.k_figure import SECONDS, read_k_table
 from ggvs_eval.reports.model.measured import read_run
 from ggvs_eval.reports.tables.error_budget import budget_table
 from ggvs_eval.reports.tables.published import read_published
-from ggvs_eval.results import Results, merge_results
+from ggvs_eval.results import Results
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
 from ggvs_eval.statistics.intervals import Interval, intervals
 
@@ -158,7 +159,7 @@ def budget_rows(run: Path) -> str:
         raise ResultsError(f"{run} has no pictures")
     heads = [" ".join(filter(None, (column.name, f"({column.unit})"))) for column in table.columns]
     rows = ["| | " + " | ".join(heads) + " |", "| --- |" + " ---: |" * len(heads)]
-    return "\n".join([*rows, *(f"| {row.name} | {' | '.join(cell.text for cell in row.cells)} |" for row in table.rows)])
+    return "\n".join([*rows, *(f"| {row.name} | {' | '.join(cell.shown for cell in row.cells)} |" for row in table.rows)])
 
 
 def author_clips_table(file: Path) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -27,6 +27,16 @@ TABLE_FILE = "results.parquet"
 PROVENANCE_FILE = "results.json"
 
 
+class Absence(NamedTuple):
+    """A value that a method lacks in a view, while the metric has values elsewhere; ``view`` is empty where it lacks all."""
+
+    metric: str
+    label: str
+    scene: str
+    view: str
+    reason: str
+
+
 @dataclass(frozen=True)
 class Results:
     """Every value of one evaluation, and what it was measured from.
@@ -37,13 +47,16 @@ class Results:
         provenance: ``protocol`` (values), ``protocol_sha256``, ``inputs`` (digest per camera), ``renders`` (digest per method and
             view), ``partial`` (method -> what its row stands on, where that is not everything), ``devices`` (method and view ->
             where its networks computed, there alone where that is not the CPU), ``pooling`` (metric -> how its number is made of
-            views and frames, see `ggvs_eval.statistics.pooling.Pooling`), ``versions``, ``machine`` (see `describe_machine`).
-        not_computed: metric -> reason, for what was asked for and could not be had.
+            views and frames, see `ggvs_eval.statistics.pooling.Pooling`), ``absent`` (values that some methods or views lack,
+            see `Absence`), ``versions`` (package -> versions that values were made under), ``machine`` (see `describe_machine`).
+        not_computed: metric -> reason, for what was asked for and no method has in any view.
+        place: folder that they were read from; empty for those of a calculation.
     """
 
     table: "pd.DataFrame"
     provenance: dict[str, Any]
     not_computed: dict[str, str] = field(default_factory=dict)
+    place: str = ""
 
     def __post_init__(self) -> None:
         """Refuse a table that lacks a column or its protocol."""
@@ -70,9 +83,30 @@ class Results:
         try:
             table = pd.read_parquet(folder / TABLE_FILE)
             sidecar = json.loads((folder / PROVENANCE_FILE).read_text(encoding="utf-8"))
-            return cls(table, sidecar["provenance"], sidecar["not_computed"])
+            return cls(table, sidecar["provenance"], sidecar["not_computed"], str(folder))
         except (OSError, ValueError, KeyError) as error:
             raise ResultsError(f"{folder}: wanted {TABLE_FILE} and {PROVENANCE_FILE} ({error}); run `ggvs-eval score`") from None
+
+    @property
+    def scenes(self) -> tuple[str, ...]:
+        """Names of the captured scenes, in the order of the table."""
+        return tuple(dict.fromkeys(self.table["scene"].astype(str)))
+
+    @property
+    def row_labels(self) -> list[str]:
+        """Label of the method of each row of the table."""
+        return [label_of(*names) for names in zip(self.table["method"], self.table["variant"], strict=True)]
+
+    @property
+    def absences(self) -> tuple[Absence, ...]:
+        """What some methods or views lack while others have it."""
+        return tuple(Absence(*one) for one in self.provenance.get("absent", ()))
+
+    def why_absent(self, metric: str, label: str, view: str = "") -> str:
+        """Reason why a method has no value of a metric, in one view or in any; empty where none is recorded."""
+        mine = (one for one in self.absences if (one.metric, one.label) == (metric, label))
+        reasons = (one.reason for one in mine if not view or one.view in ("", view))
+        return next(reasons, self.not_computed.get(metric, ""))
 
     def summary(self) -> "pd.DataFrame":
         """Mean of every metric per dataset, method and variant: over frames, then views, then scenes.
@@ -103,34 +137,9 @@ class Results:
         return rows.pivot_table(index="frame", columns=["method", "variant"], values="value", sort=False)
 
 
-def merge_results(parts: Sequence[Results]) -> Results:
-    """Put results of several methods, scenes or machines into one.
-
-    Raises:
-        ResultsError: they were measured under different protocols; the message names both hashes.
-    """
-    import pandas as pd
-
-    hashes = {part.provenance["protocol_sha256"] for part in parts}
-    if len(hashes) != 1:
-        raise ResultsError(
-            f"results of different protocols do not belong in one table: {', '.join(sorted(digest[:12] for digest in hashes))}; "
-            "score them again under one protocol"
-        )
-    provenance = dict(parts[0].provenance)
-    provenance["inputs"] = {name: digest for part in parts for name, digest in part.provenance["inputs"].items()}
-    provenance["partial"] = _merge_marks([part.provenance.get("partial", {}) for part in parts])
-    if devices := {name: device for part in parts for name, device in part.provenance.get("devices", {}).items()}:
-        provenance["devices"] = devices
-    not_computed = {name: reason for part in parts for name, reason in part.not_computed.items()}
-    table = pd.concat([part.table for part in parts], ignore_index=True)
-    return Results(table.drop_duplicates(list(COLUMNS[:-1]), keep="last"), provenance, not_computed)
-
-
-def _merge_marks(parts: Sequence[dict[str, str]]) -> dict[str, str]:
-    """Marks of partial methods, those of several scenes behind each other."""
-    labels = dict.fromkeys(label for part in parts for label in part)
-    return {label: "; ".join(dict.fromkeys(part[label] for part in parts if label in part)) for label in labels}
+def label_of(method: str, variant: str) -> str:
+    """One name for a method and its variant, as run folders write it."""
+    return f"{method}+{variant}" if variant else method
 
 
 def make_table(rows: Iterable[Sequence[Any]]) -> "pd.DataFrame":

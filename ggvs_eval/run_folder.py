@@ -107,6 +107,11 @@ class RunFolder:
         self._require_run()
         return load_protocol(self.protocol_file)
 
+    @property
+    def has_capture_record(self) -> bool:
+        """False for a folder that holds the numbers of a run alone."""
+        return (self.root / "capture.json").is_file()
+
     def capture_record(self) -> dict[str, Any]:
         """Scene, layout, fps, units and cameras of the capture, as `ggvs-eval prepare` wrote them.
 

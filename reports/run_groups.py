@@ -8,16 +8,17 @@ from pathlib import Path
 
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.files.digest import digest_files
+from ggvs_eval.merged_results import merge_results
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.reports.figures.curves import Panel, curve_panels
 from ggvs_eval.reports.figures.slices import Slices, all_slices
-from ggvs_eval.reports.model.measured import MeasuredRun, read_run
+from ggvs_eval.reports.model.measured import MeasuredRun, name_scenes, read_run
 from ggvs_eval.reports.model.table import Table
 from ggvs_eval.reports.tables.error_budget import budget_table, decomposition_table
 from ggvs_eval.reports.tables.fitted import fitted_tables, price_tables
 from ggvs_eval.reports.tables.report_tables import main_tables, view_tables
 from ggvs_eval.reports.tables.timing import timing_table
-from ggvs_eval.results import Results, merge_results
+from ggvs_eval.results import Results
 
 HASH_DIGITS = 8  # of a protocol's hash, where nothing else tells two groups apart
 RECORDS = (".json", ".parquet", ".toml")  # of a run; they name every frame that was measured by its content
@@ -122,7 +123,7 @@ def runs_by_protocol(roots: Sequence[Path], read: Callable[[Path], MeasuredRun])
     by_protocol: dict[str, list[MeasuredRun]] = {}
     for run in map(read, roots):
         by_protocol.setdefault(run.protocol.sha256, []).append(run)
-    return list(by_protocol.values())
+    return [name_scenes(runs) for runs in by_protocol.values()]
 
 
 def _make_group(name: str, heading: str, runs: Sequence[MeasuredRun]) -> RunGroup:
@@ -133,13 +134,13 @@ def _make_group(name: str, heading: str, runs: Sequence[MeasuredRun]) -> RunGrou
 
 def _make_section(run: MeasuredRun) -> RunSection:
     records = [file for file in run.folder.root.iterdir() if file.suffix in RECORDS]
-    return _read_section(run.folder.root, digest_files(sorted(records)))
+    return _read_section(run.folder.root, digest_files(sorted(records)), run.scene)
 
 
 @lru_cache(maxsize=SECTIONS_KEPT)
-def _read_section(root: Path, scored: str) -> RunSection:
+def _read_section(root: Path, scored: str, scene: str) -> RunSection:
     """The section of a run with these results: a page that grows with every run reads the frames of the earlier ones once."""
-    run = read_run(root)
+    run = read_run(root).called(scene)
     taken_apart = tuple(table for table in (budget_table(run), decomposition_table(run)) if table)
     tables = taken_apart + view_tables(run), timing_table(run), fitted_tables(run)
     return RunSection(run, *tables, all_slices(run), curve_panels(run))

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from ggvs_eval.errors import ResultsError
-from ggvs_eval.reports.model.measured import MeasuredRun, label_of, read_scores
+from ggvs_eval.reports.model.measured import MeasuredRun, distinct_names, read_scores
 
 Tracker = Literal["tensorboard", "mlflow", "wandb"]
 # Tracker -> the package that writes its files, which is also the extra's content.
@@ -57,16 +57,16 @@ def track_results(roots: Sequence[Path], tracker: Tracker, out: Path) -> Path:
         )
     runs = [read_scores(root) for root in roots]
     out.mkdir(parents=True, exist_ok=True)
-    for run in runs:
-        for method in tracked_methods(run):
+    for run, name in zip(runs, distinct_names(roots), strict=True):
+        for method in tracked_methods(run, name):
             WRITERS[tracker](method, run.protocol.name, out)
     return out
 
 
-def tracked_methods(run: MeasuredRun) -> list[TrackedMethod]:
-    """List the methods of a run with what trackers are told of each."""
+def tracked_methods(run: MeasuredRun, name: str) -> list[TrackedMethod]:
+    """List the methods of a run of that name with what trackers are told of each."""
     table = run.results.table
-    labels = [label_of(*names) for names in zip(table["method"], table["variant"], strict=True)]
+    labels = run.results.row_labels
     means: dict[Any, dict[Any, Any]] = run.results.summary().droplevel("dataset").to_dict("index")
     protocol = {"scene": run.scene, "protocol_sha256": run.protocol.sha256, **_flat(asdict(run.protocol))}
     tracked = []
@@ -79,7 +79,7 @@ def tracked_methods(run: MeasuredRun) -> list[TrackedMethod]:
             curves.setdefault(str(metric), []).append((int(frame), float(value)))
         settings = {**protocol, "method": run.name(label)}
         numbers = {str(metric): float(value) for metric, value in means[(method, variant)].items() if not math.isnan(value)}
-        tracked.append(TrackedMethod(f"{run.folder.root.resolve().name}/{label}", settings, numbers, curves))
+        tracked.append(TrackedMethod(f"{name}/{label}", settings, numbers, curves))
     return tracked
 
 

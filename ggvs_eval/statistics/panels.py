@@ -7,7 +7,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.errors import ResultsError
-from ggvs_eval.results import Results
+from ggvs_eval.results import Results, label_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -74,11 +74,6 @@ def make_panel(cells: "pd.DataFrame", what: str) -> Panel:
     _check_cells(matrix, {(view, frame) for view, frame in zip(views, cells["frame"], strict=True)}, what)
     names = tuple(None if view == "" else str(view) for view in matrix.index)
     return Panel(names, tuple(int(frame) for frame in matrix.columns), matrix.to_numpy(dtype=np.float64))
-
-
-def label_of(method: str, variant: str) -> str:
-    """One name for a method and its variant, as run folders write it."""
-    return f"{method}+{variant}" if variant else method
 
 
 def _check_cells(matrix: "pd.DataFrame", present: set[tuple[str, int]], what: str) -> None:

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ggvs_eval.errors import ResultsError
-from ggvs_eval.results import Results
-from ggvs_eval.statistics.panels import label_of
+from ggvs_eval.results import Results, label_of
 from ggvs_eval.statistics.pooled import PooledScene, pool_scene
 from ggvs_eval.statistics.pooling import Pooling
 

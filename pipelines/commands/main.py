@@ -80,6 +80,9 @@ def score(
         print(f"{label} is {mark}")
     for metric, reason in results.not_computed.items():
         print(f"{metric} not computed: {reason}")
+    lacking = dict.fromkeys((one.metric, one.view or "all views of some methods", one.reason) for one in results.absences)
+    for metric, where, reason in lacking:
+        print(f"{metric} not computed in {where}: {reason}")
 
 
 Command = Callable[..., Any]

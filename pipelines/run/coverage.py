@@ -1,6 +1,6 @@
 """Which frames each method of a run has: all of the protocol's, or fewer where partial renders were allowed."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -53,12 +53,6 @@ class Coverage:
             for view, frames in by_view.items():
                 for stretch in self.stretches(label, view) if frames else ():
                     require_frames({f"{label} in {view}": run.renders(label, view)}, stretch)
-
-    def reasons(self, label: str, reasons: Mapping[str, str], measured: Collection[str]) -> dict[str, str]:
-        """Metric -> why it could not be computed; of a partial method only what no view and no stretch could have."""
-        if label not in self.partial:
-            return dict(reasons)
-        return {name: f"{reason} (partial renders {label})" for name, reason in reasons.items() if name not in measured}
 
     def identity(self, label: str, view: str) -> dict[str, str]:
         """Return what a score depends on beside the pixels: which frames they are, where these are not the protocol's."""

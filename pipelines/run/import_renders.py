@@ -129,14 +129,14 @@ def plain_label(name: str) -> str:
 
 
 def _is_taken(label: str) -> bool:
-    """Tell whether a name means something else in a run."""
-    return label in METHODS or label == "truth"
+    """Tell whether a name means something else in a run, or is what tables call one of our methods."""
+    return label in METHODS or label == "truth" or label.lower() in {spec.title.lower() for spec in METHODS.values()}
 
 
 def _check_label(label: str) -> None:
     if NAME.fullmatch(label) and not _is_taken(label):
         return
-    reason = "which is the name of one of our methods" if label in METHODS else "which is no plain name"
+    reason = "which is the name of one of our methods" if _is_taken(label) else "which is no plain name"
     reason = "which is the captured frames" if label == "truth" else reason
     raise RenderError(f"renders cannot be called {label!r}, {reason}; give another: --renders {plain_label(label)}=PATH")
 

@@ -4,13 +4,14 @@ Each view is one job for all methods, because what the truth alone decides is th
 ``RUN/scores/<view>/job.json``, and a method that is there already, with the same frames, is not measured again.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 from ggvs_eval.errors import RenderError
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.jobs.job import Job, run_jobs
 from ggvs_eval.jobs.ledger import Ledger
+from ggvs_eval.merged_results import join_versions
 from ggvs_eval.metrics.registry import derived_rows, metric_notes, pooling_records, select_metrics
 from ggvs_eval.pipelines.methods.registry import find_method, split_label
 from ggvs_eval.pipelines.methods.spec import MethodSpec
@@ -19,7 +20,7 @@ from ggvs_eval.pipelines.run.references import ceiling_jobs, read_ceilings, writ
 from ggvs_eval.pipelines.run.score_path import PATH_VIEW, path_jobs, read_paths
 from ggvs_eval.pipelines.run.score_view import metric_options, view_job
 from ggvs_eval.protocol import Protocol
-from ggvs_eval.results import Results, describe_machine, installed_versions, make_table
+from ggvs_eval.results import Absence, Results, describe_machine, installed_versions, make_table
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
 
 METRICS_ON_DEVICE = "metrics"  # stands among the renders that are not the CPU's
@@ -88,23 +89,24 @@ def _collect(
     capture = run.capture_record()
     records = {view: read_json(run.scores(view) / JOB_FILE)["methods"] for view in protocol.views.test}
     rows: list[tuple[Any, ...]] = []
-    not_computed: dict[str, str] = {}
+    absences: list[Absence] = []
     for label in labels:
         head = (protocol.dataset, capture["scene"], *split_label(label))
         values: dict[str, dict[str, dict[int, float]]] = {}  # metric -> view -> frame -> value
         own: list[tuple[Any, ...]] = []
-        reasons: dict[str, str] = {}
+        reasons: dict[str, str] = {}  # of what belongs to no single view
         for view, methods in records.items():
             if label not in methods:  # partial renders may lack a view
                 continue
             for name, frame, value in methods[label]["values"]:
                 own.append((view, frame, name, value))
                 values.setdefault(name, {}).setdefault(view, {})[frame] = value
-            reasons |= methods[label]["not_computed"]
+            lacking = methods[label]["not_computed"]
+            absences += [Absence(name, label, capture["scene"], view, reason) for name, reason in lacking.items()]
         own += _derived(protocol, values, reasons)
         own += _along_path(protocol, paths.get(label), reasons)
+        absences += [Absence(name, label, capture["scene"], "", reason) for name, reason in reasons.items()]
         rows += [(*head, *row) for row in own]
-        not_computed |= coverage.reasons(label, reasons, {name for _, _, name, _ in own})
     renders = {
         f"{label}/{view}": methods[label]["identity"]["rendered"]
         for label in labels
@@ -112,9 +114,13 @@ def _collect(
         if label in methods
     }
     provenance = _provenance(protocol, capture, renders) | {"imported": coverage.imported, "partial": coverage.marks}
+    provenance["versions"] = _versions(run, list(renders), records)
     if devices := _devices(run, list(renders)):
         provenance["devices"] = devices
-    return Results(make_table(rows), provenance, not_computed)
+    measured = {row[6] for row in rows}
+    provenance["absent"] = [list(one) for one in absences if one.metric in measured]
+    not_computed = {one.metric: one.reason for one in reversed(absences) if one.metric not in measured}
+    return Results(make_table(rows), provenance, dict(reversed(not_computed.items())))
 
 
 def _derived(
@@ -150,16 +156,27 @@ def _provenance(protocol: Protocol, capture: dict[str, Any], renders: dict[str, 
         "inputs": {f"{capture['scene']}/{name}": digest for name, digest in capture["digests"].items()},
         "renders": renders,
         "pooling": pooling_records(protocol.measurement.metrics, metric_options(protocol.measurement)),
-        "versions": installed_versions(),
         "machine": describe_machine(),
     }
 
 
+def _versions(run: RunFolder, renders: Sequence[str], records: Mapping[str, dict[str, Any]]) -> dict[str, str]:
+    """Package -> versions under which these renders and their values were made, and this one."""
+    made = [record.get("versions", {}) for record in _render_records(run, renders).values()]
+    made += [records[view][label].get("versions", {}) for label, view in (render.rsplit("/", 1) for render in renders)]
+    return join_versions([installed_versions(), *made])
+
+
 def _devices(run: RunFolder, renders: Sequence[str]) -> dict[str, str]:
     """``method/view`` -> where its networks computed, of renders that are not the CPU's."""
-    files = {render: run.renders(*render.rsplit("/", 1)) / JOB_FILE for render in renders}
-    identities = {render: read_json(file).get("identity", {}) for render, file in files.items() if file.is_file()}
+    identities = {render: record.get("identity", {}) for render, record in _render_records(run, renders).items()}
     return {render: identity["device"] for render, identity in identities.items() if "device" in identity}
+
+
+def _render_records(run: RunFolder, renders: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """``method/view`` -> record of its job; frames that others rendered have none."""
+    files = {render: run.renders(*render.rsplit("/", 1)) / JOB_FILE for render in renders}
+    return {render: read_json(file) for render, file in files.items() if file.is_file()}
 
 
 def _described(device: str) -> str:
@@ -183,6 +200,8 @@ def _write_shown_names(run: RunFolder, protocol: Protocol, labels: Sequence[str]
     ours = [label for label in specs if specs[label].ours]
     looks = [label for label in specs if not specs[label].online]
     ahead = {"look_ahead": looks} if looks else {}
-    write_json(run.root / "methods.json", {"labels": list(labels), "names": titles, "ours": ours} | ahead)
+    nearest = [label for label in specs if not specs[label].fitter and specs[label].splats is None]
+    names = {"labels": list(labels), "names": titles, "ours": ours, "from_sources": nearest}
+    write_json(run.root / "methods.json", names | ahead)
     notes = metric_notes(protocol.measurement.metrics, metric_options(protocol.measurement))
     write_json(run.root / "metrics.json", notes)

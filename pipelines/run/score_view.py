@@ -15,11 +15,13 @@ from ggvs_eval.arrays import Image8, Mask
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import read_image, resize
 from ggvs_eval.jobs.job import Job
+from ggvs_eval.merged_results import join_versions
 from ggvs_eval.metrics.metric import MetricOptions, ViewMetric
 from ggvs_eval.metrics.registry import METRICS, scored_by_view
 from ggvs_eval.pipelines.run.coverage import Coverage
 from ggvs_eval.pipelines.run.score_code import metric_code
 from ggvs_eval.protocol import Measurement, Protocol
+from ggvs_eval.results import installed_versions
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, missing_frames, read_json
 
 
@@ -90,17 +92,29 @@ def _score_view(
     methods = {label: record for label, record in records.items() if label not in asked}
     alike: dict[tuple[tuple[range, ...], tuple[str, ...]], list[str]] = defaultdict(list)
     for label, identity in identities.items():
-        fresh = fresh_metrics(records.get(label, {}).get("identity", {}), identity)
-        methods[label] = {"identity": identity} | _values_of(fresh, records.get(label, {}), options)
+        record = records.get(label, {})
+        fresh = fresh_metrics(record.get("identity", {}), identity)
+        methods[label] = {"identity": identity} | _values_of(fresh, record, options)
+        methods[label]["versions"] = join_versions([record.get("versions", {})] if fresh else [])
         if stale := tuple(name for name in identity["metrics"] if name not in fresh):
             alike[stretches[label], stale].append(label)
     for (there, metrics), labels in alike.items():
         with _computing(options.device):
             scores = _score_methods(run, view, labels, there, metrics, protocol, options)
         for label, measured in zip(labels, scores, strict=True):
-            methods[label]["values"] += measured["values"]
-            methods[label]["not_computed"] |= measured["not_computed"]
+            methods[label] |= _replaced(methods[label], measured)
     return {"methods": methods}
+
+
+def _replaced(kept: Mapping[str, Any], measured: Mapping[str, Any]) -> dict[str, Any]:
+    """Values that stand and values that are new; of what was measured beside the metrics asked for, the new ones alone."""
+    new = {value[0] for value in measured["values"]} | set(measured["not_computed"])
+    reasons = {name: reason for name, reason in kept["not_computed"].items() if name not in new}
+    return {
+        "values": [value for value in kept["values"] if value[0] not in new] + measured["values"],
+        "not_computed": reasons | measured["not_computed"],
+        "versions": join_versions([kept["versions"], installed_versions()]),
+    }
 
 
 def _computing(device: str) -> AbstractContextManager[None]:
@@ -157,6 +171,9 @@ def _score_methods(
             values = [(name, -1 if index is None else frames[index], value) for name, index, value in scores.values]
             record["values"] += [value for value in values if value[1] >= 0 or len(stretches) == 1]
             record["not_computed"] |= scores.not_computed
+    for record in records:  # what one stretch lacks another may have
+        measured = {value[0] for value in record["values"]}
+        record["not_computed"] = {name: why for name, why in record["not_computed"].items() if name not in measured}
     return records
 
 

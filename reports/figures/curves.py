@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, cast
 
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.files.atomic import atomic_file
-from ggvs_eval.reports.model.measured import MeasuredRun, label_of
+from ggvs_eval.reports.model.measured import MeasuredRun
+from ggvs_eval.results import label_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -4,9 +4,11 @@ import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.errors import ResultsError
+from ggvs_eval.merged_results import tell_scenes_apart, with_scenes
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.reports.model.metric_note import MetricNote, read_metric_notes
 from ggvs_eval.reports.model.table import Cell, Row, format_value
@@ -15,6 +17,7 @@ from ggvs_eval.run_folder import RunFolder, read_json, require_frames
 
 REFERENCES_FILE = "references.json"
 METHODS_FILE = "methods.json"
+PARTIAL = " (partial)"  # behind the name of a method whose renders lack views or frames
 
 
 @dataclass(frozen=True)
@@ -69,14 +72,46 @@ def reference_remarks(references: Sequence[Reference], group: str, notes: Sequen
     return list(dict.fromkeys(remarks))
 
 
+def shared_references(runs: Sequence["MeasuredRun"]) -> tuple[Reference, ...]:
+    """The references of a table over several runs: means over the scenes, as its other numbers are."""
+    scenes = dict.fromkeys(run.scene for run in runs)
+    by_name: dict[tuple[str, str], dict[str, Reference]] = {}
+    for run in runs:
+        for reference in run.references:
+            by_name.setdefault((reference.group, reference.name), {}).setdefault(run.scene, reference)
+    return tuple(_mean_reference(by_scene, scenes) for by_scene in by_name.values())
+
+
+def captured_values(references: Sequence[Reference]) -> dict[str, float]:
+    """What the captured images themselves score along the camera path; empty where nobody took any."""
+    along = [reference for reference in references if reference.group == "path"]
+    return {metric: value for each in along for metric, value in each.values.items() if isinstance(value, float | int)}
+
+
+def _mean_reference(by_scene: Mapping[str, Reference], scenes: Collection[str]) -> Reference:
+    """One reference over all scenes; a metric that any of them lacks has the reason instead of a value."""
+    first = next(iter(by_scene.values()))
+    if len(scenes) == 1:
+        return first
+    values: dict[str, float | str] = {}
+    for metric in dict.fromkeys(metric for each in by_scene.values() for metric in each.values):
+        found = {scene: by_scene[scene].values.get(metric) if scene in by_scene else None for scene in scenes}
+        numbers = [value for value in found.values() if isinstance(value, float | int)]
+        lacking = [f"{scene}: {value or 'not computed'}" for scene, value in found.items() if not isinstance(value, float | int)]
+        values[metric] = lacking[0] if lacking else sum(numbers) / len(numbers)
+    sides = {side for each in by_scene.values() for side in each.bounds.items()}
+    unlike = {metric for metric, side in sides if (metric, "at most") in sides and side != "at most"}
+    values |= dict.fromkeys(unlike, "a bound from above in one scene and from below in another")
+    return replace(first, values=values, bounds=dict(sides))
+
+
 def _cell(note: MetricNote, reference: Reference) -> Cell:
     value = reference.values.get(note.name)
     if value is None:
         return Cell("no such reference")
     if isinstance(value, str):
         return Cell("not computed", note=value)
-    text, bound = format_value(value, note.decimals), reference.bounds.get(note.name)
-    return Cell(f"{bound} {text}" if bound else text, value)
+    return Cell(format_value(value, note.decimals), value, bound=reference.bounds.get(note.name, ""))
 
 
 @dataclass(frozen=True)
@@ -94,6 +129,8 @@ class MeasuredRun:
         references: grey rows that belong to no method.
         replicas: label of a fitted method -> labels of the same by other seeds, which stand in no table but that of the spread.
         all_results: what came out, with these; None where there are none.
+        from_sources: labels of the methods that render each instant from the source views of the protocol; others are fitted to
+            more, or nobody knows.
     """
 
     folder: RunFolder
@@ -106,11 +143,22 @@ class MeasuredRun:
     references: tuple[Reference, ...] = ()
     replicas: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     all_results: Results | None = None
+    from_sources: frozenset[str] = frozenset()
 
     @property
     def scene(self) -> str:
         """Name of the captured scene."""
-        return ", ".join(dict.fromkeys(self.results.table["scene"].astype(str)))
+        return ", ".join(self.results.scenes)
+
+    @property
+    def capture(self) -> dict[str, Any]:
+        """Record of the capture; empty in a folder of numbers alone."""
+        return self.folder.capture_record() if self.folder.has_capture_record else {}
+
+    @property
+    def is_demo(self) -> bool:
+        """True for a capture that ``ggvs-eval demo`` wrote, in whatever layout and under whatever name."""
+        return self.capture.get("units_origin") == DEMO_NOTES
 
     @property
     def title(self) -> str:
@@ -120,8 +168,7 @@ class MeasuredRun:
             A demo capture is called like its folder or file (``demo-capture``, ``scene000``), which says nothing to a reader; its
             data set's name does.
         """
-        is_demo = self.folder.capture_record().get("units_origin") == DEMO_NOTES
-        return self.protocol.dataset if is_demo else self.scene
+        return self.protocol.dataset if self.is_demo else self.scene
 
     @property
     def frames(self) -> range:
@@ -145,10 +192,16 @@ class MeasuredRun:
         ours = sorted((label for label in self.pictured if label in self.ours), key=lambda label: "+" in label)  # stable
         return (*ours, *(label for label in self.pictured if label not in self.ours))
 
+    def called(self, scene: str) -> "MeasuredRun":
+        """The same run with another name of its scene."""
+        names = dict.fromkeys(self.results.scenes, scene)
+        everything = None if self.all_results is None else with_scenes(self.all_results, names)
+        return replace(self, results=with_scenes(self.results, names), all_results=everything)
+
     def name(self, label: str) -> str:
         """Name of a method to show; ``truth`` has one too, and partial renders say that they are."""
         name = "Truth" if label == "truth" else self.names.get(label, label)
-        return f"{name} (partial)" if label in self.partial else name
+        return f"{name}{PARTIAL}" if label in self.partial else name
 
     def frame_folders(self, view: str) -> dict[str, Path]:
         """Folder of the captured frames of a view (key ``truth``, first) and of every method's that has all of them."""
@@ -188,15 +241,21 @@ def read_scores(root: Path) -> MeasuredRun:
             f"{folder.root}: results were measured under protocol {results.provenance['protocol_sha256'][:12]}, "
             f"protocol.toml is {protocol.sha256[:12]}; run `ggvs-eval score` again"
         )
-    named = zip(results.table["method"], results.table["variant"], strict=True)
-    labels = tuple(dict.fromkeys(label_of(*names) for names in dict.fromkeys(named)))
+    labels = tuple(dict.fromkeys(results.row_labels))
     methods = read_json(folder.root / METHODS_FILE)
     notes = read_metric_notes(folder.root)
     replicas = find_replicas(labels)
     hidden = {label for others in replicas.values() for label in others}
     shown, ours = tuple(label for label in labels if label not in hidden), frozenset(methods["ours"]) - hidden
-    run = MeasuredRun(folder, protocol, without_labels(results, hidden), shown, methods["names"], ours, notes, replicas=replicas)
-    return replace(run, all_results=results) if replicas else run
+    own, everything = without_labels(results, hidden), results if replicas else None
+    sources = frozenset(methods.get("from_sources", ()))  # which runs of earlier versions do not say
+    return MeasuredRun(folder, protocol, own, shown, methods["names"], ours, notes, (), replicas, everything, sources)
+
+
+def name_scenes(runs: Sequence[MeasuredRun]) -> list[MeasuredRun]:
+    """The runs with one name for each scene that was captured, see `ggvs_eval.merged_results.tell_scenes_apart`."""
+    told = tell_scenes_apart([run.results for run in runs])
+    return [run.called(", ".join(results.scenes)) for run, results in zip(runs, told, strict=True)]
 
 
 def find_replicas(labels: Sequence[str]) -> dict[str, tuple[str, ...]]:
@@ -218,10 +277,19 @@ def without_labels(results: Results, labels: Collection[str]) -> Results:
     """The results without some methods."""
     if not labels:
         return results
-    own = [label_of(*names) for names in zip(results.table["method"], results.table["variant"], strict=True)]
-    return replace(results, table=results.table[[label not in labels for label in own]])
+    return replace(results, table=results.table[[label not in labels for label in results.row_labels]])
 
 
-def label_of(method: str, variant: str) -> str:
-    """Folder name of a method and variant, as the rows of the results name them."""
-    return f"{method}+{variant}" if variant else method
+def distinct_names(roots: Sequence[Path]) -> list[str]:
+    """Names of folders by the ends of their paths, as long as it takes to tell all apart.
+
+    Examples:
+        >>> distinct_names([Path("a/run"), Path("b/run"), Path("b/other")])
+        ['a/run', 'b/run', 'b/other']
+        >>> distinct_names([Path("a/run"), Path("b/other")])
+        ['run', 'other']
+    """
+    parts = [root.resolve().parts for root in roots]
+    lengths = range(1, max(map(len, parts), default=1) + 1)
+    ends = ([Path(*each[-length:]).as_posix() for each in parts] for length in lengths)
+    return next((names for names in ends if len(set(names)) == len(set(parts))), [root.as_posix() for root in roots])

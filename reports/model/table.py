@@ -39,7 +39,7 @@ class Cell:
     """One value as it is shown.
 
     Attributes:
-        text: rounded value, or the reason why there is none; never empty.
+        text: rounded value and nothing else, or the reason why there is none; never empty.
         value: unrounded; None where there is none.
         best: no measured row of this column is better, as far as can be told.
         shade: strength of the blue behind it, 0 to 1.
@@ -47,6 +47,9 @@ class Cell:
         low: lower bound of the interval, unrounded; None where there is none.
         high: upper bound; None likewise.
         note: what the interval takes as given, or why there is none.
+        bound: ``at most`` or ``at least``, before the value, where it is a bound.
+        beside: what stands behind the value, such as a percentile.
+        unranked: why the value is neither marked as best nor kept from it by others; empty where it competes.
     """
 
     text: str
@@ -57,15 +60,25 @@ class Cell:
     low: float | None = None
     high: float | None = None
     note: str = ""
+    bound: str = ""
+    beside: str = ""
+    unranked: str = ""
+
+    @property
+    def shown(self) -> str:
+        """The value with its words, the same in every format."""
+        return " ".join(filter(None, (self.bound, self.text, self.beside)))
 
     @property
     def hint(self) -> str:
-        """One line about the interval, or why there is no value, for who asks; empty where nothing is known of either."""
+        """One line about the interval, or why there is no value or rank; empty where nothing is known of these."""
         if self.value is None:
             return self.note
+        unranked = f"not ranked: {self.unranked}" if self.unranked else ""
         if self.low is None or self.high is None:
-            return f"no interval: {self.note}" if self.note else ""
-        return f"{100 * LEVEL:.0f} % interval {self.low:.6g} to {self.high:.6g}{', ' if self.note else ''}{self.note}"
+            return "; ".join(filter(None, (f"no interval: {self.note}" if self.note else "", unranked)))
+        interval = f"{100 * LEVEL:.0f} % interval {self.low:.6g} to {self.high:.6g}"
+        return "; ".join(filter(None, (", ".join(filter(None, (interval, self.note))), unranked)))
 
 
 @dataclass(frozen=True)
@@ -80,6 +93,11 @@ class Row:
     def is_grey(self) -> bool:
         """True for a row that only stands beside what was measured, and is not ranked."""
         return self.kind in ("published", "reference")
+
+    @property
+    def competes(self) -> bool:
+        """True for a method that was measured on everything that the table is of."""
+        return self.kind in ("measured", "ours")
 
 
 @dataclass(frozen=True)
@@ -142,6 +160,8 @@ def _decimals(value: float, decimals: int | None) -> int:
 def rank(columns: Sequence[Column], rows: Sequence[Row], told: Sequence[frozenset[int] | None] = ()) -> tuple[Row, ...]:
     """Mark the best measured value of each column and shade the better half; grey rows are left alone.
 
+    Where all would be marked, nothing is told apart and none is.
+
     Args:
         columns: heads.
         rows: methods.
@@ -149,15 +169,16 @@ def rank(columns: Sequence[Column], rows: Sequence[Row], told: Sequence[frozense
             print the same digits as the best; None, or nothing at all, leaves it at the printed digits.
     """
     ranked = [list(row.cells) for row in rows]
-    # Partial rows stand on fewer views or frames than the others.
-    competing = [index for index, row in enumerate(rows) if not row.is_grey and row.kind != "partial"]
+    competing = [index for index, row in enumerate(rows) if row.competes]
     for at, column in enumerate(columns):
-        having = [index for index in competing if ranked[index][at].value is not None]
+        having = [index for index in competing if ranked[index][at].value is not None and not ranked[index][at].unranked]
         if column.higher_is_better is None or len(having) < 2:
             continue
-        best = told[at] if told else None
-        for index, cell in zip(having, _ranked([ranked[i][at] for i in having], column.higher_is_better), strict=True):
-            ranked[index][at] = cell if best is None else replace(cell, best=cell.best or index in best)
+        among = (told[at] if told else None) or frozenset()
+        cells = _ranked([ranked[i][at] for i in having], column.higher_is_better)
+        best = {index for index, cell in zip(having, cells, strict=True) if cell.best or index in among}
+        for index, cell in zip(having, cells, strict=True):
+            ranked[index][at] = replace(cell, best=index in best and len(best) < len(having))
     return tuple(replace(row, cells=tuple(cells)) for row, cells in zip(rows, ranked, strict=True))
 
 

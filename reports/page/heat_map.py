@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 
 from ggvs_eval.arrays import Image8
-from ggvs_eval.reports.model.measured import MeasuredRun, label_of
+from ggvs_eval.reports.model.measured import MeasuredRun
+from ggvs_eval.results import label_of
 
 SIGNIFICANT = 5  # digits that a value keeps in the page
 

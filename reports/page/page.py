@@ -40,6 +40,7 @@ SCRIPTS = (
     *("heat_map", "sortable_table", "player", "viewer", "opening", "tabs", "place", "start"),
 )
 CONTEXT_WIDTH = 480
+SOURCES = {"nearest": "the nearest", "coverage": "chosen for what they see of the target"}
 FACT_NAMES = {"n_frames": "frames captured", "fps": "frames per second", "units_origin": "scale known from"}
 Part = tuple[str, str, tuple[str, ...]]
 # Behind the first screen of a group: place, title and templates of each part.
@@ -166,6 +167,7 @@ def _groups(groups: Sequence[RunGroup]) -> list[dict[str, Any]]:
             "n_methods": len({label for section in group.sections for label in section.run.labels}),
             "tables": group.tables,
             "price": group.price,
+            "sources": _sources([section.run for section in group.sections]),
             "leaders": leaders(group.tables),
             "verdict": verdicts[at],
             "parts": _parts(group),
@@ -176,6 +178,14 @@ def _groups(groups: Sequence[RunGroup]) -> list[dict[str, Any]]:
         }
         for at, group in enumerate(groups)
     ]
+
+
+def _sources(runs: Sequence[MeasuredRun]) -> str:
+    """Say from which images pictures were made, where that is known of every method."""
+    if not all(set(run.labels) <= run.from_sources for run in runs):
+        return ""
+    synthesis = runs[0].protocol.synthesis
+    return f", from {synthesis.k} other cameras, {SOURCES[synthesis.sources]}"
 
 
 def _parts(group: RunGroup) -> list[Part]:

@@ -24,6 +24,7 @@ class PublishedTerms:
         lpips_net: backbone of LPIPS.
         dssim: which D-SSIM.
         checked: where each value was read.
+        scenes: names of the scenes of which only the mean is published.
         withheld: why no value is shown beside measured ones; empty where they are.
     """
 
@@ -34,6 +35,7 @@ class PublishedTerms:
     dssim: str
     checked: str
     withheld: str
+    scenes: str
 
 
 @dataclass(frozen=True)
@@ -84,7 +86,7 @@ def describe_published(protocol: Protocol, scenes: Collection[str]) -> list[str]
     terms = published_terms().get(protocol.name)
     if terms is None:
         return []
-    if reason := _difference(protocol) or terms.withheld:
+    if reason := _difference(protocol, scenes) or terms.withheld:
         return [f"Published values of {protocol.name} are not shown: {reason}."]
     shown = _shown(protocol, scenes)
     beyond = [
@@ -103,7 +105,7 @@ def describe_published(protocol: Protocol, scenes: Collection[str]) -> list[str]
 def _shown(protocol: Protocol, scenes: Collection[str]) -> dict[tuple[str, str], dict[str, str]]:
     """(method, scene) -> metric -> value of what may stand beside a run."""
     terms = published_terms().get(protocol.name)
-    if terms is None or terms.withheld or _difference(protocol):
+    if terms is None or terms.withheld or _difference(protocol, scenes):
         return {}
     shown: dict[tuple[str, str], dict[str, str]] = {}
     for each in published_values():
@@ -112,14 +114,19 @@ def _shown(protocol: Protocol, scenes: Collection[str]) -> dict[tuple[str, str],
     return shown
 
 
-def _difference(protocol: Protocol) -> str:
-    """Return what a run under a packaged protocol's name does otherwise; empty where values compare."""
+def _difference(protocol: Protocol, scenes: Collection[str]) -> str:
+    """Return what a run under a packaged protocol's name does or shows otherwise; empty where values compare."""
     if protocol.name not in packaged_protocols():
         return f"no packaged protocol is called {protocol.name}"
     ours, theirs = _terms(protocol), _terms(load_protocol(protocol.name))
     parts = ("dataset", "views", "frames", "synthesis", "measurement")
-    differing = [part for part in parts if getattr(ours, part) != getattr(theirs, part)]
-    return f"this run differs from the packaged protocol in {', '.join(differing)}" if differing else ""
+    if differing := [part for part in parts if getattr(ours, part) != getattr(theirs, part)]:
+        return f"this run differs from the packaged protocol in {', '.join(differing)}"
+    of_values = {each.scene.lower() for each in published_values() if each.protocol == protocol.name}
+    of_means = published_terms()[protocol.name].scenes.lower().split()
+    known = {scene for scene in of_values if not scene.startswith(MEAN)}.union(of_means)
+    foreign = [scene for scene in scenes if known and scene.lower() not in known]
+    return f"{', '.join(foreign)} is none of the published scenes" if foreign else ""
 
 
 def _terms(protocol: Protocol) -> Protocol:

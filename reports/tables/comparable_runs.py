@@ -2,14 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
-from ggvs_eval.datasets.units import DEMO_NOTES
-from ggvs_eval.files.images import read_image
+from ggvs_eval.merged_results import merge_results
 from ggvs_eval.reports.model.measured import MeasuredRun
+from ggvs_eval.reports.tables.captions import counted
 from ggvs_eval.reports.tables.published import read_published
-from ggvs_eval.results import Results, merge_results
-from ggvs_eval.run_folder import frame_path
+from ggvs_eval.results import Results
 
 
 @dataclass(frozen=True)
@@ -39,13 +37,13 @@ class PaperTerms:
     def relation(self, run: MeasuredRun) -> str:
         """Relate a run to this data set: ``whole`` by its name, ``part`` of it (``DyNeRF, one instant``), or ``other``."""
         name, dataset = run.protocol.dataset.lower(), self.dataset.lower()
-        if is_demo(run.folder.capture_record()):
+        if run.is_demo:
             return "other"
         return "whole" if name == dataset else "part" if name.startswith(f"{dataset},") else "other"
 
     def departures(self, run: MeasuredRun) -> tuple[str, ...]:
         """List a run's departures from the paper's protocol, in words; empty where it agrees in all that the paper states."""
-        capture, protocol = run.folder.capture_record(), run.protocol
+        capture, protocol = run.capture, run.protocol
         size, layout = rendered_size(run), capture.get("layout", "unknown")
         measured = (protocol.measurement.width, protocol.measurement.height) if protocol.measurement.width else size
         views, frames = len(protocol.views.test), protocol.frames.count
@@ -53,8 +51,8 @@ class PaperTerms:
         departures = {
             f"layout {layout}, not {' or '.join(self.layouts)}": layout not in self.layouts,
             f"scene {run.scene}, not {scenes}": bool(self.scenes) and run.scene not in self.scenes,
-            f"{_count(frames, 'frame')}, not {self.frames}": frames != self.frames,
-            f"{_count(views, 'test view')}, not {self.test_views}": views != self.test_views,
+            f"{counted(frames, 'frame')}, not {self.frames}": frames != self.frames,
+            f"{counted(views, 'test view')}, not {self.test_views}": views != self.test_views,
             f"K = {protocol.synthesis.k}, not {self.k}": protocol.synthesis.k != self.k,
             "source views chosen by coverage, not the nearest": protocol.synthesis.sources != "nearest",
             f"{_size(size)} pixels, not {_size(self.size)}": size != self.size,
@@ -85,26 +83,15 @@ def read_terms(dataset: str) -> PaperTerms:
     )
 
 
-def is_demo(capture: dict[str, Any]) -> bool:
-    """Tell whether a capture was written by ``ggvs-eval demo``, in whatever layout and under whatever name."""
-    return capture.get("units_origin") == DEMO_NOTES
-
-
 def rendered_size(run: MeasuredRun) -> tuple[int, int]:
-    """Width and height of the run's images: the protocol's, or those of a captured frame where it keeps the capture's."""
-    synthesis = run.protocol.synthesis
-    if synthesis.width:
-        return synthesis.width, synthesis.height
-    height, width = read_image(frame_path(run.folder.truth(run.protocol.views.test[0]), run.frames[0])).shape[:2]
-    return width, height
+    """Width and height of the run's images: the protocol's, or those of the capture where it keeps these; 0 where unknown."""
+    synthesis, view = run.protocol.synthesis, run.protocol.views.test[0]
+    width, height = run.capture.get("cameras", {}).get(view, {}).get("size", (0, 0))
+    return (synthesis.width, synthesis.height) if synthesis.width else (width, height)
 
 
 def _size(size: tuple[int, int]) -> str:
-    return f"{size[0]} × {size[1]}"
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}{'' if number == 1 else 's'}"
+    return f"{size[0]} × {size[1]}" if any(size) else "an unknown number of"
 
 
 @dataclass(frozen=True)
@@ -160,13 +147,22 @@ def find_comparable_runs(dataset: str, runs: Sequence[MeasuredRun]) -> Comparabl
     return ComparableRuns(tuple(alike), merge_results([run.results for run in alike]), _words(terms, alike))
 
 
+def why_not_beside(dataset: str, runs: Sequence[MeasuredRun]) -> str:
+    """Say why the paper's values of a data set do not stand in a table of these runs; empty where they do."""
+    found = find_comparable_runs(dataset, runs)
+    if isinstance(found, NotComparable):
+        return found.words
+    others = [run for run in runs if not any(run is one for one in found.runs)]
+    return f"{_name(others[0])} is none of its scenes" if others else ""
+
+
 def _departures(terms: PaperTerms, run: MeasuredRun) -> str:
     return "; ".join(terms.departures(run)) or "part of it by its name"
 
 
 def _what_instead(runs: Sequence[MeasuredRun]) -> str:
     """Name what the runs are of instead of the paper's data sets."""
-    names = dict.fromkeys(_name(run) + (", a demo capture" if is_demo(run.folder.capture_record()) else "") for run in runs)
+    names = dict.fromkeys(_name(run) + (", a demo capture" if run.is_demo else "") for run in runs)
     return f"this report is of {'; '.join(names)}, none of the paper's data sets"
 
 

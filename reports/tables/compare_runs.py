@@ -8,7 +8,8 @@ from typing import Any
 import pandas as pd
 
 from ggvs_eval.errors import ResultsError
-from ggvs_eval.reports.model.measured import METHODS_FILE, label_of
+from ggvs_eval.merged_results import tell_scenes_apart
+from ggvs_eval.reports.model.measured import METHODS_FILE
 from ggvs_eval.reports.model.metric_note import MetricNote, read_metric_notes
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder, read_json
@@ -99,7 +100,9 @@ def run_sides(first: Path, second: Path) -> tuple[tuple[Side, Side], ...]:
     Raises:
         ResultsError: not scored runs, different protocols or captured frames, or no method in common.
     """
-    results = Results.read(first), Results.read(second)
+    results = [Results.read(first), Results.read(second)]
+    told = tell_scenes_apart(results)
+    results = told if told[0].scenes == told[1].scenes else results  # one scene may lie in folders of two names
     _require_alike(first, second, *results)
     names = read_json(first / METHODS_FILE)["names"]
     labels = _labels(results[0]), _labels(results[1])
@@ -183,14 +186,12 @@ def _both(one: Side, other: Side) -> Results:
 
 
 def _renamed(side: Side, name: str) -> pd.DataFrame:
-    table = side.results.table
-    chosen = [label_of(*names) == side.label for names in zip(table["method"], table["variant"], strict=True)]
-    return table[chosen].assign(method=name, variant="")
+    chosen = [label == side.label for label in side.results.row_labels]
+    return side.results.table[chosen].assign(method=name, variant="")
 
 
 def _labels(results: Results) -> list[str]:
-    rows = results.table[["method", "variant"]].drop_duplicates()
-    return [label_of(*names) for names in zip(rows["method"], rows["variant"], strict=True)]
+    return list(dict.fromkeys(results.row_labels))
 
 
 def _require_label(results: Results, label: str, run: Path) -> None:

@@ -2,6 +2,7 @@
 
 import importlib.util
 import io
+import math
 import re
 import zipfile
 from collections.abc import Sequence
@@ -50,7 +51,7 @@ def write_excel(tables: Sequence[Table], values: dict[str, str], out: Path) -> P
 
 def _frame(table: Table) -> pd.DataFrame:
     heads = [f"{column.name} ({column.unit})" if column.unit else column.name for column in table.columns]
-    cells = [[cell.text if cell.value is None else cell.value for cell in row.cells] for row in table.rows]
+    cells = [[cell.value if _is_number(cell) else cell.shown for cell in row.cells] for row in table.rows]
     return pd.DataFrame(cells, index=pd.Index([row.name for row in table.rows], name="Method"), columns=heads, dtype=object)
 
 
@@ -62,19 +63,32 @@ def _dress(sheet: Any, table: Table) -> None:
         for across, cell in enumerate(row.cells, start=2):
             place = sheet.cell(down, across)
             place.font = Font(bold=cell.best, color="FF777777" if row.is_grey else None)
-            if cell.value is not None:
+            if _is_number(cell):
                 place.number_format = _number_format(cell)
             if cell.shade:
                 channel = round(255 * (1.0 - 0.25 * cell.shade))
                 place.fill = PatternFill("solid", fgColor=f"FF{channel:02X}{channel:02X}FF")
     sheet.column_dimensions["A"].width = max([10, *(len(row.name) for row in table.rows)])
+    for across, cells in enumerate(zip(*(row.cells for row in table.rows), strict=True), start=2):
+        # A number that is wider than its column is shown as hashes; words run over or are cut.
+        widest = max((len(f"{cell.shown} {cell.spread}") for cell in cells if _is_number(cell)), default=0)
+        sheet.column_dimensions[sheet.cell(1, across).column_letter].width = max(10, widest + 2)
     sheet.freeze_panes = "B2"
 
 
+def _is_number(cell: Cell) -> bool:
+    return cell.value is not None and math.isfinite(cell.value)
+
+
 def _number_format(cell: Cell) -> str:
-    """As many decimals as the cell prints; what stands behind the first number (a percentile) has none of its own."""
-    decimals = len(cell.text.split(" ")[0].partition(".")[2])
-    return f"0.{'0' * decimals}" if decimals else "0"
+    """The decimals, sign and words with which every other format shows the cell, and its interval."""
+    decimals = len(cell.text.partition(".")[2])
+    sign = cell.text[0] if cell.text[0] in "+−" else ""
+    before = f"{cell.bound} {sign}" if cell.bound else sign
+    behind = "".join(f" {words}" for words in (cell.beside, cell.spread) if words)
+    number = f"0.{'0' * decimals}" if decimals else "0"
+    shown = "".join((f'"{before}"' if before else "", number, f'"{behind}"' if behind else ""))
+    return f"{shown};{shown}" if sign == "−" else shown  # in a part of its own a negative number has no other sign
 
 
 def _sheet_name(title: str, taken: Sequence[str]) -> str:

@@ -1,14 +1,15 @@
 """Tables of methods that are fitted: what they cost, how far seeds move them, and what being online costs beside them."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from ggvs_eval.errors import ResultsError
-from ggvs_eval.reports.model.measured import METHODS_FILE, MeasuredRun, label_of
+from ggvs_eval.reports.model.measured import METHODS_FILE, MeasuredRun
 from ggvs_eval.reports.model.metric_note import MetricNote
 from ggvs_eval.reports.model.table import Cell, Column, Row, RowKind, Table, format_half_width, format_value
 from ggvs_eval.reports.tables.timing import TOTAL, render_records, timing_table
-from ggvs_eval.results import Results
+from ggvs_eval.results import Results, label_of
 from ggvs_eval.run_folder import read_json
 from ggvs_eval.statistics.intervals import LEVEL
 from ggvs_eval.statistics.paired import compare
@@ -75,7 +76,8 @@ def _fit_cells(fits: Sequence[dict[str, Any]], n_cameras: int) -> tuple[Cell, Ce
     seconds = sum(fit["seconds"] / fit["instants"] for fit in fits) / len(fits)
     megabytes = sum(fit["size_bytes"] / fit["instants"] for fit in fits) / len(fits) / MEGABYTE
     machines = dict.fromkeys(f"{fit['threads']} thread{'s' * (fit['threads'] > 1)}, {fit['machine']}" for fit in fits)
-    cameras = Cell(f"{' to '.join(map(str, counts[:: max(len(counts) - 1, 1)]))} of {n_cameras}", float(counts[0]))
+    span = f"to {counts[-1]} of {n_cameras}" if len(counts) > 1 else f"of {n_cameras}"
+    cameras = Cell(str(counts[0]), float(counts[0]), beside=span)
     return cameras, Cell(format_value(seconds), seconds), Cell("; ".join(machines)), Cell(format_value(megabytes), megabytes)
 
 
@@ -85,7 +87,7 @@ def _other_cells(run: MeasuredRun, label: str, n_cameras: int) -> tuple[Cell, Ce
     if not records or "splats" in records[0].get("identity", {}):
         return UNKNOWN, UNKNOWN, UNKNOWN, UNKNOWN
     k = run.protocol.synthesis.k
-    return Cell(f"{k} of {n_cameras}", float(k)), Cell(NOT_FITTED), Cell(NOT_FITTED), Cell(NOT_FITTED)
+    return Cell(str(k), float(k), beside=f"of {n_cameras}"), Cell(NOT_FITTED), Cell(NOT_FITTED), Cell(NOT_FITTED)
 
 
 def _rendering_cell(run: MeasuredRun, label: str) -> Cell:
@@ -93,7 +95,7 @@ def _rendering_cell(run: MeasuredRun, label: str) -> Cell:
     table = timing_table(run)
     total = next(at for at, column in enumerate(table.columns) if column.name == TOTAL)
     cell = table.rows[run.labels.index(label)].cells[total]
-    return cell if cell.value is None else Cell(f"{cell.value:.1f}", cell.value)
+    return replace(cell, beside="")
 
 
 def _kind(run: MeasuredRun, label: str) -> RowKind:
@@ -158,7 +160,7 @@ def _price(note: MetricNote, results: Results, label: str, online: str, dataset:
         return Cell("not computed", note=str(refusal))
     value = comparison.difference
     if value != value:
-        return Cell("not computed", note=results.not_computed.get(note.name, "no value"))
+        return Cell("not computed", note=results.why_absent(note.name, label) or "no value")
     text = f"{'+' if value > 0 else ''}{format_value(value, note.decimals)}".replace("-", "−")
     if comparison.high is None:
         return Cell(text, value, note=comparison.note)

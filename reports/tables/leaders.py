@@ -42,15 +42,16 @@ def leaders(tables: Sequence[Table], metrics: Sequence[str] = HEADLINES) -> tupl
 
 
 def _leaders_of(table: Table) -> list[Leader]:
-    """One per column in which somebody is marked as best, or in which there is one method alone."""
+    """One per column that ranks methods; where none is marked as best, all of them tie."""
     column_leaders = []
     for at, column in enumerate(table.columns):
-        having = [row for row in table.rows if not row.is_grey and row.kind != "partial" and row.cells[at].value is not None]
-        best = having if len(having) == 1 else [row for row in having if row.cells[at].best]
+        measured = [row for row in table.rows if row.competes and row.cells[at].value is not None]
+        having = [row for row in measured if not row.cells[at].unranked and column.higher_is_better is not None]
+        best = [row for row in having if row.cells[at].best] or having
         if best:
             first = max(best, key=lambda row: _goodness(row, at, column))  # stable: of equals the upper one
             ties = tuple(row.name for row in best if row is not first)
-            undecided = table.undecided.get(column.name, "") if ties else ""
+            undecided = table.undecided.get(column.name, "") if len(measured) > 1 else ""
             column_leaders.append(Leader(column, table.dataset, first.name, first.cells[at], ties, undecided))
     return column_leaders
 

@@ -48,10 +48,14 @@ def is_higher_better(metric: str) -> bool:
     return metric in HIGHER_IS_BETTER
 
 
+def paper_dataset(name: str) -> str:
+    """The paper's own name of a data set; empty where it has none of that name."""
+    return next((dataset for dataset in read_published("quality") if dataset.lower() == name.lower()), "")
+
+
 def published_rows(name: str, dataset: str, metrics: Sequence[str]) -> tuple[Row, ...]:
-    """The paper's rows for one dataset, to stand in grey below measured ones; none for a dataset that it does not have."""
-    names = {dataset_name.lower(): dataset_name for dataset_name in read_published(name)}
-    methods = read_published(name).get(names.get(dataset.lower(), ""), {})
+    """The paper's rows for one dataset, to stand in grey below what was measured on its terms, see `why_not_beside`."""
+    methods = read_published(name).get(paper_dataset(dataset), {})
     return tuple(
         Row(f"{method}{PAPER}", tuple(published_cell(values.get(metric)) for metric in metrics), "published")
         for method, values in methods.items()

@@ -8,11 +8,12 @@ from functools import cache
 from importlib import resources
 from typing import Literal
 
-from ggvs_eval.reports.model.measured import MeasuredRun, label_of
+from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.reports.model.table import Cell, format_value, measured_cell
 from ggvs_eval.reports.tables.comparable_runs import ComparableRuns, NotComparable, find_comparable_runs
 from ggvs_eval.reports.tables.published import TIMING_WORDS, UNITS, is_higher_better, read_published
 from ggvs_eval.reports.tables.timing import TIMINGS, evaluate_time
+from ggvs_eval.results import label_of
 from ggvs_eval.statistics.intervals import LEVEL, intervals
 
 Status = Literal["reproduced", "differs", "data absent", "weights absent", "not run"]
@@ -127,10 +128,12 @@ def _evaluate(comparable: ComparableRuns, method: PaperMethod, metric: str, pape
 
 def _evaluate_metric(comparable: ComparableRuns, label: str, metric: str, paper: str) -> tuple[Cell, Status, str]:
     name = str(comparable.results.table["dataset"].iloc[0])
-    marked = next((run.partial[label] for run in comparable.runs if label in run.partial), None)
+    marked = comparable.results.provenance["partial"].get(label)
     interval = None if marked else intervals(comparable.results, metric, name).get(label)
     if interval is None or math.isnan(interval.value):
-        reason = f"{label} is {marked}" if marked else comparable.results.not_computed.get(metric, f"{metric} was not asked for")
+        reason = (
+            f"{label} is {marked}" if marked else comparable.results.why_absent(metric, label) or f"{metric} was not asked for"
+        )
         return NOT_MEASURED, "not run", f"no value: {reason}"
     digits = comparable.runs[0].metrics[metric].decimals
     cell = measured_cell(interval.value, "", interval, digits)

@@ -100,7 +100,7 @@ def reproduction_csv(entries: Sequence[Reproduction]) -> str:
 
 
 def _words(title: str, line: Line) -> tuple[str, ...]:
-    ours = f"{line.ours.text} {line.ours.spread}".strip()
+    ours = f"{line.ours.shown} {line.ours.spread}".strip()
     return tuple(map(escape_markdown, (title, line.method, line.metric, line.paper, ours, line.status, line.why)))
 
 

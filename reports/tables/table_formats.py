@@ -69,7 +69,7 @@ def markdown_table(heads: Sequence[str], rows: Iterable[Sequence[str]], words: C
 
 
 def to_csv(groups: Sequence[tuple[Protocol | None, Sequence[Table]]]) -> str:
-    """One line per cell, values and bounds unrounded; where there are none the reason stands in ``note``.
+    """One line per cell, values and bounds unrounded; ``shown`` is what every other format prints.
 
     Args:
         groups: a protocol, or None, and the tables of what was measured under it; values of different protocols do not compare.
@@ -90,9 +90,9 @@ def to_csv(groups: Sequence[tuple[Protocol | None, Sequence[Table]]]) -> str:
 def _csv_cell(cell: Cell) -> list[object]:
     """Value, bounds, what is shown, whether it is best, and what the bounds take as given or why something is absent."""
     if cell.value is None:
-        return ["", "", "", "", False, cell.note or cell.text]
+        return ["", "", "", cell.shown, False, cell.note or cell.shown]
     bounds = ["" if bound is None else repr(bound) for bound in (cell.low, cell.high)]
-    return [repr(cell.value), *bounds, cell.text, cell.best, cell.note if cell.low is not None else cell.hint]
+    return [repr(cell.value), *bounds, cell.shown, cell.best, cell.note if cell.low is not None else cell.hint]
 
 
 def to_latex(tables: Sequence[Table], notes: Sequence[str] = ()) -> str:
@@ -135,7 +135,7 @@ def _latex_table(table: Table) -> str:
 
 
 def _latex_cell(row: Row, cell: Cell) -> str:
-    text = _latex_text(row, cell.text)
+    text = _latex_text(row, cell.shown)
     text = rf"\textbf{{{text}}}" if cell.best else text
     text += rf" {{\scriptsize {escape_latex(cell.spread)}}}" if cell.spread else ""
     if not cell.shade:
@@ -159,7 +159,7 @@ def _head(column: Column) -> str:
 
 
 def _markdown_cell(row: Row, cell: Cell) -> str:
-    text = f"**{escape_markdown(cell.text)}**" if cell.best else _markdown_text(row, cell.text)
+    text = f"**{escape_markdown(cell.shown)}**" if cell.best else _markdown_text(row, cell.shown)
     return f"{text} {cell.spread}" if cell.spread else text
 
 

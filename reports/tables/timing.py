@@ -57,7 +57,7 @@ def _cell(stages: dict[str, list[float]], stage: str) -> Cell:
     if not stages.get(stage):
         return Cell("no such stage")
     median, p95 = np.percentile(stages[stage], [50, 95]) * 1000
-    return Cell(f"{median:.1f} ({p95:.1f})", float(median))
+    return Cell(f"{median:.1f}", float(median), beside=f"({p95:.1f})")
 
 
 def _caption(run: MeasuredRun, jobs: dict[str, list[dict[str, Any]]], first: int) -> str:
@@ -111,5 +111,4 @@ def _stage_ms(run: MeasuredRun, label: str, stage: str) -> float | None:
     """Median milliseconds of a stage of one method; None where none were recorded."""
     table = timing_table(run)
     column = next((at for at, column in enumerate(table.columns) if column.name == stage), None)
-    row = next((row for row in table.rows if row.name == run.name(label)), None)
-    return None if column is None or row is None else row.cells[column].value
+    return None if column is None or label not in run.labels else table.rows[run.labels.index(label)].cells[column].value

@@ -55,7 +55,7 @@ class Verdict:
         meaning: what it measures, in plain words.
         contenders: every method that competes, the best first.
         others: name of a method -> the other metrics that it alone is best in.
-        tied: the other metrics that nobody alone is best in.
+        tied: the other metrics in which no winner can be named.
     """
 
     headline: str
@@ -94,7 +94,7 @@ def evaluate_verdict(runs: Sequence[MeasuredRun], results: Results, tables: Sequ
     competing = [
         (label, row.name, row.cells[at])
         for label, row in zip(labels, table.rows, strict=False)
-        if row.kind in ("measured", "ours") and row.cells[at].value is not None
+        if row.competes and row.cells[at].value is not None and not row.cells[at].unranked
     ]
     sign = 1.0 if first.column.higher_is_better else -1.0
     competing.sort(key=lambda one: -sign * cast(float, one[2].value))  # stable
@@ -103,7 +103,8 @@ def evaluate_verdict(runs: Sequence[MeasuredRun], results: Results, tables: Sequ
         Contender(label, name, labels.index(label), cell, places.at(cell.value), places.span(cell))
         for label, name, cell in competing
     )
-    headline, margin = _words(first, contenders, runs, results)
+    alone = sum(not row.is_grey and row.cells[at].value is not None for row in table.rows) == 1
+    headline, margin = _words(first, contenders, runs, results, alone)
     others: dict[str, list[str]] = {}
     for leader in all_leaders:
         if leader is not first:
@@ -118,18 +119,24 @@ def _labels(runs: Sequence[MeasuredRun], results: Results, dataset: str) -> list
     return row_labels(runs, cast(pd.DataFrame, results.summary().xs(dataset, level="dataset")))
 
 
-def _words(first: Leader, contenders: Sequence[Contender], runs: Sequence[MeasuredRun], results: Results) -> tuple[str, str]:
+def _words(
+    first: Leader, contenders: Sequence[Contender], runs: Sequence[MeasuredRun], results: Results, alone: bool
+) -> tuple[str, str]:
     """Headline and margin."""
     best, column, decimals = contenders[0], first.column, runs[0].metrics[first.column.name].decimals
     unit = f" {column.unit}" if column.unit else ""
     if len(contenders) == 1:
-        return f"{best.name} was measured alone", f"{best.cell.text} {best.cell.spread}".strip() + unit
-    whole = without_labels(results, results.provenance.get("partial", {}))
-    standing = rank_methods(whole, column.name, bool(column.higher_is_better), first.dataset)
+        number = f"{best.cell.shown} {best.cell.spread}".strip() + unit
+        if alone:
+            return f"{best.name} was measured alone", number
+        return "No winner can be named", f"{best.name} has {number}; the others were measured on other scenes, views or frames"
+    others = set(results.row_labels) - {one.label for one in contenders}
+    ranked = without_labels(results, others)
+    standing = rank_methods(ranked, column.name, bool(column.higher_is_better), first.dataset)
     rival = next((one for one in contenders[1:] if one.name in first.ties), contenders[1])
     comparison = standing.comparisons.get(rival.label)
     if comparison is None:
-        return f"{best.name} and {rival.name} are equal", f"{best.cell.text}{unit} each"
+        return f"{best.name} and {rival.name} are equal", f"{best.cell.shown}{unit} each"
     second = f"“{rival.name}”" if "," in rival.name else rival.name
     by = f"{format_value(abs(comparison.difference), decimals)}{unit}"
     interval = _interval(comparison, bool(column.higher_is_better), decimals, unit)
@@ -141,8 +148,6 @@ def _words(first: Leader, contenders: Sequence[Contender], runs: Sequence[Measur
             f"{best.name} and {rivals} tie",
             f"{by} between {best.name} and {second} is too little to tell them apart{interval}",
         )
-    if comparison.p_value is None:
-        return f"{best.name} leads", f"{by} ahead of {second}; whether by chance cannot be told ({comparison.note})"
     return f"{best.name} is best", f"{by} ahead of {second}, the next best{interval}"
 
 

@@ -13,6 +13,7 @@ from ggvs_eval.baselines.gps_gaussian.gaussians import Gaussians, footprints, ro
 from ggvs_eval.baselines.gps_gaussian.rendering import TILE, _tiles, blend_batches, blend_gaussians
 from ggvs_eval.compute_device import clock_s, compute_device, computing_on, describe_device, rendering_on
 from ggvs_eval.errors import DeviceError
+from ggvs_eval.merged_results import merge_results
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
@@ -21,7 +22,7 @@ from ggvs_eval.pipelines.run import render
 from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
 from ggvs_eval.pipelines.run.score import _devices
 from ggvs_eval.reports.page import page
-from ggvs_eval.results import COLUMNS, Results, merge_results
+from ggvs_eval.results import COLUMNS, Results
 from ggvs_eval.run_folder import RunFolder, write_json
 from helpers.command_line import refusal
 from helpers.geometry_scenes import random_camera

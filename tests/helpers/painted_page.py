@@ -10,6 +10,7 @@ from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.page.page import render_page
 from ggvs_eval.reports.run_groups import read_groups
 from ggvs_eval.reports.tables.reproduction import reproduce
+from ggvs_eval.run_folder import write_json
 from helpers.run_folders import LABELS, RunShape, write_run
 
 SHAPE = RunShape(width=160, height=120, frames=Frames(2, 4), dataset="DyNeRF", metrics=("PSNR", "L1", "TCC"))
@@ -35,7 +36,10 @@ def write_page(runs: Sequence[Path], page: Path) -> Path:
 
 def write_painted_page(folder: Path) -> Path:
     """The page of a run of two views, four frames and three methods."""
-    return write_page([write_run(folder / "run", SHAPE, paint)], folder / "index.html")
+    run = write_run(folder / "run", SHAPE, paint)
+    ceiling = {"group": "quality", "name": "Ceiling", "note": "a row that is no method.", "values": {"PSNR": 50.0}}
+    write_json(run / "references.json", [ceiling])
+    return write_page([run], folder / "index.html")
 
 
 def wait_for_slices(browser) -> None:

@@ -14,7 +14,7 @@ from ggvs_eval.metrics.registry import METRICS as REGISTERED
 from ggvs_eval.metrics.registry import metric_notes, pooling_records
 from ggvs_eval.protocol import Frames, Measurement, Protocol, Synthesis, Views
 from ggvs_eval.results import Results, make_table
-from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, write_json
+from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, read_json, write_json
 from ggvs_eval.statistics.pooling import MEAN
 
 METRICS = ("PSNR", "PSNR_cc", "SSIM", "LPIPS", "L1", "TCC", "STED", "SDT", "SDV")
@@ -45,6 +45,7 @@ class RunShape:
     labels: tuple[str, ...] = LABELS
     metrics: tuple[str, ...] = METRICS
     scene: str = "room"
+    content: str = ""  # digest of its captured frames; follows from the name of the scene where empty
     dataset: str = "Demo room"
     names: tuple[tuple[str, str], ...] = tuple(NAMES.items())
     k: int = 2
@@ -79,6 +80,19 @@ def write_run(
     return root
 
 
+def make_fitted(root: Path, labels: Sequence[str]) -> Path:
+    """Make methods of a run fitted ones, two folds of one view each, by three of five cameras."""
+    run = RunFolder(root)
+    write_json(root / "capture.json", run.capture_record() | {"cameras": {f"cam{at:02d}": {} for at in range(5)}})
+    fit = {"instants": 4, "cameras": 3, "look_ahead": "sequence", "seed": 0, "size_bytes": 8_000_000}
+    for label in labels:
+        for view, seconds in zip(run.protocol().views.test, (40.0, 80.0), strict=True):
+            job = run.renders(label, view) / JOB_FILE
+            machine = {"seconds": seconds, "threads": 2, "machine": "a processor"}
+            write_json(job, read_json(job) | {"fit": fit | machine})
+    return root
+
+
 def make_protocol(shape: RunShape) -> Protocol:
     """The protocol of a run of that shape."""
     measured = Measurement(metrics=shape.metrics)
@@ -96,7 +110,10 @@ def stage_seconds(label: str, count: int) -> dict[str, list[float]]:
 def _write_records(run: RunFolder, shape: RunShape, protocol: Protocol, not_computed: dict[str, str]) -> None:
     capture = {"path": "/home/somebody/captures/room", "scene": shape.scene, "layout": "dynerf", "fps": 30.0}
     write_json(run.root / "capture.json", capture)
-    write_json(run.root / "methods.json", {"labels": shape.labels, "names": dict(shape.names), "ours": LABELS[1:]})
+    write_json(
+        run.root / "methods.json",
+        {"labels": shape.labels, "names": dict(shape.names), "ours": LABELS[1:], "from_sources": shape.labels},
+    )
     notes = {
         name: {
             "unit": UNITS.get(name, ""),
@@ -111,7 +128,7 @@ def _write_records(run: RunFolder, shape: RunShape, protocol: Protocol, not_comp
     provenance = {
         "protocol": json.loads(json.dumps(dataclasses.asdict(protocol))),
         "protocol_sha256": protocol.sha256,
-        "inputs": {"room/cam00": "ab12"},
+        "inputs": {f"{shape.scene}/cam00": shape.content or f"frames of {shape.scene}"},
         "pooling": pooling_records(shape.metrics, MetricOptions()) | {"STED": MEAN.record()},  # without its parts
         "versions": {"ggvs-eval": "0.1.0"},
     }

@@ -215,9 +215,9 @@ def test_predictions_against_another_capture_are_refused(run, tmp_path):
     assert f"gt-color/cam00/0003.png is {level:.1f} levels from frame 3 of cam00" in refusal(run, folder)
 
 
-@pytest.mark.parametrize("label", ["ours-geometric", "truth", "", ".hidden", "a/b", "a*"])
+@pytest.mark.parametrize("label", ["ours-geometric", "Ours", "OURS", "truth", "", ".hidden", "a/b", "a*"])
 def test_names_that_mean_something_else_are_refused(label, run, tmp_path):
-    """Renders cannot take the name of a method, of the truth, or one that is no plain name."""
+    """Renders cannot take the name or the title of a method, the name of the truth, or one that is no plain name."""
     assert "renders cannot be called" in refusal(run, write_folders(tmp_path / "theirs"), label)
 
 

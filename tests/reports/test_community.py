@@ -58,7 +58,14 @@ def test_values_of_a_scene_stand_beside_that_scene():
         "QUEEN (published, flame_steak)",
     ]
     assert rows_of(protocol, ("kitchen",)) == {}
-    assert describe_published(protocol, ("kitchen",)) == []
+    assert "kitchen is none of the published scenes" in describe_published(protocol, ("kitchen",))[0]
+
+
+@pytest.mark.parametrize("scene", ["kitchen", "flame_steak, a demo capture,"])
+@pytest.mark.parametrize("name", ["n3v_4dgs", "technicolor_stg"])
+def test_a_mean_over_scenes_stands_beside_none_but_those(name, scene):
+    """A capture of one's own under a community's protocol has no published row, not that of the mean either."""
+    assert rows_of(load_protocol(name), (scene,)) == {}
 
 
 @pytest.mark.parametrize(
@@ -108,11 +115,12 @@ def test_what_does_not_compare_is_withheld():
 @pytest.mark.slow
 def test_the_row_stands_in_the_quality_table(tmp_path):
     """In a report the row is grey, takes no part in the ranking, and the caption names its source."""
-    run = read_run(write_run(tmp_path / "run", RunShape(views=("cam00",), metrics=("PSNR", "LPIPS"), poses=0)))
+    shape = RunShape(views=("cam00",), metrics=("PSNR", "LPIPS"), poses=0, scene="flame_steak")
+    run = read_run(write_run(tmp_path / "run", shape))
     protocol = load_protocol("n3v_4dgs")
     protocol = replace(protocol, measurement=replace(protocol.measurement, metrics=("PSNR",)))
     (table, *_) = main_tables([replace(run, protocol=protocol)], run.results)
-    assert table.rows[-1].name == "4DGS (published, mean of 6 scenes)"
+    assert [row.name for row in table.rows[-2:]] == ["4DGS (published, mean of 6 scenes)", "4DGS (published, flame_steak)"]
     assert table.rows[-1].is_grey
     assert not table.rows[-1].cells[0].best
     assert "Grey: Wu et al." in table.caption

@@ -144,3 +144,14 @@ def test_command_line_tells_what_differs(runs, tmp_path, capsys):
     for line in lines:
         assert float(line["difference"]) == pytest.approx(float(line["first"]) - float(line["second"]), abs=1e-9)
         assert (line["significant"] == "True") == (float(line["p_value"]) < 0.05)
+
+
+def test_one_capture_in_folders_of_two_names_compares(tmp_path):
+    """A scene is what was captured, not what its folder is called: equal frames under two names are the same scene."""
+    shape = replace(SHAPE, content="equal")
+    one = write_values(tmp_path / "one", shape=shape)
+    other = write_values(tmp_path / "other", BETTER_DB, seed=2, shape=replace(shape, scene="moved"))
+    (pair, *_) = run_sides(one, other)
+    (whole,) = [each for each in differences(*pair, one) if each.metric == "PSNR" and not each.view]
+    assert whole.comparison.difference == pytest.approx(-BETTER_DB, abs=0.05)
+    assert whole.verdict == "second better"

@@ -9,19 +9,11 @@ from ggvs_eval.reports.run_groups import read_groups
 from ggvs_eval.reports.tables.fitted import fitted_tables, price_tables
 from ggvs_eval.reports.tables.table_formats import to_csv, to_latex, to_markdown
 from ggvs_eval.results import Results
-from ggvs_eval.run_folder import RunFolder, read_json, write_json
+from ggvs_eval.run_folder import read_json, write_json
 from ggvs_eval.statistics.paired import compare
-from helpers.run_folders import RunShape, write_run
+from helpers.run_folders import RunShape, make_fitted, write_run
 
 FITTED, SEED = "fwd", "fwd+seed=1"
-
-
-def fit(seconds: float) -> dict[str, object]:
-    """What a fit of four instants by three cameras took."""
-    return {
-        **{"seconds": seconds, "instants": 4, "cameras": 3, "look_ahead": "sequence", "seed": 0, "size_bytes": 8_000_000},
-        **{"threads": 2, "machine": "a processor"},
-    }
 
 
 @pytest.fixture(scope="module")
@@ -31,20 +23,14 @@ def run(tmp_path_factory):
     names = (("ours-geometric", "Ours"), (FITTED, "4DGS"), (SEED, "4DGS, seed=1"))
     shape = RunShape(labels=labels, names=names, metrics=("PSNR", "TCC", "STED"), poses=0)
     root = write_run(tmp_path_factory.mktemp("run") / "run", shape)
-    folder = RunFolder(root)
-    write_json(root / "capture.json", folder.capture_record() | {"cameras": {f"cam{at:02d}": {} for at in range(5)}})
     write_json(root / METHODS_FILE, read_json(root / METHODS_FILE) | {"ours": ["ours-geometric"]})
-    for label in (FITTED, SEED):
-        for view, seconds in zip(shape.views, (40.0, 80.0), strict=True):
-            job = folder.renders(label, view) / "job.json"
-            write_json(job, read_json(job) | {"fit": fit(seconds)})
-    return root
+    return make_fitted(root, (FITTED, SEED))
 
 
 def cells(table, name: str) -> dict[str, str]:
     """Head -> what is shown of a method."""
     row = next(row for row in table.rows if row.name == name)
-    return {column.name: cell.text for column, cell in zip(table.columns, row.cells, strict=True)}
+    return {column.name: cell.shown for column, cell in zip(table.columns, row.cells, strict=True)}
 
 
 def test_costs_of_every_method(run):

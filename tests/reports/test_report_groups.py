@@ -8,15 +8,20 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
+from ggvs_eval.errors import ResultsError
 from ggvs_eval.protocol import Frames
 from ggvs_eval.reports.model.table import Cell, Column, Row, Table, rank
+from ggvs_eval.reports.page.leaderboard import write_leaderboard
 from ggvs_eval.reports.page.page import render_page
 from ggvs_eval.reports.report import write_report
 from ggvs_eval.reports.run_groups import read_groups
 from ggvs_eval.reports.tables.leaders import leaders
+from ggvs_eval.reports.tables.verdict import evaluate_verdict
+from ggvs_eval.results import Results
 from helpers.page_reader import PageReader
 from helpers.run_folders import LABELS, NAMES, RunShape, write_run
 
@@ -133,6 +138,77 @@ def test_files_tell_the_groups_apart(report):
     assert {folder.name for folder in (report / "figures").iterdir()} == {"run0", "run1", "run2"}
     pytest.importorskip("openpyxl", reason="no openpyxl, by which pandas writes workbooks")
     assert len(pd.ExcelFile(report / "tables.xlsx").sheet_names) == len(titles) + 2
+
+
+def test_captures_of_one_name_are_two_scenes(tmp_path):
+    """Two captures whose folders are called alike count as two scenes in every table, told apart by what was captured."""
+    shapes = [replace(SMALL, scene="room", content=content) for content in ("one", "other")]
+    runs = [write_run(tmp_path / shape.content / "run", shape) for shape in shapes]
+    other = Results.read(runs[1])
+    replace(other, table=other.table.assign(value=other.table["value"] + 1.0)).write(runs[1])
+
+    report = write_report(runs, tmp_path / "report").parent
+
+    psnr = [run.summary().xs("Demo room")["PSNR"].max() for run in map(Results.read, runs)]
+    (best,) = [
+        row for row in rows_of(report) if (row["table"], row["column"], row["method"]) == ("quality", "PSNR", NAMES[LABELS[2]])
+    ]
+    assert float(best["value"]) == pytest.approx(np.mean(psnr))
+    scenes = {row["dataset"] for row in rows_of(report) if row["table"] == "view-PSNR"}
+    assert len(scenes) == 2
+    assert all(re.fullmatch(r"room [0-9a-f]{6}", scene) for scene in scenes)
+    (group,) = read_groups(runs)
+    assert set(group.results.provenance["inputs"]) == {f"{scene}/cam00" for scene in scenes}
+    assert [scene for one in read_groups(runs[::-1]) for scene in sorted(one.results.scenes)] == sorted(scenes)
+
+
+@pytest.mark.parametrize("scene", ["room", "copy of it"])
+def test_a_value_measured_twice_is_refused_with_both_places(scene, tmp_path):
+    """Two versions of a run, under one name of the captured scene or two, are not one table: which value is shown is chance."""
+    one = write_run(tmp_path / "one", replace(SMALL, content="frames"))
+    two = write_run(tmp_path / "two", replace(SMALL, scene=scene, content="frames"))
+    with pytest.raises(ResultsError, match=rf"{LABELS[0]} on room is measured in .*{one.name} and .*{two.name}; leave out"):
+        write_report([one, two], tmp_path / "both")
+    with pytest.raises(ResultsError, match="is measured in"):
+        write_leaderboard([one, two], tmp_path / "board.html")
+    assert not (tmp_path / "both").exists()
+
+
+def test_two_values_in_one_run_are_refused(tmp_path):
+    """A table that holds a value twice is scored again, not cut to one of them."""
+    run = write_run(tmp_path / "run", SMALL)
+    found = Results.read(run)
+    replace(found, table=pd.concat([found.table, found.table[:1]], ignore_index=True)).write(run)
+    with pytest.raises(ResultsError, match=rf"{run.name}: PSNR of {LABELS[0]} on room has two values .*score"):
+        write_report([run])
+
+
+def test_means_over_other_scenes_are_not_ranked(tmp_path):
+    """A method that lacks a scene is shown, never best and in no headline, though its number is; every format says so."""
+    frames = Frames(0, 24)
+    both = [replace(SMALL, scene=scene, frames=frames, poses=0, labels=LABELS[:2]) for scene in ("room", "hall")]
+    runs = [write_run(tmp_path / shape.scene, shape) for shape in (both[0], replace(both[1], labels=LABELS))]
+    (group,) = read_groups(runs)
+    quality = group.tables[0]
+    (lacking,) = [row for row in quality.rows if row.name == NAMES[LABELS[2]]]
+    values = [row.cells[0].value for row in quality.rows]
+    assert lacking.cells[0].value == max(values)
+    assert (lacking.cells[0].best, lacking.cells[0].shade, lacking.competes) == (False, 0.0, False)
+    assert f"{NAMES[LABELS[2]]} is not measured on room; it is not ranked." in quality.caption
+    verdict = evaluate_verdict([section.run for section in group.sections], group.results, group.tables)
+    assert [one.label for one in verdict.contenders] == [LABELS[1], LABELS[0]]
+    assert verdict.headline.startswith(NAMES[LABELS[1]])
+
+
+def test_versions_that_a_table_mixes_are_named(tmp_path):
+    """Values made under two versions of a library are said to be, in the caption; one version of each is not worth a word."""
+    runs = [write_run(tmp_path / scene, replace(SMALL, scene=scene)) for scene in ("room", "hall")]
+    assert "versions" not in read_groups(runs)[0].tables[0].caption
+    for run, version in zip(runs, ("2.3.0", "2.4.1"), strict=True):
+        found = Results.read(run)
+        replace(found, provenance=found.provenance | {"versions": {"ggvs-eval": version, "torch": version}}).write(run)
+    (group,) = read_groups(runs)
+    assert all("several versions: torch 2.3.0 and 2.4.1." in table.caption for table in group.tables)
 
 
 def made_table(*values: tuple[float, float], kinds: tuple[str, ...] = ()) -> Table:

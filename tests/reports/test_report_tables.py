@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from ggvs_eval.errors import ResultsError
@@ -15,11 +16,12 @@ from ggvs_eval.reports.model.measured import read_run
 from ggvs_eval.reports.model.table import Cell, Column, Row, Table, format_half_width, format_value, rank, shade
 from ggvs_eval.reports.report import write_report
 from ggvs_eval.reports.tables.error_budget import decomposition_table
+from ggvs_eval.reports.tables.leaders import leaders
 from ggvs_eval.reports.tables.published import published_rows, read_published
 from ggvs_eval.reports.tables.report_tables import main_tables
 from ggvs_eval.reports.tables.table_formats import escape_latex, to_latex, to_markdown
 from ggvs_eval.reports.tables.timing import timing_table
-from ggvs_eval.results import Results
+from ggvs_eval.results import Results, make_table
 from ggvs_eval.run_folder import read_json, write_json
 from ggvs_eval.statistics.intervals import intervals
 from helpers.page_reader import PageReader
@@ -133,6 +135,68 @@ def test_best_is_bold_and_the_better_half_blue():
     assert [cell.best for cell in falling] == [True, False, False, False, False]
 
 
+def test_where_nothing_is_told_apart_nothing_is_bold():
+    """Cells that all tie, by their digits or by a test, are none of them marked; what is not ranked takes no part."""
+    column = [Column("SDT", "", False)]
+    rows = [Row(str(value), (Cell(f"{value:.1f}", value),)) for value in (1.0, 2.0, 3.0)]
+    assert not any(row.cells[0].best for row in rank(column, rows, [frozenset({0, 1, 2})]))
+    same = [Row(name, (Cell("1.0", 1.0),)) for name in "ab"]
+    assert not any(row.cells[0].best for row in rank(column, same))
+    better = replace(rows[0], cells=(replace(rows[0].cells[0], unranked="better than real"),))
+    assert [(row.cells[0].best, row.cells[0].shade > 0) for row in rank(column, [better, *rows[1:]])] == [
+        (False, False),
+        (True, True),
+        (False, False),
+    ]
+
+
+def test_a_blurred_truth_wins_no_metric_of_the_path(tmp_path):
+    """Numbers better than those of the captured images are shown and not ranked; the best up to there is marked."""
+    metrics = ("PSNR", "reprojection", "E_warp")
+    root = write_run(tmp_path / "run", RunShape(metrics=metrics, poses=0))
+    found = Results.read(root)
+    values = {"no-blending": (0.46, 1.0), "ours-geometric": (0.95, 1.8), "ours-geometric+no-temporal": (1.20, 2.5)}
+    rows = [
+        ("Demo room", "room", *label.partition("+")[::2], "path", -1, metric, value)
+        for label, pair in values.items()
+        for metric, value in zip(metrics[1:], pair, strict=True)
+    ]
+    table = pd.concat([found.table[found.table["metric"] == "PSNR"], make_table(rows)])
+    replace(found, table=table).write(root)
+    captured = {"reprojection": 0.8625, "E_warp": 1.5}
+    write_json(root / "references.json", [{"group": "path", "name": "Captured images", "note": "real.", "values": captured}])
+    run = read_run(root)
+    (path,) = [table for table in main_tables([run], run.results) if table.key == "path"]
+    assert [[cell.best for cell in row.cells] for row in path.rows] == [
+        [False, False],
+        [True, True],
+        [False, False],
+        [False, False],
+    ]
+    assert path.rows[0].cells[0].value == 0.46
+    assert not path.rows[0].cells[0].shade
+    assert "not ranked: better than the captured images" in path.rows[0].cells[0].hint
+    assert "Not ranked: No Blending in reprojection, No Blending in E_warp, better than the captured images" in path.caption
+    assert all(leader.undecided for leader in leaders([path], metrics))
+
+
+def test_where_test_views_are_sources_the_caption_says_so(tmp_path):
+    """Left out of its own rendering only is not held out; a protocol whose sources are no test views has no such sentence."""
+    run = read_run(write_run(tmp_path / "run", SMALL))
+    two = replace(run.protocol, views=replace(run.protocol.views, test=("cam00", "cam03")))
+    apart = replace(two, views=replace(two.views, sources=("cam01", "cam02")))
+    said = {
+        name: "left out of its own rendering only" in main_tables([replace(run, protocol=protocol)], run.results)[0].caption
+        for name, protocol in {"one": run.protocol, "two": two, "apart": apart}.items()
+    }
+    assert said == {"one": False, "two": True, "apart": False}
+    foreign = replace(run, protocol=two, from_sources=frozenset())
+    caption = main_tables([foreign], run.results)[0].caption
+    assert "source" not in caption
+    mixed = main_tables([replace(foreign, from_sources=frozenset(LABELS[1:]))], run.results)[0].caption
+    assert f"K = 2 source views, but for {NAMES[LABELS[0]]}." in mixed
+
+
 def test_told_ties_are_bold_beside_equal_digits():
     """Rows that cannot be told from the best are marked like it, and so is what prints the same; shades stay by value."""
     rows = [Row(str(index), (Cell(f"{value:.1f}", value),)) for index, value in enumerate((1.0, 2.8, 2.98, 3.0))]
@@ -194,21 +258,11 @@ def test_published_values_are_whole():
     assert counts == {"quality": 60, "consistency": 60, "ablation": 20, "timing": 6}
 
 
-def test_published_rows_are_grey_everywhere(tmp_path):
-    """Beside measured DyNeRF values the paper's rows are set apart in the page, in Markdown and in LaTeX."""
-    report = write_report([write_run(tmp_path / "run", replace(SMALL, dataset="DyNeRF"))]).parent
-    assert '<tr class="published grey">' in (report / "index.html").read_text(encoding="utf-8")
-    assert "| *Ours (paper)* | *31.17* | *0.191* |" in (report / "tables.md").read_text(encoding="utf-8")
-    assert r"\textcolor{gray}{Ours (paper)} & \textcolor{gray}{31.17} & \textcolor{gray}{0.191}" in (
-        report / "tables.tex"
-    ).read_text(encoding="utf-8")
-
-
 def test_times_leave_out_the_first_frame(run):
     """Median and 95th percentile are over all frames but each view's first, and the total is the sum of the stages."""
     table = timing_table(read_run(run))
     assert [column.name for column in table.columns] == ["splat", "blend", "total"]
-    assert [cell.text for cell in table.rows[0].cells] == ["11.0 (12.0)", "22.0 (24.0)", "33.0 (36.0)"]
+    assert [cell.shown for cell in table.rows[0].cells] == ["11.0 (12.0)", "22.0 (24.0)", "33.0 (36.0)"]
     assert "K = 2, 64 × 48, 2 threads" in table.caption
 
 
@@ -265,10 +319,10 @@ def test_intervals_stand_in_every_format(run, report):
     assert any(said in text for text in page.texts)
 
 
-def write_tied_run(root: Path, dataset: str = "Demo room") -> Path:
+def write_tied_run(root: Path) -> Path:
     """A run in which the first two methods differ by noise on views that differ a lot, and the third is a little worse."""
     views, frames = tuple(f"cam{view:02}" for view in range(6)), 12
-    write_run(root, RunShape(views, Frames(2, frames), 32, 32, 0, metrics=("PSNR",), dataset=dataset))
+    write_run(root, RunShape(views, Frames(2, frames), 32, 32, 0, metrics=("PSNR",)))
     found, random = Results.read(root), np.random.default_rng(4)
     shared = np.repeat(30.0 + 3.0 * random.standard_normal(len(views)), frames)
     offsets = np.repeat([0.0, 0.0, -0.5], len(shared))
@@ -278,15 +332,12 @@ def write_tied_run(root: Path, dataset: str = "Demo room") -> Path:
 
 
 def test_ties_are_bold_together(tmp_path):
-    """What cannot be told from the best is bold like it, though it prints fewer decibels; published rows stay out."""
-    run = read_run(write_tied_run(tmp_path / "run", "DyNeRF"))
+    """What cannot be told from the best is bold like it, though it prints fewer decibels."""
+    run = read_run(write_tied_run(tmp_path / "run"))
     (table,) = main_tables([run], run.results)
     cells = {row.name: row.cells[0] for row in table.rows}
     assert {name for name, cell in cells.items() if cell.best} == {NAMES["no-blending"], NAMES["ours-geometric"]}
     assert len({cells[NAMES[label]].text for label in LABELS}) == 3
-    published = [cell for name, cell in cells.items() if name.endswith("(paper)")]
-    assert published
-    assert all((cell.spread, cell.low, cell.hint) == ("", None, "") for cell in published)
 
 
 def test_what_has_no_interval_says_why(tmp_path):
@@ -295,7 +346,7 @@ def test_what_has_no_interval_says_why(tmp_path):
     report = write_report([write_run(tmp_path / "run", shape)]).parent
     markdown = (report / "tables.md").read_text(encoding="utf-8")
     assert "No interval for PSNR, SSIM: 1 frame; an interval needs 2." in markdown
-    assert "Bold in PSNR, SSIM: best to the printed digits, nothing could be compared." in markdown
+    assert "Bold in PSNR, SSIM: best to the printed digits, nothing could be compared" in markdown
     assert "±" not in markdown
     assert 'title="no interval: 1 frame; an interval needs 2"' in (report / "index.html").read_text(encoding="utf-8")
     main = [row for row in csv.DictReader((report / "tables.csv").open(encoding="utf-8")) if row["table"] == "quality"]
@@ -313,8 +364,8 @@ def test_a_method_measured_on_other_frames_is_not_called_worse_or_equal(tmp_path
     cells = {row.name: row.cells[0] for row in main_tables([run], run.results)[0].rows}
     other = cells[NAMES["no-blending"]]
     assert other.spread
-    assert "not compared with the best: room: not the same views and frames (6 x 11 and 6 x 12)" in other.hint
-    assert (cells[NAMES["ours-geometric"]].best, other.best) == (True, False)
+    assert "not ranked: measured on other views or frames" in other.hint
+    assert (cells[NAMES["ours-geometric"]].best, other.best, other.shade) == (True, False, 0.0)
 
 
 def test_where_the_error_varies_adds_up(tmp_path):

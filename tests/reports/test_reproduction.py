@@ -10,16 +10,20 @@ import numpy as np
 import pytest
 
 from ggvs_eval.files.images import write_image
+from ggvs_eval.merged_results import merge_results
 from ggvs_eval.metrics.registry import METRICS, metric_notes
 from ggvs_eval.pipelines.methods.registry import METHODS
 from ggvs_eval.protocol import Frames, Measurement, Synthesis, load_protocol
-from ggvs_eval.reports.model.measured import MeasuredRun
+from ggvs_eval.reports.model.measured import MeasuredRun, read_scores
 from ggvs_eval.reports.model.metric_note import MetricNote
-from ggvs_eval.reports.model.table import Cell
+from ggvs_eval.reports.model.table import Cell, Table
+from ggvs_eval.reports.page.page import template_environment
 from ggvs_eval.reports.report import write_report
 from ggvs_eval.reports.tables.published import read_published
+from ggvs_eval.reports.tables.report_tables import main_tables
 from ggvs_eval.reports.tables.reproduction import STATUSES, TABLES, Reproduction, evaluate_value, paper_methods, reproduce
 from ggvs_eval.reports.tables.reproduction_formats import blocks, reproduction_csv, reproduction_markdown
+from ggvs_eval.reports.tables.table_formats import to_latex, to_markdown
 from ggvs_eval.results import Results, make_table
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, write_json
 from ggvs_eval.statistics.pooling import MEAN
@@ -259,6 +263,58 @@ def test_values_that_lack_the_same_are_one_line(on_dynerf):
     assert (weights.metric, weights.status) == ("PSNR, SSIM, LPIPS, L1", "weights absent")
     counts = [int(line.paper.removesuffix(" values")) if line.paper.endswith(" values") else 1 for line in lines]
     assert sum(counts) == len(by_title["Quality on DyNeRF"].entries)
+
+
+def quality_table(runs: list[MeasuredRun]) -> Table:
+    return main_tables(runs, merge_results([run.results for run in runs]))[0]
+
+
+def test_the_papers_rows_stand_beside_runs_on_its_terms(on_dynerf):
+    """Both scenes of DyNeRF as the paper measured them have its rows in grey, in every format."""
+    table = quality_table(on_dynerf)
+    assert [row.name for row in table.rows if row.kind == "published"][-1] == "Ours (paper)"
+    assert "| *Ours (paper)* | *31.17* | *0.191* |" in to_markdown([table])
+    assert r"\textcolor{gray}{Ours (paper)} & \textcolor{gray}{31.17} & \textcolor{gray}{0.191}" in to_latex([table])
+    macros = template_environment().from_string('{% import "macros.html.j2" as macros %}{{ macros.table(table) }}')
+    assert '<tr class="published grey">' in macros.render(table=table)
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"synthesis": Synthesis(2, 1352, 1014)}, "K = 2, not 4"),
+        ({"frames": Frames(0, 6)}, "6 frames, not 100"),
+        ({"measurement": Measurement(("PSNR",), width=676, height=507)}, "measured at 676 × 507"),
+    ],
+)
+def test_the_papers_rows_stand_beside_no_run_on_other_terms(on_dynerf, changed, words):
+    """A run that calls its data set DyNeRF and departs from the paper's terms has none of its rows; the caption says why."""
+    table = quality_table([replace(run, protocol=replace(run.protocol, **changed)) for run in on_dynerf])
+    assert not [row for row in table.rows if row.kind == "published"]
+    assert "The paper's values are not shown here: " in table.caption
+    assert words in table.caption
+
+
+def test_the_papers_rows_stand_beside_its_scenes_alone(on_dynerf):
+    """Neither a mean over one of the paper's two scenes nor one over a third is beside the paper's mean."""
+    for runs, words in ((on_dynerf[:1], "flame_steak"), ([*on_dynerf, on_dynerf[0].called("cook_spinach")], "cook_spinach")):
+        table = quality_table(runs)
+        assert not [row for row in table.rows if row.kind == "published"]
+        assert words in table.caption.split("The paper's values are not shown here: ")[1]
+
+
+def test_a_demo_called_dynerf_has_none_of_the_papers_rows(tmp_path):
+    """Nor has a folder of numbers alone, which does not say what was captured."""
+    shape = RunShape(dataset="DyNeRF", metrics=("PSNR", "TCC"), poses=0)
+    root = write_run(tmp_path / "run", shape)
+    record = RunFolder(root).capture_record()
+    write_json(root / "capture.json", record | {"units_origin": "demo.json"})
+    for _ in ("demo", "numbers alone"):
+        run = read_scores(root)
+        for table in main_tables([run], run.results):
+            assert all(row.kind != "published" for row in table.rows)
+            assert "The paper's values are not shown here: " in table.caption
+        (root / "capture.json").unlink(missing_ok=True)
 
 
 def test_report_carries_them(tmp_path):

@@ -97,12 +97,26 @@ def test_equal_numbers_are_equal(run):
 
 
 def test_one_frame_of_one_view_proves_nothing(tmp_path):
-    """Where nothing can be resampled the best leads, and the words say why more is not known."""
+    """Where nothing can be resampled there is no winner; the words say how far the first is ahead and what is wanting."""
     shape = replace(SHAPE, frames=Frames(0, 1), views=("cam00",), metrics=("PSNR",))
     verdict = verdict_of(read_run(write_run(tmp_path / "run", shape)))
-    assert verdict.headline == f"{NAMES[BEST]} leads"
-    assert "whether by chance cannot be told (" in verdict.margin
+    assert verdict.headline == "No winner can be named"
+    assert re.match(rf"{NAMES[BEST]} is \d.* ahead of ", verdict.margin)
+    assert verdict.margin.endswith("nothing could be compared (1 view; an interval needs 2)")
     assert all(one.span is None and one.place is not None for one in verdict.contenders)
+
+
+def test_fewer_frames_name_no_more_winners(run, tmp_path):
+    """A clip cut to two frames, or to one, has no winner that the whole clip has not: what cannot be compared is not won."""
+    whole = {NAMES[BEST]: ["SSIM", "LPIPS"]}
+    assert verdict_of(run).others == whole
+    for count in (1, 2):
+        shape = replace(SHAPE, frames=Frames(0, count), metrics=(*SHAPE.metrics, "TCC", "STED", "SDT", "SDV"))
+        cut = verdict_of(read_run(write_run(tmp_path / str(count), shape)))
+        assert set(cut.others) <= set(whole)
+        assert set(cut.others.get(NAMES[BEST], ())) <= {"SSIM", "LPIPS"}
+        assert {"STED", "SDT"} <= set(cut.tied)
+    assert cut.others == {}
 
 
 def test_one_method_alone_is_no_winner(tmp_path):
@@ -185,5 +199,5 @@ def test_a_ceiling_that_is_a_bound_says_so(tmp_path):
     write_json(run / "references.json", entries)
     measured = read_run(run)
     (table,) = main_tables([measured], measured.results)
-    rows = [[cell.text for cell in row.cells] for row in table.rows if row.kind == "reference"]
+    rows = [[cell.shown for cell in row.cells] for row in table.rows if row.kind == "reference"]
     assert rows == [["0.980", "at most 40.50", "no such reference"], ["0.970", "40.00", "no such reference"]]

@@ -1,14 +1,15 @@
 """Partial renders in a report: marked, not ranked, and left out of the pictures."""
 
 import shutil
+from dataclasses import replace
 
 import pytest
 
 from ggvs_eval.files.images import write_image
+from ggvs_eval.merged_results import merge_results
 from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.pipelines.run.score import score
 from ggvs_eval.reports.report import write_report
-from ggvs_eval.results import merge_results
 from ggvs_eval.run_folder import RunFolder
 from helpers.render_folders import FRAMES, make_run, truth, write_folders
 
@@ -35,7 +36,8 @@ def test_a_partial_row_is_marked_and_not_ranked(run):
     assert rows
     assert all(line.startswith("| c (partial) |") and "**" not in line for line in rows)
     assert any("c is partial in room: 0 of 2 views complete, 2 of 6 frames (cam00); it is not ranked." in line for line in lines)
-    assert any(line.startswith("| a | **") for line in lines)
+    assert any(line.startswith("| a | ") for line in lines)
+    assert any("Nothing is bold in " in line for line in lines)  # a and b are the same frames
 
 
 def test_a_run_of_partial_renders_alone_has_a_page(run, tmp_path):
@@ -49,10 +51,22 @@ def test_a_run_of_partial_renders_alone_has_a_page(run, tmp_path):
     assert "c (partial)" in page.read_text()
 
 
-def test_marks_survive_merging(run, tmp_path):
+def test_nothing_is_said_of_images_that_nobody_knows(run):
+    """Frames that others rendered are not said to be made from the protocol's sources, in tables or on the page."""
+    page = write_report([run.root]).read_text()
+
+    assert "other cameras" not in page
+    for text in (page, (run.report / "tables.md").read_text(), (run.report / "tables.tex").read_text()):
+        assert "source views" not in text
+
+
+def test_marks_survive_merging(run):
     """Results of several scenes in one keep the marks of each."""
     results = score(run)
+    inputs = {name.replace("room/", "hall/"): f"{digest} too" for name, digest in results.provenance["inputs"].items()}
+    other = replace(results, table=results.table.assign(scene="hall"), provenance=results.provenance | {"inputs": inputs})
 
-    merged = merge_results([results, results])
+    merged = merge_results([results, other])
 
+    assert merged.scenes == ("room", "hall")
     assert merged.provenance["partial"] == results.provenance["partial"]

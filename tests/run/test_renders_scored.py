@@ -2,6 +2,7 @@
 
 import hashlib
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +11,15 @@ import pytest
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import RenderError, ResultsError
 from ggvs_eval.files.images import write_image
+from ggvs_eval.merged_results import merge_results
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.pipelines.run.prepare import prepare_truth
 from ggvs_eval.pipelines.run.score import score
 from ggvs_eval.protocol import Frames, Measurement, Protocol, Synthesis, Views, load_protocol
-from ggvs_eval.results import Results, merge_results
+from ggvs_eval.reports.model.measured import read_scores
+from ggvs_eval.reports.tables.report_tables import main_tables
+from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder, frame_path
 from helpers.captures import write_dynerf
 from helpers.command_line import refusal
@@ -79,7 +83,36 @@ def test_a_view_that_is_missing_has_no_row(run, tmp_path):
     assert set(results.table["view"]) == {"cam00"}
     levels = [np.abs(rendered("cam00", frame).astype(float) - truth("cam00", frame)).mean() for frame in FRAMES]
     assert results.summary()["L1"].item() == pytest.approx(np.mean(levels))
-    assert results.not_computed["SDV"] == "1 view; needs 2 (partial renders some)"
+    assert results.not_computed["SDV"] == "1 view; needs 2"
+
+
+def test_a_metric_of_one_view_has_no_reason_beside_its_value(run, tmp_path):
+    """What one view cannot have is named as lacking there; as not computed counts what no view has."""
+    names = (*METRICS, "PSNR_disoccluded")
+    protocol = run.protocol()
+    protocol = replace(protocol, measurement=replace(protocol.measurement, metrics=names))
+    run.protocol_file.write_text(protocol.to_toml())
+    for view, size in (("cam00", 12), ("cam02", 5)):  # 25 pixels are too few
+        for frame in FRAMES:
+            mask = np.zeros(truth(view, frame).shape, np.uint8)
+            mask[:size, :size] = 255
+            write_image(frame_path(run.disoccluded(view), frame), mask)
+    for label in ("a", "b"):
+        import_renders(run, label, write_folders(tmp_path / label))
+
+    results = score(run)
+
+    assert set(results.table["metric"]) & set(results.not_computed) == set()
+    assert set(results.per_view("PSNR_disoccluded").columns) == {"cam00"}
+    assert [(one.metric, one.label, one.view) for one in results.absences] == [
+        ("PSNR_disoccluded", label, "cam02") for label in ("a", "b")
+    ]
+    assert "pixels" in results.why_absent("PSNR_disoccluded", "a", "cam02")
+    (table,) = [
+        one for one in main_tables([read_scores(run.root)], results) if "PSNR_disoccluded" in {c.name for c in one.columns}
+    ]
+    assert "PSNR_disoccluded is a mean without cam02 (in no frame" in table.caption
+    assert "not computed" not in {cell.text for row in table.rows for cell in row.cells}
 
 
 def test_whole_renders_are_not_marked_whatever_was_allowed(run, tmp_path):

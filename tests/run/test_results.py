@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 
 from ggvs_eval.errors import ResultsError
-from ggvs_eval.results import Results, make_table, merge_results
+from ggvs_eval.merged_results import merge_results
+from ggvs_eval.results import Results, make_table
 
 
 def make_results(values, digest="a" * 64, scene="room", method="ours") -> Results:
     rows = [("Demo", scene, method, "", view, frame, "PSNR", value) for (view, frame), value in values.items()]
-    return Results(make_table(rows), {"protocol_sha256": digest, "inputs": {f"{scene}/cam00": "d"}})
+    return Results(make_table(rows), {"protocol_sha256": digest, "inputs": {f"{scene}/cam00": f"frames of {scene}"}})
 
 
 def test_means_are_taken_over_frames_then_views_then_scenes():

@@ -12,6 +12,7 @@ from ggvs_eval.metrics import on_device, stream
 from ggvs_eval.pipelines.run import score_view
 from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.pipelines.run.score import score, score_jobs
+from ggvs_eval.results import installed_versions
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, read_json
 from helpers.render_folders import make_run, write_folders
 
@@ -75,6 +76,34 @@ def test_the_metrics_whose_code_has_changed(changed, run, measured, monkeypatch)
     assert [set(metrics) for metrics in measured] == [set(changed)] * 2  # once per view
     assert records(run) == before
     assert all(job.is_done() for job in score_jobs(run, run.labels(), [VIEW]))
+
+
+@pytest.mark.parametrize("changed", ["mTV", "mTV2", "Sharpness"])
+def test_what_is_measured_beside_a_metric_takes_the_place_of_what_was(changed, tmp_path, monkeypatch):
+    """MTV brings its Sharpness along: no value is there twice, whichever of the two is stale, and the interval stays."""
+    made = make_run(tmp_path / "run", ("PSNR", "mTV", "mTV2"))
+    import_renders(made, "one", write_folders(tmp_path / "one"))
+    before = score(made)
+    change_code(monkeypatch, changed)
+
+    after = score(made)
+
+    keys = ["view", "frame", "metric"]
+    assert not after.table.duplicated(keys).any()
+    assert after.table.sort_values(keys)["value"].tolist() == before.table.sort_values(keys)["value"].tolist()
+
+
+def test_versions_of_all_that_was_made_are_kept(run, monkeypatch):
+    """Values that stand keep the versions they were made under; what is measured again by all loses the old ones."""
+    monkeypatch.setattr(score_view, "installed_versions", lambda: {"torch": "0.1"})
+    change_code(monkeypatch, "TCC")
+    mixed = score(run).provenance["versions"]["torch"]
+    assert mixed == f"0.1 and {installed_versions()['torch']}"
+
+    change_code(monkeypatch, *MEASURED)
+    monkeypatch.setattr(score_view, "installed_versions", installed_versions)
+    monkeypatch.setattr(score_view, "metric_code", lambda metric: "all anew")
+    assert score(run).provenance["versions"]["torch"] == installed_versions()["torch"]
 
 
 def test_another_device_measures_again_what_computes_there(run, measured, monkeypatch):

@@ -1,0 +1,142 @@
+"""Results of several runs as one table: no value twice, no scene taken for another, and what does not compare marked."""
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+
+import pandas as pd
+
+from ggvs_eval.errors import ResultsError
+from ggvs_eval.files.digest import digest_values
+from ggvs_eval.results import COLUMNS, Absence, Results, label_of
+
+OF_ONE_SCENE = ("renders", "devices")  # records whose names do not say of which scene they are
+BETWEEN = " and "  # versions of a package under which values were made
+DIGITS = 6  # of the digest that tells scenes of one name apart
+
+
+def merge_results(parts: Sequence[Results]) -> Results:
+    """Put results of several methods, scenes or machines into one.
+
+    A method that was not measured on every scene is marked as partial there: its means stand on other scenes.
+
+    Raises:
+        ResultsError: they were measured under different protocols (the message names both hashes), or a value is in two of
+            them (it names both places).
+    """
+    hashes = {part.provenance["protocol_sha256"] for part in parts}
+    if len(hashes) != 1:
+        raise ResultsError(
+            f"results of different protocols do not belong in one table: {', '.join(sorted(digest[:12] for digest in hashes))}; "
+            "score them again under one protocol"
+        )
+    parts = tell_scenes_apart(parts)
+    _require_measured_once(parts)
+    table = pd.concat([part.table for part in parts], ignore_index=True)
+    several = table["scene"].nunique() > 1
+    provenance = dict(parts[0].provenance)
+    for name in ("inputs", "imported", *OF_ONE_SCENE):
+        heads = [f"{', '.join(part.scenes)}/" if several and name in OF_ONE_SCENE else "" for part in parts]
+        records = [part.provenance.get(name, {}) for part in parts]
+        if joined := {head + key: value for head, record in zip(heads, records, strict=True) for key, value in record.items()}:
+            provenance[name] = joined
+    for name in ("versions", "machine"):
+        provenance[name] = join_versions(part.provenance.get(name, {}) for part in parts)
+    provenance["partial"] = _merge_marks([part.provenance.get("partial", {}) for part in parts] + [_missing_scenes(table)])
+    measured = set(table["metric"])
+    lacking = [one for part in parts for one in _absent_everywhere(part, measured)]
+    provenance["absent"] = [list(one) for one in (*(one for part in parts for one in part.absences), *lacking)]
+    reasons = {name: why for part in reversed(parts) for name, why in part.not_computed.items() if name not in measured}
+    return Results(table, provenance, reasons)
+
+
+def tell_scenes_apart(parts: Sequence[Results]) -> list[Results]:
+    """The same results with one name for each scene that was captured, whatever its folders are called.
+
+    Scenes of one name whose captured frames differ have a digest of these behind it; of equal frames the first name counts.
+    """
+    name_of: dict[str, str] = {}
+    for part in parts:
+        for scene in part.scenes:
+            name_of.setdefault(_digest_of(part, scene), scene)
+    taken = Counter(name_of.values())
+    distinct = {digest: f"{name} {digest[:DIGITS]}" if taken[name] > 1 else name for digest, name in name_of.items()}
+    return [with_scenes(part, {scene: distinct[_digest_of(part, scene)] for scene in part.scenes}) for part in parts]
+
+
+def _digest_of(results: Results, scene: str) -> str:
+    """Digest of the frames of a scene's cameras, or of its name where no frames are recorded."""
+    inputs = results.provenance.get("inputs", {})
+    own = {name.removeprefix(f"{scene}/"): digest for name, digest in inputs.items() if name.startswith(f"{scene}/")}
+    return digest_values(*(f"{name} {own[name]}" for name in sorted(own))) if own else digest_values(scene)
+
+
+def with_scenes(results: Results, names: Mapping[str, str]) -> Results:
+    """The results with other names of scenes."""
+    names = {scene: name for scene, name in names.items() if scene != name}
+    if not names:
+        return results
+    inputs = results.provenance.get("inputs", {})
+    for scene, name in names.items():
+        own = {key: f"{name}/{key.removeprefix(f'{scene}/')}" for key in inputs if key.startswith(f"{scene}/")}
+        inputs = {own.get(key, key): digest for key, digest in inputs.items()}
+    absent = [list(one._replace(scene=names.get(one.scene, one.scene))) for one in results.absences]
+    table = results.table.assign(scene=results.table["scene"].replace(dict(names)))
+    return replace(results, table=table, provenance=results.provenance | {"inputs": inputs, "absent": absent})
+
+
+def _require_measured_once(parts: Sequence[Results]) -> None:
+    """Refuse a value that is there twice: which of the two would be shown is chance."""
+    keys = list(COLUMNS[:-1])
+    placed = pd.concat([part.table[keys].assign(place=at) for at, part in enumerate(parts)], ignore_index=True)
+    twice = placed[placed.duplicated(keys, keep=False)]
+    if twice.empty:
+        return
+    first = twice.iloc[0]
+    same = twice[twice[keys].fillna("").eq(first[keys].fillna("")).all(axis=1)]
+    label = label_of(first["method"], first["variant"])
+    places = [parts[at].place or f"part {at + 1}" for at in dict.fromkeys(same["place"])]
+    if len(places) > 1:
+        raise ResultsError(f"{label} on {first['scene']} is measured in {' and '.join(places)}; leave out all but one")
+    raise ResultsError(
+        f"{places[0]}: {first['metric']} of {label} on {first['scene']} has two values for one view and frame; "
+        "run `ggvs-eval score` again"
+    )
+
+
+def _missing_scenes(table: pd.DataFrame) -> dict[str, str]:
+    """Label -> scenes that it lacks and others have, in words; means over other scenes do not compare."""
+    scenes = list(dict.fromkeys(table["scene"].astype(str)))
+    marks = {}
+    for (method, variant), rows in table.groupby(["method", "variant"], sort=False):
+        if absent := [scene for scene in scenes if scene not in set(rows["scene"])]:
+            marks[label_of(str(method), str(variant))] = f"not measured on {', '.join(absent)}"
+    return marks
+
+
+def _absent_everywhere(part: Results, measured: set[str]) -> list[Absence]:
+    """What no method of a part has and methods of others do, for each of its methods."""
+    labels, scene = dict.fromkeys(part.row_labels), ", ".join(part.scenes)
+    return [
+        Absence(name, label, scene, "", why) for name, why in part.not_computed.items() if name in measured for label in labels
+    ]
+
+
+def join_versions(records: Iterable[Mapping[str, str]]) -> dict[str, str]:
+    """Name -> what several records say of it, once each.
+
+    Examples:
+        >>> join_versions([{"torch": "2.3.0"}, {"torch": "2.4.1"}, {"torch": "2.3.0"}])
+        {'torch': '2.3.0 and 2.4.1'}
+    """
+    joined: dict[str, set[str]] = {}
+    for record in records:
+        for name, versions in record.items():
+            joined.setdefault(name, set()).update(versions.split(BETWEEN))
+    return {name: BETWEEN.join(sorted(versions)) for name, versions in joined.items()}
+
+
+def _merge_marks(parts: Sequence[Mapping[str, str]]) -> dict[str, str]:
+    """Marks of partial methods, those of several scenes behind each other."""
+    labels = dict.fromkeys(label for part in parts for label in part)
+    return {label: "; ".join(dict.fromkeys(part[label] for part in parts if label in part)) for label in labels}
