@@ -11,9 +11,9 @@ import importlib.util
 import os
 import pkgutil
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import ModuleType
@@ -91,6 +91,10 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
                 yield name, self[name]
             except PluginError as error:
                 _say_once(str(error))
+
+    def origins(self, names: Iterable[str]) -> dict[str, str]:
+        """Package and version, or file, of those names that are of plug-ins; for the record of results."""
+        return {name: self.plugins[name].origin for name in names if name not in self.shipped and name in self.plugins}
 
     def _load(self, plugin: Plugin) -> Entry:
         try:
@@ -180,8 +184,8 @@ def _of_packages(kind: Kind) -> Iterator[Plugin]:
 def _of_files(kind: Kind) -> Iterator[Plugin]:
     for file in filter(None, os.environ.get(FILES, "").split(os.pathsep)):
         table = getattr(_module_of(Path(file)), kind.upper(), {})
-        for name, value in table.items():
-            yield Plugin(name, file, lambda value=value: value)
+        for name in table:
+            yield Plugin(name, file, partial(table.__getitem__, name))
 
 
 def _module_of(file: Path) -> ModuleType:

@@ -213,8 +213,8 @@ def protocol(
     print(f"{out}: {len(chosen.views.test)} test views, K = {chosen.synthesis.k}, {chosen.frames.count} frames")
     for other in published_protocols(opened):
         views, lacking = ", ".join(other.views.test), other.frames.numbers.stop - opened.n_frames
-        frames = f"{other.frames.count} frames" + (f", {lacking} more than there are" if lacking > 0 else "")
-        print(f"if this is {other.dataset}: --protocol {other.name} evaluates as published, {views} held out, {frames}")
+        count = f"{other.frames.count} frames" + (f", {lacking} more than there are" if lacking > 0 else "")
+        print(f"if this is {other.dataset}: --protocol {other.name} evaluates as published, {views} held out, {count}")
 
 
 def _together(reasons: Mapping[str, str]) -> list[tuple[str, str]]:

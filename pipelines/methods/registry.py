@@ -25,8 +25,12 @@ def _checked(name: str, offered: object) -> MethodSpec:
     return MethodSpec(name, about or f"{name}, of a plug-in", offered, (offered.__module__,), usual=False)
 
 
-# Every method by its label, `method` or `method+variant`; its renders lie in a folder of that name.
-METHODS: Registry[MethodSpec] = Registry("methods", baseline_methods() | FITTED | OURS, _checked)
+def all_methods() -> Registry[MethodSpec]:
+    """Every method by its label, `method` or `method+variant`; its renders lie in a folder of that name."""
+    return Registry("methods", baseline_methods() | FITTED | OURS, _checked)
+
+
+METHODS = all_methods()
 
 
 def usual_methods() -> tuple[str, ...]:

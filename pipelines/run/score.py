@@ -12,8 +12,8 @@ from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.jobs.job import Job, run_jobs
 from ggvs_eval.jobs.ledger import Ledger
 from ggvs_eval.merged_results import join_versions
-from ggvs_eval.metrics.registry import derived_rows, metric_notes, pooling_records, select_metrics
-from ggvs_eval.pipelines.methods.registry import find_method, split_label
+from ggvs_eval.metrics.registry import METRICS, derived_rows, metric_notes, pooling_records, select_metrics
+from ggvs_eval.pipelines.methods.registry import METHODS, find_method, split_label
 from ggvs_eval.pipelines.methods.spec import MethodSpec
 from ggvs_eval.pipelines.run.coverage import Coverage, read_coverage
 from ggvs_eval.pipelines.run.references import ceiling_jobs, read_ceilings, write_references
@@ -115,6 +115,8 @@ def _collect(
     }
     provenance = _provenance(protocol, capture, renders) | {"imported": coverage.imported, "partial": coverage.marks}
     provenance["versions"] = _versions(run, list(renders), records)
+    if plugins := METRICS.origins(protocol.measurement.metrics) | METHODS.origins(labels):
+        provenance["plugins"] = plugins
     if devices := _devices(run, list(renders)):
         provenance["devices"] = devices
     measured = {row[6] for row in rows}

@@ -83,4 +83,4 @@ class NearestScene(FittedScene):
 def register(patch, fitter: str = f"{__name__}:NearestCamera", label: str = LABEL) -> None:
     """Make a fitter a method for as long as the patch lasts; code outside the package has no identity of its own."""
     spec = replace(fitted_method("Nearest Camera", "the nearest image", fitter), modules=("ggvs_eval.scene_fitter",))
-    patch.setitem(registry.METHODS, label, spec)
+    patch.setitem(registry.METHODS.shipped, label, spec)

@@ -50,10 +50,10 @@ def plan_depth(
         jobs_by_source = {}
         for source in chosen:
             left_out = target if target.name in capture.camera_names else None
-            pair = source.name, left_out and left_out.name
-            if pair not in partners:
-                partners[pair] = _matched_cameras(capture, source, left_out, options)
-            names = partners[pair]
+            asked = source.name, None if left_out is None else left_out.name
+            if asked not in partners:
+                partners[asked] = _matched_cameras(capture, source, left_out, options)
+            names = partners[asked]
             if names not in cache:
                 cache[names] = depth_job(capture, source.name, names[1:], options)
             jobs_by_source[source.name] = cache[names]

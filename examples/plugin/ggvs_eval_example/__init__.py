@@ -1,0 +1,1 @@
+"""A metric, a method and a layout for ggvs-eval."""

@@ -1,0 +1,18 @@
+"""A method: the picture of the nearest source camera, as it is."""
+
+import cv2
+import numpy as np
+
+from ggvs_eval.method import Rendering
+
+
+class NearestView:
+    """The source view whose camera stands nearest to the target's."""
+
+    def step(self, instant):
+        """Synthesise one instant from its source views; nothing of the future and nothing of the target's image is there."""
+        target = instant.target
+        distances = [np.linalg.norm(source.camera.centre - target.centre) for source in instant.sources]
+        nearest = instant.sources[int(np.argmin(distances))]
+        image = cv2.resize(nearest.image, target.size, interpolation=cv2.INTER_AREA)
+        return Rendering(image.astype(np.float32) / 255)  # (H, W, 3), RGB in [0, 1]
