@@ -146,7 +146,7 @@ def test_a_method_is_named_by_its_module(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_a_metric_of_a_file_is_scored_in_other_processes(tmp_path):
-    """It gets its values and stands in the record; changed, its values alone are measured again."""
+    """It gets its values, the right ones, and its file stands in the record of the results."""
     capture = write_small_capture(tmp_path / "room", 2)
     (tmp_path / "mine.py").write_text(METRIC)
     (tmp_path / "p.toml").write_text(small_protocol(2, 0, ("PSNR", "Worst")).to_toml())
@@ -154,7 +154,7 @@ def test_a_metric_of_a_file_is_scored_in_other_processes(tmp_path):
     run_command([*words, "--methods", "no-blending", "--jobs", "2", "--plugin", str(tmp_path / "mine.py")])
     results = Results.read(tmp_path / "run")
     run = RunFolder(tmp_path / "run")
-    worst = results.values[results.values.metric == "Worst"].set_index(["view", "frame"]).value
+    worst = results.table[results.table.metric == "Worst"].set_index(["view", "frame"]).value
     rendered, truth = (
         read_image(frame_path(folder, 0)).astype(int) for folder in (run.renders("no-blending", "cam00"), run.truth("cam00"))
     )

@@ -17,6 +17,7 @@ from ggvs_eval.datasets import (
     meetroom,
     multipleview,
     nerfstudio,
+    panoptic,
     rgbd,
     spaces,
     technicolor,
@@ -61,6 +62,7 @@ _SHIPPED = {
     "technicolor": DatasetSpec(
         "cameras_parameters.txt with SCENE_undist_00000_00.png (Technicolor)", technicolor.refuse, technicolor.load
     ),
+    "panoptic": DatasetSpec("train_meta.json and test_meta.json with ims/CAM/ (Panoptic Sports)", panoptic.refuse, panoptic.load),
     "rgbd": DatasetSpec("color/, depth/, pose/ and intrinsic/ (ScanNet), or images/, depth/, poses.txt", rgbd.refuse, rgbd.load),
     "multipleview": DatasetSpec("sparse_/ with camXX/frame_00001.jpg", multipleview.refuse, multipleview.load),
     "dynerf": DatasetSpec(f"poses_bounds.npy with {dynerf.ARRANGEMENTS}", dynerf.refuse, dynerf.load),

@@ -51,6 +51,23 @@ def write_extracted(folder: Path, names: Sequence[str] = PAIR) -> Path:
     return folder
 
 
+def write_panoptic(folder: Path, names: Sequence[str] = ("0", "3", "10"), held_out: Sequence[str] = ("3",)) -> Path:
+    """Folders of images per camera, and the calibration of each instant: those held out in the second file."""
+    rig = make_rig(names)
+    for index, name in enumerate(names):
+        for frame in range(N_INSTANTS):
+            write_image(folder / "ims" / name / f"{frame:06d}.png", make_image(index, frame))
+    for file, of_test in (("train_meta.json", False), ("test_meta.json", True)):
+        cameras = [camera for camera in rig if (camera.name in held_out) == of_test]
+        meta: dict[str, Any] = {"w": rig[0].width, "h": rig[0].height}
+        meta["k"] = [[camera.K.tolist() for camera in cameras]] * N_INSTANTS
+        meta["w2c"] = [[camera.world_to_camera.tolist() for camera in cameras]] * N_INSTANTS
+        meta["fn"] = [[f"{camera.name}/{frame:06d}.png" for camera in cameras] for frame in range(N_INSTANTS)]
+        meta["cam_id"] = [[int(camera.name) for camera in cameras]] * N_INSTANTS
+        (folder / file).write_text(json.dumps(meta))
+    return folder
+
+
 def technicolor_row(camera: Camera) -> list[float]:
     """The parameters of a camera calibrated at 2048 x 1088."""
     qx, qy, qz, qw = Rotation.from_matrix(camera.rotation).as_quat()

@@ -33,7 +33,7 @@ TINY = DemoOptions(width=64, height=48, n_frames=3, cameras_per_row=2, path_pose
 # One instant; rgbd has two poses of it.
 QUICK = replace(TINY, width=32, height=24, n_frames=1, supersampling=1, path_poses=1, noise_sigma_255=0.0)
 WRONG = {"calibration_error_px": 2.0, "focal_error": (("cam00", 1.05),)}
-METRIC = ("enerf-outdoor", "rgbd", "immersive")
+METRIC = ("enerf-outdoor", "rgbd", "immersive", "panoptic")
 # Mean absolute difference, of 255 levels, between a frame of 64 x 48 as rendered and as the codec gives it back.
 JPEG_LOSS, VIDEO_LOSS = 2.5, 5.0
 
@@ -116,6 +116,7 @@ def test_reading_back_gives_the_same_cameras_and_units(demo, layout):
         ("dynerf", VIDEO_LOSS),
         ("meetroom", VIDEO_LOSS),
         ("rgbd", JPEG_LOSS),
+        ("panoptic", JPEG_LOSS),
         ("d3dmv", 0),
         ("technicolor", 0),
         ("colmap", VIDEO_LOSS),

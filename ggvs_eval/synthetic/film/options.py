@@ -6,7 +6,7 @@ from typing import Literal, get_args
 
 from ggvs_eval.errors import CaptureError
 
-LayoutName = Literal["dynerf", "enerf-outdoor", "d3dmv", "colmap", "rgbd", "meetroom", "technicolor", "immersive"]
+LayoutName = Literal["dynerf", "enerf-outdoor", "d3dmv", "colmap", "rgbd", "meetroom", "technicolor", "immersive", "panoptic"]
 RigName = Literal["rows", "arc", "grid"]
 SceneName = Literal["room", "garden"]
 LEAST = {"width": 16, "height": 16, "n_frames": 1, "cameras_per_row": 2, "supersampling": 1, "path_poses": 0, "depth_stride": 0}

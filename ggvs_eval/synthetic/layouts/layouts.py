@@ -9,7 +9,7 @@ from ggvs_eval.synthetic.film.film import Footage
 from ggvs_eval.synthetic.film.options import DemoOptions, LayoutName
 from ggvs_eval.synthetic.film.rig import UNITS_PER_METRE
 from ggvs_eval.synthetic.film.shots import Shot, distorted_shots, fisheye_shots, hand_held_shots, rig_and_path_shots, rig_shots
-from ggvs_eval.synthetic.layouts import colmap, d3dmv, dynerf, enerf, immersive, meetroom, rgbd, technicolor
+from ggvs_eval.synthetic.layouts import colmap, d3dmv, dynerf, enerf, immersive, meetroom, panoptic, rgbd, technicolor
 
 
 @dataclass(frozen=True)
@@ -40,4 +40,5 @@ LAYOUTS: dict[LayoutName, Layout] = {
     "meetroom": Layout(UNITS_PER_METRE, rig_shots, meetroom.write_film, meetroom.finish, meetroom.files),
     "technicolor": Layout(UNITS_PER_METRE, rig_shots, technicolor.write_shot, technicolor.finish, technicolor.files),
     "immersive": Layout(1.0, fisheye_shots, immersive.write_film, immersive.finish, immersive.files),
+    "panoptic": Layout(1.0, rig_shots, panoptic.write_shot, panoptic.finish, panoptic.files),
 }
