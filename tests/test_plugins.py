@@ -43,16 +43,16 @@ METRICS = {"Worst": ViewMetric(name="Worst", kind="frame", function=worst, highe
 
 
 @pytest.fixture(autouse=True)
-def forgotten(monkeypatch):
+def forgotten(monkeypatch, tmp_path):
     """No plug-in of one test is known to another."""
     monkeypatch.setenv(FILES, "")
-    before, path = set(sys.modules), list(sys.path)
+    path = list(sys.path)
     plugins._offered.cache_clear()
     yield
     plugins._offered.cache_clear()
     sys.path[:] = path
-    for name in set(sys.modules) - before:
-        if not name.startswith("ggvs_eval."):
+    for name, module in list(sys.modules.items()):
+        if str(getattr(module, "__file__", None) or "").startswith(str(tmp_path)):
             sys.modules.pop(name)
     for registry in (METRICS, METHODS):
         registry._loaded.clear()
