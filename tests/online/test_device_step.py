@@ -92,7 +92,7 @@ def test_masks_are_those_of_the_compiled_path(width, height, channels):
     random = np.random.default_rng(width)
     now, before = random.integers(0, 256, (2, height, width, 3), np.uint8)
     mask = difference_mask(now, before, channels=channels, lambda_t=0.9)
-    there = depth_stages.difference_mask(tensor(now), tensor(before), lambda_t=0.9, beta=0.6, mean=channels == "mean")
+    there = depth_stages.change_between(tensor(now), tensor(before), lambda_t=0.9, beta=0.6, mean=channels == "mean").mask
     assert np.ptp(mask) > 0
     np.testing.assert_allclose(there.numpy(), mask, atol=1e-6)
     camera = random_camera(random, width, height)

@@ -1,5 +1,7 @@
 """The online half: causality, stillness, ablations, and what each stage does in a scene known in closed form."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.difference_mask import difference_mask
 from ggvs_eval.method import SourceView
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method, split_label
+from ggvs_eval.pipelines.online import geometry_guided
 from ggvs_eval.pipelines.online.depth_filter import TemporalDepthFilter, filter_depth
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
 from helpers.scenes import SQUARE_Z, WALL_Z, camera_at, instant, look
@@ -177,3 +180,25 @@ def test_an_unknown_method_names_the_nearest():
     with pytest.raises(RenderError, match=r"'ours-geometrc'; did you mean ours-geometric\?"):
         find_method("ours-geometrc")
     assert split_label("ours-geometric+no-temporal") == ("ours-geometric", "no-temporal")
+
+
+def test_a_source_that_joins_leaves_the_temporal_term_as_it_is(monkeypatch):
+    """It cannot tell what moves: where nothing does the gain stays within a tenth, and the picture changes by less than noise."""
+    rig, target, gains = [camera_at(x) for x in (-0.3, -0.1, 0.1, 0.3)], camera_at(0.0, name="target"), []
+    march = geometry_guided.ray_march
+
+    def watched(*arguments, previous=None, **options):
+        gains.append(None if previous is None else float(previous.gain.mean()))
+        return march(*arguments, previous=previous, **options)
+
+    monkeypatch.setattr(geometry_guided, "ray_march", watched)
+    method, images, sigma = GeometryGuided(), [], 2.0
+    for index in range(10):
+        chosen = rig[:3] if index < 8 else rig[1:]
+        plain, random = instant(index, target, chosen, depth_noise=0.005), np.random.default_rng([index, 3])
+        noise = [np.rint(view.image + random.normal(0, sigma, view.image.shape)) for view in plain.sources]
+        sources = zip(plain.sources, noise, strict=True)
+        noisy = tuple(replace(view, image=image.clip(0, 255).astype(np.uint8)) for view, image in sources)
+        images.append(255 * method.step(replace(plain, sources=noisy)).image)
+    assert gains[8] == pytest.approx(gains[7], rel=0.1)
+    assert np.sqrt(np.mean((images[8] - images[7]) ** 2)) < sigma
