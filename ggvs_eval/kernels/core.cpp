@@ -28,6 +28,9 @@ py::tuple splat(const py::sequence& sources, const py::handle& target, float nea
         if (py::isinstance<py::array_t<uint8_t>>(source[3])) {
             s.colours = data_of<uint8_t>(source[3], "features", {s.camera.height, s.camera.width, 3});
             if (!source[4].is_none()) s.extra = image_of(source[4], "extra", s.camera);
+            const int64_t pixels = int64_t(s.camera.width) * s.camera.height;
+            if (pixels < 2 || 3 * pixels > std::numeric_limits<int32_t>::max())
+                throw py::value_error("splat: wanted 8-bit images of at least two pixels and less than 2 GiB");
             if (channels != (s.extra ? 4 : 3)) throw py::value_error("splat: wanted 3 channels, or 4 with an extra one");
         } else {
             s.features = data_of<float>(source[3], "features", {s.camera.height, s.camera.width, channels});

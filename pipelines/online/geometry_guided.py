@@ -181,7 +181,8 @@ class GeometryGuided:
         image = self._compensation.finish(blended.image, target) if chosen.compensated else blended.image
         if self._background is not None:
             image = self._background.step(index, target, image, surface, splats, still)
-        return self._output.step(index, target, image, still), diagnostics
+        image = self._output.step(index, target, image, still)
+        return np.clip(image, 0, 1, out=image), diagnostics
 
     def _stillness(self, filtered: Instant, splats: list[Splat], depth: Map | None, changes: Changes) -> Map:
         """How sure it is that nothing moves, as the views know that were there at the instant before."""

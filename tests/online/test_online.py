@@ -7,7 +7,7 @@ import pytest
 
 from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.difference_mask import difference_mask
-from ggvs_eval.method import SourceView
+from ggvs_eval.method import Instant, SourceView
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method, split_label
 from ggvs_eval.pipelines.online import geometry_guided
 from ggvs_eval.pipelines.online.depth_filter import TemporalDepthFilter, filter_depth
@@ -202,3 +202,35 @@ def test_a_source_that_joins_leaves_the_temporal_term_as_it_is(monkeypatch):
         images.append(255 * method.step(replace(plain, sources=noisy)).image)
     assert gains[8] == pytest.approx(gains[7], rel=0.1)
     assert np.sqrt(np.mean((images[8] - images[7]) ** 2)) < sigma
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 7), (7, 1)])
+def test_images_of_one_pixel(size):
+    """One pixel wide or high is rendered; one pixel alone is an error that says so, where images are looked up."""
+    target, sources = (
+        camera_at(0.0, name="target", width=7, height=7),
+        [camera_at(x, width=size[0], height=size[1]) for x in (-0.1, 0.1)],
+    )
+    method = GeometryGuided()
+    for index in range(3):
+        if size == (1, 1):
+            with pytest.raises(RenderError, match="at least two pixels"):
+                method.step(instant(index, target, sources))
+        else:
+            assert np.isfinite(method.step(instant(index, target, sources)).image).all()
+
+
+def test_colours_are_colours():
+    """Whatever is extrapolated, a picture stays within 0 and 1."""
+    random = np.random.default_rng(0)
+    for trial in range(60):
+        method, target = GeometryGuided(), camera_at(0.0, name="target", width=9, height=2)
+        for index in range(2):
+            views = [
+                SourceView(camera, random.integers(0, 256, (2, 9, 3), np.uint8), depth, np.ones_like(depth))
+                for camera, depth in (
+                    (camera_at(x, width=9, height=2), random.uniform(2, 7, (2, 9)).astype(np.float32)) for x in (-0.1, 0.1)
+                )
+            ]
+            image = method.step(Instant(index, target, tuple(views), units_per_metre=1.0)).image
+            assert 0 <= image.min() <= image.max() <= 1, trial

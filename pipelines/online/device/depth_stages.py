@@ -9,9 +9,10 @@ from torch import Tensor
 from torch.nn import functional
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.geometry.contested_depth import LEAST_ALPHA, LEAST_SHARE, RATIO
+from ggvs_eval.geometry.contested_depth import LEAST_ALPHA, LEAST_SHARE, RATIO, comparable
 from ggvs_eval.geometry.difference_mask import REDUCTION
 from ggvs_eval.geometry.per_pixel import view_weights
+from ggvs_eval.geometry.tsdf import march_end
 from ggvs_eval.pipelines.online.device import blend_kernels, filter_kernels, march_kernels
 from ggvs_eval.pipelines.online.device.launch import launch
 from ggvs_eval.pipelines.online.device.splats import DeviceSplats
@@ -150,10 +151,11 @@ def ray_march(
 
 def _field(target: Camera, options: MarchOptions) -> march_kernels.Field:
     constants = march_kernels.Field()
-    constants.near, constants.far, constants.tau = target.near, target.far, options.tau
+    end = march_end(target, options.tau, options.min_step)
+    constants.near, constants.far, constants.tau = target.near, end, options.tau
     constants.step_fraction, constants.min_step = options.step_fraction, options.min_step
     constants.skip_empty = options.skip_empty
-    first, last = (int(np.float32(depth).view(np.int32)) for depth in (target.near, target.far))
+    first, last = (int(np.float32(depth).view(np.int32)) for depth in (target.near, end))
     constants.first_bits, constants.per_bit = first, march_kernels.SLABS / (last - first)
     constants.width, constants.height = target.width, target.height
     return constants
@@ -180,6 +182,8 @@ def _occupancy(
 
 def settle_depth(target: Camera, fused: Tensor, views: DeviceViews, splats: DeviceSplats, tolerance: float) -> Tensor:
     """Fused depth, replaced where most views and the colours of all speak for a splat's, as `settle_depth`."""
+    if not comparable(views.cameras):
+        return fused
     maps = to_device(np.stack([pixel_map(target, camera) for camera in views.cameras]), fused.device)
     weights = to_device(view_weights(target, views.cameras, views.shares), fused.device)
     settled = torch.empty_like(fused)

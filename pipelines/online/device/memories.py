@@ -38,7 +38,7 @@ def recur(index: int, target: Camera, picture: Tensor, still: Tensor, before: Sh
         still = still * _agreement(new, cells(before.picture), before.new, before.age.clamp(max=most))
         age = age + still * before.age
         picture = _mixed(picture, before.picture, still * (1 - 1 / age).clamp(max=limit))
-    return Shown(index, target, picture, new, age)
+    return Shown(index, target, picture.clamp(0, 1), new, age)
 
 
 def _agreement(new: Tensor, mean: Tensor, last: Tensor, count: Tensor) -> Tensor:
