@@ -1,12 +1,13 @@
 """What each addition to the paper's method pays in the measure it is for: ``python -m benchmarks.additions``.
 
-Geometric weights, with each addition and without it, on views of validation rooms; prints a table and writes out/additions.json.
-What pays nowhere is off by default.
+Geometric weights, with each addition and without it, on views of validation rooms: single instants of many views where colours
+and depth are at stake, few views over time where the past is. Prints a table and writes out/additions.json. What does not pay is
+off by default.
 """
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import reduce
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from ggvs_eval.arrays import Image8, Mask
 from ggvs_eval.files.images import quantise
 from ggvs_eval.geometry.splat import COVERED_ALPHA, splat_depth
 from ggvs_eval.jobs.processes import default_workers
+from ggvs_eval.metrics.image.colour_correction import apply_colour_map, fit_colour_map, unit_range
 from ggvs_eval.metrics.image.psnr import psnr
 from ggvs_eval.metrics.time.flicker import flicker
 from ggvs_eval.metrics.time.strred import strred
@@ -28,7 +30,7 @@ from ggvs_eval.synthetic.domains import find_domain
 from ggvs_eval.training.instant_samples import InstantSample
 
 METHOD = "ours-geometric"
-MEASURES = {"PSNR": ".2f", "PSNR in holes": ".2f", "STED": ".2f", "flicker": ".2f"}
+MEASURES = ("PSNR", "PSNR_cc", "PSNR in holes", "STED", "flicker")
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,7 @@ class Addition:
         on: and with it.
         measure: of `MEASURES`.
         domains: where it should pay.
+        over_time: measured on few views of several instants; else on many of one.
     """
 
     option: str
@@ -48,31 +51,34 @@ class Addition:
     on: str
     measure: str
     domains: tuple[str, ...]
+    over_time: bool = False
 
 
 ADDITIONS = (
     Addition("compensated", "false", "true", "PSNR", ("exposure", "plain", "arc")),
     Addition("settled", "false", "true", "PSNR", ("misplaced_depth", "plain", "arc")),
-    Addition("recurrent_limit", "0", "0.85", "STED", ("plain", "arc", "exposure")),
-    Addition("remembered", "false", "true", "PSNR in holes", ("plain", "arc", "exposure")),
+    Addition("recurrent_limit", "0", "0.85", "STED", ("plain", "arc", "exposure"), over_time=True),
+    Addition("remembered", "false", "true", "PSNR in holes", ("plain", "arc", "exposure"), over_time=True),
 )
 
 
 def main() -> None:
     """Print the table of the additions and write it."""
     arguments = _arguments()
-    plan = ViewPlan(arguments.targets, arguments.views, arguments.frames, arguments.seeds, size=tuple(arguments.size))
+    plan = ViewPlan(arguments.targets, arguments.views, 1, arguments.seeds, size=tuple(arguments.size))
+    films = replace(plan, targets=arguments.films, frames=arguments.frames)
     rows = []
     for domain in arguments.domains:
-        domain_plan = ViewPlan(**{**asdict(plan), "targets": 3 * plan.targets}) if find_domain(domain).hand_held else plan
-        views = prepare_views(arguments.out / "additions", [domain], domain_plan, workers=arguments.jobs)
-        for view in track(views, find_domain(domain).title, len(views)):
-            rows += score_view(view, [each for each in ADDITIONS if domain in each.domains])
+        for over_time, chosen in ((False, plan), (True, films)):
+            additions = [each for each in ADDITIONS if domain in each.domains and each.over_time == over_time]
+            views = prepare_views(arguments.out / "additions", [domain], chosen, workers=arguments.jobs) if additions else []
+            for view in track(views, find_domain(domain).title, len(views)):
+                rows += score_view(view, additions)
     table = mean_gains(pd.DataFrame(rows))
     print(table.to_string(index=False, float_format=lambda value: format(value, ".3f")))
-    command = f"python -m benchmarks.additions --frames {plan.frames} --targets {plan.targets} --seeds {plan.seeds}"
     path = arguments.out / "additions.json"
-    write_json(path, {"command": command, "gains": table.to_dict(orient="records"), "rows": rows})
+    gains = table.astype(object).where(table.notna(), None).to_dict(orient="records")
+    write_json(path, {"command": "python -m benchmarks.additions", "plan": asdict(plan), "gains": gains, "rows": rows})
     print(path)
 
 
@@ -96,12 +102,18 @@ def measures(shown: Sequence[Image8], truths: Sequence[Image8], holes: Sequence[
     errors = np.concatenate([(np.float64(a[hole]) - b[hole]).ravel() for (a, b), hole in zip(pairs, holes, strict=True)]) / 255
     values = {
         "PSNR": float(np.mean([psnr(*pair) for pair in pairs])),
+        "PSNR_cc": float(np.mean([corrected_psnr(*pair) for pair in pairs])),
         "hole_values": float(errors.size),
         "hole_energy": float((errors**2).sum()),
     }
     if len(pairs) > 1:
         values |= {"STED": float(strred(shown, truths).strred), "flicker": float(flicker(pairs).excess)}
     return values
+
+
+def corrected_psnr(shown: Image8, truth: Image8) -> float:
+    """PSNR but for the target's own colour, which no source tells."""
+    return psnr(apply_colour_map(fit_colour_map(shown, truth), shown), unit_range(truth))
 
 
 def unseen(sample: InstantSample) -> Mask:
@@ -134,9 +146,10 @@ def _arguments() -> argparse.Namespace:
     domains = list(dict.fromkeys(domain for each in ADDITIONS for domain in each.domains))
     parser.add_argument("--domains", nargs="+", default=domains, choices=domains)
     parser.add_argument("--seeds", type=int, default=1, help="how many of the three validation seeds")
-    parser.add_argument("--targets", type=int, default=2, help="target views per seed, of hand-held cameras three times as many")
+    parser.add_argument("--targets", type=int, default=9, help="target views per seed")
+    parser.add_argument("--films", type=int, default=2, help="target views per seed over time")
     parser.add_argument("--views", type=int, default=4, help="K")
-    parser.add_argument("--frames", type=int, default=16, help="instants per view of fixed rigs")
+    parser.add_argument("--frames", type=int, default=16, help="instants of a view over time")
     parser.add_argument("--size", type=int, nargs=2, default=(320, 240), help="of the images, pixels")
     parser.add_argument("--out", type=Path, default=Path("out"), help="folder for additions.json and what is kept")
     parser.add_argument("--jobs", type=int, default=default_workers(), help="processes that film and compute depth")

@@ -72,7 +72,8 @@ class OnlineOptions:
         compensated: sources are brought to one colour before they are blended, gains and the fall-off of lenses alike, see
             `ExposureCompensation`; not in the paper.
         settled: fused depth that most views contradict gives way where their colours do, see `settle_depth`; not in the paper.
-        remembered: what no source sees is shown as it was seen before, see `RememberedBackground`; not in the paper.
+        remembered: what no source sees is shown as it was seen before, see `RememberedBackground`; not in the paper, and off,
+            since it pays too rarely.
 
     Reading:
         What each reading is worth is measured in docs/readings.md.
@@ -102,7 +103,7 @@ class OnlineOptions:
     recurrent_limit: float = 0.85
     compensated: bool = True
     settled: bool = True
-    remembered: bool = True
+    remembered: bool = False
 
 
 @dataclass(frozen=True)

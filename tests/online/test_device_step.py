@@ -296,7 +296,7 @@ def test_equal_inputs_give_equal_bits(on_device):
     [
         {"temporal": False},
         {"splatted_depth": "filtered", "mask_channels": "mean", "compensated": False},
-        {"settled": False, "remembered": False, "recurrent_limit": 0.0},
+        {"settled": False, "remembered": True, "recurrent_limit": 0.0},
     ],
 )
 def test_options_mean_the_same(changed):
