@@ -40,7 +40,7 @@ def warp(
     target_depth: Image,
     source: Pinhole,
     from_target: Matrix,
-    image: Image,
+    image: Image | tuple[Image8, Image8],  # or now and before, whose difference over 255 is looked up
     source_depth: Image,
     tolerance: float,
     bicubic: bool,

@@ -107,9 +107,15 @@ py::tuple warp(const py::handle& target, const py::handle& target_depth, const p
                const py::handle& image, const py::handle& source_depth, float tolerance, bool bicubic, int threads) {
     const ggvs::Pinhole to = pinhole_of(target), from = pinhole_of(source);
     const float* depth = image_of(target_depth, "target_depth", to);
-    const ggvs::WarpSource s{from, data_of<double>(from_target, "from_target", {4, 4}),
-                             data_of<float>(image, "image", {from.height, from.width, 3}),
-                             image_of(source_depth, "source_depth", from)};
+    ggvs::WarpSource s{from, data_of<double>(from_target, "from_target", {4, 4}), nullptr,
+                       image_of(source_depth, "source_depth", from)};
+    if (py::isinstance<py::tuple>(image)) {
+        const auto [now, before] = py::cast<std::pair<py::object, py::object>>(image);
+        s.now = data_of<uint8_t>(now, "now", {from.height, from.width, 3});
+        s.before = data_of<uint8_t>(before, "before", {from.height, from.width, 3});
+    } else {
+        s.image = data_of<float>(image, "image", {from.height, from.width, 3});
+    }
     py::array_t<float> colour = empty({to.height, to.width, 3}), visibility = empty({to.height, to.width});
     float *colour_out = colour.mutable_data(), *visibility_out = visibility.mutable_data();
     {

@@ -27,11 +27,6 @@ class Change:
     colours: Map
     mask: Map
 
-    @property
-    def pixels(self) -> Map:
-        """Change of each pixel, (H, W, 3), float32 in [-1, 1]."""
-        return np.subtract(self.now, self.before, dtype=np.float32) / np.float32(255)
-
 
 @dataclass
 class TemporalDepthFilter:

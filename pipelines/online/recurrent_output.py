@@ -2,17 +2,15 @@
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from ggvs_eval.arrays import Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
 from ggvs_eval.kernels import get_threads
-from ggvs_eval.pipelines.online.stillness import LEAST_NOISE, REDUCTION, cells, falling, mean_square, pooled, without_light
+from ggvs_eval.pipelines.online.stillness import LEAST_NOISE, cells, falling, light, mean_square, pooled
 
 DRAGGED = (0.3, 0.8)  # energy that a mean of past images errs by, times that of the noise of one: none and all of it harms
-LIGHT_PX = 32  # changes as wide as this are light, and are let through
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +89,8 @@ def agreement(new: Map, mean: Map, last: Map, count: Map) -> Map:
         the grain of a texture looks like noise here, and is for the sources to see.
     """
     everywhere = np.ones_like(count)
-    dragged, doubled = pooled(np.dstack([mean_square(without_light(new - other, everywhere)) for other in (mean, last)]))
+    changes = [new - other for other in (mean, last)]
+    dragged, doubled = pooled(np.dstack([mean_square(change - light(change, everywhere)) for change in changes]))
     excess = 2 * dragged / np.maximum(doubled, np.float32(2 * LEAST_NOISE**2)) - (1 + 1 / count)
     return falling(excess, *DRAGGED)
 
@@ -110,17 +109,7 @@ def mixed(image: Map, past: Map, weight: Map) -> Map:
     """
     from ggvs_eval.kernels import _core
 
-    light = _wide(cells(past) - cells(image), weight)
-    maps = np.stack([weight, *(weight * light[..., channel] for channel in range(3))])
+    change = light(cells(past) - cells(image), weight)
+    maps = np.stack([weight, *(weight * change[..., channel] for channel in range(3))])
     now, before = (np.ascontiguousarray(each, np.float32) for each in (image, past))
     return _core.recur(now, before, maps, get_threads())
-
-
-def _wide(difference: Map, weight: Map) -> Map:
-    """The weighted mean of a difference over wide areas, one per cell."""
-    block = LIGHT_PX // REDUCTION
-    small = (-(-weight.shape[1] // block), -(-weight.shape[0] // block))
-    parts = np.concatenate([difference * weight[..., None], weight[..., None]], axis=-1)
-    sums = cv2.GaussianBlur(cv2.resize(parts, small, interpolation=cv2.INTER_AREA), (0, 0), 1)
-    mean = sums[..., :3] / (sums[..., 3:] + np.float32(1e-3))
-    return np.asarray(cv2.resize(mean, weight.shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)

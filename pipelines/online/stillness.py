@@ -9,14 +9,14 @@ import numpy as np
 from ggvs_eval.arrays import Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.geometry.splat import COVERED_ALPHA, Splat
-from ggvs_eval.geometry.warp import warp
+from ggvs_eval.geometry.warp import Warp, warp, warp_change
 from ggvs_eval.method import SourceView
 from ggvs_eval.pipelines.online.depth_filter import Change
 
 REDUCTION = 4  # stillness is decided at a quarter of the size, as the difference masks are
 REACH = 2  # cells: what no view covers moves as its surroundings do
 POOL = 2.0  # cells, standard deviation of the window over which the changes of views are compared
-LIGHT = 8.0  # cells: changes as wide as this are light, and are let through
+LIGHT_PX = 32  # changes as wide as this are light, and are let through
 LEAST_LOOKS = 0.05  # pairs of views that see a surface, in the mean over the window; with fewer nothing is known
 SHARED = (0.3, 0.7)  # energy of the change that views share, times that of what each has for itself: nothing moves, and it does
 LARGEST = (12.0, 24.0)  # change next to a cell, times the noise of mean colours: the same
@@ -49,9 +49,8 @@ def stillness(
     """
     small, surface = middle_rays(target), cells(depth)
     still = np.ones_like(surface)
-    for change in ("pixels", "colours"):
-        scale = [getattr(each, change) for each in changes]
-        shared, apart, known = shared_change(small, surface, views, scale, tolerance)
+    for seen in (_pixels(small, surface, views, changes, tolerance), _means(small, surface, views, changes, tolerance)):
+        shared, apart, known = shared_change(seen)
         still *= falling(shared / np.maximum(apart, np.float32(LEAST_NOISE**2)), *SHARED) * known
     if known.any():
         noise = np.clip(np.sqrt(np.median(apart[known])), LEAST_NOISE, MOST_NOISE)
@@ -59,26 +58,37 @@ def stillness(
     return still
 
 
-def shared_change(
-    target: Camera, depth: Map, views: Sequence[SourceView], changes: Sequence[Map], tolerance: float
-) -> tuple[Map, Map, Map]:
+def _pixels(target: Camera, depth: Map, views: Sequence[SourceView], changes: Sequence[Change], tolerance: float) -> list[Warp]:
+    """Change of single pixels in each view, where the cells of the target look."""
+    return [
+        warp_change(target, depth, replace(view, image=change.now), change.before, tolerance)
+        for view, change in zip(views, changes, strict=True)
+    ]
+
+
+def _means(target: Camera, depth: Map, views: Sequence[SourceView], changes: Sequence[Change], tolerance: float) -> list[Warp]:
+    """Change of mean colours in each view, where the cells of the target look."""
+    found = []
+    for view, change in zip(views, changes, strict=True):
+        height, width = change.colours.shape[:2]
+        small, depths = view.camera.resized(width, height), cells(view.depth, (height, width))
+        found.append(warp(target, depth, small, change.colours, depths, tolerance))
+    return found
+
+
+def shared_change(views: Sequence[Warp]) -> tuple[Map, Map, Map]:
     """Tell the change that views share from what each has for itself.
 
     Args:
-        target: camera of the cells.
-        depth: of each cell, (h, w), world units, 0 where unknown.
-        views: the sources.
-        changes: of colour in each, (Hs, Ws, 3), at any size.
-        tolerance: see `stillness`.
+        views: change of colour in each and how far it sees the surface, at the same cells.
 
     Returns:
         Energy per channel of both, (h, w), and where enough pairs of views look.
     """
-    total, (energy, looks, own) = np.zeros((*depth.shape, 3), np.float32), np.zeros((3, *depth.shape), np.float32)
-    for view, change in zip(views, changes, strict=True):
-        size = change.shape[:2]
-        seen = warp(target, depth, view.camera.resized(*size[::-1]), change, cells(view.depth, size), tolerance)
-        weighted = seen.visibility[..., None] * without_light(seen.colour, seen.visibility)
+    size = views[0].visibility.shape
+    total, (energy, looks, own) = np.zeros((*size, 3), np.float32), np.zeros((3, *size), np.float32)
+    for seen in views:
+        weighted = seen.visibility[..., None] * (seen.colour - light(seen.colour, seen.visibility))
         total += weighted
         energy += mean_square(weighted)
         looks += seen.visibility
@@ -121,7 +131,7 @@ def cells(image: Map, size: tuple[int, int] | None = None) -> Map:
     """
     size = size or tuple(-(-side // REDUCTION) for side in image.shape[:2])
     rows, columns = (middles(side, count) for side, count in zip(image.shape[:2], size, strict=True))
-    return np.ascontiguousarray(image[rows][:, columns])
+    return np.asarray(image[rows[:, None], columns])
 
 
 def middle_rays(camera: Camera) -> Camera:
@@ -137,10 +147,14 @@ def middles(side: int, count: int) -> Map:
     return ((2 * np.arange(count) + 1) * side) // (2 * count)
 
 
-def without_light(change: Map, weight: Map) -> Map:
-    """A change of colour per cell, (h, w, 3), but for its mean over an area as wide as light, by weights (h, w)."""
-    wide = cv2.GaussianBlur(np.dstack([change * weight[..., None], weight]), (0, 0), LIGHT)
-    return np.asarray(change - wide[..., :3] / np.maximum(wide[..., 3:], NEVER), np.float32)
+def light(change: Map, weight: Map) -> Map:
+    """Mean of a change of colour per cell, (h, w, 3), over areas as wide as light, by weights (h, w)."""
+    block = LIGHT_PX // REDUCTION
+    small = (-(-weight.shape[1] // block), -(-weight.shape[0] // block))
+    parts = np.concatenate([change * weight[..., None], weight[..., None]], axis=-1)
+    sums = cv2.GaussianBlur(cv2.resize(parts, small, interpolation=cv2.INTER_AREA), (0, 0), 1)
+    mean = sums[..., :3] / (sums[..., 3:] + np.float32(1e-3))
+    return np.asarray(cv2.resize(mean, weight.shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
 
 
 def mean_square(change: Map) -> Map:

@@ -1,22 +1,17 @@
 """What the target remembers, on the device: the recurrent output and the remembered background."""
 
 from dataclasses import dataclass
-from functools import lru_cache
 
-import cv2
-import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional
 
-from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.geometry.splat import COVERED_ALPHA
 from ggvs_eval.pipelines.online import recurrent_output, remembered_background
 from ggvs_eval.pipelines.online.device.splats import DeviceSplats
-from ggvs_eval.pipelines.online.device.stillness import cells, falling, mean_square, pooled, without_light
-from ggvs_eval.pipelines.online.device.views import to_device
-from ggvs_eval.pipelines.online.stillness import LEAST_NOISE, REDUCTION
+from ggvs_eval.pipelines.online.device.stillness import cells, enlarged, falling, light, mean_square, pooled
+from ggvs_eval.pipelines.online.stillness import LEAST_NOISE
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,33 +39,17 @@ def recur(index: int, target: Camera, picture: Tensor, still: Tensor, before: Sh
 def _agreement(new: Tensor, mean: Tensor, last: Tensor, count: Tensor) -> Tensor:
     """Rate how well a mean of past images agrees with the new one, see `agreement`; images are (3, h, w)."""
     everywhere = torch.ones_like(count)
-    dragged, doubled = pooled(torch.stack([mean_square(without_light(new - other, everywhere)) for other in (mean, last)]))
+    changes = [new - other for other in (mean, last)]
+    dragged, doubled = pooled(torch.stack([mean_square(change - light(change, everywhere)) for change in changes]))
     excess = 2 * dragged / doubled.clamp(min=2 * LEAST_NOISE**2) - (1 + 1 / count)
     return falling(excess, recurrent_output.DRAGGED)
 
 
 def _mixed(picture: Tensor, past: Tensor, weight: Tensor) -> Tensor:
     """The past mixed in where it has weight, but for what changed over wide areas, see `recurrent_output.mixed`."""
-    difference = cells(past) - cells(picture)
-    parts = torch.cat([difference * weight, weight[None]])
-    down, across = (_widened(size, picture.device) for size in weight.shape)
-    sums = down @ parts @ across.T
-    light = weight * _enlarged(sums[:3] / (sums[3:] + 1e-3), weight.shape)
-    fine = _enlarged(weight[None], picture.shape[1:])
-    return past * fine + picture * (1 - fine) - _enlarged(light, picture.shape[1:])
-
-
-def _enlarged(maps: Tensor, size: tuple[int, ...]) -> Tensor:
-    return functional.interpolate(maps[None], size=tuple(size), mode="bilinear", align_corners=False)[0]
-
-
-@lru_cache(maxsize=16)
-def _widened(size: int, device: torch.device) -> Tensor:
-    """Matrix that averages a line of cells over wide areas: what `recurrent_output` makes by cv2's resize and blur."""
-    small = -(-size // (recurrent_output.LIGHT_PX // REDUCTION))
-    lines: Array = np.eye(size, dtype=np.float64)
-    averaged = cv2.resize(lines, (size, small), interpolation=cv2.INTER_AREA)
-    return to_device(cv2.GaussianBlur(averaged, (1, 9), sigmaX=1, sigmaY=1), device)
+    change = weight * light(cells(past) - cells(picture), weight)
+    fine = enlarged(weight[None], picture.shape[1:])
+    return past * fine + picture * (1 - fine) - enlarged(change, picture.shape[1:])
 
 
 @dataclass(frozen=True, eq=False)

@@ -52,7 +52,7 @@ def _shared_change(
         launch(
             blend_kernels.warp_change, depth.shape, depth, change.contiguous(), there, to_source, tolerance, colour, visibility
         )
-        weighted = visibility * without_light(colour, visibility)
+        weighted = visibility * (colour - light(colour, visibility))
         total = total + weighted
         energy = energy + mean_square(weighted)
         looks, own = looks + visibility, own + visibility**2
@@ -86,10 +86,25 @@ def _middles(side: int, count: int, device: torch.device) -> Tensor:
     return to_device(rules.middles(side, count), device)
 
 
-def without_light(change: Tensor, weight: Tensor) -> Tensor:
-    """A change of colour per cell, (3, h, w), but for its mean over an area as wide as light, by weights (h, w)."""
-    wide = _blurred(torch.cat([change * weight, weight[None]]), rules.LIGHT)
-    return change - wide[:3] / wide[3:].clamp(min=float(rules.NEVER))
+def light(change: Tensor, weight: Tensor) -> Tensor:
+    """Mean of a change of colour per cell, (3, h, w), over areas as wide as light, by weights (h, w)."""
+    down, across = (_widened(size, weight.device) for size in weight.shape)
+    sums = down @ torch.cat([change * weight, weight[None]]) @ across.T
+    return enlarged(sums[:3] / (sums[3:] + 1e-3), weight.shape)
+
+
+def enlarged(maps: Tensor, size: Sequence[int]) -> Tensor:
+    """Maps (n, h, w) at a larger size, bilinearly."""
+    return functional.interpolate(maps[None], size=tuple(size), mode="bilinear", align_corners=False)[0]
+
+
+@lru_cache(maxsize=16)
+def _widened(size: int, device: torch.device) -> Tensor:
+    """Matrix that averages a line of cells over wide areas: what `light` of the compiled path makes by cv2's resize and blur."""
+    small = -(-size // (rules.LIGHT_PX // rules.REDUCTION))
+    lines: Array = np.eye(size, dtype=np.float64)
+    averaged = cv2.resize(lines, (size, small), interpolation=cv2.INTER_AREA)
+    return to_device(cv2.GaussianBlur(averaged, (1, 9), sigmaX=1, sigmaY=1), device)
 
 
 def mean_square(change: Tensor) -> Tensor:
@@ -98,25 +113,20 @@ def mean_square(change: Tensor) -> Tensor:
 
 
 def pooled(maps: Tensor) -> Tensor:
-    """Means of maps (n, h, w) over the window of the changes of views."""
-    return _blurred(maps, rules.POOL)
+    """Means of maps (n, h, w) over the window of the changes of views, as OpenCV blurs float32."""
+    down, across = (_pooling(size, maps.device) for size in maps.shape[1:])
+    return down @ maps @ across.T
+
+
+@lru_cache(maxsize=16)
+def _pooling(size: int, device: torch.device) -> Tensor:
+    """Matrix that blurs a line of cells."""
+    lines: Array = np.eye(size, dtype=np.float64)
+    taps = round(8 * rules.POOL + 1) | 1
+    return to_device(cv2.GaussianBlur(lines, (1, taps), sigmaX=rules.POOL, sigmaY=rules.POOL), device)
 
 
 def falling(value: Tensor, limits: tuple[float, float]) -> Tensor:
     """1 up to the first limit, 0 from the last one on, a line between them."""
     first, last = limits
     return ((last - value) / (last - first)).clamp(0, 1)
-
-
-def _blurred(maps: Tensor, sigma: float) -> Tensor:
-    """Maps (n, h, w) under a Gaussian, as OpenCV blurs float32."""
-    down, across = (_gaussian(size, sigma, maps.device) for size in maps.shape[1:])
-    return down @ maps @ across.T
-
-
-@lru_cache(maxsize=32)
-def _gaussian(size: int, sigma: float, device: torch.device) -> Tensor:
-    """Matrix that blurs a line of cells."""
-    lines: Array = np.eye(size, dtype=np.float64)
-    taps = round(8 * sigma + 1) | 1
-    return to_device(cv2.GaussianBlur(lines, (1, taps), sigmaX=sigma, sigmaY=sigma), device)
