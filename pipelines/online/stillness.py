@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Map
 from ggvs_eval.camera import Camera
@@ -142,9 +143,9 @@ def middle_rays(camera: Camera) -> Camera:
     return replace(small, K=small.K - np.array([[0, 0, offset[0]], [0, 0, offset[1]], [0, 0, 0]]))
 
 
-def middles(side: int, count: int) -> Map:
+def middles(side: int, count: int) -> NDArray[np.int64]:
     """Number of the pixel in the middle of each of so many cells of a line."""
-    return ((2 * np.arange(count) + 1) * side) // (2 * count)
+    return ((2 * np.arange(count, dtype=np.int64) + 1) * side) // (2 * count)
 
 
 def light(change: Map, weight: Map) -> Map:
@@ -167,6 +168,6 @@ def pooled(maps: Map) -> Map:
     return np.moveaxis(cv2.GaussianBlur(maps, (0, 0), POOL), -1, 0)
 
 
-def falling(value: Map, first: float, last: float) -> Map:
+def falling(value: NDArray[np.floating], first: float, last: float) -> Map:
     """1 up to the first value, 0 from the last one on, a line between them."""
     return np.clip((np.float32(last) - value) / np.float32(last - first), 0, 1).astype(np.float32)
