@@ -70,6 +70,7 @@ STAGES = {"filter": "_filter", "splat": "_splat", "TSDF": "_tsdf", "blend": "_bl
 
 ABLATION_METRICS = ("PSNR", "LPIPS", "TCC", "STED", "SDT", "EPI_coherence", "EPI_line_texture", "EPI_slope_error")
 REFINEMENT_FIGURES = {"reprojection": ".2f", "contradiction": ".2f", "PSNR": ".2f", "SSIM": ".3f"}
+BESIDE_ADDITIONS = {"compensated": ("PSNR_cc",), "recurrent_limit": ("PSNR", "flicker")}
 DOMAIN_METRICS = {"PSNR": ".2f", "LPIPS": ".3f"}
 STUDIES = {"demo room": OUT / "metric_study", "hololens_rgbd": OUT / "metric_study_real"}
 STUDIED_GROUPS = {  # page: titles of the tables that its metrics stand in
@@ -133,6 +134,7 @@ def main() -> None:
             "device": device_table,
         },
     )
+    _fill(ROOT / "docs" / "readings.md", {"additions": additions_table})
     _fill(
         ROOT / "docs" / "temporal_metrics.md",
         {
@@ -234,6 +236,17 @@ def domains_table() -> str:
         cells = [f"{means[metric][label][domain]:{DOMAIN_METRICS[metric]}}" for metric, label in columns]
         rows.append(f"| {domain} | " + " | ".join(cells) + " |")
     return "\n".join([*rows, *(f"\nNot computed: {line}." for line in measured["not_computed"])])
+
+
+def additions_table() -> str:
+    """Tabulate the output of ``python -m benchmarks.additions``: a row per addition and domain, its own measure first."""
+    gains = _read(OUT / "additions.json")["gains"]
+    rows = ["| addition | domain | measure | without | with |", "| --- | --- | --- | ---: | ---: |"]
+    for gain in sorted(gains, key=lambda gain: not gain["for"]):
+        if gain["for"] or gain["measure"] in BESIDE_ADDITIONS.get(gain["addition"], ()):
+            values = " | ".join(f"{gain[given]:.2f}" for given in ("without", "with"))
+            rows.append(f"| `{gain['addition']}` | {gain['domain']} | {gain['measure']} | {values} |")
+    return "\n".join(rows)
 
 
 def refinement_table() -> str:

@@ -40,7 +40,8 @@ def settle_depth(
         least_share: of the views' weights, with which the fused depth is not contested.
 
     Returns:
-        (H, W), float32: the fused depth or, where another one wins, the depth of one of the splats. What is unknown stays so.
+        (H, W), float32: the fused depth or, where another one wins, the depth of one of the splats. What is unknown stays so, and
+        of images one pixel wide or high, whose colours are not interpolated, all of it.
 
     Raises:
         RenderError: no view, not as many splats as views, images that do not fit their cameras.
@@ -68,4 +69,11 @@ def settle_depth(
         for view, splat, weight in zip(sources, splats, weights, strict=True)
     ]
     depth = as_image(fused, target, "fused depth", RenderError)
+    if not comparable([view.camera for view in sources]):
+        return depth
     return _core.settle_depth(pinhole(target), depth, views, tolerance, LEAST_ALPHA, least_share, ratio, get_threads())
+
+
+def comparable(cameras: Sequence[Camera]) -> bool:
+    """Tell whether colours can be interpolated in the images of all cameras: they have two pixels along each side."""
+    return all(min(camera.size) > 1 for camera in cameras)

@@ -94,7 +94,7 @@ def largest_feature(features: Sequence[Map], alphas: Sequence[Map], *, channel: 
         alphas: coverage of each view, (H, W), float32.
         channel: which feature.
         least_alpha: coverage from which a view has a say.
-        otherwise: value where no view has one, or none that is positive.
+        otherwise: value where no view has one.
 
     Returns:
         (H, W), float32.

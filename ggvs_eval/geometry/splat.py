@@ -121,6 +121,8 @@ def _features(source: SourceView, extra: Map | None) -> tuple[Array32 | Image8, 
     if source.image.shape[:2] != (source.camera.height, source.camera.width):
         as_image(source.image, source.camera, "features", RenderError)  # raises
     extra = None if extra is None else as_image(extra, source.camera, "extra feature", RenderError)
+    if source.image.size < 6:  # the kernel reads bytes by fours
+        return float_features(source.image, extra), None
     return np.ascontiguousarray(source.image), extra
 
 

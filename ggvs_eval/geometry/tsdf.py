@@ -113,6 +113,10 @@ def ray_march(
     Raises:
         DepthError: images that do not fit their cameras, too many of them, or parameters for which the march would not end.
 
+    Reading:
+        A surface is found between two samples: one within the smallest step of the far depth, or at it, is not. Nor is one beyond
+        `march_end`, however far the far depth lies.
+
     Examples:
         >>> from ggvs_eval.camera import translated_path
         >>> K = np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]])
@@ -128,8 +132,7 @@ def ray_march(
     _check_positive(tau=tau, min_step=min_step, step_fraction=step_fraction)
     if min_step > step_fraction:
         raise DepthError(f"ray march: min_step must not exceed step_fraction, got {min_step:g} and {step_fraction:g}")
-    if tau * min_step < 1e-6 * target.far:
-        raise DepthError(f"ray march: steps of {min_step:g} tau = {tau * min_step:g} vanish beside the far depth {target.far:g}")
+    far = march_end(target, tau, min_step)
     if not len(cameras) == len(depths) == len(weights):
         raise DepthError(f"ray march: wanted depth and weights per camera, got {len(cameras)}, {len(depths)}, {len(weights)}")
     if len(cameras) + (previous is not None) > MAX_VIEWS:
@@ -139,7 +142,33 @@ def ray_march(
         gain = as_image(previous.gain, target, "gain", DepthError)
         fields.append(_field(target, previous.camera, previous.depth, previous.accumulated_weight, gain, previous.limit))
     settings = (tau, step_fraction, min_step, skip_empty, get_threads(), SIMD_LEVELS.index(get_simd_level()))
-    return RayMarch(*_core.ray_march(pinhole(target), (target.near, target.far), fields, *settings))
+    return RayMarch(*_core.ray_march(pinhole(target), (target.near, far), fields, *settings))
+
+
+def march_end(target: Camera, tau: float, min_step: float) -> float:
+    """Depth where a march ends: the target's far one, at most a million smallest steps, beyond which they are lost in float32.
+
+    Args:
+        target: the camera to render.
+        tau: truncation distance, world units.
+        min_step: smallest step, in tau.
+
+    Returns:
+        World units; 2 km by the paper's constants, beside which a far depth that is but a loose bound does not matter.
+
+    Raises:
+        DepthError: steps that vanish beside the near depth.
+
+    Examples:
+        >>> camera = Camera("cam00", np.diag([8.0, 8, 1]), np.eye(4), width=8, height=6, near=1.0, far=1e6)
+        >>> round(march_end(camera, tau=0.02, min_step=0.1))
+        2000
+    """
+    end = min(target.far, 1e6 * tau * min_step)
+    if end <= target.near:
+        step = f"{min_step:g} tau = {tau * min_step:g}"
+        raise DepthError(f"ray march: steps of {step} vanish beside the near depth {target.near:g}; raise tau")
+    return end
 
 
 Field = tuple[Pinhole, NDArray[np.float64], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32] | None, float]

@@ -1,7 +1,7 @@
 """Backward warping: what a source image shows at the surface that the target sees."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -82,6 +82,44 @@ def warp(
         as_image(source_depth, source, "source depth", RenderError),
     )
     return Warp(*_core.warp(*views, tolerance, bicubic, get_threads()))
+
+
+def warp_change(target: Camera, target_depth: Map, source: SourceView, before: Image8, tolerance: float) -> Warp:
+    """Sample how a source image has changed where the target's surface points project into it, bilinearly.
+
+    Args:
+        target: the camera to render.
+        target_depth: its depth, (H, W) float32, world units, 0 = unknown.
+        source: the view.
+        before: its image before, RGB uint8 (Hs, Ws, 3).
+        tolerance: as in `warp`, world units.
+
+    Returns:
+        As `warp`; the change of colour is in [-1, 1].
+
+    Raises:
+        RenderError: images that do not fit their cameras.
+
+    Examples:
+        >>> from ggvs_eval.camera import translated_path
+        >>> K = np.array([[8.0, 0, 4], [0, 8, 3], [0, 0, 1]])
+        >>> camera = Camera("cam00", K, np.eye(4), width=8, height=6, near=1.0, far=9.0)
+        >>> dark, bright, wall = np.zeros((6, 8, 3), np.uint8), np.full((6, 8, 3), 51, np.uint8), np.full((6, 8), 2.0, np.float32)
+        >>> seen = warp_change(camera, wall, SourceView(camera, bright, wall, wall), dark, tolerance=0.1)
+        >>> seen.colour[3, 4].round(3).tolist()
+        [0.20000000298023224, 0.20000000298023224, 0.20000000298023224]
+    """
+    from ggvs_eval.kernels import _core
+
+    views = (
+        pinhole(target),
+        as_image(target_depth, target, "target depth", RenderError),
+        pinhole(source.camera),
+        rigid_between(target, source.camera),
+        (_image8(source), _image8(replace(source, image=before))),
+        as_image(source.depth, source.camera, "source depth", RenderError),
+    )
+    return Warp(*_core.warp(*views, tolerance, False, get_threads()))
 
 
 def look_up(

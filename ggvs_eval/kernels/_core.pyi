@@ -40,13 +40,13 @@ def warp(
     target_depth: Image,
     source: Pinhole,
     from_target: Matrix,
-    image: Image,
+    image: Image | tuple[Image8, Image8],  # or now and before, whose difference over 255 is looked up
     source_depth: Image,
     tolerance: float,
     bicubic: bool,
     threads: int,
 ) -> tuple[Image, Image]: ...
-def colour_difference(now: Image8, before: Image8, cells: tuple[int, int], mean: bool, threads: int) -> Image: ...
+def colour_change(now: Image8, before: Image8, cells: tuple[int, int], threads: int) -> Image: ...
 def mix_depth(depth: Image, history: Image, mask: Image, tolerance: float, threads: int) -> Image: ...
 def weighted_mean(
     views: Sequence[tuple[Image, Image, float]],  # colour, weight, factor

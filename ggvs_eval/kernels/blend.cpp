@@ -2,6 +2,7 @@
 #include "blend.hpp"
 
 #include <algorithm>
+#include <limits>
 
 #include "kernels.hpp"
 #include "parallel.hpp"
@@ -11,6 +12,7 @@ namespace {
 
 constexpr int kBandRows = 8;
 constexpr int64_t kChunk = 8192;  // pixels
+constexpr float kNone = std::numeric_limits<float>::lowest();  // no view covers the pixel
 
 template <class Job>
 void for_chunks(int64_t pixels, int threads, const Job& job) {
@@ -50,14 +52,14 @@ void weighted_mean(const std::vector<WeightedView>& views, int64_t pixels, float
 void largest_feature(const std::vector<CoveredFeature>& views, int64_t pixels, float least_alpha, float otherwise, float* out,
                      int threads) {
     for_chunks(pixels, threads, [&](int64_t first, int64_t last) {
-        std::fill(out + first, out + last, 0.0f);
+        std::fill(out + first, out + last, kNone);
         for (const CoveredFeature& view : views) {
             for (int64_t n = first; n < last; ++n) {
-                const float feature = view.alpha[n] >= least_alpha ? view.feature[n * view.stride] : 0.0f;
+                const float feature = view.alpha[n] >= least_alpha ? view.feature[n * view.stride] : kNone;
                 out[n] = feature > out[n] ? feature : out[n];
             }
         }
-        for (int64_t n = first; n < last; ++n) out[n] = out[n] > 0.0f ? out[n] : otherwise;
+        for (int64_t n = first; n < last; ++n) out[n] = out[n] == kNone ? otherwise : out[n];
     });
 }
 

@@ -28,7 +28,7 @@ struct CoveredFeature {
     const float* alpha;  // (pixels)
 };
 
-// Largest feature of the views that cover a pixel by at least `least_alpha`; `otherwise` where that is not positive.
+// Largest feature of the views that cover a pixel by at least `least_alpha`; `otherwise` where none does.
 void largest_feature(const std::vector<CoveredFeature>& views, int64_t pixels, float least_alpha, float otherwise, float* out,
                      int threads);
 

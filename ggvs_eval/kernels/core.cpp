@@ -28,6 +28,9 @@ py::tuple splat(const py::sequence& sources, const py::handle& target, float nea
         if (py::isinstance<py::array_t<uint8_t>>(source[3])) {
             s.colours = data_of<uint8_t>(source[3], "features", {s.camera.height, s.camera.width, 3});
             if (!source[4].is_none()) s.extra = image_of(source[4], "extra", s.camera);
+            const int64_t pixels = int64_t(s.camera.width) * s.camera.height;
+            if (pixels < 2 || 3 * pixels > std::numeric_limits<int32_t>::max())
+                throw py::value_error("splat: wanted 8-bit images of at least two pixels and less than 2 GiB");
             if (channels != (s.extra ? 4 : 3)) throw py::value_error("splat: wanted 3 channels, or 4 with an extra one");
         } else {
             s.features = data_of<float>(source[3], "features", {s.camera.height, s.camera.width, channels});
@@ -104,9 +107,15 @@ py::tuple warp(const py::handle& target, const py::handle& target_depth, const p
                const py::handle& image, const py::handle& source_depth, float tolerance, bool bicubic, int threads) {
     const ggvs::Pinhole to = pinhole_of(target), from = pinhole_of(source);
     const float* depth = image_of(target_depth, "target_depth", to);
-    const ggvs::WarpSource s{from, data_of<double>(from_target, "from_target", {4, 4}),
-                             data_of<float>(image, "image", {from.height, from.width, 3}),
-                             image_of(source_depth, "source_depth", from)};
+    ggvs::WarpSource s{from, data_of<double>(from_target, "from_target", {4, 4}), nullptr,
+                       image_of(source_depth, "source_depth", from)};
+    if (py::isinstance<py::tuple>(image)) {
+        const auto [now, before] = py::cast<std::pair<py::object, py::object>>(image);
+        s.now = data_of<uint8_t>(now, "now", {from.height, from.width, 3});
+        s.before = data_of<uint8_t>(before, "before", {from.height, from.width, 3});
+    } else {
+        s.image = data_of<float>(image, "image", {from.height, from.width, 3});
+    }
     py::array_t<float> colour = empty({to.height, to.width, 3}), visibility = empty({to.height, to.width});
     float *colour_out = colour.mutable_data(), *visibility_out = visibility.mutable_data();
     {

@@ -48,24 +48,23 @@ private:
     std::vector<float> sum_;
 };
 
-float difference(const float* line, Cell columns, bool mean) {
+void note_change(const float* line, Cell columns, float* cell) {
     float sum[3] = {};
     for (int x = columns.first; x < columns.last; ++x)
         for (int c = 0; c < 3; ++c) sum[c] += columns.shares[x - columns.first] * line[3 * x + c];
-    for (float& each : sum) each = std::fabs(each) / 255.0f;
-    return mean ? (sum[0] + sum[1] + sum[2]) / 3.0f : std::max({sum[0], sum[1], sum[2]});
+    for (int c = 0; c < 3; ++c) cell[c] = sum[c] / 255.0f;
 }
 
 }  // namespace
 
-void colour_difference(const ImagePair& pair, float* out, int threads) {
+void colour_change(const ImagePair& pair, float* out, int threads) {
     const AreaCells across(pair.width, pair.cells_across), down(pair.height, pair.cells_down);
     parallel_for((pair.cells_down + kBandCells - 1) / kBandCells, threads, [&](int band, int) {
         RowSum rows(3 * pair.width);
         for (int y = band * kBandCells; y < std::min((band + 1) * kBandCells, pair.cells_down); ++y) {
             const float* line = rows.over(pair, down[y]);
-            float* row = out + int64_t(y) * pair.cells_across;
-            for (int x = 0; x < pair.cells_across; ++x) row[x] = difference(line, across[x], pair.mean);
+            float* row = out + int64_t(y) * pair.cells_across * 3;
+            for (int x = 0; x < pair.cells_across; ++x) note_change(line, across[x], row + 3 * x);
         }
     });
 }

@@ -8,11 +8,10 @@ namespace ggvs {
 struct ImagePair {
     const uint8_t *now, *before;  // (height, width, 3)
     int width, height, cells_across, cells_down;
-    bool mean;  // of the three channels' differences, not their largest
 };
 
-// Largest or mean absolute difference of the cells' three mean colours, in [0, 1], (cells_down, cells_across).
-void colour_difference(const ImagePair& pair, float* out, int threads);
+// By how much each cell's mean colour has changed, in [-1, 1], (cells_down, cells_across, 3).
+void colour_change(const ImagePair& pair, float* out, int threads);
 
 struct DepthPair {
     const float *depth, *history, *mask;

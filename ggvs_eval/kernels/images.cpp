@@ -20,18 +20,17 @@ using Size = std::pair<int, int>;
 
 constexpr int kMostRows = 128;  // of one cell, see filter.cpp
 
-py::array_t<float> colour_difference_of(const py::array& now, const py::handle& before, Size cells, bool mean,
-                                        int threads) {
+py::array_t<float> colour_change_of(const py::array& now, const py::handle& before, Size cells, int threads) {
     const auto [height, width] = size_of(now, "now");
     const auto [down, across] = cells;
     if (down < 1 || across < 1 || down > height || across > width || height > int64_t(kMostRows) * down)
-        throw py::value_error("colour_difference: cells must cover 1 to 128 rows and at least one column");
+        throw py::value_error("colour_change: cells must cover 1 to 128 rows and at least one column");
     const ImagePair pair{data_of<uint8_t>(now, "now", {height, width, 3}), data_of<uint8_t>(before, "before", {height, width, 3}),
-                         width, height, across, down, mean};
-    py::array_t<float> out = empty({down, across});
+                         width, height, across, down};
+    py::array_t<float> out = empty({down, across, 3});
     float* data = out.mutable_data();
     py::gil_scoped_release released;
-    ggvs::colour_difference(pair, data, threads);
+    ggvs::colour_change(pair, data, threads);
     return out;
 }
 
@@ -206,7 +205,7 @@ py::array_t<float> recur_of(const py::array& now, const py::handle& past, const 
 }  // namespace
 
 void bind_images(py::module_& m) {
-    m.def("colour_difference", &colour_difference_of, "now"_a, "before"_a, "cells"_a, "mean"_a, "threads"_a);
+    m.def("colour_change", &colour_change_of, "now"_a, "before"_a, "cells"_a, "threads"_a);
     m.def("mix_depth", &mix_depth_of, "depth"_a, "history"_a, "mask"_a, "tolerance"_a, "threads"_a);
     m.def("weighted_mean", &weighted_mean_of, "views"_a, "size"_a, "threads"_a);
     m.def("largest_feature", &largest_feature_of, "views"_a, "channel"_a, "size"_a, "least_alpha"_a, "otherwise"_a, "threads"_a);

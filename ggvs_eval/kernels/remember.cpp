@@ -10,6 +10,7 @@ namespace ggvs {
 namespace {
 
 constexpr int kBandRows = 8;
+constexpr float kMoved = -1.0f;  // depth of what was moving when it was seen last
 
 // The cell that each pixel of a line lies in, as cv2.resize takes the nearest.
 std::vector<int> cells_of(int pixels, int cells) {
@@ -47,8 +48,8 @@ public:
     }
 
 private:
-    // What is seen now is noted where nothing behind it is remembered; what moves is no background. Products are rounded once, from
-    // double, as those of cv2 are.
+    // What is seen now is noted where nothing behind it is remembered; what moves is no background, and its depth says so: -1.
+    // Products are rounded once, from double, as those of cv2 are.
     void note_depths(int64_t row, Lines& lines) const {
         const float *depth = job_.depth + row, *alpha = lines.alpha.data(), *still = lines.still.data();
         float* past = past_depth_ + row;
@@ -56,7 +57,7 @@ private:
         for (int x = 0; x < job_.width; ++x) {
             const float faded = float(past[x] * rules_.forgetting), behind = float(faded * rules_.behind);
             noted[x] = (depth[x] > 0.0f) & (depth[x] >= behind) & (alpha[x] >= rules_.covered_alpha);
-            past[x] = noted[x] ? (still[x] >= rules_.sure_still ? depth[x] : 0.0f) : faded;
+            past[x] = noted[x] ? (still[x] >= rules_.sure_still ? depth[x] : kMoved) : faded;
         }
     }
 
@@ -69,13 +70,14 @@ private:
         }
     }
 
-    // Memory into a hole; a filling that stands for nothing seen is renewed a little.
+    // Memory into a hole; a filling that stands for nothing seen is renewed a little, and taken as it is after what moved.
     void fill(int64_t pixel, float alpha) const {
-        float *now = image_ + 3 * pixel, *past = past_ + 3 * pixel;
+        float *now = image_ + 3 * pixel, *past = past_ + 3 * pixel, *depth = past_depth_ + pixel;
+        if (*depth < 0.0f) std::copy_n(now, 3, past), *depth = 0.0f;
         const float span = rules_.covered_alpha - rules_.least_alpha;
         const float weight = std::min(std::max((rules_.covered_alpha - alpha) / span, 0.0f), 1.0f);
         for (int c = 0; c < 3; ++c) {
-            if (past_depth_[pixel] <= 0.0f) past[c] += rules_.renewal * (now[c] - past[c]);
+            if (*depth <= 0.0f) past[c] += rules_.renewal * (now[c] - past[c]);
             now[c] += weight * (past[c] - now[c]);
         }
     }

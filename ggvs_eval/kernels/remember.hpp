@@ -21,7 +21,7 @@ struct BackgroundStep {
 };
 
 // `image` (height, width, 3) is remembered and its holes are filled, in place, as is the memory: colours (height, width, 3) and
-// depths (height, width), 0 where it is but a filling.
+// depths (height, width), 0 where it is but a filling, negative where it was moving.
 void remember(const BackgroundStep& job, float* image, float* past, float* past_depth, int threads);
 
 }  // namespace ggvs

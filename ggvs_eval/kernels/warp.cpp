@@ -54,15 +54,19 @@ float sample_depth(const WarpSource& source, float u, float v, float tolerance) 
     return source.depth[int64_t(v) * width + int(u)];
 }
 
+float value_of(const WarpSource& source, int64_t n) {
+    return source.image ? source.image[n] : float(source.now[n] - source.before[n]) / 255.0f;
+}
+
 void sample_colour(const WarpSource& source, float u, float v, bool bicubic, float* colour) {
     const Taps x = bicubic ? cubic_taps(u, source.camera.width) : linear_taps(u, source.camera.width);
     const Taps y = bicubic ? cubic_taps(v, source.camera.height) : linear_taps(v, source.camera.height);
     float sum[3] = {};
     for (int j = 0; j < y.count; ++j) {
-        const float* row = source.image + int64_t(y.at[j]) * source.camera.width * 3;
+        const int64_t row = int64_t(y.at[j]) * source.camera.width * 3;
         for (int i = 0; i < x.count; ++i) {
             const float weight = y.weight[j] * x.weight[i];
-            for (int c = 0; c < 3; ++c) sum[c] += weight * row[3 * x.at[i] + c];
+            for (int c = 0; c < 3; ++c) sum[c] += weight * value_of(source, row + 3 * x.at[i] + c);
         }
     }
     for (int c = 0; c < 3; ++c) colour[c] = bicubic ? std::min(std::max(sum[c], 0.0f), 1.0f) : sum[c];

@@ -6,9 +6,26 @@ from typing import Literal
 import numpy as np
 
 from ggvs_eval.arrays import Image8, Map
-from ggvs_eval.geometry.difference_mask import difference_mask
+from ggvs_eval.geometry.difference_mask import colour_change, mask_of
 from ggvs_eval.kernels import get_threads
 from ggvs_eval.method import SourceView
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """What changed in a source view since the instant before.
+
+    Attributes:
+        before: image of that instant, RGB uint8 (H, W, 3).
+        now: image of this one.
+        colours: of cells, see `colour_change`.
+        mask: M^t, (H, W), see `difference_mask`.
+    """
+
+    before: Image8
+    now: Image8
+    colours: Map
+    mask: Map
 
 
 @dataclass
@@ -30,22 +47,24 @@ class TemporalDepthFilter:
     channels: Literal["largest", "mean"] = "largest"
     _history: dict[str, tuple[int, Image8, Map]] = field(default_factory=dict)
 
-    def step(self, index: int, source: SourceView) -> tuple[SourceView, Map]:
+    def step(self, index: int, source: SourceView) -> tuple[SourceView, Change | None]:
         """Filter one source view of instant ``index``.
 
         A camera that was not among the sources at the instant before starts anew: its history is stale.
 
         Returns:
-            The view with filtered depth, and the mask it was filtered with, (H, W).
+            The view with filtered depth, and what changed in it; None, for it cannot be known, where it starts anew.
         """
         history = self._history.get(source.camera.name)
         if not self.enabled or history is None or history[0] != index - 1 or history[1].shape != source.image.shape:
-            filtered, mask = source, np.ones_like(source.depth)
+            filtered, change = source, None
         else:
-            mask = difference_mask(source.image, history[1], lambda_t=self.lambda_t, beta=self.beta, channels=self.channels)
-            filtered = replace(source, depth=filter_depth(source.depth, history[2], mask, self.tolerance))
+            colours, size = colour_change(source.image, history[1]), source.image.shape[:2]
+            mask = mask_of(colours, size, lambda_t=self.lambda_t, beta=self.beta, channels=self.channels)
+            change = Change(history[1], source.image, colours, mask)
+            filtered = replace(source, depth=filter_depth(source.depth, history[2], change.mask, self.tolerance))
         self._history[source.camera.name] = (index, source.image, filtered.depth)
-        return filtered, mask
+        return filtered, change
 
 
 def filter_depth(depth: Map, history: Map, mask: Map, tolerance: float) -> Map:

@@ -17,28 +17,29 @@ from ggvs_eval.geometry.tsdf import PreviousDepth, RayMarch, fusion_weights, ray
 from ggvs_eval.kernels import side_by_side
 from ggvs_eval.method import Instant, Rendering
 from ggvs_eval.pipelines.online.blending import Blender, BlendingInputs, GeometricBlender
-from ggvs_eval.pipelines.online.depth_filter import TemporalDepthFilter
+from ggvs_eval.pipelines.online.depth_filter import Change, TemporalDepthFilter
 from ggvs_eval.pipelines.online.exposure_compensation import ExposureCompensation
 from ggvs_eval.pipelines.online.printed_march import FieldReading, printed_march
-from ggvs_eval.pipelines.online.recurrent_output import REDUCTION, RecurrentOutput, splatted_change, stillness
+from ggvs_eval.pipelines.online.recurrent_output import RecurrentOutput
 from ggvs_eval.pipelines.online.remembered_background import RememberedBackground
+from ggvs_eval.pipelines.online.stillness import cells, splatted_change, stillness
 
+Changes = Sequence[Change | None]  # of each source view; None where it was not there at the instant before
 SAME_SURFACE_TAU = 2.0  # truncation distances within which a view's depth and the fused one are the same surface
 
 
 def diagnostics_maps(depth: Map | None, splats: Sequence[Splat], still: Map) -> dict[str, Map]:
-    """The maps of `Rendering.diagnostics` but for the shares of the views, at a quarter of the size: every fourth pixel.
+    """The maps of `Rendering.diagnostics` but for the shares of the views, at a quarter of the size, see `cells`.
 
     Args:
         depth: fused depth, (H, W), world units, 0 where unknown; None without fusion.
         splats: forward renderings of the views.
         still: how sure it is that nothing moves, see `stillness`, (h, w).
     """
-    cells = np.s_[::REDUCTION, ::REDUCTION]
-    coverage = np.maximum.reduce([view.alpha[cells] for view in splats])
+    coverage = np.maximum.reduce([cells(view.alpha) for view in splats])
     maps = {"coverage": coverage, "motion": 1 - still}
     if depth is not None:
-        maps["depth"] = depth[cells].copy()
+        maps["depth"] = cells(depth)
     return maps
 
 
@@ -71,7 +72,8 @@ class OnlineOptions:
         compensated: sources are brought to one colour before they are blended, gains and the fall-off of lenses alike, see
             `ExposureCompensation`; not in the paper.
         settled: fused depth that most views contradict gives way where their colours do, see `settle_depth`; not in the paper.
-        remembered: what no source sees is shown as it was seen before, see `RememberedBackground`; not in the paper.
+        remembered: what no source sees is shown as it was seen before, see `RememberedBackground`; not in the paper, and off,
+            since it pays too rarely.
 
     Reading:
         What each reading is worth is measured in docs/readings.md.
@@ -101,7 +103,7 @@ class OnlineOptions:
     recurrent_limit: float = 0.85
     compensated: bool = True
     settled: bool = True
-    remembered: bool = True
+    remembered: bool = False
 
 
 @dataclass(frozen=True)
@@ -138,16 +140,16 @@ class GeometryGuided:
     def step(self, instant: Instant) -> Rendering:
         """Synthesise one instant and remember its fused depth for the next."""
         marks = [perf_counter()]
-        views, masks = zip(*(self._filter.step(instant.index, source) for source in instant.sources), strict=True)
+        views, changes = zip(*(self._filter.step(instant.index, source) for source in instant.sources), strict=True)
         filtered = replace(instant, sources=views)
         # Gains are looked up by a single thread; the weights need no colours.
         filtered, weights = side_by_side(partial(self._compensated, filtered), partial(self._weights, filtered))
         marks.append(perf_counter())
-        splats = self._splat(instant, filtered, masks)
+        splats = self._splat(instant, filtered, changes)
         marks.append(perf_counter())
-        depth = self._fused_depth(filtered, weights, splats) if self.options.fused else None
+        depth = self._fused_depth(filtered, weights, splats, changes) if self.options.fused else None
         marks.append(perf_counter())
-        image, diagnostics = self._blend(filtered, splats, depth)
+        image, diagnostics = self._blend(filtered, splats, depth, changes)
         marks.append(perf_counter())
         seconds = dict(zip(("filter", "splat", "tsdf", "blend"), np.diff(marks).tolist(), strict=True))
         if depth is None:
@@ -165,29 +167,41 @@ class GeometryGuided:
         noise = self.options.depth_noise_m * filtered.units_per_metre
         return [fusion_weights(view.depth, self._tau(filtered), noise) for view in filtered.sources]
 
-    def _blend(self, filtered: Instant, splats: list[Splat], depth: Map | None) -> tuple[Map, dict[str, Map]]:
+    def _blend(self, filtered: Instant, splats: list[Splat], depth: Map | None, changes: Changes) -> tuple[Map, dict[str, Map]]:
         """Blend the views and mix the output with the one before where nothing moves; and what was decided for it."""
         chosen = self.options
         index, target = filtered.index, filtered.target
         surface = np.zeros((target.height, target.width), np.float32) if depth is None else depth
         inputs = BlendingInputs(filtered, splats, surface, self._tau(filtered))
-        blended, (still, diagnostics) = side_by_side(partial(self.blender.blend, inputs), partial(self._observed, splats, depth))
+        still, blended = side_by_side(
+            partial(self._stillness, filtered, splats, depth, changes), partial(self.blender.blend, inputs)
+        )
+        diagnostics = diagnostics_maps(depth, splats, still)
         if blended.weights is not None:
             diagnostics["weights"] = blended.weights
         image = self._compensation.finish(blended.image, target) if chosen.compensated else blended.image
         if self._background is not None:
             image = self._background.step(index, target, image, surface, splats, still)
-        return self._output.step(index, target, image, still), diagnostics
+        image = self._output.step(index, target, image, still)
+        return np.clip(image, 0, 1, out=image), diagnostics
 
-    def _observed(self, splats: list[Splat], depth: Map | None) -> tuple[Map, dict[str, Map]]:
-        """How sure it is that nothing moves, and the maps of diagnostics but for the blender's."""
-        still = stillness(splatted_change(splats, self.options.beta_mask, self.options.lambda_t))
-        return still, diagnostics_maps(depth, splats, still)
+    def _stillness(self, filtered: Instant, splats: list[Splat], depth: Map | None, changes: Changes) -> Map:
+        """How sure it is that nothing moves, as the views know that were there at the instant before."""
+        known = [k for k, change in enumerate(changes) if change is not None]
+        if not known:
+            return np.zeros_like(cells(splats[0].alpha))
+        if depth is None:
+            most = np.argmax([view.alpha for view in splats], axis=0)
+            depth = np.choose(most, [view.depth for view in splats])
+        views, informed = [filtered.sources[k] for k in known], [change for change in changes if change is not None]
+        largest = splatted_change([splats[k] for k in known], self.options.beta_mask, self.options.lambda_t)
+        return stillness(filtered.target, depth, views, informed, largest, SAME_SURFACE_TAU * self._tau(filtered))
 
-    def _splat(self, instant: Instant, filtered: Instant, masks: Sequence[Map]) -> list[Splat]:
+    def _splat(self, instant: Instant, filtered: Instant, changes: Changes) -> list[Splat]:
         """Render each view forward: colour, difference mask, coverage and depth (Sec. 3.1)."""
         target, near, chosen, splats = instant.target, instant.near_plane, self.options, []
-        for source, view, mask in zip(instant.sources, filtered.sources, masks, strict=True):
+        for source, view, change in zip(instant.sources, filtered.sources, changes, strict=True):
+            mask = np.ones_like(source.depth) if change is None else change.mask
             shown = view if chosen.splatted_depth == "filtered" else replace(view, depth=source.depth)
             if chosen.splatted_as == "points":
                 splats.append(splat_points(shown, target, near=near, extra=mask))
@@ -195,14 +209,14 @@ class GeometryGuided:
                 splats.append(splat([shown], target, near=near, extras=[mask], scale=chosen.gaussian_scale_px))
         return splats
 
-    def _fused_depth(self, filtered: Instant, weights: list[Map], splats: list[Splat]) -> Map:
+    def _fused_depth(self, filtered: Instant, weights: list[Map], splats: list[Splat], changes: Changes) -> Map:
         """The depth of the ray march, settled by colours where most views contradict it."""
-        depth = self._march(filtered, weights, splats).depth
+        depth = self._march(filtered, weights, self._previous_depth(filtered, splats, changes)).depth
         if not self.options.settled:
             return depth
         return settle_depth(filtered.target, depth, filtered.sources, splats, SAME_SURFACE_TAU * self._tau(filtered))
 
-    def _march(self, filtered: Instant, weights: list[Map], splats: list[Splat]) -> RayMarch:
+    def _march(self, filtered: Instant, weights: list[Map], previous: PreviousDepth | None) -> RayMarch:
         """Fuse the filtered depths, and the previous fused depth, in the target view (Eqs. 3, 9-14)."""
         cameras, depths = [view.camera for view in filtered.sources], [view.depth for view in filtered.sources]
         reading = FieldReading(self.options.signed_distance, self.options.normalised_field)
@@ -213,7 +227,7 @@ class GeometryGuided:
             depths,
             weights,
             tau=self._tau(filtered),
-            previous=self._previous_depth(filtered, splats),
+            previous=previous,
             min_step=self.options.min_step,
         )
         self._previous = _Fused(filtered.index, filtered.target, march)
@@ -223,11 +237,14 @@ class GeometryGuided:
         """The truncation distance, world units."""
         return self.options.tau_m * instant.units_per_metre
 
-    def _previous_depth(self, instant: Instant, splats: list[Splat]) -> PreviousDepth | None:
+    def _previous_depth(self, instant: Instant, splats: list[Splat], changes: Changes) -> PreviousDepth | None:
         """The fused depth of the instant before as one more depth camera, trusted where nothing moves (Eqs. 13-14)."""
         if not self.options.temporal or self._previous is None or self._previous.index != instant.index - 1:
             return None
-        mask = target_mask(splats, self.options.mask_views)
+        informed = [view for view, change in zip(splats, changes, strict=True) if change is not None]
+        if not informed:
+            return None
+        mask = target_mask(informed, self.options.mask_views)
         gain = np.subtract(np.float32(1), mask, out=mask)
         np.maximum(gain, np.float32(0), out=gain)
         gain *= np.float32(self.options.beta_temporal)
@@ -244,14 +261,15 @@ def target_mask(splats: list[Splat], views: Literal["largest", "mean"] = "larges
     """Motion in the target view: the largest splatted difference mask, 1 (all is new) where no view covers the pixel.
 
     Args:
-        splats: forward renderings whose fourth feature is the difference mask.
+        splats: forward renderings of the views that were there at the instant before; the fourth feature is the difference mask.
         views: ``largest``, or the ``mean`` over the views that cover the pixel.
 
     Returns:
         M^t in the target view, (H, W).
 
     Reading:
-        The paper's channel-wise maximum is taken over the K splatted masks.
+        The paper's channel-wise maximum is taken over the K splatted masks. The paper filters all views of the rig, here the K
+        chosen ones keep a state: one that has just been chosen cannot tell what moves, and has no vote.
     """
     features, alphas = [view.features for view in splats], [view.alpha for view in splats]
     if views == "largest":
@@ -262,5 +280,4 @@ def target_mask(splats: list[Splat], views: Literal["largest", "mean"] = "larges
         covers = view.alpha >= COVERED_ALPHA
         covering += covers
         mask += np.where(covers, view.features[..., 3], np.float32(0))
-    mask /= np.maximum(covering, np.float32(1))
-    return np.where(mask > 0, mask, np.float32(1.0))
+    return np.where(covering > 0, mask / np.maximum(covering, np.float32(1)), np.float32(1))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.geometry.pinhole import rigid_between
-from ggvs_eval.geometry.tsdf import PreviousDepth, RayMarch
+from ggvs_eval.geometry.tsdf import PreviousDepth, RayMarch, march_end
 
 Values = NDArray[np.float64]
 Rays = NDArray[np.int64]
@@ -97,6 +97,7 @@ def _crossings(
     active = np.arange(target.height * target.width)
     z, before = np.full(active.size, target.near), np.full((3, active.size), np.nan)  # the last sample where known and positive
     crossings: list[tuple[Values, Values, Rays]] = []
+    end = march_end(target, tau, min_step)
     while active.size:
         s, total = _field(cameras, active, z, tau, reading)
         here = np.stack([z, s, total])
@@ -105,7 +106,7 @@ def _crossings(
         positive = (total > 0) & (s > 0)
         before = np.where(positive, here, np.nan)
         z = z + tau * np.where(positive, np.maximum(STEP * s, min_step), STEP)
-        going = ~crossed & (z <= target.far)
+        going = ~crossed & (z <= end)
         active, z, before = active[going], z[going], before[:, going]
     front, behind, hit = (np.concatenate(parts, axis=-1) for parts in zip(*crossings, strict=True))
     return front, behind, hit

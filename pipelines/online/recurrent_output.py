@@ -1,32 +1,26 @@
 """The previous output as one more witness of what stands still: noise and flicker average out over time."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from ggvs_eval.arrays import Map
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
-from ggvs_eval.geometry.splat import COVERED_ALPHA, Splat
 from ggvs_eval.kernels import get_threads
+from ggvs_eval.pipelines.online.stillness import LEAST_NOISE, cells, falling, light, mean_square, pooled
 
-REDUCTION = 4  # stillness is decided at a quarter of the size, as the difference masks are
-REACH = 2  # cells: what no view covers moves as its surroundings do
-QUIET_QUANTILE = 0.25  # so much of the picture at least is taken to stand still
-QUIET_RANGE = (0.5 / 255, 3.0 / 255)  # what the sensors' noise may be, as it shows in the difference masks
-STILL, MOVING = 2.0, 4.0  # times the noise
-LIGHT_PX = 32  # changes as wide as this are light, and are let through
+DRAGGED = (0.3, 0.8)  # energy that a mean of past images errs by, times that of the noise of one: none and all of it harms
 
 
 @dataclass(frozen=True, eq=False)
 class _Shown:
-    """Output of the instant before, (H, W, 3), its camera, and for how many instants each cell has stood still."""
+    """The instant before: its output (H, W, 3), the new image at each cell, and for how many instants that has stood still."""
 
     index: int
     target: Camera
     image: Map
+    new: Map
     age: Map
 
 
@@ -34,7 +28,7 @@ class RecurrentOutput:
     """Recursive mean of the outputs of one target, cell by cell, as long as nothing moves there.
 
     What has stood still for n instants is the mean of as many outputs, until the weight of the past reaches its limit. Where
-    something moves the past is forgotten at once. State: one output and one map of ages.
+    something moves the past is forgotten at once. State: one output, one image of the cells and one map of ages.
 
     Args:
         limit: largest weight of the past, below 1; 0 switches it off.
@@ -44,10 +38,9 @@ class RecurrentOutput:
 
     Reading:
         Not in the paper, whose temporal terms smooth depth alone: what the sensors' noise and the edges of the fused depth do to
-        the picture passes through them. In two validation rooms (demo seeds 101 and 102, one view each, 32 frames, noise of
-        1.5/255, shipped network) a limit of 0.85 lowers STED from 13.53 to 10.30 and from 9.03 to 6.98 and raises PSNR by 0.13
-        and 0.08 dB; held still it lowers STED from 26.5 to 8.0 and from 22.2 to 7.4. In the first room limits of 0.25, 0.5, 0.7
-        and 0.92 gave 12.07, 11.05, 10.45 and 10.32.
+        the picture passes through them. With geometric weights a limit of 0.85 lowers STED from 18.4 to 17.5, 14.3 to 13.7 and
+        30.3 to 28.7 in three domains of a validation room (docs/readings.md) and raises PSNR by 0.01 to 0.03 dB. The limit was
+        chosen when stillness was judged by the sources' largest change alone: of 0.25, 0.5, 0.7, 0.85 and 0.92 it was the best.
     """
 
     def __init__(self, limit: float) -> None:
@@ -70,46 +63,35 @@ class RecurrentOutput:
         """
         if self._limit <= 0:
             return image
-        before, age = self._shown, np.ones_like(still)
+        before, age, new = self._shown, np.ones_like(still), cells(image)
         if before is not None and before.index == index - 1 and before.target.shows_the_same_rays(target):
+            most = np.float32((1 + self._limit) / (1 - self._limit))  # instants that a mean of such weights is worth
+            still = still * agreement(new, cells(before.image), before.new, np.minimum(before.age, most))
             age += still * before.age
             image = mixed(image, before.image, still * np.minimum(1 - 1 / age, np.float32(self._limit)))
-        self._shown = _Shown(index, target, image, age)
+        self._shown = _Shown(index, target, image, new, age)
         return image
 
 
-def splatted_change(splats: Sequence[Splat], beta_mask: float, lambda_t: float) -> Map:
-    """The largest change of colour that a source sees at each cell and next to it: Eq. 1 undone, in the target view.
+def agreement(new: Map, mean: Map, last: Map, count: Map) -> Map:
+    """Rate how well a mean of past images agrees with the new one, (h, w): 1 if noise alone tells them apart, 0 if it drags.
 
     Args:
-        splats: forward renderings whose fourth feature is the difference mask.
-        beta_mask: as in `difference_mask`.
-        lambda_t: as in `difference_mask`.
-
-    Returns:
-        Absolute difference of colours, (ceil(H / 4), ceil(W / 4)), 0 where neither a cell nor its neighbours are covered.
-    """
-    mask = np.zeros_like(splats[0].alpha[::REDUCTION, ::REDUCTION])
-    for view in splats:
-        covers = view.alpha[::REDUCTION, ::REDUCTION] >= COVERED_ALPHA
-        np.maximum(mask, view.features[::REDUCTION, ::REDUCTION, 3], out=mask, where=covers)
-    size = 2 * REACH + 1
-    widest = cv2.dilate(mask, np.ones((size, size), np.uint8))
-    return np.asarray(np.maximum(widest - np.float32(beta_mask), 0) * np.float32(lambda_t), np.float32)
-
-
-def stillness(change: Map) -> Map:
-    """Rate how sure it is that nothing moves: 1 up to twice the noise, 0 from four times the noise on.
-
-    Args:
-        change: of colour at each cell as the sources see it, see `splatted_change`.
+        new: image, (h, w, 3), one pixel of each cell.
+        mean: of the images before, what is shown.
+        last: the image before alone.
+        count: of images in the mean, (h, w).
 
     Reading:
-        The noise is the change that a quarter of the picture does not exceed, within bounds: a fixed threshold would have to be
-        set for every sensor.
+        Of noise of energy N, new in each image, two images differ by 2 N, and one from the mean of n by N (1 + 1 / n), whatever N
+        is. What the difference has beyond that is motion that the mean drags along, however slow and faint; motion by more than
+        the grain of a texture looks like noise here, and is for the sources to see.
     """
-    noise = np.clip(np.quantile(change, QUIET_QUANTILE), *QUIET_RANGE)
-    return np.clip((MOVING - change / np.float32(noise)) / (MOVING - STILL), 0, 1).astype(np.float32)
+    everywhere = np.ones_like(count)
+    changes = [new - other for other in (mean, last)]
+    dragged, doubled = pooled(np.dstack([mean_square(change - light(change, everywhere)) for change in changes]))
+    excess = 2 * dragged / np.maximum(doubled, np.float32(2 * LEAST_NOISE**2)) - (1 + 1 / count)
+    return falling(excess, *DRAGGED)
 
 
 def mixed(image: Map, past: Map, weight: Map) -> Map:
@@ -126,17 +108,7 @@ def mixed(image: Map, past: Map, weight: Map) -> Map:
     """
     from ggvs_eval.kernels import _core
 
-    light = _wide(past[::REDUCTION, ::REDUCTION] - image[::REDUCTION, ::REDUCTION], weight)
-    cells = np.stack([weight, *(weight * light[..., channel] for channel in range(3))])
+    change = light(cells(past) - cells(image), weight)
+    maps = np.stack([weight, *(weight * change[..., channel] for channel in range(3))])
     now, before = (np.ascontiguousarray(each, np.float32) for each in (image, past))
-    return _core.recur(now, before, cells, get_threads())
-
-
-def _wide(difference: Map, weight: Map) -> Map:
-    """The weighted mean of a difference over wide areas, one per cell."""
-    cells = LIGHT_PX // REDUCTION
-    small = (-(-weight.shape[1] // cells), -(-weight.shape[0] // cells))
-    parts = np.concatenate([difference * weight[..., None], weight[..., None]], axis=-1)
-    sums = cv2.GaussianBlur(cv2.resize(parts, small, interpolation=cv2.INTER_AREA), (0, 0), 1)
-    mean = sums[..., :3] / (sums[..., 3:] + np.float32(1e-3))
-    return np.asarray(cv2.resize(mean, weight.shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
+    return _core.recur(now, before, maps, get_threads())

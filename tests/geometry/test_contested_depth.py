@@ -147,3 +147,14 @@ def test_what_does_not_fit_is_refused():
         settle_depth(TARGET, surface(), views, splats[:3], TOLERANCE)
     with pytest.raises(RenderError, match="fused depth"):
         settle_depth(TARGET, surface()[:-1], views, splats, TOLERANCE)
+
+
+@pytest.mark.parametrize("size", [(1, 7), (7, 1), (1, 1)])
+def test_images_of_one_pixel_are_not_settled(size):
+    """Their colours are not interpolated: the fused depth stays."""
+    (views, splats), (width, height) = views_and_splats(), size
+    narrow = []
+    for view in views:
+        image, depth = view.image[:height, :width], view.depth[:height, :width]
+        narrow.append(replace(view, camera=view.camera.cropped(3, 2, *size), image=image, depth=depth))
+    np.testing.assert_array_equal(settle_depth(TARGET, surface(1.3), narrow, splats, TOLERANCE), surface(1.3))

@@ -202,7 +202,7 @@ def test_threads_and_instruction_sets_give_the_same_bits():
     [
         ({"tau": 0.0}, "tau must be positive"),
         ({"tau": float("nan")}, "tau must be positive"),
-        ({"tau": 1e-6}, "vanish beside the far depth"),
+        ({"tau": 1e-6}, "vanish beside the near depth"),
         ({"min_step": 0.0}, "min_step must be positive"),
         ({"min_step": 0.9}, "min_step must not exceed step_fraction"),
     ],
@@ -212,6 +212,25 @@ def test_a_march_that_would_not_end_is_refused(change, message):
     camera = random_camera(np.random.default_rng(7), 8, 8)
     with pytest.raises(DepthError, match=message):
         ray_march(camera, *columns([plane_view(camera, 2.0)]), **({"tau": TAU} | change))
+
+
+@pytest.mark.parametrize("far", [2500.0, 1e6])
+def test_a_loose_far_bound_changes_nothing(far):
+    """By the paper's constants a march ends after 2 km: a surface at 2 m is found all the same, as printed too."""
+    near = replace(random_camera(np.random.default_rng(7), 8, 8), near=1.9)
+    view, loose = plane_view(near, 2.0), replace(near, far=far)
+    constants = {"tau": 0.02, "min_step": 0.1}
+    expected = ray_march(near, *columns([view]), **constants).depth
+    assert (expected > 0).all()
+    np.testing.assert_array_equal(ray_march(loose, *columns([view]), **constants).depth, expected)
+
+
+def test_a_surface_at_the_far_depth_is_not_found():
+    """One that lies before it by more than the smallest step is."""
+    camera = replace(random_camera(np.random.default_rng(7), 8, 8), far=2.0)
+    camera = replace(camera, world_to_camera=np.eye(4))
+    found = [(ray_march(camera, *columns([plane_view(camera, z)]), tau=0.1).depth > 0).any() for z in (1.98, 2.0)]
+    assert found == [True, False]
 
 
 def test_shapes_that_do_not_fit_are_refused():

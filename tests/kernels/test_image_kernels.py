@@ -199,4 +199,4 @@ def test_what_does_not_fit_is_refused():
     with pytest.raises(TypeError, match=r"before: wanted uint8 \(6, 8, 3\)"):
         difference_mask(image, image[:5])
     with pytest.raises(ValueError, match="cells must cover 1 to 128 rows"):
-        _core.colour_difference(np.zeros((300, 4, 3), np.uint8), np.zeros((300, 4, 3), np.uint8), (2, 1), False, 1)
+        _core.colour_change(np.zeros((300, 4, 3), np.uint8), np.zeros((300, 4, 3), np.uint8), (2, 1), 1)

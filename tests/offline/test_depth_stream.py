@@ -121,3 +121,18 @@ def test_unknown_matchers_and_weights_are_refused(tmp_path):
         DepthRunOptions("raft:other.pth", tmp_path / "weights.pth").options()
     with pytest.raises(DepthError, match="--stereo-weights are for the matcher raft, got the matcher sweep"):
         DepthRunOptions("sweep", tmp_path / "weights.pth").options()
+
+
+@pytest.mark.parametrize("left", [20, 560])
+def test_a_window_too_narrow_for_its_disparities_is_no_error(left):
+    """On a wide baseline what changes at a border is not rectified alone: the whole image is computed again, by new depth."""
+    camera = look_from(0, 0, "camera").resized(600, 450)
+    partners = [look_from(x, 0, f"x{x:+d}").resized(600, 450) for x in (-1, 1)]
+    images = [see(each, 0.0)[0] for each in (camera, *partners)]
+    stream = DepthStream(camera, partners, REUSE)
+    stream.step(0, images[0], images[1:])
+    changed = images[0].copy()
+    changed[200:220, left : left + 30] = 255 - changed[200:220, left : left + 30]
+    again = stream.step(1, changed, images[1:])
+    fresh = DepthEstimator(camera, partners, REUSE).estimate(changed, images[1:])
+    np.testing.assert_array_equal(again.depth > 0, fresh.depth > 0)

@@ -53,7 +53,7 @@ from ggvs_eval.pipelines.online.device import (
     step,
     views,
 )
-from ggvs_eval.pipelines.online.device.order_statistics import masked_median, quantile
+from ggvs_eval.pipelines.online.device.order_statistics import masked_median
 from ggvs_eval.pipelines.online.device.step import DeviceGuided
 
 pytestmark = pytest.mark.slow
@@ -92,7 +92,7 @@ def test_masks_are_those_of_the_compiled_path(width, height, channels):
     random = np.random.default_rng(width)
     now, before = random.integers(0, 256, (2, height, width, 3), np.uint8)
     mask = difference_mask(now, before, channels=channels, lambda_t=0.9)
-    there = depth_stages.difference_mask(tensor(now), tensor(before), lambda_t=0.9, beta=0.6, mean=channels == "mean")
+    there = depth_stages.change_between(tensor(now), tensor(before), lambda_t=0.9, beta=0.6, mean=channels == "mean").mask
     assert np.ptp(mask) > 0
     np.testing.assert_allclose(there.numpy(), mask, atol=1e-6)
     camera = random_camera(random, width, height)
@@ -296,7 +296,7 @@ def test_equal_inputs_give_equal_bits(on_device):
     [
         {"temporal": False},
         {"splatted_depth": "filtered", "mask_channels": "mean", "compensated": False},
-        {"settled": False, "remembered": False, "recurrent_limit": 0.0},
+        {"settled": False, "remembered": True, "recurrent_limit": 0.0},
     ],
 )
 def test_options_mean_the_same(changed):
@@ -321,16 +321,14 @@ def test_a_gap_and_a_moving_target_forget():
         assert_alike(*both, share=0.99)
 
 
-def test_order_statistics_are_those_of_numpy():
-    """Medians of what counts, even or odd in number, one or none; quantiles between two values and at the ends."""
+def test_medians_are_those_of_numpy():
+    """Of what counts, even or odd in number, one or none."""
     random = np.random.default_rng(3)
     values = random.random((4, 9, 2), dtype=np.float32)
     mask = np.arange(9) < np.array([[8], [5], [1], [0]])
     found = masked_median(tensor(values), tensor(mask[..., None])).numpy()
     for row, chosen, median in zip(values, mask, found, strict=True):
         np.testing.assert_array_equal(median, np.median(row[chosen], axis=0) if chosen.any() else [0, 0])
-    for share in (0.0, 0.25, 0.6, 1.0):
-        assert float(quantile(tensor(values), share)) == pytest.approx(float(np.quantile(values, share)), abs=1e-6)
 
 
 @pytest.mark.parametrize("kernels", [blend_kernels, filter_kernels, march_kernels, splat_kernels])

@@ -1,5 +1,7 @@
 """The online half: causality, stillness, ablations, and what each stage does in a scene known in closed form."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,8 @@ from ggvs_eval.errors import RenderError
 from ggvs_eval.geometry.difference_mask import difference_mask
 from ggvs_eval.method import SourceView
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method, split_label
+from ggvs_eval.pipelines.online import geometry_guided
+from ggvs_eval.pipelines.online.blending import Blended, BlendingInputs
 from ggvs_eval.pipelines.online.depth_filter import TemporalDepthFilter, filter_depth
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
 from helpers.scenes import SQUARE_Z, WALL_Z, camera_at, instant, look
@@ -177,3 +181,58 @@ def test_an_unknown_method_names_the_nearest():
     with pytest.raises(RenderError, match=r"'ours-geometrc'; did you mean ours-geometric\?"):
         find_method("ours-geometrc")
     assert split_label("ours-geometric+no-temporal") == ("ours-geometric", "no-temporal")
+
+
+def test_a_source_that_joins_leaves_the_temporal_term_as_it_is(monkeypatch):
+    """It cannot tell what moves: where nothing does the gain stays within a tenth, and the picture changes by less than noise."""
+    rig, target, gains = [camera_at(x) for x in (-0.3, -0.1, 0.1, 0.3)], camera_at(0.0, name="target"), []
+    march = geometry_guided.ray_march
+
+    def watched(*arguments, previous=None, **options):
+        gains.append(None if previous is None else float(previous.gain.mean()))
+        return march(*arguments, previous=previous, **options)
+
+    monkeypatch.setattr(geometry_guided, "ray_march", watched)
+    method, images, sigma = GeometryGuided(), [], 2.0
+    for index in range(10):
+        chosen = rig[:3] if index < 8 else rig[1:]
+        plain, random = instant(index, target, chosen, depth_noise=0.005), np.random.default_rng([index, 3])
+        noise = [np.rint(view.image + random.normal(0, sigma, view.image.shape)) for view in plain.sources]
+        sources = zip(plain.sources, noise, strict=True)
+        noisy = tuple(replace(view, image=image.clip(0, 255).astype(np.uint8)) for view, image in sources)
+        images.append(255 * method.step(replace(plain, sources=noisy)).image)
+    assert gains[8] == pytest.approx(gains[7], rel=0.1)
+    assert np.sqrt(np.mean((images[8] - images[7]) ** 2)) < sigma
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 7), (7, 1)])
+def test_images_of_one_pixel(size):
+    """One pixel wide or high is rendered; one pixel alone is an error that says so, where images are looked up."""
+    target, sources = (
+        camera_at(0.0, name="target", width=7, height=7),
+        [camera_at(x, width=size[0], height=size[1]) for x in (-0.1, 0.1)],
+    )
+    method = GeometryGuided()
+    for index in range(3):
+        if size == (1, 1):
+            with pytest.raises(RenderError, match="at least two pixels"):
+                method.step(instant(index, target, sources))
+        else:
+            assert np.isfinite(method.step(instant(index, target, sources)).image).all()
+
+
+def test_colours_are_colours():
+    """What a wide change beside a pixel takes off it leaves no value below 0: a white half turns black where nothing moves."""
+    pictures = np.zeros((2, TARGET.height, TARGET.width, 3), np.float32)
+    pictures[0, :, : TARGET.width // 2] = 1
+
+    class Painted:
+        """A blender that shows given pictures."""
+
+        def blend(self, inputs: BlendingInputs) -> Blended:
+            """The picture of the instant."""
+            return Blended(pictures[inputs.instant.index].copy())
+
+    method = GeometryGuided(blender=Painted())
+    images = [method.step(instant(index, TARGET, SOURCES)).image for index in range(2)]
+    assert 0 == images[1].min() < images[1].max() <= 1

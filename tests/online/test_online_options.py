@@ -244,7 +244,7 @@ def normalised_field() -> None:
 
 def recurrent_limit() -> None:
     """The larger the limit, the calmer the output where nothing moves; without, the output is what was blended."""
-    alone = {"remembered": False, "beta_temporal": 0.0, "beta_mask": 1.0}  # nothing else calms it
+    alone = {"beta_temporal": 0.0, "beta_mask": 1.0}  # nothing else calms it
     without, half, most = (play(still(10), recurrent_limit=value, **alone) for value in (0.0, 0.5, 0.9))
     for rendering, image in zip(without.renderings, without.images, strict=True):
         np.testing.assert_array_equal(rendering.image, image)

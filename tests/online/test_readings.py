@@ -127,6 +127,13 @@ def test_masks_of_several_views_become_one():
     np.testing.assert_allclose(target_mask(splats, "mean"), [[0.8, 0.6, 1.0]])
 
 
+def test_a_mask_of_zero_is_a_mask():
+    """With a least weight of 0 what stands still has the mask 0, and is covered nevertheless."""
+    splat = Splat(np.zeros((1, 2, 4), np.float32), np.float32([[0.9, 0.2]]), np.ones((1, 2), np.float32))
+    for views in ("largest", "mean"):
+        np.testing.assert_array_equal(target_mask([splat], views), [[0.0, 1.0]])
+
+
 def test_channels_of_a_difference_become_one():
     """Red alone changes by 60 levels: the largest is 60 / 255, the mean a third of it (Eq. 1)."""
     before = np.full((32, 32, 3), 100, np.uint8)

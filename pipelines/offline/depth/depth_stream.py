@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from ggvs_eval.arrays import Image8, Mask
 from ggvs_eval.camera import Camera
 from ggvs_eval.depth_store import DepthMap
+from ggvs_eval.errors import DepthError
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthEstimator, DepthOptions
 
 CONTEXT_PX = 48  # what a matcher sees around the window that it computes again
@@ -82,7 +83,10 @@ class DepthStream:
         if width * height > MOST_CHANGED * self.camera.width * self.camera.height:
             return blurred, self._whole.estimate(image, partner_images)
         rows, columns = slice(top, top + height), slice(left, left + width)
-        fresh = self._window_estimator(window).estimate(np.ascontiguousarray(image[rows, columns]), partner_images)
+        try:
+            fresh = self._window_estimator(window).estimate(np.ascontiguousarray(image[rows, columns]), partner_images)
+        except DepthError:  # too narrow to be rectified alone: its disparities may be as wide as it is
+            return blurred, self._whole.estimate(image, partner_images)
         here = changed[rows, columns]
         depth, confidence, picture = depth_map.depth.copy(), depth_map.confidence.copy(), reference.copy()
         depth[rows, columns][here] = fresh.depth[here]

@@ -235,6 +235,42 @@ def warp_views(
 
 
 @wp.kernel
+def warp_change(
+    surface: wp.array2d[wp.float32],
+    change: wp.array3d[wp.float32],
+    source_depth: wp.array2d[wp.float32],
+    m: wp.array[wp.float32],
+    tolerance: wp.float32,
+    out: wp.array3d[wp.float32],
+    visibilities: wp.array2d[wp.float32],
+):
+    """A view's change of colour, (Hs, Ws, 3), bilinearly at a surface, 0 outside of it, and whether the view sees that."""
+    y, x = wp.tid()
+    height = source_depth.shape[0]
+    width = source_depth.shape[1]
+    visibility = wp.float32(0.0)
+    at = surface_in_view(surface, m, y, x)
+    inside = is_inside(at, width, height)
+    column = wp.min(wp.max(at[0] - 0.5, 0.0), wp.float32(width - 1))
+    row = wp.min(wp.max(at[1] - 0.5, 0.0), wp.float32(height - 1))
+    x0 = wp.int32(column)
+    y0 = wp.int32(row)
+    x1 = wp.min(x0 + 1, width - 1)
+    y1 = wp.min(y0 + 1, height - 1)
+    fx = column - wp.float32(x0)
+    fy = row - wp.float32(y0)
+    for c in range(3):
+        value = wp.float32(0.0)
+        if inside:
+            upper = (1.0 - fx) * change[y0, x0, c] + fx * change[y0, x1, c]
+            value = (1.0 - fy) * upper + fy * ((1.0 - fx) * change[y1, x0, c] + fx * change[y1, x1, c])
+        out[c, y, x] = value
+    if inside:
+        visibility = visibility_of(source_depth, width, height, at, tolerance)
+    visibilities[y, x] = visibility
+
+
+@wp.kernel
 def register_views(
     fused: wp.array2d[wp.float32],
     images: wp.array4d[wp.uint8],

@@ -9,25 +9,42 @@ from torch import Tensor
 from torch.nn import functional
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.geometry.contested_depth import LEAST_ALPHA, LEAST_SHARE, RATIO
+from ggvs_eval.geometry.contested_depth import LEAST_ALPHA, LEAST_SHARE, RATIO, comparable
 from ggvs_eval.geometry.difference_mask import REDUCTION
 from ggvs_eval.geometry.per_pixel import view_weights
+from ggvs_eval.geometry.tsdf import march_end
 from ggvs_eval.pipelines.online.device import blend_kernels, filter_kernels, march_kernels
 from ggvs_eval.pipelines.online.device.launch import launch
 from ggvs_eval.pipelines.online.device.splats import DeviceSplats
 from ggvs_eval.pipelines.online.device.views import DeviceViews, area_cells, pixel_map, to_device
 
 
-def difference_mask(now: Tensor, before: Tensor, *, lambda_t: float, beta: float, mean: bool = False) -> Tensor:
-    """Weight of the new depth against its history (Eq. 1), (H, W), of two images (H, W, 3) uint8, as `difference_mask` has it."""
+@dataclass(frozen=True, eq=False)
+class DeviceChange:
+    """What changed in a view since the instant before, see `ggvs_eval.pipelines.online.depth_filter.Change`."""
+
+    before: Tensor
+    now: Tensor
+    colours: Tensor
+    mask: Tensor
+
+    @property
+    def pixels(self) -> Tensor:
+        """Change of each pixel, (H, W, 3), float32 in [-1, 1]."""
+        return (self.now.float() - self.before.float()) / 255
+
+
+def change_between(now: Tensor, before: Tensor, *, lambda_t: float, beta: float, mean: bool = False) -> DeviceChange:
+    """Change between two images (H, W, 3), uint8, and the weight of new depth against its history (Eq. 1)."""
     height, width = now.shape[:2]
     cells = max(height // REDUCTION, 1), max(width // REDUCTION, 1)
-    difference = torch.empty(cells, device=now.device)
+    colours = torch.empty((*cells, 3), device=now.device)
     rows, columns = area_cells(height, cells[0], now.device), area_cells(width, cells[1], now.device)
-    launch(filter_kernels.colour_difference, cells, now, before, *rows, *columns, mean, difference)
-    mask = (difference / lambda_t + beta).clamp(max=1)[None, None]
-    widest = functional.max_pool2d(mask, 3, 1, 1)
-    return functional.interpolate(widest, size=(height, width), mode="bilinear", align_corners=False)[0, 0]
+    launch(filter_kernels.colour_change, cells, now, before, *rows, *columns, colours)
+    difference = colours.abs().mean(dim=-1) if mean else colours.abs().amax(dim=-1)
+    widest = functional.max_pool2d((difference / lambda_t + beta).clamp(max=1)[None, None], 3, 1, 1)
+    mask = functional.interpolate(widest, size=(height, width), mode="bilinear", align_corners=False)[0, 0]
+    return DeviceChange(before, now, colours, mask)
 
 
 def filter_depth(depth: Tensor, history: Tensor, mask: Tensor, tolerance: float) -> Tensor:
@@ -58,22 +75,27 @@ class MaskOptions:
     mean: bool
 
 
-def filter_views(index: int, views: DeviceViews, history: History, options: MaskOptions) -> tuple[Tensor, Tensor, History]:
+def filter_views(
+    index: int, views: DeviceViews, history: History, options: MaskOptions
+) -> tuple[Tensor, Tensor, list[DeviceChange | None], History]:
     """Filter the depth of every view of an instant.
 
     Returns:
-        Filtered depths and masks, (K, H, W), and the history for the next instant; that of cameras that are no sources now stays.
+        Filtered depths and masks, (K, H, W), what changed in each view, None where it cannot be known, and the history for the
+        next instant; that of cameras that are no sources now stays.
     """
     filtered, masks, kept = views.depths.clone(), torch.ones_like(views.depths), dict(history)
+    changes: list[DeviceChange | None] = [None] * len(views.cameras)
     for k, camera in enumerate(views.cameras):
         image, depth = views.layer(views.images, k), views.layer(filtered, k)
         before = history.get(camera.name)
         if options.enabled and before is not None and before[0] == index - 1 and before[1].shape == image.shape:
-            mask = difference_mask(image, before[1], lambda_t=options.lambda_t, beta=options.beta, mean=options.mean)
-            views.layer(masks, k).copy_(mask)
-            depth.copy_(filter_depth(views.layer(views.depths, k), before[2], mask, options.tolerance))
+            change = change_between(image, before[1], lambda_t=options.lambda_t, beta=options.beta, mean=options.mean)
+            views.layer(masks, k).copy_(change.mask)
+            depth.copy_(filter_depth(views.layer(views.depths, k), before[2], change.mask, options.tolerance))
+            changes[k] = change
         kept[camera.name] = (index, image, depth)
-    return filtered, masks, kept
+    return filtered, masks, changes, kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,10 +151,11 @@ def ray_march(
 
 def _field(target: Camera, options: MarchOptions) -> march_kernels.Field:
     constants = march_kernels.Field()
-    constants.near, constants.far, constants.tau = target.near, target.far, options.tau
+    end = march_end(target, options.tau, options.min_step)
+    constants.near, constants.far, constants.tau = target.near, end, options.tau
     constants.step_fraction, constants.min_step = options.step_fraction, options.min_step
     constants.skip_empty = options.skip_empty
-    first, last = (int(np.float32(depth).view(np.int32)) for depth in (target.near, target.far))
+    first, last = (int(np.float32(depth).view(np.int32)) for depth in (target.near, end))
     constants.first_bits, constants.per_bit = first, march_kernels.SLABS / (last - first)
     constants.width, constants.height = target.width, target.height
     return constants
@@ -159,6 +182,8 @@ def _occupancy(
 
 def settle_depth(target: Camera, fused: Tensor, views: DeviceViews, splats: DeviceSplats, tolerance: float) -> Tensor:
     """Fused depth, replaced where most views and the colours of all speak for a splat's, as `settle_depth`."""
+    if not comparable(views.cameras):
+        return fused
     maps = to_device(np.stack([pixel_map(target, camera) for camera in views.cameras]), fused.device)
     weights = to_device(view_weights(target, views.cameras, views.shares), fused.device)
     settled = torch.empty_like(fused)

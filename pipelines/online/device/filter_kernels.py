@@ -11,20 +11,17 @@ FAR_AWAY = wp.constant(wp.float32(1e18))  # stands for an invalid depth: any dif
 
 
 @wp.kernel
-def colour_difference(
+def colour_change(
     now: wp.array3d[wp.uint8],
     before: wp.array3d[wp.uint8],
     rows: wp.array2d[wp.int32],
     row_shares: wp.array2d[wp.float32],
     columns: wp.array2d[wp.int32],
     column_shares: wp.array2d[wp.float32],
-    mean: wp.bool,
-    out: wp.array2d[wp.float32],
+    out: wp.array3d[wp.float32],
 ):
-    """Largest or mean absolute difference of a cell's mean colours, see `kernels/filter.hpp`."""
+    """By how much a cell's mean colour has changed, see `kernels/filter.hpp`."""
     y, x = wp.tid()
-    largest = wp.float32(0.0)
-    total = wp.float32(0.0)
     for c in range(3):
         value = wp.float32(0.0)
         for column in range(columns[x, 0], columns[x, 1]):
@@ -33,13 +30,7 @@ def colour_difference(
                 difference = wp.float32(now[row, column, c]) - wp.float32(before[row, column, c])
                 line += row_shares[y, row - rows[y, 0]] * difference
             value += column_shares[x, column - columns[x, 0]] * line
-        value = wp.abs(value) / 255.0
-        largest = wp.max(largest, value)
-        total += value
-    if mean:
-        out[y, x] = total / 3.0
-    else:
-        out[y, x] = largest
+        out[y, x, c] = value / 255.0
 
 
 @wp.kernel

@@ -1,6 +1,6 @@
 """First half of the step on the device, up to what a blender is given: filtered depth, gains, splats, and the fused depth."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import torch
@@ -9,7 +9,14 @@ from torch import Tensor
 from ggvs_eval.geometry.splat import COVERED_ALPHA
 from ggvs_eval.method import Instant
 from ggvs_eval.pipelines.online.device import depth_stages
-from ggvs_eval.pipelines.online.device.depth_stages import DeviceMarch, History, MarchOptions, MaskOptions, PastDepth
+from ggvs_eval.pipelines.online.device.depth_stages import (
+    DeviceChange,
+    DeviceMarch,
+    History,
+    MarchOptions,
+    MaskOptions,
+    PastDepth,
+)
 from ggvs_eval.pipelines.online.device.exposure import Exposure, ExposureState, compensate, estimate_exposure
 from ggvs_eval.pipelines.online.device.splats import DeviceSplats, splat_views
 from ggvs_eval.pipelines.online.device.views import DeviceViews
@@ -62,6 +69,7 @@ class DeviceInputs:
     Attributes:
         views: the sources, their depth filtered, their images brought to one colour.
         splats: of the same views.
+        changes: in each of them since the instant before; None where it was not there.
         depth: fused and settled, (H, W), world units, 0 where unknown.
         tau: truncation distance of the fusion, world units.
         exposure: of the sources; None where it is not compensated.
@@ -70,6 +78,7 @@ class DeviceInputs:
 
     views: DeviceViews
     splats: DeviceSplats
+    changes: Sequence[DeviceChange | None]
     depth: Tensor
     tau: float
     exposure: Exposure | None
@@ -95,7 +104,7 @@ def blending_inputs(
     masked = MaskOptions(
         options.lambda_t, options.beta_mask, options.history_tolerance, options.temporal, options.mask_channels == "mean"
     )
-    depths, masks, history = depth_stages.filter_views(index, views, before.history, masked)
+    depths, masks, changes, history = depth_stages.filter_views(index, views, before.history, masked)
     filtered, exposure, gains = replace(views, depths=depths), None, before.exposure
     if options.compensated:
         mark("filter", "exposure")
@@ -112,19 +121,28 @@ def blending_inputs(
     near, scale = instant.near_plane, options.gaussian_scale_px
     splats = splat_views(target, filtered, splatted, masks, near=near, scale=scale, capacity=capacity)
     mark("tsdf", "occupancy and march")
-    past = _past_depth(index, splats, before, options)
+    past = _past_depth(index, splats, changes, before, options)
     march = depth_stages.ray_march(target, filtered, depths, weights, MarchOptions(tau, options.min_step), past)
     surface = march.depth
     mark("tsdf", "contested depth")
     if options.settled:
         surface = depth_stages.settle_depth(target, surface, filtered, splats, SAME_SURFACE_TAU * tau)
-    return DeviceInputs(filtered, splats, surface, tau, exposure, GeometryState(index, history, gains, march))
+    return DeviceInputs(filtered, splats, changes, surface, tau, exposure, GeometryState(index, history, gains, march))
 
 
-def _past_depth(index: int, splats: DeviceSplats, before: GeometryState, options: OnlineOptions) -> PastDepth | None:
+def _past_depth(
+    index: int,
+    splats: DeviceSplats,
+    changes: Sequence[DeviceChange | None],
+    before: GeometryState,
+    options: OnlineOptions,
+) -> PastDepth | None:
     """The fused depth of the instant before, trusted where nothing moves (Eqs. 13-14)."""
     if not options.temporal or before.march is None or before.index != index - 1:
         return None
-    mask = torch.where(splats.alphas >= COVERED_ALPHA, splats.features[..., 3], 0.0).amax(dim=0)
-    gain = (1 - torch.where(mask > 0, mask, 1.0)).clamp(min=0) * options.beta_temporal
+    mask = torch.full_like(splats.alphas[0], -1.0)
+    for k, change in enumerate(changes):
+        if change is not None:
+            mask = torch.maximum(mask, torch.where(splats.alphas[k] >= COVERED_ALPHA, splats.features[k, ..., 3], -1.0))
+    gain = (1 - torch.where(mask < 0, 1.0, mask)).clamp(min=0) * options.beta_temporal
     return PastDepth(before.march, gain, options.eta)

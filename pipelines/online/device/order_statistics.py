@@ -1,4 +1,4 @@
-"""Medians and quantiles whose result stays on the device: torch's own read it back, or take at most 16 million values."""
+"""Medians whose result stays on the device: torch's own read it back, or take at most 16 million values."""
 
 import torch
 from torch import Tensor
@@ -19,11 +19,3 @@ def masked_median(values: Tensor, mask: Tensor) -> Tensor:
     places = (count - 1).clamp(min=0) // 2, (count // 2).clamp(max=values.shape[1] - 1)
     low, high = (ordered.gather(1, place[:, None])[:, 0] for place in places)
     return torch.where(count > 0, (low + high) / 2, 0.0)
-
-
-def quantile(values: Tensor, share: float) -> Tensor:
-    """Value that a share of all values does not exceed, (), between the two nearest as numpy has it."""
-    ordered = values.flatten().sort().values
-    place = share * (len(ordered) - 1)
-    low = int(place)
-    return ordered[low] + (place - low) * (ordered[min(low + 1, len(ordered) - 1)] - ordered[low])

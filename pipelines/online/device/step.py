@@ -20,8 +20,9 @@ from ggvs_eval.pipelines.online.device.exposure import show_fall_off
 from ggvs_eval.pipelines.online.device.geometry import GeometryState, PairRoom, blending_inputs
 from ggvs_eval.pipelines.online.device.launch import on_stream_of
 from ggvs_eval.pipelines.online.device.memories import Background, Shown
+from ggvs_eval.pipelines.online.device.stillness import cells, splatted_change, stillness
 from ggvs_eval.pipelines.online.device.views import DeviceViews, upload
-from ggvs_eval.pipelines.online.geometry_guided import OnlineOptions
+from ggvs_eval.pipelines.online.geometry_guided import SAME_SURFACE_TAU, OnlineOptions
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +122,8 @@ class DeviceGuided:
         inputs = blending_inputs(instant, views, chosen, state.geometry, self._room.capacity(views), clock.mark)
         splats, surface = inputs.splats, inputs.depth
         clock.mark("blend", "registration")
-        still = memories.stillness(splats, chosen.beta_mask, chosen.lambda_t)
+        largest = splatted_change(splats, inputs.changes, chosen.beta_mask, chosen.lambda_t)
+        still = stillness(target, surface, inputs.views, inputs.changes, largest, SAME_SURFACE_TAU * inputs.tau)
         maps = picture.register_views(target, surface, inputs.views, splats, inputs.tau)
         clock.mark("blend", "network and composition")
         image, shares = picture.blend_views(self._network, maps, self._registered)
@@ -134,11 +136,10 @@ class DeviceGuided:
         if chosen.temporal and chosen.recurrent_limit > 0:
             shown = memories.recur(index, target, image, still, shown, chosen.recurrent_limit)
             image = shown.picture
-        cells = memories.REDUCTION
         diagnostics = {
-            "coverage": splats.alphas[:, ::cells, ::cells].amax(dim=0),
+            "coverage": cells(splats.alphas).amax(dim=0),
             "motion": 1 - still,
-            "depth": surface[::cells, ::cells],
+            "depth": cells(surface),
             "weights": shares,
         }
         return _Outcome(image, surface, diagnostics, splats.pairs, _State(inputs.state, background, shown))

@@ -70,8 +70,9 @@ def depth_loss(depths: Tensor, fused_depth: Tensor, weights: Tensor) -> Tensor:
 
     Reading:
         As printed the denominator lacks its sum over the views, and the sum over pixels is divided by H W K: kept, so the term
-        weighs a K-th of what its factor says. Depth is measured in each scene's own unit (`reference_depth`), else the loss
-        would depend on the scale of the world. Pixels count where the fused depth is known and a view has weight.
+        weighs a K-th of what its factor says; K is the network's, views that a sample lacks included. Depth is measured in each
+        scene's own unit (`reference_depth`), else the loss would depend on the scale of the world. Pixels count where the fused
+        depth is known and a view has weight.
     """
     shown = weights * (depths > 0)
     blended = weighted_mean_tensor(depths[:, :, None], shown)[:, 0]
