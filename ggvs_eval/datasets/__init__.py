@@ -25,6 +25,7 @@ from ggvs_eval.datasets.corrections import apply_corrections, corrections_file, 
 from ggvs_eval.datasets.known_traps import apply_known_traps
 from ggvs_eval.datasets.units import GivenUnits
 from ggvs_eval.errors import CaptureError, did_you_mean
+from ggvs_eval.files.listing import list_entries
 
 LISTED = 8
 
@@ -101,7 +102,7 @@ def open_capture(path: str | Path, layout: str | None = None, *, units: GivenUni
     path = Path(path)
     if not path.exists():
         raise CaptureError(f"{path}: wanted a folder with a capture, there is none; check the path")
-    if path.is_dir() and not any(path.iterdir()):
+    if path.is_dir() and not list_entries(path):
         raise CaptureError(f"{path}: wanted a capture, the folder is empty; put frames and poses there, or try 'ggvs-eval demo'")
     spec = DATASETS[detect_layout(path, layout)]
     capture = spec.load(path, units)
@@ -135,6 +136,6 @@ def detect_layout(path: Path, layout: str | None = None) -> str:
 
 def _captures_within(path: Path) -> list[str]:
     """Folders right below that hold a capture, when a whole data set was named instead of a scene."""
-    folders = sorted(folder for folder in path.iterdir() if folder.is_dir())[: 4 * LISTED] if path.is_dir() else []
+    folders = [folder for folder in list_entries(path) if folder.is_dir()][: 4 * LISTED]
     captures = [folder.name for folder in folders if any(spec.refuse(folder) is None for spec in DATASETS.values())]
     return [*captures[:LISTED], "..."] if len(captures) > LISTED else captures

@@ -7,9 +7,10 @@ from typing import Protocol
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture, Extras, FrameSource, source_chain
-from ggvs_eval.datasets.frames import ImageFrames, list_images
+from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.units import Units
 from ggvs_eval.errors import CaptureError
+from ggvs_eval.files.listing import list_images
 from ggvs_eval.files.video import VideoFrames
 
 # Image folders do not say their rate; every capture published in this layout was recorded at this one.

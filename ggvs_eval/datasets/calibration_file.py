@@ -19,6 +19,7 @@ from ggvs_eval.datasets.colmap_model import undistorted_sources
 from ggvs_eval.datasets.depth_range import rig_depth_range
 from ggvs_eval.datasets.units import GivenUnits, Units, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.files.listing import list_entries
 from ggvs_eval.files.plain import read_plain_text
 
 # What tells such files from others of their suffix, before they are parsed.
@@ -148,7 +149,7 @@ def load(kind: str, path: Path, units: GivenUnits) -> Capture:
 
 def _find(path: Path, kind: str | None) -> tuple[Callable[[Path], list[FileCamera]], list[Path]]:
     """The files of `find_calibration_files`, and what reads them."""
-    files = sorted(each for each in path.iterdir() if not each.name.startswith(".")) if path.is_dir() else [path]
+    files = list_entries(path) if path.is_dir() else [path]
     for each in KINDS.values() if kind is None else [KINDS[kind]]:
         if fitting := [file for file in files if each.fits(file)]:
             return each.read, fitting

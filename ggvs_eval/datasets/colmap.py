@@ -6,9 +6,10 @@ from pathlib import Path, PurePosixPath
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import ARRANGEMENTS, SizedSource, assemble_capture, find_sources, listed
 from ggvs_eval.datasets.colmap_model import CalibratedView, read_model, undistorted_sources
-from ggvs_eval.datasets.frames import ImageFrames, list_images
+from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.units import GivenUnits, choose_units
 from ggvs_eval.errors import CaptureError
+from ggvs_eval.files.listing import list_images
 from ggvs_eval.files.video import VideoFrames
 
 MODEL_FOLDERS = ("sparse/0", "sparse", "colmap/sparse/0")

@@ -6,12 +6,12 @@ from pathlib import Path
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture, Extras
 from ggvs_eval.datasets.assemble import assemble_capture
-from ggvs_eval.datasets.frames import ImageFrames, list_images
+from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.h5_frames import h5_parts
 from ggvs_eval.datasets.llff import llff_camera, read_llff_poses
 from ggvs_eval.datasets.units import GivenUnits, choose_units
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.files.images import IMAGE_SUFFIXES
+from ggvs_eval.files.listing import IMAGE_SUFFIXES, list_files, list_images
 
 POSES = "poses_bounds.npy"
 LISTED = 8
@@ -72,7 +72,7 @@ def _load_folders(path: Path, units: GivenUnits) -> Capture:
 def _h5_files(path: Path) -> list[Path]:
     if path.is_file():
         return [path] if path.suffix.lower() == ".h5" else []
-    return sorted(path.glob("*.h5"))
+    return list_files(path, (".h5",))
 
 
 def _pose_file(file: Path) -> Path:

@@ -5,10 +5,11 @@ from pathlib import Path
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import SizedSource, assemble_capture, check_rig_size, listed
-from ggvs_eval.datasets.frames import NumberedFrames, list_images
+from ggvs_eval.datasets.frames import NumberedFrames
 from ggvs_eval.datasets.llff import llff_camera, read_llff_poses
 from ggvs_eval.datasets.units import GivenUnits, choose_units
 from ggvs_eval.errors import CaptureError
+from ggvs_eval.files.listing import list_images
 from ggvs_eval.files.video import VideoFrames
 
 POSES = "poses_bounds.npy"

@@ -6,9 +6,10 @@ from pathlib import Path
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import assemble_capture, listed
 from ggvs_eval.datasets.colmap_model import CalibratedView, read_model, undistorted_sources
-from ggvs_eval.datasets.frames import ImageFrames, list_images
+from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.units import GivenUnits, choose_units
 from ggvs_eval.errors import CaptureError
+from ggvs_eval.files.listing import list_images
 
 MODEL = "sparse_"
 

@@ -1,6 +1,5 @@
 """RGB-D sequences: one moving camera with a depth sensor before a still scene, as ScanNet and HoloLens export them."""
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,9 +11,11 @@ from ggvs_eval.camera import LARGEST_DEVIATION, ROUNDING, Camera, nearest_rotati
 from ggvs_eval.capture import Capture, Extras
 from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size, listed
 from ggvs_eval.datasets.depth_frames import DepthFrames, read_depth_png
-from ggvs_eval.datasets.frames import ImageFrames, list_images
+from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.units import METRIC, GivenUnits, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.files.listing import list_files, list_images
+from ggvs_eval.files.names import numbers_in
 from ggvs_eval.files.plain import read_plain_text
 
 SCANNET = ("color", "depth", "pose", "intrinsic")
@@ -107,11 +108,11 @@ def _read_sequence(path: Path) -> _Sequence:
     colour, depth, *_ = SCANNET if scannet else HOLOLENS
     images = _numbered(path / colour, list_images(path / colour))
     check_rig_size(path, len(images))
-    depths = _numbered(path / depth, sorted((path / depth).glob("*.png")))
+    depths = _numbered(path / depth, list_files(path / depth, (".png",)))
     _check_complete(images, depths, path / depth, "depth map")
     if not scannet:
         return _Sequence(images, depths, _read_pose_rows(path / HOLOLENS[2], list(images)), _read_K(path / HOLOLENS[3]), None)
-    files = _numbered(path / "pose", sorted((path / "pose").glob("*.txt")))
+    files = _numbered(path / "pose", list_files(path / "pose", (".txt",)))
     _check_complete(images, files, path / "pose", "pose")
     K, K_depth = (_read_K(path / "intrinsic" / f"intrinsic_{kind}.txt") for kind in ("color", "depth"))
     poses = {number: _read_matrix(files[number], (4,)) for number in images}
@@ -121,12 +122,15 @@ def _read_sequence(path: Path) -> _Sequence:
 def _numbered(folder: Path, files: Sequence[Path]) -> dict[int, Path]:
     """The files by the last number in their names, in the order of numbers."""
     files_by_number: dict[int, Path] = {}
-    for file in files:
-        numbers = re.findall(r"\d+", file.stem)
-        if not numbers or int(numbers[-1]) in files_by_number:
-            problem = f"a second one in {file.name}" if numbers else f"none in {file.name}"
-            raise CaptureError(f"{folder}: wanted one number per frame, got {problem}; remove or rename it")
-        files_by_number[int(numbers[-1])] = file
+    try:
+        numbers = numbers_in([file.stem for file in files])
+    except ValueError as error:
+        raise CaptureError(f"{folder}: wanted one number per frame that can be read in one way, got {error}") from error
+    for file, number in zip(files, numbers, strict=True):
+        if not isinstance(number, int) or number in files_by_number:
+            problem = f"none in {file.name}" if not isinstance(number, int) else f"a second one in {file.name}"
+            raise CaptureError(f"{folder}: wanted one whole number per frame, got {problem}; remove or rename it")
+        files_by_number[number] = file
     return dict(sorted(files_by_number.items()))
 
 

@@ -9,9 +9,10 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size, listed
 from ggvs_eval.datasets.depth_range import given_depth_range, rig_depth_range
-from ggvs_eval.datasets.frames import NumberedFrames, list_images
+from ggvs_eval.datasets.frames import NumberedFrames
 from ggvs_eval.datasets.units import GivenUnits, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.files.listing import list_images
 from ggvs_eval.files.plain import read_plain_text
 
 PARAMETERS = "cameras_parameters.txt"

@@ -14,7 +14,6 @@ from ggvs_eval.files.plain import LARGEST_PICTURE, read_plain, why_unread
 
 ResizeFilter = Literal["area", "lanczos", "bicubic", "bilinear"]
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 PNG_LEVEL = 1  # two thirds of the time that level 3 takes, for files 4 % larger
 
 

@@ -4,9 +4,10 @@ import shutil
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from ggvs_eval.datasets.frames import ImageFrames, list_images
+from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.images import write_image
+from ggvs_eval.files.listing import list_images
 from ggvs_eval.files.video import VideoFrames
 
 CameraFiles = VideoFrames | ImageFrames
