@@ -21,6 +21,7 @@ from ggvs_eval.datasets import (
     spaces,
     technicolor,
 )
+from ggvs_eval.datasets.camera_frames import IN_WORDS
 from ggvs_eval.datasets.corrections import apply_corrections, corrections_file, read_corrections
 from ggvs_eval.datasets.known_traps import apply_known_traps
 from ggvs_eval.datasets.units import GivenUnits
@@ -59,7 +60,7 @@ DATASETS = {
     "dynerf": DatasetSpec(f"poses_bounds.npy with {dynerf.ARRANGEMENTS}", dynerf.refuse, dynerf.load),
     "meetroom": DatasetSpec("poses_bounds.npy with cam_N.mp4 or 0000/images/camNN.png", meetroom.refuse, meetroom.load),
     "enerf-outdoor": DatasetSpec("intri.yml and extri.yml with images/XX/ (EasyMocap)", easymocap.refuse, easymocap.load),
-    "colmap": DatasetSpec(f"sparse/0 with {colmap.ARRANGEMENTS}", colmap.refuse, colmap.load),
+    "colmap": DatasetSpec(f"sparse/0 with {IN_WORDS}", colmap.refuse, colmap.load),
     "nerfstudio": DatasetSpec("transforms.json with one image per camera", nerfstudio.refuse, nerfstudio.load),
 } | {
     name: DatasetSpec(kind.describe, partial(calibration_file.refuse, name), partial(calibration_file.load, name))

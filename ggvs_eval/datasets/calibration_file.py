@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
-from ggvs_eval.datasets.assemble import ARRANGEMENTS, assemble_capture, check_rig_size, first_sources, listed
+from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size
 from ggvs_eval.datasets.calibration_readers import (
     LARGEST_XML_BYTES,
     FileCamera,
@@ -15,6 +15,7 @@ from ggvs_eval.datasets.calibration_readers import (
     read_opencv,
     read_qualisys,
 )
+from ggvs_eval.datasets.camera_frames import find_frames, instead_of_frames, listed
 from ggvs_eval.datasets.colmap_model import undistorted_sources
 from ggvs_eval.datasets.depth_range import rig_depth_range
 from ggvs_eval.datasets.units import GivenUnits, Units, choose_units
@@ -119,11 +120,12 @@ def load(kind: str, path: Path, units: GivenUnits) -> Capture:
     """
     folder = path if path.is_dir() else path.parent
     file = read_calibration_file(path, kind)
-    frames = first_sources(folder, {name: f"{name}.png" for name in file.cameras})
+    frames = find_frames(folder, {name: f"{name}.png" for name in file.cameras}).sources
     if len(frames) < 2:
+        missing = [name for name in file.cameras if name not in frames]
+        content = f"those of {listed(frames)} alone" if frames else instead_of_frames(folder, missing)
         raise CaptureError(
-            f"{folder}: wanted frames of two or more of {listed(list(file.cameras))}, got {listed(list(frames)) or 'none'}; call "
-            f"videos and cameras alike and put them in {ARRANGEMENTS}"
+            f"{folder}: wanted frames of two or more of {listed(file.cameras)}, got {content}; call videos and cameras alike"
         )
     chosen = [camera for camera in file.cameras.values() if camera.name in frames]
     without = [camera.name for camera in chosen if camera.world_to_camera is None]

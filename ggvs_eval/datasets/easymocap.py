@@ -9,7 +9,8 @@ from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture, Extras
 from ggvs_eval.datasets.array_file import map_array
-from ggvs_eval.datasets.assemble import SizedSource, assemble_capture, listed
+from ggvs_eval.datasets.assemble import SizedSource, assemble_capture
+from ggvs_eval.datasets.camera_frames import listed
 from ggvs_eval.datasets.colmap_model import undistorted, undistorted_sources
 from ggvs_eval.datasets.depth_range import points_depth_range, read_points, rig_depth_range
 from ggvs_eval.datasets.easymocap_yaml import EasyMocapView, read_views

@@ -4,7 +4,8 @@ import re
 from pathlib import Path
 
 from ggvs_eval.capture import Capture
-from ggvs_eval.datasets.assemble import assemble_capture, listed
+from ggvs_eval.datasets.assemble import assemble_capture
+from ggvs_eval.datasets.camera_frames import listed
 from ggvs_eval.datasets.colmap_model import CalibratedView, read_model, undistorted_sources
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.units import GivenUnits, choose_units

@@ -9,7 +9,8 @@ import numpy as np
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import LARGEST_DEVIATION, ROUNDING, Camera, nearest_rotation
 from ggvs_eval.capture import Capture, Extras
-from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size, listed
+from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size
+from ggvs_eval.datasets.camera_frames import listed
 from ggvs_eval.datasets.depth_frames import DepthFrames, read_depth_png
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.units import METRIC, GivenUnits, choose_units
@@ -76,7 +77,8 @@ def load(path: Path, units: GivenUnits) -> Capture:
     Reading:
         Frames without a finite pose are left out, which the capture's notes say. Row i of ``poses.txt`` is the i-th image in the
         order of numbers: with these poses depth warped between frames of the HoloLens sequence agrees, also across its missing
-        number; with the rows before or after it does not. Intrinsics are taken with pixel centres at halves. All cameras have one
+        number; with the rows before or after it does not. Pixels are taken as they are stored, whatever an EXIF tag says, since
+        depth maps and poses know of none. Intrinsics are taken with pixel centres at halves. All cameras have one
         depth range, 0.8 times the smallest 1st and 1.2 times the largest 99th percentile among 32 evenly spaced depth maps: long
         sequences have thousands.
     """
@@ -86,7 +88,7 @@ def load(path: Path, units: GivenUnits) -> Capture:
         raise CaptureError(
             f"{path}: wanted at least 2 frames with a finite pose, got {len(kept)} of {len(sequence.poses)}; track again"
         )
-    sources = [ImageFrames(sequence.images[number]) for number in kept]
+    sources = [ImageFrames(sequence.images[number], as_stored=True) for number in kept]
     size = _common_size(sources)
     _check_intrinsics(*sequence.K, size)
     limits = _depth_range([sequence.depths[number] for number in kept])
@@ -219,7 +221,7 @@ def _common_size(sources: Sequence[ImageFrames]) -> tuple[int, int]:
 
 def _check_depth_size(sequence: _Sequence, kept: Sequence[int], size: tuple[int, int]) -> None:
     """Depth maps have one size, of the shape of the images or one that their own intrinsics bear out."""
-    depth_size = _common_size([ImageFrames(sequence.depths[number]) for number in kept])
+    depth_size = _common_size([ImageFrames(sequence.depths[number], as_stored=True) for number in kept])
     same_shape = abs(depth_size[0] * size[1] / (depth_size[1] * size[0]) - 1) < LARGEST_STRETCH
     if sequence.K_depth:
         _check_intrinsics(*sequence.K_depth, depth_size, LARGEST_OFFSET if same_shape else LEAST_OFFSET)

@@ -7,7 +7,8 @@ import numpy as np
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
-from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size, listed
+from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size
+from ggvs_eval.datasets.camera_frames import listed
 from ggvs_eval.datasets.depth_range import given_depth_range, rig_depth_range
 from ggvs_eval.datasets.frames import NumberedFrames
 from ggvs_eval.datasets.units import GivenUnits, choose_units

@@ -218,7 +218,7 @@ def test_a_variable_frame_rate_is_said(tmp_path):
 
     assert open_capture(folder).notes == (
         "variable frame rate in cam01 (33.3 to 100.0 ms), cam02 (33.3 to 100.0 ms), cam03 (33.3 to 100.0 ms): "
-        "frame t of each camera is taken as one instant, whatever its time",
+        "frame t of each camera is taken as one instant, whatever its time; their times lie up to 33.3 ms apart",
     )
 
 

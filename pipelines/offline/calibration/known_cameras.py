@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import numpy as np
 
@@ -12,8 +12,9 @@ from ggvs_eval.capture import Capture, source_chain
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.calibration_file import find_calibration_files, read_calibration_file
 from ggvs_eval.datasets.capture_toml import LensTable
-from ggvs_eval.datasets.colmap import find_model
+from ggvs_eval.datasets.colmap import by_camera, find_model
 from ggvs_eval.datasets.colmap_model import read_model
+from ggvs_eval.datasets.frames import has_shape
 from ggvs_eval.datasets.undistort import UndistortedFrames
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.toml_tables import build_table, read_toml
@@ -86,11 +87,8 @@ def read_known(path: Path, sizes: Mapping[str, tuple[int, int]] | None = None) -
         return _read_intrinsics(path / INTRINSICS)
     model = path if any((path / f"cameras.{kind}").is_file() for kind in ("bin", "txt")) else find_model(path)
     if model is not None:
-        views = read_model(model)
-        cameras = {_camera_name(view.image_name): KnownCamera(view.lens, view.world_to_camera) for view in views}
-        if len(cameras) < len(views):
-            raise CaptureError(f"{model}: wanted one image per camera, got several; calibrate with one instant")
-        return cameras
+        views = by_camera(model, read_model(model))
+        return {name: KnownCamera(view.lens, view.world_to_camera) for name, view in views.items()}
     if find_calibration_files(path):
         return _of_calibration_file(path, sizes or {})
     return _of_capture(open_capture(path.parent if path.name == "capture.toml" else path))
@@ -131,7 +129,7 @@ def fit_known(path: Path, cameras: Mapping[str, KnownCamera], sizes: Mapping[str
     fitted = {}
     for name, (width, height) in sizes.items():
         lens = cameras[name].lens
-        if abs(lens.height * width / lens.width - height) > 1:
+        if not has_shape((width, height), (lens.width, lens.height)):
             content = f"frames of {width} x {height}"
             raise CaptureError(
                 f"{path}: {name} is calibrated for {lens.width} x {lens.height}, got {content}; "
@@ -159,12 +157,6 @@ def colmap_camera(lens: Lens) -> tuple[str, list[float]]:
     if not any(coefficients[4:]):
         return "OPENCV", pinhole + coefficients[:4]
     return "FULL_OPENCV", pinhole + coefficients + [0.0] * (8 - len(coefficients))
-
-
-def _camera_name(image_name: str) -> str:
-    """``cam00.png`` and ``cam00/0000.png`` are both of camera cam00, as for the COLMAP adapter."""
-    name = PurePosixPath(image_name)
-    return name.parent.name or name.stem
 
 
 def _read_intrinsics(path: Path) -> dict[str, KnownCamera]:
