@@ -13,6 +13,7 @@ import numpy as np
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.datasets.assemble import SizedSource, check_rig_size
+from ggvs_eval.datasets.frames import as_calibrated
 from ggvs_eval.datasets.undistort import UndistortedFrames
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.lens import Lens
@@ -104,6 +105,7 @@ def undistorted(source: SizedSource, lens: Lens, K: Array) -> SizedSource:
         lens: at the size of the calibration.
         K: of the pinhole image at the size of the calibration.
     """
+    source = as_calibrated(source, lens.width, lens.height)
     if lens.is_pinhole:
         return source
     width, height = source.size

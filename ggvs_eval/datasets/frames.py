@@ -2,21 +2,23 @@
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from statistics import median
+from typing import TypeVar
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.files.digest import digest_files
+from ggvs_eval.files.digest import digest_files, digest_values
 from ggvs_eval.files.images import read_image
 from ggvs_eval.files.listing import IMAGE_SUFFIXES, list_images, unread_pictures
 from ggvs_eval.files.names import Number, is_stamp, numbers_in
-from ggvs_eval.files.picture_header import PictureHeader, read_picture_header
+from ggvs_eval.files.picture_header import UPRIGHT, PictureHeader, read_picture_header
 from ggvs_eval.files.plain import NotPlainError
 
+Source = TypeVar("Source")
 LISTED = 5
 LARGEST_STEP = 1.5  # of time stamps, in their median step: at twice the median a frame is missing
 
@@ -31,9 +33,11 @@ class ImageFrames:
 
     Attributes:
         path: folder of images, or one image.
+        as_stored: whether the pixels are taken as they lie in the files; else they are turned as their EXIF tags say.
     """
 
     path: Path
+    as_stored: bool = field(default=False, kw_only=True)
 
     @property
     def n_frames(self) -> int:
@@ -68,7 +72,7 @@ class ImageFrames:
         Raises:
             CaptureError: images that differ in size, or a file that is no image.
         """
-        sizes = {file: header.size for file, header in self._headers.items()}
+        sizes = {file: self._size(header) for file, header in self._headers.items()}
         (size, _), *others = Counter(sizes.values()).most_common()
         if others:
             odd = next(file for file in self.files if sizes[file] != size)
@@ -84,13 +88,22 @@ class ImageFrames:
         return dict(Counter(change for header in self._headers.values() for change in header.conversions))
 
     @cached_property
+    def orientations(self) -> tuple[int, ...]:
+        """The EXIF orientations of the images that are not stored upright, each once; errors as of `size`."""
+        return tuple(sorted({header.orientation for header in self._headers.values()} - {UPRIGHT}))
+
+    def _size(self, header: PictureHeader) -> tuple[int, int]:
+        return header.stored_size if self.as_stored else header.size
+
+    @cached_property
     def _headers(self) -> dict[Path, PictureHeader]:
         return {file: _read_header(file) for file in self.files}
 
     @cached_property
     def digest(self) -> str:
         """Identifies the content; see `digest_files`."""
-        return digest_files(self.files)
+        digest = digest_files(self.files)
+        return digest_values(digest, "as stored") if self.as_stored else digest
 
     def frames(self, start: int, stop: int) -> Iterator[Image8]:
         """Read frames start <= t < stop one by one, RGB uint8 (H, W, 3).
@@ -101,7 +114,7 @@ class ImageFrames:
         if not 0 <= start <= stop <= self.n_frames:
             raise CaptureError(f"{self.path}: wanted frames {start}..{stop - 1}, the folder has {self.n_frames}")
         for file in self.files[start:stop]:
-            image = read_image(file)
+            image = read_image(file, self.as_stored)
             if image.shape[1::-1] != self.size:
                 content = f"{image.shape[1]} x {image.shape[0]}"
                 raise CaptureError(
@@ -159,6 +172,24 @@ class NumberedFrames(ImageFrames):
         if not self.numbered:
             raise CaptureError(f"{self.path}: wanted images of each camera, got none of one; restore them")
         return self._in_time(self.numbered)
+
+
+def as_calibrated(frames: Source, width: int, height: int) -> Source:
+    """Frames as a calibration for (width, height) means them.
+
+    Reading:
+        COLMAP and OpenCV's calibration ignore EXIF tags, so poses that were found elsewhere may belong to stored pixels: these
+        are taken where they alone have the calibrated shape.
+    """
+    if not isinstance(frames, ImageFrames) or has_shape(frames.size, (width, height)) or not frames.orientations:
+        return frames
+    stored = replace(frames, as_stored=True)
+    return stored if has_shape(stored.size, (width, height)) else frames
+
+
+def has_shape(size: tuple[int, int], calibrated: tuple[float, float]) -> bool:
+    """Tell whether frames are those that a calibration was made for, up to one scale: the heights agree within a pixel."""
+    return abs(calibrated[1] * size[0] / calibrated[0] - size[1]) <= 1
 
 
 def _read_header(file: Path) -> PictureHeader:

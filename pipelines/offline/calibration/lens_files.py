@@ -11,6 +11,7 @@ from ggvs_eval.arrays import Array
 from ggvs_eval.datasets.calibration_file import find_calibration_files
 from ggvs_eval.datasets.easymocap_yaml import PIXEL_CENTRE
 from ggvs_eval.datasets.filestorage_yaml import FileStorageYaml
+from ggvs_eval.datasets.frames import has_shape
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.unpickler import unpickle_plain
 from ggvs_eval.lens import Lens
@@ -137,7 +138,7 @@ def _lens(path: Path, name: str, K: Array, model: Any, coefficients: tuple[float
 
 
 def _at_size(path: Path, name: str, lens: Lens, size: Size) -> LensAndTarget:
-    if abs(lens.height * size[0] / lens.width - size[1]) > 1:
+    if not has_shape(size, (lens.width, lens.height)):
         content = f"frames of {size[0]} x {size[1]}"
         raise CaptureError(f"{path}: {name} is calibrated for {lens.width} x {lens.height}, got {content}; give uncropped frames")
     resized = lens.resized(*size)
