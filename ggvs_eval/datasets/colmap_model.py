@@ -89,7 +89,8 @@ def read_model(folder: Path) -> list[CalibratedView]:
         ) from error
     if done.returncode:
         reason = (done.stderr.strip().splitlines() or [f"the reader ended with {done.returncode}"])[-1]
-        raise CaptureError(f"{folder}: damaged COLMAP model, pycolmap says '{reason:.200}'; copy or export the model again")
+        reason = reason.removeprefix("ValueError: ")
+        raise CaptureError(f"{folder}: damaged COLMAP model, its reader says '{reason:.200}'; copy or export the model again")
     images = json.loads(done.stdout)
     check_rig_size(folder, len(images))
     if not images:

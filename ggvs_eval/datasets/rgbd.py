@@ -17,7 +17,7 @@ from ggvs_eval.datasets.units import METRIC, GivenUnits, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.listing import list_files, list_images
 from ggvs_eval.files.names import numbers_in
-from ggvs_eval.files.plain import read_plain_text
+from ggvs_eval.files.plain import parse_numbers, read_plain_text
 
 SCANNET = ("color", "depth", "pose", "intrinsic")
 HOLOLENS = ("images", "depth", "poses.txt", "K.txt")
@@ -204,7 +204,7 @@ def _read_matrix(file: Path, sides: tuple[int, ...]) -> Array:
 
 def _read_values(file: Path) -> Array:
     try:
-        return np.array([float(word) for word in read_plain_text(file).split()], dtype=np.float64)
+        return np.array([number for row in parse_numbers(read_plain_text(file)) for number in row], dtype=np.float64)
     except (OSError, ValueError) as error:
         reason = "no such file" if isinstance(error, FileNotFoundError) else str(error)
         raise CaptureError(f"{file}: wanted a text file of numbers, got: {reason:.120}; export it again") from error

@@ -102,8 +102,11 @@ def _orientation(exif: bytes) -> int:
     from PIL import Image
 
     tags = Image.Exif()
-    tags.load(exif)
-    orientation = tags.get(EXIF_ORIENTATION)
+    try:
+        tags.load(exif)
+        orientation = tags.get(EXIF_ORIENTATION)
+    except Exception:  # likewise
+        return UPRIGHT
     return orientation if orientation in range(UPRIGHT, LYING[-1] + 1) else UPRIGHT
 
 

@@ -6,7 +6,6 @@ import shutil
 import struct
 import time
 from collections.abc import Callable
-from fractions import Fraction
 from pathlib import Path
 
 import cv2
@@ -34,6 +33,7 @@ from helpers.captures import (
     write_dynerf,
     write_folders,
     write_poses,
+    write_timed_video,
 )
 from helpers.fuzz import CAPTURES, IMPOSTORS, LONG_KEY, add_long_key, read_everything
 from helpers.small_layouts import camera_toml, transforms, write_capture_toml, write_easymocap, write_nerfstudio
@@ -190,21 +190,6 @@ def test_a_turn_by_any_other_angle_is_refused(tmp_path):
 
     with pytest.raises(CaptureError, match=r"a\.mp4: wanted frames that are shown upright or turned by right angles, got -45"):
         list(VideoFrames(tmp_path / "a.mp4").frames(0, 1))
-
-
-def write_timed_video(path: Path, images: list[np.ndarray], ticks: tuple[int, ...]) -> None:
-    """A video whose frames are shown at these 600ths of a second."""
-    import av
-
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream("libx264", rate=30)
-        stream.width, stream.height, stream.pix_fmt, stream.options = WIDTH, HEIGHT, "yuv420p", {"bf": "0"}
-        stream.codec_context.time_base = Fraction(1, 600)
-        for image, tick in zip(images, ticks, strict=True):
-            frame = av.VideoFrame.from_ndarray(image, format="rgb24")
-            frame.pts, frame.time_base = tick, Fraction(1, 600)
-            container.mux(stream.encode(frame))
-        container.mux(stream.encode())
 
 
 def test_a_variable_frame_rate_is_said(tmp_path):

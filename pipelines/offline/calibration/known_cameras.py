@@ -17,6 +17,7 @@ from ggvs_eval.datasets.colmap_model import read_model
 from ggvs_eval.datasets.frames import has_shape
 from ggvs_eval.datasets.undistort import UndistortedFrames
 from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.files.listing import same_name
 from ggvs_eval.files.toml_tables import build_table, read_toml
 from ggvs_eval.lens import Lens
 
@@ -78,9 +79,17 @@ def read_known(path: Path, sizes: Mapping[str, tuple[int, int]] | None = None) -
 
     Reading:
         Lenses are those of the frames as they lie on disk: of a capture that is undistorted as it is read, the distorting ones.
+        Cameras are called as their frames are, however the umlauts of the file's names are written.
     """
+    spelled = {same_name(name): name for name in sizes or {}}
+    cameras = _read_cameras(path, {same: (sizes or {})[name] for same, name in spelled.items()})
+    return {spelled.get(same_name(name), name): camera for name, camera in cameras.items()}
+
+
+def _read_cameras(path: Path, sizes: Mapping[str, tuple[int, int]]) -> dict[str, KnownCamera]:
+    """Cameras as they are called there; the sizes are by NFC names."""
     if not path.is_dir() and find_calibration_files(path):
-        return _of_calibration_file(path, sizes or {})
+        return _of_calibration_file(path, sizes)
     if path.suffix == ".toml" and path.name != "capture.toml":
         return _read_intrinsics(path)
     if (path / INTRINSICS).is_file():
@@ -90,7 +99,7 @@ def read_known(path: Path, sizes: Mapping[str, tuple[int, int]] | None = None) -
         views = by_camera(model, read_model(model))
         return {name: KnownCamera(view.lens, view.world_to_camera) for name, view in views.items()}
     if find_calibration_files(path):
-        return _of_calibration_file(path, sizes or {})
+        return _of_calibration_file(path, sizes)
     return _of_capture(open_capture(path.parent if path.name == "capture.toml" else path))
 
 
@@ -188,10 +197,10 @@ def _of_calibration_file(path: Path, sizes: Mapping[str, tuple[int, int]]) -> di
     """Cameras of a calibration file; of cameras that have no frames only what is said of their size counts."""
     cameras = {}
     for name, camera in read_calibration_file(path).cameras.items():
-        if camera.size is None and name not in sizes:
+        if camera.size is None and same_name(name) not in sizes:
             continue
         try:
-            cameras[name] = KnownCamera(camera.lens(sizes.get(name)), camera.world_to_camera, camera.is_metric)
+            cameras[name] = KnownCamera(camera.lens(sizes.get(same_name(name))), camera.world_to_camera, camera.is_metric)
         except CameraError as error:
             raise CaptureError(f"{path}: {name}: {error}") from error
     return cameras
