@@ -8,7 +8,6 @@ from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.listing import (
     VIDEO_SUFFIXES,
-    find_below,
     list_entries,
     list_files,
     list_images,
@@ -139,7 +138,7 @@ def _unread(path: Path, names: Iterable[str]) -> str:
 
 def _named_stills(parent: Path, image_names: Mapping[str, str]) -> dict[str, CameraFrames]:
     """Single images by their very names in the calibration."""
-    files = {name: find_below(parent, image) for name, image in image_names.items() if is_inside(image)}
+    files = {name: parent / image for name, image in image_names.items() if is_inside(image)}
     return {name: ImageFrames(file) for name, file in files.items() if file.is_file()}
 
 

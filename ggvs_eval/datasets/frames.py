@@ -140,7 +140,7 @@ class ImageFrames:
         steps = [later - earlier for earlier, later in pairwise(ordered)]
         if not steps:
             return
-        longest = LARGEST_STEP * float(median(steps)) if any(map(is_stamp, ordered)) else float(min(steps))
+        longest = LARGEST_STEP * median(map(float, steps)) if any(map(is_stamp, ordered)) else float(min(steps))
         gaps = [f"{earlier} and {later}" for earlier, later in pairwise(ordered) if later - earlier > longest]
         if gaps:
             listed = ", ".join(gaps[:LISTED]) + (", ..." if len(gaps) > LISTED else "")

@@ -14,6 +14,7 @@ from ggvs_eval.datasets.frames import ImageFrames, as_calibrated, has_shape
 from ggvs_eval.datasets.google_models import MODELS, CameraModel, load_models, read_camera_model
 from ggvs_eval.datasets.units import METRIC, GivenUnits, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.files.listing import find_below
 
 
 class _View(NamedTuple):
@@ -100,7 +101,7 @@ def _read_path(path: Path, model: dict[str, Any], usual: str, where: str) -> Pat
     ):
         mend = "correct the file before you trust it"
         raise CaptureError(f"{path / MODELS}: wanted relative_path of {where} within the scene, got {relative!r:.60}; {mend}")
-    return path / relative
+    return find_below(path, relative)
 
 
 def _image(view: _View) -> ImageFrames:

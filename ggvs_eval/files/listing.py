@@ -52,14 +52,22 @@ def same_name(name: str) -> str:
 
 
 def find_below(folder: Path, relative: str) -> Path:
-    """The file or folder of a relative name, as the disk spells it; folder / relative where there is none."""
-    if (folder / relative).exists() or relative.isascii():
+    """The file or folder of a relative name, as the disk spells it: umlauts and the suffix's case may differ.
+
+    Returns:
+        folder / relative where there is none.
+    """
+    if (folder / relative).exists():
         return folder / relative
     place = folder
     for part in Path(relative).parts:
-        alike = (entry for entry in list_entries(place) if same_name(entry.name) == same_name(part))
-        place = next(alike, place / part)
+        place = next((entry for entry in list_entries(place) if _spelling(entry.name) == _spelling(part)), place / part)
     return place
+
+
+def _spelling(name: str) -> tuple[str, str]:
+    path = Path(same_name(name))
+    return path.stem, path.suffix.lower()
 
 
 def unread_pictures(folder: Path) -> str:

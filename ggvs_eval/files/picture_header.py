@@ -104,10 +104,10 @@ def _orientation(exif: bytes) -> int:
     tags = Image.Exif()
     try:
         tags.load(exif)
-        orientation = tags.get(EXIF_ORIENTATION)
+        orientation = int(tags.get(EXIF_ORIENTATION, UPRIGHT))
     except Exception:  # likewise
         return UPRIGHT
-    return orientation if orientation in range(UPRIGHT, LYING[-1] + 1) else UPRIGHT
+    return orientation if UPRIGHT <= orientation <= LYING[-1] else UPRIGHT
 
 
 def _bits(path: Path) -> int:

@@ -117,7 +117,7 @@ def find_videos(path: Path, request: FrameRequest, is_temporary: bool) -> Render
 def refuse_arrays(path: Path, request: FrameRequest) -> str | None:
     """Say why this is not one array per view; None if it is."""
     if path.is_file():
-        return None if path.suffix == ".npz" else "not an .npz file"
+        return None if path.suffix.lower() == ".npz" else "not an .npz file"
     return None if _of_views(path, ARRAY_SUFFIXES, request) else f"no {request.views[0]}.npy or .npz"
 
 
@@ -160,7 +160,7 @@ def _found(
 
 def _stack(file: Path) -> ArrayStack:
     """The array of a file that is one view's."""
-    if file.suffix == ".npy":
+    if file.suffix.lower() == ".npy":
         return ArrayStack(file)
     members = npz_members(file)
     if len(members) != 1:

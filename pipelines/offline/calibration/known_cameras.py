@@ -90,7 +90,7 @@ def _read_cameras(path: Path, sizes: Mapping[str, tuple[int, int]]) -> dict[str,
     """Cameras as they are called there; the sizes are by NFC names."""
     if not path.is_dir() and find_calibration_files(path):
         return _of_calibration_file(path, sizes)
-    if path.suffix == ".toml" and path.name != "capture.toml":
+    if path.suffix.lower() == ".toml" and path.name != "capture.toml":
         return _read_intrinsics(path)
     if (path / INTRINSICS).is_file():
         return _read_intrinsics(path / INTRINSICS)

@@ -51,11 +51,11 @@ def read_lenses(path: Path, sizes: Mapping[str, Size]) -> dict[str, LensAndTarge
         lens's K, zoomed just so far that no pixel is blank. OpenCV's principal points are moved by half a pixel to our centres.
     """
     is_known = bool(find_calibration_files(path))
-    if path.suffix in (".yml", ".yaml") and not is_known:
+    if path.suffix.lower() in (".yml", ".yaml") and not is_known:
         return _from_easymocap(path, sizes)
-    if path.suffix in (".pkl", ".pickle"):
+    if path.suffix.lower() in (".pkl", ".pickle"):
         return _from_d3dmv(path, sizes)
-    if path.suffix != ".toml" and not is_known:
+    if path.suffix.lower() != ".toml" and not is_known:
         raise CaptureError(f"{path}: wanted {KINDS}, got a file called {path.name}; rename it if it is one of these")
     lenses = {name: camera.lens for name, camera in fit_known(path, read_known(path, sizes), sizes).items()}
     try:
