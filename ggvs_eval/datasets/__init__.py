@@ -22,10 +22,12 @@ from ggvs_eval.datasets import (
     spaces,
     technicolor,
 )
+from ggvs_eval.datasets.camera_frames import IN_WORDS
 from ggvs_eval.datasets.corrections import apply_corrections, corrections_file, read_corrections
 from ggvs_eval.datasets.known_traps import apply_known_traps
 from ggvs_eval.datasets.units import GivenUnits
 from ggvs_eval.errors import CaptureError, did_you_mean
+from ggvs_eval.files.listing import list_entries
 from ggvs_eval.plugins import Registry
 
 LISTED = 8
@@ -68,7 +70,7 @@ _SHIPPED = {
     "dynerf": DatasetSpec(f"poses_bounds.npy with {dynerf.ARRANGEMENTS}", dynerf.refuse, dynerf.load),
     "meetroom": DatasetSpec("poses_bounds.npy with cam_N.mp4 or 0000/images/camNN.png", meetroom.refuse, meetroom.load),
     "enerf-outdoor": DatasetSpec("intri.yml and extri.yml with images/XX/ (EasyMocap)", easymocap.refuse, easymocap.load),
-    "colmap": DatasetSpec(f"sparse/0 with {colmap.ARRANGEMENTS}", colmap.refuse, colmap.load),
+    "colmap": DatasetSpec(f"sparse/0 with {IN_WORDS}", colmap.refuse, colmap.load),
     "nerfstudio": DatasetSpec("transforms.json with one image per camera", nerfstudio.refuse, nerfstudio.load),
 } | {
     name: DatasetSpec(kind.describe, partial(calibration_file.refuse, name), partial(calibration_file.load, name))
@@ -112,7 +114,7 @@ def open_capture(path: str | Path, layout: str | None = None, *, units: GivenUni
     path = Path(path)
     if not path.exists():
         raise CaptureError(f"{path}: wanted a folder with a capture, there is none; check the path")
-    if path.is_dir() and not any(path.iterdir()):
+    if path.is_dir() and not list_entries(path):
         raise CaptureError(f"{path}: wanted a capture, the folder is empty; put frames and poses there, or try 'ggvs-eval demo'")
     spec = DATASETS[detect_layout(path, layout)]
     capture = spec.load(path, units)
@@ -147,6 +149,6 @@ def detect_layout(path: Path, layout: str | None = None) -> str:
 
 def _captures_within(path: Path) -> list[str]:
     """Folders right below that hold a capture, when a whole data set was named instead of a scene."""
-    folders = sorted(folder for folder in path.iterdir() if folder.is_dir())[: 4 * LISTED] if path.is_dir() else []
+    folders = [folder for folder in list_entries(path) if folder.is_dir()][: 4 * LISTED]
     captures = [folder.name for folder in folders if any(spec.refuse(folder) is None for _, spec in DATASETS.working())]
     return [*captures[:LISTED], "..."] if len(captures) > LISTED else captures

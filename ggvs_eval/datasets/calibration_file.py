@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
-from ggvs_eval.datasets.assemble import ARRANGEMENTS, assemble_capture, check_rig_size, first_sources, listed
+from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size
 from ggvs_eval.datasets.calibration_readers import (
     LARGEST_XML_BYTES,
     FileCamera,
@@ -15,10 +15,12 @@ from ggvs_eval.datasets.calibration_readers import (
     read_opencv,
     read_qualisys,
 )
+from ggvs_eval.datasets.camera_frames import find_frames, instead_of_frames, listed
 from ggvs_eval.datasets.colmap_model import undistorted_sources
 from ggvs_eval.datasets.depth_range import rig_depth_range
 from ggvs_eval.datasets.units import GivenUnits, Units, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.files.listing import list_entries
 from ggvs_eval.files.plain import read_plain_text
 
 # What tells such files from others of their suffix, before they are parsed.
@@ -118,11 +120,12 @@ def load(kind: str, path: Path, units: GivenUnits) -> Capture:
     """
     folder = path if path.is_dir() else path.parent
     file = read_calibration_file(path, kind)
-    frames = first_sources(folder, {name: f"{name}.png" for name in file.cameras})
+    frames = find_frames(folder, {name: f"{name}.png" for name in file.cameras}).sources
     if len(frames) < 2:
+        missing = [name for name in file.cameras if name not in frames]
+        content = f"those of {listed(frames)} alone" if frames else instead_of_frames(folder, missing)
         raise CaptureError(
-            f"{folder}: wanted frames of two or more of {listed(list(file.cameras))}, got {listed(list(frames)) or 'none'}; call "
-            f"videos and cameras alike and put them in {ARRANGEMENTS}"
+            f"{folder}: wanted frames of two or more of {listed(file.cameras)}, got {content}; call videos and cameras alike"
         )
     chosen = [camera for camera in file.cameras.values() if camera.name in frames]
     without = [camera.name for camera in chosen if camera.world_to_camera is None]
@@ -148,7 +151,7 @@ def load(kind: str, path: Path, units: GivenUnits) -> Capture:
 
 def _find(path: Path, kind: str | None) -> tuple[Callable[[Path], list[FileCamera]], list[Path]]:
     """The files of `find_calibration_files`, and what reads them."""
-    files = sorted(each for each in path.iterdir() if not each.name.startswith(".")) if path.is_dir() else [path]
+    files = list_entries(path) if path.is_dir() else [path]
     for each in KINDS.values() if kind is None else [KINDS[kind]]:
         if fitting := [file for file in files if each.fits(file)]:
             return each.read, fitting

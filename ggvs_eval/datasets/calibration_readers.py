@@ -16,7 +16,7 @@ from ggvs_eval.arrays import Array
 from ggvs_eval.datasets.easymocap_yaml import PIXEL_CENTRE
 from ggvs_eval.datasets.filestorage_yaml import FileStorageYaml, refused
 from ggvs_eval.errors import CameraError, CaptureError
-from ggvs_eval.files.plain import read_plain_text, why_unread
+from ggvs_eval.files.plain import comma_hint, read_plain_text, why_unread
 from ggvs_eval.files.toml_tables import read_toml
 from ggvs_eval.lens import Lens, LensModel
 
@@ -210,7 +210,7 @@ def _xml_numbers(path: Path, camera: ElementTree.Element, tag: str) -> Any:
         except ValueError:
             value = float("nan")
         if not abs(value) < LARGEST_NUMBER:
-            raise refused(path, f"a number {key} in {tag} of camera {camera.get('serial')}", repr(text))
+            raise refused(path, f"a number {key} in {tag} of camera {camera.get('serial')}", f"{text!r}{comma_hint(text or '')}")
         return value
 
     return number

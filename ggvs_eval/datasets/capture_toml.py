@@ -15,6 +15,7 @@ from ggvs_eval.datasets.depth_range import rig_depth_range
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.units import GivenUnits, Units, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.files.listing import UNREAD_VIDEOS, VIDEO_SUFFIXES, find_below, unread_videos
 from ggvs_eval.files.toml_tables import build_table, read_toml
 from ggvs_eval.files.video import VideoFrames
 from ggvs_eval.lens import Lens, LensModel
@@ -179,17 +180,16 @@ def _camera(table: CameraTable, lens: Lens, pose: Array, depths: tuple[float, fl
 
 
 def _source(file: Path, relative: str) -> SizedSource:
-    path = file.parent / relative
-    if not relative or not _exists(path):
-        raise CaptureError(f"{file}: wanted frames in {relative!r:.200}, there is no such file or folder; correct the path")
-    return VideoFrames(path) if not path.is_dir() and path.suffix.lower() in (".mp4", ".mov", ".m4v") else ImageFrames(path)
-
-
-def _exists(path: Path) -> bool:
     try:
-        return path.exists()
+        path = find_below(file.parent, relative)
+        is_there = bool(relative) and path.exists()
     except OSError:  # a name too long for the file system
-        return False
+        is_there = False
+    if not is_there:
+        raise CaptureError(f"{file}: wanted frames in {relative!r:.200}, there is no such file or folder; correct the path")
+    if path.is_file() and path.suffix.lower() in UNREAD_VIDEOS:
+        raise CaptureError(f"{file}: {unread_videos(path.parent, (path.stem,))}, and name that file")
+    return VideoFrames(path) if not path.is_dir() and path.suffix.lower() in VIDEO_SUFFIXES else ImageFrames(path)
 
 
 def _extras(file: Path, table: CameraTable, lens: Lens, camera: Camera, frames: SizedSource) -> Extras:

@@ -1,18 +1,17 @@
 """Captures calibrated by COLMAP: a sparse model, and one image, image folder or video per camera."""
 
 from collections.abc import Sequence
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 from ggvs_eval.capture import Capture
-from ggvs_eval.datasets.assemble import ARRANGEMENTS, SizedSource, assemble_capture, find_sources, listed
+from ggvs_eval.datasets.assemble import assemble_capture
+from ggvs_eval.datasets.camera_frames import listed, require_frames
 from ggvs_eval.datasets.colmap_model import CalibratedView, read_model, undistorted_sources
-from ggvs_eval.datasets.frames import ImageFrames, list_images
 from ggvs_eval.datasets.units import GivenUnits, choose_units
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.files.video import VideoFrames
+from ggvs_eval.files.names import camera_names
 
 MODEL_FOLDERS = ("sparse/0", "sparse", "colmap/sparse/0")
-__all__ = ["ARRANGEMENTS", "find_model", "load", "refuse"]
 
 
 def refuse(path: Path) -> str | None:
@@ -21,7 +20,7 @@ def refuse(path: Path) -> str | None:
 
 
 def load(path: Path, units: GivenUnits) -> Capture:
-    """Open a capture by its COLMAP model; cameras are called as their images in the model, without suffix, in the order of names.
+    """Open a capture by its COLMAP model; cameras are called as their images or folders in the model, in the order of names.
 
     Frames of a distorting camera are undistorted as they are read. Images on disk that the model did not register are noted.
 
@@ -33,12 +32,13 @@ def load(path: Path, units: GivenUnits) -> Capture:
         CaptureError: the model is damaged, or a camera of the model has no frames on disk.
     """
     folder = find_model(path) or path
-    views = _by_camera(folder, read_model(folder))
+    views = by_camera(folder, read_model(folder))
     cameras = [view.camera(name, folder) for name, view in views.items()]
-    sources = find_sources(path, {name: view.image_name for name, view in views.items()})
+    frames = require_frames(path, {name: view.image_name for name, view in views.items()})
     chosen = choose_units(path, units, cameras, median_depths=[view.depth_percentiles[1] for view in views.values()])
-    pinhole = undistorted_sources(sources, [view.lens for view in views.values()], cameras)
-    return assemble_capture(path, "colmap", cameras, pinhole, chosen, notes=_unregistered(sources[0], set(views)))
+    pinhole = undistorted_sources(list(frames.sources.values()), [view.lens for view in views.values()], cameras)
+    unregistered = f"{listed(frames.beside)} left out: on disk, but not registered in the COLMAP model"
+    return assemble_capture(path, "colmap", cameras, pinhole, chosen, notes=[unregistered] if frames.beside else [])
 
 
 def find_model(path: Path) -> Path | None:
@@ -47,31 +47,15 @@ def find_model(path: Path) -> Path | None:
     return next((folder for folder in folders if any((folder / f"cameras.{kind}").is_file() for kind in ("bin", "txt"))), None)
 
 
-def _by_camera(folder: Path, views: Sequence[CalibratedView]) -> dict[str, CalibratedView]:
-    names = [_camera_name(view.image_name) for view in views]
+def by_camera(folder: Path, views: Sequence[CalibratedView]) -> dict[str, CalibratedView]:
+    """The views of a model by the names of their cameras, see `camera_names`.
+
+    Raises:
+        CaptureError: several images of one camera.
+    """
+    names = camera_names([view.image_name for view in views])
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         repeats = f"several images of {listed(twice)}"
         raise CaptureError(f"{folder}: wanted one registered image per fixed camera, got {repeats}; calibrate with one instant")
-    return dict(zip(names, views, strict=True))
-
-
-def _camera_name(image_name: str) -> str:
-    """``cam00.png`` and ``cam00/0000.png`` are both of camera cam00."""
-    name = PurePosixPath(image_name)
-    return name.parent.name or name.stem
-
-
-def _unregistered(source: SizedSource, registered: set[str]) -> list[str]:
-    """A note about the frames that lie beside those of the registered cameras and that the model knows nothing of."""
-    place = source.path if isinstance(source, VideoFrames | ImageFrames) else Path()
-    if isinstance(source, VideoFrames):
-        beside = [file.stem for file in place.parent.glob("*.mp4")]
-    elif place.is_file():
-        beside = [_camera_name(file.name) for file in list_images(place.parent)]
-    elif place.name == "images":
-        beside = [folder.parent.name for folder in place.parent.parent.glob("*/images") if list_images(folder)]
-    else:
-        beside = [folder.name for folder in place.parent.iterdir() if list_images(folder)]
-    extra = sorted(set(beside) - registered)
-    return [f"{listed(extra)} left out: on disk, but not registered in the COLMAP model"] if extra else []
+    return dict(sorted(zip(names, views, strict=True)))

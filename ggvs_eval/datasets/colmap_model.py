@@ -13,6 +13,7 @@ import numpy as np
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.datasets.assemble import SizedSource, check_rig_size
+from ggvs_eval.datasets.frames import as_calibrated
 from ggvs_eval.datasets.undistort import UndistortedFrames
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.lens import Lens
@@ -88,7 +89,8 @@ def read_model(folder: Path) -> list[CalibratedView]:
         ) from error
     if done.returncode:
         reason = (done.stderr.strip().splitlines() or [f"the reader ended with {done.returncode}"])[-1]
-        raise CaptureError(f"{folder}: damaged COLMAP model, pycolmap says '{reason:.200}'; copy or export the model again")
+        reason = reason.removeprefix("ValueError: ")
+        raise CaptureError(f"{folder}: damaged COLMAP model, its reader says '{reason:.200}'; copy or export the model again")
     images = json.loads(done.stdout)
     check_rig_size(folder, len(images))
     if not images:
@@ -104,6 +106,7 @@ def undistorted(source: SizedSource, lens: Lens, K: Array) -> SizedSource:
         lens: at the size of the calibration.
         K: of the pinhole image at the size of the calibration.
     """
+    source = as_calibrated(source, lens.width, lens.height)
     if lens.is_pinhole:
         return source
     width, height = source.size

@@ -6,7 +6,8 @@ Command: ``python -P ggvs_eval/datasets/colmap_reader.py MODEL_DIR``; it imports
 import json
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from itertools import islice
 from pathlib import Path
 from struct import error as StructError
 from struct import unpack_from
@@ -14,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from ggvs_eval.files.plain import check_plain
+from ggvs_eval.files.plain import check_plain, coding_of, parse_numbers, read_plain_text
 
 LARGEST_MODEL_FILE = 512 << 20
 FILES = ("cameras", "images", "points3D")
@@ -48,19 +49,21 @@ def read_reconstruction(folder: Path) -> list[dict[str, Any]]:
         _check_count(files[0])
         _check_length(files[1], _images_end)
         _check_length(files[2], _points_end)
+    names = {} if suffix == ".bin" else _read_text_names(*files)
     # These three say all; rigs and frames, which newer versions write beside them, would only be more that can be damaged.
     with tempfile.TemporaryDirectory() as alone:
         for file in files:
-            (Path(alone) / file.name).symlink_to(file.resolve())
+            _put(file, Path(alone) / file.name)
         reconstruction = pycolmap.Reconstruction(alone)
     if suffix == ".bin":
         end = 8 + sum(24 + 8 * len(camera.params) for camera in reconstruction.cameras.values())
         _check_length(files[0], lambda _: end)
     images = [image for image in reconstruction.images.values() if image.has_pose]
-    return [_describe_image(reconstruction, image) for image in sorted(images, key=lambda image: image.name)]
+    described = [_describe_image(reconstruction, image, names.get(image.image_id, image.name)) for image in images]
+    return sorted(described, key=lambda image: image["name"])
 
 
-def _describe_image(reconstruction: Any, image: Any) -> dict[str, Any]:
+def _describe_image(reconstruction: Any, image: Any, name: str) -> dict[str, Any]:
     camera = reconstruction.cameras[image.camera_id]
     pose = image.cam_from_world() if callable(image.cam_from_world) else image.cam_from_world
     world_to_camera = np.asarray(pose.matrix())  # (3, 4)
@@ -69,7 +72,7 @@ def _describe_image(reconstruction: Any, image: Any) -> dict[str, Any]:
     depth = points_world @ world_to_camera[2, :3] + world_to_camera[2, 3]
     depth = depth[depth > 0]
     return {
-        "name": image.name,
+        "name": name,
         "model": camera.model.name,
         "width": camera.width,
         "height": camera.height,
@@ -77,6 +80,51 @@ def _describe_image(reconstruction: Any, image: Any) -> dict[str, Any]:
         "world_to_camera": world_to_camera.tolist(),
         "depth_percentiles": np.percentile(depth, PERCENTILES).tolist() if depth.size else [],
     }
+
+
+def _read_text_names(cameras: Path, images: Path, points: Path) -> dict[int, str]:
+    """The names of a text model's images by number: the rest of the line, of which pycolmap takes what comes before a blank.
+
+    Raises:
+        ValueError: a number that is none; pycolmap stops at its comma and says that something is wrong somewhere.
+    """
+    for line, words in _rows(cameras):
+        _check_numbers(cameras, line, words[2:])
+    for line, words in islice(_rows(points), 1):
+        _check_numbers(points, line, words[:8])
+    names = {}
+    for line, words in _rows(images, step=2):
+        _check_numbers(images, line, words[:9])
+        if len(words) < 10:
+            raise ValueError(f"{images.name}, line {line}: wanted nine numbers and a name, got {len(words)} words")
+        names[int(words[0])] = words[9]
+    return names
+
+
+def _rows(file: Path, step: int = 1) -> Iterator[tuple[int, list[str]]]:
+    """Line number and words of each row, comments aside; every second line after a row may be the points that an image sees."""
+    lines = iter(enumerate(read_plain_text(file, LARGEST_MODEL_FILE).split("\n"), 1))
+    for line, text in lines:
+        if text.strip() and not text.lstrip().startswith("#"):
+            yield line, text.strip().split(maxsplit=9)
+            next(islice(lines, step - 1, step - 1), None)
+
+
+def _check_numbers(file: Path, line: int, words: list[str]) -> None:
+    try:
+        parse_numbers(" ".join(words), line)
+    except ValueError as error:
+        raise ValueError(f"{file.name}, {error}") from None
+
+
+def _put(file: Path, target: Path) -> None:
+    """Link a file of the model; a text with a byte order mark, which pycolmap does not know, is written without it."""
+    with file.open("rb") as opened:
+        is_marked = file.suffix == ".txt" and coding_of(opened.read(4)) != "utf-8"
+    if is_marked:
+        target.write_text(read_plain_text(file, LARGEST_MODEL_FILE), encoding="utf-8")
+    else:
+        target.symlink_to(file.resolve())
 
 
 def _check_count(file: Path) -> None:

@@ -6,12 +6,13 @@ from pathlib import Path
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture, Extras
 from ggvs_eval.datasets.assemble import assemble_capture
-from ggvs_eval.datasets.frames import ImageFrames, list_images
+from ggvs_eval.datasets.camera_frames import frames_in
+from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.h5_frames import h5_parts
 from ggvs_eval.datasets.llff import llff_camera, read_llff_poses
 from ggvs_eval.datasets.units import GivenUnits, choose_units
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.files.images import IMAGE_SUFFIXES
+from ggvs_eval.files.listing import list_files, list_images
 
 POSES = "poses_bounds.npy"
 LISTED = 8
@@ -72,7 +73,7 @@ def _load_folders(path: Path, units: GivenUnits) -> Capture:
 def _h5_files(path: Path) -> list[Path]:
     if path.is_file():
         return [path] if path.suffix.lower() == ".h5" else []
-    return sorted(path.glob("*.h5"))
+    return list_files(path, (".h5",))
 
 
 def _pose_file(file: Path) -> Path:
@@ -82,13 +83,11 @@ def _pose_file(file: Path) -> Path:
 def _frame_folders(path: Path) -> dict[str, Path]:
     """The folder of each camera in the order of names. Without backgrounds, frames/camXX is DyNeRF's arrangement."""
     parent = path / "frames" if (path / "background").is_dir() and (path / "frames").is_dir() else path
-    folders = sorted(folder for folder in parent.glob("cam*") if re.fullmatch(r"cam\d+", folder.name) and list_images(folder))
-    return {folder.name: folder for folder in folders}
+    return {name: frames.path for name, frames in frames_in(parent, "CAM/") if re.fullmatch(r"cam\d+", name)}
 
 
 def _background(path: Path, name: str) -> ImageFrames:
-    files = [path / "background" / f"{name}{suffix}" for suffix in IMAGE_SUFFIXES]
-    image = next((file for file in files if file.is_file()), None)
+    image = next((file for file in list_images(path / "background") if file.stem == name), None)
     if image is None:
         raise CaptureError(f"{path / 'background'}: wanted {name}.png or .jpg, got neither; restore it or remove the folder")
     return ImageFrames(image)

@@ -113,7 +113,7 @@ def read_depth_png(path: Path) -> NDArray[np.uint16]:
     Raises:
         CaptureError: absent, damaged, no image of one 16-bit channel, or nothing measured in it.
     """
-    steps = decode_image(read_encoded(path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
+    steps = decode_image(read_encoded(path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     if steps is None:
         content = f"{path.stat().st_size} bytes that do not decode"
         raise CaptureError(f"{path}: wanted a depth map, got {content}; export this frame again")

@@ -1,21 +1,22 @@
 """DyNeRF / Neural 3D Video captures: ``camXX.mp4`` with ``poses_bounds.npy``, and the frame folders other code makes of them."""
 
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import SizedSource, assemble_capture, check_rig_size
+from ggvs_eval.datasets.camera_frames import frames_in
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.llff import llff_camera, read_llff_poses
 from ggvs_eval.datasets.units import GivenUnits, choose_units, read_note
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.files.video import VideoFrames
+from ggvs_eval.files.listing import unread_videos
 
 POSES = "poses_bounds.npy"
 FRAME_FOLDERS = ("frames", "frames_2", "frames_4", "frames_8")
+PLACES = ("CAM.mp4", "CAM/images/", *(f"{folder}/CAM/" for folder in FRAME_FOLDERS), "images/CAM/")
 ARRANGEMENTS = "camXX.mp4, camXX/images/, frames/camXX/, frames_N/camXX/ or images/XX/"
 
 
@@ -23,7 +24,10 @@ def refuse(path: Path) -> str | None:
     """Return the reason why this folder is not a DyNeRF capture, or None if it is one."""
     if not (path / POSES).is_file():
         return f"no {POSES}"
-    return None if _find_sources(path) else f"{POSES}, but no frames ({ARRANGEMENTS})"
+    if _find_sources(path):
+        return None
+    unread = unread_videos(path)
+    return f"{POSES}, but no frames ({unread or ARRANGEMENTS})"
 
 
 def load(path: Path, units: GivenUnits) -> Capture:
@@ -54,23 +58,13 @@ def load(path: Path, units: GivenUnits) -> Capture:
 
 def _find_sources(path: Path) -> dict[str, SizedSource]:
     """The frames of each camera in the order of names, by the first arrangement that is there."""
-    for sources in _arrangements(path):
+    for place in PLACES:
+        name = r"\d+" if place.startswith("images/") else r"cam\d+"
+        sources = dict(sorted(found for found in frames_in(path, place, even_empty=True) if re.fullmatch(name, found[0])))
         if sources:
             _check_name_lengths(path, list(sources))
-            return dict(sorted(sources.items()))
+            return dict(sources)
     return {}
-
-
-def _arrangements(path: Path) -> Iterator[dict[str, SizedSource]]:
-    yield {video.stem: VideoFrames(video) for video in path.glob("cam*.mp4") if _is_camera(video.stem)}
-    yield {folder.parent.name: ImageFrames(folder) for folder in path.glob("cam*/images") if _is_camera(folder.parent.name)}
-    for parent in (path / name for name in FRAME_FOLDERS):
-        yield {folder.name: ImageFrames(folder) for folder in parent.glob("cam*") if _is_camera(folder.name)}
-    yield {folder.name: ImageFrames(folder) for folder in path.glob("images/*") if folder.is_dir() and folder.name.isdecimal()}
-
-
-def _is_camera(name: str) -> bool:
-    return re.fullmatch(r"cam\d+", name) is not None
 
 
 def _check_name_lengths(path: Path, names: list[str]) -> None:

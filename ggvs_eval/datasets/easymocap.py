@@ -9,13 +9,15 @@ from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture, Extras
 from ggvs_eval.datasets.array_file import map_array
-from ggvs_eval.datasets.assemble import SizedSource, assemble_capture, listed
+from ggvs_eval.datasets.assemble import SizedSource, assemble_capture
+from ggvs_eval.datasets.camera_frames import listed
 from ggvs_eval.datasets.colmap_model import undistorted, undistorted_sources
 from ggvs_eval.datasets.depth_range import points_depth_range, read_points, rig_depth_range
 from ggvs_eval.datasets.easymocap_yaml import EasyMocapView, read_views
-from ggvs_eval.datasets.frames import ImageFrames, list_images
+from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.units import METRIC, GivenUnits, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.files.listing import list_entries, list_files, list_images
 from ggvs_eval.lens import Lens
 
 INTRINSICS, EXTRINSICS = "intri.yml", "extri.yml"
@@ -33,7 +35,7 @@ def refuse(path: Path) -> str | None:
     missing = [name for name in (INTRINSICS, EXTRINSICS) if not (path / name).is_file()]
     if missing:
         return f"no {' and '.join(missing)}"
-    return None if any(folder.is_dir() for folder in path.glob("images/*")) else "no folders images/XX/"
+    return None if any(folder.is_dir() for folder in list_entries(path / "images")) else "no folders images/XX/"
 
 
 def load(path: Path, units: GivenUnits) -> Capture:
@@ -64,7 +66,7 @@ def load(path: Path, units: GivenUnits) -> Capture:
 
 def _frames(path: Path, names: Sequence[str]) -> list[ImageFrames]:
     """The frames of each camera, none missing on either side."""
-    folders = {folder.name for folder in path.glob("images/*") if folder.is_dir()}
+    folders = {folder.name for folder in list_entries(path / "images") if folder.is_dir()}
     unmatched = sorted(set(names) ^ folders)
     if unmatched:
         gaps = listed([f"{name} ({INTRINSICS if name in names else 'images/'} only)" for name in unmatched])
@@ -117,7 +119,7 @@ def _depth_ranges(path: Path, views: Sequence[EasyMocapView], lenses: Sequence[L
 def _hull_corners(path: Path) -> Array:
     """The corners of the hulls' bounds in all frames, (N, 3), world."""
     corners = []
-    for file in sorted((path / HULLS).glob("*.npy")):
+    for file in list_files(path / HULLS, (".npy",)):
         try:
             bounds = map_array(file)
         except ValueError as error:

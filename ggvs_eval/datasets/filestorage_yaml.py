@@ -11,7 +11,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.files.plain import read_plain_text, why_unread
+from ggvs_eval.files.plain import comma_hint, read_plain_text, why_unread
 
 LARGEST_FILE_BYTES = 1 << 22
 # OpenCV's letters of element types; two or more channels per element do not occur in camera files.
@@ -26,7 +26,7 @@ class FileStorageYaml:
     def __init__(self, path: Path) -> None:
         self._path = path
         lines = _read_text(path).splitlines()
-        if not lines or not lines[0].lstrip("\ufeff").startswith(("%YAML:1.0", "%YAML 1.")):
+        if not lines or not lines[0].startswith(("%YAML:1.0", "%YAML 1.")):
             raise self._refused("OpenCV YAML, which begins with %YAML:1.0", repr(lines[0][:40]) if lines else "no line")
         self._entries: dict[str, str] = {}
         self._split(lines[1:])
@@ -55,7 +55,7 @@ class FileStorageYaml:
             return None
         value = _number(self._entries[key])
         if not 0 < value < 1e9:
-            raise self._refused(f"a positive number {key}", self._entries[key] or "nothing")
+            raise self._refused(f"a positive number {key}", f"{self._entries[key] or 'nothing'}{comma_hint(self._entries[key])}")
         return value
 
     def matrix(self, key: str, shape: tuple[int, int] | None) -> Array:

@@ -1,22 +1,26 @@
 """Images on disk as sources of frames: a folder with one image per instant, or a single image."""
 
-import re
 from collections import Counter
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
+from statistics import median
+from typing import TypeVar
 
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.files.digest import digest_files
-from ggvs_eval.files.images import IMAGE_SUFFIXES, read_image
-from ggvs_eval.files.picture_header import PictureHeader, read_picture_header
+from ggvs_eval.files.digest import digest_files, digest_values
+from ggvs_eval.files.images import read_image
+from ggvs_eval.files.listing import IMAGE_SUFFIXES, list_images, unread_pictures
+from ggvs_eval.files.names import Number, is_stamp, numbers_in
+from ggvs_eval.files.picture_header import UPRIGHT, PictureHeader, read_picture_header
 from ggvs_eval.files.plain import NotPlainError
 
+Source = TypeVar("Source")
 LISTED = 5
-UNREAD_PICTURES = (".webp", ".tif", ".tiff", ".bmp", ".exr", ".hdr", ".gif", ".avif", ".heic", ".jxl", ".jp2", ".ppm", ".tga")
+LARGEST_STEP = 1.5  # of time stamps, in their median step: at twice the median a frame is missing
 
 
 @dataclass(frozen=True)
@@ -25,12 +29,15 @@ class ImageFrames:
 
     A folder's frames are its images in the order of the last number in their names, whether that counts from 0 or 1, with or
     without leading zeros; other files are ignored. Even steps are accepted, gaps are not: they would shift later frames in time.
+    Time stamps, numbers with a fraction or of ten digits and more, are even within half a step.
 
     Attributes:
         path: folder of images, or one image.
+        as_stored: whether the pixels are taken as they lie in the files; else they are turned as their EXIF tags say.
     """
 
     path: Path
+    as_stored: bool = field(default=False, kw_only=True)
 
     @property
     def n_frames(self) -> int:
@@ -52,7 +59,11 @@ class ImageFrames:
             raise CaptureError(
                 f"{self.path}: wanted images ({', '.join(IMAGE_SUFFIXES)}), got {instead}; restore this camera's frames"
             )
-        return self._in_time({file: _last_number(file) for file in files})
+        try:
+            numbers = numbers_in([file.stem for file in files])
+        except ValueError as error:
+            raise CaptureError(f"{self.path}: wanted images whose numbers can be read in one way, got {error}") from error
+        return self._in_time(list(zip(numbers, files, strict=True)))
 
     @cached_property
     def size(self) -> tuple[int, int]:
@@ -61,7 +72,7 @@ class ImageFrames:
         Raises:
             CaptureError: images that differ in size, or a file that is no image.
         """
-        sizes = {file: header.size for file, header in self._headers.items()}
+        sizes = {file: self._size(header) for file, header in self._headers.items()}
         (size, _), *others = Counter(sizes.values()).most_common()
         if others:
             odd = next(file for file in self.files if sizes[file] != size)
@@ -77,13 +88,22 @@ class ImageFrames:
         return dict(Counter(change for header in self._headers.values() for change in header.conversions))
 
     @cached_property
+    def orientations(self) -> tuple[int, ...]:
+        """The EXIF orientations of the images that are not stored upright, each once; errors as of `size`."""
+        return tuple(sorted({header.orientation for header in self._headers.values()} - {UPRIGHT}))
+
+    def _size(self, header: PictureHeader) -> tuple[int, int]:
+        return header.stored_size if self.as_stored else header.size
+
+    @cached_property
     def _headers(self) -> dict[Path, PictureHeader]:
         return {file: _read_header(file) for file in self.files}
 
     @cached_property
     def digest(self) -> str:
         """Identifies the content; see `digest_files`."""
-        return digest_files(self.files)
+        digest = digest_files(self.files)
+        return digest_values(digest, "as stored") if self.as_stored else digest
 
     def frames(self, start: int, stop: int) -> Iterator[Image8]:
         """Read frames start <= t < stop one by one, RGB uint8 (H, W, 3).
@@ -94,7 +114,7 @@ class ImageFrames:
         if not 0 <= start <= stop <= self.n_frames:
             raise CaptureError(f"{self.path}: wanted frames {start}..{stop - 1}, the folder has {self.n_frames}")
         for file in self.files[start:stop]:
-            image = read_image(file)
+            image = read_image(file, self.as_stored)
             if image.shape[1::-1] != self.size:
                 content = f"{image.shape[1]} x {image.shape[0]}"
                 raise CaptureError(
@@ -102,24 +122,26 @@ class ImageFrames:
                 )
             yield image
 
-    def _in_time(self, numbers: Mapping[Path, int]) -> tuple[Path, ...]:
+    def _in_time(self, numbered: Sequence[tuple[Number | None, Path]]) -> tuple[Path, ...]:
         """The files in the order of their frame numbers, which must go in even steps."""
-        if len(numbers) > 1:
-            self._check_numbers(numbers)
-        return tuple(sorted(numbers, key=numbers.__getitem__))
+        counts = Counter(number for number, _ in numbered)
+        wrong = [number for number, count in counts.items() if count > 1 or (number is None and len(numbered) > 1)]
+        if wrong:
+            files = [file.name for number, file in numbered if number == wrong[0]]
+            shown = "no number" if wrong[0] is None else f"the number {wrong[0]}"
+            repeats = f"{'several with ' * (len(files) > 1)}{shown} ({' and '.join(files[:LISTED])})"
+            mend = "keep one of them" if len(files) > 1 else "rename or remove it"
+            raise CaptureError(f"{self.path}: wanted one image per frame number, got {repeats}; {mend}")
+        in_time = sorted((number or 0, file) for number, file in numbered)
+        self._check_steps([number for number, _ in in_time])
+        return tuple(file for _, file in in_time)
 
-    def _check_numbers(self, number_of: Mapping[Path, int]) -> None:
-        numbers = list(number_of.values())
-        twice = sorted(number for number, count in Counter(numbers).items() if count > 1)
-        if twice:
-            names = " and ".join([file.name for file, number in number_of.items() if number == twice[0]][:LISTED])
-            listed = "no number" if twice[0] < 0 else f"the number {twice[0]}"
-            raise CaptureError(
-                f"{self.path}: wanted one image per frame number, got several with {listed} ({names}); keep one of them"
-            )
-        ordered = sorted(numbers)
-        step = min(later - earlier for earlier, later in pairwise(ordered))
-        gaps = [f"{earlier} and {later}" for earlier, later in pairwise(ordered) if later - earlier != step]
+    def _check_steps(self, ordered: Sequence[Number]) -> None:
+        steps = [later - earlier for earlier, later in pairwise(ordered)]
+        if not steps:
+            return
+        longest = LARGEST_STEP * median(map(float, steps)) if any(map(is_stamp, ordered)) else float(min(steps))
+        gaps = [f"{earlier} and {later}" for earlier, later in pairwise(ordered) if later - earlier > longest]
         if gaps:
             listed = ", ".join(gaps[:LISTED]) + (", ..." if len(gaps) > LISTED else "")
             unread = unread_pictures(self.path)
@@ -149,25 +171,25 @@ class NumberedFrames(ImageFrames):
         """
         if not self.numbered:
             raise CaptureError(f"{self.path}: wanted images of each camera, got none of one; restore them")
-        return self._in_time({file: number for number, file in self.numbered})
+        return self._in_time(self.numbered)
 
 
-def list_images(folder: Path) -> list[Path]:
-    """The images that lie in a folder, by name."""
-    return sorted(file for file in folder.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES) if folder.is_dir() else []
+def as_calibrated(frames: Source, width: int, height: int) -> Source:
+    """Frames as a calibration for (width, height) means them.
+
+    Reading:
+        COLMAP and OpenCV's calibration ignore EXIF tags, so poses that were found elsewhere may belong to stored pixels: these
+        are taken where they alone have the calibrated shape.
+    """
+    if not isinstance(frames, ImageFrames) or has_shape(frames.size, (width, height)) or not frames.orientations:
+        return frames
+    stored = replace(frames, as_stored=True)
+    return stored if has_shape(stored.size, (width, height)) else frames
 
 
-def unread_pictures(folder: Path) -> str:
-    """Pictures in a folder whose format is not read, and what to do; empty where there are none."""
-    suffixes = [file.suffix.lower() for file in folder.iterdir()] if folder.is_dir() else []
-    counts = Counter(suffix for suffix in suffixes if suffix in UNREAD_PICTURES)
-    listed = " and ".join(f"{count} {suffix}" for suffix, count in counts.most_common())
-    return f"{listed} pictures, which are not read: convert them to .png" if listed else ""
-
-
-def _last_number(file: Path) -> int:
-    numbers = re.findall(r"\d+", file.stem)
-    return int(numbers[-1]) if numbers else -1
+def has_shape(size: tuple[int, int], calibrated: tuple[float, float]) -> bool:
+    """Tell whether frames are those that a calibration was made for, up to one scale: the heights agree within a pixel."""
+    return abs(calibrated[1] * size[0] / calibrated[0] - size[1]) <= 1
 
 
 def _read_header(file: Path) -> PictureHeader:

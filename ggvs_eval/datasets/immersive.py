@@ -7,7 +7,8 @@ from typing import Any, Final, NamedTuple
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
-from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size, first_sources, listed
+from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size
+from ggvs_eval.datasets.camera_frames import find_frames, listed
 from ggvs_eval.datasets.colmap_model import undistorted_sources
 from ggvs_eval.datasets.depth_range import given_depth_range, rig_depth_range
 from ggvs_eval.datasets.google_models import MODELS, CameraModel, load_models, read_camera_model, read_numbers
@@ -62,7 +63,7 @@ def load(path: Path, units: GivenUnits) -> Capture:
         HyperReel takes for the scene by the number its folder begins with, else `rig_depth_range`.
     """
     views = _read_views(path / MODELS)
-    frames = first_sources(path, {view.name: view.name for view in views})
+    frames = find_frames(path, {view.name: view.name for view in views}).sources
     if not frames:
         raise CaptureError(f"{path}: wanted videos {views[0].name}.mp4, ..., or folders of their frames, got none; restore them")
     filmed = [view for view in views if view.name in frames]

@@ -4,12 +4,13 @@ import re
 from pathlib import Path
 
 from ggvs_eval.capture import Capture
-from ggvs_eval.datasets.assemble import SizedSource, assemble_capture, check_rig_size, listed
-from ggvs_eval.datasets.frames import NumberedFrames, list_images
+from ggvs_eval.datasets.assemble import SizedSource, assemble_capture, check_rig_size
+from ggvs_eval.datasets.camera_frames import CameraFrames, frames_in, listed
+from ggvs_eval.datasets.frames import NumberedFrames
 from ggvs_eval.datasets.llff import llff_camera, read_llff_poses
 from ggvs_eval.datasets.units import GivenUnits, choose_units
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.files.video import VideoFrames
+from ggvs_eval.files.listing import list_images
 
 POSES = "poses_bounds.npy"
 VIDEO = re.compile(r"cam_(\d{1,4})")
@@ -59,10 +60,10 @@ def load(path: Path, units: GivenUnits) -> Capture:
     return assemble_capture(path, "meetroom", cameras, frames, choose_units(path, units, cameras))
 
 
-def _videos(path: Path) -> dict[int, VideoFrames]:
+def _videos(path: Path) -> dict[int, CameraFrames]:
     """Camera number -> its video."""
-    files = [(VIDEO.fullmatch(file.stem), file) for file in sorted(path.glob("cam_*.mp4"))] if path.is_dir() else []
-    return {int(match[1]): VideoFrames(file) for match, file in files if match}
+    videos = [(VIDEO.fullmatch(name), video) for name, video in frames_in(path, "CAM.mp4")]
+    return {int(match[1]): video for match, video in videos if match}
 
 
 def _instants(path: Path) -> list[Path]:

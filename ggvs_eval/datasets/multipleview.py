@@ -4,9 +4,10 @@ import re
 from pathlib import Path
 
 from ggvs_eval.capture import Capture
-from ggvs_eval.datasets.assemble import assemble_capture, listed
+from ggvs_eval.datasets.assemble import assemble_capture
+from ggvs_eval.datasets.camera_frames import frames_in, listed
 from ggvs_eval.datasets.colmap_model import CalibratedView, read_model, undistorted_sources
-from ggvs_eval.datasets.frames import ImageFrames, list_images
+from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.units import GivenUnits, choose_units
 from ggvs_eval.errors import CaptureError
 
@@ -49,8 +50,7 @@ def load(path: Path, units: GivenUnits) -> Capture:
 
 def _folders(path: Path) -> list[Path]:
     """The folders of the cameras."""
-    folders = sorted(path.glob("cam*"))
-    return [folder for folder in folders if re.fullmatch(r"cam\d{1,6}", folder.name) and list_images(folder)]
+    return [frames.path for name, frames in frames_in(path, "CAM/") if re.fullmatch(r"cam\d{1,6}", name)]
 
 
 def _numbered(path: Path) -> dict[int, Path]:

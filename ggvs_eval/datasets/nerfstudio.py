@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Mapping
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,11 +11,13 @@ import numpy as np
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import LARGEST_DEVIATION, Camera
 from ggvs_eval.capture import Capture
-from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size, find_sources
+from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size
+from ggvs_eval.datasets.camera_frames import require_frames
 from ggvs_eval.datasets.colmap_model import undistorted_sources
 from ggvs_eval.datasets.depth_range import rig_depth_range
 from ggvs_eval.datasets.units import GivenUnits, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.files.names import camera_names
 from ggvs_eval.files.plain import read_plain_text
 from ggvs_eval.lens import Lens
 
@@ -31,9 +33,9 @@ def refuse(path: Path) -> str | None:
 
 
 def load(path: Path, units: GivenUnits) -> Capture:
-    """Open a nerfstudio capture of a fixed rig; cameras are called as their images, without suffix, in the order of names.
+    """Open a nerfstudio capture of a fixed rig; cameras are called as their images or folders, in the order of names.
 
-    Frames are those of `find_sources`: videos or image folders of that name, else the one image itself.
+    Frames are those of `require_frames`: videos or image folders of that name, else the one image itself.
 
     Args:
         path: folder that holds ``transforms.json``.
@@ -49,7 +51,9 @@ def load(path: Path, units: GivenUnits) -> Capture:
     try:
         values = dict(json.loads(read_plain_text(file)))
         check_rig_size(path, len(values["frames"]))
-        frames = {_camera_name(frame["file_path"]): (frame["file_path"], {**values, **frame}) for frame in values["frames"]}
+        images = [frame["file_path"].replace("\\", "/") for frame in values["frames"]]
+        described = [(image, {**values, **frame}) for image, frame in zip(images, values["frames"], strict=True)]
+        frames = dict(zip(camera_names(images), described, strict=True))
         if len(frames) != len(values["frames"]) or not frames:
             raise ValueError(f"{len(values['frames'])} frames of {len(frames)} cameras")
         poses = {name: _world_to_camera(frame) for name, (_, frame) in frames.items()}
@@ -61,8 +65,8 @@ def load(path: Path, units: GivenUnits) -> Capture:
         ) from error
     names = sorted(frames)
     cameras = _cameras(names, poses, lenses, file)
-    sources = find_sources(path, {name: str(frames[name][0]).removeprefix("./").removeprefix("images/") for name in names})
-    pinhole = undistorted_sources(sources, [lenses[name] for name in names], cameras)
+    sources = require_frames(path, {name: frames[name][0] for name in names}).sources
+    pinhole = undistorted_sources(list(sources.values()), [lenses[name] for name in names], cameras)
     return assemble_capture(path, "nerfstudio", cameras, pinhole, choose_units(path, units, cameras))
 
 
@@ -75,10 +79,6 @@ def _cameras(names: list[str], poses: Mapping[str, Array], lenses: Mapping[str, 
         ]
     except CameraError as error:
         raise CaptureError(f"{file}: {error}") from error
-
-
-def _camera_name(file_path: str) -> str:
-    return PurePosixPath(file_path).stem
 
 
 def _world_to_camera(frame: Mapping[str, Any]) -> Array:

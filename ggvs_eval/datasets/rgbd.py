@@ -1,6 +1,5 @@
 """RGB-D sequences: one moving camera with a depth sensor before a still scene, as ScanNet and HoloLens export them."""
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,12 +9,15 @@ import numpy as np
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import LARGEST_DEVIATION, ROUNDING, Camera, nearest_rotation
 from ggvs_eval.capture import Capture, Extras
-from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size, listed
+from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size
+from ggvs_eval.datasets.camera_frames import listed
 from ggvs_eval.datasets.depth_frames import DepthFrames, read_depth_png
-from ggvs_eval.datasets.frames import ImageFrames, list_images
+from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.units import METRIC, GivenUnits, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
-from ggvs_eval.files.plain import read_plain_text
+from ggvs_eval.files.listing import list_files, list_images
+from ggvs_eval.files.names import numbers_in
+from ggvs_eval.files.plain import parse_numbers, read_plain_text
 
 SCANNET = ("color", "depth", "pose", "intrinsic")
 HOLOLENS = ("images", "depth", "poses.txt", "K.txt")
@@ -75,7 +77,8 @@ def load(path: Path, units: GivenUnits) -> Capture:
     Reading:
         Frames without a finite pose are left out, which the capture's notes say. Row i of ``poses.txt`` is the i-th image in the
         order of numbers: with these poses depth warped between frames of the HoloLens sequence agrees, also across its missing
-        number; with the rows before or after it does not. Intrinsics are taken with pixel centres at halves. All cameras have one
+        number; with the rows before or after it does not. Pixels are taken as they are stored, whatever an EXIF tag says, since
+        depth maps and poses know of none. Intrinsics are taken with pixel centres at halves. All cameras have one
         depth range, 0.8 times the smallest 1st and 1.2 times the largest 99th percentile among 32 evenly spaced depth maps: long
         sequences have thousands.
     """
@@ -85,7 +88,7 @@ def load(path: Path, units: GivenUnits) -> Capture:
         raise CaptureError(
             f"{path}: wanted at least 2 frames with a finite pose, got {len(kept)} of {len(sequence.poses)}; track again"
         )
-    sources = [ImageFrames(sequence.images[number]) for number in kept]
+    sources = [ImageFrames(sequence.images[number], as_stored=True) for number in kept]
     size = _common_size(sources)
     _check_intrinsics(*sequence.K, size)
     limits = _depth_range([sequence.depths[number] for number in kept])
@@ -107,11 +110,11 @@ def _read_sequence(path: Path) -> _Sequence:
     colour, depth, *_ = SCANNET if scannet else HOLOLENS
     images = _numbered(path / colour, list_images(path / colour))
     check_rig_size(path, len(images))
-    depths = _numbered(path / depth, sorted((path / depth).glob("*.png")))
+    depths = _numbered(path / depth, list_files(path / depth, (".png",)))
     _check_complete(images, depths, path / depth, "depth map")
     if not scannet:
         return _Sequence(images, depths, _read_pose_rows(path / HOLOLENS[2], list(images)), _read_K(path / HOLOLENS[3]), None)
-    files = _numbered(path / "pose", sorted((path / "pose").glob("*.txt")))
+    files = _numbered(path / "pose", list_files(path / "pose", (".txt",)))
     _check_complete(images, files, path / "pose", "pose")
     K, K_depth = (_read_K(path / "intrinsic" / f"intrinsic_{kind}.txt") for kind in ("color", "depth"))
     poses = {number: _read_matrix(files[number], (4,)) for number in images}
@@ -121,12 +124,15 @@ def _read_sequence(path: Path) -> _Sequence:
 def _numbered(folder: Path, files: Sequence[Path]) -> dict[int, Path]:
     """The files by the last number in their names, in the order of numbers."""
     files_by_number: dict[int, Path] = {}
-    for file in files:
-        numbers = re.findall(r"\d+", file.stem)
-        if not numbers or int(numbers[-1]) in files_by_number:
-            problem = f"a second one in {file.name}" if numbers else f"none in {file.name}"
-            raise CaptureError(f"{folder}: wanted one number per frame, got {problem}; remove or rename it")
-        files_by_number[int(numbers[-1])] = file
+    try:
+        numbers = numbers_in([file.stem for file in files])
+    except ValueError as error:
+        raise CaptureError(f"{folder}: wanted one number per frame that can be read in one way, got {error}") from error
+    for file, number in zip(files, numbers, strict=True):
+        if not isinstance(number, int) or number in files_by_number:
+            problem = f"none in {file.name}" if not isinstance(number, int) else f"a second one in {file.name}"
+            raise CaptureError(f"{folder}: wanted one whole number per frame, got {problem}; remove or rename it")
+        files_by_number[number] = file
     return dict(sorted(files_by_number.items()))
 
 
@@ -198,7 +204,7 @@ def _read_matrix(file: Path, sides: tuple[int, ...]) -> Array:
 
 def _read_values(file: Path) -> Array:
     try:
-        return np.array([float(word) for word in read_plain_text(file).split()], dtype=np.float64)
+        return np.array([number for row in parse_numbers(read_plain_text(file)) for number in row], dtype=np.float64)
     except (OSError, ValueError) as error:
         reason = "no such file" if isinstance(error, FileNotFoundError) else str(error)
         raise CaptureError(f"{file}: wanted a text file of numbers, got: {reason:.120}; export it again") from error
@@ -215,7 +221,7 @@ def _common_size(sources: Sequence[ImageFrames]) -> tuple[int, int]:
 
 def _check_depth_size(sequence: _Sequence, kept: Sequence[int], size: tuple[int, int]) -> None:
     """Depth maps have one size, of the shape of the images or one that their own intrinsics bear out."""
-    depth_size = _common_size([ImageFrames(sequence.depths[number]) for number in kept])
+    depth_size = _common_size([ImageFrames(sequence.depths[number], as_stored=True) for number in kept])
     same_shape = abs(depth_size[0] * size[1] / (depth_size[1] * size[0]) - 1) < LARGEST_STRETCH
     if sequence.K_depth:
         _check_intrinsics(*sequence.K_depth, depth_size, LARGEST_OFFSET if same_shape else LEAST_OFFSET)

@@ -10,10 +10,11 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size
 from ggvs_eval.datasets.depth_range import rig_depth_range
-from ggvs_eval.datasets.frames import ImageFrames
+from ggvs_eval.datasets.frames import ImageFrames, as_calibrated, has_shape
 from ggvs_eval.datasets.google_models import MODELS, CameraModel, load_models, read_camera_model
 from ggvs_eval.datasets.units import METRIC, GivenUnits, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.files.listing import find_below
 
 
 class _View(NamedTuple):
@@ -62,7 +63,7 @@ def load_positions(path: Path, units: GivenUnits, positions: Sequence[int] | Non
     ranges = iter(rig_depth_range([view.model.world_to_camera for at in views for view in at]))
     ranged = [[(view, next(ranges)) for view in at] for at in views]
     taken = [each for position in chosen for each in ranged[position]]
-    sources = [ImageFrames(view.file) for view, _ in taken]
+    sources = [_image(view) for view, _ in taken]
     cameras = [_make_camera(view, source, limits) for (view, limits), source in zip(taken, sources, strict=True)]
     return assemble_capture(path, "spaces", cameras, sources, choose_units(path, units, cameras, of_data_set=METRIC))
 
@@ -100,15 +101,19 @@ def _read_path(path: Path, model: dict[str, Any], usual: str, where: str) -> Pat
     ):
         mend = "correct the file before you trust it"
         raise CaptureError(f"{path / MODELS}: wanted relative_path of {where} within the scene, got {relative!r:.60}; {mend}")
-    return path / relative
+    return find_below(path, relative)
+
+
+def _image(view: _View) -> ImageFrames:
+    if not view.file.is_file():
+        raise CaptureError(f"{view.file}: wanted the image of {view.name}, there is none; restore it or copy the scene again")
+    return as_calibrated(ImageFrames(view.file), round(view.model.width), round(view.model.height))
 
 
 def _make_camera(view: _View, source: ImageFrames, limits: tuple[float, float]) -> Camera:
     """The camera at the size of its image on disk."""
-    if not view.file.is_file():
-        raise CaptureError(f"{view.file}: wanted the image of {view.name}, there is none; restore it or copy the scene again")
     model, (width, height) = view.model, source.size
-    if abs(model.height * width / model.width - height) > 1:
+    if not has_shape((width, height), (model.width, model.height)):
         calibrated = f"{model.width:g} x {model.height:g}"
         raise CaptureError(
             f"{view.file}: wanted the shape of {calibrated} that {view.name} is calibrated for, got {width} x {height}; "

@@ -7,12 +7,14 @@ import numpy as np
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
-from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size, listed
+from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size
+from ggvs_eval.datasets.camera_frames import listed
 from ggvs_eval.datasets.depth_range import given_depth_range, rig_depth_range
-from ggvs_eval.datasets.frames import NumberedFrames, list_images
+from ggvs_eval.datasets.frames import NumberedFrames
 from ggvs_eval.datasets.units import GivenUnits, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
-from ggvs_eval.files.plain import read_plain_text
+from ggvs_eval.files.listing import list_images
+from ggvs_eval.files.plain import parse_numbers, read_plain_text
 
 PARAMETERS = "cameras_parameters.txt"
 COLUMNS = "f cu cv ar sk qw qx qy qz tx ty tz"
@@ -83,29 +85,26 @@ def _find_frames(path: Path) -> tuple[Path, dict[int, list[tuple[int, Path]]]] |
 def _read_rows(file: Path) -> np.ndarray:
     """The parameters, (cameras, 12)."""
     try:
-        lines = [line.split() for line in read_plain_text(file).splitlines()[1:] if line.strip()]
+        _, _, numbers = read_plain_text(file).partition("\n")
+        rows = [row for row in parse_numbers(numbers, 2) if row]
     except (OSError, ValueError) as error:
-        raise CaptureError(f"{file}: wanted text, got: {error}; copy the scene again") from error
-    check_rig_size(file, len(lines))
-    rows = [_read_row(file, index, words) for index, words in enumerate(lines)]
+        raise CaptureError(f"{file}: wanted {COLUMNS} of each camera, got: {error}; copy the scene again") from error
+    check_rig_size(file, len(rows))
     if not rows:
         raise CaptureError(f"{file}: wanted a line of names and a row per camera, got none; copy the scene again")
+    for index, row in enumerate(rows):
+        _check_row(file, index, row)
     return np.array(rows)
 
 
-def _read_row(file: Path, index: int, words: list[str]) -> list[float]:
-    try:
-        row = [float(word) for word in words]
-    except ValueError:
-        row = []
+def _check_row(file: Path, index: int, row: list[float]) -> None:
     if len(row) != N_COLUMNS or not all(abs(value) < LARGEST_NUMBER for value in row):
-        shown = " ".join(words)
+        shown = " ".join(f"{value:g}" for value in row)
         raise CaptureError(f"{file}: wanted {COLUMNS} as finite numbers of camera {index}, got {shown:.60}; copy the scene again")
     if abs(row[4]) > LARGEST_SKEW_PX:
         raise CaptureError(f"{file}: wanted zero skew (sk) of camera {index}, got {row[4]:g}; undistort its pictures again")
     if not 0.99 < float(np.linalg.norm(row[5:9])) < 1.01:
         raise CaptureError(f"{file}: wanted a unit quaternion of camera {index}, got {row[5:9]}; copy the scene again")
-    return row
 
 
 def _cameras(path: Path, rows: np.ndarray) -> list[Camera]:

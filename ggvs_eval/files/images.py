@@ -1,5 +1,6 @@
 """8-bit images: what is measured is what lies on disk."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
@@ -10,11 +11,21 @@ from numpy.typing import NDArray
 from ggvs_eval.arrays import Image8
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.atomic import write_bytes
+from ggvs_eval.files.picture_header import UPRIGHT, read_orientation
 from ggvs_eval.files.plain import LARGEST_PICTURE, read_plain, why_unread
 
 ResizeFilter = Literal["area", "lanczos", "bicubic", "bilinear"]
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
+# EXIF orientation -> what shows the stored pixels upright; the tag names where row 0 and column 0 lie in the scene.
+TURNS: dict[int, Callable[[Image8], Image8]] = {
+    2: lambda image: image[:, ::-1],
+    3: lambda image: image[::-1, ::-1],
+    4: lambda image: image[::-1],
+    5: lambda image: image.swapaxes(0, 1),
+    6: lambda image: image.swapaxes(0, 1)[:, ::-1],
+    7: lambda image: image.swapaxes(0, 1)[::-1, ::-1],
+    8: lambda image: image.swapaxes(0, 1)[::-1],
+}
 PNG_LEVEL = 1  # two thirds of the time that level 3 takes, for files 4 % larger
 
 
@@ -33,17 +44,24 @@ def to_8_bit(image: NDArray[np.generic]) -> Image8:
     return np.asarray(image, np.uint8) if image.dtype == np.uint8 else quantise(np.asarray(image, np.float64))
 
 
-def read_image(path: Path) -> Image8:
+def read_image(path: Path, as_stored: bool = False) -> Image8:
     """Read an 8-bit RGB image, (H, W, 3), turned as its EXIF tag says.
+
+    Args:
+        path: PNG or JPEG.
+        as_stored: take the pixels as they lie in the file, whatever the tag says.
 
     Raises:
         CaptureError: absent, damaged or not an image.
     """
-    image = decode_image(read_encoded(path), cv2.IMREAD_COLOR)
+    encoded = read_encoded(path)
+    image = decode_image(encoded, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
         content = f"{path.stat().st_size} bytes that do not decode"
         raise CaptureError(f"{path}: wanted an image, got {content}; restore or render this frame again")
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+    rgb = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+    orientation = UPRIGHT if as_stored else read_orientation(encoded.tobytes())
+    return rgb if orientation == UPRIGHT else np.ascontiguousarray(TURNS[orientation](rgb))
 
 
 def read_encoded(path: Path) -> NDArray[np.uint8]:

@@ -1,12 +1,16 @@
 """Headers of pictures: coding, size, and what is lost or made up when one is read as 8-bit RGB."""
 
+from io import BytesIO
 from pathlib import Path
 from typing import Literal, NamedTuple
 
 from ggvs_eval.files.plain import LARGEST_PICTURE, check_plain
 
 EXIF_ORIENTATION, LYING = 0x0112, (5, 6, 7, 8)  # these are shown with width and height exchanged
+UPRIGHT = 1
 PNG_DEPTH_AT = 24
+# A JPEG has its tags in a segment before its pixels, a PNG in a chunk anywhere.
+EXIF_MARK, EXIF_WITHIN, EXIF_CHUNK = b"Exif\0", 1 << 20, b"eXIf"
 COLOURS = {"1": "grey", "L": "grey", "LA": "grey", "I": "grey", "I;16": "grey", "P": "palette", "PA": "palette", "CMYK": "CMYK"}
 
 
@@ -20,6 +24,7 @@ class PictureHeader(NamedTuple):
         colours: ``grey``, ``palette`` or ``CMYK`` where its pixels are no RGB; else empty.
         bits: per sample.
         has_alpha: whether it carries transparency.
+        orientation: its EXIF tag, 1 to 8; 1 is shown as it is stored.
     """
 
     form: Literal["PNG", "JPEG"]
@@ -28,6 +33,12 @@ class PictureHeader(NamedTuple):
     colours: str = ""
     bits: int = 8
     has_alpha: bool = False
+    orientation: int = UPRIGHT
+
+    @property
+    def stored_size(self) -> tuple[int, int]:
+        """(width, height) in pixels, as they lie in the file."""
+        return (self.height, self.width) if self.orientation in LYING else (self.width, self.height)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -65,12 +76,38 @@ def read_picture_header(path: Path) -> PictureHeader:
     check_plain(path, LARGEST_PICTURE)
     with Image.open(path, formats=("PNG", "JPEG")) as image:
         width, height = image.size
-        tags = image.getexif() if "exif" in image.info else {}  # asked without, Pillow decodes a PNG to look for them
-        if tags.get(EXIF_ORIENTATION) in LYING:
+        orientation = _orientation(image.info.get("exif", b""))
+        if orientation in LYING:
             width, height = height, width
         form: Literal["PNG", "JPEG"] = "PNG" if image.format == "PNG" else "JPEG"
         has_alpha = image.mode in ("LA", "PA", "RGBA") or "transparency" in image.info
-        return PictureHeader(form, width, height, COLOURS.get(image.mode, ""), _bits(path) if form == "PNG" else 8, has_alpha)
+        bits = _bits(path) if form == "PNG" else 8
+        return PictureHeader(form, width, height, COLOURS.get(image.mode, ""), bits, has_alpha, orientation)
+
+
+def read_orientation(encoded: bytes) -> int:
+    """The EXIF orientation of a picture's bytes; 1 where they say none, or nothing that makes sense."""
+    from PIL import Image
+
+    if EXIF_MARK not in encoded[:EXIF_WITHIN] and EXIF_CHUNK not in encoded:
+        return UPRIGHT
+    try:
+        with Image.open(BytesIO(encoded), formats=("PNG", "JPEG")) as image:
+            return _orientation(image.info.get("exif", b""))
+    except Exception:  # the parsers raise whatever a damaged header makes them stumble over; the decoder says so better
+        return UPRIGHT
+
+
+def _orientation(exif: bytes) -> int:
+    from PIL import Image
+
+    tags = Image.Exif()
+    try:
+        tags.load(exif)
+        orientation = int(tags.get(EXIF_ORIENTATION, UPRIGHT))
+    except Exception:  # likewise
+        return UPRIGHT
+    return orientation if UPRIGHT <= orientation <= LYING[-1] else UPRIGHT
 
 
 def _bits(path: Path) -> int:

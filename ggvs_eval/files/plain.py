@@ -1,7 +1,9 @@
 """Plain files: what is no regular file, or larger than such a file can be, is refused before it is read."""
 
+import codecs
 import errno
 import os
+import re
 import stat
 from pathlib import Path
 
@@ -9,6 +11,9 @@ KINDS = ((stat.S_ISDIR, "a folder"), (stat.S_ISFIFO, "a pipe"), (stat.S_ISSOCK, 
 LARGEST_TEXT = 32 << 20
 LARGEST_TOML = 4 << 20  # its parser takes a second per MB
 LARGEST_PICTURE = 256 << 20
+# Byte order marks: Notepad and PowerShell begin their texts with one, PowerShell 5 writes UTF-16.
+MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
+DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
 
 
 class NotPlainError(OSError):
@@ -54,13 +59,53 @@ def read_plain(path: Path, most_bytes: int) -> bytes:
 
 
 def read_plain_text(path: Path, most_bytes: int = LARGEST_TEXT) -> str:
-    """The text (UTF-8) of a regular file; line ends become those of Unix.
+    """The text (UTF-8, or what its byte order mark says) of a regular file; line ends become those of Unix.
 
     Raises:
         OSError: as of `check_plain`.
         UnicodeDecodeError: no text.
     """
-    return read_plain(path, most_bytes).decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
+    content = read_plain(path, most_bytes)
+    return content.decode(coding_of(content)).replace("\r\n", "\n").replace("\r", "\n")
+
+
+def coding_of(content: bytes) -> str:
+    """The coding of a text by its first bytes; UTF-8 where they are no byte order mark."""
+    return next((coding for mark, coding in MARKS.items() if content.startswith(mark)), "utf-8")
+
+
+def comma_hint(word: str) -> str:
+    """What a message adds to a word that is no number because of its decimal comma; empty for others.
+
+    Examples:
+        >>> comma_hint("86,88")
+        ', which has a decimal comma: write 86.88'
+    """
+    return f", which has a decimal comma: write {word.replace(',', '.')}" if DECIMAL_COMMA.fullmatch(word) else ""
+
+
+def parse_numbers(text: str, first_line: int = 1) -> list[list[float]]:
+    """The numbers in each line of a text.
+
+    Raises:
+        ValueError: a word that is no number; the message has its line, counted from `first_line`.
+    """
+    rows = []
+    for line, words in enumerate(map(str.split, text.splitlines()), first_line):
+        try:
+            rows.append([float(word) for word in words])
+        except ValueError:
+            wrong = next(word for word in words if not _is_number(word))
+            raise ValueError(f"line {line}: no number in {wrong!r:.60}{comma_hint(wrong)}") from None
+    return rows
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 def why_unread(error: OSError) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ggvs_eval.arrays import Image8
+from ggvs_eval.arrays import Array, Image8
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.files.digest import digest_files
@@ -160,6 +160,13 @@ class VideoFrames:
         if longest - shortest <= max(1, LARGEST_JITTER * longest):  # time stamps are rounded to ticks
             return ""
         return f"{shortest * tick_ms:.1f} to {longest * tick_ms:.1f} ms"
+
+    @cached_property
+    def times_s(self) -> Array:
+        """When each frame is shown, seconds after the first, (T,); the whole file is read for it."""
+        with self._open() as container:
+            tick_s = float(container.streams.video[0].time_base or 0)
+        return tick_s * np.array([frame.presented - self._shown[0].presented for frame in self._shown], np.float64)
 
     @cached_property
     def conversions(self) -> dict[str, int]:

@@ -17,14 +17,15 @@ from pathlib import Path, PurePosixPath
 from typing import IO, cast
 
 from ggvs_eval.errors import RenderError
+from ggvs_eval.files.listing import is_junk
 
 SUFFIXES = (".zip", ".tar.gz", ".tgz", ".tar")
 CHUNK_BYTES = 1 << 20
-# A tar header may print_plan a name of any length, which is read at once.
+# A tar header may announce a name of any length, which is read at once.
 LARGEST_READ = 16 << 20
 ERRORS = (zipfile.BadZipFile, tarfile.TarError, zlib.error, OSError, EOFError, NotImplementedError, RuntimeError, ValueError)
 SAFE_CODINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-UNSAFE_PATH = re.compile(r"[\\\x00-\x1f\x7f]|^[A-Za-z]:")
+UNSAFE_PATH = re.compile(r"[\x00-\x1f\x7f]|^[A-Za-z]:")
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class _Member:
-    """One entry: its path, and its content where it is a file."""
+    """One entry: its path, in which the backslashes of Windows are separators, and its content where it is a file."""
 
     path: PurePosixPath
     n_bytes: int
@@ -85,10 +86,12 @@ def _write(path: Path, members: Iterator[_Member], folder: Path, limits: Limits)
     """Write the files one by one, each under a name that nothing bears yet."""
     n_files = n_bytes = 0
     for member in members:
+        target = folder / _safe(path, member.path)
+        if any(map(is_junk, member.path.parts)):
+            continue
         n_files += 1
         if n_files > limits.n_files or n_bytes + member.n_bytes > limits.n_bytes:
             raise _too_much(path, limits)
-        target = folder / _safe(path, member.path)
         if member.content is None:
             target.mkdir(parents=True, exist_ok=True)
             continue
@@ -148,8 +151,8 @@ def _zip_members(path: Path, packed: zipfile.ZipFile) -> Iterator[_Member]:
             raise _forbidden(path, info.filename, "a link or a device")
         if info.compress_type not in SAFE_CODINGS:
             raise _forbidden(path, info.filename, "packed by a method other than deflate")
-        name = PurePosixPath(info.orig_filename)
-        if info.is_dir():
+        name = PurePosixPath(info.orig_filename.replace("\\", "/"))
+        if info.orig_filename.endswith(("/", "\\")):
             yield _Member(name, 0, None)
         else:
             with packed.open(info) as content:
@@ -158,7 +161,7 @@ def _zip_members(path: Path, packed: zipfile.ZipFile) -> Iterator[_Member]:
 
 def _tar_members(path: Path, tar: tarfile.TarFile) -> Iterator[_Member]:
     for info in tar:
-        name = PurePosixPath(info.name)
+        name = PurePosixPath(info.name.replace("\\", "/"))
         if info.isdir():
             yield _Member(name, 0, None)
         elif info.isreg() and not info.issparse():

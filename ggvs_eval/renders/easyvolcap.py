@@ -11,8 +11,8 @@ number counts from the capture's first.
 import re
 from pathlib import Path
 
-from ggvs_eval.datasets.frames import list_images
 from ggvs_eval.errors import RenderError
+from ggvs_eval.files.listing import list_images
 from ggvs_eval.renders.numbering import number_views
 from ggvs_eval.renders.picture import PictureView
 from ggvs_eval.renders.request import FrameRequest, RenderedView, RenderSet

@@ -1,91 +1,149 @@
-"""Renders as the 3DGS family writes them: ``renders/00000.png`` beside ``gt/00000.png``, views and frames in one flat list.
+"""Renders beside copies of the truth, as several programs write them: ``renders/00000.png`` beside ``gt/00000.png``.
 
-The list says nothing of views or frames; the copies of the truth do, see `truth_match`.
+Views and frames are read from the names where these say them (``cam00/0001.png``, ``cam00_0001.png``); else the copies of the
+truth tell, see `truth_match`.
 
 Facts of 4DGaussians, from github.com/hustvl/4DGaussians (commit 0bc8fed, render.py): the model's folder holds
 ``{train,test,video}/ours_<iteration>/``, each with ``renders/`` and ``gt/`` of five digits in the order of its data loader and a
 ``video_rgb.mp4`` of the renders; ``gt/`` of ``video`` stays empty, so that it cannot be taken for the test set.
 """
 
-from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
-from ggvs_eval.datasets.frames import list_images
 from ggvs_eval.errors import RenderError
-from ggvs_eval.renders.numbering import last_number
+from ggvs_eval.files.listing import list_files_below
+from ggvs_eval.renders.numbering import frame_numbers, number_views, places_of
 from ggvs_eval.renders.picture import PictureView
 from ggvs_eval.renders.request import FrameRequest, RenderedView, RenderSet
 from ggvs_eval.renders.truth_match import check_truth, find_order
+from ggvs_eval.renders.view_folders import names_of
+
+# 3DGS and its kin, nerfstudio's `ns-render dataset`, NerfBaselines.
+PAIRS = (("renders", "gt"), ("rgb", "gt-rgb"), ("color", "gt-color"))
+NERFBASELINES = "info.json"  # beside color/; then gt-color/ may be absent
+
+
+class _Pair(NamedTuple):
+    """A folder of renders and that of the copies of the truth."""
+
+    rendered: Path
+    truth: Path
 
 
 def refuse(path: Path, request: FrameRequest) -> str | None:
-    """Return the reason why this is not a flat list of renders beside the truth, or None if it is one."""
-    del request  # its views have no names here
+    """Return the reason why these are not renders beside the truth, or None if they are."""
+    del request  # its views may have no names here
     if not path.is_dir():
         return "not a folder"
-    places = _places(path)
-    if not places:
-        return "no renders/ beside gt/, here or in test/ours_<iteration>/"
-    if len(places) > 1:
-        return f"several sets: give one of {', '.join(str(place.relative_to(path)) for place in places)}"
+    pairs = _pairs(path)
+    if not pairs:
+        return f"no {', '.join(f'{rendered}/ beside {truth}/' for rendered, truth in PAIRS)}, here or in test/ours_<iteration>/"
+    if len(pairs) > 1:
+        places = [pair.rendered.parent for pair in pairs]
+        shown = [pair.rendered if places.count(place) > 1 else place for pair, place in zip(pairs, places, strict=True)]
+        return f"several sets: give one of {', '.join(str(place.relative_to(path)) for place in shown)}"
     return None
 
 
 def files(path: Path, request: FrameRequest) -> list[Path]:
-    """The pictures of both lists."""
+    """The pictures of both sides."""
     del request
-    (place,) = _places(path)
-    return [*list_images(place / "renders"), *list_images(place / "gt")]
+    (pair,) = _pairs(path)
+    return [*list_files_below(pair.rendered), *list_files_below(pair.truth)]
 
 
 def find(path: Path, request: FrameRequest, is_temporary: bool) -> RenderSet:
-    """The renders by view and frame.
+    """The renders by view and frame, after their copies of the truth were compared with the captured frames.
 
     Raises:
-        RenderError: lists that do not match each other, or copies of the truth that are not the captured frames.
+        RenderError: lists that do not match each other, names that tell no view where there is no truth to find the order by, or
+            copies of the truth that are not the captured frames.
     """
-    (place,) = _places(path)
-    rendered, copies = (_by_number(place / name) for name in ("renders", "gt"))
+    (pair,) = _pairs(path)
+    rendered, copies = _by_key(pair.rendered), _by_key(pair.truth)
+    names = {file: file.relative_to(pair.rendered).with_suffix("").as_posix() for file in rendered.values()}
+    if any(places_of(pair.rendered, names.values(), request.views)):
+        beside = {file: copies[key] for key, file in rendered.items() if key in copies}
+        return _found_by_name(pair, names, beside, request, is_temporary)
+    if not copies:
+        first = next(iter(names)).relative_to(pair.rendered.parent)
+        raise RenderError(
+            f"{pair.rendered.parent}: names like {first} tell no view, and {pair.truth.name}/ lacks pictures to find their order "
+            "by; name them <view>/<frame>.png"
+        )
     if set(rendered) != set(copies):
-        listed = ", ".join(str(number) for number in sorted(set(rendered) ^ set(copies))[:20])
-        raise RenderError(f"{place}: wanted the same numbers in renders/ and gt/, one of them lacks {listed}; render them again")
-    return found_in_order([rendered[n] for n in sorted(rendered)], [copies[n] for n in sorted(copies)], request, is_temporary)
+        listed = ", ".join(str(key) for key in sorted(set(rendered) ^ set(copies), key=str)[:20])
+        both = f"{pair.rendered.name}/ and {pair.truth.name}/"
+        raise RenderError(
+            f"{pair.rendered.parent}: wanted the same numbers in {both}, one of them lacks {listed}; render them again"
+        )
+    return _found_in_order(list(rendered.values()), [copies[key] for key in rendered], pair, request, is_temporary)
 
 
-def found_in_order(rendered: list[Path], copies: list[Path], request: FrameRequest, is_temporary: bool) -> RenderSet:
-    """Flat renders by view and frame, as the copies of the truth tell.
-
-    Args:
-        rendered: pictures in the list's order.
-        copies: of the truth, same order.
-        request: what the run asks for.
-        is_temporary: see `PictureView`.
-    """
-    root = copies[0].parent
+def _found_in_order(
+    rendered: Sequence[Path], copies: Sequence[Path], pair: _Pair, request: FrameRequest, is_temporary: bool
+) -> RenderSet:
+    """Renders whose names tell nothing, in the order that the copies of the truth tell."""
     try:
         order = find_order(copies, request)
         level = check_truth({place: copies[index] for index, place in order.places.items()}, request)
     except RenderError as error:
-        raise RenderError(f"{root}: {error}") from None
+        raise RenderError(f"{pair.truth}: {error}") from None
     by_view: dict[str, dict[int, Path]] = {}
     for index, (view, frame) in order.places.items():
         by_view.setdefault(view, {})[frame] = rendered[index]
     views: dict[str, RenderedView] = {view: PictureView(frames, is_temporary) for view, frames in by_view.items()}
-    note = f"order found by comparing {root.name}/ with the captured frames ({level:.1f} levels of 255 apart): {order.describe}"
+    compared = f"order found by comparing {pair.truth.name}/ with the captured frames ({level:.1f} levels of 255 apart)"
     unused = len(rendered) - len(order.places)
-    return RenderSet(views, (), (note, *([f"{unused} pictures of other frames of the capture are not used"] if unused else [])))
+    left = [f"{unused} pictures of other frames of the capture are not used"] if unused else []
+    return RenderSet(views, (), (f"{compared}: {order.describe}", *left))
 
 
-def _places(path: Path) -> list[Path]:
-    """Folders that hold renders/ and gt/: this one, or those below ``test/`` of a model folder."""
-    candidates = [path, *sorted(path.glob("ours_*")), *sorted(path.glob("test/ours_*"))]
-    return [place for place in candidates if list_images(place / "renders") and list_images(place / "gt")]
+def _found_by_name(
+    pair: _Pair, names: dict[Path, str], copies: dict[Path, Path], request: FrameRequest, is_temporary: bool
+) -> RenderSet:
+    """Renders whose names tell view and frame."""
+    by_view: dict[str, list[tuple[int | None, Path]]] = {}
+    extras = []
+    for (file, name), place in zip(names.items(), places_of(pair.rendered, names.values(), request.views), strict=True):
+        if place is None:
+            extras.append(f"{pair.rendered.name}/{name}")
+        else:
+            by_view.setdefault(place.view, []).append((place.number, file))
+    numbered = number_views(pair.rendered.parent, by_view, request)
+    views: dict[str, RenderedView] = {view: PictureView(frames, is_temporary) for view, frames in numbered.frames.items()}
+    extras += [f"{pair.rendered.name}/{names[file]}" for some in numbered.extras.values() for file in some]
+    placed = {(view, frame): file for view, frames in numbered.frames.items() for frame, file in frames.items()}
+    claims = {place: copies[file] for place, file in placed.items() if file in copies}
+    try:
+        level = check_truth(claims, request)
+    except RenderError as error:
+        raise RenderError(f"{pair.rendered.parent}: {error}") from None
+    is_whole = len(claims) == len(placed)
+    agreeing = f"{pair.truth.name}/ agrees with the captured frames ({level:.1f} levels of 255 apart)"
+    compared = agreeing if claims and is_whole else f"no complete {pair.truth.name}/ to compare with the capture"
+    doubles = {view: names_of(by_frame) for view, by_frame in numbered.doubles.items()}
+    return RenderSet(views, tuple(extras), (compared,), numbered.note, numbered.first, doubles)
 
 
-def _by_number(folder: Path) -> dict[int, Path]:
-    numbered = [(last_number(file.stem), file) for file in list_images(folder)]
-    twice = [number for number, count in Counter(number for number, _ in numbered).items() if count > 1 or number is None]
-    if twice:
-        listed = ", ".join("a name without number" if number is None else str(number) for number in twice[:20])
-        raise RenderError(f"{folder}: wanted one picture for each number, got {listed} wrong; keep one of each")
-    return {number: file for number, file in numbered if number is not None}
+def _pairs(path: Path) -> list[_Pair]:
+    """The sets of a folder: its own, or those below ``test/`` of a model folder."""
+    places = [path, path / "test", *sorted(path.glob("ours_*")), *sorted(path.glob("test/ours_*"))]
+    pairs = [_Pair(place / rendered, place / truth) for place in places for rendered, truth in PAIRS]
+    return [pair for pair in pairs if list_files_below(pair.rendered) and _has_truth(pair)]
+
+
+def _has_truth(pair: _Pair) -> bool:
+    is_nerfbaselines = pair.rendered.name == PAIRS[-1][0] and (pair.rendered.parent / NERFBASELINES).is_file()
+    return is_nerfbaselines or bool(list_files_below(pair.truth))
+
+
+def _by_key(folder: Path) -> dict[int | str, Path]:
+    """The pictures below a folder by what tells them apart: in a flat list their numbers, else their relative names; in order."""
+    found = list_files_below(folder)
+    numbers = frame_numbers(folder, [file.stem for file in found])
+    if all(file.parent == folder for file in found) and None not in numbers and len(set(numbers)) == len(found):
+        return {number: file for number, file in sorted(zip(numbers, found, strict=True)) if number is not None}
+    return {file.relative_to(folder).with_suffix("").as_posix(): file for file in found}

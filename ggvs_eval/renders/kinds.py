@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.renders import easyvolcap, flat_set, nerfbaselines, view_folders, view_streams
+from ggvs_eval.renders import easyvolcap, flat_set, view_folders, view_streams
 from ggvs_eval.renders.lookalikes import instead_of_all
 from ggvs_eval.renders.request import FrameRequest, RenderSet
 
@@ -29,13 +29,14 @@ class Kind:
 
 KINDS = {
     "run": Kind("a run folder", view_folders.refuse_run, view_folders.run_files, view_folders.find_run),
-    "nerfbaselines": Kind("NerfBaselines output", nerfbaselines.refuse, nerfbaselines.files, nerfbaselines.find),
     "easyvolcap": Kind("EasyVolcap output", easyvolcap.refuse, easyvolcap.files, easyvolcap.find),
-    "flat": Kind("renders/ and gt/", flat_set.refuse, flat_set.files, flat_set.find),
+    "flat": Kind("renders beside copies of the truth", flat_set.refuse, flat_set.files, flat_set.find),
     "videos": Kind("one video per view", view_streams.refuse_videos, view_streams.video_files, view_streams.find_videos),
     "arrays": Kind("one array per view", view_streams.refuse_arrays, view_streams.array_files, view_streams.find_arrays),
     "folders": Kind("<view>/<frame>.png", view_folders.refuse, view_folders.files, view_folders.find),
+    "names": Kind("<view>_<frame>.png", view_folders.refuse_flat, view_folders.flat_files, view_folders.find_flat),
 }
+WEAKEST = "names"  # pictures may lie beside what is meant
 
 
 def detect(path: Path, request: FrameRequest) -> str:
@@ -46,6 +47,8 @@ def detect(path: Path, request: FrameRequest) -> str:
     """
     reasons = {name: kind.refuse(path, request) for name, kind in KINDS.items()}
     fitting = [name for name, reason in reasons.items() if reason is None]
+    if len(fitting) > 1 and WEAKEST in fitting:
+        fitting.remove(WEAKEST)
     if len(fitting) == 1:
         return fitting[0]
     if fitting:

@@ -6,25 +6,22 @@ from collections.abc import Mapping
 from itertools import islice
 from pathlib import Path
 
-from ggvs_eval.datasets.frames import UNREAD_PICTURES, list_images, unread_pictures
+from ggvs_eval.files.listing import UNREAD_PICTURES, find_below, list_entries, list_images, unread_pictures, unread_videos
 from ggvs_eval.renders.request import FrameRequest
 
-UNREAD_VIDEOS = (".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv")
 LOOKED_THROUGH = 10_000
 
 
 def instead_of(path: Path, view: str, request: FrameRequest) -> str:
     """Describe what lies in place of a view's frames, and what to do; empty where nothing looks like them."""
-    unread = unread_pictures(path / view)
-    if unread or list_images(path / view):
+    folder = find_below(path, view)
+    unread = unread_pictures(folder)
+    if unread or list_images(folder):
         return unread and f"{view}/ holds {unread}"
     if (path / view).is_symlink() and not (path / view).exists():
         return f"{view} is a link to nothing: restore what it leads to"
-    entries = sorted(path.iterdir()) if path.is_dir() else []
-    video = next((file.name for file in entries if file.stem == view and file.suffix.lower() in UNREAD_VIDEOS), "")
-    if video:
-        return f"{video} is there, which is not read: convert it to .mp4"
-    return respelled(view, {file.name if file.is_dir() else file.stem: file.name for file in entries}, request)
+    names = {file.name if file.is_dir() else file.stem: file.name for file in list_entries(path)}
+    return unread_videos(path, (view,)) or respelled(view, names, request)
 
 
 def instead_of_all(path: Path, request: FrameRequest) -> str:

@@ -10,12 +10,14 @@ Reading:
 
 import re
 from collections import defaultdict
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 from ggvs_eval.errors import RenderError
+from ggvs_eval.files.listing import same_name
+from ggvs_eval.files.names import numbers_in
 from ggvs_eval.renders.request import FrameRequest
 from ggvs_eval.run_folder import as_ranges
 
@@ -42,10 +44,37 @@ class Numbered(Generic[Item]):
     note: str
 
 
-def last_number(name: str, view: str = "") -> int | None:
-    """The last number in a name, e.g. 12 of ``frame_0012``; one that is part of the view's name (``cam00``) does not count."""
-    numbers = re.findall(r"\d+", name if view.isdigit() or not view else re.sub(name_as_word(view), "", name))
-    return int(numbers[-1]) if numbers else None
+class Place(NamedTuple):
+    """What a picture's name says: its view, its frame number, and how many numbers are left beside the view's name."""
+
+    view: str
+    number: int | None
+    n_numbers: int
+
+
+def frame_numbers(folder: Path, stems: Sequence[str], view: str = "") -> list[int | None]:
+    """The last whole number in each name, e.g. 12 of ``frame_0012``; one that is part of the view's name (``cam00``) is none.
+
+    Raises:
+        RenderError: names whose numbers can be read in two ways.
+    """
+    rest = stems if view.isdigit() or not view else [re.sub(name_as_word(view), "", stem) for stem in stems]
+    try:
+        numbers = numbers_in(rest)
+    except ValueError as error:
+        raise RenderError(f"{folder}: wanted pictures whose numbers can be read in one way, got {error}") from None
+    return [number if isinstance(number, int) else None for number in numbers]
+
+
+def places_of(folder: Path, names: Iterable[str], views: Sequence[str]) -> list[Place | None]:
+    """The view and frame that relative names, without suffix, say; None where not one view's name stands once in it as a word."""
+    found: list[tuple[str, str] | None] = []
+    for name in map(same_name, names):
+        matches = [(view, match) for view in views for match in re.finditer(name_as_word(same_name(view)), name)]
+        view, match = matches[0] if len(matches) == 1 else ("", None)
+        found.append((view, f"{name[: match.start()]}|{name[match.end() :]}") if match else None)
+    numbers = iter(frame_numbers(folder, [rest for _, rest in filter(None, found)]))
+    return [Place(place[0], next(numbers), len(re.findall(r"\d+", place[1]))) if place else None for place in found]
 
 
 def name_as_word(view: str) -> str:

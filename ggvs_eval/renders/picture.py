@@ -43,6 +43,23 @@ def counted(count: int, noun: str) -> str:
     return f"{count} {noun}{'s' * (count != 1)}"
 
 
+def size_fault(size: tuple[int, int], wanted: tuple[int, int]) -> str:
+    """Say how a frame's (width, height) differs from what is wanted; empty where it does not.
+
+    Examples:
+        >>> size_fault((320, 120), (160, 120))
+        '320 x 120 instead of 160 x 120: 2 pictures side by side? cut out the rendered one'
+    """
+    if size == wanted:
+        return ""
+    fault = f"{size[0]} x {size[1]} instead of {wanted[0]} x {wanted[1]}"
+    for axis, lie in ((0, "side by side"), (1, "one above the other")):
+        count, rest = divmod(size[axis], wanted[axis])
+        if size[1 - axis] == wanted[1 - axis] and count > 1 and not rest:
+            return f"{fault}: {count} pictures {lie}? cut out the rendered one"
+    return fault
+
+
 class PixelRemarks:
     """Notes on the pixels of a view's frames, gathered while these are read."""
 
@@ -116,5 +133,5 @@ def _fault(path: Path, size: tuple[int, int]) -> str:
     except RenderError:
         return "no picture that can be read"
     if header.size != size:
-        return f"{header.width} x {header.height} instead of {size[0]} x {size[1]}"
+        return size_fault(header.size, size)
     return f"{header.bits} bits per channel instead of 8: convert them yourself" if header.bits > 8 else ""

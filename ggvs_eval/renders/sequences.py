@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from ggvs_eval.arrays import Image8, Map
 from ggvs_eval.errors import RenderError
-from ggvs_eval.files.images import IMAGE_SUFFIXES, decode_image, read_encoded, read_image, to_8_bit
+from ggvs_eval.files.images import decode_image, read_encoded, read_image, to_8_bit
+from ggvs_eval.files.listing import IMAGE_SUFFIXES, VIDEO_SUFFIXES, list_files
+from ggvs_eval.files.names import numbers_in
 from ggvs_eval.files.plain import check_plain
 from ggvs_eval.files.video import VideoFrames
 from ggvs_eval.renders.array_stack import ArrayStack, npz_members
-from ggvs_eval.renders.numbering import last_number
-from ggvs_eval.renders.view_streams import ARRAY_SUFFIXES, VIDEO_SUFFIXES
+from ggvs_eval.renders.view_streams import ARRAY_SUFFIXES
 
 DEPTH_PICTURES = (".png", ".tif", ".tiff", ".pfm")
 DEPTH_SUFFIXES = (*DEPTH_PICTURES, *ARRAY_SUFFIXES)
@@ -80,16 +81,20 @@ def read_depths(path: Path) -> Iterator[Map]:
 
 def _numbered(folder: Path, suffixes: tuple[str, ...], noun: str) -> list[Path]:
     """Files of a folder in the order of the last numbers of their names."""
-    files = [path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.is_file()]
+    files = [path for path in list_files(folder, suffixes) if path.is_file()]
     if not files:
         raise RenderError(f"{folder}: wanted {noun} ({', '.join(suffixes)}), there are none; name the folder that they lie in")
-    numbers = {path: last_number(path.stem) for path in files}
-    if len(set(numbers.values())) < len(files):
-        twice = next(path for path in sorted(files) if list(numbers.values()).count(numbers[path]) > 1)
+    try:
+        numbers = numbers_in([file.stem for file in files])
+    except ValueError as error:
+        raise RenderError(f"{folder}: wanted {noun} whose numbers can be read in one way, got {error}") from None
+    if len(set(numbers)) < len(files):
+        twice = next(file for file, number in zip(files, numbers, strict=True) if numbers.count(number) > 1)
         raise RenderError(
             f"{folder}: wanted {noun} with a number each, {twice.name} shares its with another; keep one kind of file"
         )
-    return sorted(files, key=lambda path: (numbers[path] is not None, numbers[path] or 0))
+    ordered = sorted(zip(numbers, files, strict=True), key=lambda each: (each[0] is not None, each[0] or 0))
+    return [file for _, file in ordered]
 
 
 def _read_depth(path: Path) -> Map:

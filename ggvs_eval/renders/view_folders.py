@@ -1,12 +1,12 @@
-"""Renders as ``<view>/<frame>.png`` or ``.jpg``, and our own run folders, which hold such a folder per method."""
+"""Renders as ``<view>/<frame>.png`` or ``.jpg``, as ``<view>_<frame>.png`` in one folder, and our own run folders."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from ggvs_eval.datasets.frames import list_images
+from ggvs_eval.files.listing import find_below, list_entries, list_images, same_name
 from ggvs_eval.renders.lookalikes import instead_of
-from ggvs_eval.renders.numbering import last_number, number_views
+from ggvs_eval.renders.numbering import frame_numbers, number_views, places_of
 from ggvs_eval.renders.picture import PictureView
 from ggvs_eval.renders.request import FrameRequest, RenderedView, RenderSet
 from ggvs_eval.run_folder import RunFolder
@@ -16,26 +16,78 @@ def refuse(path: Path, request: FrameRequest) -> str | None:
     """Say why this is not one folder of pictures per view; None if it is."""
     if not path.is_dir():
         return "not a folder"
-    if any(list_images(path / view) for view in request.views):
+    if any(_pictures(path, view) for view in request.views):
         return None
     return f"no folder {' or '.join(request.views)} with PNG or JPEG pictures"
 
 
 def files(path: Path, request: FrameRequest) -> list[Path]:
     """The pictures of the views."""
-    return [file for view in request.views for file in list_images(path / view)]
+    return [file for view in request.views for file in _pictures(path, view)]
 
 
 def find(path: Path, request: FrameRequest, is_temporary: bool) -> RenderSet:
     """The views' pictures by frame number."""
-    pictures = {view: list_images(path / view) for view in request.views}
-    items = {view: [(last_number(file.stem, view), file) for file in some] for view, some in pictures.items() if some}
+    pictures = {view: _pictures(path, view) for view in request.views}
+    items = {
+        view: list(zip(frame_numbers(path / view, [file.stem for file in some], view), some, strict=True))
+        for view, some in pictures.items()
+        if some
+    }
+    return _numbered(path, items, list(_unexpected_files(path, request)), request, is_temporary)
+
+
+def refuse_flat(path: Path, request: FrameRequest) -> str | None:
+    """Say why this is no folder of pictures whose names tell view and frame; None if it is."""
+    return None if any(_places(path, request).values()) else f"no {request.views[0]}_0000.png or 0000_{request.views[0]}.png"
+
+
+def flat_files(path: Path, request: FrameRequest) -> list[Path]:
+    """The pictures of the views."""
+    return [file for file, place in _places(path, request).items() if place]
+
+
+def find_flat(path: Path, request: FrameRequest, is_temporary: bool) -> RenderSet:
+    """The pictures by the view and the number in their names."""
+    items: dict[str, list[tuple[int | None, Path]]] = {}
+    extras = []
+    for file, place in _places(path, request).items():
+        if place:
+            items.setdefault(place[0], []).append((place[1], file))
+        else:
+            extras.append(file.name)
+    return _numbered(path, items, extras, request, is_temporary)
+
+
+def _places(path: Path, request: FrameRequest) -> dict[Path, tuple[str, int | None] | None]:
+    """The pictures of a folder, with the view and number of those that name one of each."""
+    pictures = list_images(path)
+    named = places_of(path, [file.stem for file in pictures], request.views)
+    wanted = {1} if len(request.frames) > 1 else {0, 1}
+    return {
+        file: (place.view, place.number) if place and place.n_numbers in wanted else None
+        for file, place in zip(pictures, named, strict=True)
+    }
+
+
+def _pictures(path: Path, view: str) -> list[Path]:
+    return list_images(find_below(path, view))
+
+
+def _numbered(
+    path: Path,
+    items: Mapping[str, Sequence[tuple[int | None, Path]]],
+    unexpected: Sequence[str],
+    request: FrameRequest,
+    is_temporary: bool,
+) -> RenderSet:
+    """Pictures of views by the protocol's frame numbers."""
     numbered = number_views(path, items, request)
     views: dict[str, RenderedView] = {view: PictureView(frames, is_temporary) for view, frames in numbered.frames.items()}
-    extras = [f"{view}/{file.name}" for view, some in numbered.extras.items() for file in some]
+    extras = [file.relative_to(path).as_posix() for some in numbered.extras.values() for file in some]
     return RenderSet(
         views,
-        (*_unexpected_files(path, request), *extras),
+        (*unexpected, *extras),
         numbering=numbered.note,
         first=numbered.first,
         doubles={view: names_of(by_frame) for view, by_frame in numbered.doubles.items()},
@@ -51,8 +103,9 @@ def names_of(doubles: Mapping[int, Sequence[Path]]) -> dict[int, list[str]]:
 def _unexpected_files(path: Path, request: FrameRequest) -> Iterable[str]:
     """Pictures and folders of pictures that belong to no view."""
     yield from (file.name for file in list_images(path))
-    for folder in sorted(path.iterdir()):
-        if folder.name not in request.views and not folder.name.startswith(".") and list_images(folder):
+    views = [same_name(view) for view in request.views]
+    for folder in list_entries(path):
+        if same_name(folder.name) not in views and list_images(folder):
             yield f"{folder.name}/ ({len(list_images(folder))} pictures)"
 
 

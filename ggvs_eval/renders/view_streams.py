@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import to_8_bit, write_image
+from ggvs_eval.files.listing import VIDEO_SUFFIXES, list_files, same_name
 from ggvs_eval.files.video import VideoFrames
 from ggvs_eval.renders.array_stack import ArrayStack, npz_members
 from ggvs_eval.renders.lookalikes import instead_of, respelled
 from ggvs_eval.renders.numbering import number_streams
-from ggvs_eval.renders.picture import PixelRemarks, counted
+from ggvs_eval.renders.picture import PixelRemarks, counted, size_fault
 from ggvs_eval.renders.request import FrameRequest, RenderedView, RenderSet
 from ggvs_eval.run_folder import as_ranges, frame_path
 
-VIDEO_SUFFIXES = (".mp4", ".mov")
 ARRAY_SUFFIXES = (".npy", ".npz")
 VIDEO_NOTE = "decoded from video: what its coding lost counts against the method"
 ARRAY_NOTE = "written to PNG from an array"
@@ -60,10 +60,8 @@ class StreamView:
 
     def faults(self, size: tuple[int, int]) -> dict[int, str]:
         """All frames where the stream has another size."""
-        width, height = self.stream.size
-        if (width, height) == size:
-            return {}
-        return dict.fromkeys(self.numbers, f"{width} x {height} instead of {size[0]} x {size[1]}")
+        fault = size_fault(self.stream.size, size)
+        return dict.fromkeys(self.numbers, fault) if fault else {}
 
     def write(self, folder: Path, numbers: tuple[int, ...]) -> list[str]:
         """Write these frames as PNG files, floats rounded to 8 bit; says where they were clipped, and what is all zero."""
@@ -119,7 +117,7 @@ def find_videos(path: Path, request: FrameRequest, is_temporary: bool) -> Render
 def refuse_arrays(path: Path, request: FrameRequest) -> str | None:
     """Say why this is not one array per view; None if it is."""
     if path.is_file():
-        return None if path.suffix == ".npz" else "not an .npz file"
+        return None if path.suffix.lower() == ".npz" else "not an .npz file"
     return None if _of_views(path, ARRAY_SUFFIXES, request) else f"no {request.views[0]}.npy or .npz"
 
 
@@ -162,7 +160,7 @@ def _found(
 
 def _stack(file: Path) -> ArrayStack:
     """The array of a file that is one view's."""
-    if file.suffix == ".npy":
+    if file.suffix.lower() == ".npy":
         return ArrayStack(file)
     members = npz_members(file)
     if len(members) != 1:
@@ -184,21 +182,24 @@ def _one_each(path: Path, suffixes: tuple[str, ...], request: FrameRequest) -> d
         RenderError: two files for one view.
     """
     by_view: dict[str, Path] = {}
-    for file in _of_views(path, suffixes, request):
-        if file.stem in by_view:
-            raise RenderError(f"{path}: wanted one file for {file.stem}, got {by_view[file.stem].name}, {file.name}; keep one")
-        by_view[file.stem] = file
+    for view, file in _by_view(path, suffixes, request):
+        if view in by_view:
+            raise RenderError(f"{path}: wanted one file for {view}, got {by_view[view].name}, {file.name}; keep one")
+        by_view[view] = file
     return by_view
 
 
+def _by_view(path: Path, suffixes: tuple[str, ...], request: FrameRequest) -> list[tuple[str, Path]]:
+    """Views and the files that bear their names."""
+    spelled = {same_name(view): view for view in request.views}
+    named = [(spelled.get(same_name(file.stem)), file) for file in list_files(path, suffixes)]
+    return [(view, file) for view, file in named if view is not None]
+
+
 def _of_views(path: Path, suffixes: tuple[str, ...], request: FrameRequest) -> list[Path]:
-    """Files that bear the name of a view."""
-    return [file for file in _all(path, suffixes) if file.stem in request.views]
+    return [file for _, file in _by_view(path, suffixes, request)]
 
 
 def _unexpected_files(path: Path, suffixes: tuple[str, ...], request: FrameRequest) -> list[str]:
-    return [file.name for file in _all(path, suffixes) if file.stem not in request.views]
-
-
-def _all(path: Path, suffixes: tuple[str, ...]) -> list[Path]:
-    return sorted(file for file in path.iterdir() if file.suffix.lower() in suffixes) if path.is_dir() else []
+    used = _of_views(path, suffixes, request)
+    return [file.name for file in list_files(path, suffixes) if file not in used]

@@ -52,8 +52,9 @@ def score(
 
     Args:
         folder: run folder to score; --run says the same.
-        renders: NAME=PATH of your own frames, which become a method of the run: a folder <view>/<frame>.png or .jpg, a video
-            or numpy stack per view, renders/ beside gt/ as 3DGS writes them, a run folder, NerfBaselines output, or an archive.
+        renders: NAME=PATH of your own frames, which become a method of the run: a folder <view>/<frame>.png or
+            <view>_<frame>.jpg, a video or numpy stack per view, renders/ beside gt/ as 3DGS writes them or rgb/ beside gt-rgb/ as
+            nerfstudio does, a run folder, NerfBaselines output, or an archive.
         capture: what was rendered; makes a run folder of its captured frames where there is none.
         protocol: a .toml file or a packaged name; the run's own, or the packaged one that fits the capture, by default.
         run: run folder to make or to go on with; scores/CAPTURE by default.

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import RenderError
+from ggvs_eval.files.listing import list_files
+from ggvs_eval.files.names import Number, is_stamp, numbers_in
 from ggvs_eval.files.plain import why_unread
 from ggvs_eval.method import NEAR_M, Rendering
 from ggvs_eval.scene_fitter import FittedScene
@@ -116,7 +118,7 @@ def splats_files(path: Path) -> list[Path]:
     try:
         iterations = {int(number[1]): each for each in path.glob("point_cloud/*") if (number := ITERATION.fullmatch(each.name))}
         place = iterations[max(iterations)] if iterations else path
-        files = [place / CLOUD] if (place / CLOUD).is_file() else sorted(place.glob("*.ply"))
+        files = [place / CLOUD] if (place / CLOUD).is_file() else list_files(place, (".ply",))
     except OSError as error:
         raise RenderError(f"{path}: wanted {KINDS}; it cannot be listed: {why_unread(error)}") from error
     if not files:
@@ -126,15 +128,20 @@ def splats_files(path: Path) -> list[Path]:
 
 def _numbered(files: Sequence[Path], path: Path) -> Mapping[int, Path]:
     numbers: dict[int, Path] = {}
-    for file in files:
-        digits = re.findall(r"\d+", file.stem)
-        if not digits or len(digits[-1]) > 9:
+    for file, number in zip(files, _frame_numbers(files), strict=True):
+        if not isinstance(number, int) or is_stamp(number):
             raise RenderError(f"{file}: wanted a frame number in the name of each .ply of the sequence {path}; rename it")
-        number = int(digits[-1])
         if number in numbers:
             raise RenderError(f"{path}: {numbers[number].name} and {file.name} are both of frame {number}; keep one of them")
         numbers[number] = file
     return numbers
+
+
+def _frame_numbers(files: Sequence[Path]) -> list[Number | None]:
+    try:
+        return numbers_in([file.stem for file in files])
+    except ValueError:
+        return [None] * len(files)
 
 
 def named_splats(labels: Sequence[str]) -> tuple[tuple[str, ...], dict[str, Path]]:

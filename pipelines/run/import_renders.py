@@ -2,11 +2,12 @@
 
 import re
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from ggvs_eval.errors import RenderError
+from ggvs_eval.errors import GgvsError, RenderError
 from ggvs_eval.files.atomic import atomic_folder, remove_leftovers, scratch_folder
 from ggvs_eval.files.digest import digest_files, digest_values
 from ggvs_eval.jobs.processes import worker_pool
@@ -60,8 +61,17 @@ def import_renders(
     if target.exists() and not target.is_symlink() and read_import(run, label) is None:
         raise RenderError(f"{target} exists already; choose another name for these renders")
     remove_leftovers(target)
-    with scratch_folder(target.with_name(f"{label}.unpacked")) as unpacked:
+    with scratch_folder(target.with_name(f"{label}.unpacked")) as unpacked, _named_as_given(unpacked, path):
         return _import(run, request, path, unpacked, allow_partial, workers)
+
+
+@contextmanager
+def _named_as_given(unpacked: Path, path: Path) -> Iterator[None]:
+    """Let errors name the archive that the user gave, not the folder that it was unpacked to."""
+    try:
+        yield
+    except GgvsError as error:
+        raise type(error)(str(error).replace(str(unpacked), str(path))) from error
 
 
 def _import(

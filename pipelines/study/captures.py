@@ -8,12 +8,12 @@ from pathlib import Path
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.dynerf import open_path
-from ggvs_eval.datasets.frames import ImageFrames, list_images
+from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.errors import CameraError, DepthError
+from ggvs_eval.files.listing import VIDEO_SUFFIXES, list_images
 from ggvs_eval.files.video import VideoFrames
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.pipelines.inspection.capture.uncalibrated import LAYOUT, open_uncalibrated, uncalibrated_capture
-from ggvs_eval.pipelines.offline.calibration.camera_files import VIDEO_SUFFIXES
 from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
 from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol

@@ -190,9 +190,7 @@ def test_frames_of_other_names_are_named(tmp_path):
     """Qualisys calls cameras by serial number; videos must be called so too."""
     folder = write_table(tmp_path / "table", ("left", "right"))
     write_qualisys(folder / "Calib.qca.txt", turned_rig())
-    with pytest.raises(
-        CaptureError, match="wanted frames of two or more of cam00, cam01, cam02, got none; call videos and cameras"
-    ):
+    with pytest.raises(CaptureError, match=r"two or more of cam00, cam01, cam02, got none; .*; call videos and cameras alike"):
         open_capture(folder)
 
 

@@ -6,7 +6,6 @@ import shutil
 import struct
 import time
 from collections.abc import Callable
-from fractions import Fraction
 from pathlib import Path
 
 import cv2
@@ -34,6 +33,7 @@ from helpers.captures import (
     write_dynerf,
     write_folders,
     write_poses,
+    write_timed_video,
 )
 from helpers.fuzz import CAPTURES, IMPOSTORS, LONG_KEY, add_long_key, read_everything
 from helpers.small_layouts import camera_toml, transforms, write_capture_toml, write_easymocap, write_nerfstudio
@@ -192,21 +192,6 @@ def test_a_turn_by_any_other_angle_is_refused(tmp_path):
         list(VideoFrames(tmp_path / "a.mp4").frames(0, 1))
 
 
-def write_timed_video(path: Path, images: list[np.ndarray], ticks: tuple[int, ...]) -> None:
-    """A video whose frames are shown at these 600ths of a second."""
-    import av
-
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream("libx264", rate=30)
-        stream.width, stream.height, stream.pix_fmt, stream.options = WIDTH, HEIGHT, "yuv420p", {"bf": "0"}
-        stream.codec_context.time_base = Fraction(1, 600)
-        for image, tick in zip(images, ticks, strict=True):
-            frame = av.VideoFrame.from_ndarray(image, format="rgb24")
-            frame.pts, frame.time_base = tick, Fraction(1, 600)
-            container.mux(stream.encode(frame))
-        container.mux(stream.encode())
-
-
 def test_a_variable_frame_rate_is_said(tmp_path):
     """By camera and with the shortest and longest step; a constant one is not."""
     folder = write_dynerf(tmp_path / "room")
@@ -218,7 +203,7 @@ def test_a_variable_frame_rate_is_said(tmp_path):
 
     assert open_capture(folder).notes == (
         "variable frame rate in cam01 (33.3 to 100.0 ms), cam02 (33.3 to 100.0 ms), cam03 (33.3 to 100.0 ms): "
-        "frame t of each camera is taken as one instant, whatever its time",
+        "frame t of each camera is taken as one instant, whatever its time; their times lie up to 33.3 ms apart",
     )
 
 

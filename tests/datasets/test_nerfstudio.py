@@ -176,7 +176,7 @@ def test_a_missing_image(tmp_path):
 
 
 def test_bytes_that_are_no_text(tmp_path):
-    """The file must be UTF-8."""
+    """The file must be UTF-8, or say by its first bytes what else it is."""
     folder = write_nerfstudio(tmp_path / "scene")
-    (folder / "transforms.json").write_bytes(json.dumps(transforms()).encode("utf-16"))
+    (folder / "transforms.json").write_bytes(json.dumps({**transforms(), "by": "Jürgen"}, ensure_ascii=False).encode("latin-1"))
     assert "transforms.json: wanted frames" in refusal(folder)

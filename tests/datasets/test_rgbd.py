@@ -220,10 +220,10 @@ def cut(file: Path, kept: float) -> None:
         (lambda folder: cut(folder / "pose" / "2.txt", 0.5), "2.txt: wanted a matrix of 4 x 4 numbers, got"),
         (
             lambda folder: (folder / "pose" / "2.txt").write_text("1 0 zero"),
-            "wanted a text file of numbers, got: could not convert",
+            "wanted a text file of numbers, got: line 1: no number in 'zero'",
         ),
         (
-            lambda folder: (folder / "pose" / "2.txt").write_bytes(b"\xff\xfe"),
+            lambda folder: (folder / "pose" / "2.txt").write_bytes(b"\xc3("),
             "wanted a text file of numbers, got: 'utf-8' codec",
         ),
         (

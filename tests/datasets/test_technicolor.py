@@ -67,7 +67,7 @@ def test_depth_range_is_the_scenes(scene, tmp_path):
     [
         (lambda words: words[:-1], "wanted f cu cv ar sk qw qx qy qz tx ty tz as finite numbers of camera 1, got 1843"),
         (lambda words: ["nan", *words[1:]], "as finite numbers of camera 1, got nan"),
-        (lambda words: ["f", *words[1:]], "as finite numbers of camera 1, got f "),
+        (lambda words: ["f", *words[1:]], "of each camera, got: line 3: no number in 'f'"),
         (lambda words: [*words[:4], "3.5", *words[5:]], "wanted zero skew (sk) of camera 1, got 3.5"),
         (lambda words: [*words[:5], "2", *words[6:]], "wanted a unit quaternion of camera 1, got [2.0"),
         (lambda words: ["-1", *words[1:]], "camera cam01: size and focal lengths must be positive"),

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from collections.abc import Sequence
+from fractions import Fraction
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -54,6 +55,21 @@ def write_poses(folder: Path, cameras: Sequence[Camera]) -> None:
 def write_videos(folder: Path, names: Sequence[str] = NAMES, n_frames: int = N_FRAMES) -> None:
     for index, name in enumerate(names):
         write_video(folder / f"{name}.mp4", (make_image(index, frame) for frame in range(n_frames)), FPS)
+
+
+def write_timed_video(path: Path, images: list[np.ndarray], ticks: Sequence[int]) -> None:
+    """A video whose frames are shown at these 600ths of a second."""
+    import av
+
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=30)
+        stream.width, stream.height, stream.pix_fmt, stream.options = WIDTH, HEIGHT, "yuv420p", {"bf": "0"}
+        stream.codec_context.time_base = Fraction(1, 600)
+        for image, tick in zip(images, ticks, strict=True):
+            frame = av.VideoFrame.from_ndarray(image, format="rgb24")
+            frame.pts, frame.time_base = tick, Fraction(1, 600)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
 
 
 def write_folders(folder: Path, names: Sequence[str] = NAMES, pattern: str = "{}/images", first: int = 0) -> Path:

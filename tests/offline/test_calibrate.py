@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
+from ggvs_eval.datasets.camera_frames import find_rig_frames
 from ggvs_eval.datasets.colmap_writer import Sightings, write_model
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.images import read_image, write_image
@@ -23,7 +24,6 @@ from ggvs_eval.geometry.epipolar import epipolar_errors
 from ggvs_eval.lens import Lens
 from ggvs_eval.pipelines.offline.calibration import calibration_job
 from ggvs_eval.pipelines.offline.calibration.calibrate import Calibration, CalibrationOptions, calibrate, measure_against
-from ggvs_eval.pipelines.offline.calibration.camera_files import find_camera_files
 from ggvs_eval.pipelines.offline.calibration.known_cameras import colmap_camera, read_known, write_intrinsics
 from ggvs_eval.synthetic.demo import write_demo
 from ggvs_eval.synthetic.film.options import DemoOptions
@@ -312,7 +312,7 @@ def test_frames_are_found_in_every_arrangement(tmp_path, write, names):
     """Videos, folders and single images are found by the names of their cameras, whatever else lies beside them."""
     write(tmp_path)
     (tmp_path / "notes.txt").write_text("no frames")
-    assert tuple(find_camera_files(tmp_path)) == names
+    assert tuple(find_rig_frames(tmp_path)) == names
 
 
 def test_poses_are_refined_in_their_world(demo, tmp_path):
@@ -362,9 +362,9 @@ def test_no_frames(tmp_path):
     """A folder without frames, or with those of one camera, is refused with the places where they are looked for."""
     write_image(tmp_path / "one.png", make_image(0, 0))
     with pytest.raises(CaptureError, match=r"wanted the frames of two cameras or more, got none; put them in CAM\.mp4"):
-        find_camera_files(tmp_path)
+        find_rig_frames(tmp_path)
     with pytest.raises(CaptureError, match="nothing there"):
-        find_camera_files(tmp_path / "absent")
+        find_rig_frames(tmp_path / "absent")
 
 
 @pytest.mark.parametrize(

@@ -201,7 +201,7 @@ def test_videos_of_different_length(tmp_path):
     lens = "\n".join(f"[[camera]]\nname='{n}'\nwidth=64\nheight=48\nK=[[60,0,32],[0,60,24],[0,0,1]]" for n in NAMES)
     (tmp_path / "lens.toml").write_text(lens)
     message = refused(undistort_videos, tmp_path / "raw", tmp_path / "lens.toml", tmp_path / "out")
-    assert "wanted one number of frames for all cameras, got cam00 4, cam01 3" in message
+    assert "wanted one frame count for all cameras, got cam00 4, cam01 3" in message
 
 
 def test_videos_of_different_rates(tmp_path):

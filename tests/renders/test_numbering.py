@@ -9,7 +9,7 @@ import pytest
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import read_image
 from ggvs_eval.pipelines.run.import_renders import import_renders
-from ggvs_eval.renders.numbering import Numbered, last_number, number_streams, number_views
+from ggvs_eval.renders.numbering import Numbered, frame_numbers, number_streams, number_views
 from ggvs_eval.renders.request import FrameRequest
 from ggvs_eval.run_folder import frame_path
 from helpers.render_folders import FRAMES, N_FRAMES, VIEWS, make_run, rendered, write_folders, write_videos
@@ -220,7 +220,7 @@ def test_frames_without_numbers_need_none_where_one_is_asked_for(tmp_path):
 )
 def test_the_number_of_a_view_is_no_frame_number(name, view, number):
     """Unless the view's name is nothing but a number."""
-    assert last_number(name, view) == number
+    assert frame_numbers(Path(view), [name], view) == [number]
 
 
 def test_a_second_meaning_replaces_the_first(tmp_path):

@@ -70,6 +70,7 @@ AS_THEY_ARE = "frames 2-4 are taken as the instants 2-4 of the capture"
 by_frame = [(view, frame) for frame in FRAMES for view in VIEWS]
 by_alphabet = [(view, frame) for view in sorted(VIEWS) for frame in FRAMES]
 whole_capture = [(view, frame) for view in sorted(VIEWS) for frame in range(N_FRAMES)]
+BESIDE_TRUTH = "renders beside copies of the truth"
 EXACT: dict[str, tuple[Callable[[Path], Path], str, str]] = {
     "folders": (write_folders, "<view>/<frame>.png", AS_THEY_ARE),
     "folders of five digits": (
@@ -87,16 +88,16 @@ EXACT: dict[str, tuple[Callable[[Path], Path], str, str]] = {
     "float arrays": (lambda f: write_arrays(f, "float32", ".npy"), "one array per view", "rounded to 8 bit"),
     "double arrays in npz": (lambda f: write_arrays(f, "float64", ".npz"), "one array per view", "rounded to 8 bit"),
     "one npz": (write_one_npz, "one array per view", "in order"),
-    "flat, view by view": (lambda f: write_flat(f, view_major()), "renders/ and gt/", "view after view"),
-    "flat, instant by instant": (lambda f: write_flat(f, by_frame), "renders/ and gt/", "instant after instant"),
-    "flat, by alphabet": (lambda f: write_flat(f, by_alphabet), "renders/ and gt/", "cam00, cam02 in frames 2-4"),
-    "flat, the whole capture": (lambda f: write_flat(f, whole_capture), "renders/ and gt/", "8 pictures of other frames"),
+    "flat, view by view": (lambda f: write_flat(f, view_major()), BESIDE_TRUTH, "view after view"),
+    "flat, instant by instant": (lambda f: write_flat(f, by_frame), BESIDE_TRUTH, "instant after instant"),
+    "flat, by alphabet": (lambda f: write_flat(f, by_alphabet), BESIDE_TRUTH, "cam00, cam02 in frames 2-4"),
+    "flat, the whole capture": (lambda f: write_flat(f, whole_capture), BESIDE_TRUTH, "8 pictures of other frames"),
     "a 3DGS model folder": (
         lambda f: write_flat(f / "test" / "ours_30000", view_major()).parents[1],
-        "renders/ and gt/",
+        BESIDE_TRUTH,
         "order found",
     ),
-    "a 4DGaussians model folder": (write_4dgaussians, "renders/ and gt/", "view after view"),
+    "a 4DGaussians model folder": (write_4dgaussians, BESIDE_TRUTH, "view after view"),
     "easyvolcap": (write_easyvolcap, "EasyVolcap output", "_gt pictures agree"),
     "easyvolcap, a tag": (lambda f: write_easyvolcap(f / "ours_b").parent, "EasyVolcap output", "2 = cam02, 0 = cam00"),
     "easyvolcap, renders alone": (lambda f: write_easyvolcap(f, False) / "RENDER", "EasyVolcap output", "no _gt pictures"),
@@ -105,25 +106,25 @@ EXACT: dict[str, tuple[Callable[[Path], Path], str, str]] = {
         "EasyVolcap output",
         "frames of 0-6, the whole capture, 2-4 are used",
     ),
-    "nerfbaselines": (write_nerfbaselines, "NerfBaselines output", "gt-color/ agrees"),
+    "nerfbaselines": (write_nerfbaselines, BESIDE_TRUTH, "gt-color/ agrees"),
     "nerfbaselines, images/": (
         lambda f: write_nerfbaselines(f, "images/{view}/{frame:04d}.png"),
-        "NerfBaselines output",
+        BESIDE_TRUTH,
         "agrees",
     ),
-    "nerfbaselines, flat names": (lambda f: write_nerfbaselines(f, "{view}_{frame:04d}.png"), "NerfBaselines output", "agrees"),
+    "nerfbaselines, flat names": (lambda f: write_nerfbaselines(f, "{view}_{frame:04d}.png"), BESIDE_TRUTH, "agrees"),
     "nerfbaselines without views": (
         lambda f: pack_names(write_flat(f, view_major(), ("color", "gt-color"))),
-        "NerfBaselines output",
+        BESIDE_TRUTH,
         "order found by comparing gt-color/",
     ),
     "nerfbaselines without truth": (
         lambda f: write_nerfbaselines(f, copies=False),
-        "NerfBaselines output",
+        BESIDE_TRUTH,
         "no complete gt-color/",
     ),
-    "zip": (lambda f: pack(write_nerfbaselines(f), f.with_name("a.zip")), "NerfBaselines output in an archive", "agrees"),
-    "tar.gz": (lambda f: pack(write_nerfbaselines(f), f.with_name("a.tar.gz")), "NerfBaselines output in an archive", "agrees"),
+    "zip": (lambda f: pack(write_nerfbaselines(f), f.with_name("a.zip")), f"{BESIDE_TRUTH} in an archive", "agrees"),
+    "tar.gz": (lambda f: pack(write_nerfbaselines(f), f.with_name("a.tar.gz")), f"{BESIDE_TRUTH} in an archive", "agrees"),
     "zip of a folder in it": (
         lambda f: pack(write_folders(f / "results").parent, f.with_name("a.zip")),
         "<view>/<frame>.png in an archive",

@@ -9,10 +9,10 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import detect_layout
 from ggvs_eval.datasets.assemble import assemble_capture
+from ggvs_eval.datasets.camera_frames import CameraFrames, find_rig_frames
 from ggvs_eval.datasets.units import Units
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.pipelines.inspection.finding import RIG, Finding
-from ggvs_eval.pipelines.offline.calibration.camera_files import CameraFiles, find_camera_files
 
 LAYOUT = "no calibration"
 
@@ -32,13 +32,13 @@ def open_uncalibrated(path: Path) -> Capture | None:
     else:
         return None
     try:
-        files = find_camera_files(path)
+        files = find_rig_frames(path)
     except CaptureError:
         return None
     return uncalibrated_capture(path, files)
 
 
-def uncalibrated_capture(path: Path, files: Mapping[str, CameraFiles]) -> Capture:
+def uncalibrated_capture(path: Path, files: Mapping[str, CameraFrames]) -> Capture:
     """Frames by the names of their cameras as a capture; the cameras are placeholders, see `open_uncalibrated`.
 
     Raises:

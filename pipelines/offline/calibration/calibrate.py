@@ -12,20 +12,17 @@ import numpy as np
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.calibration_file import find_calibration_files
+from ggvs_eval.datasets.camera_frames import CameraFrames, find_rig_frames
 from ggvs_eval.datasets.colmap_model import read_model
+from ggvs_eval.datasets.frames import as_calibrated
+from ggvs_eval.datasets.instants import common_count
 from ggvs_eval.datasets.units import UNITS_FILE
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.atomic import atomic_folder
 from ggvs_eval.geometry.alignment import pose_differences, rig_extent
 from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.pipelines.offline.calibration.calibration_job import describe_known, keep_log, run_worker
-from ggvs_eval.pipelines.offline.calibration.camera_files import (
-    CameraFiles,
-    check_lengths,
-    find_camera_files,
-    link_frames,
-    write_instant,
-)
+from ggvs_eval.pipelines.offline.calibration.camera_files import link_frames, write_instant
 from ggvs_eval.pipelines.offline.calibration.known_cameras import KnownCamera, fit_known, read_known
 from ggvs_eval.run_folder import write_json
 
@@ -120,11 +117,11 @@ def calibrate(frames_folder: Path, out: Path, options: CalibrationOptions) -> Ca
     """
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise CaptureError(f"{out}: wanted a new or empty folder for the calibration, got one with content; choose another")
-    files = find_camera_files(frames_folder)
-    check_lengths(frames_folder, files)
+    files = find_rig_frames(frames_folder)
+    common_count(frames_folder, files)
     if len(files) > MOST_CAMERAS:
         raise CaptureError(f"{frames_folder}: wanted up to {MOST_CAMERAS} cameras, got {len(files)}; calibrate by COLMAP itself")
-    given = _known(files, options)
+    files, given = _known(files, options)
     with atomic_folder(out) as unfinished:
         images = write_instant(files, options.frame, unfinished / "work" / "images")
         result = run_worker(unfinished, out, _job(files, images, given, options))
@@ -175,8 +172,10 @@ def measure_against(given: Capture, calibration: Calibration) -> dict[str, float
     }
 
 
-def _known(files: Mapping[str, CameraFiles], options: CalibrationOptions) -> dict[str, KnownCamera] | None:
-    """Read what the user knows of the cameras, at the size of the frames; None where nothing."""
+def _known(
+    files: dict[str, CameraFrames], options: CalibrationOptions
+) -> tuple[dict[str, CameraFrames], dict[str, KnownCamera] | None]:
+    """The frames as what the user knows of the cameras means them, and that at their size; None where nothing is known."""
     path = options.known_poses or options.known_intrinsics
     sizes = {name: file.size for name, file in files.items()}
     if path is None:
@@ -187,16 +186,20 @@ def _known(files: Mapping[str, CameraFiles], options: CalibrationOptions) -> dic
             raise CaptureError(
                 f"{files[odd].path}: wanted frames of one size for shared intrinsics, got {choice}; calibrate each"
             )
-        return None
-    cameras = fit_known(path, read_known(path, sizes), sizes)
+        return files, None
+    known = read_known(path, sizes)
+    for name, camera in known.items():
+        if name in files:
+            files[name] = as_calibrated(files[name], camera.lens.width, camera.lens.height)
+    cameras = fit_known(path, known, {name: file.size for name, file in files.items()})
     without = [name for name in cameras if cameras[name].world_to_camera is None]
     if options.known_poses is not None and without:
         raise CaptureError(f"{path}: wanted poses, got intrinsics alone of {', '.join(without)}; give it as known intrinsics")
-    return cameras
+    return files, cameras
 
 
 def _job(
-    files: Mapping[str, CameraFiles],
+    files: Mapping[str, CameraFrames],
     images: Mapping[str, str],
     given: Mapping[str, KnownCamera] | None,
     options: CalibrationOptions,

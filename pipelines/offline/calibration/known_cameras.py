@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import numpy as np
 
@@ -12,10 +12,12 @@ from ggvs_eval.capture import Capture, source_chain
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.calibration_file import find_calibration_files, read_calibration_file
 from ggvs_eval.datasets.capture_toml import LensTable
-from ggvs_eval.datasets.colmap import find_model
+from ggvs_eval.datasets.colmap import by_camera, find_model
 from ggvs_eval.datasets.colmap_model import read_model
+from ggvs_eval.datasets.frames import has_shape
 from ggvs_eval.datasets.undistort import UndistortedFrames
 from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.files.listing import same_name
 from ggvs_eval.files.toml_tables import build_table, read_toml
 from ggvs_eval.lens import Lens
 
@@ -77,22 +79,27 @@ def read_known(path: Path, sizes: Mapping[str, tuple[int, int]] | None = None) -
 
     Reading:
         Lenses are those of the frames as they lie on disk: of a capture that is undistorted as it is read, the distorting ones.
+        Cameras are called as their frames are, however the umlauts of the file's names are written.
     """
+    spelled = {same_name(name): name for name in sizes or {}}
+    cameras = _read_cameras(path, {same: (sizes or {})[name] for same, name in spelled.items()})
+    return {spelled.get(same_name(name), name): camera for name, camera in cameras.items()}
+
+
+def _read_cameras(path: Path, sizes: Mapping[str, tuple[int, int]]) -> dict[str, KnownCamera]:
+    """Cameras as they are called there; the sizes are by NFC names."""
     if not path.is_dir() and find_calibration_files(path):
-        return _of_calibration_file(path, sizes or {})
-    if path.suffix == ".toml" and path.name != "capture.toml":
+        return _of_calibration_file(path, sizes)
+    if path.suffix.lower() == ".toml" and path.name != "capture.toml":
         return _read_intrinsics(path)
     if (path / INTRINSICS).is_file():
         return _read_intrinsics(path / INTRINSICS)
     model = path if any((path / f"cameras.{kind}").is_file() for kind in ("bin", "txt")) else find_model(path)
     if model is not None:
-        views = read_model(model)
-        cameras = {_camera_name(view.image_name): KnownCamera(view.lens, view.world_to_camera) for view in views}
-        if len(cameras) < len(views):
-            raise CaptureError(f"{model}: wanted one image per camera, got several; calibrate with one instant")
-        return cameras
+        views = by_camera(model, read_model(model))
+        return {name: KnownCamera(view.lens, view.world_to_camera) for name, view in views.items()}
     if find_calibration_files(path):
-        return _of_calibration_file(path, sizes or {})
+        return _of_calibration_file(path, sizes)
     return _of_capture(open_capture(path.parent if path.name == "capture.toml" else path))
 
 
@@ -131,7 +138,7 @@ def fit_known(path: Path, cameras: Mapping[str, KnownCamera], sizes: Mapping[str
     fitted = {}
     for name, (width, height) in sizes.items():
         lens = cameras[name].lens
-        if abs(lens.height * width / lens.width - height) > 1:
+        if not has_shape((width, height), (lens.width, lens.height)):
             content = f"frames of {width} x {height}"
             raise CaptureError(
                 f"{path}: {name} is calibrated for {lens.width} x {lens.height}, got {content}; "
@@ -159,12 +166,6 @@ def colmap_camera(lens: Lens) -> tuple[str, list[float]]:
     if not any(coefficients[4:]):
         return "OPENCV", pinhole + coefficients[:4]
     return "FULL_OPENCV", pinhole + coefficients + [0.0] * (8 - len(coefficients))
-
-
-def _camera_name(image_name: str) -> str:
-    """``cam00.png`` and ``cam00/0000.png`` are both of camera cam00, as for the COLMAP adapter."""
-    name = PurePosixPath(image_name)
-    return name.parent.name or name.stem
 
 
 def _read_intrinsics(path: Path) -> dict[str, KnownCamera]:
@@ -196,10 +197,10 @@ def _of_calibration_file(path: Path, sizes: Mapping[str, tuple[int, int]]) -> di
     """Cameras of a calibration file; of cameras that have no frames only what is said of their size counts."""
     cameras = {}
     for name, camera in read_calibration_file(path).cameras.items():
-        if camera.size is None and name not in sizes:
+        if camera.size is None and same_name(name) not in sizes:
             continue
         try:
-            cameras[name] = KnownCamera(camera.lens(sizes.get(name)), camera.world_to_camera, camera.is_metric)
+            cameras[name] = KnownCamera(camera.lens(sizes.get(same_name(name))), camera.world_to_camera, camera.is_metric)
         except CameraError as error:
             raise CaptureError(f"{path}: {name}: {error}") from error
     return cameras

@@ -11,6 +11,7 @@ from ggvs_eval.arrays import Array
 from ggvs_eval.datasets.calibration_file import find_calibration_files
 from ggvs_eval.datasets.easymocap_yaml import PIXEL_CENTRE
 from ggvs_eval.datasets.filestorage_yaml import FileStorageYaml
+from ggvs_eval.datasets.frames import has_shape
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.unpickler import unpickle_plain
 from ggvs_eval.lens import Lens
@@ -50,11 +51,11 @@ def read_lenses(path: Path, sizes: Mapping[str, Size]) -> dict[str, LensAndTarge
         lens's K, zoomed just so far that no pixel is blank. OpenCV's principal points are moved by half a pixel to our centres.
     """
     is_known = bool(find_calibration_files(path))
-    if path.suffix in (".yml", ".yaml") and not is_known:
+    if path.suffix.lower() in (".yml", ".yaml") and not is_known:
         return _from_easymocap(path, sizes)
-    if path.suffix in (".pkl", ".pickle"):
+    if path.suffix.lower() in (".pkl", ".pickle"):
         return _from_d3dmv(path, sizes)
-    if path.suffix != ".toml" and not is_known:
+    if path.suffix.lower() != ".toml" and not is_known:
         raise CaptureError(f"{path}: wanted {KINDS}, got a file called {path.name}; rename it if it is one of these")
     lenses = {name: camera.lens for name, camera in fit_known(path, read_known(path, sizes), sizes).items()}
     try:
@@ -137,7 +138,7 @@ def _lens(path: Path, name: str, K: Array, model: Any, coefficients: tuple[float
 
 
 def _at_size(path: Path, name: str, lens: Lens, size: Size) -> LensAndTarget:
-    if abs(lens.height * size[0] / lens.width - size[1]) > 1:
+    if not has_shape(size, (lens.width, lens.height)):
         content = f"frames of {size[0]} x {size[1]}"
         raise CaptureError(f"{path}: {name} is calibrated for {lens.width} x {lens.height}, got {content}; give uncropped frames")
     resized = lens.resized(*size)

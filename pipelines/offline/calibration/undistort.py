@@ -9,15 +9,15 @@ from pathlib import Path
 from ggvs_eval.arrays import Image8
 from ggvs_eval.capture import FrameSource
 from ggvs_eval.datasets import open_capture
-from ggvs_eval.datasets.assemble import FOLDER_FPS
+from ggvs_eval.datasets.camera_frames import CameraFrames, find_rig_frames
+from ggvs_eval.datasets.instants import common_count, common_rate
 from ggvs_eval.datasets.undistort import UndistortedFrames
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.atomic import atomic_folder
 from ggvs_eval.files.images import write_image
-from ggvs_eval.files.video import VideoFrames, write_video
+from ggvs_eval.files.video import write_video
 from ggvs_eval.jobs.processes import default_workers
 from ggvs_eval.lens import Lens
-from ggvs_eval.pipelines.offline.calibration.camera_files import CameraFiles, check_lengths, find_camera_files
 from ggvs_eval.pipelines.offline.calibration.known_cameras import INTRINSICS, write_intrinsics
 from ggvs_eval.pipelines.offline.calibration.lens_files import LensAndTarget, read_lenses
 from ggvs_eval.progress import track
@@ -101,28 +101,17 @@ def _of_capture(path: Path) -> list[_Stream]:
 
 
 def _of_files(folder: Path, lens_file: Path) -> list[_Stream]:
-    files = find_camera_files(folder)
-    check_lengths(folder, files)
+    files = find_rig_frames(folder)
+    rate = common_rate(folder, files) if common_count(folder, files) > 1 else 0.0
     lenses = read_lenses(lens_file, {name: file.size for name, file in files.items()})
-    streams = [_stream(name, file, lenses[name]) for name, file in files.items()]
-    _check_rates(folder, streams)
-    return streams
+    return [_stream(name, file, lenses[name], rate) for name, file in files.items()]
 
 
-def _stream(name: str, file: CameraFiles, lens_and_target: LensAndTarget) -> _Stream:
+def _stream(name: str, file: CameraFrames, lens_and_target: LensAndTarget, rate: float) -> _Stream:
     lens, count = lens_and_target.lens, file.n_frames
     frames: FrameSource = file if lens.is_pinhole else UndistortedFrames(file, lens, lens_and_target.K)
-    rate = file.fps if isinstance(file, VideoFrames) else FOLDER_FPS
     pinhole = Lens(lens_and_target.K, "opencv", (0.0,) * 4, lens.width, lens.height)
-    return _Stream(name, partial(frames.frames, 0, count), count, rate if count > 1 else 0.0, pinhole)
-
-
-def _check_rates(folder: Path, streams: list[_Stream]) -> None:
-    """One rate; equal frame numbers would be different instants otherwise."""
-    rates = {stream.name: round(stream.fps, 2) for stream in streams}
-    if len(set(rates.values())) > 1:
-        listed = ", ".join(f"{name} {rate:g}" for name, rate in rates.items())
-        raise CaptureError(f"{folder}: wanted one frame rate for all cameras, got {listed}; convert them to one rate")
+    return _Stream(name, partial(frames.frames, 0, count), count, rate, pinhole)
 
 
 def _write_all(folder: Path, streams: list[_Stream], options: UndistortOptions) -> None:

@@ -1,0 +1,88 @@
+"""Files in a folder: the one list of suffixes, in any case, without what operating systems leave beside them."""
+
+import shlex
+import unicodedata
+from collections import Counter
+from pathlib import Path
+
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
+VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v")
+UNREAD_PICTURES = (".webp", ".tif", ".tiff", ".bmp", ".exr", ".hdr", ".gif", ".avif", ".heic", ".jxl", ".jp2", ".ppm", ".tga")
+UNREAD_VIDEOS = (".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".wmv", ".mts", ".m2ts", ".ts", ".flv", ".insv", ".braw")
+# Of macOS, Windows and network drives; `.DS_Store` and `._NAME` are hidden anyway.
+JUNK = {"__macosx", "thumbs.db", "ehthumbs.db", "desktop.ini", "@eadir", "$recycle.bin", "system volume information"}
+LISTED = 3
+
+
+def is_junk(name: str) -> bool:
+    """Tell whether a name is hidden, or that of a file or folder an operating system makes by itself.
+
+    Examples:
+        >>> [is_junk(name) for name in ("._0000.png", "Thumbs.db", "__MACOSX", "cam00")]
+        [True, True, True, False]
+    """
+    return name.startswith(".") or name.lower() in JUNK
+
+
+def list_entries(folder: Path) -> list[Path]:
+    """The files and folders in a folder by name, junk aside; none where there is no folder."""
+    return sorted(entry for entry in folder.iterdir() if not is_junk(entry.name)) if folder.is_dir() else []
+
+
+def list_files(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
+    """The entries of a folder with one of some suffixes, in lower case here and in any on disk."""
+    return [entry for entry in list_entries(folder) if entry.suffix.lower() in suffixes]
+
+
+def list_images(folder: Path) -> list[Path]:
+    """The images that lie in a folder, by name."""
+    return list_files(folder, IMAGE_SUFFIXES)
+
+
+def list_files_below(folder: Path, suffixes: tuple[str, ...] = IMAGE_SUFFIXES) -> list[Path]:
+    """The files with one of some suffixes in a folder and the folders in it, by path, junk aside."""
+    entries = list_entries(folder)
+    below = [file for entry in entries if entry.is_dir() for file in list_files_below(entry, suffixes)]
+    return sorted([file for file in entries if file.suffix.lower() in suffixes and not file.is_dir()] + below)
+
+
+def same_name(name: str) -> str:
+    """A name as names are compared: macOS writes an umlaut as two characters, others as one (NFD and NFC)."""
+    return unicodedata.normalize("NFC", name)
+
+
+def find_below(folder: Path, relative: str) -> Path:
+    """The file or folder of a relative name, as the disk spells it: umlauts and the suffix's case may differ.
+
+    Returns:
+        folder / relative where there is none.
+    """
+    if (folder / relative).exists():
+        return folder / relative
+    place = folder
+    for part in Path(relative).parts:
+        place = next((entry for entry in list_entries(place) if _spelling(entry.name) == _spelling(part)), place / part)
+    return place
+
+
+def _spelling(name: str) -> tuple[str, str]:
+    path = Path(same_name(name))
+    return path.stem, path.suffix.lower()
+
+
+def unread_pictures(folder: Path) -> str:
+    """Pictures in a folder whose format is not read, and what to do; empty where there are none."""
+    counts = Counter(file.suffix.lower() for file in list_files(folder, UNREAD_PICTURES))
+    listed = " and ".join(f"{count} {suffix}" for suffix, count in counts.most_common())
+    return f"{listed} pictures, which are not read: convert them to .png" if listed else ""
+
+
+def unread_videos(folder: Path, stems: tuple[str, ...] = ()) -> str:
+    """Videos in a folder that are not read, of these stems or any, and the command that converts them; empty without."""
+    wanted = set(map(same_name, stems))
+    files = [file for file in list_files(folder, UNREAD_VIDEOS) if not wanted or same_name(file.stem) in wanted]
+    if not files:
+        return ""
+    names = ", ".join(file.name for file in files[:LISTED]) + (", ..." if len(files) > LISTED else "")
+    command = f"ffmpeg -i {shlex.quote(files[0].name)} -crf 8 {shlex.quote(files[0].stem + VIDEO_SUFFIXES[0])}"
+    return f"{names} {'are' if len(files) > 1 else 'is'} there, which {'are' if len(files) > 1 else 'is'} not read: {command}"
