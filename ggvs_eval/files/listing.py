@@ -1,5 +1,6 @@
 """Files in a folder: the one list of suffixes, in any case, without what operating systems leave beside them."""
 
+import os
 import shlex
 import unicodedata
 from collections import Counter
@@ -40,10 +41,12 @@ def list_images(folder: Path) -> list[Path]:
 
 
 def list_files_below(folder: Path, suffixes: tuple[str, ...] = IMAGE_SUFFIXES) -> list[Path]:
-    """The files with one of some suffixes in a folder and the folders in it, by path, junk aside."""
-    entries = list_entries(folder)
-    below = [file for entry in entries if entry.is_dir() for file in list_files_below(entry, suffixes)]
-    return sorted([file for file in entries if file.suffix.lower() in suffixes and not file.is_dir()] + below)
+    """The files with one of some suffixes in a folder and the folders in it, by path, junk aside; links are not followed."""
+    found = []
+    for place, folders, names in os.walk(folder):
+        folders[:] = [name for name in folders if not is_junk(name)]
+        found += [Path(place, name) for name in names if not is_junk(name) and Path(name).suffix.lower() in suffixes]
+    return sorted(found)
 
 
 def same_name(name: str) -> str:

@@ -9,15 +9,14 @@ number counts from the capture's first.
 """
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.listing import list_images
-from ggvs_eval.renders.numbering import number_views
-from ggvs_eval.renders.picture import PictureView
-from ggvs_eval.renders.request import FrameRequest, RenderedView, RenderSet
+from ggvs_eval.renders.request import FrameRequest, RenderSet
 from ggvs_eval.renders.truth_match import check_truth
-from ggvs_eval.renders.view_folders import names_of
+from ggvs_eval.renders.view_folders import picture_set, placed_pictures
 
 NAME = re.compile(r"frame(\d+)_camera(\d+)(_gt|_error)?")
 FOLDER = "RENDER"
@@ -66,14 +65,11 @@ def find(path: Path, request: FrameRequest, is_temporary: bool) -> RenderSet:
         if view not in request.views
     ]
     places = ", ".join(f"{names.index(view)} = {view}" for view in request.views)
-    numbered = number_views(path, {view: by_view[view] for view in request.views if view in by_view}, request)
-    views: dict[str, RenderedView] = {view: PictureView(frames, is_temporary) for view, frames in numbered.frames.items()}
-    extras += [file.name for some in numbered.extras.values() for file in some]
-    placed = {(view, frame): file for view, frames in numbered.frames.items() for frame, file in frames.items()}
-    claims = {place: copy for place, file in placed.items() if (copy := _copy(file)).is_file()}
+    items = {view: by_view[view] for view in request.views if view in by_view}
+    renders = picture_set(path, items, extras, request, is_temporary)
+    claims = {where: copy for where, file in placed_pictures(renders).items() if (copy := _copy(file)).is_file()}
     notes = (f"cameras are taken by their place among the sorted names: {places}", _compared(place, claims, request))
-    doubles = {view: names_of(by_frame) for view, by_frame in numbered.doubles.items()}
-    return RenderSet(views, tuple(extras), notes, numbered.note, numbered.first, doubles)
+    return replace(renders, notes=notes)
 
 
 def _compared(place: Path, claims: dict[tuple[str, int], Path], request: FrameRequest) -> str:

@@ -9,16 +9,17 @@ Facts of 4DGaussians, from github.com/hustvl/4DGaussians (commit 0bc8fed, render
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.listing import list_files_below
-from ggvs_eval.renders.numbering import frame_numbers, number_views, places_of
+from ggvs_eval.renders.numbering import frame_numbers, places_of
 from ggvs_eval.renders.picture import PictureView
 from ggvs_eval.renders.request import FrameRequest, RenderedView, RenderSet
 from ggvs_eval.renders.truth_match import check_truth, find_order
-from ggvs_eval.renders.view_folders import names_of
+from ggvs_eval.renders.view_folders import picture_set, placed_pictures
 
 # 3DGS and its kin, nerfstudio's `ns-render dataset`, NerfBaselines.
 PAIRS = (("renders", "gt"), ("rgb", "gt-rgb"), ("color", "gt-color"))
@@ -105,27 +106,23 @@ def _found_by_name(
     pair: _Pair, names: dict[Path, str], copies: dict[Path, Path], request: FrameRequest, is_temporary: bool
 ) -> RenderSet:
     """Renders whose names tell view and frame."""
-    by_view: dict[str, list[tuple[int | None, Path]]] = {}
+    items: dict[str, list[tuple[int | None, Path]]] = {}
     extras = []
     for (file, name), place in zip(names.items(), places_of(pair.rendered, names.values(), request.views), strict=True):
         if place is None:
             extras.append(f"{pair.rendered.name}/{name}")
         else:
-            by_view.setdefault(place.view, []).append((place.number, file))
-    numbered = number_views(pair.rendered.parent, by_view, request)
-    views: dict[str, RenderedView] = {view: PictureView(frames, is_temporary) for view, frames in numbered.frames.items()}
-    extras += [f"{pair.rendered.name}/{names[file]}" for some in numbered.extras.values() for file in some]
-    placed = {(view, frame): file for view, frames in numbered.frames.items() for frame, file in frames.items()}
+            items.setdefault(place.view, []).append((place.number, file))
+    renders = picture_set(pair.rendered.parent, items, extras, request, is_temporary)
+    placed = placed_pictures(renders)
     claims = {place: copies[file] for place, file in placed.items() if file in copies}
     try:
         level = check_truth(claims, request)
     except RenderError as error:
         raise RenderError(f"{pair.rendered.parent}: {error}") from None
-    is_whole = len(claims) == len(placed)
+    is_whole = 0 < len(claims) == len(placed)
     agreeing = f"{pair.truth.name}/ agrees with the captured frames ({level:.1f} levels of 255 apart)"
-    compared = agreeing if claims and is_whole else f"no complete {pair.truth.name}/ to compare with the capture"
-    doubles = {view: names_of(by_frame) for view, by_frame in numbered.doubles.items()}
-    return RenderSet(views, tuple(extras), (compared,), numbered.note, numbered.first, doubles)
+    return replace(renders, notes=(agreeing if is_whole else f"no complete {pair.truth.name}/ to compare with the capture",))
 
 
 def _pairs(path: Path) -> list[_Pair]:

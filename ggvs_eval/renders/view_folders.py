@@ -34,7 +34,8 @@ def find(path: Path, request: FrameRequest, is_temporary: bool) -> RenderSet:
         for view, some in pictures.items()
         if some
     }
-    return _numbered(path, items, list(_unexpected_files(path, request)), request, is_temporary)
+    renders = picture_set(path, items, list(_unexpected_files(path, request)), request, is_temporary)
+    return replace(renders, hints={view: instead_of(path, view, request) for view in request.views})
 
 
 def refuse_flat(path: Path, request: FrameRequest) -> str | None:
@@ -56,7 +57,7 @@ def find_flat(path: Path, request: FrameRequest, is_temporary: bool) -> RenderSe
             items.setdefault(place[0], []).append((place[1], file))
         else:
             extras.append(file.name)
-    return _numbered(path, items, extras, request, is_temporary)
+    return picture_set(path, items, extras, request, is_temporary)
 
 
 def _places(path: Path, request: FrameRequest) -> dict[Path, tuple[str, int | None] | None]:
@@ -74,30 +75,39 @@ def _pictures(path: Path, view: str) -> list[Path]:
     return list_images(find_below(path, view))
 
 
-def _numbered(
+def picture_set(
     path: Path,
     items: Mapping[str, Sequence[tuple[int | None, Path]]],
     unexpected: Sequence[str],
     request: FrameRequest,
     is_temporary: bool,
 ) -> RenderSet:
-    """Pictures of views by the protocol's frame numbers."""
+    """Pictures of views under the protocol's frame numbers.
+
+    Args:
+        path: where they lie.
+        items: view -> number in the name, and file, of each of its pictures.
+        unexpected: names of what belongs to no view.
+        request: what the run asks for.
+        is_temporary: see `PictureView`.
+
+    Raises:
+        RenderError: as of `number_views`.
+    """
     numbered = number_views(path, items, request)
-    views: dict[str, RenderedView] = {view: PictureView(frames, is_temporary) for view, frames in numbered.frames.items()}
     extras = [file.relative_to(path).as_posix() for some in numbered.extras.values() for file in some]
-    return RenderSet(
-        views,
-        (*unexpected, *extras),
-        numbering=numbered.note,
-        first=numbered.first,
-        doubles={view: names_of(by_frame) for view, by_frame in numbered.doubles.items()},
-        hints={view: instead_of(path, view, request) for view in request.views},
-    )
+    doubles = {
+        view: {frame: [file.name for file in some] for frame, some in by_frame.items()}
+        for view, by_frame in numbered.doubles.items()
+    }
+    views: dict[str, RenderedView] = {view: PictureView(frames, is_temporary) for view, frames in numbered.frames.items()}
+    return RenderSet(views, (*unexpected, *extras), (), numbered.note, numbered.first, doubles)
 
 
-def names_of(doubles: Mapping[int, Sequence[Path]]) -> dict[int, list[str]]:
-    """The names of several pictures of one frame."""
-    return {frame: [file.name for file in files] for frame, files in doubles.items()}
+def placed_pictures(renders: RenderSet) -> dict[tuple[str, int], Path]:
+    """(view, frame) -> the picture of it."""
+    pictures = ((view, each) for view, each in renders.views.items() if isinstance(each, PictureView))
+    return {(view, frame): file for view, each in pictures for frame, file in each.pictures.items()}
 
 
 def _unexpected_files(path: Path, request: FrameRequest) -> Iterable[str]:
