@@ -1,4 +1,4 @@
-"""Pace of this machine: how long known work takes here, by a probe of a second."""
+"""Pace of this machine: how long known work takes here, by a probe of a fraction of a second."""
 
 from functools import cache
 from time import perf_counter
@@ -6,7 +6,7 @@ from time import perf_counter
 import cv2
 import numpy as np
 
-REFERENCE_S = 0.5  # of the probe on the machine that times are told of: two quiet cores of a Xeon with AVX-512
+REFERENCE_S = 0.17  # of the probe on the machine that times are told of: two quiet cores of a Xeon with AVX-512
 SIZE, PRODUCTS, MATCHES = 768, 12, 2
 
 
