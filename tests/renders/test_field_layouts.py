@@ -159,3 +159,27 @@ def test_messages_name_the_archive(run, tmp_path):
         message = refusal(run, archive)
         assert str(archive) in message
         assert "unpacked" not in message
+
+
+def test_links_in_circles_end(run, tmp_path):
+    """A folder that links to itself, twice, is walked through once."""
+    folder = write_flat(tmp_path / "theirs", [(view, frame) for view in VIEWS for frame in FRAMES])
+    for name in ("a", "b"):
+        (folder / "renders" / name).symlink_to(folder / "renders")
+
+    assert import_renders(run, "mine", folder)["partial"] == ""
+
+
+@pytest.mark.parametrize("write", [write_folders, lambda folder: write_folders(folder, pattern="{view}_{number:04d}.png")])
+def test_suffixes_and_umlauts_are_compared_as_they_look(write, tmp_path):
+    """A view called Tür, whose renders came from a Mac with the umlaut in two characters and the suffix in capitals."""
+    run = make_run(tmp_path / "run")
+    for folder in (run.root / "truth", write(tmp_path / "theirs")):
+        for entry in sorted(folder.rglob("*"), key=lambda each: -len(each.parts)):
+            is_truth = folder.name == "truth"
+            name = entry.name.replace("cam00", "T\u00fcr" if is_truth else "Tu\u0308r")
+            entry.rename(entry.with_name(name if is_truth else name.replace(".png", ".PNG")))
+    text = run.protocol_file.read_text(encoding="utf-8").replace("cam00", "T\u00fcr")
+    run.protocol_file.write_text(text, encoding="utf-8")
+
+    assert import_renders(run, "mine", tmp_path / "theirs")["frames"]["T\u00fcr"] == list(FRAMES)
