@@ -158,7 +158,8 @@ def difference(rig: Capture, name: str, frame: int, filmed: Capture, filmed_fram
 def test_held_out_cameras_are_proposed_with_reasons(walk):
     """Every camera has a reason; those held out are in the file, which `run` took."""
     told, protocol = step(walk, "ggvs-eval protocol").output, load_protocol(walk[0] / "rig.toml")
-    reasons = dict(re.findall(r"^ (cam0\d) +(held out|stays a source): \S", told, re.MULTILINE))
+    lines = re.findall(r"^ (cam0\d(?:, cam0\d)*) +(held out|stays a source): \S", told, re.MULTILINE)
+    reasons = {name: role for names, role in sorted(lines) for name in names.split(", ")}
     assert set(reasons) == {f"cam0{number}" for number in range(6)}
     held_out = tuple(name for name, role in reasons.items() if role == "held out")
     assert protocol.views.test == held_out

@@ -31,7 +31,7 @@ from ggvs_eval.pipelines.offline.stereo.raft_stereo import RaftStereo
 from ggvs_eval.pipelines.play import playback
 from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
-from ggvs_eval.pipelines.view import viewer
+from ggvs_eval.pipelines.view import listener
 from helpers.captures import write_dynerf
 from helpers.command_line import refusal
 from helpers.small_runs import small_protocol
@@ -203,7 +203,7 @@ def test_the_command_line_takes_depth_to_the_device(capture, tmp_path, monkeypat
     monkeypatch.setattr(runs, "print_plan", lambda planned, *_: plans.extend(planned))
     monkeypatch.setattr(playback, "playback_of_capture", end)
     monkeypatch.setattr(playback, "viewing_of_capture", end)
-    monkeypatch.setattr(viewer, "require_viser", lambda: None)
+    monkeypatch.setattr(listener, "require_viser", lambda: None)
     words = ("--matcher", "raft", "--device", "cpu:0")
     protocol = tmp_path / "small.toml"
     protocol.write_text(small_protocol(1, 0, ("PSNR",)).to_toml())

@@ -36,10 +36,13 @@ def test_protocols_are_the_papers(name, views, k, size, measured):
     assert (protocol.measurement.width, protocol.measurement.height) == measured
 
 
+WITHOUT_ROWS = ("panoptic_sports",)  # published protocols whose rows nobody has looked up yet
+
+
 @pytest.mark.parametrize("name", packaged_protocols())
 def test_who_chose_the_views_is_said(name):
     """The paper does not say which cameras it tests, so its lists say that they are ours; the others are their authors'."""
-    by = "the authors" if name in published_terms() else "us"
+    by = "the authors" if name in published_terms() or name in WITHOUT_ROWS else "us"
     assert load_protocol(name).views.chosen_by.startswith(f"chosen by {by}: ")
 
 

@@ -105,7 +105,7 @@ def test_the_true_path_knows_no_faults():
 @pytest.mark.parametrize(
     ("knobs", "message"),
     [
-        ({"layout": "n3dv"}, "wanted a layout of dynerf, .*immersive, got 'n3dv'"),
+        ({"layout": "n3dv"}, "wanted a layout of dynerf, .*, panoptic, got 'n3dv'"),
         ({"layout": "technicolor"}, "the shape of 2048 x 1088, got 32 x 24; take 512 x 272"),
         ({"camera_gain": (("cam04", 1.1),)}, r"camera_gain names cam04, the cameras are cam00\.\.cam03"),
         ({"layout": "rgbd", "focal_error": (("cam01", 1.1),)}, "focal_error names cam01, the cameras are cam00;"),
