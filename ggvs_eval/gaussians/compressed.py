@@ -68,7 +68,7 @@ def _parts(words: NDArray[np.uint32], bits: tuple[int, ...]) -> Array:
 
 def _quaternions(words: NDArray[np.uint32]) -> Array:
     """Unit quaternions, w first, (N, 4)."""
-    others = (_parts(words & (1 << 30) - 1, (10, 10, 10)) - 0.5) * np.sqrt(2)
+    others = (_parts(words & np.uint32((1 << 30) - 1), (10, 10, 10)) - 0.5) * np.sqrt(2)
     largest = np.sqrt(np.maximum(1 - np.square(others).sum(axis=1), 0))
     quaternions = np.empty((len(words), 4))
     for part in range(4):

@@ -61,17 +61,17 @@ def read_ply(path: Path) -> GaussianCloud:
             elements = _read_header(file, path)
             is_compressed = elements[0].name == COMPRESSED[0]
             wanted = elements if is_compressed else elements[:1]
-            head, count = file.tell(), max(each.count for each in wanted)
-            n_bytes = sum(each.count * each.row.itemsize for each in wanted)
+            head, count = file.tell(), max(each.n_rows for each in wanted)
+            n_bytes = sum(each.n_rows * each.row.itemsize for each in wanted)
             if count > MOST_GAUSSIANS or head + n_bytes > size:
                 raise RenderError(
                     f"{path}: its header says {count} Gaussians in {n_bytes} bytes, the file has {max(size - head, 0)} "
                     f"for them (at most {MOST_GAUSSIANS} Gaussians are read); copy or save it again"
                 )
-            tables = [np.fromfile(file, each.row, each.count) for each in wanted]
+            tables = [np.fromfile(file, each.row, each.n_rows) for each in wanted]
     except OSError as error:
         raise RenderError(f"{path}: wanted a cloud of Gaussians (.ply), it cannot be read: {why_unread(error)}") from error
-    if any(len(table) < each.count for table, each in zip(tables, wanted, strict=True)):
+    if any(len(table) < each.n_rows for table, each in zip(tables, wanted, strict=True)):
         raise RenderError(f"{path}: wanted {count} Gaussians, the file ended after {len(tables[-1])}; copy or save it again")
     return _cloud(decompressed(*tables) if is_compressed else tables[0], path)
 
@@ -111,7 +111,7 @@ class _Element(NamedTuple):
     """One kind of rows of a file: its name, how many, and how a row lies in the file."""
 
     name: str
-    count: int
+    n_rows: int
     row: np.dtype
 
 
@@ -174,12 +174,12 @@ def _require_packed(elements: list[_Element], path: Path) -> None:
     """Refuse a compressed cloud that lacks what it is unpacked from."""
     chunk, vertex = elements[:2]
     absent = [name for name in (*CHUNK, *PACKED) if name not in {*(chunk.row.names or ()), *(vertex.row.names or ())}]
-    n_chunks, sh = -(-vertex.count // CHUNK_SIZE), elements[2] if len(elements) > 2 else None
+    n_chunks, sh = -(-vertex.n_rows // CHUNK_SIZE), elements[2] if len(elements) > 2 else None
     names = list(sh.row.names or ()) if sh else []
-    if absent or chunk.count != n_chunks or (sh and (sh.count != vertex.count or len(names) not in (9, 24, 45))):
+    if absent or chunk.n_rows != n_chunks or (sh and (sh.n_rows != vertex.n_rows or len(names) not in (9, 24, 45))):
         raise RenderError(
-            f"{path}: wanted {n_chunks} chunks, {', '.join(PACKED)} and 9, 24 or 45 harmonics of {vertex.count} compressed "
-            f"Gaussians, got {chunk.count}, {len(names)}{' and no ' * bool(absent)}{', '.join(absent)}; save it again"
+            f"{path}: wanted {n_chunks} chunks, {', '.join(PACKED)} and 9, 24 or 45 harmonics of {vertex.n_rows} compressed "
+            f"Gaussians, got {chunk.n_rows}, {len(names)}{' and no ' * bool(absent)}{', '.join(absent)}; save it again"
         )
 
 
