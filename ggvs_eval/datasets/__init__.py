@@ -23,6 +23,7 @@ from ggvs_eval.datasets import (
 )
 from ggvs_eval.datasets.corrections import apply_corrections, corrections_file, read_corrections
 from ggvs_eval.datasets.known_traps import apply_known_traps
+from ggvs_eval.datasets.settle_depth import settle_depth_ranges
 from ggvs_eval.datasets.units import GivenUnits
 from ggvs_eval.errors import CaptureError, did_you_mean
 from ggvs_eval.plugins import Registry
@@ -75,7 +76,14 @@ _SHIPPED = {
 DATASETS: Registry[DatasetSpec] = Registry("datasets", _SHIPPED, _checked)
 
 
-def open_capture(path: str | Path, layout: str | None = None, *, units: GivenUnits = None, drop_unsynced: bool = True) -> Capture:
+def open_capture(
+    path: str | Path,
+    layout: str | None = None,
+    *,
+    units: GivenUnits = None,
+    drop_unsynced: bool = True,
+    measure_depth: bool = True,
+) -> Capture:
     """Open a capture.
 
     Args:
@@ -84,13 +92,16 @@ def open_capture(path: str | Path, layout: str | None = None, *, units: GivenUni
         units: world units per metre where the user knows better than the capture, or a TOML file that says how to measure them;
             see `ggvs_eval.datasets.units.choose_units`.
         drop_unsynced: leave out cameras known to be out of step: cam13 of coffee_martini.
+        measure_depth: measure depth ranges that the capture does not give, which takes a second or some; without, they are
+            guessed from where its cameras look.
 
     Raises:
         CaptureError: nothing there, no layout that fits (with the reason of each), or a capture that is damaged.
 
     Reading:
         What ``corrections.toml`` in the capture says is done to its frames, see `ggvs_eval.datasets.corrections`. What is known
-        to be wrong with a public scene becomes a note, see `ggvs_eval.datasets.known_traps`.
+        to be wrong with a public scene becomes a note, see `ggvs_eval.datasets.known_traps`. Near and far of its cameras are
+        settled by `ggvs_eval.datasets.settle_depth.settle_depth_ranges`.
 
     Examples:
         >>> import json, tempfile
@@ -116,7 +127,7 @@ def open_capture(path: str | Path, layout: str | None = None, *, units: GivenUni
     capture = spec.load(path, units)
     corrections = corrections_file(path)
     capture = apply_corrections(capture, read_corrections(corrections), corrections)
-    return apply_known_traps(capture, leave_out=drop_unsynced)
+    return settle_depth_ranges(apply_known_traps(capture, leave_out=drop_unsynced), measure_depth)
 
 
 def detect_layout(path: Path, layout: str | None = None) -> str:

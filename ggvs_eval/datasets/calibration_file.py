@@ -5,7 +5,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import ARRANGEMENTS, assemble_capture, check_rig_size, first_sources, listed
 from ggvs_eval.datasets.calibration_readers import (
@@ -16,7 +15,7 @@ from ggvs_eval.datasets.calibration_readers import (
     read_qualisys,
 )
 from ggvs_eval.datasets.colmap_model import undistorted_sources
-from ggvs_eval.datasets.depth_range import rig_depth_range
+from ggvs_eval.datasets.depth_range import Placed, ranged_cameras
 from ggvs_eval.datasets.units import GivenUnits, Units, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.plain import read_plain_text
@@ -113,8 +112,7 @@ def load(kind: str, path: Path, units: GivenUnits) -> Capture:
         CaptureError: a damaged file, fewer than two of its cameras with frames, or a camera without pose.
 
     Reading:
-        Cameras without frames are left out and noted: a motion-capture studio has cameras that see markers alone. Depth ranges
-        are those of `rig_depth_range`; ``ggvs-eval calibrate --known-poses`` measures them.
+        Cameras without frames are left out and noted: a motion-capture studio has cameras that see markers alone.
     """
     folder = path if path.is_dir() else path.parent
     file = read_calibration_file(path, kind)
@@ -132,12 +130,13 @@ def load(kind: str, path: Path, units: GivenUnits) -> Capture:
     poses = [camera.world_to_camera for camera in chosen if camera.world_to_camera is not None]
     try:
         lenses = [camera.lens(frames[camera.name].size) for camera in chosen]
-        cameras = [
-            Camera(camera.name, lens.undistorted_K(), pose, lens.width, lens.height, *depths)
-            for camera, lens, pose, depths in zip(chosen, lenses, poses, rig_depth_range(poses), strict=True)
+        rig = [
+            Placed(camera.name, lens.undistorted_K(), pose, (lens.width, lens.height))
+            for camera, lens, pose in zip(chosen, lenses, poses, strict=True)
         ]
     except CameraError as error:
         raise CaptureError(f"{path}: {error}") from error
+    cameras = ranged_cameras(rig, path)
     sources = undistorted_sources([frames[camera.name] for camera in chosen], lenses, cameras)
     left = [name for name in file.cameras if name not in frames]
     notes = [f"{listed(left)} left out: calibrated, but without frames"] if left else []

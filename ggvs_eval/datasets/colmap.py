@@ -5,7 +5,7 @@ from pathlib import Path, PurePosixPath
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import ARRANGEMENTS, SizedSource, assemble_capture, find_sources, listed
-from ggvs_eval.datasets.colmap_model import CalibratedView, read_model, undistorted_sources
+from ggvs_eval.datasets.colmap_model import CalibratedView, median_depths, model_cameras, read_model, undistorted_sources
 from ggvs_eval.datasets.frames import ImageFrames, list_images
 from ggvs_eval.datasets.units import GivenUnits, choose_units
 from ggvs_eval.errors import CaptureError
@@ -34,9 +34,9 @@ def load(path: Path, units: GivenUnits) -> Capture:
     """
     folder = find_model(path) or path
     views = _by_camera(folder, read_model(folder))
-    cameras = [view.camera(name, folder) for name, view in views.items()]
+    cameras = model_cameras(views, folder)
     sources = find_sources(path, {name: view.image_name for name, view in views.items()})
-    chosen = choose_units(path, units, cameras, median_depths=[view.depth_percentiles[1] for view in views.values()])
+    chosen = choose_units(path, units, cameras, median_depths=median_depths(views.values()))
     pinhole = undistorted_sources(sources, [view.lens for view in views.values()], cameras)
     return assemble_capture(path, "colmap", cameras, pinhole, chosen, notes=_unregistered(sources[0], set(views)))
 

@@ -19,6 +19,7 @@ from ggvs_eval.files.plain import check_plain
 LARGEST_MODEL_FILE = 512 << 20
 FILES = ("cameras", "images", "points3D")
 PERCENTILES = (1, 50, 99)
+FEWEST_POINTS = 10  # seen from a camera, of which a depth range can be taken
 
 
 def read_reconstruction(folder: Path) -> list[dict[str, Any]]:
@@ -29,7 +30,7 @@ def read_reconstruction(folder: Path) -> list[dict[str, Any]]:
 
     Returns:
         Per image its ``name``, the camera's ``model``, ``width``, ``height`` and ``params``, ``world_to_camera`` (3 x 4) and
-        ``depth_percentiles`` (1, 50, 99) of the points seen, world units; an empty list where it sees none.
+        ``depth_percentiles`` (1, 50, 99) of the points seen, world units; an empty list where it sees too few to tell.
 
     Raises:
         ValueError: a file is absent, ends early or contradicts another.
@@ -75,7 +76,7 @@ def _describe_image(reconstruction: Any, image: Any) -> dict[str, Any]:
         "height": camera.height,
         "params": list(camera.params),
         "world_to_camera": world_to_camera.tolist(),
-        "depth_percentiles": np.percentile(depth, PERCENTILES).tolist() if depth.size else [],
+        "depth_percentiles": np.percentile(depth, PERCENTILES).tolist() if len(depth) >= FEWEST_POINTS else [],
     }
 
 

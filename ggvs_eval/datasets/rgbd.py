@@ -12,6 +12,7 @@ from ggvs_eval.camera import LARGEST_DEVIATION, ROUNDING, Camera, nearest_rotati
 from ggvs_eval.capture import Capture, Extras
 from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size, listed
 from ggvs_eval.datasets.depth_frames import DepthFrames, read_depth_png
+from ggvs_eval.datasets.depth_range import FAR_MARGIN, NEAR_MARGIN
 from ggvs_eval.datasets.frames import ImageFrames, list_images
 from ggvs_eval.datasets.units import METRIC, GivenUnits, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
@@ -20,9 +21,7 @@ from ggvs_eval.files.plain import read_plain_text
 SCANNET = ("color", "depth", "pose", "intrinsic")
 HOLOLENS = ("images", "depth", "poses.txt", "K.txt")
 METRES_PER_STEP = 0.001
-# A little nearer and farther than all but the outermost hundredth of the measured depths, of at most so many frames.
-NEAR_FACTOR, FAR_FACTOR = 0.8, 1.2
-SAMPLED_FRAMES = 32
+SAMPLED_FRAMES = 32  # of which the depth range is taken
 # A principal point farther off the middle, in widths of the image, belongs to images of another size.
 LARGEST_OFFSET = 0.15
 # Where depth has another shape than colour, its intrinsics must fit it this well; within the stretch it has the same shape.
@@ -240,7 +239,7 @@ def _depth_range(files: Sequence[Path]) -> tuple[float, float]:
     maps = (read_depth_png(files[index]) for index in chosen)
     percentiles = [np.percentile(steps[steps > 0], (1, 99)) for steps in maps]
     nearest, farthest = np.min(percentiles, axis=0)[0], np.max(percentiles, axis=0)[1]
-    return float(NEAR_FACTOR * METRES_PER_STEP * nearest), float(FAR_FACTOR * METRES_PER_STEP * farthest)
+    return float(NEAR_MARGIN * METRES_PER_STEP * nearest), float(FAR_MARGIN * METRES_PER_STEP * farthest)
 
 
 def _make_camera(path: Path, number: int, sequence: _Sequence, size: tuple[int, int], limits: tuple[float, float]) -> Camera:

@@ -10,8 +10,10 @@ import numpy as np
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
+from ggvs_eval.datasets.depth_range import RANGE_MEND
 from ggvs_eval.errors import DepthError
 from ggvs_eval.geometry.rectification import require_overlap
+from ggvs_eval.geometry.source_views import share_of_view
 
 GRID = (16, 12)  # rays across and down
 DEPTHS = 6  # depths per ray, evenly spaced in inverse depth
@@ -67,8 +69,9 @@ def choose_partners(camera: Camera, candidates: Sequence[Camera], count: int, ex
             chosen.append(best)
     if not chosen:
         raise DepthError(
-            f"camera {camera.name}: none of {len(others)} other cameras sees {MIN_OVERLAP:.0%} of its view from less than "
-            f"{np.rad2deg(MAX_ANGLE_RAD):.0f} degrees away; its depth cannot be computed, leave it out or add cameras"
+            f"camera {camera.name}: none of {len(others)} other cameras sees {MIN_OVERLAP:.0%} of its view, {camera.near:.3g} .. "
+            f"{camera.far:.3g} deep ({camera.range_origin}), from less than {np.rad2deg(MAX_ANGLE_RAD):.0f} degrees away; add "
+            f"cameras, or correct the depth range: {RANGE_MEND}"
         )
     return [partner.camera for partner in chosen]
 
@@ -87,7 +90,7 @@ def _evaluate(camera: Camera, other: Camera, points: Array) -> Partner | None:
     angle = np.arccos(np.clip(camera.axis @ other.axis, -1, 1))
     offset = camera.rotation @ (other.centre - camera.centre)
     distance = float(np.linalg.norm(offset[:2]))
-    if inside.mean() < MIN_OVERLAP or angle > MAX_ANGLE_RAD or distance <= abs(offset[2]):
+    if share_of_view(camera, inside, DEPTHS) < MIN_OVERLAP or angle > MAX_ANGLE_RAD or distance <= abs(offset[2]):
         return None
     median_depth = 2 / (1 / camera.near + 1 / camera.far)
     disparity = camera.focal_px * distance / np.array([camera.near, median_depth]) / camera.width
