@@ -81,7 +81,7 @@ def read_model(folder: Path) -> list[CalibratedView]:
     """The registered images of a model in the order of their names.
 
     Args:
-        folder: holds cameras, images and points3D, as text or binary.
+        folder: holds cameras, images and perhaps points3D, as text or binary.
 
     Raises:
         CaptureError: damaged, empty, or a camera model without an OpenCV equivalent.

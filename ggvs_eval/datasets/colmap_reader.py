@@ -26,7 +26,7 @@ def read_reconstruction(folder: Path) -> list[dict[str, Any]]:
     """The registered images of a sparse model in the order of their names.
 
     Args:
-        folder: holds cameras, images and points3D, as text or binary.
+        folder: holds cameras, images and perhaps points3D, as text or binary.
 
     Returns:
         Per image its ``name``, the camera's ``model``, ``width``, ``height`` and ``params``, ``world_to_camera`` (3 x 4) and
@@ -40,19 +40,22 @@ def read_reconstruction(folder: Path) -> list[dict[str, Any]]:
 
     suffix = ".bin" if (folder / "cameras.bin").is_file() else ".txt"
     files = [folder / f"{name}{suffix}" for name in FILES]
-    missing = [file.name for file in files if not file.is_file()]
+    missing = [file.name for file in files[:2] if not file.is_file()]
     if missing:
         raise ValueError(f"no {', '.join(missing)}")
+    files = [file for file in files if file.is_file()]
     for file in files:
         check_plain(file, LARGEST_MODEL_FILE)
     if suffix == ".bin":
         _check_count(files[0])
-        _check_length(files[1], _images_end)
-        _check_length(files[2], _points_end)
+        for file, find_end in zip(files[1:], (_images_end, _points_end), strict=False):
+            _check_length(file, find_end)
     # These three say all; rigs and frames, which newer versions write beside them, would only be more that can be damaged.
     with tempfile.TemporaryDirectory() as alone:
         for file in files:
             (Path(alone) / file.name).symlink_to(file.resolve())
+        if len(files) < len(FILES):  # points are for depth ranges alone
+            (Path(alone) / f"points3D{suffix}").write_bytes(bytes(8) if suffix == ".bin" else b"")
         reconstruction = pycolmap.Reconstruction(alone)
     if suffix == ".bin":
         end = 8 + sum(24 + 8 * len(camera.params) for camera in reconstruction.cameras.values())
@@ -65,7 +68,8 @@ def _describe_image(reconstruction: Any, image: Any) -> dict[str, Any]:
     camera = reconstruction.cameras[image.camera_id]
     pose = image.cam_from_world() if callable(image.cam_from_world) else image.cam_from_world
     world_to_camera = np.asarray(pose.matrix())  # (3, 4)
-    point_ids = [point.point3D_id for point in image.points2D if point.has_point3D()]
+    points2D = image.points2D if len(reconstruction.points3D) else []  # a model that was stripped of its points still names them
+    point_ids = [point.point3D_id for point in points2D if point.has_point3D()]
     points_world = np.array([reconstruction.points3D[point].xyz for point in point_ids]).reshape(-1, 3)
     depth = points_world @ world_to_camera[2, :3] + world_to_camera[2, 3]
     depth = depth[depth > 0]

@@ -8,7 +8,7 @@ import numpy as np
 from ggvs_eval.arrays import Array
 from ggvs_eval.capture import Capture, Extras
 from ggvs_eval.datasets.array_file import map_array
-from ggvs_eval.datasets.assemble import SizedSource, assemble_capture, listed
+from ggvs_eval.datasets.assemble import SizedSource, assemble_capture, first_sources, listed
 from ggvs_eval.datasets.colmap_model import undistorted, undistorted_sources
 from ggvs_eval.datasets.depth_range import Placed, points_depth_range, ranged_cameras, read_points, rig_depth_range
 from ggvs_eval.datasets.easymocap_yaml import EasyMocapView, read_views
@@ -32,7 +32,8 @@ def refuse(path: Path) -> str | None:
     missing = [name for name in (INTRINSICS, EXTRINSICS) if not (path / name).is_file()]
     if missing:
         return f"no {' and '.join(missing)}"
-    return None if any(folder.is_dir() for folder in path.glob("images/*")) else "no folders images/XX/"
+    places = [*path.glob("images/*/"), *path.glob("videos/*")]
+    return None if places else "no folders images/XX/ and no videos/XX.mp4"
 
 
 def load(path: Path, units: GivenUnits) -> Capture:
@@ -43,14 +44,15 @@ def load(path: Path, units: GivenUnits) -> Capture:
         units: world units per metre or a file that says how to measure them; see `choose_units`.
 
     Raises:
-        CaptureError: a damaged file, a camera without frames or frames without a camera.
+        CaptureError: a damaged file, or fewer than two cameras with pose and frames.
 
     Reading:
-        The pinhole image keeps the lens's K, as ENeRF undistorts; pixels the lens did not see are black. A sequence with visual
+        Cameras without a pose or frames are left out and noted: lenses are often calibrated for more than were placed. The
+        pinhole image keeps the lens's K, as ENeRF undistorts; pixels the lens did not see are black. A sequence with visual
         hulls is ENeRF-Outdoor: metric, 60 frames per second. Depth range: see `_depth_ranges`.
     """
-    views = read_views(path / INTRINSICS, path / EXTRINSICS)
-    sources = _frames(path, [view.name for view in views])
+    views, frames, notes = _filmed(path)
+    sources = [frames[view.name] for view in views]
     lenses = [view.lens(source.size) for view, source in zip(views, sources, strict=True)]
     is_outdoor = (path / HULLS).is_dir()
     depths = _depth_ranges(path, views, lenses)
@@ -63,17 +65,27 @@ def load(path: Path, units: GivenUnits) -> Capture:
     chosen = choose_units(path, units, cameras, of_data_set=METRIC if is_outdoor else None)
     fps = OUTDOOR_FPS if is_outdoor else None
     extras = _extras(path, {view.name: lens for view, lens in zip(views, lenses, strict=True)}, sources[0].n_frames)
-    return assemble_capture(path, "enerf-outdoor", cameras, pinhole, chosen, fps=fps, extras=extras)
+    return assemble_capture(path, "enerf-outdoor", cameras, pinhole, chosen, fps=fps, extras=extras, notes=notes)
 
 
-def _frames(path: Path, names: Sequence[str]) -> list[ImageFrames]:
-    """The frames of each camera, none missing on either side."""
-    folders = {folder.name for folder in path.glob("images/*") if folder.is_dir()}
-    unmatched = sorted(set(names) ^ folders)
-    if unmatched:
-        gaps = listed([f"{name} ({INTRINSICS if name in names else 'images/'} only)" for name in unmatched])
-        raise CaptureError(f"{path}: wanted a folder images/XX/ per camera of {INTRINSICS}, got {gaps}; restore or remove these")
-    return [ImageFrames(path / "images" / name) for name in names]
+def _filmed(path: Path) -> tuple[list[EasyMocapView], dict[str, SizedSource], list[str]]:
+    """The cameras with a pose and frames, their frames, and notes on those that are left out."""
+    placed, unplaced = read_views(path / INTRINSICS, path / EXTRINSICS)
+    frames = first_sources(path, {view.name: f"{view.name}.png" for view in placed})
+    views = [view for view in placed if view.name in frames]
+    unnamed = {folder.name for folder in path.glob("images/*/")} - {*unplaced, *(view.name for view in placed)}
+    left_out = {
+        f"not placed in {EXTRINSICS}": unplaced,
+        "no frames": [view.name for view in placed if view.name not in frames],
+        f"not in {INTRINSICS}": sorted(unnamed),
+    }
+    notes = [f"{listed(names)} left out: {why}" for why, names in left_out.items() if names]
+    if len(views) < 2:
+        raise CaptureError(
+            f"{path}: wanted two or more cameras with a pose and frames in images/XX/ or videos/XX.mp4, got "
+            f"{listed([view.name for view in views]) or 'none'} ({'; '.join(notes)}); call frames and cameras alike"
+        )
+    return views, frames, notes
 
 
 def _depth_ranges(path: Path, views: Sequence[EasyMocapView], lenses: Sequence[Lens]) -> list[tuple[float, float] | None]:

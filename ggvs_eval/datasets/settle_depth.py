@@ -19,11 +19,13 @@ from ggvs_eval.datasets.depth_range import (
 )
 from ggvs_eval.datasets.units import GUESSED, guess_units_per_metre
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.geometry.epipolar import match_pair, neighbour_pairs, sound_matches
+from ggvs_eval.geometry.epipolar import match_pair, neighbour_pairs, remoteness, sound_matches
 from ggvs_eval.geometry.features import Features, find_features
+from ggvs_eval.geometry.rectification import can_rectify
 
 # Of more cameras, the neighbourhoods of some, all over the rig, are matched.
 MOST_CAMERAS, NEIGHBOURHOODS, NEIGHBOURS = 48, 12, 3
+NEAREST_TRIED = 6  # nearest depths, between a guess and the middle of its range
 FEWEST_POINTS = 30  # in the view of a camera whose range is measured
 DIGITS = 2  # a range is no more certain, and so it does not hang on the last bits of a match
 
@@ -60,9 +62,11 @@ def settle_depth_ranges(capture: Capture, measure: bool = True) -> Capture:
     if measured:
         note = f"depth range of {_cameras(capture, measured)} measured on matched points: {_shown(measured.values())}"
         capture = _ranged(capture, measured, "measured", medians, note)
-    left = [camera for camera in capture.cameras if camera.range_origin == "guessed"]
+    left = [_matchable(camera, capture.cameras) for camera in capture.cameras if camera.range_origin == "guessed"]
     if not left or not measure:
         return capture
+    by_name = {camera.name: camera for camera in left}
+    capture = replace(capture, cameras=tuple(by_name.get(camera.name, camera) for camera in capture.cameras))
     guess = _shown([(camera.near, camera.far) for camera in left])
     return capture.noted(
         f"depth range of {_cameras(capture, [camera.name for camera in left])} guessed from where the cameras look: {guess}; "
@@ -92,6 +96,16 @@ def _neighbourhoods(cameras: Sequence[Camera]) -> list[Camera]:
     middles = np.linspace(0, len(cameras) - 1, NEIGHBOURHOODS).round().astype(int)
     near = [np.linalg.norm(centres - centres[middle], axis=1).argsort(kind="stable")[: NEIGHBOURS + 1] for middle in middles]
     return [cameras[index] for index in sorted({int(index) for each in near for index in each})]
+
+
+def _matchable(camera: Camera, cameras: Sequence[Camera]) -> Camera:
+    """A camera of a guessed range, its near so far off that it can be rectified with a neighbour: nothing is known of nearer."""
+    others = sorted((other for other in cameras if other is not camera), key=lambda other: remoteness(camera, other))
+    for near in np.geomspace(camera.near, (camera.near * camera.far) ** 0.5, NEAREST_TRIED):
+        nearer = replace(camera, near=float(near))
+        if any(can_rectify(nearer, other) for other in others[:NEIGHBOURS]):
+            return nearer
+    return camera
 
 
 def _features(capture: Capture, name: str) -> Features:

@@ -157,12 +157,12 @@ def neighbour_pairs(cameras: Sequence[Camera], count: int = NEIGHBOURS) -> list[
     """
     pairs = set()
     for index, camera in enumerate(cameras):
-        order = sorted((_remoteness(camera, other), place) for place, other in enumerate(cameras) if place != index)
+        order = sorted((remoteness(camera, other), place) for place, other in enumerate(cameras) if place != index)
         pairs |= {(min(index, place), max(index, place)) for _, place in order[:count]}
     return sorted(pairs)
 
 
-def _remoteness(camera: Camera, other: Camera) -> float:
+def remoteness(camera: Camera, other: Camera) -> float:
     """Distance of the centres, doubled at 90 degrees between the axes and tripled back to back."""
     distance = float(np.linalg.norm(camera.centre - other.centre))
     return distance * (2.0 - float(camera.axis @ other.axis))

@@ -93,7 +93,7 @@ def read_known(path: Path, sizes: Mapping[str, tuple[int, int]] | None = None) -
         return cameras
     if find_calibration_files(path):
         return _of_calibration_file(path, sizes or {})
-    return _of_capture(open_capture(path.parent if path.name == "capture.toml" else path))
+    return _of_capture(open_capture(path.parent if path.name == "capture.toml" else path, measure_depth=False))
 
 
 def write_intrinsics(path: Path, lenses: Mapping[str, Lens]) -> None:

@@ -12,7 +12,7 @@ from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.datasets.depth_range import RANGE_MEND
 from ggvs_eval.errors import DepthError
-from ggvs_eval.geometry.rectification import require_overlap
+from ggvs_eval.geometry.rectification import can_rectify
 from ggvs_eval.geometry.source_views import share_of_view
 
 GRID = (16, 12)  # rays across and down
@@ -23,7 +23,6 @@ MIN_MEDIAN_DISPARITY = 0.006  # of the image's width; 8 px of 1352
 MIN_OVERLAP = 0.2
 SAME_SIDE = 0.6  # how much of a point's worth a partner on the same side of the camera takes away from the next one
 OTHER_SIDE = 0.3
-RECTIFIED_SCALE = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +64,7 @@ def choose_partners(camera: Camera, candidates: Sequence[Camera], count: int, ex
     while partners and len(chosen) < count:
         best = max(partners, key=lambda partner: _gain(partner, chosen))
         partners.remove(best)
-        if _can_rectify(camera, best.camera):
+        if can_rectify(camera, best.camera):
             chosen.append(best)
     if not chosen:
         raise DepthError(
@@ -96,19 +95,6 @@ def _evaluate(camera: Camera, other: Camera, points: Array) -> Partner | None:
     disparity = camera.focal_px * distance / np.array([camera.near, median_depth]) / camera.width
     fitness = min(1.0, MAX_NEAR_DISPARITY / disparity[0]) * min(1.0, disparity[1] / MIN_MEDIAN_DISPARITY)
     return Partner(other, inside * fitness * np.cos(angle), offset[:2] / distance)
-
-
-def _can_rectify(camera: Camera, other: Camera) -> bool:
-    """Tell whether the pair can be rectified: with wide lenses near surfaces can lie farther apart than images are wide.
-
-    Tried on small images, which differ from the large ones by less than a pixel of theirs.
-    """
-    small = [each.resized(each.width // RECTIFIED_SCALE or 1, each.height // RECTIFIED_SCALE or 1) for each in (camera, other)]
-    try:
-        require_overlap(*small)
-    except DepthError:
-        return False
-    return True
 
 
 def _gain(partner: Partner, chosen: Sequence[Partner]) -> float:
