@@ -1,11 +1,14 @@
 """Clouds of Gaussians as ``.ply`` files in the layout of 3D Gaussian splatting, read with suspicion and written whole.
 
 One element ``vertex`` of scalar properties: x y z, f_dc_0..2, f_rest_0.. (all coefficients of red, then of green, then of blue),
-opacity (logit), scale_0..2 (logarithms), rot_0..3 (w first). Normals and what else a program has added are passed over.
+opacity (logit), scale_0..2 (logarithms), rot_0..3 (w first). Normals, colours and labels are passed over; properties by which
+Gaussians are drawn otherwise are refused.
 """
 
+import re
+from itertools import islice
 from pathlib import Path
-from typing import IO
+from typing import IO, NamedTuple
 
 import numpy as np
 import torch
@@ -16,6 +19,7 @@ from ggvs_eval.errors import RenderError
 from ggvs_eval.files.atomic import atomic_file
 from ggvs_eval.files.plain import check_plain, why_unread
 from ggvs_eval.gaussians.cloud import HIGHEST_DEGREE, GaussianCloud
+from ggvs_eval.gaussians.compressed import CHUNK, CHUNK_SIZE, COMPRESSED, PACKED, decompressed
 
 LONGEST_HEADER = 64 << 10  # bytes; 3D Gaussian splatting writes 1.5 kB
 MOST_GAUSSIANS = 50_000_000  # 12 GB of degree 3; what has been published stays below 10 million
@@ -26,35 +30,62 @@ NUMBERS = {
 ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 MEANS, COLOURS = ("x", "y", "z"), tuple(f"f_dc_{channel}" for channel in range(3))
 SCALES, TURNS = tuple(f"scale_{axis}" for axis in range(3)), tuple(f"rot_{part}" for part in range(4))
+# Properties by which other methods draw their Gaussians, and what they call these.
+OTHER_GAUSSIANS = {
+    "Spacetime Gaussians": re.compile(r"trbf_.*|motion_.*|omega_.*|f_t_.*"),
+    "Gaussians in time (4D Gaussian splatting)": re.compile(r"t|scale_t|rot_r_.*|time|velocity.*"),
+    "Mip-Splatting": re.compile(r"filter_3D"),
+}
+HARMLESS = {"nx", "ny", "nz", "red", "green", "blue", "alpha", "label", "obj_dc_0", "obj_dc_1", "obj_dc_2"}
+OTHER_FORMATS = (".spz", ".splat", ".ksplat", ".sog")
 MEND = "give the point_cloud.ply that 3D Gaussian splatting writes"
 
 
 def read_ply(path: Path) -> GaussianCloud:
-    """Read a cloud in the layout of 3D Gaussian splatting.
+    """Read a cloud in the layout of 3D Gaussian splatting, or compressed as SuperSplat and gsplat write it.
 
     Args:
         path: a binary ``.ply``; the order of its properties does not matter.
 
     Raises:
-        RenderError: no such file, cut short, other properties, NaN, or more Gaussians than the file has room for; nothing is
-            read then that the file does not hold.
+        RenderError: no such file, cut short, other properties, those of Gaussians that are drawn otherwise, NaN, or more
+            Gaussians than the file has room for; nothing is read then that the file does not hold.
     """
+    if path.suffix.lower() in OTHER_FORMATS:
+        raise RenderError(
+            f"{path}: wanted a .ply, {path.suffix} is not read; convert it, e.g. 'splat-transform {path.name} out.ply'"
+        )
     try:
         size = check_plain(path)
         with path.open("rb") as file:
-            count, row = _read_header(file, path)
-            head = file.tell()
-            if count > MOST_GAUSSIANS or head + count * row.itemsize > size:
+            elements = _read_header(file, path)
+            is_compressed = elements[0].name == COMPRESSED[0]
+            wanted = elements if is_compressed else elements[:1]
+            head, count = file.tell(), max(each.count for each in wanted)
+            n_bytes = sum(each.count * each.row.itemsize for each in wanted)
+            if count > MOST_GAUSSIANS or head + n_bytes > size:
                 raise RenderError(
-                    f"{path}: its header says {count} Gaussians of {row.itemsize} bytes, the file has {max(size - head, 0)} "
-                    f"bytes for them (at most {MOST_GAUSSIANS} are read); copy or save it again"
+                    f"{path}: its header says {count} Gaussians in {n_bytes} bytes, the file has {max(size - head, 0)} "
+                    f"for them (at most {MOST_GAUSSIANS} Gaussians are read); copy or save it again"
                 )
-            table = np.fromfile(file, row, count)
+            tables = [np.fromfile(file, each.row, each.count) for each in wanted]
     except OSError as error:
         raise RenderError(f"{path}: wanted a cloud of Gaussians (.ply), it cannot be read: {why_unread(error)}") from error
-    if len(table) < count:
-        raise RenderError(f"{path}: wanted {count} Gaussians, the file ended after {len(table)}; copy or save it again")
-    return _cloud(table, path)
+    if any(len(table) < each.count for table, each in zip(tables, wanted, strict=True)):
+        raise RenderError(f"{path}: wanted {count} Gaussians, the file ended after {len(tables[-1])}; copy or save it again")
+    return _cloud(decompressed(*tables) if is_compressed else tables[0], path)
+
+
+def unknown_properties(path: Path) -> list[str]:
+    """Properties of a cloud's Gaussians that are passed over, not knowing what they mean.
+
+    Raises:
+        RenderError: no ``.ply`` of Gaussians.
+    """
+    with path.open("rb") as file:
+        names = next(each for each in _read_header(file, path) if each.name == "vertex").row.names or ()
+    known = {*MEANS, *COLOURS, "opacity", *SCALES, *TURNS, *HARMLESS, *PACKED}
+    return [name for name in names if name not in known and not name.startswith("f_rest_")]
 
 
 def write_ply(path: Path, cloud: GaussianCloud) -> None:
@@ -76,19 +107,43 @@ def write_ply(path: Path, cloud: GaussianCloud) -> None:
         table.astype("<f4").tofile(file)
 
 
-def _read_header(file: IO[bytes], path: Path) -> tuple[int, np.dtype]:
-    """Number of Gaussians, and how a row of them lies in the file."""
+class _Element(NamedTuple):
+    """One kind of rows of a file: its name, how many, and how a row lies in the file."""
+
+    name: str
+    count: int
+    row: np.dtype
+
+
+def _read_header(file: IO[bytes], path: Path) -> list[_Element]:
+    """The elements of a file that begins with its Gaussians, or of a compressed one."""
     lines = _header_lines(file, path)
     order = ORDERS.get(lines[1][1] if len(lines) > 1 and lines[1][:1] == ["format"] and len(lines[1]) > 1 else "")
     if order is None:
         kind = " ".join(lines[1]) if len(lines) > 1 else "nothing"
         raise RenderError(f"{path}: wanted a binary .ply, its second line says {kind!r}; {MEND}")
-    elements = [n for n, words in enumerate(lines) if words[:1] == ["element"]]
-    first = lines[elements[0]] if elements else []
-    if first[1:2] != ["vertex"] or len(first) != 3 or not first[2].isdecimal() or len(first[2]) > 18:
-        raise RenderError(f"{path}: wanted `element vertex N` with its Gaussians first, got {' '.join(first)!r}; {MEND}")
+    starts = [n for n, words in enumerate(lines) if words[:1] == ["element"]]
+    names = tuple(" ".join(lines[n][1:2]) for n in starts)
+    is_compressed = names in (COMPRESSED, COMPRESSED[:2])
+    spans = zip(starts, [*starts[1:], None], strict=False)
+    read = None if is_compressed else 1  # others follow the Gaussians
+    elements = [_read_element(lines[start:end], order, path) for start, end in islice(spans, read)]
+    if is_compressed:
+        _require_packed(elements, path)
+    elif names[:1] != ("vertex",):
+        first = " ".join(lines[starts[0]]) if starts else ""
+        raise RenderError(f"{path}: wanted `element vertex N` with its Gaussians first, got {first!r}; {MEND}")
+    else:
+        _require_properties(list(elements[0].row.names or ()), path)
+    return elements
+
+
+def _read_element(lines: list[list[str]], order: str, path: Path) -> _Element:
+    head, *properties = lines
+    if len(head) != 3 or not head[2].isdecimal() or len(head[2]) > 18:
+        raise RenderError(f"{path}: wanted `element vertex N` with its Gaussians first, got {' '.join(head)!r}; {MEND}")
     fields = []
-    for words in lines[elements[0] + 1 : elements[1] if len(elements) > 1 else None]:
+    for words in properties:
         if words[:1] in (["comment"], ["obj_info"], []):
             continue
         if len(words) != 3 or words[0] != "property" or words[1] not in NUMBERS:
@@ -97,8 +152,7 @@ def _read_header(file: IO[bytes], path: Path) -> tuple[int, np.dtype]:
     names = [name for name, _ in fields]
     if len(set(names)) < len(names):
         raise RenderError(f"{path}: a property stands twice in its header; {MEND}")
-    _require_properties(names, path)
-    return int(first[2]), np.dtype(fields)
+    return _Element(head[1], int(head[2]), np.dtype(fields))
 
 
 def _header_lines(file: IO[bytes], path: Path) -> list[list[str]]:
@@ -116,14 +170,32 @@ def _header_lines(file: IO[bytes], path: Path) -> list[list[str]]:
     raise RenderError(f"{path}: the header of this .ply has no end_header in its first {LONGEST_HEADER >> 10} kB; save it again")
 
 
+def _require_packed(elements: list[_Element], path: Path) -> None:
+    """Refuse a compressed cloud that lacks what it is unpacked from."""
+    chunk, vertex = elements[:2]
+    absent = [name for name in (*CHUNK, *PACKED) if name not in {*(chunk.row.names or ()), *(vertex.row.names or ())}]
+    n_chunks, sh = -(-vertex.count // CHUNK_SIZE), elements[2] if len(elements) > 2 else None
+    names = list(sh.row.names or ()) if sh else []
+    if absent or chunk.count != n_chunks or (sh and (sh.count != vertex.count or len(names) not in (9, 24, 45))):
+        raise RenderError(
+            f"{path}: wanted {n_chunks} chunks, {', '.join(PACKED)} and 9, 24 or 45 harmonics of {vertex.count} compressed "
+            f"Gaussians, got {chunk.count}, {len(names)}{' and no ' * bool(absent)}{', '.join(absent)}; save it again"
+        )
+
+
 def _require_properties(names: list[str], path: Path) -> None:
     absent = [name for name in (*MEANS, *COLOURS, "opacity", *SCALES, *TURNS) if name not in names]
     if absent:
-        compressed = "; it is compressed, save it uncompressed" if any(name.startswith("packed_") for name in names) else ""
         raise RenderError(
             f"{path}: no cloud of Gaussians: it lacks {', '.join(absent[:4])}{'...' * (len(absent) > 4)}, its properties are "
-            f"{', '.join(names[:12])}{'...' * (len(names) > 12)}{compressed or f'; {MEND}'}"
+            f"{', '.join(names[:12])}{'...' * (len(names) > 12)}; {MEND}"
         )
+    for kind, pattern in OTHER_GAUSSIANS.items():
+        if foreign := [name for name in names if pattern.fullmatch(name)]:
+            raise RenderError(
+                f"{path}: {', '.join(foreign[:3])}{'...' * (len(foreign) > 3)} are of {kind}, which are drawn otherwise; render "
+                "them by their own code and 'ggvs-eval score --renders' the frames"
+            )
     rest = sum(name.startswith("f_rest_") for name in names)
     counts = [3 * ((degree + 1) ** 2 - 1) for degree in range(HIGHEST_DEGREE + 1)]
     if rest not in counts or any(f"f_rest_{n}" not in names for n in range(rest)):

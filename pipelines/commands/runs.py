@@ -25,7 +25,7 @@ from ggvs_eval.pipelines.commands.captures import (
 from ggvs_eval.pipelines.commands.print_plan import print_plan
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions, checked_device
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method, usual_methods
-from ggvs_eval.pipelines.methods.splats import named_splats
+from ggvs_eval.pipelines.methods.splats import named_splats, splats_notes
 from ggvs_eval.pipelines.run.run_plan import RunPlan
 from ggvs_eval.protocol import Protocol
 
@@ -272,6 +272,9 @@ def _require_methods(methods: Sequence[str], networks: NetworkOptions) -> None:
     """Refuse a mistyped method before anything is read."""
     for label in methods:
         find_method(label, networks)
+    for path in networks.splats.values():
+        for note in splats_notes(path):
+            print(note, file=sys.stderr)
 
 
 def _checkpoints(weights: tuple[str, ...]) -> dict[str, Path]:

@@ -124,6 +124,15 @@ def splats_files(path: Path) -> list[Path]:
     return [*files, place / DEFORMATION] if (place / DEFORMATION).is_file() else files
 
 
+def splats_notes(path: Path) -> list[str]:
+    """List what is passed over in the files of a scene; arguments and errors as of `splats_files`."""
+    from ggvs_eval.gaussians.ply import unknown_properties
+
+    file = splats_files(path)[0]
+    names = unknown_properties(file)
+    return [f"{file}: {', '.join(names)} of its Gaussians not known here, passed over"] if names else []
+
+
 def _numbered(files: Sequence[Path], path: Path) -> Mapping[int, Path]:
     numbers: dict[int, Path] = {}
     for file in files:

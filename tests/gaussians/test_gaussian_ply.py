@@ -9,6 +9,7 @@ import torch
 
 from ggvs_eval.errors import RenderError
 from ggvs_eval.gaussians import read_ply, write_ply
+from ggvs_eval.gaussians.ply import unknown_properties
 from helpers.fuzz import damaged, random_edit
 from helpers.gaussian_clouds import random_cloud
 
@@ -86,7 +87,7 @@ def damage(file: Path, before: bytes, after: bytes) -> None:
         (b"binary_little_endian", b"ascii", "wanted a binary .ply, its second line says 'format ascii 1.0'"),
         (b"element vertex 5", b"element face 5", "wanted `element vertex N` with its Gaussians first, got 'element face 5'"),
         (b"element vertex 5", b"element vertex -5", "got 'element vertex -5'"),
-        (b"element vertex 5", b"element vertex 6", r"says 6 Gaussians of 104 bytes, the file has 520 bytes for them"),
+        (b"element vertex 5", b"element vertex 6", r"says 6 Gaussians in 624 bytes, the file has 520 for them"),
         (b"element vertex 5", b"element vertex 99999999999999", "says 99999999999999 Gaussians"),
         (b"element vertex 5", b"element vertex " + 40 * b"9", "wanted `element vertex N`"),
         (b"property float opacity", b"property list uchar float opacity", "wanted properties of one number each"),
@@ -110,7 +111,7 @@ def test_broken_contents(written, tmp_path):
     """Cut short, NaN, a folder, nothing there: one line each, with the file."""
     content = written.read_bytes()
     written.write_bytes(content[:-1])
-    with pytest.raises(RenderError, match=r"cloud\.ply: its header says 5 Gaussians of 104 bytes, the file has 519 bytes"):
+    with pytest.raises(RenderError, match=r"cloud\.ply: its header says 5 Gaussians in 520 bytes, the file has 519"):
         read_ply(written)
     written.write_bytes(content[:-4] + np.float32(np.nan).tobytes())
     with pytest.raises(RenderError, match=r"1 of 5 Gaussians have a rot_0\.\. that is not finite, first number 4; the fit"):
@@ -135,3 +136,123 @@ def test_damaged_files_are_read_or_refused_in_one_line(written):
             assert all(tensor.isfinite().all() for tensor in cloud.parameters().values())
     assert 50 < len(refusals) < 400
     assert all("cloud.ply" in message and "\n" not in message for message in refusals)
+
+
+ENDS, CONSTANT = ("min", "max"), 0.28209479177387814  # bounds of a chunk; the constant harmonic
+
+
+def packed(parts: np.ndarray, bits: tuple[int, ...]) -> np.ndarray:
+    """Numbers in [0, 1] in one word each row, the first in the highest bits."""
+    words = np.zeros(len(parts), np.uint32)
+    for column, n in zip(parts.T, bits, strict=True):
+        words = (words << n) | np.rint(np.clip(column, 0, 1) * ((1 << n) - 1)).astype(np.uint32)
+    return words
+
+
+def write_compressed(path: Path, cloud, colour_bounds: bool) -> None:
+    """The cloud as SuperSplat compresses it, in chunks of 256."""
+    means, scales, turns, logits, sh = (tensor.numpy().astype(np.float64) for tensor in cloud.parameters().values())
+    turns = turns / np.linalg.norm(turns, axis=1, keepdims=True)
+    colours = sh[:, 0] * CONSTANT + 0.5
+    chunks, vertices = [], []
+    for start in range(0, len(means), 256):
+        rows = slice(start, start + 256)
+        bounded = [means[rows], scales[rows], *([colours[rows]] if colour_bounds else [])]
+        ends = [(each.min(axis=0), each.max(axis=0)) for each in bounded]
+        chunks.append(np.concatenate([value for low, high in ends for value in (low, high)]))
+        steps = [(each - low) / np.maximum(high - low, 1e-9) for each, (low, high) in zip(bounded, ends, strict=True)]
+        largest = np.abs(turns[rows]).argmax(axis=1)
+        signs = np.sign(turns[rows][np.arange(len(largest)), largest])[:, None]
+        others = np.stack([np.delete(turn, part) for turn, part in zip(signs * turns[rows], largest, strict=True)])
+        words = packed(others / np.sqrt(2) + 0.5, (10, 10, 10)) | largest.astype(np.uint32) << np.uint32(30)
+        rgba = np.column_stack([steps[2] if colour_bounds else colours[rows], 1 / (1 + np.exp(-logits[rows]))])
+        vertices.append(
+            np.column_stack([packed(steps[0], (11, 10, 11)), words, packed(steps[1], (11, 10, 11)), packed(rgba, (8,) * 4)])
+        )
+    rest = sh[:, 1:].transpose(0, 2, 1).reshape(len(means), -1)
+    kinds = ["", "scale_", ""][: 3 if colour_bounds else 2]
+    axes = ["xyz", "xyz", "rgb"]
+    names = [
+        f"{end}_{kind}{axis}" for kind, letters in zip(kinds, axes, strict=False) for end in ("min", "max") for axis in letters
+    ]
+    header = f"ply\nformat binary_little_endian 1.0\nelement chunk {len(chunks)}\n" + "".join(
+        f"property float {n}\n" for n in names
+    )
+    header += f"element vertex {len(means)}\n"
+    header += "".join(f"property uint packed_{n}\n" for n in ("position", "rotation", "scale", "color"))
+    header += f"element sh {len(means)}\n" + "".join(f"property uchar f_rest_{n}\n" for n in range(rest.shape[1]))
+    content = np.float32(chunks).tobytes() + np.concatenate(vertices).astype("<u4").tobytes()
+    content += np.clip((rest / 8 + 0.5) * 256, 0, 255).astype(np.uint8).tobytes()
+    path.write_bytes(header.encode() + b"end_header\n" + content)
+
+
+@pytest.mark.parametrize("colour_bounds", [True, False])
+def test_compressed_clouds_are_read(tmp_path, colour_bounds):
+    """Within the steps of their bits, of more Gaussians than a chunk holds; those of gsplat and of older SuperSplat alike."""
+    cloud = random_cloud(300, degree=1, dtype=torch.float32)
+    write_compressed(tmp_path / "cloud.compressed.ply", cloud, colour_bounds)
+    read = read_ply(tmp_path / "cloud.compressed.ply")
+
+    span = float((cloud.means.amax(0) - cloud.means.amin(0)).max())
+    assert (read.means - cloud.means).abs().max() < span / 1023
+    span = float((cloud.log_scales.amax(0) - cloud.log_scales.amin(0)).max())
+    assert (read.log_scales - cloud.log_scales).abs().max() < max(span / 1023, 1e-6)
+    turns = torch.nn.functional.normalize(cloud.quaternions, dim=1)
+    assert ((turns * read.quaternions).sum(1).abs() > 1 - 1e-5).all()
+    assert (read.opacity_logits.sigmoid() - cloud.opacity_logits.sigmoid()).abs().max() < 1 / 255
+    assert (read.sh[:, 1:] - cloud.sh[:, 1:].clamp(-4, 4)).abs().max() <= 8 / 256
+    shown = (
+        (cloud.sh[:, 0] * 0.28209479177387814 + 0.5).clamp(0, 1)
+        if not colour_bounds
+        else cloud.sh[:, 0] * 0.28209479177387814 + 0.5
+    )
+    span = float((shown.amax(0) - shown.amin(0)).max())
+    assert (read.sh[:, 0] * CONSTANT + 0.5 - shown).abs().max() < max(span, 1) / 255
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "message"),
+    [
+        (b"element chunk 2", b"element chunk 3", "wanted 2 chunks, .* of 300 compressed Gaussians, got 3"),
+        (b"min_y", b"mix_y", "no min_y"),
+        (b"packed_scale", b"picked_scale", "no packed_scale"),
+        (b"element sh 300", b"element sh 301", "harmonics of 300 compressed"),
+        (b"element chunk 2", b"element chunk 2000000", "wanted 2 chunks"),
+    ],
+)
+def test_broken_compressed_clouds(tmp_path, before, after, message):
+    """What does not fit together is refused in one line."""
+    file = tmp_path / "cloud.compressed.ply"
+    write_compressed(file, random_cloud(300, degree=1, dtype=torch.float32), True)
+    damage(file, before, after)
+    with pytest.raises(RenderError, match=message):
+        read_ply(file)
+
+
+@pytest.mark.parametrize(
+    ("names", "kind"),
+    [
+        (("trbf_center", "trbf_scale", "motion_0", "omega_0"), "Spacetime Gaussians"),
+        (("t", "scale_t", "rot_r_0"), "Gaussians in time"),
+        (("filter_3D",), "Mip-Splatting"),
+    ],
+)
+def test_gaussians_that_are_drawn_otherwise_are_refused(written, names, kind):
+    """Properties of other methods are named, and what to do; still Gaussians are not made of them."""
+    content = written.read_bytes().replace(
+        b"end_header", b"".join(b"property float %s\n" % n.encode() for n in names) + b"end_header"
+    )
+    written.write_bytes(content + bytes(5 * 4 * len(names)))
+    with pytest.raises(RenderError, match=rf"{names[0]}.* are of {kind}.*ggvs-eval score --renders"):
+        read_ply(written)
+
+
+def test_other_properties_are_named(written, tmp_path):
+    """Normals go without saying; what nobody knows here is told."""
+    assert unknown_properties(written) == []
+    damage(written, b"property float nx", b"property float sh_bins")
+    assert unknown_properties(written) == ["sh_bins"]
+    assert len(read_ply(written)) == 5
+    (tmp_path / "cloud.spz").write_bytes(b"\x1f\x8b")
+    with pytest.raises(RenderError, match=r"cloud\.spz: wanted a \.ply, \.spz is not read; convert it"):
+        read_ply(tmp_path / "cloud.spz")
