@@ -1,6 +1,6 @@
 """Adapters: whatever layout a capture has on disk, `open_capture` makes a `Capture` of it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -13,6 +13,7 @@ from ggvs_eval.datasets import (
     d3dmv,
     dynerf,
     easymocap,
+    frame_folders,
     immersive,
     meetroom,
     multipleview,
@@ -39,11 +40,13 @@ class DatasetSpec:
         describe: the layout in one line, for help texts.
         refuse: says why a path is not of this layout, None where it is.
         load: opens a path of this layout; the second argument is what the user knows of its units.
+        marks: patterns of names by which a folder shows that it is meant to be of this layout.
     """
 
     describe: str
     refuse: Callable[[Path], str | None]
     load: Callable[[Path, GivenUnits], Capture]
+    marks: tuple[str, ...] = ()
 
 
 def _checked(name: str, spec: object) -> DatasetSpec:
@@ -57,18 +60,41 @@ def _checked(name: str, spec: object) -> DatasetSpec:
 _SHIPPED = {
     "capture.toml": DatasetSpec("capture.toml, a rig of one's own", capture_toml.refuse, capture_toml.load),
     "d3dmv": DatasetSpec("SCENE.h5 with SCENE_pb.npy, or frames/ and background/", d3dmv.refuse, d3dmv.load),
-    "spaces": DatasetSpec("models.json with cam_XX/ (Google Spaces)", spaces.refuse, spaces.load),
-    "immersive": DatasetSpec("models.json with camera_XXXX.mp4 (Google Immersive)", immersive.refuse, immersive.load),
-    "technicolor": DatasetSpec(
-        "cameras_parameters.txt with SCENE_undist_00000_00.png (Technicolor)", technicolor.refuse, technicolor.load
+    "spaces": DatasetSpec("models.json with cam_XX/ (Google Spaces)", spaces.refuse, spaces.load, ("models.json",)),
+    "immersive": DatasetSpec(
+        "models.json with camera_XXXX.mp4 (Google Immersive)", immersive.refuse, immersive.load, ("models.json",)
     ),
-    "rgbd": DatasetSpec("color/, depth/, pose/ and intrinsic/ (ScanNet), or images/, depth/, poses.txt", rgbd.refuse, rgbd.load),
-    "multipleview": DatasetSpec("sparse_/ with camXX/frame_00001.jpg", multipleview.refuse, multipleview.load),
-    "dynerf": DatasetSpec(f"poses_bounds.npy with {dynerf.ARRANGEMENTS}", dynerf.refuse, dynerf.load),
+    "technicolor": DatasetSpec(
+        "cameras_parameters.txt with SCENE_undist_00000_00.png (Technicolor)",
+        technicolor.refuse,
+        technicolor.load,
+        (technicolor.PARAMETERS,),
+    ),
+    "rgbd": DatasetSpec(
+        "color/, depth/, pose/ and intrinsic/ (ScanNet), images/, depth/, poses.txt, or frames of 7-Scenes or TUM",
+        rgbd.refuse,
+        rgbd.load,
+        rgbd.MARKS,
+    ),
+    "multipleview": DatasetSpec("sparse_/ with camXX/frame_00001.jpg", multipleview.refuse, multipleview.load, ("sparse_",)),
+    "3dgstream": DatasetSpec(
+        "frame000000/images/camXX.png with sparse/0 in the first (3DGStream)",
+        frame_folders.refuse,
+        frame_folders.load,
+        (frame_folders.MARK,),
+    ),
+    "dynerf": DatasetSpec(f"poses_bounds.npy with {dynerf.ARRANGEMENTS}", dynerf.refuse, dynerf.load, (dynerf.POSES,)),
     "meetroom": DatasetSpec("poses_bounds.npy with cam_N.mp4 or 0000/images/camNN.png", meetroom.refuse, meetroom.load),
-    "enerf-outdoor": DatasetSpec("intri.yml and extri.yml with images/XX/ (EasyMocap)", easymocap.refuse, easymocap.load),
-    "colmap": DatasetSpec(f"sparse/0 with {colmap.ARRANGEMENTS}", colmap.refuse, colmap.load),
-    "nerfstudio": DatasetSpec("transforms.json with one image per camera", nerfstudio.refuse, nerfstudio.load),
+    "enerf-outdoor": DatasetSpec(
+        "intri.yml and extri.yml with images/XX/ or videos/XX.mp4 (EasyMocap)",
+        easymocap.refuse,
+        easymocap.load,
+        (easymocap.INTRINSICS, easymocap.EXTRINSICS),
+    ),
+    "colmap": DatasetSpec(f"sparse/0 with {colmap.ARRANGEMENTS}", colmap.refuse, colmap.load, ("sparse", "colmap")),
+    "nerfstudio": DatasetSpec(
+        "transforms.json, or one per split, with one image per camera", nerfstudio.refuse, nerfstudio.load, ("transforms*.json",)
+    ),
 } | {
     name: DatasetSpec(kind.describe, partial(calibration_file.refuse, name), partial(calibration_file.load, name))
     for name, kind in calibration_file.KINDS.items()
@@ -147,15 +173,45 @@ def detect_layout(path: Path, layout: str | None = None) -> str:
     refusals = {name: spec.refuse(path) for name, spec in candidates}
     fitting = [name for name, refusal in refusals.items() if refusal is None]
     if not fitting:
-        reasons = "; ".join(f"not {name}: {refusal}" for name, refusal in refusals.items())
-        within = _captures_within(path)
-        mend = f"name one of the captures in it: {', '.join(within)}" if within else "see docs/captures.md for the layouts"
-        raise CaptureError(f"{path}: no capture that can be read ({reasons}); {mend}")
+        raise CaptureError(_unfit(path, refusals))
     return fitting[0]
 
 
+def calibration_mark(path: Path) -> tuple[str, tuple[str, ...]] | None:
+    """A name in a folder that shows a calibration, and the layouts that have it; None where there is none, or no folder.
+
+    The marks of layouts go first; files that hold camera matrices in a form that nothing here reads are of no layout.
+    """
+    if not path.is_dir():
+        return None
+    marks = [mark for _, spec in DATASETS.working() for mark in spec.marks]
+    for mark in dict.fromkeys(marks):
+        if found := min(path.glob(mark), default=None):
+            return found.name, tuple(layout for layout, spec in DATASETS.working() if mark in spec.marks)
+    held = calibration_file.find_unread(path)
+    return (held.name, ()) if held else None
+
+
+def _unfit(path: Path, refusals: Mapping[str, str | None]) -> str:
+    """Say why a path is of no layout: what it shows first, then what else was looked for."""
+    within, mark = _captures_within(path), calibration_mark(path)
+    mend = f"name one of the captures in it: {', '.join(within)}" if within else "see docs/captures.md for the layouts"
+    reasons = "; ".join(f"not {name}: {refusal}" for name, refusal in refusals.items())
+    if mark is None:
+        return f"{path}: no capture that can be read ({reasons}); {mend}"
+    name, layouts = mark
+    if not layouts:
+        form = "holds a calibration in a form that is not read; write it as transforms.json, OpenCV's YAML or capture.toml"
+        return f"{path}: {name} {form}; {mend} (looked for: {reasons})"
+    lacking = " or ".join(f"{layout}: {refusals.get(layout)}" for layout in layouts)
+    return f"{path}: {name} is there, but the capture is not whole, {lacking}; {mend} (looked for too: {reasons})"
+
+
 def _captures_within(path: Path) -> list[str]:
-    """Folders right below that hold a capture, when a whole data set was named instead of a scene."""
-    folders = sorted(folder for folder in path.iterdir() if folder.is_dir())[: 4 * LISTED] if path.is_dir() else []
-    captures = [folder.name for folder in folders if any(spec.refuse(folder) is None for _, spec in DATASETS.working())]
-    return [*captures[:LISTED], "..."] if len(captures) > LISTED else captures
+    """Folders one or two levels below that hold a capture, when a whole data set was named instead of a scene."""
+    captures: list[Path] = []
+    for pattern in ("*/", "*/*/"):
+        folders = sorted(path.glob(pattern))[: 4 * LISTED] if path.is_dir() and not captures else []
+        captures += [each for each in folders if any(spec.refuse(each) is None for _, spec in DATASETS.working())]
+    names = [str(each.relative_to(path)) for each in captures]
+    return [*names[:LISTED], "..."] if len(names) > LISTED else names

@@ -33,7 +33,7 @@ def load(path: Path, units: GivenUnits) -> Capture:
         CaptureError: the model is damaged, or a camera of the model has no frames on disk.
     """
     folder = find_model(path) or path
-    views = _by_camera(folder, read_model(folder))
+    views = by_camera(folder, read_model(folder))
     cameras = model_cameras(views, folder)
     sources = find_sources(path, {name: view.image_name for name, view in views.items()})
     chosen = choose_units(path, units, cameras, median_depths=median_depths(views.values()))
@@ -47,7 +47,12 @@ def find_model(path: Path) -> Path | None:
     return next((folder for folder in folders if any((folder / f"cameras.{kind}").is_file() for kind in ("bin", "txt"))), None)
 
 
-def _by_camera(folder: Path, views: Sequence[CalibratedView]) -> dict[str, CalibratedView]:
+def by_camera(folder: Path, views: Sequence[CalibratedView]) -> dict[str, CalibratedView]:
+    """The views of a model by the names of their cameras.
+
+    Raises:
+        CaptureError: several images of one camera.
+    """
     names = [_camera_name(view.image_name) for view in views]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:

@@ -4,6 +4,7 @@ Command: ``python -P ggvs_eval/datasets/colmap_reader.py MODEL_DIR``; it imports
 """
 
 import json
+import os
 import sys
 import tempfile
 from collections.abc import Callable
@@ -43,7 +44,7 @@ def read_reconstruction(folder: Path) -> list[dict[str, Any]]:
     missing = [file.name for file in files[:2] if not file.is_file()]
     if missing:
         raise ValueError(f"no {', '.join(missing)}")
-    files = [file for file in files if file.is_file()]
+    files = [file for file in files if os.path.lexists(file)]
     for file in files:
         check_plain(file, LARGEST_MODEL_FILE)
     if suffix == ".bin":

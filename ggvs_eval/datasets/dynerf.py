@@ -8,7 +8,7 @@ from pathlib import Path
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import SizedSource, assemble_capture, check_rig_size
-from ggvs_eval.datasets.frames import ImageFrames
+from ggvs_eval.datasets.frames import ImageFrames, list_images
 from ggvs_eval.datasets.llff import llff_camera, read_llff_poses
 from ggvs_eval.datasets.units import GivenUnits, choose_units, read_note
 from ggvs_eval.errors import CaptureError
@@ -16,7 +16,8 @@ from ggvs_eval.files.video import VideoFrames
 
 POSES = "poses_bounds.npy"
 FRAME_FOLDERS = ("frames", "frames_2", "frames_4", "frames_8")
-ARRANGEMENTS = "camXX.mp4, camXX/images/, frames/camXX/, frames_N/camXX/ or images/XX/"
+STILLS = ("images", "images_4", "images_8")
+ARRANGEMENTS = "camXX.mp4, camXX/images/, frames/camXX/, frames_N/camXX/, images/XX/ or, of stills, images/NAME.jpg"
 
 
 def refuse(path: Path) -> str | None:
@@ -38,7 +39,8 @@ def load(path: Path, units: GivenUnits) -> Capture:
 
     Reading:
         Row i belongs to the i-th camera in the order of names, never to the number in a name (numbers may be missing). One focal
-        length, principal point in the image centre, both scaled from the size in the file to the size of the frames.
+        length, principal point in the image centre, both scaled from the size in the file to the size of the frames. Pictures in
+        ``images/`` alone are LLFF's: one instant, one camera each.
     """
     sources = _find_sources(path)
     check_rig_size(path, len(sources))
@@ -58,7 +60,7 @@ def _find_sources(path: Path) -> dict[str, SizedSource]:
         if sources:
             _check_name_lengths(path, list(sources))
             return dict(sorted(sources.items()))
-    return {}
+    return next((sources for sources in map(_stills, (path / name for name in STILLS)) if sources), {})
 
 
 def _arrangements(path: Path) -> Iterator[dict[str, SizedSource]]:
@@ -67,6 +69,11 @@ def _arrangements(path: Path) -> Iterator[dict[str, SizedSource]]:
     for parent in (path / name for name in FRAME_FOLDERS):
         yield {folder.name: ImageFrames(folder) for folder in parent.glob("cam*") if _is_camera(folder.name)}
     yield {folder.name: ImageFrames(folder) for folder in path.glob("images/*") if folder.is_dir() and folder.name.isdecimal()}
+
+
+def _stills(folder: Path) -> dict[str, SizedSource]:
+    """One picture per camera in the order of names, as LLFF has them."""
+    return {file.stem: ImageFrames(file) for file in list_images(folder)}
 
 
 def _is_camera(name: str) -> bool:
@@ -83,6 +90,8 @@ def _check_name_lengths(path: Path, names: list[str]) -> None:
 
 def _describe(names: list[str]) -> str:
     """The names in a few words: first, last, and the numbers missing between them."""
+    if not all(name.removeprefix("cam").isdecimal() for name in names):
+        return f"{names[0]}..{names[-1]}"
     numbers = {int(name.removeprefix("cam")) for name in names}
     missing = sorted(set(range(min(numbers), max(numbers))) - numbers)
     listed = f" without {', '.join(map(str, missing))}" if missing else ""

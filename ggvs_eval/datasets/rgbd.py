@@ -12,7 +12,7 @@ from ggvs_eval.datasets.assemble import assemble_capture, listed
 from ggvs_eval.datasets.depth_frames import LARGEST_STEP, DepthFrames, known_depth, read_depth_png
 from ggvs_eval.datasets.depth_range import FAR_MARGIN, NEAR_MARGIN
 from ggvs_eval.datasets.frames import ImageFrames
-from ggvs_eval.datasets.rgbd_files import HOLOLENS, SCANNET, SEVEN_SCENES, TUM, RgbdSequence, is_sequence, read_sequence
+from ggvs_eval.datasets.rgbd_files import HOLOLENS, MARKS, SCANNET, SEVEN_SCENES, TUM, RgbdSequence, is_sequence, read_sequence
 from ggvs_eval.datasets.units import METRIC, GivenUnits, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
 
@@ -21,6 +21,8 @@ SAMPLED_FRAMES = 32  # of which the depth range is taken
 LARGEST_OFFSET = 0.15
 # Where depth has another shape than colour, its intrinsics must fit it this well; within the stretch it has the same shape.
 LEAST_OFFSET, LARGEST_STRETCH = 0.05, 0.02
+
+__all__ = ["MARKS", "load", "refuse"]
 
 
 def refuse(path: Path) -> str | None:

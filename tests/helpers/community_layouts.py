@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from ggvs_eval.camera import Camera
 from ggvs_eval.files.images import write_image
 from ggvs_eval.files.video import write_video
-from helpers.captures import FPS, make_image, make_rig, write_poses
+from helpers.captures import FPS, make_image, make_rig, write_colmap_model, write_poses
 
 PAIR = ("cam00", "cam01")
 N_INSTANTS = 2
@@ -48,6 +48,15 @@ def write_extracted(folder: Path, names: Sequence[str] = PAIR) -> Path:
         for index, name in enumerate(names):
             write_image(folder / f"{frame:04d}" / "images" / f"{name}.png", make_image(index, frame))
         write_poses(folder / f"{frame:04d}", make_rig(names))
+    return folder
+
+
+def write_frame_folders(folder: Path, names: Sequence[str] = PAIR) -> Path:
+    """3DGStream's folder per instant, with a COLMAP model in the first."""
+    for frame in range(N_INSTANTS):
+        for index, name in enumerate(names):
+            write_image(folder / f"frame{frame:06d}" / "images" / f"{name}.png", make_image(index, frame))
+    write_colmap_model(folder / "frame000000" / "sparse" / "0", [f"{name}.png" for name in names])
     return folder
 
 
