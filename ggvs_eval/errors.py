@@ -29,6 +29,10 @@ class GgvsError(Exception):
         return one_line(super().__str__())
 
 
+class GgvsWarning(UserWarning):
+    """What is computed all the same and is hardly meant."""
+
+
 class CommandError(GgvsError):
     """The command line asks for something that there is not."""
 

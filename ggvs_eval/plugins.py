@@ -17,7 +17,7 @@ from functools import cache, partial
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Generic, Literal, TypeVar
+from typing import Any, Generic, Literal, TypeVar, get_args
 
 from ggvs_eval.errors import GgvsError, PluginError
 
@@ -102,9 +102,8 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         except GgvsError:
             raise
         except Exception as error:  # whatever a module of somebody else's raises while it is imported
-            reason = " ".join(f"{type(error).__name__}: {error}".split())
             raise PluginError(
-                f"plug-in {plugin.origin}: {self._kind} {plugin.name!r} cannot be used ({reason}); mend or remove it"
+                f"plug-in {plugin.origin}: {self._kind} {plugin.name!r} cannot be used ({_reason(error)}); mend or remove it"
             ) from error
 
 
@@ -116,7 +115,7 @@ def use_file(path: Path) -> None:
     """
     file = path.resolve()
     module = _module_of(file)
-    if not any(isinstance(getattr(module, kind.upper(), None), Mapping) for kind in ("metrics", "methods", "datasets")):
+    if not any(isinstance(getattr(module, kind.upper(), None), Mapping) for kind in get_args(Kind)):
         raise PluginError(
             f"{path}: wanted a table METRICS, METHODS or DATASETS of names and objects, got none; see docs/extending.md"
         )
@@ -137,9 +136,8 @@ def imported(reference: str) -> Any:
     try:
         return pkgutil.resolve_name(f"{module}:{name}")
     except Exception as error:  # whatever a module of somebody else's raises while it is imported
-        reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise PluginError(
-            f"{reference}: wanted a module and what it defines, as my_method:Mine ({reason}); correct it"
+            f"{reference}: wanted a module and what it defines, as my_method:Mine ({_reason(error)}); correct it"
         ) from error
 
 
@@ -206,6 +204,7 @@ def _module_of(file: Path) -> ModuleType:
 
 
 def _reason(error: Exception) -> str:
+    """What a module of somebody else's raised, in one line."""
     return " ".join(f"{type(error).__name__}: {error}".split())
 
 

@@ -14,14 +14,16 @@ Reading:
     * The previous frame's depth is one more depth camera at the previous target pose, so that a moving target is right too.
 """
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.errors import DepthError
+from ggvs_eval.errors import DepthError, GgvsWarning
 from ggvs_eval.geometry.pinhole import Pinhole, as_image, pinhole, rigid_between
 from ggvs_eval.kernels import SIMD_LEVELS, get_simd_level, get_threads
 
@@ -132,7 +134,7 @@ def ray_march(
     _check_positive(tau=tau, min_step=min_step, step_fraction=step_fraction)
     if min_step > step_fraction:
         raise DepthError(f"ray march: min_step must not exceed step_fraction, got {min_step:g} and {step_fraction:g}")
-    far = march_end(target, tau, min_step)
+    far = march_end(target, tau, min_step, depths)
     if not len(cameras) == len(depths) == len(weights):
         raise DepthError(f"ray march: wanted depth and weights per camera, got {len(cameras)}, {len(depths)}, {len(weights)}")
     if len(cameras) + (previous is not None) > MAX_VIEWS:
@@ -145,13 +147,14 @@ def ray_march(
     return RayMarch(*_core.ray_march(pinhole(target), (target.near, far), fields, *settings))
 
 
-def march_end(target: Camera, tau: float, min_step: float) -> float:
+def march_end(target: Camera, tau: float, min_step: float, depths: Iterable[Any]) -> float:
     """Depth where a march ends: the target's far one, at most a million smallest steps, beyond which they are lost in float32.
 
     Args:
         target: the camera to render.
         tau: truncation distance, world units.
         min_step: smallest step, in tau.
+        depths: of the views, arrays or tensors, world units; a warning says so, once, where they lie beyond the end.
 
     Returns:
         World units; 2 km by the paper's constants, beside which a far depth that is but a loose bound does not matter.
@@ -161,13 +164,16 @@ def march_end(target: Camera, tau: float, min_step: float) -> float:
 
     Examples:
         >>> camera = Camera("cam00", np.diag([8.0, 8, 1]), np.eye(4), width=8, height=6, near=1.0, far=1e6)
-        >>> round(march_end(camera, tau=0.02, min_step=0.1))
+        >>> round(march_end(camera, tau=0.02, min_step=0.1, depths=[]))
         2000
     """
     end = min(target.far, 1e6 * tau * min_step)
     if end <= target.near:
         step = f"{min_step:g} tau = {tau * min_step:g}"
         raise DepthError(f"ray march: steps of {step} vanish beside the near depth {target.near:g}; raise tau")
+    if end < target.far and any(float(each.max()) > end for each in depths):
+        text = f"known depth beyond {end:g} world units is not found by steps of {tau * min_step:g}; are units_per_metre right?"
+        warnings.warn(text, GgvsWarning, stacklevel=2)
     return end
 
 

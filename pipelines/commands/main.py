@@ -3,6 +3,7 @@
 import os
 import re
 import sys
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Annotated, Any, Union
 import tyro
 
 from ggvs_eval import __version__
-from ggvs_eval.errors import CommandError, GgvsError, ProtocolError, did_you_mean, mendable
+from ggvs_eval.errors import CommandError, GgvsError, GgvsWarning, ProtocolError, did_you_mean, mendable
 from ggvs_eval.pipelines.commands.captures import (
     BY_DEFAULT,
     NONE,
@@ -125,6 +126,7 @@ ABOUT = {
 
 def run_command(arguments: list[str] | None = None) -> None:
     """Parse the command line and do what it says."""
+    warnings.showwarning = _show_warning
     try:
         call_command("ggvs-eval", COMMANDS, _without_plugins(sys.argv[1:] if arguments is None else arguments))
         sys.stdout.flush()
@@ -137,6 +139,12 @@ def run_command(arguments: list[str] | None = None) -> None:
         except OSError:  # the full disk is that of our output
             _forget_output()
         sys.exit(f"ggvs-eval: {mendable(error)}")
+
+
+def _show_warning(message: Warning | str, category: type[Warning], file: str, line: int, *_: object) -> None:
+    """Write our warnings as our errors are written, without the place in the code; those of others as ever."""
+    ours = issubclass(category, GgvsWarning)
+    print(f"ggvs-eval: {message}" if ours else warnings.formatwarning(message, category, file, line), file=sys.stderr, flush=True)
 
 
 def _without_plugins(words: Sequence[str]) -> list[str]:

@@ -97,7 +97,7 @@ def _crossings(
     active = np.arange(target.height * target.width)
     z, before = np.full(active.size, target.near), np.full((3, active.size), np.nan)  # the last sample where known and positive
     crossings: list[tuple[Values, Values, Rays]] = []
-    end = march_end(target, tau, min_step)
+    end = march_end(target, tau, min_step, [camera.depth for camera in cameras])
     while active.size:
         s, total = _field(cameras, active, z, tau, reading)
         here = np.stack([z, s, total])

@@ -7,6 +7,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Map
 from ggvs_eval.camera import Camera
+from ggvs_eval.errors import GgvsWarning
 
 LEAST_FOCAL = 0.05  # of the image's width; a lens of 169 degrees
 MOST_OUTSIDE = 0.5  # of the pixels with depth, farther outside near..far than by the factor
@@ -69,4 +70,4 @@ class Doubts:
     def _say(self, kind: str, text: str) -> None:
         if kind not in self._said:
             self._said.add(kind)
-            warnings.warn(text, stacklevel=4)
+            warnings.warn(text, GgvsWarning, stacklevel=4)

@@ -3,13 +3,18 @@
 import re
 import subprocess
 import sys
+import warnings
 from importlib.metadata import version
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import pytest
+import tyro
 
 import ggvs_eval
+from ggvs_eval.errors import GgvsWarning
+from ggvs_eval.pipelines.commands import main
 from ggvs_eval.pipelines.commands.main import COMMANDS, run_command
 from ggvs_eval.protocol import load_protocol
 from helpers.captures import write_dynerf
@@ -174,6 +179,22 @@ def test_a_mistyped_method_is_named_before_anything_is_read(words, tmp_path):
 def test_a_folder_that_is_no_run_is_called_so(tmp_path):
     """Nothing is to be deleted; a run is to be made."""
     assert "not a run folder" in refusal("render", tmp_path, "--methods", "no-blending")
+
+
+def test_our_warnings_are_written_as_our_errors_are(monkeypatch, capsys):
+    """Without the place in the code; those of libraries keep theirs."""
+
+    def warn(folder: Annotated[Path, tyro.conf.Positional]) -> None:
+        warnings.warn("depth is doubtful", GgvsWarning, stacklevel=1)
+        warnings.warn("of a library", UserWarning, stacklevel=1)
+
+    monkeypatch.setattr(main, "COMMANDS", {"status": warn})
+    monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)
+    warnings.simplefilter("always")
+    run_command(["status", "nowhere"])
+    ours, *others = capsys.readouterr().err.splitlines()
+    assert ours == "ggvs-eval: depth is doubtful"
+    assert "test_cli.py" in others[0]
 
 
 def test_the_version_is_that_of_the_distribution(capsys):

@@ -1,3 +1,4 @@
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +8,7 @@ from hypothesis import strategies as st
 
 from ggvs_eval import kernels
 from ggvs_eval.camera import Camera
-from ggvs_eval.errors import DepthError
+from ggvs_eval.errors import DepthError, GgvsWarning
 from ggvs_eval.geometry import PreviousDepth, RayMarch, fusion_weights, ray_march
 from ggvs_eval.kernels import _core
 from helpers.geometry_scenes import TAU, WeightedDepth, columns, moved, random_camera, random_depth, seeds, sizes
@@ -223,6 +224,16 @@ def test_a_loose_far_bound_changes_nothing(far):
     expected = ray_march(near, *columns([view]), **constants).depth
     assert (expected > 0).all()
     np.testing.assert_array_equal(ray_march(loose, *columns([view]), **constants).depth, expected)
+
+
+def test_known_depth_beyond_the_end_of_a_march_is_told():
+    """A surface 3 km away is not found by steps of 2 mm, and a warning names both; nearer ones are no matter."""
+    loose = replace(random_camera(np.random.default_rng(7), 8, 8), near=1.9, far=1e6)
+    with pytest.warns(GgvsWarning, match=r"beyond 2000 world units .* steps of 0\.002"):
+        assert not ray_march(loose, *columns([plane_view(loose, 3000.0)]), tau=0.02).depth.any()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        ray_march(loose, *columns([plane_view(loose, 2.0)]), tau=0.02)
 
 
 def test_a_surface_at_the_far_depth_is_not_found():

@@ -1,6 +1,6 @@
 """Depth on the device: the temporal filter, the fused depth of the ray march, and what settles it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -131,7 +131,7 @@ def ray_march(
 ) -> DeviceMarch:
     """Find the first surface of the fused field along each ray, as `ray_march` of the compiled path (Eqs. 3, 9, 10, 13, 14)."""
     size, device = (target.height, target.width), depths.device
-    constants = _field(target, options)
+    constants = _field(target, options, [views.layer(depths, k) for k in range(len(views.cameras))])
     cameras = views.cameras if past is None else (*views.cameras, past.march.target)
     layers = [(views.layer(depths, k), views.layer(weights, k)) for k in range(len(views.cameras))]
     if past is None:
@@ -149,9 +149,9 @@ def ray_march(
     return DeviceMarch(target, depth, weight)
 
 
-def _field(target: Camera, options: MarchOptions) -> march_kernels.Field:
+def _field(target: Camera, options: MarchOptions, depths: Sequence[Tensor]) -> march_kernels.Field:
     constants = march_kernels.Field()
-    end = march_end(target, options.tau, options.min_step)
+    end = march_end(target, options.tau, options.min_step, depths)
     constants.near, constants.far, constants.tau = target.near, end, options.tau
     constants.step_fraction, constants.min_step = options.step_fraction, options.min_step
     constants.skip_empty = options.skip_empty
