@@ -24,17 +24,26 @@ def require_owner(run: RunFolder, protocol: Protocol, capture: Capture) -> None:
     Raises:
         ProtocolError: naming what differs, and of frames the cameras.
     """
+    require_protocol(run, protocol)
     if not run.protocol_file.is_file():
         return
-    kept = run.protocol()
-    if not kept.agrees_with(protocol):
-        _refuse(run, f"another protocol: {kept.name} (wanted {protocol.name}; compare {run.protocol_file})")
     before, now = run.capture_record()["digests"], _digests(capture)
     if before.keys() != now.keys():
         _refuse(run, f"other cameras: {', '.join(sorted(before.keys() ^ now.keys()))} on one side only")
     changed = [name for name in before if before[name] != now[name]]
     if changed:
         _refuse(run, f"other frames: those of {', '.join(changed)} were not as {capture.path} has them now")
+
+
+def require_protocol(run: RunFolder, protocol: Protocol) -> None:
+    """Refuse a folder that holds a run of another protocol.
+
+    Raises:
+        ProtocolError: naming both.
+    """
+    if run.protocol_file.is_file() and not (kept := run.protocol()).agrees_with(protocol):
+        asked = f"{protocol.name} {protocol.sha256[:12]}"
+        _refuse(run, f"another protocol: {kept.name} {kept.sha256[:12]}, wanted {asked}; compare {run.protocol_file}")
 
 
 def claim_folder(run: RunFolder, protocol: Protocol, capture: Capture) -> None:

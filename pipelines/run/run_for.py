@@ -7,6 +7,7 @@ from pathlib import Path
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import ProtocolError
 from ggvs_eval.pipelines.run.asked_protocol import asked_protocol
+from ggvs_eval.pipelines.run.claim import require_protocol
 from ggvs_eval.pipelines.run.import_renders import plain_label
 from ggvs_eval.pipelines.run.prepare import prepare_truth
 from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
@@ -33,11 +34,8 @@ def run_for(root: Path | None, open_capture: Callable[[], Capture] | None, proto
     capture = open_capture() if open_capture else None
     run = RunFolder(root or SCORES_ROOT / (capture.path.resolve().name if capture else ""))
     own = run.protocol() if run.protocol_file.is_file() else None
-    if own and asked and not asked.agrees_with(own):
-        raise ProtocolError(
-            f"{run.root}: holds a run of protocol {own.name} ({own.sha256[:12]}), --protocol asks for another "
-            f"({asked.sha256[:12]}); give another folder with --run"
-        )
+    if asked:
+        require_protocol(run, asked)
     if capture:
         prepare_truth(run.root, capture, asked or own or suggest_protocol(capture), workers)
     return run

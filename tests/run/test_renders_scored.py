@@ -280,7 +280,7 @@ def test_incomplete_renders_end_with_one_line_unless_allowed(capture, protocol, 
     [
         (("--renders", "a=THEIRS"), "wanted a run folder, or --capture CAPTURE"),
         (("RUN", "--run", "RUN"), "wanted one run folder"),
-        (("RUN", "--protocol", "dynerf"), "--protocol asks for another"),
+        (("RUN", "--protocol", "dynerf"), "holds a run of another protocol"),
     ],
 )
 def test_what_contradicts_itself_is_refused(arguments, message, capture, protocol, theirs, tmp_path):
