@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Union
+from typing import Annotated, Any, TextIO, Union
 
 import tyro
 
@@ -141,7 +141,9 @@ def run_command(arguments: list[str] | None = None) -> None:
         sys.exit(f"ggvs-eval: {mendable(error)}")
 
 
-def _show_warning(message: Warning | str, category: type[Warning], file: str, line: int, *_: object) -> None:
+def _show_warning(
+    message: Warning | str, category: type[Warning], file: str, line: int, _file: TextIO | None = None, _line: str | None = None
+) -> None:
     """Write our warnings as our errors are written, without the place in the code; those of others as ever."""
     ours = issubclass(category, GgvsWarning)
     print(f"ggvs-eval: {message}" if ours else warnings.formatwarning(message, category, file, line), file=sys.stderr, flush=True)
