@@ -142,11 +142,17 @@ def run_command(arguments: list[str] | None = None) -> None:
 
 
 def _show_warning(
-    message: Warning | str, category: type[Warning], file: str, line: int, _file: TextIO | None = None, _line: str | None = None
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
 ) -> None:
     """Write our warnings as our errors are written, without the place in the code; those of others as ever."""
     ours = issubclass(category, GgvsWarning)
-    print(f"ggvs-eval: {message}" if ours else warnings.formatwarning(message, category, file, line), file=sys.stderr, flush=True)
+    shown = f"ggvs-eval: {message}" if ours else warnings.formatwarning(message, category, filename, lineno, line)
+    print(shown, file=file or sys.stderr, flush=True)
 
 
 def _without_plugins(words: Sequence[str]) -> list[str]:
