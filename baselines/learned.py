@@ -28,6 +28,7 @@ class Rendition:
         retrained: configuration of the weights that ship for it; empty where the user has to give a checkpoint.
         variant: what its label has behind the baseline's name and a ``+``.
         options: arguments of the baseline's method.
+        uses_depth: whether it looks at the depth of its sources.
     """
 
     title: str
@@ -35,6 +36,7 @@ class Rendition:
     retrained: str = ""
     variant: str = ""
     options: Mapping[str, Any] = field(default_factory=dict)
+    uses_depth: bool = False
 
 
 @dataclass(frozen=True)

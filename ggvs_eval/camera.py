@@ -6,7 +6,7 @@ depth is z in the camera's frame, in world units.
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from ggvs_eval.errors import CameraError
 from ggvs_eval.kernels.portable import length, transformed
 
 ROUNDING = 1e-4  # of a rotation's products of axes: numbers as files keep them
+RangeOrigin = Literal["given", "measured", "guessed"]
 LARGEST_DEVIATION = 1e-2  # of a rotation's entries from the nearest rotation's, for one that is still meant to be a rotation
 
 
@@ -32,6 +33,8 @@ class Camera:
         far: largest depth of the scene seen from here, world units.
         deviation: by how much, at most, the entries of the rotation that was given differ from those of the nearest one, which
             took its place; 0 where it is kept as it was given.
+        range_origin: whether near and far are given by the capture or its user, measured on its pictures, or guessed from where
+            its cameras look; nothing may be refused for a guess.
 
     Reading:
         Poses of public captures are orthonormal to 2e-4, some to less. What is within `ROUNDING` is kept bit by bit; up to
@@ -55,6 +58,7 @@ class Camera:
     near: float
     far: float
     deviation: float = field(default=0.0, kw_only=True, repr=False)
+    range_origin: RangeOrigin = field(default="given", kw_only=True, repr=False)
 
     def __post_init__(self) -> None:
         """Refuse what no later step could use, naming the camera."""

@@ -102,6 +102,7 @@ class Capture:
         extras: background, masks and sensor depth of each camera, same order; empty where the capture has none of them.
         notes: what was left out and why, for people.
         edit: what was done to the frames; None where they are as they were taken.
+        test_views: cameras that its authors hold out; none where it does not say.
     """
 
     scene: str
@@ -117,6 +118,7 @@ class Capture:
     extras: tuple[Extras, ...] = ()
     notes: tuple[str, ...] = ()
     edit: CaptureEdit | None = None
+    test_views: tuple[str, ...] = ()
 
     @property
     def camera_names(self) -> tuple[str, ...]:
@@ -198,6 +200,7 @@ class Capture:
             sources=tuple(self.sources[index] for index in kept),
             extras=tuple(self.extras[index] for index in kept) if self.extras else (),
             notes=(*self.notes, f"{', '.join(names)} left out: {reason}"),
+            test_views=tuple(name for name in self.test_views if name not in names),
         )
 
     def noted(self, note: str) -> "Capture":

@@ -9,6 +9,8 @@ BASELINE = LearnedBaseline(
     checkpoint="a checkpoint of our network",
     method="ggvs_eval.baselines.fwd.method:Fwd",
     recipe="ggvs_eval.baselines.fwd.training:FwdRecipe",
-    renditions=(Rendition("FWD", "features splatted by the given depth, fused by attention", retrained="compact"),),
+    renditions=(
+        Rendition("FWD", "features splatted by the given depth, fused by attention", retrained="compact", uses_depth=True),
+    ),
     takes_depth=True,
 )

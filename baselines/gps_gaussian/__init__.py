@@ -17,6 +17,7 @@ BASELINE = LearnedBaseline(
             retrained="compact",
             variant="given-depth",
             options={"depth": "given"},
+            uses_depth=True,
         ),
     ),
     takes_depth=True,

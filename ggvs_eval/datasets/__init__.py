@@ -1,6 +1,6 @@
 """Adapters: whatever layout a capture has on disk, `open_capture` makes a `Capture` of it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -13,6 +13,7 @@ from ggvs_eval.datasets import (
     d3dmv,
     dynerf,
     easymocap,
+    frame_folders,
     immersive,
     meetroom,
     multipleview,
@@ -25,6 +26,7 @@ from ggvs_eval.datasets import (
 from ggvs_eval.datasets.camera_frames import IN_WORDS
 from ggvs_eval.datasets.corrections import apply_corrections, corrections_file, read_corrections
 from ggvs_eval.datasets.known_traps import apply_known_traps
+from ggvs_eval.datasets.settle_depth import settle_depth_ranges
 from ggvs_eval.datasets.units import GivenUnits
 from ggvs_eval.errors import CaptureError, did_you_mean
 from ggvs_eval.files.listing import list_entries
@@ -41,11 +43,13 @@ class DatasetSpec:
         describe: the layout in one line, for help texts.
         refuse: says why a path is not of this layout, None where it is.
         load: opens a path of this layout; the second argument is what the user knows of its units.
+        marks: patterns of names by which a folder shows that it is meant to be of this layout.
     """
 
     describe: str
     refuse: Callable[[Path], str | None]
     load: Callable[[Path, GivenUnits], Capture]
+    marks: tuple[str, ...] = ()
 
 
 def _checked(name: str, spec: object) -> DatasetSpec:
@@ -59,19 +63,44 @@ def _checked(name: str, spec: object) -> DatasetSpec:
 _SHIPPED = {
     "capture.toml": DatasetSpec("capture.toml, a rig of one's own", capture_toml.refuse, capture_toml.load),
     "d3dmv": DatasetSpec("SCENE.h5 with SCENE_pb.npy, or frames/ and background/", d3dmv.refuse, d3dmv.load),
-    "spaces": DatasetSpec("models.json with cam_XX/ (Google Spaces)", spaces.refuse, spaces.load),
-    "immersive": DatasetSpec("models.json with camera_XXXX.mp4 (Google Immersive)", immersive.refuse, immersive.load),
-    "technicolor": DatasetSpec(
-        "cameras_parameters.txt with SCENE_undist_00000_00.png (Technicolor)", technicolor.refuse, technicolor.load
+    "spaces": DatasetSpec("models.json with cam_XX/ (Google Spaces)", spaces.refuse, spaces.load, ("models.json",)),
+    "immersive": DatasetSpec(
+        "models.json with camera_XXXX.mp4 (Google Immersive)", immersive.refuse, immersive.load, ("models.json",)
     ),
-    "panoptic": DatasetSpec("train_meta.json and test_meta.json with ims/CAM/ (Panoptic Sports)", panoptic.refuse, panoptic.load),
-    "rgbd": DatasetSpec("color/, depth/, pose/ and intrinsic/ (ScanNet), or images/, depth/, poses.txt", rgbd.refuse, rgbd.load),
-    "multipleview": DatasetSpec("sparse_/ with camXX/frame_00001.jpg", multipleview.refuse, multipleview.load),
-    "dynerf": DatasetSpec(f"poses_bounds.npy with {dynerf.ARRANGEMENTS}", dynerf.refuse, dynerf.load),
+    "technicolor": DatasetSpec(
+        "cameras_parameters.txt with SCENE_undist_00000_00.png (Technicolor)",
+        technicolor.refuse,
+        technicolor.load,
+        (technicolor.PARAMETERS,),
+    ),
+    "panoptic": DatasetSpec(
+        "train_meta.json and test_meta.json with ims/CAM/ (Panoptic Sports)", panoptic.refuse, panoptic.load, panoptic.METAS
+    ),
+    "rgbd": DatasetSpec(
+        "color/, depth/, pose/ and intrinsic/ (ScanNet), images/, depth/, poses.txt, or frames of 7-Scenes or TUM",
+        rgbd.refuse,
+        rgbd.load,
+        rgbd.MARKS,
+    ),
+    "multipleview": DatasetSpec("sparse_/ with camXX/frame_00001.jpg", multipleview.refuse, multipleview.load, ("sparse_",)),
+    "3dgstream": DatasetSpec(
+        "frame000000/images/camXX.png with sparse/0 in the first (3DGStream)",
+        frame_folders.refuse,
+        frame_folders.load,
+        (frame_folders.MARK,),
+    ),
+    "dynerf": DatasetSpec(f"poses_bounds.npy with {dynerf.ARRANGEMENTS}", dynerf.refuse, dynerf.load, (dynerf.POSES,)),
     "meetroom": DatasetSpec("poses_bounds.npy with cam_N.mp4 or 0000/images/camNN.png", meetroom.refuse, meetroom.load),
-    "enerf-outdoor": DatasetSpec("intri.yml and extri.yml with images/XX/ (EasyMocap)", easymocap.refuse, easymocap.load),
-    "colmap": DatasetSpec(f"sparse/0 with {IN_WORDS}", colmap.refuse, colmap.load),
-    "nerfstudio": DatasetSpec("transforms.json with one image per camera", nerfstudio.refuse, nerfstudio.load),
+    "enerf-outdoor": DatasetSpec(
+        "intri.yml and extri.yml with images/XX/ or videos/XX.mp4 (EasyMocap)",
+        easymocap.refuse,
+        easymocap.load,
+        (easymocap.INTRINSICS, easymocap.EXTRINSICS),
+    ),
+    "colmap": DatasetSpec(f"sparse/0 with {IN_WORDS}", colmap.refuse, colmap.load, ("sparse", "colmap")),
+    "nerfstudio": DatasetSpec(
+        "transforms.json, or one per split, with one image per camera", nerfstudio.refuse, nerfstudio.load, ("transforms*.json",)
+    ),
 } | {
     name: DatasetSpec(kind.describe, partial(calibration_file.refuse, name), partial(calibration_file.load, name))
     for name, kind in calibration_file.KINDS.items()
@@ -79,7 +108,14 @@ _SHIPPED = {
 DATASETS: Registry[DatasetSpec] = Registry("datasets", _SHIPPED, _checked)
 
 
-def open_capture(path: str | Path, layout: str | None = None, *, units: GivenUnits = None, drop_unsynced: bool = True) -> Capture:
+def open_capture(
+    path: str | Path,
+    layout: str | None = None,
+    *,
+    units: GivenUnits = None,
+    drop_unsynced: bool = True,
+    measure_depth: bool = True,
+) -> Capture:
     """Open a capture.
 
     Args:
@@ -88,13 +124,16 @@ def open_capture(path: str | Path, layout: str | None = None, *, units: GivenUni
         units: world units per metre where the user knows better than the capture, or a TOML file that says how to measure them;
             see `ggvs_eval.datasets.units.choose_units`.
         drop_unsynced: leave out cameras known to be out of step: cam13 of coffee_martini.
+        measure_depth: measure depth ranges that the capture does not give, which takes a second or some; without, they are
+            guessed from where its cameras look.
 
     Raises:
         CaptureError: nothing there, no layout that fits (with the reason of each), or a capture that is damaged.
 
     Reading:
         What ``corrections.toml`` in the capture says is done to its frames, see `ggvs_eval.datasets.corrections`. What is known
-        to be wrong with a public scene becomes a note, see `ggvs_eval.datasets.known_traps`.
+        to be wrong with a public scene becomes a note, see `ggvs_eval.datasets.known_traps`. Near and far of its cameras are
+        settled by `ggvs_eval.datasets.settle_depth.settle_depth_ranges`.
 
     Examples:
         >>> import json, tempfile
@@ -120,7 +159,7 @@ def open_capture(path: str | Path, layout: str | None = None, *, units: GivenUni
     capture = spec.load(path, units)
     corrections = corrections_file(path)
     capture = apply_corrections(capture, read_corrections(corrections), corrections)
-    return apply_known_traps(capture, leave_out=drop_unsynced)
+    return settle_depth_ranges(apply_known_traps(capture, leave_out=drop_unsynced), measure_depth)
 
 
 def detect_layout(path: Path, layout: str | None = None) -> str:
@@ -140,15 +179,46 @@ def detect_layout(path: Path, layout: str | None = None) -> str:
     refusals = {name: spec.refuse(path) for name, spec in candidates}
     fitting = [name for name, refusal in refusals.items() if refusal is None]
     if not fitting:
-        reasons = "; ".join(f"not {name}: {refusal}" for name, refusal in refusals.items())
-        within = _captures_within(path)
-        mend = f"name one of the captures in it: {', '.join(within)}" if within else "see docs/captures.md for the layouts"
-        raise CaptureError(f"{path}: no capture that can be read ({reasons}); {mend}")
+        raise CaptureError(_unfit(path, refusals))
     return fitting[0]
 
 
+def calibration_mark(path: Path) -> tuple[str, tuple[str, ...]] | None:
+    """A name in a folder that shows a calibration, and the layouts that have it; None where there is none, or no folder.
+
+    The marks of layouts go first; files that hold camera matrices in a form that nothing here reads are of no layout.
+    """
+    if not path.is_dir():
+        return None
+    marks = [mark for _, spec in DATASETS.working() for mark in spec.marks]
+    for mark in dict.fromkeys(marks):
+        if found := min(path.glob(mark), default=None):
+            return found.name, tuple(layout for layout, spec in DATASETS.working() if mark in spec.marks)
+    held = calibration_file.find_unread(path)
+    return (held.name, ()) if held else None
+
+
+def _unfit(path: Path, refusals: Mapping[str, str | None]) -> str:
+    """Say why a path is of no layout: what it shows first, then what else was looked for."""
+    within, mark = _captures_within(path), calibration_mark(path)
+    mend = f"name one of the captures in it: {', '.join(within)}" if within else "see docs/captures.md for the layouts"
+    reasons = "; ".join(f"not {name}: {refusal}" for name, refusal in refusals.items())
+    if mark is None:
+        return f"{path}: no capture that can be read ({reasons}); {mend}"
+    name, layouts = mark
+    if not layouts:
+        form = "holds a calibration in a form that is not read; write it as transforms.json, OpenCV's YAML or capture.toml"
+        return f"{path}: {name} {form}; {mend} (looked for: {reasons})"
+    lacking = " or ".join(f"{layout}: {refusals.get(layout)}" for layout in layouts)
+    return f"{path}: {name} is there, but the capture is not whole, {lacking}; {mend} (looked for too: {reasons})"
+
+
 def _captures_within(path: Path) -> list[str]:
-    """Folders right below that hold a capture, when a whole data set was named instead of a scene."""
-    folders = [folder for folder in list_entries(path) if folder.is_dir()][: 4 * LISTED]
-    captures = [folder.name for folder in folders if any(spec.refuse(folder) is None for _, spec in DATASETS.working())]
-    return [*captures[:LISTED], "..."] if len(captures) > LISTED else captures
+    """Folders one or two levels below that hold a capture, when a whole data set was named instead of a scene."""
+    captures: list[Path] = []
+    level = [path]
+    for _ in range(2):
+        level = [entry for folder in level for entry in list_entries(folder) if entry.is_dir()][: 4 * LISTED]
+        captures = captures or [each for each in level if any(spec.refuse(each) is None for _, spec in DATASETS.working())]
+    names = [str(each.relative_to(path)) for each in captures]
+    return [*names[:LISTED], "..."] if len(names) > LISTED else names

@@ -36,6 +36,7 @@ def assemble_capture(
     fps: float | None = None,
     extras: Sequence[Extras] = (),
     notes: Sequence[str] = (),
+    test_views: Sequence[str] = (),
 ) -> Capture:
     """Check that all cameras have the same instants and bring each camera to the size of its frames.
 
@@ -49,6 +50,7 @@ def assemble_capture(
         fps: frames per second where the layout says it; by default that of the videos, 30 for images.
         extras: of each camera, or none.
         notes: what was left out and why.
+        test_views: cameras that the capture's authors hold out.
 
     Raises:
         CaptureError: cameras that differ in frame count or rate, frames of another shape than the calibration, or two cameras of
@@ -79,6 +81,7 @@ def assemble_capture(
         units_origin=units.origin,
         extras=tuple(extras),
         notes=(*notes, *_notes(cameras, sources)),
+        test_views=tuple(test_views),
     )
 
 

@@ -5,7 +5,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size
 from ggvs_eval.datasets.calibration_readers import (
@@ -17,7 +16,7 @@ from ggvs_eval.datasets.calibration_readers import (
 )
 from ggvs_eval.datasets.camera_frames import find_frames, instead_of_frames, listed
 from ggvs_eval.datasets.colmap_model import undistorted_sources
-from ggvs_eval.datasets.depth_range import rig_depth_range
+from ggvs_eval.datasets.depth_range import Placed, ranged_cameras
 from ggvs_eval.datasets.units import GivenUnits, Units, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.listing import list_entries
@@ -25,7 +24,13 @@ from ggvs_eval.files.plain import read_plain_text
 
 # What tells such files from others of their suffix, before they are parsed.
 ANIPOSE = re.compile(r"^[ \t]*matrix[ \t]*=", re.MULTILINE)
-OPENCV = re.compile(r"^(camera_matrix|M1|K1|cameraMatrix1)[ \t]*:", re.MULTILINE)
+MATRIX = "(camera_matrix|Camera_Matrix|M1|K1|cameraMatrix1?)"
+OPENCV = re.compile(rf"^{MATRIX}[ \t]*:|<{MATRIX}[ >]", re.MULTILINE)
+# What shows that a file holds cameras, in whatever form; our own files that are no calibration aside.
+CAMERAS = re.compile(
+    r"""[\s"<](camera_?matri\w*|intrinsic\w*|distortion\w*|dist_?coeff\w*|extrinsic\w*|k|w2c|c2w|rvec|tvec)["\s]*[:=>]""", re.I
+)
+OWN = ("units.toml", "corrections.toml", "depth_range.toml", "intrinsics.toml", "demo.json", "calibration.json")
 MILLIMETRES = Units(1.0, "converted from the millimetres of the calibration")
 
 
@@ -54,8 +59,10 @@ class Kind:
 
 KINDS = {
     "qualisys": Kind("CALIBRATION.qca.txt (Qualisys) beside videos", (".qca.txt",), None, read_qualisys),
-    "anipose": Kind("CALIBRATION.toml (anipose, freemocap, pose2sim) beside videos", (".toml",), ANIPOSE, read_anipose),
-    "opencv": Kind("CAM.yml or STEREO.yml (cv2.FileStorage) beside videos", (".yml", ".yaml"), OPENCV, read_opencv),
+    "anipose": Kind(
+        "CALIBRATION.toml (anipose, freemocap, pose2sim, caliscope) beside videos", (".toml",), ANIPOSE, read_anipose
+    ),
+    "opencv": Kind("CAM.yml or STEREO.xml (cv2.FileStorage, ROS) beside videos", (".yml", ".yaml", ".xml"), OPENCV, read_opencv),
 }
 
 
@@ -96,9 +103,15 @@ def read_calibration_file(path: Path, kind: str | None = None) -> CalibrationFil
     cameras = [camera for file in files for camera in read(file)]
     check_rig_size(path, len(cameras))
     names = [camera.name for camera in cameras]
-    if not names or not all(names) or len(set(names)) < len(names):
-        called = listed(names) or "none"
-        raise CaptureError(f"{path}: wanted a calibration with cameras of different names, got {called}; correct the names")
+    if not names:
+        there = listed([file.name for file in files]) or "no file"
+        raise CaptureError(
+            f"{path}: wanted cameras, got {there}, whose form is not read; see docs/your_rig.md for those that are"
+        )
+    if not all(names) or len(set(names)) < len(names):
+        raise CaptureError(
+            f"{path}: wanted a calibration with cameras of different names, got {listed(names)}; correct the names"
+        )
     is_metric = all(camera.is_metric for camera in cameras)
     return CalibrationFile(dict(zip(names, cameras, strict=True)), MILLIMETRES if is_metric else None)
 
@@ -115,8 +128,7 @@ def load(kind: str, path: Path, units: GivenUnits) -> Capture:
         CaptureError: a damaged file, fewer than two of its cameras with frames, or a camera without pose.
 
     Reading:
-        Cameras without frames are left out and noted: a motion-capture studio has cameras that see markers alone. Depth ranges
-        are those of `rig_depth_range`; ``ggvs-eval calibrate --known-poses`` measures them.
+        Cameras without a pose or frames are left out and noted: a motion-capture studio has cameras that see markers alone.
     """
     folder = path if path.is_dir() else path.parent
     file = read_calibration_file(path, kind)
@@ -127,26 +139,38 @@ def load(kind: str, path: Path, units: GivenUnits) -> Capture:
         raise CaptureError(
             f"{folder}: wanted frames of two or more of {listed(file.cameras)}, got {content}; call videos and cameras alike"
         )
-    chosen = [camera for camera in file.cameras.values() if camera.name in frames]
-    without = [camera.name for camera in chosen if camera.world_to_camera is None]
-    if without:
+    filmed = [camera for camera in file.cameras.values() if camera.name in frames]
+    chosen = [camera for camera in filmed if camera.world_to_camera is not None]
+    if len(chosen) < 2:
+        without = [camera.name for camera in filmed if camera.world_to_camera is None]
         mend = f"'ggvs-eval calibrate {folder} RIG --known-intrinsics {path}' finds them"
         raise CaptureError(f"{path}: wanted poses, got intrinsics alone of {listed(without)}; {mend}")
     poses = [camera.world_to_camera for camera in chosen if camera.world_to_camera is not None]
     try:
         lenses = [camera.lens(frames[camera.name].size) for camera in chosen]
-        cameras = [
-            Camera(camera.name, lens.undistorted_K(), pose, lens.width, lens.height, *depths)
-            for camera, lens, pose, depths in zip(chosen, lenses, poses, rig_depth_range(poses), strict=True)
+        rig = [
+            Placed(camera.name, lens.undistorted_K(), pose, (lens.width, lens.height))
+            for camera, lens, pose in zip(chosen, lenses, poses, strict=True)
         ]
     except CameraError as error:
         raise CaptureError(f"{path}: {error}") from error
+    cameras = ranged_cameras(rig, path)
     sources = undistorted_sources([frames[camera.name] for camera in chosen], lenses, cameras)
-    left = [name for name in file.cameras if name not in frames]
-    notes = [f"{listed(left)} left out: calibrated, but without frames"] if left else []
+    left = {
+        "calibrated, but without frames": [name for name in file.cameras if name not in frames],
+        "calibrated, but not placed": [camera.name for camera in filmed if camera.world_to_camera is None],
+    }
+    notes = [f"{listed(names)} left out: {why}" for why, names in left.items() if names]
     return assemble_capture(
         folder, kind, cameras, sources, choose_units(folder, units, cameras, of_data_set=file.units), notes=notes
     )
+
+
+def find_unread(path: Path) -> Path | None:
+    """The first file in a folder that holds cameras in a form of no kind; None where there is none."""
+    files = sorted(each for each in path.iterdir() if each.suffix.lower() in (".toml", ".yml", ".yaml", ".xml", ".json"))
+    others = (each for each in files if each.is_file() and each.name not in OWN)
+    return next((each for each in others if CAMERAS.search(_text(each))), None)
 
 
 def _find(path: Path, kind: str | None) -> tuple[Callable[[Path], list[FileCamera]], list[Path]]:

@@ -1,4 +1,4 @@
-"""Calibrations as other tools write them: Qualisys' ``.qca.txt``, the TOML of anipose and freemocap, OpenCV's YAML.
+"""Calibrations as other tools write them: Qualisys' ``.qca.txt``, the TOML of anipose, freemocap and caliscope, OpenCV's files.
 
 Facts of the formats: Qualisys writes 64ths of a pixel and millimetres, as pose2sim reads them; aniposelib what OpenCV calibrates.
 """
@@ -14,7 +14,7 @@ import numpy as np
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.datasets.easymocap_yaml import PIXEL_CENTRE
-from ggvs_eval.datasets.filestorage_yaml import FileStorageYaml, refused
+from ggvs_eval.datasets.filestorage_yaml import FileStorageYaml, parse_xml, refused
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.plain import comma_hint, read_plain_text, why_unread
 from ggvs_eval.files.toml_tables import read_toml
@@ -28,6 +28,10 @@ QUALISYS_AXES: Array = np.diag([1.0, -1.0, -1.0])
 FREEMOCAP_KEY = "charuco_square_size"  # of its metadata, in millimetres, and so is all that was calibrated with it
 # What stereo calibrations call their two cameras' K and distortion; the first is that of OpenCV's own sample.
 STEREO_KEYS = (("M{}", "D{}"), ("K{}", "D{}"), ("cameraMatrix{}", "distCoeffs{}"))
+MATRIX_KEYS = ("camera_matrix", "Camera_Matrix", "cameraMatrix")
+DISTORTION_KEYS = ("distortion_coefficients", "Distortion_Coefficients", "distCoeffs")
+WIDTH_KEYS, HEIGHT_KEYS = ("image_width", "image_Width"), ("image_height", "image_Height")
+ROS_FISHEYE = ("equidistant", "fisheye")  # what ROS calls it under distortion_model
 STEREO_NAMES, STEREO_EXTRINSICS = ("left", "right"), "extrinsics.yml"
 ROTATION_KEYS, TRANSLATION_KEYS = ("R", "rvec", "rotation_matrix", "rotation_vector"), ("T", "tvec", "translation_vector")
 
@@ -98,50 +102,69 @@ def read_qualisys(path: Path) -> list[FileCamera]:
 
 
 def read_anipose(path: Path) -> list[FileCamera]:
-    """Read the cameras of a TOML file of anipose, freemocap or pose2sim.
+    """Read the cameras of a TOML file of anipose, freemocap, pose2sim or caliscope.
 
     Raises:
         CaptureError: damaged, or an entry that is absent or of another shape.
 
     Reading:
         freemocap notes the size of its board in millimetres, so its poses become metres. What unit others have only the size of
-        their board tells, which they do not name.
+        their board tells, which they do not name. caliscope's cameras, a table of tables, are called as it calls their videos:
+        ``cam_0``, or ``port_0`` before; those that it ignores are left out.
     """
     values = read_toml(path, CaptureError)
     metadata = values.get("metadata")
     is_freemocap = isinstance(metadata, dict) and FREEMOCAP_KEY in metadata
     tables = {key: table for key, table in values.items() if isinstance(table, dict) and "matrix" in table}
+    for group in values.values() if not tables else ():  # caliscope's cameras stand together in a table of their own
+        inner = group if isinstance(group, dict) else {}
+        tables |= {key: table for key, table in inner.items() if isinstance(table, dict) and "matrix" in table}
     cameras = []
     for key, table in tables.items():
-        name = table.get("name", key)
+        if table.get("ignore") is True:
+            continue
         K = _numbers(path, key, table, "matrix", (3, 3))
         K[:2, 2] += PIXEL_CENTRE
         coefficients = _numbers(path, key, table, "distortions", None) if table.get("distortions") else np.zeros(5)
         size = None if "size" not in table else _size(path, key, _numbers(path, key, table, "size", (2,)))
         pose = None
-        if "rotation" in table or "translation" in table:
+        if _is_given(table, "rotation") or _is_given(table, "translation"):
             translation = _numbers(path, key, table, "translation", (3,)) / (MM_PER_M if is_freemocap else 1.0)
-            pose = _pose(_rotation(_numbers(path, key, table, "rotation", (3,))), translation)
+            shape = (3, 3) if np.ndim(table.get("rotation", ())) == 2 else (3,)
+            pose = _pose(_rotation(_numbers(path, key, table, "rotation", shape)), translation)
         model: LensModel = "fisheye" if table.get("fisheye") is True else "opencv"
-        cameras.append(FileCamera(str(name), K, model, tuple(map(float, coefficients)), size, pose, is_freemocap))
+        cameras.append(FileCamera(_table_name(key, table), K, model, tuple(map(float, coefficients)), size, pose, is_freemocap))
     return cameras
 
 
+def _is_given(table: Mapping[str, Any], key: str) -> bool:
+    """Tell whether a key says something; caliscope writes "null" where nothing is known."""
+    return table.get(key) not in (None, "null", [])
+
+
+def _table_name(key: str, table: Mapping[str, Any]) -> str:
+    """The name of a camera: that in its table, caliscope's for its videos, or the table's own."""
+    numbered = next((f"{word}_{table[at]}" for word, at in (("cam", "cam_id"), ("port", "port")) if at in table), key)
+    return str(table.get("name", numbered))
+
+
 def read_opencv(path: Path) -> list[FileCamera]:
-    """Read a YAML file of cv2.FileStorage: one camera, or the two of a stereo calibration.
+    """Read a YAML or XML file of cv2.FileStorage, or ROS' YAML: one camera, or the two of a stereo calibration.
 
     One camera has ``camera_matrix`` and ``distortion_coefficients``, perhaps ``image_width``, ``image_height``,
-    ``fisheye_model``, and its pose as ``R``, ``T`` or ``rvec``, ``tvec``; it is called ``camera_name`` or like the file. Two have
-    ``M1 D1 M2 D2`` (or ``K1``, ``cameraMatrix1``, ...) with ``R`` and ``T`` in the same file or in ``extrinsics.yml`` beside it;
-    they are called by ``names``, or left and right, and the first one is the world.
+    ``fisheye_model`` or ROS' ``distortion_model``, and its pose as ``R``, ``T`` or ``rvec``, ``tvec``; it is called
+    ``camera_name`` or like the file. Two have ``M1 D1 M2 D2`` (or ``K1``, ``cameraMatrix1``, ...) with ``R`` and ``T`` in the
+    same file or in ``extrinsics.yml`` beside it; they are called by ``names``, or left and right, and the first is the world.
 
     Raises:
         CaptureError: damaged, or neither of the two.
     """
-    file = FileStorageYaml(path)
-    if file.has("camera_matrix"):
+    file = FileStorageYaml(path, is_plain=True)
+    single = next((key for key in MATRIX_KEYS if file.has(key)), None)
+    if single is not None:
         name = file.text("camera_name") or path.stem
-        return [_opencv_camera(file, name, "camera_matrix", "distortion_coefficients", _opencv_pose(file))]
+        distortion = next((key for key in DISTORTION_KEYS if file.has(key)), DISTORTION_KEYS[0])
+        return [_opencv_camera(file, name, single, distortion, _opencv_pose(file))]
     keys = next((keys for keys in STEREO_KEYS if file.has(keys[0].format(1))), None)
     if keys is None:
         raise refused(path, "camera_matrix of a camera, or M1 and M2 of a stereo pair", "neither")
@@ -159,9 +182,10 @@ def _opencv_camera(file: FileStorageYaml, name: str, matrix: str, distortion: st
     K = file.matrix(matrix, (3, 3))
     K[:2, 2] += PIXEL_CENTRE
     coefficients = file.matrix(distortion, None).ravel() if file.has(distortion) else np.zeros(5)
-    width, height = file.number("image_width"), file.number("image_height")
+    width, height = (next((file.number(key) for key in keys if file.has(key)), None) for keys in (WIDTH_KEYS, HEIGHT_KEYS))
     size = (round(width), round(height)) if width and height else None
-    model: LensModel = "fisheye" if file.text("fisheye_model") not in ("", "0", "false") else "opencv"
+    is_fisheye = file.text("fisheye_model") not in ("", "0", "false") or file.text("distortion_model") in ROS_FISHEYE
+    model: LensModel = "fisheye" if is_fisheye else "opencv"
     return FileCamera(name, K, model, tuple(map(float, coefficients)), size, pose)
 
 
@@ -187,13 +211,10 @@ def _rotation(values: Array) -> Array:
 
 def _parse_xml(path: Path) -> ElementTree.Element:
     try:
-        text = read_plain_text(path, LARGEST_XML_BYTES)
-        if "<!" in text.replace("<!--", ""):  # entities, which could grow beyond all measure
-            raise refused(path, "XML without declarations", "one that begins with <!")
-        return ElementTree.fromstring(text.encode())
+        return parse_xml(path, read_plain_text(path, LARGEST_XML_BYTES), "the XML of a Qualisys calibration")
     except OSError as error:
         raise CaptureError(f"{path}: wanted a Qualisys calibration, got {why_unread(error)}; restore it") from error
-    except (ElementTree.ParseError, UnicodeError, LookupError, ValueError) as error:
+    except UnicodeError as error:
         raise refused(path, "the XML of a Qualisys calibration", str(error)) from error
 
 

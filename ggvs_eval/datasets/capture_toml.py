@@ -11,7 +11,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture, Extras
 from ggvs_eval.datasets.assemble import SizedSource, assemble_capture, check_rig_size
 from ggvs_eval.datasets.colmap_model import undistorted
-from ggvs_eval.datasets.depth_range import rig_depth_range
+from ggvs_eval.datasets.depth_range import Placed, ranged_cameras
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.units import GivenUnits, Units, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
@@ -106,8 +106,7 @@ def load(path: Path, units: GivenUnits) -> Capture:
         CaptureError: an unknown, missing or mistyped key, or frames that do not fit.
 
     Reading:
-        Without near and far the range of `rig_depth_range` is taken. Frames of a distorting lens are undistorted to the K of
-        `Lens.undistorted_K`, in which no pixel is blank.
+        Frames of a distorting lens are undistorted to the K of `Lens.undistorted_K`, in which no pixel is blank.
     """
     file = _file(path)
     table = build_table(CaptureTable, read_toml(file, CaptureError), str(file), "", CaptureError)
@@ -119,8 +118,8 @@ def load(path: Path, units: GivenUnits) -> Capture:
         if value is not None and value <= 0:
             raise CaptureError(f"{file}: {key} must be positive, got {value:g}; correct or drop it")
     lenses = [_lens(camera, table.pixel_centre, file) for camera in table.camera]
-    ranges = rig_depth_range(poses)
-    cameras = [_camera(*each, file) for each in zip(table.camera, lenses, poses, ranges, strict=True)]
+    rig = [_placed(*each, file) for each in zip(table.camera, lenses, poses, strict=True)]
+    cameras = ranged_cameras(rig, file)
     sources = [
         undistorted(_source(file, camera.frames), lens, pinhole.K)
         for camera, lens, pinhole in zip(table.camera, lenses, cameras, strict=True)
@@ -169,12 +168,12 @@ def _lens(camera: CameraTable, pixel_centre: str, file: Path) -> Lens:
         raise CaptureError(f"{file}: camera {camera.name}: {error}") from error
 
 
-def _camera(table: CameraTable, lens: Lens, pose: Array, depths: tuple[float, float], file: Path) -> Camera:
+def _placed(table: CameraTable, lens: Lens, pose: Array, file: Path) -> Placed:
     if (table.near is None) != (table.far is None):
         raise CaptureError(f"{file}: camera {table.name} wants near and far or neither; add the other")
-    near, far = depths if table.near is None or table.far is None else (table.near, table.far)
+    given = None if table.near is None or table.far is None else (table.near, table.far)
     try:
-        return Camera(table.name, lens.undistorted_K(), pose, table.width, table.height, near, far)
+        return Placed(table.name, lens.undistorted_K(), pose, (table.width, table.height), given)
     except CameraError as error:
         raise CaptureError(f"{file}: {error}") from error
 

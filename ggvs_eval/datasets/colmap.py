@@ -6,7 +6,7 @@ from pathlib import Path
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import assemble_capture
 from ggvs_eval.datasets.camera_frames import listed, require_frames
-from ggvs_eval.datasets.colmap_model import CalibratedView, read_model, undistorted_sources
+from ggvs_eval.datasets.colmap_model import CalibratedView, median_depths, model_cameras, read_model, undistorted_sources
 from ggvs_eval.datasets.units import GivenUnits, choose_units
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.names import camera_names
@@ -33,9 +33,9 @@ def load(path: Path, units: GivenUnits) -> Capture:
     """
     folder = find_model(path) or path
     views = by_camera(folder, read_model(folder))
-    cameras = [view.camera(name, folder) for name, view in views.items()]
+    cameras = model_cameras(views, folder)
     frames = require_frames(path, {name: view.image_name for name, view in views.items()})
-    chosen = choose_units(path, units, cameras, median_depths=[view.depth_percentiles[1] for view in views.values()])
+    chosen = choose_units(path, units, cameras, median_depths=median_depths(views.values()))
     pinhole = undistorted_sources(list(frames.sources.values()), [view.lens for view in views.values()], cameras)
     unregistered = f"{listed(frames.beside)} left out: on disk, but not registered in the COLMAP model"
     return assemble_capture(path, "colmap", cameras, pinhole, chosen, notes=[unregistered] if frames.beside else [])

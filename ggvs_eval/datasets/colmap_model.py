@@ -3,7 +3,7 @@
 import json
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,13 +13,12 @@ import numpy as np
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
 from ggvs_eval.datasets.assemble import SizedSource, check_rig_size
+from ggvs_eval.datasets.depth_range import FAR_MARGIN, NEAR_MARGIN, Placed, ranged_cameras
 from ggvs_eval.datasets.frames import as_calibrated
 from ggvs_eval.datasets.undistort import UndistortedFrames
 from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.lens import Lens
 
-# A little nearer and farther than all but the outermost hundredth of the points.
-NEAR_FACTOR, FAR_FACTOR = 0.8, 1.2
 READER_TIMEOUT_S = 600
 # COLMAP's camera models: how many focal lengths, and where its further parameters stand among OpenCV's coefficients.
 OPENCV_MODELS: dict[str, tuple[int, int, tuple[int, ...]]] = {
@@ -45,37 +44,48 @@ class CalibratedView:
         image_name: as the model calls it.
         world_to_camera: rigid transform, (4, 4).
         lens: intrinsics and distortion at the size of the calibration.
-        depth_percentiles: 1st, 50th and 99th percentile of the depth of the points it sees, world units.
+        depth_percentiles: 1st, 50th and 99th percentile of the depth of the points it sees, world units; None where it sees none.
     """
 
     image_name: str
     world_to_camera: Array
     lens: Lens
-    depth_percentiles: tuple[float, float, float]
+    depth_percentiles: tuple[float, float, float] | None
 
-    def camera(self, name: str, path: Path) -> Camera:
-        """The pinhole camera of this view's undistorted image; `path` is the file named in errors.
 
-        Reading:
-            near = 0.8 times the 1st, far = 1.2 times the 99th percentile of the depth of the points the view sees.
-        """
-        nearest, _, farthest = self.depth_percentiles
+def model_cameras(views: Mapping[str, CalibratedView], path: Path) -> list[Camera]:
+    """The pinhole cameras of the views' undistorted images, by name; `path` is the file named in errors.
+
+    Reading:
+        near = 0.8 times the 1st, far = 1.2 times the 99th percentile of the depth of the points that a view sees. Points are for
+        depth ranges alone: a view that sees none has none, as a model of known poses before triangulation.
+    """
+    rig = []
+    for name, view in views.items():
+        seen = view.depth_percentiles
+        near_far = (NEAR_MARGIN * seen[0], FAR_MARGIN * seen[2]) if seen else None
         try:
-            K = self.lens.undistorted_K()
-            size = self.lens.width, self.lens.height
-            return Camera(name, K, self.world_to_camera, *size, NEAR_FACTOR * nearest, FAR_FACTOR * farthest)
+            rig.append(
+                Placed(name, view.lens.undistorted_K(), view.world_to_camera, (view.lens.width, view.lens.height), near_far)
+            )
         except CameraError as error:
             raise CaptureError(f"{path}: {name}: {error}") from error
+    return ranged_cameras(rig, path)
+
+
+def median_depths(views: Iterable[CalibratedView]) -> list[float]:
+    """Median depth of the points of each view that sees any, world units."""
+    return [view.depth_percentiles[1] for view in views if view.depth_percentiles]
 
 
 def read_model(folder: Path) -> list[CalibratedView]:
     """The registered images of a model in the order of their names.
 
     Args:
-        folder: holds cameras, images and points3D, as text or binary.
+        folder: holds cameras, images and perhaps points3D, as text or binary.
 
     Raises:
-        CaptureError: damaged, empty, a camera model without an OpenCV equivalent, or an image that sees no point.
+        CaptureError: damaged, empty, or a camera model without an OpenCV equivalent.
     """
     # By its file: by its name it would first import every other reader.
     command = [sys.executable, "-P", str(Path(__file__).with_name("colmap_reader.py")), str(folder)]
@@ -121,16 +131,12 @@ def undistorted_sources(sources: Sequence[SizedSource], lenses: Sequence[Lens], 
 
 def _view(folder: Path, image: dict[str, Any]) -> CalibratedView:
     name = image["name"]
-    if not image["depth_percentiles"]:
-        raise CaptureError(
-            f"{folder}: {name} sees none of the model's points, so its depth range is unknown; triangulate or drop it"
-        )
     world_to_camera = np.vstack([image["world_to_camera"], [0.0, 0.0, 0.0, 1.0]])
     try:
         lens = lens_of_colmap(image["model"], image["params"], image["width"], image["height"])
     except CameraError as error:
         raise CaptureError(f"{folder}: {name}: {error}") from error
-    return CalibratedView(name, world_to_camera, lens, tuple(image["depth_percentiles"]))
+    return CalibratedView(name, world_to_camera, lens, tuple(image["depth_percentiles"]) or None)
 
 
 def lens_of_colmap(model: str, params: Sequence[float], width: int, height: int) -> Lens:

@@ -4,6 +4,7 @@ Command: ``python -P ggvs_eval/datasets/colmap_reader.py MODEL_DIR``; it imports
 """
 
 import json
+import os
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -20,17 +21,18 @@ from ggvs_eval.files.plain import check_plain, coding_of, parse_numbers, read_pl
 LARGEST_MODEL_FILE = 512 << 20
 FILES = ("cameras", "images", "points3D")
 PERCENTILES = (1, 50, 99)
+FEWEST_POINTS = 10  # seen from a camera, of which a depth range can be taken
 
 
 def read_reconstruction(folder: Path) -> list[dict[str, Any]]:
     """The registered images of a sparse model in the order of their names.
 
     Args:
-        folder: holds cameras, images and points3D, as text or binary.
+        folder: holds cameras, images and perhaps points3D, as text or binary.
 
     Returns:
         Per image its ``name``, the camera's ``model``, ``width``, ``height`` and ``params``, ``world_to_camera`` (3 x 4) and
-        ``depth_percentiles`` (1, 50, 99) of the points seen, world units; an empty list where it sees none.
+        ``depth_percentiles`` (1, 50, 99) of the points seen, world units; an empty list where it sees too few to tell.
 
     Raises:
         ValueError: a file is absent, ends early or contradicts another.
@@ -40,20 +42,23 @@ def read_reconstruction(folder: Path) -> list[dict[str, Any]]:
 
     suffix = ".bin" if (folder / "cameras.bin").is_file() else ".txt"
     files = [folder / f"{name}{suffix}" for name in FILES]
-    missing = [file.name for file in files if not file.is_file()]
+    missing = [file.name for file in files[:2] if not file.is_file()]
     if missing:
         raise ValueError(f"no {', '.join(missing)}")
+    files = [file for file in files if os.path.lexists(file)]
     for file in files:
         check_plain(file, LARGEST_MODEL_FILE)
     if suffix == ".bin":
         _check_count(files[0])
-        _check_length(files[1], _images_end)
-        _check_length(files[2], _points_end)
+        for file, find_end in zip(files[1:], (_images_end, _points_end), strict=False):
+            _check_length(file, find_end)
     names = {} if suffix == ".bin" else _read_text_names(*files)
     # These three say all; rigs and frames, which newer versions write beside them, would only be more that can be damaged.
     with tempfile.TemporaryDirectory() as alone:
         for file in files:
             _put(file, Path(alone) / file.name)
+        if len(files) < len(FILES):  # points are for depth ranges alone
+            (Path(alone) / f"points3D{suffix}").write_bytes(bytes(8) if suffix == ".bin" else b"")
         reconstruction = pycolmap.Reconstruction(alone)
     if suffix == ".bin":
         end = 8 + sum(24 + 8 * len(camera.params) for camera in reconstruction.cameras.values())
@@ -67,7 +72,8 @@ def _describe_image(reconstruction: Any, image: Any, name: str) -> dict[str, Any
     camera = reconstruction.cameras[image.camera_id]
     pose = image.cam_from_world() if callable(image.cam_from_world) else image.cam_from_world
     world_to_camera = np.asarray(pose.matrix())  # (3, 4)
-    point_ids = [point.point3D_id for point in image.points2D if point.has_point3D()]
+    points2D = image.points2D if len(reconstruction.points3D) else []  # a model that was stripped of its points still names them
+    point_ids = [point.point3D_id for point in points2D if point.has_point3D()]
     points_world = np.array([reconstruction.points3D[point].xyz for point in point_ids]).reshape(-1, 3)
     depth = points_world @ world_to_camera[2, :3] + world_to_camera[2, 3]
     depth = depth[depth > 0]
@@ -78,11 +84,11 @@ def _describe_image(reconstruction: Any, image: Any, name: str) -> dict[str, Any
         "height": camera.height,
         "params": list(camera.params),
         "world_to_camera": world_to_camera.tolist(),
-        "depth_percentiles": np.percentile(depth, PERCENTILES).tolist() if depth.size else [],
+        "depth_percentiles": np.percentile(depth, PERCENTILES).tolist() if len(depth) >= FEWEST_POINTS else [],
     }
 
 
-def _read_text_names(cameras: Path, images: Path, points: Path) -> dict[int, str]:
+def _read_text_names(cameras: Path, images: Path, points: Path | None = None) -> dict[int, str]:
     """The names of a text model's images by number: the rest of the line, of which pycolmap takes what comes before a blank.
 
     Raises:
@@ -90,8 +96,9 @@ def _read_text_names(cameras: Path, images: Path, points: Path) -> dict[int, str
     """
     for line, words in _rows(cameras):
         _check_numbers(cameras, line, words[2:])
-    for line, words in islice(_rows(points), 1):
-        _check_numbers(points, line, words[:8])
+    if points:
+        for line, words in islice(_rows(points), 1):
+            _check_numbers(points, line, words[:8])
     names = {}
     for line, words in _rows(images, step=2):
         _check_numbers(images, line, words[:9])

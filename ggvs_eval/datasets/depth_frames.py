@@ -17,6 +17,7 @@ from ggvs_eval.files.digest import digest_values
 from ggvs_eval.files.images import decode_image, read_encoded
 from ggvs_eval.geometry.reproject_depth import reproject_depth
 
+LARGEST_STEP = 65535  # written for unknown depth by some, as 0 by others
 ANY_DEPTH = (1e-6, 1e6)  # near and far of cameras that only say where pixels look
 
 
@@ -75,7 +76,8 @@ class DepthFrames:
         if not 0 <= start <= stop <= self.n_frames:
             raise CaptureError(f"{self.path}: wanted depth maps {start}..{stop - 1}, the folder has {self.n_frames}")
         for file in self._images.files[start:stop]:
-            yield self._on_grid(read_depth_png(file))
+            steps = read_depth_png(file)
+            yield self._on_grid(np.where(known_depth(steps), steps, np.uint16(0)))
 
     def _on_grid(self, steps: NDArray[np.uint16]) -> NDArray[np.float32]:
         if self.depth_to_colour is not None:
@@ -120,6 +122,13 @@ def read_depth_png(path: Path) -> NDArray[np.uint16]:
     if steps.dtype != np.uint16 or steps.ndim != 2:
         content = f"{steps.dtype} {steps.shape}"
         raise CaptureError(f"{path}: wanted a depth map of one 16-bit channel, got {content}; export it without conversion")
-    if not steps.any():
-        raise CaptureError(f"{path}: wanted measured depth, got zeros alone; leave this frame out or export it again")
-    return steps.astype(np.uint16, copy=False)
+    measured = steps.astype(np.uint16, copy=False)
+    if not known_depth(measured).any():
+        content = f"nothing but 0 and {LARGEST_STEP}" if steps.any() else "zeros alone"
+        raise CaptureError(f"{path}: wanted measured depth, got {content}; leave this frame out or export it again")
+    return measured
+
+
+def known_depth(steps: NDArray[np.uint16]) -> NDArray[np.bool_]:
+    """Which pixels of a depth map are measured: unknown depth is 0 or, in some data sets, the largest value of the type."""
+    return (steps > 0) & (steps < LARGEST_STEP)

@@ -3,15 +3,20 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from ggvs_eval.arrays import Array
-from ggvs_eval.errors import CaptureError
+from ggvs_eval.camera import Camera
+from ggvs_eval.errors import CameraError, CaptureError
 from ggvs_eval.files.plain import check_plain
 from ggvs_eval.files.toml_tables import build_table, read_toml
 
 DEPTH_RANGE_FILE = "depth_range.toml"
+RANGE_MEND = (
+    f"{DEPTH_RANGE_FILE} with near and far in the capture's folder says it, 'ggvs-eval calibrate --known-poses' measures it"
+)
 
 # The scene is assumed to lie between these multiples of the distance to the point that the rig looks at.
 NEAR_FACTOR, FAR_FACTOR = 0.25, 4.0
@@ -23,6 +28,8 @@ LARGEST_CLOUD = 256 << 20  # bytes
 # Cameras around a scene are at most twice as far apart as the middle is far, and that if they are two that face each other.
 LEAST_DEPTH_SPACINGS = 0.4
 LARGEST_MISS = 0.5
+# A little nearer and farther than all but the outermost hundredth of what was measured.
+NEAR_MARGIN, FAR_MARGIN = 0.8, 1.2
 
 
 @dataclass(frozen=True)
@@ -31,6 +38,40 @@ class GivenDepthRange:
 
     near: float
     far: float
+
+
+class Placed(NamedTuple):
+    """A camera whose depth range its capture may not give.
+
+    Attributes:
+        name: of the camera.
+        K: intrinsics of its pinhole image, (3, 3).
+        world_to_camera: (4, 4).
+        size: (width, height), pixels.
+        near_far: depth range, world units; None where the capture gives none.
+    """
+
+    name: str
+    K: Array
+    world_to_camera: Array
+    size: tuple[int, int]
+    near_far: tuple[float, float] | None = None
+
+
+def ranged_cameras(rig: Sequence[Placed], file: Path) -> list[Camera]:
+    """The cameras of a rig; those without a depth range get that of `rig_depth_range`, and say that it is guessed.
+
+    Raises:
+        CaptureError: what is no camera; `file` is named.
+    """
+    guesses = rig_depth_range([each.world_to_camera for each in rig])
+    cameras = []
+    for (name, K, pose, size, given), guess in zip(rig, guesses, strict=True):
+        try:
+            cameras.append(Camera(name, K, pose, *size, *(given or guess), range_origin="given" if given else "guessed"))
+        except CameraError as error:
+            raise CaptureError(f"{file}: {error}") from error
+    return cameras
 
 
 def given_depth_range(path: Path) -> tuple[float, float] | None:
@@ -117,21 +158,24 @@ def _convergence_rad(axes: Array) -> float:
     return float(np.median(np.arccos(np.clip(axes @ mean, -1, 1))))
 
 
-def points_depth_range(points_world: Array, pose: Array, K: Array, size: tuple[int, int]) -> tuple[float, float, float] | None:
-    """1st, 50th and 99.9th percentile of the depth of the points in a camera's view; None where it sees none.
+def points_depth_range(
+    points_world: Array, pose: Array, K: Array, size: tuple[int, int], fewest: int = 1
+) -> tuple[float, float, float] | None:
+    """1st, 50th and 99.9th percentile of the depth of the points in a camera's view; None where it sees too few.
 
     Args:
         points_world: (N, 3).
         pose: world_to_camera, (4, 4).
         K: intrinsics, (3, 3).
         size: of the image, pixels.
+        fewest: points that must be seen.
     """
     points_camera = points_world @ pose[:3, :3].T + pose[:3, 3]
     points_camera = points_camera[points_camera[:, 2] > 0]
     with np.errstate(over="ignore"):
         uv = points_camera[:, :2] / points_camera[:, 2:] * K[[0, 1], [0, 1]] + K[:2, 2]
     depths = points_camera[((uv >= 0) & (uv <= size)).all(axis=1), 2]
-    if not depths.size:
+    if len(depths) < fewest:
         return None
     nearest, median, farthest = np.percentile(depths, [1.0, 50.0, 99.9])
     return float(nearest), float(median), float(farthest)

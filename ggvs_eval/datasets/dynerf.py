@@ -17,7 +17,8 @@ from ggvs_eval.files.listing import unread_videos
 POSES = "poses_bounds.npy"
 FRAME_FOLDERS = ("frames", "frames_2", "frames_4", "frames_8")
 PLACES = ("CAM.mp4", "CAM/images/", *(f"{folder}/CAM/" for folder in FRAME_FOLDERS), "images/CAM/")
-ARRANGEMENTS = "camXX.mp4, camXX/images/, frames/camXX/, frames_N/camXX/ or images/XX/"
+STILLS = ("images/CAM.png", "images_4/CAM.png", "images_8/CAM.png")  # one picture per camera, as LLFF has them
+ARRANGEMENTS = "camXX.mp4, camXX/images/, frames/camXX/, frames_N/camXX/, images/XX/ or, of stills, images/NAME.jpg"
 
 
 def refuse(path: Path) -> str | None:
@@ -42,7 +43,8 @@ def load(path: Path, units: GivenUnits) -> Capture:
 
     Reading:
         Row i belongs to the i-th camera in the order of names, never to the number in a name (numbers may be missing). One focal
-        length, principal point in the image centre, both scaled from the size in the file to the size of the frames.
+        length, principal point in the image centre, both scaled from the size in the file to the size of the frames. Pictures in
+        ``images/`` alone are LLFF's: one instant, one camera each.
     """
     sources = _find_sources(path)
     check_rig_size(path, len(sources))
@@ -64,7 +66,7 @@ def _find_sources(path: Path) -> dict[str, SizedSource]:
         if sources:
             _check_name_lengths(path, list(sources))
             return dict(sources)
-    return {}
+    return next((dict(sorted(stills)) for stills in (frames_in(path, place) for place in STILLS) if stills), {})
 
 
 def _check_name_lengths(path: Path, names: list[str]) -> None:
@@ -77,6 +79,8 @@ def _check_name_lengths(path: Path, names: list[str]) -> None:
 
 def _describe(names: list[str]) -> str:
     """The names in a few words: first, last, and the numbers missing between them."""
+    if not all(name.removeprefix("cam").isdecimal() for name in names):
+        return f"{names[0]}..{names[-1]}"
     numbers = {int(name.removeprefix("cam")) for name in names}
     missing = sorted(set(range(min(numbers), max(numbers))) - numbers)
     listed = f" without {', '.join(map(str, missing))}" if missing else ""

@@ -6,18 +6,17 @@ from pathlib import Path
 import numpy as np
 
 from ggvs_eval.arrays import Array
-from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture, Extras
 from ggvs_eval.datasets.array_file import map_array
 from ggvs_eval.datasets.assemble import SizedSource, assemble_capture
-from ggvs_eval.datasets.camera_frames import listed
+from ggvs_eval.datasets.camera_frames import CameraFrames, find_frames, listed
 from ggvs_eval.datasets.colmap_model import undistorted, undistorted_sources
-from ggvs_eval.datasets.depth_range import points_depth_range, read_points, rig_depth_range
+from ggvs_eval.datasets.depth_range import Placed, points_depth_range, ranged_cameras, read_points, rig_depth_range
 from ggvs_eval.datasets.easymocap_yaml import EasyMocapView, read_views
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.units import METRIC, GivenUnits, choose_units
-from ggvs_eval.errors import CameraError, CaptureError
-from ggvs_eval.files.listing import list_entries, list_files, list_images
+from ggvs_eval.errors import CaptureError
+from ggvs_eval.files.listing import VIDEO_SUFFIXES, list_entries, list_files, list_images
 from ggvs_eval.lens import Lens
 
 INTRINSICS, EXTRINSICS = "intri.yml", "extri.yml"
@@ -35,7 +34,8 @@ def refuse(path: Path) -> str | None:
     missing = [name for name in (INTRINSICS, EXTRINSICS) if not (path / name).is_file()]
     if missing:
         return f"no {' and '.join(missing)}"
-    return None if any(folder.is_dir() for folder in list_entries(path / "images")) else "no folders images/XX/"
+    places = [folder for folder in list_entries(path / "images") if folder.is_dir()]
+    return None if places or list_files(path / "videos", VIDEO_SUFFIXES) else "no folders images/XX/ and no videos/XX.mp4"
 
 
 def load(path: Path, units: GivenUnits) -> Capture:
@@ -46,74 +46,71 @@ def load(path: Path, units: GivenUnits) -> Capture:
         units: world units per metre or a file that says how to measure them; see `choose_units`.
 
     Raises:
-        CaptureError: a damaged file, a camera without frames or frames without a camera.
+        CaptureError: a damaged file, or fewer than two cameras with pose and frames.
 
     Reading:
-        The pinhole image keeps the lens's K, as ENeRF undistorts; pixels the lens did not see are black. A sequence with visual
+        Cameras without a pose or frames are left out and noted: lenses are often calibrated for more than were placed. The
+        pinhole image keeps the lens's K, as ENeRF undistorts; pixels the lens did not see are black. A sequence with visual
         hulls is ENeRF-Outdoor: metric, 60 frames per second. Depth range: see `_depth_ranges`.
     """
-    views = read_views(path / INTRINSICS, path / EXTRINSICS)
-    sources = _frames(path, [view.name for view in views])
+    views, frames, notes = _filmed(path)
+    sources = [frames[view.name] for view in views]
     lenses = [view.lens(source.size) for view, source in zip(views, sources, strict=True)]
     is_outdoor = (path / HULLS).is_dir()
-    cameras = _cameras(path, views, lenses, _depth_ranges(path, views, lenses))
+    depths = _depth_ranges(path, views, lenses)
+    rig = [
+        Placed(view.name, lens.K, view.world_to_camera, (lens.width, lens.height), given)
+        for view, lens, given in zip(views, lenses, depths, strict=True)
+    ]
+    cameras = ranged_cameras(rig, path / EXTRINSICS)
     pinhole = undistorted_sources(sources, lenses, cameras)
     chosen = choose_units(path, units, cameras, of_data_set=METRIC if is_outdoor else None)
     fps = OUTDOOR_FPS if is_outdoor else None
     extras = _extras(path, {view.name: lens for view, lens in zip(views, lenses, strict=True)}, sources[0].n_frames)
-    return assemble_capture(path, "enerf-outdoor", cameras, pinhole, chosen, fps=fps, extras=extras)
+    return assemble_capture(path, "enerf-outdoor", cameras, pinhole, chosen, fps=fps, extras=extras, notes=notes)
 
 
-def _frames(path: Path, names: Sequence[str]) -> list[ImageFrames]:
-    """The frames of each camera, none missing on either side."""
-    folders = {folder.name for folder in list_entries(path / "images") if folder.is_dir()}
-    unmatched = sorted(set(names) ^ folders)
-    if unmatched:
-        gaps = listed([f"{name} ({INTRINSICS if name in names else 'images/'} only)" for name in unmatched])
-        raise CaptureError(f"{path}: wanted a folder images/XX/ per camera of {INTRINSICS}, got {gaps}; restore or remove these")
-    return [ImageFrames(path / "images" / name) for name in names]
+def _filmed(path: Path) -> tuple[list[EasyMocapView], dict[str, CameraFrames], list[str]]:
+    """The cameras with a pose and frames, their frames, and notes on those that are left out."""
+    placed, unplaced = read_views(path / INTRINSICS, path / EXTRINSICS)
+    frames, beside = find_frames(path, {view.name: f"{view.name}.png" for view in placed})
+    views = [view for view in placed if view.name in frames]
+    left_out = {
+        f"not placed in {EXTRINSICS}": unplaced,
+        "no frames": [view.name for view in placed if view.name not in frames],
+        f"not in {INTRINSICS}": sorted(set(beside) - set(unplaced)),
+    }
+    notes = [f"{listed(names)} left out: {why}" for why, names in left_out.items() if names]
+    if len(views) < 2:
+        raise CaptureError(
+            f"{path}: wanted two or more cameras with a pose and frames in images/XX/ or videos/XX.mp4, got "
+            f"{listed([view.name for view in views]) or 'none'} ({'; '.join(notes)}); call frames and cameras alike"
+        )
+    return views, frames, notes
 
 
-def _cameras(
-    path: Path, views: Sequence[EasyMocapView], lenses: Sequence[Lens], ranges: Sequence[tuple[float, float]]
-) -> list[Camera]:
-    cameras = []
-    for view, lens, depths in zip(views, lenses, ranges, strict=True):
-        try:
-            cameras.append(Camera(view.name, lens.K, view.world_to_camera, lens.width, lens.height, *depths))
-        except CameraError as error:
-            raise CaptureError(f"{path / EXTRINSICS}: {error}") from error
-    return cameras
-
-
-def _depth_ranges(path: Path, views: Sequence[EasyMocapView], lenses: Sequence[Lens]) -> list[tuple[float, float]]:
-    """Near and far of each camera.
+def _depth_ranges(path: Path, views: Sequence[EasyMocapView], lenses: Sequence[Lens]) -> list[tuple[float, float] | None]:
+    """Near and far of each camera; None where the capture says nothing of them.
 
     Reading:
         What extri.yml says (n_, f_) where it does; else the nearest corner of the people's hulls, with a margin, to the far end
-        of background.ply as each camera sees it; what of these is absent is taken from `rig_depth_range`.
+        of background.ply as each camera sees it, or of `rig_depth_range` without that file.
     """
-    poses = [view.world_to_camera for view in views]
-    ranges = rig_depth_range(poses)
     corners = _hull_corners(path)
-    background = read_points(path / BACKGROUND_POINTS) if (path / BACKGROUND_POINTS).is_file() else None
-    depth_ranges = []
-    for view, lens, (near, far) in zip(views, lenses, ranges, strict=True):
-        if view.near_far is not None:
-            depth_ranges.append(view.near_far)
-            continue
+    background = read_points(path / BACKGROUND_POINTS) if (path / BACKGROUND_POINTS).is_file() else np.empty((0, 3))
+    guesses = rig_depth_range([view.world_to_camera for view in views])
+    ranges: list[tuple[float, float] | None] = []
+    for view, lens, (_, guessed_far) in zip(views, lenses, guesses, strict=True):
         depths = corners @ view.world_to_camera[2, :3] + view.world_to_camera[2, 3]
+        surfaces = points_depth_range(background, view.world_to_camera, lens.K, (lens.width, lens.height))
         is_in_front = bool(corners.size and depths.min() > 0)
-        if is_in_front:
-            near, far = depths.min() * (1 - MARGIN), max(far, depths.max() * (1 + MARGIN))
-        background_range = None
-        if background is not None:
-            background_range = points_depth_range(background, view.world_to_camera, lens.K, (lens.width, lens.height))
-        if background_range is not None:
-            near = near if is_in_front else background_range[0] * (1 - MARGIN)
-            far = max(background_range[2], depths.max(initial=0.0)) * (1 + MARGIN)
-        depth_ranges.append((float(near), float(far)))
-    return depth_ranges
+        if view.near_far is not None or not (is_in_front or surfaces):
+            ranges.append(view.near_far)
+            continue
+        near = depths.min() if is_in_front or surfaces is None else surfaces[0]
+        far = max(surfaces[2] if surfaces else guessed_far / (1 + MARGIN), depths.max(initial=0.0))
+        ranges.append((float(near * (1 - MARGIN)), float(far * (1 + MARGIN))))
+    return ranges
 
 
 def _hull_corners(path: Path) -> Array:

@@ -41,7 +41,7 @@ class EasyMocapView:
         return Lens(self.K, "opencv", self.coefficients, *(self.size or frame_size))
 
 
-def read_views(intrinsics: Path, extrinsics: Path) -> list[EasyMocapView]:
+def read_views(intrinsics: Path, extrinsics: Path) -> tuple[list[EasyMocapView], list[str]]:
     """Read both files.
 
     Args:
@@ -49,7 +49,7 @@ def read_views(intrinsics: Path, extrinsics: Path) -> list[EasyMocapView]:
         extrinsics: ``extri.yml`` with ``R_<cam>`` (Rodrigues) or ``Rot_<cam>`` (matrix), ``T_<cam>``, maybe ``n_``, ``f_``.
 
     Returns:
-        The cameras in the order of ``names``.
+        The cameras in the order of ``names``, and the names of those that the second file does not place.
 
     Raises:
         CaptureError: absent or damaged, or an entry that is absent, of another shape or not finite.
@@ -62,7 +62,8 @@ def read_views(intrinsics: Path, extrinsics: Path) -> list[EasyMocapView]:
     names = _names(intri, intrinsics)
     check_rig_size(intrinsics, len(names))
     views = []
-    for name in names:
+    placed = [name for name in names if any(extri.has(f"{key}_{name}") for key in ("R", "Rot", "T"))]
+    for name in placed:
         K = intri.matrix(f"K_{name}", (3, 3))
         K[:2, 2] += PIXEL_CENTRE
         size = intri.number(f"W_{name}"), intri.number(f"H_{name}")
@@ -80,7 +81,7 @@ def read_views(intrinsics: Path, extrinsics: Path) -> list[EasyMocapView]:
         except CameraError as error:
             raise CaptureError(f"{intrinsics}: {name}: {error}") from error
         views.append(view)
-    return views
+    return views, [name for name in names if name not in placed]
 
 
 def _names(intri: FileStorageYaml, path: Path) -> list[str]:

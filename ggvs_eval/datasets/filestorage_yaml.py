@@ -1,4 +1,4 @@
-"""The part of OpenCV's YAML that camera files are written in, read without OpenCV.
+"""The part of OpenCV's YAML and XML that camera files are written in, read without OpenCV.
 
 cv2.FileStorage ends the process on some damaged files: deep nesting overflows its stack, and about one mutation in a thousand
 makes it abort. Nothing here recurses, follows an anchor or allocates by what a file claims.
@@ -6,6 +6,7 @@ makes it abort. Nothing here recurses, follows an anchor or allocates by what a 
 
 import re
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -21,15 +22,26 @@ FIELD = re.compile(r"(rows|cols|dt|data)[ \t]*:[ \t]*(\[[^\[\]]*\]|[^\s\[\]]+)")
 
 
 class FileStorageYaml:
-    """Numbers, matrices and sequences of texts by their key; every surprise is a `CaptureError`."""
+    """Numbers, matrices and sequences of texts by their key; every surprise is a `CaptureError`.
 
-    def __init__(self, path: Path) -> None:
+    Args:
+        path: the file, YAML or XML.
+        is_plain: whether YAML without OpenCV's first line is read too, as ROS writes it.
+    """
+
+    def __init__(self, path: Path, is_plain: bool = False) -> None:
         self._path = path
-        lines = _read_text(path).splitlines()
-        if not lines or not lines[0].startswith(("%YAML:1.0", "%YAML 1.")):
-            raise self._refused("OpenCV YAML, which begins with %YAML:1.0", repr(lines[0][:40]) if lines else "no line")
         self._entries: dict[str, str] = {}
-        self._split(lines[1:])
+        text = _read_text(path).lstrip("\ufeff")
+        lines = text.splitlines()
+        if text.lstrip().startswith("<"):
+            self._read_xml(text)
+        elif lines and lines[0].startswith(("%YAML:1.0", "%YAML 1.")):
+            self._split(lines[1:])
+        elif is_plain and lines and not lines[0].startswith("%"):
+            self._split(lines)
+        else:
+            raise self._refused("OpenCV YAML, which begins with %YAML:1.0", repr(lines[0][:40]) if lines else "no line")
 
     def texts(self, key: str) -> list[str]:
         """A sequence of texts; empty where it is absent or something else."""
@@ -81,9 +93,10 @@ class FileStorageYaml:
         """The four fields of a matrix as texts."""
         value = self._entries[key]
         fields = dict(FIELD.findall(value))
-        if not value.startswith("!!opencv-matrix") or len(fields) < 4 or not fields["data"].startswith("["):
+        is_matrix = (value.startswith("!!opencv-matrix") and "dt" in fields) or value.startswith("rows")
+        if not is_matrix or not {"rows", "cols", "data"} <= fields.keys() or not fields["data"].startswith("["):
             raise self._refused(f"!!opencv-matrix with rows, cols, dt and data in {key}", value or "nothing")
-        if _unquoted(fields["dt"]) not in ELEMENT_TYPES:
+        if _unquoted(fields.get("dt", "d")) not in ELEMENT_TYPES:
             raise self._refused(f"one number per element in {key}, such as dt: d", f"dt: {fields['dt']}")
         return fields
 
@@ -105,8 +118,37 @@ class FileStorageYaml:
                 body.append(line)
         self._entries = {key: "\n".join(body).strip() for key, body in bodies.items()}
 
+    def _read_xml(self, text: str) -> None:
+        """Read the entries of an XML file as the YAML of the same content has them."""
+        for element in parse_xml(self._path, text, "the XML of cv2.FileStorage"):
+            words = " ".join("".join(element.itertext()).split())
+            parts = {part.tag: " ".join((part.text or "").split()) for part in element}
+            if element.get("type_id") == "opencv-matrix":
+                data = ", ".join(parts.get("data", "").split())
+                shape = "".join(f"{key}: {parts[key]}\n" for key in ("rows", "cols", "dt") if parts.get(key))
+                self._entries[element.tag] = f"!!opencv-matrix\n{shape}data: [{data}]"
+            elif words.count('"') > 2 or "_" in parts:  # a sequence of texts
+                items = re.findall(r'"([^"]*)"', words) or [part.text or "" for part in element]
+                self._entries[element.tag] = f"[{', '.join(items)}]"
+            else:
+                self._entries[element.tag] = words
+
     def _refused(self, form: str, content: str) -> CaptureError:
         return refused(self._path, form, content)
+
+
+def parse_xml(path: Path, text: str, form: str) -> ElementTree.Element:
+    """The root of an XML text without declarations.
+
+    Raises:
+        CaptureError: no XML, or entities, which could grow beyond all measure.
+    """
+    try:
+        if "<!" in text.replace("<!--", ""):
+            raise refused(path, "XML without declarations", "one that begins with <!")
+        return ElementTree.fromstring(text.encode())
+    except (ElementTree.ParseError, UnicodeError, LookupError, ValueError, RecursionError) as error:
+        raise refused(path, form, str(error)) from error
 
 
 def refused(path: Path, form: str, content: str) -> CaptureError:

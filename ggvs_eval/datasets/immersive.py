@@ -1,16 +1,15 @@
 """Google Immersive (DeepView Video): videos of a hemispherical rig of fisheye cameras, with ``models.json``."""
 
 import re
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from ggvs_eval.camera import Camera
+from ggvs_eval.arrays import Array
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size
 from ggvs_eval.datasets.camera_frames import find_frames, listed
 from ggvs_eval.datasets.colmap_model import undistorted_sources
-from ggvs_eval.datasets.depth_range import given_depth_range, rig_depth_range
+from ggvs_eval.datasets.depth_range import Placed, ranged_cameras
 from ggvs_eval.datasets.google_models import MODELS, CameraModel, load_models, read_camera_model, read_numbers
 from ggvs_eval.datasets.units import METRIC, GivenUnits, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
@@ -36,6 +35,7 @@ class _View(NamedTuple):
     name: str
     model: CameraModel
     lens: Lens
+    K: Array  # of its pinhole image
 
 
 def refuse(path: Path) -> str | None:
@@ -59,8 +59,8 @@ def load(path: Path, units: GivenUnits) -> Capture:
         The lens is the one of the data set's README: theta (1 + k1 theta^2 + k2 theta^4) focal lengths from the principal point,
         OpenCV's fisheye model with k3 = k4 = 0. The pinhole image has the fisheye image's size and focal length, without blank
         pixels, see `Lens.undistorted_K`: it shows the inner part of what the lens saw. Cameras of the file without frames are
-        left out with a note, since the data set says that some scenes lack some. Depth range: ``depth_range.toml``, else what
-        HyperReel takes for the scene by the number its folder begins with, else `rig_depth_range`.
+        left out with a note, since the data set says that some scenes lack some. Depth range: what HyperReel takes for the scene
+        by the number its folder begins with.
     """
     views = _read_views(path / MODELS)
     frames = find_frames(path, {view.name: view.name for view in views}).sources
@@ -68,7 +68,9 @@ def load(path: Path, units: GivenUnits) -> Capture:
         raise CaptureError(f"{path}: wanted videos {views[0].name}.mp4, ..., or folders of their frames, got none; restore them")
     filmed = [view for view in views if view.name in frames]
     sources = [frames[view.name] for view in filmed]
-    cameras = _cameras(path, filmed)
+    depths = SCENE_DEPTHS_M.get(path.resolve().name.partition("_")[0])
+    rig = [Placed(view.name, view.K, view.model.world_to_camera, (view.lens.width, view.lens.height), depths) for view in filmed]
+    cameras = ranged_cameras(rig, path / MODELS)
     pinhole = undistorted_sources(sources, [view.lens for view in filmed], cameras)
     absent = [view.name for view in views if view.name not in frames]
     notes = [f"{listed(absent)} left out: in {MODELS}, but without frames"] if absent else []
@@ -104,20 +106,6 @@ def _read_view(file: Path, index: int, model: Any) -> _View:
         )
     try:
         lens = Lens(calibrated.K, FISHEYE, (k1, k2, 0.0, 0.0), round(calibrated.width), round(calibrated.height))
+        return _View(name, calibrated, lens, lens.undistorted_K())
     except CameraError as error:
         raise CaptureError(f"{file}: {name}: {error}") from error
-    return _View(name, calibrated, lens)
-
-
-def _cameras(path: Path, views: Sequence[_View]) -> list[Camera]:
-    ranges = rig_depth_range([view.model.world_to_camera for view in views])
-    depths = given_depth_range(path) or SCENE_DEPTHS_M.get(path.resolve().name.partition("_")[0])
-    cameras = []
-    for view, limits in zip(views, ranges, strict=True):
-        size = view.lens.width, view.lens.height
-        try:
-            K = view.lens.undistorted_K()
-            cameras.append(Camera(view.name, K, view.model.world_to_camera, *size, *(depths or limits)))
-        except CameraError as error:
-            raise CaptureError(f"{path / MODELS}: {view.name}: {error}") from error
-    return cameras

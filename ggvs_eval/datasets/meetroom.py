@@ -6,16 +6,16 @@ from pathlib import Path
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import SizedSource, assemble_capture, check_rig_size
 from ggvs_eval.datasets.camera_frames import CameraFrames, frames_in, listed
+from ggvs_eval.datasets.frame_folders import instant_pictures, numbered_folders
 from ggvs_eval.datasets.frames import NumberedFrames
 from ggvs_eval.datasets.llff import llff_camera, read_llff_poses
 from ggvs_eval.datasets.units import GivenUnits, choose_units
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.files.listing import list_images
 
 POSES = "poses_bounds.npy"
 VIDEO = re.compile(r"cam_(\d{1,4})")
 PICTURE = re.compile(r"cam(\d{1,4})")
-INSTANT = re.compile(r"\d{4}")
+INSTANT = re.compile(r"(\d{4})")
 FRAMES = ("frames", ".")
 
 
@@ -45,7 +45,7 @@ def load(path: Path, units: GivenUnits) -> Capture:
     poses_file = path / POSES
     if not sources:
         instants = _instants(path)
-        sources, poses_file = dict(_pictures(path, instants)), instants[0] / POSES
+        sources, poses_file = dict(_pictures(path, instants)), next(iter(instants.values())) / POSES
     check_rig_size(path, len(sources))
     poses = read_llff_poses(poses_file)
     if len(poses) != len(sources):
@@ -66,20 +66,16 @@ def _videos(path: Path) -> dict[int, CameraFrames]:
     return {int(match[1]): video for match, video in videos if match}
 
 
-def _instants(path: Path) -> list[Path]:
-    """Folders of the instants, in the order of time."""
+def _instants(path: Path) -> dict[int, Path]:
+    """Folders of the instants by their numbers, in the order of time."""
     for parent in (path / name for name in FRAMES):
-        folders = sorted(folder for folder in parent.glob("[0-9]*") if INSTANT.fullmatch(folder.name) and folder.is_dir())
-        if folders and (folders[0] / POSES).is_file() and list_images(folders[0] / "images"):
+        folders = numbered_folders(parent, INSTANT)
+        if folders and (next(iter(folders.values())) / POSES).is_file():
             return folders
-    return []
+    return {}
 
 
-def _pictures(path: Path, instants: list[Path]) -> dict[int, NumberedFrames]:
+def _pictures(path: Path, instants: dict[int, Path]) -> dict[int, NumberedFrames]:
     """Camera number -> its pictures."""
-    numbered: dict[int, list[tuple[int, Path]]] = {}
-    for folder in instants:
-        for file in list_images(folder / "images"):
-            if match := PICTURE.fullmatch(file.stem):
-                numbered.setdefault(int(match[1]), []).append((int(folder.name), file))
-    return {number: NumberedFrames(path, tuple(files)) for number, files in numbered.items()}
+    matches = [(PICTURE.fullmatch(name), files) for name, files in instant_pictures(instants).items()]
+    return {int(match[1]): NumberedFrames(path, tuple(files)) for match, files in matches if match}

@@ -6,7 +6,7 @@ from pathlib import Path
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import assemble_capture
 from ggvs_eval.datasets.camera_frames import frames_in, listed
-from ggvs_eval.datasets.colmap_model import CalibratedView, read_model, undistorted_sources
+from ggvs_eval.datasets.colmap_model import CalibratedView, median_depths, model_cameras, read_model, undistorted_sources
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.units import GivenUnits, choose_units
 from ggvs_eval.errors import CaptureError
@@ -41,9 +41,9 @@ def load(path: Path, units: GivenUnits) -> Capture:
         gaps = listed([f"cam{number:02d} ({'model' if number in views else 'folder'} only)" for number in missing])
         raise CaptureError(f"{path}: wanted a folder camXX/ per image of {MODEL}/, got {gaps}; restore or remove these")
     numbers = sorted(folders)
-    cameras = [views[number].camera(folders[number].name, path / MODEL) for number in numbers]
+    cameras = model_cameras({folders[number].name: views[number] for number in numbers}, path / MODEL)
     sources = [ImageFrames(folders[number]) for number in numbers]
-    chosen = choose_units(path, units, cameras, median_depths=[views[number].depth_percentiles[1] for number in numbers])
+    chosen = choose_units(path, units, cameras, median_depths=median_depths(views.values()))
     pinhole = undistorted_sources(sources, [views[number].lens for number in numbers], cameras)
     return assemble_capture(path, "multipleview", cameras, pinhole, chosen)
 

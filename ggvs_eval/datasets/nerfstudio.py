@@ -1,84 +1,149 @@
-"""nerfstudio captures: ``transforms.json`` with one image per fixed camera."""
+"""Captures of a ``transforms.json`` with one image per fixed camera: nerfstudio's, instant-ngp's, and NeRF's own split files."""
 
 import json
 import math
-from collections.abc import Mapping
-from pathlib import Path
+from collections.abc import Mapping, Sequence
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 
 from ggvs_eval.arrays import Array
-from ggvs_eval.camera import LARGEST_DEVIATION, Camera
+from ggvs_eval.camera import LARGEST_DEVIATION
 from ggvs_eval.capture import Capture
-from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size
-from ggvs_eval.datasets.camera_frames import require_frames
+from ggvs_eval.datasets.assemble import SizedSource, assemble_capture, check_rig_size
+from ggvs_eval.datasets.camera_frames import listed, require_frames
 from ggvs_eval.datasets.colmap_model import undistorted_sources
-from ggvs_eval.datasets.depth_range import rig_depth_range
+from ggvs_eval.datasets.depth_range import Placed, ranged_cameras
 from ggvs_eval.datasets.units import GivenUnits, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.files.listing import IMAGE_SUFFIXES
 from ggvs_eval.files.names import camera_names
 from ggvs_eval.files.plain import read_plain_text
 from ggvs_eval.lens import Lens
 
-TRANSFORMS = "transforms.json"
+# One file, or NeRF's one per split, whose cameras are those of one rig; the last are its test views.
+TRANSFORMS, SPLITS, TEST = "transforms.json", ("train", "val", "test"), "test"
+TEST_IMAGES = "test_filenames"  # of one file, nerfstudio's word for a split
 PINHOLE_MODELS = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL")
+FISHEYE_MODEL = "OPENCV_FISHEYE"
+MATRICES = ("K", "intrinsics", "intrinsic_matrix", "camera_intrinsics")
+FOCAL_LENGTHS = ("fl_x", "camera_angle_x", "fl_y", "camera_angle_y")
+USED = {*MATRICES, *FOCAL_LENGTHS, "camera_model", "is_fisheye", "w", "h", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2"}
+USED |= {"frames", "file_path", "transform_matrix", "near", "far", "time", TEST_IMAGES}
+# Of other programs, and without a say in where a pixel looks: bounds of the scene, other files, names and times.
+HARMLESS = {"aabb_scale", "scale", "offset", "aabb", "render_aabb", "from_na", "sharpness", "ply_file_path", "applied_transform"}
+HARMLESS |= {"applied_scale", "orientation_override", "train_filenames", "val_filenames", "colmap_im_id"}
+HARMLESS |= {"mask_path", "depth_file_path", "camera_label", "camera_id", "cam_id", "timestamp", "rotation", "depth_path"}
+HARMLESS |= {"auto_scale_poses_override", "auto_scale_poses", "fps", "integer_depth_scale", "frame_id", "name"}
 # OpenGL's camera looks along -z with y up, ours along +z with y down.
 OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def refuse(path: Path) -> str | None:
     """Return the reason why this is not a nerfstudio capture, or None if it is one."""
-    return None if (path / TRANSFORMS).is_file() else f"no {TRANSFORMS}"
+    return None if _files(path) else f"neither {TRANSFORMS} nor transforms_{SPLITS[0]}.json"
 
 
 def load(path: Path, units: GivenUnits) -> Capture:
-    """Open a nerfstudio capture of a fixed rig; cameras are called as their images or folders, in the order of names.
+    """Open a capture of a fixed rig; cameras are called as their images or folders, in the order of names.
 
     Frames are those of `require_frames`: videos or image folders of that name, else the one image itself.
 
     Args:
-        path: folder that holds ``transforms.json``.
+        path: folder that holds ``transforms.json``, or ``transforms_train.json`` and its like for other splits.
         units: world units per metre or a file that says how to measure them; see `choose_units`.
 
     Raises:
         CaptureError: damaged JSON, a camera without pose, intrinsics or frames, or a camera model that OpenCV cannot express.
 
     Reading:
-        The file gives no depth range: that of `rig_depth_range` is taken.
+        Cameras of split files are one rig; those of ``transforms_test.json``, or named by ``test_filenames``, become its test
+        views. Frames of different times are refused: they are one camera that moves through a moving scene. ``is_fisheye`` is
+        instant-ngp's word for ``OPENCV_FISHEYE``. The size is that of the pictures where the file says none, a suffix that of
+        the picture that is there.
     """
-    file = path / TRANSFORMS
+    files = _files(path)
+    frames: dict[str, dict[str, Any]] = {}
+    test_views: list[str] = []
+    for file in files:
+        named = _read_frames(file)
+        twice = sorted(set(frames) & set(named))
+        if twice:
+            raise CaptureError(
+                f"{file}: wanted cameras of different names, got {listed(twice)} twice; rename the pictures of one"
+            )
+        frames |= named
+        test_views += [
+            name for name, frame in named.items() if file.stem.endswith(TEST) or frame["file_path"] in frame.get(TEST_IMAGES, ())
+        ]
+    times = {frame.get("time") for frame in frames.values()}
+    if len(times) > 1:
+        raise CaptureError(
+            f"{files[0]}: wanted all cameras at one instant, got {len(times)} times: one camera that moves through a "
+            "moving scene is no rig; give videos of several cameras"
+        )
+    names = sorted(frames)
+    found = require_frames(path, {name: _image(path, frames[name]["file_path"]) for name in names})
+    sources = list(found.sources.values())
+    placed, lenses = zip(
+        *(_placed(files, name, frames[name], source) for name, source in zip(names, sources, strict=True)), strict=True
+    )
+    cameras = ranged_cameras(placed, files[0])
+    pinhole = undistorted_sources(sources, lenses, cameras)
+    unknown = sorted({key for frame in frames.values() for key in frame} - USED - HARMLESS)
+    notes = [f"{', '.join(each.name for each in files)}: {listed(unknown)} not known here, passed over"] if unknown else []
+    return assemble_capture(
+        path, "nerfstudio", cameras, pinhole, choose_units(path, units, cameras), notes=notes, test_views=sorted(test_views)
+    )
+
+
+def _files(path: Path) -> list[Path]:
+    files = [path / TRANSFORMS] if (path / TRANSFORMS).is_file() else [path / f"transforms_{split}.json" for split in SPLITS]
+    return [file for file in files if file.is_file()]
+
+
+def _read_frames(file: Path) -> dict[str, dict[str, Any]]:
+    """What is said of each camera, by its name; what a frame does not say itself stands at the top of the file."""
     try:
         values = dict(json.loads(read_plain_text(file)))
-        check_rig_size(path, len(values["frames"]))
-        images = [frame["file_path"].replace("\\", "/") for frame in values["frames"]]
-        described = [(image, {**values, **frame}) for image, frame in zip(images, values["frames"], strict=True)]
-        frames = dict(zip(camera_names(images), described, strict=True))
-        if len(frames) != len(values["frames"]) or not frames:
-            raise ValueError(f"{len(values['frames'])} frames of {len(frames)} cameras")
-        poses = {name: _world_to_camera(frame) for name, (_, frame) in frames.items()}
-        lenses = {name: _lens(frame) for name, (_, frame) in frames.items()}
-    except (OSError, ValueError, TypeError, KeyError, ArithmeticError, RecursionError, AttributeError, CameraError) as error:
-        reason = f"no {error}" if isinstance(error, KeyError) else str(error)
-        raise CaptureError(
-            f"{file}: wanted frames with poses and intrinsics, one per camera, got: {reason:.200}; export it again"
-        ) from error
-    names = sorted(frames)
-    cameras = _cameras(names, poses, lenses, file)
-    sources = require_frames(path, {name: frames[name][0] for name in names}).sources
-    pinhole = undistorted_sources(list(sources.values()), [lenses[name] for name in names], cameras)
-    return assemble_capture(path, "nerfstudio", cameras, pinhole, choose_units(path, units, cameras))
+        check_rig_size(file, len(values["frames"]))
+        described = [{**values, **frame, "file_path": frame["file_path"].replace("\\", "/")} for frame in values["frames"]]
+        frames = dict(zip(camera_names([frame["file_path"] for frame in described]), described, strict=True))
+        if len(frames) != len(described) or not frames:
+            raise ValueError(f"{len(described)} frames of {len(frames)} cameras")
+        for frame in frames.values():
+            frame["transform_matrix"] = _world_to_camera(frame)
+    except (OSError, ValueError, TypeError, KeyError, RecursionError, AttributeError, ArithmeticError) as error:
+        raise _refused(file, error) from error
+    return frames
 
 
-def _cameras(names: list[str], poses: Mapping[str, Array], lenses: Mapping[str, Lens], file: Path) -> list[Camera]:
-    ranges = rig_depth_range([poses[name] for name in names])
+def _image(path: Path, file_path: str) -> str:
+    """The picture of a frame as `require_frames` looks for it; NeRF's own files leave its suffix out."""
+    relative = file_path.removeprefix("./").removeprefix("images/")
+    if PurePosixPath(relative).suffix.lower() in IMAGE_SUFFIXES or not relative.isprintable() or len(relative) > 1000:
+        return relative
+    there = [
+        relative + suffix
+        for suffix in IMAGE_SUFFIXES
+        if any((at / (relative + suffix)).is_file() for at in (path, path / "images"))
+    ]
+    return there[0] if there else relative
+
+
+def _placed(files: Sequence[Path], name: str, frame: Mapping[str, Any], source: SizedSource) -> tuple[Placed, Lens]:
     try:
-        return [
-            Camera(name, lenses[name].undistorted_K(), poses[name], lenses[name].width, lenses[name].height, *depths)
-            for name, depths in zip(names, ranges, strict=True)
-        ]
-    except CameraError as error:
-        raise CaptureError(f"{file}: {error}") from error
+        lens = _lens(frame, source.size)
+        near_far = (float(frame["near"]), float(frame["far"])) if {"near", "far"} <= frame.keys() else None
+        return Placed(name, lens.undistorted_K(), frame["transform_matrix"], (lens.width, lens.height), near_far), lens
+    except (ValueError, TypeError, KeyError, ArithmeticError, CameraError) as error:
+        raise _refused(files[0], error) from error
+
+
+def _refused(file: Path, error: Exception) -> CaptureError:
+    reason = f"no {error}" if isinstance(error, KeyError) else str(error)
+    return CaptureError(f"{file}: wanted frames with poses and intrinsics, one per camera, got: {reason:.200}; export it again")
 
 
 def _world_to_camera(frame: Mapping[str, Any]) -> Array:
@@ -92,17 +157,41 @@ def _world_to_camera(frame: Mapping[str, Any]) -> Array:
     return np.asarray(np.linalg.inv(camera_to_world @ OPENGL_TO_OPENCV), dtype=np.float64)
 
 
-def _lens(frame: Mapping[str, Any]) -> Lens:
-    """The lens of a frame; what it does not say itself stands at the top of the file."""
-    model = frame.get("camera_model", "OPENCV")
-    width, height = int(frame["w"]), int(frame["h"])
-    fx = float(frame["fl_x"]) if "fl_x" in frame else width / 2 / math.tan(float(frame["camera_angle_x"]) / 2)
-    fy = float(frame.get("fl_y", fx))
-    K = np.array([[fx, 0, float(frame.get("cx", width / 2))], [0, fy, float(frame.get("cy", height / 2))], [0, 0, 1.0]])
-    names = ("k1", "k2", "k3", "k4") if model == "OPENCV_FISHEYE" else ("k1", "k2", "p1", "p2", "k3")
-    if model not in (*PINHOLE_MODELS, "OPENCV_FISHEYE"):
-        raise ValueError(f"camera_model {model!r}, known are {', '.join((*PINHOLE_MODELS, 'OPENCV_FISHEYE'))}")
-    if model != "OPENCV_FISHEYE" and frame.get("k4", 0):
+def _lens(frame: Mapping[str, Any], frame_size: tuple[int, int]) -> Lens:
+    """The lens of a frame, whose picture has that size."""
+    width, height = int(frame.get("w", frame_size[0])), int(frame.get("h", frame_size[1]))
+    is_fisheye = bool(frame.get("is_fisheye"))
+    model = frame.get("camera_model", FISHEYE_MODEL if is_fisheye else "OPENCV")
+    if model not in (*PINHOLE_MODELS, FISHEYE_MODEL):
+        raise ValueError(f"camera_model {model!r}, known are {', '.join((*PINHOLE_MODELS, FISHEYE_MODEL))}")
+    if is_fisheye != (model == FISHEYE_MODEL) and "is_fisheye" in frame:
+        raise ValueError(f"is_fisheye {frame['is_fisheye']!r:.20} of camera_model {model}; keep the one that is right")
+    if model != FISHEYE_MODEL and frame.get("k4", 0):
         raise ValueError(f"k4 = {frame['k4']!r:.40} of {model}, which programs read differently; undistort the images")
+    names = ("k1", "k2", "k3", "k4") if model == FISHEYE_MODEL else ("k1", "k2", "p1", "p2", "k3")
     coefficients = tuple(float(frame.get(name, 0.0)) for name in names)
-    return Lens(K, "fisheye" if model == "OPENCV_FISHEYE" else "opencv", coefficients, width, height)
+    return Lens(_intrinsics(frame, width, height), "fisheye" if model == FISHEYE_MODEL else "opencv", coefficients, width, height)
+
+
+def _intrinsics(frame: Mapping[str, Any], width: int, height: int) -> Array:
+    """K by a matrix, focal lengths or angles of view, (3, 3); one of two focal lengths is that of square pixels."""
+    focal = {}
+    for axis, side in (("x", width), ("y", height)):
+        if f"fl_{axis}" in frame:
+            focal[axis] = float(frame[f"fl_{axis}"])
+        elif f"camera_angle_{axis}" in frame:
+            focal[axis] = side / 2 / math.tan(float(frame[f"camera_angle_{axis}"]) / 2)
+    matrix = next((np.array(frame[key], dtype=np.float64) for key in MATRICES if key in frame), None)
+    if matrix is not None and (matrix.ndim != 2 or min(matrix.shape) < 3):
+        raise ValueError(f"intrinsics of {frame['file_path']} of shape {matrix.shape}, wanted 3 x 3")
+    if matrix is not None and not focal:
+        return matrix[:3, :3].copy()
+    if not focal:
+        raise KeyError("fl_x, camera_angle_x or K")
+    fx, fy = focal.get("x", focal.get("y")), focal.get("y", focal.get("x"))
+    K = np.array([[fx, 0, float(frame.get("cx", width / 2))], [0, fy, float(frame.get("cy", height / 2))], [0, 0, 1.0]])
+    if matrix is not None and not np.allclose(matrix[:3, :3], K, rtol=1e-3, atol=0.1):
+        raise ValueError(
+            f"two intrinsics of {frame['file_path']}, a matrix {matrix.tolist()} and {K.tolist()}; keep the right one"
+        )
+    return K

@@ -8,13 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ggvs_eval.arrays import Array
-from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size
-from ggvs_eval.datasets.depth_range import given_depth_range, rig_depth_range
+from ggvs_eval.datasets.depth_range import Placed, ranged_cameras
 from ggvs_eval.datasets.frames import NumberedFrames
 from ggvs_eval.datasets.units import METRIC, GivenUnits, choose_units
-from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.plain import read_plain_text
 
 IMAGES = "ims"
@@ -52,20 +51,13 @@ def load(path: Path, units: GivenUnits) -> Capture:
 
     Reading:
         Which cameras are held out is the protocol's affair: ``test_meta.json`` lists those of ``panoptic_sports``. The files give
-        no range of depth: ``depth_range.toml`` does, or `rig_depth_range`.
+        no range of depth.
     """
     views = {name: view for file in METAS if (path / file).is_file() for name, view in _read(path / file)}
     check_rig_size(path, len(views))
     names = sorted(views, key=lambda name: (len(name), name))
-    given = given_depth_range(path)
-    ranges = [given] * len(names) if given else rig_depth_range([views[name].world_to_camera for name in names])
-    try:
-        cameras = [
-            Camera(name, views[name].K, views[name].world_to_camera, views[name].width, views[name].height, *depths)
-            for name, depths in zip(names, ranges, strict=True)
-        ]
-    except CameraError as error:
-        raise CaptureError(f"{path}: {error}; copy the scene again") from error
+    rig = [Placed(name, views[name].K, views[name].world_to_camera, (views[name].width, views[name].height)) for name in names]
+    cameras = ranged_cameras(rig, path)
     folder = path / IMAGES
     sources = [NumberedFrames(folder, tuple(enumerate(folder / file for file in views[name].files))) for name in names]
     return assemble_capture(path, "panoptic", cameras, sources, choose_units(path, units, cameras, of_data_set=METRIC))

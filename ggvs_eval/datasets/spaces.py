@@ -6,14 +6,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size
-from ggvs_eval.datasets.depth_range import rig_depth_range
+from ggvs_eval.datasets.depth_range import Placed, ranged_cameras
 from ggvs_eval.datasets.frames import ImageFrames, as_calibrated, has_shape
 from ggvs_eval.datasets.google_models import MODELS, CameraModel, load_models, read_camera_model
 from ggvs_eval.datasets.units import METRIC, GivenUnits, choose_units
-from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.listing import find_below
 
 
@@ -49,8 +48,7 @@ def load_positions(path: Path, units: GivenUnits, positions: Sequence[int] | Non
         CaptureError: no such position, ``models.json`` is damaged, or an image is missing, damaged or of another shape.
 
     Reading:
-        The images are taken for scaled, not cropped, where their size differs from that in the file. The file says nothing about
-        depth: `rig_depth_range` of all cameras of the scene, whichever positions are chosen.
+        The images are taken for scaled, not cropped, where their size differs from that in the file.
     """
     views = _read_views(path)
     chosen = range(len(views)) if positions is None else positions
@@ -60,11 +58,10 @@ def load_positions(path: Path, units: GivenUnits, positions: Sequence[int] | Non
         raise CaptureError(
             f"{path / MODELS}: wanted rig position {listed}, the scene has 0..{len(views) - 1}; choose among these"
         )
-    ranges = iter(rig_depth_range([view.model.world_to_camera for at in views for view in at]))
-    ranged = [[(view, next(ranges)) for view in at] for at in views]
-    taken = [each for position in chosen for each in ranged[position]]
-    sources = [_image(view) for view, _ in taken]
-    cameras = [_make_camera(view, source, limits) for (view, limits), source in zip(taken, sources, strict=True)]
+    rig = iter(ranged_cameras([_placed(view) for at in views for view in at], path / MODELS))
+    by_position = [[(next(rig), view) for view in at] for at in views]
+    taken = [each for position in chosen for each in by_position[position]]
+    cameras, sources = [camera for camera, _ in taken], [_image(view) for _, view in taken]
     return assemble_capture(path, "spaces", cameras, sources, choose_units(path, units, cameras, of_data_set=METRIC))
 
 
@@ -110,9 +107,9 @@ def _image(view: _View) -> ImageFrames:
     return as_calibrated(ImageFrames(view.file), round(view.model.width), round(view.model.height))
 
 
-def _make_camera(view: _View, source: ImageFrames, limits: tuple[float, float]) -> Camera:
+def _placed(view: _View) -> Placed:
     """The camera at the size of its image on disk."""
-    model, (width, height) = view.model, source.size
+    model, (width, height) = view.model, _image(view).size
     if not has_shape((width, height), (model.width, model.height)):
         calibrated = f"{model.width:g} x {model.height:g}"
         raise CaptureError(
@@ -120,7 +117,4 @@ def _make_camera(view: _View, source: ImageFrames, limits: tuple[float, float]) 
             "give images that are scaled but not cropped"
         )
     K = np.diag([width / model.width, height / model.height, 1.0]) @ model.K
-    try:
-        return Camera(view.name, K, model.world_to_camera, width, height, *limits)
-    except CameraError as error:
-        raise CaptureError(f"{view.file.parents[1] / MODELS}: {error}; copy the scene again") from error
+    return Placed(view.name, K, model.world_to_camera, (width, height))

@@ -9,10 +9,10 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import assemble_capture, check_rig_size
 from ggvs_eval.datasets.camera_frames import listed
-from ggvs_eval.datasets.depth_range import given_depth_range, rig_depth_range
+from ggvs_eval.datasets.depth_range import Placed, ranged_cameras
 from ggvs_eval.datasets.frames import NumberedFrames
 from ggvs_eval.datasets.units import GivenUnits, choose_units
-from ggvs_eval.errors import CameraError, CaptureError
+from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.listing import list_images
 from ggvs_eval.files.plain import parse_numbers, read_plain_text
 
@@ -56,8 +56,8 @@ def load(path: Path, units: GivenUnits) -> Capture:
     Reading:
         The data set has no public description. After HyperReel's loader: row i belongs to the pictures of number i; fx = f,
         fy = ar f at 2048 x 1088; the quaternion (w first) and t map world to camera. sk must be zero. Frames count from the
-        first picture that is there, whatever its number: Painter's begin at 0, the others' at 1. Depth range:
-        ``depth_range.toml``, else HyperReel's of the scene by its name, else `rig_depth_range`.
+        first picture that is there, whatever its number: Painter's begin at 0, the others' at 1. Depth range: HyperReel's of the
+        scene by its name.
     """
     folder, by_camera = _find_frames(path) or (path, {})
     rows = _read_rows(path / PARAMETERS)
@@ -113,13 +113,10 @@ def _cameras(path: Path, rows: np.ndarray) -> list[Camera]:
     poses = np.tile(np.eye(4), (len(rows), 1, 1))
     poses[:, :3, :3] = Rotation.from_quat(rows[:, [6, 7, 8, 5]]).as_matrix()
     poses[:, :3, 3] = rows[:, 9:12]
-    depths = given_depth_range(path) or SCENE_DEPTHS.get(path.resolve().name.lower())
-    cameras = []
-    for index, (row, pose, limits) in enumerate(zip(rows, poses, rig_depth_range(list(poses)), strict=True)):
+    depths = SCENE_DEPTHS.get(path.resolve().name.lower())
+    rig = []
+    for index, (row, pose) in enumerate(zip(rows, poses, strict=True)):
         focal_px, cu, cv, aspect = row[:4]
         K = np.array([[focal_px, 0.0, cu], [0.0, aspect * focal_px, cv], [0.0, 0.0, 1.0]])
-        try:
-            cameras.append(Camera(f"cam{index:02d}", K, pose, *CALIBRATED_SIZE, *(depths or limits)))
-        except CameraError as error:
-            raise CaptureError(f"{path / PARAMETERS}: {error}; copy the scene again") from error
-    return cameras
+        rig.append(Placed(f"cam{index:02d}", K, pose, CALIBRATED_SIZE, depths))
+    return ranged_cameras(rig, path / PARAMETERS)

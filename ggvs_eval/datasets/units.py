@@ -30,6 +30,7 @@ class Units:
 
 
 METRIC = Units(1.0, "the data set is metric")
+GUESSED = "guess: median scene depth taken for 2 m"
 
 
 def choose_units(
@@ -63,7 +64,7 @@ def choose_units(
     noted = read_note(path, "units_per_metre")
     if noted is not None:
         return Units(_positive(noted, path / DEMO_NOTES, "world units per metre"), DEMO_NOTES)
-    return of_data_set or Units(guess_units_per_metre(cameras, median_depths), "guess: median scene depth taken for 2 m")
+    return of_data_set or Units(guess_units_per_metre(cameras, median_depths), GUESSED)
 
 
 def guess_units_per_metre(cameras: Sequence[Camera], median_depths: Sequence[float] | None = None) -> float:

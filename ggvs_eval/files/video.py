@@ -27,6 +27,7 @@ KEY_FRAME_INTERVAL = 30
 # x264's macroblock tree gives other bytes once in some dozens of runs, with one thread too (seen at 64 x 48), and its assembly
 # others than its plain code unless it is told not to.
 X264 = "mbtree=0:cpu-independent=1"
+HDR_TRANSFERS = {18: "HLG", 16: "PQ"}  # by their numbers in ITU-T H.273
 LARGEST_JITTER = 0.01  # of the longest step between frames, for a rate that is taken as constant
 
 
@@ -178,6 +179,12 @@ class VideoFrames:
             colours = "grey" if len(components) - has_alpha == 1 and not (pixels and pixels.has_palette) else ""
             bits = max((component.bits for component in components), default=8)
         return dict.fromkeys(conversions_to_rgb8(colours, bits, has_alpha), self.n_frames)
+
+    @cached_property
+    def transfer(self) -> str:
+        """``HLG`` or ``PQ`` where the levels are those of high dynamic range and not of a display; else empty."""
+        with self._open() as container:
+            return HDR_TRANSFERS.get(int(container.streams.video[0].codec_context.color_trc), "")
 
     @property
     def fps(self) -> float:

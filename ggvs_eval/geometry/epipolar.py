@@ -1,5 +1,6 @@
 """Epipolar geometry of two cameras: how well matched points agree with it, and where they lie."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -16,6 +17,14 @@ FEWEST_MATCHES = 25
 SMALLEST_SHARE = 0.35
 # Localisation of SIFT, pixels of the image it was found in.
 CONSISTENT_PX = 1.5
+# Median error of a pair. Sound calibrations lie at 0.2 - 0.5 pixels where features are found at full size (320 x 240), and at
+# 0.4 - 1.1 pixels of 2690, where they are found at a smaller one; a focal length 5 % off gives 1.3 - 4.4 pixels of 320.
+WARN_PX, BAD_PX = 0.8, 1.5
+WARN_SHARE, BAD_SHARE = 0.0005, 0.001  # of the longer side, where that is more
+# An angle below which the depth of a match is mostly noise.
+SMALLEST_ANGLE_RAD = np.radians(1.0)
+# Enough that a camera between two faulty neighbours still has honest ones.
+NEIGHBOURS = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,6 +131,41 @@ def ray_depths(one: Camera, other: Camera, uv_one: Array, uv_other: Array) -> tu
     determinant = np.maximum(a * c - b * b, 1e-12 * a * c)
     angle_rad = np.arcsin(np.sqrt(np.clip(determinant / (a * c), 0, 1)))
     return (c * d - b * e) / determinant, (b * d - a * e) / determinant, angle_rad
+
+
+def tolerances(camera: Camera) -> tuple[float, float]:
+    """Median epipolar error above which a camera is looked at, and above which it is bad, pixels."""
+    longest = max(camera.size)
+    return max(WARN_PX, WARN_SHARE * longest), max(BAD_PX, BAD_SHARE * longest)
+
+
+def sound_matches(one: Camera, other: Camera, pair: MatchedPair) -> tuple[NDArray[np.bool_], Array, Array]:
+    """Which matches have a depth under a calibration: near their epipolar lines, in front of both cameras, at a telling angle.
+
+    Returns:
+        (M,), and the depth of all matches in the first camera and in the other, world units, (M,) each.
+    """
+    sound = epipolar_errors(one, other, pair.uv_first, pair.uv_second) < tolerances(one)[1]
+    depth_one, depth_other, angle_rad = ray_depths(one, other, pair.uv_first, pair.uv_second)
+    return sound & (depth_one > 0) & (depth_other > 0) & (angle_rad > SMALLEST_ANGLE_RAD), depth_one, depth_other
+
+
+def neighbour_pairs(cameras: Sequence[Camera], count: int = NEIGHBOURS) -> list[tuple[int, int]]:
+    """Pair every camera with its `count` nearest, each pair once, smaller index first.
+
+    Near means near in place and in viewing direction: cameras back to back stand close and share nothing.
+    """
+    pairs = set()
+    for index, camera in enumerate(cameras):
+        order = sorted((remoteness(camera, other), place) for place, other in enumerate(cameras) if place != index)
+        pairs |= {(min(index, place), max(index, place)) for _, place in order[:count]}
+    return sorted(pairs)
+
+
+def remoteness(camera: Camera, other: Camera) -> float:
+    """Distance of the centres, doubled at 90 degrees between the axes and tripled back to back."""
+    distance = float(np.linalg.norm(camera.centre - other.centre))
+    return distance * (2.0 - float(camera.axis @ other.axis))
 
 
 def _homogeneous(uv: Array) -> Array:

@@ -19,6 +19,7 @@ from ggvs_eval.errors import DepthError
 from ggvs_eval.kernels.portable import length, product, transformed, unit
 
 MIN_RAY_Z = 0.1  # of a rectified ray; smaller ones would need a canvas more than ten focal lengths wide
+TRIED_SCALE = 4
 SAME_SURFACE_PX = 0.75  # neighbouring disparities that differ by less are one surface
 Values = TypeVar("Values", Map, NDArray[np.uint8])
 
@@ -117,6 +118,19 @@ def require_overlap(reference: Camera, partner: Camera) -> None:
     world_to_rectified, baseline = _rectifying_rotation(reference, partner)
     rays = [transformed(product(world_to_rectified, each.rotation.T), _corner_rays(each)) for each in (reference, partner)]
     _canvas(reference, partner, rays[0], rays[1], baseline)
+
+
+def can_rectify(reference: Camera, partner: Camera) -> bool:
+    """Tell whether a pair can be rectified: with wide lenses near surfaces can lie farther apart than images are wide.
+
+    Tried on small images, which differ from the large ones by less than a pixel of theirs.
+    """
+    small = [each.resized(each.width // TRIED_SCALE or 1, each.height // TRIED_SCALE or 1) for each in (reference, partner)]
+    try:
+        require_overlap(*small)
+    except DepthError:
+        return False
+    return True
 
 
 def exchange_roles(pair: RectifiedPair, reference: Camera, partner: Camera) -> RectifiedPair:

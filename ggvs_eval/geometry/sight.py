@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.errors import CameraError
-from ggvs_eval.geometry.source_views import choose_sources, ray_angles, sample_view, sees
+from ggvs_eval.geometry.source_views import choose_sources, ray_angles, sample_view, sees, share_of_view
 
 MOST_VIEW_RAD = np.deg2rad(60.0)  # between the rays of target and source to a point
 MOST_STEREO_RAD = np.deg2rad(40.0)  # between the rays of two cameras that are matched
@@ -16,7 +16,7 @@ APART_DEG = 20  # so that the neighbours of a target can be matched with each ot
 
 
 def shown_share(target: Camera, sources: Sequence[Camera], cameras: Sequence[Camera], sensed: Collection[str] = ()) -> float:
-    """Share of the target's view, over depths from near to far, that its sources can show: they see it and can know its depth.
+    """Share of the target's view, see `share_of_view`, that its sources can show: they see it and can know its depth.
 
     Args:
         target: whose view.
@@ -37,7 +37,7 @@ def shown_share(target: Camera, sources: Sequence[Camera], cameras: Sequence[Cam
         if source.name not in sensed:
             is_shown &= _matchable(source, [each for each in cameras if each.name not in (source.name, target.name)], points)
         shown |= is_shown
-    return float(shown.mean())
+    return share_of_view(target, shown)
 
 
 def require_sight(target: Camera, sources: Sequence[Camera], cameras: Sequence[Camera], sensed: Collection[str] = ()) -> None:

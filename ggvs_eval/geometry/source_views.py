@@ -189,6 +189,21 @@ def sample_view(target: Camera) -> Array:
     return target.unproject(np.stack([u, v], axis=-1), 1 / inverse).reshape(-1, 3)
 
 
+def share_of_view(camera: Camera, seen: NDArray[np.bool_], depths: int = DEPTHS) -> float:
+    """Share of the points of a camera's view that are seen; over a guessed depth range, at the depth where it is largest.
+
+    A guess may be far too wide, and what is seen at the depths that it makes up says nothing of those that the scene has.
+
+    Args:
+        camera: whose view.
+        seen: of points that lie `depths` by `depths` on the same ray, (P,).
+        depths: number of points on a ray.
+    """
+    if camera.range_origin != "guessed":
+        return float(seen.mean())
+    return float(seen.reshape(-1, depths).mean(axis=0).max())
+
+
 def sees(camera: Camera, points: Array) -> NDArray[np.bool_]:
     """Which points lie in a camera's image, (P,); nothing occludes."""
     return _inside(camera, points, 0.0) > 0

@@ -25,7 +25,8 @@ def print_plan(plans: Sequence[RunPlan], jobs: int, folder: Path, dry_run: bool 
     if not plans:
         return
     work = count_work(plans, folder, jobs)
-    lines = [*renders_first(plan.request.capture for plan in plans), *work.describe().splitlines()]
+    notes = [note for plan in plans for note in plan.capture.notes if note not in plan.request.capture.notes]
+    lines = [*dict.fromkeys(notes), *renders_first(plan.request.capture for plan in plans), *work.describe().splitlines()]
     if lines or dry_run:
         print("\n".join(lines) or f"{folder}: nothing is left to do", file=sys.stdout if dry_run else sys.stderr)
     work.require_disk()

@@ -54,6 +54,7 @@ def learned_method(baseline: LearnedBaseline, rendition: Rendition) -> MethodSpe
         checkpoint=baseline.checkpoint,
         make_from=make_from,
         title_from=rendition.title,
+        uses_depth=rendition.uses_depth,
     )
 
 

@@ -73,4 +73,6 @@ def splats_method(label: str, path: Path) -> MethodSpec:
     """
     describe = f"3D Gaussians that others have fitted, {path.name}, rendered by the splat of this package"
     modules = ("ggvs_eval.pipelines.methods.splats",)
-    return MethodSpec(label, describe, partial(_no_step, label), modules, online=False, usual=False, splats=path)
+    return MethodSpec(
+        label, describe, partial(_no_step, label), modules, online=False, usual=False, splats=path, uses_depth=False
+    )

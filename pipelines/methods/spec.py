@@ -44,6 +44,7 @@ class MethodSpec:
         fitter_options: the options that a label such as ``4dgs+motion=linear`` sets.
         seed: of the fit, ``4dgs+seed=1``.
         splats: of Gaussians that others have fitted, their files; such a method makes no step either.
+        uses_depth: whether it looks at the depth of its sources, or learns a scene from it.
     """
 
     title: str
@@ -64,6 +65,7 @@ class MethodSpec:
     fitter_options: Mapping[str, Any] = field(default_factory=dict)
     seed: int = 0
     splats: Path | None = None
+    uses_depth: bool = True
 
     @property
     def settings(self) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from ggvs_eval.errors import CameraError, RenderError
 from ggvs_eval.files.digest import digest_values
 from ggvs_eval.geometry.source_views import SourceChoice, choose_sources
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
-from ggvs_eval.pipelines.offline.depth.fill_store import plan_depth, prepare_depth
+from ggvs_eval.pipelines.offline.depth.fill_store import plan_depth, prepare_depth, without_unmatched
 from ggvs_eval.pipelines.run.frame_cache import cache_frames
 from ggvs_eval.pipelines.run.run_plan import RunPlan
 
@@ -160,6 +160,7 @@ def playback_of_capture(capture: Capture, options: PlayOptions, depth: DepthOpti
         Sources change along the way. Depth of a camera is that of its own stereo, not held against the other sources of a view,
         so that it does not change when they do.
     """
+    capture = without_unmatched(capture, depth)
     instants = _instants(capture, range(capture.n_frames), options.frames)
     poses = camera_loop(capture.cameras, len(instants), options.width)
     k = _checked_k(capture, min(4, len(capture.cameras)) if options.k is None else options.k)
@@ -185,6 +186,7 @@ def viewing_of_capture(capture: Capture, options: PlayOptions, depth: DepthOptio
         DepthError: depth that cannot be computed.
         RenderError: more frames or sources than there are.
     """
+    capture = without_unmatched(capture, depth)
     instants = sorted(set(_instants(capture, range(capture.n_frames), options.frames)))
     k = _checked_k(capture, min(4, len(capture.cameras) - 1) if options.k is None else options.k)
     alone = replace(depth, consistency=None)

@@ -9,16 +9,16 @@ from pathlib import Path
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
+from ggvs_eval.datasets.assemble import listed
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.depth_store import DepthJob
-from ggvs_eval.errors import CaptureError, ProtocolError
+from ggvs_eval.errors import CaptureError, DepthError, ProtocolError
 from ggvs_eval.geometry.sight import require_sight
-from ggvs_eval.geometry.source_views import choose_sources
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions, checked_device
 from ggvs_eval.pipelines.methods.registry import find_method
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DEVICE, DepthRunOptions
-from ggvs_eval.pipelines.offline.depth.fill_store import plan_depth
+from ggvs_eval.pipelines.offline.depth.fill_store import DepthPartners, plan_depth
 from ggvs_eval.pipelines.run.camera_path import choose_path
 from ggvs_eval.pipelines.run.claim import require_owner
 from ggvs_eval.pipelines.run.folds import FitPlan, fill_folds, plan_fits, plan_folds, visible_cameras
@@ -160,7 +160,7 @@ def plan_run(request: RunRequest) -> RunPlan:
     Raises:
         CaptureError: the capture lacks what the protocol asks for.
         CameraError: fewer sources than the protocol wants, or sources that can show too little of a test view.
-        DepthError: a source that no camera can be matched with.
+        DepthError: a view none of whose sources has depth, where a method wants it.
         DeviceError: depth is learned, and there is no such device.
         ProtocolError: the folder's depth is found otherwise, or it holds a run of another protocol or capture.
 
@@ -177,11 +177,19 @@ def plan_run(request: RunRequest) -> RunPlan:
     visible = visible_cameras(capture, protocol)
     targets = [*(capture.camera(view) for view in protocol.views.test), *path.cameras]
     k, choice = protocol.synthesis.k, protocol.synthesis.sources
-    chosen = {target.name: choose_sources(target, visible.cameras, k, choice) for target in targets}
+    partners = DepthPartners(visible, options)
+    chosen = {target.name: partners.sources(target, k, choice) for target in targets}
     sensed = visible.sensed_cameras if options.sensor is not None else frozenset[str]()
-    for target in targets[: len(protocol.views.test)]:
+    for target in targets[: len(protocol.views.test)] if _use_depth(request) or not request.labels else []:
         require_sight(target, [each.camera for each in chosen[target.name]], visible.cameras, sensed)
-    jobs = plan_depth(visible, targets, k, options, choice)
+    blind = [
+        target.name for target in targets if not any(partners.has_depth(each.camera, target) for each in chosen[target.name])
+    ]
+    if blind and _use_depth(request):
+        raise DepthError(f"{capture.path}: no source of {listed(blind)} has depth; {partners.describe_unmatched()}")
+    if partners.unmatched:
+        capture = capture.noted(partners.describe_unmatched())
+    jobs = plan_depth(visible, targets, k, options, choice, partners)
     plans = {
         target.name: SourcePlan(
             target,
@@ -199,6 +207,11 @@ def plan_run(request: RunRequest) -> RunPlan:
         return plan
     folds = plan_folds(visible, protocol.views.folds, bool(poses), options)
     return replace(plan, fits=plan_fits(fitted, folds, plan.frames, frame))
+
+
+def _use_depth(request: RunRequest) -> bool:
+    """Tell whether a method that is wanted looks at depth."""
+    return any(find_method(label, request.networks).uses_depth for label in request.labels)
 
 
 def _fitters(request: RunRequest) -> dict[str, SceneFitter]:

@@ -41,6 +41,7 @@ def propose_protocol(capture: Capture, doubts: Mapping[str, str] | None = None) 
 
     The rule: every second camera in the capture's order is a test view, of more than nine one in each ninth of them; at most 100
     frames, the capture's own size; K, filters and metrics of its layout's protocol, or DyNeRF's. ``views.chosen_by`` says so.
+    Where the capture names test views itself, as NeRF's split files do, these are taken, seen from the others alone.
     Passed over are cameras in doubt, whose frames would be a wrong truth, and views of which their sources can show too little;
     neighbours take their place, and the cameras between them where none is left. Where one camera was carried through the scene
     (`HAND_HELD`), the nearest places may look elsewhere: sources are chosen by what they see.
@@ -55,12 +56,15 @@ def propose_protocol(capture: Capture, doubts: Mapping[str, str] | None = None) 
             protocol = load_protocol(name)
             return Proposal(protocol, _packaged_reasons(capture, protocol, doubts))
     base = load_protocol(capture.layout if capture.layout in packaged_protocols() else "dynerf")
+    training = [name for name in capture.camera_names if name not in capture.test_views]
     synthesis = Synthesis(
-        min(base.synthesis.k, len(capture.cameras) - 1),
+        min(base.synthesis.k, len(training) if capture.test_views else len(capture.cameras) - 1),
         resize_filter=base.synthesis.resize_filter,
         sources="coverage" if capture.layout in HAND_HELD else "nearest",
     )
-    views, reasons = _views(capture, synthesis, doubts)
+    views, reasons = (
+        _own_split(capture, training, doubts) if capture.test_views and training else _views(capture, synthesis, doubts)
+    )
     protocol = replace(
         base,
         name=f"{capture.scene} by rule",
@@ -90,6 +94,16 @@ def _packaged_reasons(capture: Capture, protocol: Protocol, doubts: Mapping[str,
     kept = f"not a test view of the packaged protocol {protocol.name}"
     reasons = {name: protocol.views.chosen_by if name in protocol.views.test else kept for name in capture.camera_names}
     return {name: f"{reason}; but {doubts[name]}" if name in doubts else reason for name, reason in reasons.items()}
+
+
+def _own_split(capture: Capture, training: Sequence[str], doubts: Mapping[str, str]) -> tuple[Views, dict[str, str]]:
+    """The test views that the capture itself names, seen from its training views alone; and the reasons."""
+    reasons = {
+        name: f"{'held out' if name in capture.test_views else 'stays a source'}: the capture's own split"
+        + (f"; but {doubts[name]}" if name in doubts else "")
+        for name in capture.camera_names
+    }
+    return Views(capture.test_views, "the capture's own split", sources=tuple(training)), reasons
 
 
 def _views(capture: Capture, synthesis: Synthesis, doubts: Mapping[str, str]) -> tuple[Views, dict[str, str]]:

@@ -31,7 +31,7 @@ LONGEST_S = 20
 
 
 # A COLMAP model is read in a process of its own, which takes half a second; videos take a while too.
-EXAMPLES = {"colmap": 10, "multipleview": 4, "immersive": 30, "meetroom": 40}
+EXAMPLES = {"colmap": 10, "multipleview": 4, "3dgstream": 4, "immersive": 30, "meetroom": 40}
 
 
 @pytest.fixture(scope="module")

@@ -275,9 +275,9 @@ def test_truncated_binary_model(colmap, name, lost):
 
 
 def test_incomplete_model(colmap):
-    """A model that lacks one of its three files is refused, naming it."""
-    (colmap / "sparse" / "0" / "points3D.txt").unlink()
-    assert "no points3D.txt" in refusal(colmap)
+    """A model that lacks poses is refused, naming the file; points are for depth ranges alone."""
+    (colmap / "sparse" / "0" / "images.txt").unlink()
+    assert "no images.txt" in refusal(colmap)
 
 
 @pytest.mark.parametrize(("name", "text"), [("cameras.txt", "1 PINHOLE 64"), ("images.txt", "no model at all\n")])

@@ -75,7 +75,7 @@ def test_rotations_that_are_off_by_little_are_straightened(amount, tmp_path):
     capture = open_capture(with_poses(tmp_path / "rig", lambda rotation: rotation + noise(amount)))
 
     assert_rotations(capture)
-    (note,) = capture.notes
+    (note,) = (each for each in capture.notes if "depth range" not in each)
     largest = max(camera.deviation for camera in capture.cameras)
     assert note == f"rotations of cam00, cam01, cam02, cam03 are off by up to {largest:.1e}: the nearest ones are taken"
     assert amount / 4 < largest <= amount

@@ -7,10 +7,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from ggvs_eval.datasets import open_capture, rgbd
 from ggvs_eval.datasets.depth_frames import DepthFrames
 from ggvs_eval.errors import CaptureError
+from ggvs_eval.files.images import write_image
 from helpers.captures import make_image, refusal
 from helpers.places import SHARED
 
@@ -313,10 +315,71 @@ def test_rows_and_images_do_not_match(tmp_path, rows, found):
 
 def test_says_why_it_refuses(tmp_path, written):
     """Files and folders that are no sequence are refused with what is wanted."""
-    reason = "neither color/, depth/, pose/, intrinsic/ nor images, depth, poses.txt, K.txt"
+    reason = "neither color/, depth/, pose/, intrinsic/ nor images, depth, poses.txt, K.txt, frame-*.pose.txt or rgb, depth, "
+    reason += "groundtruth.txt"
     assert rgbd.refuse(written) is None
     assert rgbd.refuse(tmp_path) == rgbd.refuse(tmp_path / "nowhere") == reason
     assert rgbd.refuse(written / "pose" / "0.txt") == reason
+
+
+def test_the_largest_value_is_unknown_depth(scannet):
+    """65535 is no distance: it takes no part in the range and comes back as unknown, and a note tells the share of both."""
+    before = open_capture(scannet).cameras[0]
+    for file in sorted((scannet / "depth").glob("*.png")):
+        depth = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+        depth[:3] = 65535
+        cv2.imwrite(str(file), depth)
+    read = open_capture(scannet)
+    assert read.cameras[0].far == pytest.approx(before.far, rel=0.1)
+    assert any("% of the depth unknown: 0 and 65535" in note for note in read.notes)
+    assert read_depth(read, read.camera_names[0]).max() < before.far
+
+
+def write_kinect(folder: Path, form: str, size: tuple[int, int] = (640, 480)) -> Path:
+    """Three frames of 7-Scenes or TUM, whose depth is 2 m."""
+    folder.mkdir(parents=True)
+    rows = ["# timestamp tx ty tz qx qy qz qw"]
+    for index in range(3):
+        image, depth = make_image(1, index, *size), np.full(size[::-1], 2000 if form == "7-scenes" else 10000, np.uint16)
+        depth[:9] = 65535 if form == "7-scenes" else 0
+        if form == "7-scenes":
+            colour_file, depth_file = (folder / f"frame-{index:06d}.{kind}.png" for kind in ("color", "depth"))
+            write_matrix(folder / f"frame-{index:06d}.pose.txt", make_pose(index))
+        else:
+            colour_file, depth_file = folder / "rgb" / f"{100 + index}.5.png", folder / "depth" / f"{100 + index}.51.png"
+            x, y, z, w = Rotation.from_matrix(make_pose(index)[:3, :3]).as_quat()
+            rows.append(f"{100 + index}.495 {' '.join(map(str, make_pose(index)[:3, 3]))} {x} {y} {z} {w}")
+        for file, pixels in ((colour_file, image[..., ::-1]), (depth_file, depth)):
+            file.parent.mkdir(exist_ok=True)
+            cv2.imwrite(str(file), pixels)
+    if form == "tum":
+        write_image(folder / "rgb" / "200.0.png", image)
+        (folder / "groundtruth.txt").write_text("\n".join(rows) + "\n")
+    return folder
+
+
+@pytest.mark.parametrize(("form", "focal_px", "cx"), [("7-scenes", 585.0, 320.5), ("tum", 525.0, 320.0)])
+def test_kinect_sequences(tmp_path, form, focal_px, cx):
+    """7-Scenes' files side by side and TUM's folders of time stamps are one RGB-D camera each, that of the data set."""
+    read = open_capture(write_kinect(tmp_path / "office", form))
+    assert (read.layout, read.camera_names) == ("rgbd", ("000000", "000001", "000002"))
+    assert read.cameras[0].K[[0, 0], [0, 2]].tolist() == [focal_px, cx]
+    for index, camera in enumerate(read.cameras):
+        np.testing.assert_allclose(np.linalg.inv(camera.world_to_camera), make_pose(index), atol=1e-6)
+    depth = read_depth(read, "000001")
+    assert (depth[20], depth[2].max()) == (pytest.approx(2.0), 0)
+    assert np.array_equal(read.frame("000002", 0), make_image(1, 2, 640, 480))
+    assert any("1 of 4 frames left out" in note for note in read.notes) == (form == "tum")
+
+
+@pytest.mark.parametrize("form", ["7-scenes", "tum"])
+def test_another_camera_than_the_data_sets(tmp_path, form):
+    """Of other sizes the files do not say the intrinsics: they are asked for, and read where they are."""
+    folder = write_kinect(tmp_path / "mine", form, (64, 48))
+    assert "wanted images of 640 x 480" in refusal(folder)
+    assert "camera-intrinsics.txt" in refusal(folder)
+    write_matrix(folder / "camera-intrinsics.txt", np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]))
+    assert open_capture(folder).cameras[0].K.tolist() == [[60, 0, 32], [0, 60, 24], [0, 0, 1]]
 
 
 def agreement(capture, first: int, second: int, row_offset: int = 0) -> float:

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from ggvs_eval.camera import Camera
 from ggvs_eval.files.images import write_image
 from ggvs_eval.files.video import write_video
-from helpers.captures import FPS, make_image, make_rig, write_poses
+from helpers.captures import FPS, make_image, make_rig, write_colmap_model, write_poses
 
 PAIR = ("cam00", "cam01")
 N_INSTANTS = 2
@@ -65,6 +65,15 @@ def write_panoptic(folder: Path, names: Sequence[str] = ("0", "3", "10"), held_o
         meta["fn"] = [[f"{camera.name}/{frame:06d}.png" for camera in cameras] for frame in range(N_INSTANTS)]
         meta["cam_id"] = [[int(camera.name) for camera in cameras]] * N_INSTANTS
         (folder / file).write_text(json.dumps(meta))
+    return folder
+
+
+def write_frame_folders(folder: Path, names: Sequence[str] = PAIR) -> Path:
+    """3DGStream's folder per instant, with a COLMAP model in the first."""
+    for frame in range(N_INSTANTS):
+        for index, name in enumerate(names):
+            write_image(folder / f"frame{frame:06d}" / "images" / f"{name}.png", make_image(index, frame))
+    write_colmap_model(folder / "frame000000" / "sparse" / "0", [f"{name}.png" for name in names])
     return folder
 
 

@@ -18,7 +18,13 @@ from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.run_folder import RunFolder
 from helpers.calibration_files import turned_rig, write_anipose, write_opencv, write_qualisys
 from helpers.captures import make_binary, make_image, make_rig, write_colmap, write_dynerf
-from helpers.community_layouts import write_immersive, write_meetroom, write_panoptic, write_technicolor_with_depth
+from helpers.community_layouts import (
+    write_frame_folders,
+    write_immersive,
+    write_meetroom,
+    write_panoptic,
+    write_technicolor_with_depth,
+)
 from helpers.render_folders import (
     VIEWS,
     make_run,
@@ -116,6 +122,7 @@ CAPTURES: dict[str, Callable[[Path], Path]] = {
     "panoptic": write_panoptic,
     "rgbd": write_rgbd,
     "multipleview": write_multipleview,
+    "3dgstream": write_frame_folders,
     "dynerf": lambda folder: write_dynerf(folder, PAIR),
     "meetroom": write_meetroom,
     "enerf-outdoor": write_outdoor,

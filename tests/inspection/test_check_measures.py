@@ -11,7 +11,7 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.files.images import write_image
-from ggvs_eval.geometry.epipolar import MatchedPair, consistent, epipolar_errors, ray_depths
+from ggvs_eval.geometry.epipolar import MatchedPair, consistent, epipolar_errors, neighbour_pairs, ray_depths
 from ggvs_eval.geometry.features import Features, find_features, match_features
 from ggvs_eval.pipelines.inspection.capture.calibration_errors import accused, camera_error, pair_error, triangulated_depths
 from ggvs_eval.pipelines.inspection.capture.camera_record import difference_sigma, largest_change, record_camera
@@ -22,7 +22,7 @@ from ggvs_eval.pipelines.inspection.capture.frames import check_frames, common_r
 from ggvs_eval.pipelines.inspection.capture.intrinsics import check_intrinsics, fields_of_view_deg, off_centre
 from ggvs_eval.pipelines.inspection.capture.motion_signals import best_lag, motion_energy, plane_angles
 from ggvs_eval.pipelines.inspection.capture.overlap import seen_share
-from ggvs_eval.pipelines.inspection.capture.pairs import largest_group, neighbour_pairs, solve_differences
+from ggvs_eval.pipelines.inspection.capture.pairs import largest_group, solve_differences
 from ggvs_eval.pipelines.inspection.capture.poses import away_angles, check_poses, look_at_point, roll_angles, same_places
 from ggvs_eval.pipelines.inspection.capture.repairs import explain_camera, explain_rig, with_focal
 from ggvs_eval.pipelines.inspection.capture.scale import check_scale

@@ -7,14 +7,15 @@ import numpy as np
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
-from ggvs_eval.geometry.epipolar import MatchedPair, epipolar_errors, ray_depths
+from ggvs_eval.geometry.epipolar import (
+    SMALLEST_ANGLE_RAD,
+    MatchedPair,
+    epipolar_errors,
+    ray_depths,
+    sound_matches,
+    tolerances,
+)
 
-# Median error of a pair. Sound calibrations lie at 0.2 - 0.5 pixels where features are found at full size (320 x 240), and at
-# 0.4 - 1.1 pixels of 2690, where they are found at a smaller one; a focal length 5 % off gives 1.3 - 4.4 pixels of 320.
-WARN_PX, BAD_PX = 0.8, 1.5
-WARN_SHARE, BAD_SHARE = 0.0005, 0.001  # of the longer side, where that is more
-# An angle below which the depth of a match is mostly noise.
-SMALLEST_ANGLE_RAD = np.radians(1.0)
 # Baseline as a share of the depth below which the direction from one camera to the other is mostly noise.
 LEAST_BASELINE = 0.005
 # The same scene lies in front of all cameras; matches behind one mean that its pose is turned away.
@@ -40,12 +41,6 @@ class PairError:
     median_px: float
     percentile90_px: float
     front_share: float
-
-
-def tolerances(camera: Camera) -> tuple[float, float]:
-    """Median epipolar error above which a camera is looked at, and above which it is bad, pixels."""
-    longest = max(camera.size)
-    return max(WARN_PX, WARN_SHARE * longest), max(BAD_PX, BAD_SHARE * longest)
 
 
 def has_parallax(one: Camera, other: Camera) -> bool:
@@ -110,12 +105,9 @@ def triangulated_depths(cameras: Sequence[Camera], pairs: Sequence[MatchedPair],
     depths: dict[int, list[Array]] = {}
     for pair in pairs:
         if pair.first in trusted and pair.second in trusted:
-            one, other = cameras[pair.first], cameras[pair.second]
-            good = epipolar_errors(one, other, pair.uv_first, pair.uv_second) < tolerances(one)[1]
-            depth_one, depth_other, angle_rad = ray_depths(one, other, pair.uv_first, pair.uv_second)
-            good &= (depth_one > 0) & (depth_other > 0) & (angle_rad > SMALLEST_ANGLE_RAD)
-            depths.setdefault(pair.first, []).append(depth_one[good])
-            depths.setdefault(pair.second, []).append(depth_other[good])
+            sound, depth_one, depth_other = sound_matches(cameras[pair.first], cameras[pair.second], pair)
+            depths.setdefault(pair.first, []).append(depth_one[sound])
+            depths.setdefault(pair.second, []).append(depth_other[sound])
     return {index: np.concatenate(parts) for index, parts in depths.items()}
 
 

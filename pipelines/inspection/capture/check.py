@@ -12,6 +12,7 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.units import GivenUnits
 from ggvs_eval.errors import CaptureError, GgvsError
+from ggvs_eval.geometry.epipolar import neighbour_pairs
 from ggvs_eval.jobs.processes import worker_pool
 from ggvs_eval.pipelines.inspection.capture import (
     colour,
@@ -27,7 +28,7 @@ from ggvs_eval.pipelines.inspection.capture import (
 )
 from ggvs_eval.pipelines.inspection.capture.calibration_errors import triangulated_depths
 from ggvs_eval.pipelines.inspection.capture.camera_record import CameraRecord, record_camera
-from ggvs_eval.pipelines.inspection.capture.pairs import match_pairs, neighbour_pairs
+from ggvs_eval.pipelines.inspection.capture.pairs import match_pairs
 from ggvs_eval.pipelines.inspection.capture.uncalibrated import ask_for_calibration, open_uncalibrated
 from ggvs_eval.pipelines.inspection.finding import RIG, SEVERITY, Finding
 from ggvs_eval.pipelines.inspection.table import WIDTH, findings_table

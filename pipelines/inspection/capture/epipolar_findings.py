@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.geometry.epipolar import MatchedPair
+from ggvs_eval.geometry.epipolar import MatchedPair, tolerances
 from ggvs_eval.pipelines.inspection.capture.calibration_errors import (
     PairError,
     accused,
@@ -15,7 +15,6 @@ from ggvs_eval.pipelines.inspection.capture.calibration_errors import (
     has_parallax,
     is_wrong,
     pair_error,
-    tolerances,
 )
 from ggvs_eval.pipelines.inspection.capture.camera_record import CameraRecord
 from ggvs_eval.pipelines.inspection.capture.pairs import match_pairs

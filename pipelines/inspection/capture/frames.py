@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ggvs_eval.capture import Capture, source_chain
+from ggvs_eval.files.video import VideoFrames
 from ggvs_eval.pipelines.inspection.capture.camera_record import CameraRecord
 from ggvs_eval.pipelines.inspection.finding import RIG, Finding
 
@@ -19,6 +20,10 @@ LEAST_CHANGE = 1.0
 MOVING_SHARE = 0.3
 BAD_FROZEN = 3
 LISTED = 6
+TO_SDR = (
+    "ffmpeg -i IN -vf zscale=t=linear:npl=100,format=gbrpf32le,zscale=p=bt709,tonemap=mobius,zscale=t=bt709:m=bt709:r=tv,"
+    "format=yuv420p -c:v libx264 -crf 12 OUT.mp4"
+)
 
 
 def check_frames(capture: Capture, records: Sequence[CameraRecord]) -> tuple[Finding, ...]:
@@ -36,11 +41,22 @@ def check_frames(capture: Capture, records: Sequence[CameraRecord]) -> tuple[Fin
         name, path = next(iter(outside.items()))
         more = f" and of {len(outside) - 1} more" * (len(outside) > 1)
         measured += f"; frames of {name}{more} lie outside the capture's folder, in {path}"
-    advice = "make sure that these files are meant; a capture that is moved loses them" if outside else ""
+    advice = ["make sure that these files are meant; a capture that is moved loses them"] if outside else []
+    if hdr := hdr_transfers(capture):
+        values["transfer"] = hdr
+        measured += f"; levels of {', '.join(list(hdr)[:LISTED])}{', ...' * (len(hdr) > LISTED)} are {next(iter(hdr.values()))}"
+        measured += " (high dynamic range), not those of a display, and metrics want those"
+        advice.append(f"convert these videos: {TO_SDR}")
     return (
-        Finding(RIG, FRAMES, "warn" if outside else "ok", measured, values, advice),
+        Finding(RIG, FRAMES, "warn" if advice else "ok", measured, values, "; ".join(advice)),
         *(_evaluate_damage(record, capture.n_frames) for record in records),
     )
+
+
+def hdr_transfers(capture: Capture) -> dict[str, str]:
+    """Cameras whose videos hold levels of high dynamic range, and which ones."""
+    inner = {name: list(source_chain(source))[-1] for name, source in zip(capture.camera_names, capture.sources, strict=True)}
+    return {name: video.transfer for name, video in inner.items() if isinstance(video, VideoFrames) and video.transfer}
 
 
 def frames_outside(capture: Capture) -> dict[str, Path]:

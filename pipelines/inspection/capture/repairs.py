@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ggvs_eval.camera import Camera
-from ggvs_eval.geometry.epipolar import MatchedPair
-from ggvs_eval.pipelines.inspection.capture.calibration_errors import FRONT_SHARE, camera_error, pair_error, tolerances
+from ggvs_eval.geometry.epipolar import MatchedPair, tolerances
+from ggvs_eval.pipelines.inspection.capture.calibration_errors import FRONT_SHARE, camera_error, pair_error
 
 FOCAL_FACTORS = np.linspace(0.85, 1.15, 31)
 FINE_STEPS = np.linspace(-0.01, 0.01, 9)

@@ -6,9 +6,10 @@ import numpy as np
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
+from ggvs_eval.geometry.epipolar import neighbour_pairs
 from ggvs_eval.pipelines.inspection.capture.camera_record import CameraRecord
 from ggvs_eval.pipelines.inspection.capture.motion_signals import Lag, best_lag, motion_energy, plane_signals
-from ggvs_eval.pipelines.inspection.capture.pairs import neighbour_pairs, solve_differences
+from ggvs_eval.pipelines.inspection.capture.pairs import solve_differences
 from ggvs_eval.pipelines.inspection.finding import RIG, Finding, Verdict
 
 QUESTION = "time offset"

@@ -7,7 +7,7 @@ import numpy as np
 
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
-from ggvs_eval.datasets import detect_layout
+from ggvs_eval.datasets import calibration_mark, detect_layout
 from ggvs_eval.datasets.assemble import assemble_capture
 from ggvs_eval.datasets.camera_frames import CameraFrames, find_rig_frames
 from ggvs_eval.datasets.units import Units
@@ -20,15 +20,18 @@ LAYOUT = "no calibration"
 def open_uncalibrated(path: Path) -> Capture | None:
     """Open the frames of a folder that is no capture yet; None where it is one, or holds no frames of two cameras.
 
+    A folder that shows a calibration is none of these, though nothing can read it whole.
+
     The cameras are placeholders at one place, which nothing may be computed from.
 
     Raises:
-        CaptureError: frames that do not fit each other, as cameras of one capture must.
+        CaptureError: a calibration that cannot be read, or frames that do not fit each other, as those of one capture must.
     """
     try:
         detect_layout(path)
     except CaptureError:
-        pass
+        if calibration_mark(path):
+            raise
     else:
         return None
     try:

@@ -13,7 +13,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.calibration_file import find_calibration_files
 from ggvs_eval.datasets.camera_frames import CameraFrames, find_rig_frames
-from ggvs_eval.datasets.colmap_model import read_model
+from ggvs_eval.datasets.colmap_model import model_cameras, read_model
 from ggvs_eval.datasets.frames import as_calibrated
 from ggvs_eval.datasets.instants import common_count
 from ggvs_eval.datasets.units import UNITS_FILE
@@ -243,8 +243,8 @@ def _unregistered(folder: Path, missing: Mapping[str, str], n_cameras: int, log:
 
 
 def _read(unfinished: Path, out: Path, missing: Mapping[str, str], result: Mapping[str, Any]) -> Calibration:
-    views = read_model(unfinished / "sparse" / "0")
-    cameras = {Path(view.image_name).stem: view.camera(Path(view.image_name).stem, out) for view in views}
+    views = {Path(view.image_name).stem: view for view in read_model(unfinished / "sparse" / "0")}
+    cameras = {camera.name: camera for camera in model_cameras(views, out)}
     counts = {Path(image).stem: count for image, count in result["registered"].items()}
     return Calibration(out, cameras, missing, result["mean_reprojection_error_px"], result["n_points"], counts)
 

@@ -100,7 +100,7 @@ def _read_cameras(path: Path, sizes: Mapping[str, tuple[int, int]]) -> dict[str,
         return {name: KnownCamera(view.lens, view.world_to_camera) for name, view in views.items()}
     if find_calibration_files(path):
         return _of_calibration_file(path, sizes)
-    return _of_capture(open_capture(path.parent if path.name == "capture.toml" else path))
+    return _of_capture(open_capture(path.parent if path.name == "capture.toml" else path, measure_depth=False))
 
 
 def write_intrinsics(path: Path, lenses: Mapping[str, Lens]) -> None:

@@ -92,7 +92,7 @@ def undistort_videos(source: Path, lens_file: Path | None, out: Path, options: U
 
 
 def _of_capture(path: Path) -> list[_Stream]:
-    capture = open_capture(path)
+    capture = open_capture(path, measure_depth=False)
     streams = []
     for camera in capture.cameras:
         pinhole = Lens(camera.K, "opencv", (0.0,) * 4, *camera.size)

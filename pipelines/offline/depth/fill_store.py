@@ -5,10 +5,14 @@ from dataclasses import replace
 from functools import partial
 from typing import TypeVar
 
+import numpy as np
+
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
-from ggvs_eval.depth_store import DepthJob, DepthStore, describe_depth
-from ggvs_eval.geometry.source_views import SourceChoice, choose_sources
+from ggvs_eval.datasets.assemble import listed
+from ggvs_eval.depth_store import DepthJob, DepthMap, DepthStore, describe_depth
+from ggvs_eval.errors import CameraError, DepthError
+from ggvs_eval.geometry.source_views import ChosenSource, SourceChoice, choose_sources
 from ggvs_eval.jobs.engine import Workers, as_engine
 from ggvs_eval.jobs.run_all import run_all
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions, check_depth, check_measured_depth, finish
@@ -22,8 +26,73 @@ Item = TypeVar("Item")
 MOST_TOGETHER = 12  # cameras whose depth one process computes at once: it holds the maps of all their pairs
 
 
+class DepthPartners:
+    """Which cameras each source is matched with, found once for each target that it must not be matched with.
+
+    Args:
+        capture: the capture.
+        options: parameters.
+    """
+
+    def __init__(self, capture: Capture, options: DepthOptions) -> None:
+        self._capture, self._options = capture, options
+        self._found: dict[tuple[str, str | None], tuple[str, ...]] = {}
+        self.unmatched: dict[str, str] = {}  # camera that none can be matched with -> why
+
+    def of(self, source: Camera, target: Camera | None = None) -> tuple[str, ...]:
+        """The partners of a source, never the target; none where a sensor measured its depth, or where it is in `unmatched`."""
+        left_out = target.name if target and target.name in self._capture.camera_names else None
+        key = source.name, left_out
+        if key not in self._found:
+            try:
+                others = self._capture.cameras
+                is_sensed = _sensor(self._capture, source.name, self._options) is not None
+                chosen = (
+                    []
+                    if is_sensed
+                    else choose_partners(source, others, self._options.partners, () if left_out is None else (left_out,))
+                )
+                self._found[key] = tuple(each.name for each in chosen)
+            except DepthError as error:
+                self._found[key] = ()
+                self.unmatched.setdefault(source.name, str(error))
+        return self._found[key]
+
+    def has_depth(self, source: Camera, target: Camera | None = None) -> bool:
+        """Tell whether a source has depth where the target is left out."""
+        return bool(self.of(source, target)) or _sensor(self._capture, source.name, self._options) is not None
+
+    def sources(self, target: Camera, k: int, how: SourceChoice = "nearest") -> tuple[ChosenSource, ...]:
+        """The K sources of a target: of those that have depth where there are enough, else as `choose_sources` takes them.
+
+        Raises:
+            CameraError: see `choose_sources`.
+        """
+        cameras: Sequence[Camera] = self._capture.cameras
+        first = chosen = choose_sources(target, cameras, k, how)
+        while without := {each.camera.name for each in chosen if not self.has_depth(each.camera, target)}:
+            cameras = [camera for camera in cameras if camera.name not in without]
+            try:
+                chosen = choose_sources(target, cameras, k, how)
+            except CameraError:
+                return first
+        return chosen
+
+    def describe_unmatched(self) -> str:
+        """One line that names all cameras without depth, and why; empty where there are none."""
+        if not self.unmatched:
+            return ""
+        reason = next(iter(self.unmatched.values())).partition(": ")[2]
+        return f"no depth of {listed(list(self.unmatched))}: {reason}"
+
+
 def plan_depth(
-    capture: Capture, targets: Sequence[Camera], k: int, options: DepthOptions, sources: SourceChoice = "nearest"
+    capture: Capture,
+    targets: Sequence[Camera],
+    k: int,
+    options: DepthOptions,
+    sources: SourceChoice = "nearest",
+    partners: DepthPartners | None = None,
 ) -> dict[str, dict[str, DepthJob]]:
     """Plan the depth that each target needs: of its k sources, matched with any camera but the target.
 
@@ -33,58 +102,66 @@ def plan_depth(
         k: number of sources per target.
         options: parameters.
         sources: which cameras they are.
+        partners: of the same capture and options, where they are wanted after; found here by default.
 
     Returns:
         For each target's name its sources' names, nearest first, each with its job and that job's key; equal jobs are shared
-        between targets.
+        between targets. The depth of a source that nothing can be matched with is unknown everywhere.
 
     Raises:
         CameraError: fewer sources than `choose_sources` wants.
-        DepthError: a source that no camera can be matched with.
     """
+    partners = partners or DepthPartners(capture, options)
     plan = {}
-    partners: dict[tuple[str, str | None], tuple[str, ...]] = {}
     cache: dict[tuple[str, ...], DepthJob] = {}  # near targets share jobs, whose specs take a digest of every frame source
     for target in targets:
-        chosen = [each.camera for each in choose_sources(target, capture.cameras, k, sources)]
         jobs_by_source = {}
-        for source in chosen:
-            left_out = target if target.name in capture.camera_names else None
-            asked = source.name, None if left_out is None else left_out.name
-            if asked not in partners:
-                partners[asked] = _matched_cameras(capture, source, left_out, options)
-            names = partners[asked]
+        for source in (each.camera for each in partners.sources(target, k, sources)):
+            names = (source.name, *partners.of(source, target))
             if names not in cache:
                 cache[names] = depth_job(capture, source.name, names[1:], options)
             jobs_by_source[source.name] = cache[names]
-        plan[target.name] = {name: _checked(job, jobs_by_source, options) for name, job in jobs_by_source.items()}
+        has_depth = {name: job for name, job in jobs_by_source.items() if partners.has_depth(capture.camera(name), target)}
+        plan[target.name] = {
+            name: _checked(job, has_depth, options) if name in has_depth else job for name, job in jobs_by_source.items()
+        }
     return plan
 
 
 def plan_rig_depth(capture: Capture, options: DepthOptions) -> tuple[DepthJob, ...]:
-    """Plan the depth of every camera of a capture, matched with the others and held against that of those it is matched with.
+    """Plan the depth of the cameras of a capture, matched with the others and held against that of those it is matched with.
 
     Args:
         capture: the capture.
         options: parameters.
 
     Returns:
-        One job per camera, in the order of the capture.
+        One job per camera that another can be matched with, in the order of the capture.
 
     Raises:
-        DepthError: a camera that no other can be matched with.
+        DepthError: no camera that another can be matched with.
     """
-    names = [_matched_cameras(capture, camera, None, options) for camera in capture.cameras]
+    partners = DepthPartners(capture, options)
+    names = [(camera.name, *partners.of(camera)) for camera in capture.cameras if partners.has_depth(camera)]
+    if not names:
+        raise DepthError(f"{capture.path}: {partners.describe_unmatched()}")
     jobs = {each[0]: depth_job(capture, each[0], each[1:], options) for each in names}
-    return tuple(_checked(jobs[name], {each: jobs[each] for each in (name, *partners)}, options) for name, *partners in names)
+    return tuple(
+        _checked(jobs[name], {each: jobs[each] for each in (name, *matched) if each in jobs}, options) for name, *matched in names
+    )
 
 
-def _matched_cameras(capture: Capture, source: Camera, target: Camera | None, options: DepthOptions) -> tuple[str, ...]:
-    """A source and those that it is matched with, but the target; itself alone where a sensor measured its depth."""
-    if _sensor(capture, source.name, options) is not None:
-        return (source.name,)
-    chosen = choose_partners(source, capture.cameras, options.partners, set() if target is None else {target.name})
-    return (source.name, *(each.name for each in chosen))
+def without_unmatched(capture: Capture, options: DepthOptions) -> Capture:
+    """The capture without cameras that no other can be matched with, which a note names.
+
+    Raises:
+        DepthError: none is left.
+    """
+    partners = DepthPartners(capture, options)
+    lost = [camera.name for camera in capture.cameras if not partners.has_depth(camera)]
+    if len(lost) == len(capture.cameras):
+        raise DepthError(f"{capture.path}: {partners.describe_unmatched()}")
+    return capture.without(lost, partners.describe_unmatched())
 
 
 def _checked(job: DepthJob, jobs_by_source: Mapping[str, DepthJob], options: DepthOptions) -> DepthJob:
@@ -114,7 +191,7 @@ def depth_job(capture: Capture, camera_name: str, partner_names: Sequence[str], 
     Args:
         capture: the capture.
         camera_name: whose depth is wanted.
-        partner_names: whom it is matched with; none where a sensor measured its depth.
+        partner_names: whom it is matched with; none where a sensor measured its depth, or nobody did.
         options: parameters.
 
     Raises:
@@ -242,6 +319,10 @@ def _run(capture: Capture, frames: Sequence[int], store: DepthStore, options: De
     if sensor is not None:
         for frame in sorted(missing):
             store.write(key, frame, sensor.at(frame, capture.frame(camera.name, frame)))
+        return
+    if not partners:
+        for frame in sorted(missing):
+            store.write(key, frame, DepthMap(*np.zeros((2, camera.height, camera.width), np.float32)))
         return
     stream = DepthStream(camera, partners, options)
     start, stop = options.time.first_needed(min(missing)), max(missing) + 1

@@ -10,8 +10,10 @@ import numpy as np
 
 from ggvs_eval.arrays import Array
 from ggvs_eval.camera import Camera
+from ggvs_eval.datasets.depth_range import RANGE_MEND
 from ggvs_eval.errors import DepthError
-from ggvs_eval.geometry.rectification import require_overlap
+from ggvs_eval.geometry.rectification import can_rectify
+from ggvs_eval.geometry.source_views import share_of_view
 
 GRID = (16, 12)  # rays across and down
 DEPTHS = 6  # depths per ray, evenly spaced in inverse depth
@@ -21,7 +23,6 @@ MIN_MEDIAN_DISPARITY = 0.006  # of the image's width; 8 px of 1352
 MIN_OVERLAP = 0.2
 SAME_SIDE = 0.6  # how much of a point's worth a partner on the same side of the camera takes away from the next one
 OTHER_SIDE = 0.3
-RECTIFIED_SCALE = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,12 +64,13 @@ def choose_partners(camera: Camera, candidates: Sequence[Camera], count: int, ex
     while partners and len(chosen) < count:
         best = max(partners, key=lambda partner: _gain(partner, chosen))
         partners.remove(best)
-        if _can_rectify(camera, best.camera):
+        if can_rectify(camera, best.camera):
             chosen.append(best)
     if not chosen:
         raise DepthError(
-            f"camera {camera.name}: none of {len(others)} other cameras sees {MIN_OVERLAP:.0%} of its view from less than "
-            f"{np.rad2deg(MAX_ANGLE_RAD):.0f} degrees away; its depth cannot be computed, leave it out or add cameras"
+            f"camera {camera.name}: none of {len(others)} other cameras sees {MIN_OVERLAP:.0%} of its view, {camera.near:.3g} .. "
+            f"{camera.far:.3g} deep ({camera.range_origin}), from less than {np.rad2deg(MAX_ANGLE_RAD):.0f} degrees away; add "
+            f"cameras, or correct the depth range: {RANGE_MEND}"
         )
     return [partner.camera for partner in chosen]
 
@@ -87,25 +89,12 @@ def _evaluate(camera: Camera, other: Camera, points: Array) -> Partner | None:
     angle = np.arccos(np.clip(camera.axis @ other.axis, -1, 1))
     offset = camera.rotation @ (other.centre - camera.centre)
     distance = float(np.linalg.norm(offset[:2]))
-    if inside.mean() < MIN_OVERLAP or angle > MAX_ANGLE_RAD or distance <= abs(offset[2]):
+    if share_of_view(camera, inside, DEPTHS) < MIN_OVERLAP or angle > MAX_ANGLE_RAD or distance <= abs(offset[2]):
         return None
     median_depth = 2 / (1 / camera.near + 1 / camera.far)
     disparity = camera.focal_px * distance / np.array([camera.near, median_depth]) / camera.width
     fitness = min(1.0, MAX_NEAR_DISPARITY / disparity[0]) * min(1.0, disparity[1] / MIN_MEDIAN_DISPARITY)
     return Partner(other, inside * fitness * np.cos(angle), offset[:2] / distance)
-
-
-def _can_rectify(camera: Camera, other: Camera) -> bool:
-    """Tell whether the pair can be rectified: with wide lenses near surfaces can lie farther apart than images are wide.
-
-    Tried on small images, which differ from the large ones by less than a pixel of theirs.
-    """
-    small = [each.resized(each.width // RECTIFIED_SCALE or 1, each.height // RECTIFIED_SCALE or 1) for each in (camera, other)]
-    try:
-        require_overlap(*small)
-    except DepthError:
-        return False
-    return True
 
 
 def _gain(partner: Partner, chosen: Sequence[Partner]) -> float:
