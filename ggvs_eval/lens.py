@@ -68,6 +68,11 @@ class Lens:
         K = np.diag([width / self.width, height / self.height, 1.0]) @ self.K
         return replace(self, K=K, width=width, height=height)
 
+    def cropped(self, left: int, top: int, width: int, height: int) -> "Lens":
+        """The lens of a part of the image, of width x height from a column and a row on."""
+        K = self.K - np.array([[0, 0, left], [0, 0, top], [0, 0, 0]])
+        return replace(self, K=K, width=width, height=height)
+
     def distort(self, uv: Array, K: Array) -> Array:
         """Map points of a pinhole image to the distorted one.
 

@@ -8,6 +8,7 @@ from typing import Protocol
 from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture, Extras, FrameSource, source_chain
 from ggvs_eval.datasets.camera_frames import listed
+from ggvs_eval.datasets.crop import describe_crop
 from ggvs_eval.datasets.frames import ImageFrames, as_calibrated, has_shape
 from ggvs_eval.datasets.instants import common_count, common_rate, uneven_notes
 from ggvs_eval.datasets.units import Units
@@ -145,8 +146,7 @@ def _fit_camera(camera: Camera, source: SizedSource, path: Path) -> Camera:
         tags = source.orientations if isinstance(source, ImageFrames) else ()
         turned = f", turned as their EXIF orientation {tags[0]} says," if tags else ""
         raise CaptureError(
-            f"{getattr(source, 'path', path)}: frames of {width} x {height}{turned} have another shape than the "
-            f"{camera.width} x {camera.height} that {camera.name} is calibrated for; give the frames this calibration was made "
-            "for, scaled but not cropped"
+            f"{getattr(source, 'path', path)}: frames of {width} x {height}{turned} have another shape than the {camera.width} x "
+            f"{camera.height} that {camera.name} is calibrated for; {describe_crop((width, height), camera.size, path)}"
         )
     return camera.resized(width, height)

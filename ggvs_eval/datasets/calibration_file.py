@@ -16,6 +16,7 @@ from ggvs_eval.datasets.calibration_readers import (
 )
 from ggvs_eval.datasets.camera_frames import find_frames, instead_of_frames, listed
 from ggvs_eval.datasets.colmap_model import undistorted_sources
+from ggvs_eval.datasets.crop import CROP_FILE, given_crop
 from ggvs_eval.datasets.depth_range import Placed, ranged_cameras
 from ggvs_eval.datasets.units import GivenUnits, Units, choose_units
 from ggvs_eval.errors import CameraError, CaptureError
@@ -30,7 +31,7 @@ OPENCV = re.compile(rf"^{MATRIX}[ \t]*:|<{MATRIX}[ >]", re.MULTILINE)
 CAMERAS = re.compile(
     r"""[\s"<](camera_?matri\w*|intrinsic\w*|distortion\w*|dist_?coeff\w*|extrinsic\w*|k|w2c|c2w|rvec|tvec)["\s]*[:=>]""", re.I
 )
-OWN = ("units.toml", "corrections.toml", "depth_range.toml", "intrinsics.toml", "demo.json", "calibration.json")
+OWN = ("units.toml", CROP_FILE, "corrections.toml", "depth_range.toml", "intrinsics.toml", "demo.json", "calibration.json")
 MILLIMETRES = Units(1.0, "converted from the millimetres of the calibration")
 
 
@@ -145,9 +146,10 @@ def load(kind: str, path: Path, units: GivenUnits) -> Capture:
         without = [camera.name for camera in filmed if camera.world_to_camera is None]
         mend = f"'ggvs-eval calibrate {folder} RIG --known-intrinsics {path}' finds them"
         raise CaptureError(f"{path}: wanted poses, got intrinsics alone of {listed(without)}; {mend}")
+    crop = given_crop(folder)
     poses = [camera.world_to_camera for camera in chosen if camera.world_to_camera is not None]
     try:
-        lenses = [camera.lens(frames[camera.name].size) for camera in chosen]
+        lenses = [camera.lens(frames[camera.name].size, crop) for camera in chosen]
         rig = [
             Placed(camera.name, lens.undistorted_K(), pose, (lens.width, lens.height))
             for camera, lens, pose in zip(chosen, lenses, poses, strict=True)
@@ -161,6 +163,11 @@ def load(kind: str, path: Path, units: GivenUnits) -> Capture:
         "calibrated, but not placed": [camera.name for camera in filmed if camera.world_to_camera is None],
     }
     notes = [f"{listed(names)} left out: {why}" for why, names in left.items() if names]
+    cut = [
+        camera.name for camera, lens in zip(chosen, lenses, strict=True) if camera.size not in (None, (lens.width, lens.height))
+    ]
+    if cut and crop:
+        notes.append(f"frames of {listed(cut)} begin at {crop.left} {crop.top} of the calibrated picture, as {CROP_FILE} says")
     return assemble_capture(
         folder, kind, cameras, sources, choose_units(folder, units, cameras, of_data_set=file.units), notes=notes
     )

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from ggvs_eval.arrays import Array
+from ggvs_eval.datasets.crop import Crop, crop_lens
 from ggvs_eval.datasets.easymocap_yaml import PIXEL_CENTRE
 from ggvs_eval.datasets.filestorage_yaml import FileStorageYaml, parse_xml, refused
 from ggvs_eval.errors import CameraError, CaptureError
@@ -58,16 +59,21 @@ class FileCamera:
     world_to_camera: Array | None
     is_metric: bool = False
 
-    def lens(self, frame_size: tuple[int, int] | None) -> Lens:
+    def lens(self, frame_size: tuple[int, int] | None, crop: Crop | None = None) -> Lens:
         """The lens at the size of the calibration, which is taken to be that of the frames where the file names none.
 
+        Args:
+            frame_size: (width, height) of the frames, pixels.
+            crop: where frames of another shape begin in the calibrated picture; the lens is that of the frames then.
+
         Raises:
-            CameraError: neither is known, or it is no lens.
+            CameraError: neither size is known, it is no lens, or no part of it.
         """
         size = self.size or frame_size
         if size is None:
             raise CameraError(f"wanted the size of the images {self.name} was calibrated for, the file names none; add it")
-        return Lens(self.K, self.model, self.coefficients, *size)
+        lens = Lens(self.K, self.model, self.coefficients, *size)
+        return crop_lens(self.name, lens, frame_size, crop) if frame_size else lens
 
 
 def read_qualisys(path: Path) -> list[FileCamera]:

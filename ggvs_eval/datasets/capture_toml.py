@@ -11,6 +11,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture, Extras
 from ggvs_eval.datasets.assemble import SizedSource, assemble_capture, check_rig_size
 from ggvs_eval.datasets.colmap_model import undistorted
+from ggvs_eval.datasets.crop import Crop, crop_lens, given_crop
 from ggvs_eval.datasets.depth_range import Placed, ranged_cameras
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.datasets.units import GivenUnits, Units, choose_units
@@ -53,6 +54,7 @@ class CameraTable:
         distortion: of the lens; none where absent.
         near: smallest depth of the scene, world units; with far, or neither.
         far: largest depth of the scene, world units.
+        crop: column and row of the calibrated picture that the frames begin with, where they are a part of it.
         background: image of the scene without what moves.
         mask: masks of the foreground, one per frame: a video or a folder of images.
     """
@@ -67,6 +69,7 @@ class CameraTable:
     distortion: LensTable | None = None
     near: float | None = None
     far: float | None = None
+    crop: tuple[int, ...] | None = None
     background: str | None = None
     mask: str | None = None
 
@@ -117,13 +120,12 @@ def load(path: Path, units: GivenUnits) -> Capture:
     for key, value in (("fps", table.fps), ("units_per_metre", table.units_per_metre)):
         if value is not None and value <= 0:
             raise CaptureError(f"{file}: {key} must be positive, got {value:g}; correct or drop it")
-    lenses = [_lens(camera, table.pixel_centre, file) for camera in table.camera]
+    frames = [_source(file, camera.frames) for camera in table.camera]
+    crop = given_crop(file.parent)
+    lenses = [_lens(*each, table.pixel_centre, crop, file) for each in zip(table.camera, frames, strict=True)]
     rig = [_placed(*each, file) for each in zip(table.camera, lenses, poses, strict=True)]
     cameras = ranged_cameras(rig, file)
-    sources = [
-        undistorted(_source(file, camera.frames), lens, pinhole.K)
-        for camera, lens, pinhole in zip(table.camera, lenses, cameras, strict=True)
-    ]
+    sources = [undistorted(source, lens, pinhole.K) for source, lens, pinhole in zip(frames, lenses, cameras, strict=True)]
     extras = [_extras(file, *each) for each in zip(table.camera, lenses, cameras, sources, strict=True)]
     table_units = None if table.units_per_metre is None else Units(table.units_per_metre, FILE)
     chosen = choose_units(file.parent, units, cameras, of_data_set=table_units)
@@ -157,13 +159,17 @@ def _matrix(rows: Matrix, size: int, what: str) -> Array:
     return np.array(rows, dtype=np.float64)
 
 
-def _lens(camera: CameraTable, pixel_centre: str, file: Path) -> Lens:
+def _lens(camera: CameraTable, frames: SizedSource, pixel_centre: str, crop: Crop | None, file: Path) -> Lens:
+    """The lens of the frames: where they are a part of the calibrated picture, of that part."""
+    if camera.crop is not None and len(camera.crop) != 2:
+        raise CaptureError(f"{file}: camera {camera.name}: wanted crop = [column, row], got {list(camera.crop)}; correct it")
     K = _matrix(camera.K, 3, f"{file}: K of {camera.name}")
     if pixel_centre == "whole":
         K[:2, 2] += 0.5
     table = camera.distortion or LensTable("opencv", (0.0,) * 4)
     try:
-        return Lens(K, table.model, table.coefficients, camera.width, camera.height)
+        lens = Lens(K, table.model, table.coefficients, camera.width, camera.height)
+        return crop_lens(camera.name, lens, frames.size, Crop(*camera.crop) if camera.crop else crop)
     except CameraError as error:
         raise CaptureError(f"{file}: camera {camera.name}: {error}") from error
 
@@ -173,7 +179,7 @@ def _placed(table: CameraTable, lens: Lens, pose: Array, file: Path) -> Placed:
         raise CaptureError(f"{file}: camera {table.name} wants near and far or neither; add the other")
     given = None if table.near is None or table.far is None else (table.near, table.far)
     try:
-        return Placed(table.name, lens.undistorted_K(), pose, (table.width, table.height), given)
+        return Placed(table.name, lens.undistorted_K(), pose, (lens.width, lens.height), given)
     except CameraError as error:
         raise CaptureError(f"{file}: {error}") from error
 

@@ -11,6 +11,7 @@ import tyro
 from ggvs_eval.capture import Capture, CaptureEdit
 from ggvs_eval.datasets import DATASETS, open_capture
 from ggvs_eval.datasets.capture_edit import perturb_capture
+from ggvs_eval.datasets.crop import Crop, write_crop
 from ggvs_eval.datasets.units import GivenUnits
 from ggvs_eval.errors import CaptureError, CommandError, ProtocolError
 from ggvs_eval.files.atomic import atomic_file
@@ -132,6 +133,7 @@ def check(
     reading: Taken = AS_TAKEN,
     out: Path | None = None,
     repair: bool = False,
+    crop: Annotated[tuple[int, int] | None, tyro.conf.arg(metavar="COLUMN ROW")] = None,
     jobs: Jobs = ONE_PER_CORE,
 ) -> None:
     """Look for what would spoil results: frames, poses, intrinsics, timing, colour, epipolar geometry, overlap.
@@ -145,12 +147,16 @@ def check(
         out: JSON file; CAPTURE.check.json in the current folder by default.
         repair: write CAPTURE/corrections.toml, by which every command shifts cameras that are out of step by whole frames and
             divides the colours of those that are brighter or darker; then check again.
+        crop: frames are a part of the pictures that the calibration was made for, and begin with this column and row of them:
+            write it into CAPTURE/crop.toml, which every command obeys, and check.
         jobs: processes.
     """
     from ggvs_eval.pipelines.inspection.capture.check import run_check
     from ggvs_eval.pipelines.inspection.capture.corrections import repair_capture
 
     out = out or Path(f"{capture.resolve().name}.check.json")
+    if crop is not None:
+        print(write_crop(capture if capture.is_dir() else capture.parent, Crop(*crop)))
     inspected, table = run_check(capture, out, layout=reading.layout, units=reading.given_units(), workers=jobs)
     if repair and (written := repair_capture(capture, inspected.findings)):
         print(written)

@@ -2,7 +2,7 @@
 
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import as_completed
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -10,6 +10,7 @@ from typing import Any
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
+from ggvs_eval.datasets.camera_frames import find_rig_frames
 from ggvs_eval.datasets.units import GivenUnits
 from ggvs_eval.errors import CaptureError, GgvsError
 from ggvs_eval.geometry.epipolar import neighbour_pairs
@@ -29,7 +30,11 @@ from ggvs_eval.pipelines.inspection.capture import (
 from ggvs_eval.pipelines.inspection.capture.calibration_errors import triangulated_depths
 from ggvs_eval.pipelines.inspection.capture.camera_record import CameraRecord, record_camera
 from ggvs_eval.pipelines.inspection.capture.pairs import match_pairs
-from ggvs_eval.pipelines.inspection.capture.uncalibrated import ask_for_calibration, open_uncalibrated
+from ggvs_eval.pipelines.inspection.capture.uncalibrated import (
+    ask_for_calibration,
+    open_uncalibrated,
+    uncalibrated_capture,
+)
 from ggvs_eval.pipelines.inspection.finding import RIG, SEVERITY, Finding
 from ggvs_eval.pipelines.inspection.table import WIDTH, findings_table
 from ggvs_eval.progress import track
@@ -92,8 +97,8 @@ class CaptureCheck:
 def check_capture(path: Path, *, layout: str | None = None, units: GivenUnits = None, workers: int = 1) -> CaptureCheck:
     """Find what would spoil results on a capture.
 
-    Every frame is decoded once. A capture that does not open gives one bad finding and leaves the other questions unknown; a
-    frame that cannot be read is a finding too, and the other cameras go on.
+    Every frame is decoded once. A capture that does not open gives one bad finding, and what frames alone tell; a frame that
+    cannot be read is a finding too, and the other cameras go on.
 
     Args:
         path: the capture.
@@ -106,9 +111,13 @@ def check_capture(path: Path, *, layout: str | None = None, units: GivenUnits = 
         uncalibrated = open_uncalibrated(path) if layout is None else None
         capture = uncalibrated or open_capture(path, layout, units=units)
     except GgvsError as error:
-        return CaptureCheck(path, _unopened(str(error)), time.perf_counter() - start)
+        return CaptureCheck(path, _examine_unopened(path, str(error), workers), time.perf_counter() - start)
     records = record_cameras(capture, workers)
-    findings = examine_frames(capture, records) if uncalibrated else examine(capture, records)
+    if uncalibrated:
+        findings = examine_frames(capture, records)
+        findings += ask_for_calibration(capture.path, _unanswered(findings))
+    else:
+        findings = examine(capture, records)
     return CaptureCheck(path, findings, time.perf_counter() - start)
 
 
@@ -172,10 +181,8 @@ def record_cameras(capture: Capture, workers: int) -> list[CameraRecord]:
 
 
 def examine_frames(capture: Capture, records: list[CameraRecord]) -> tuple[Finding, ...]:
-    """Answer what frames alone tell; all other questions wait for a calibration."""
-    told = (*frames.check_frames(capture, records), *frames.check_frozen(records), *colour.check_noise(records))
-    answered = {finding.question for finding in told}
-    return (*told, *ask_for_calibration(capture.path, tuple(question for question in QUESTIONS if question not in answered)))
+    """Answer what frames alone tell."""
+    return (*frames.check_frames(capture, records), *frames.check_frozen(records), *colour.check_noise(records))
 
 
 def examine(capture: Capture, records: list[CameraRecord]) -> tuple[Finding, ...]:
@@ -200,7 +207,17 @@ def examine(capture: Capture, records: list[CameraRecord]) -> tuple[Finding, ...
     return tuple(finding for answer in answers for finding in answer())
 
 
-def _unopened(message: str) -> tuple[Finding, ...]:
-    """Report what can be said of a capture that does not open."""
-    first = Finding(RIG, OPENS, "bad", message, {}, "mend this first")
-    return (first, *(Finding(RIG, question, "unknown", "the capture does not open") for question in QUESTIONS))
+def _examine_unopened(path: Path, message: str, workers: int) -> tuple[Finding, ...]:
+    """Report what can be said of a capture that does not open: why, and what its frames tell where there are some."""
+    found: tuple[Finding, ...] = (Finding(RIG, OPENS, "bad", message, {}, "mend this first"),)
+    try:
+        filmed = uncalibrated_capture(path, find_rig_frames(path))
+        found += examine_frames(filmed, record_cameras(filmed, workers))
+    except GgvsError:
+        pass  # no frames of a rig; the first finding says what is wrong
+    return (*found, *(Finding(RIG, question, "unknown", "the capture does not open") for question in _unanswered(found)))
+
+
+def _unanswered(findings: Iterable[Finding]) -> tuple[str, ...]:
+    answered = {finding.question for finding in findings}
+    return tuple(question for question in QUESTIONS if question not in answered)
