@@ -229,7 +229,7 @@ def test_a_camera_without_a_pose_in_the_file(tmp_path):
         ("transforms_test2.json", "{}", "transforms_test2.json is there"),
         ("intri.yml", "%YAML:1.0\n", "intri.yml is there, but the capture is not whole, enerf-outdoor: no extri.yml"),
         ("rig.xml", "<rig><intrinsics>1 2 3</intrinsics></rig>", "rig.xml holds a calibration in a form that is not read"),
-        ("train_meta.json", '{"k": [[1, 0, 0]], "w2c": []}', "train_meta.json holds a calibration in a form that is not read"),
+        ("cameras.json", '{"k": [[1, 0, 0]], "w2c": []}', "cameras.json holds a calibration in a form that is not read"),
         ("notes.json", '{"actor": "anna"}', None),
         ("intrinsics.toml", "[[camera]]\nK = [[1.0]]\n", None),
     ],
