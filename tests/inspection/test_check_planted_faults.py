@@ -257,7 +257,7 @@ def test_a_pose_turned_round_is_found_by_pose_and_by_matches(rig, clean_records)
 
 
 def test_a_reflection_is_the_first_line_and_what_needs_poses_is_unknown(rig):
-    """A pose with determinant -1 does not open: one bad line with the message, and no other question is passed over: what frames tell is told."""
+    """A pose with determinant -1: one bad line with the message; what frames alone tell is told, and no question passed over."""
     edit_pose(rig, "cam03", lambda pose: pose._replace(world_to_camera=np.diag([-1.0, 1, 1, 1]) @ pose.world_to_camera))
 
     check = check_capture(rig)
