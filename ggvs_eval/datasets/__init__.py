@@ -26,6 +26,7 @@ from ggvs_eval.datasets import (
 from ggvs_eval.datasets.camera_frames import IN_WORDS
 from ggvs_eval.datasets.corrections import apply_corrections, corrections_file, read_corrections
 from ggvs_eval.datasets.known_traps import apply_known_traps
+from ggvs_eval.datasets.public_captures import locate
 from ggvs_eval.datasets.settle_depth import settle_depth_ranges
 from ggvs_eval.datasets.units import GivenUnits
 from ggvs_eval.errors import CaptureError, did_you_mean
@@ -119,7 +120,8 @@ def open_capture(
     """Open a capture.
 
     Args:
-        path: folder of one scene, or the file of one (``scene000.h5``).
+        path: folder of one scene, or the file of one (``scene000.h5``); or ``DATASET:SCENE`` of a public capture that
+            `ggvs_eval.datasets.public_captures.get_capture` has fetched.
         layout: a name in `DATASETS`; the first that fits when None.
         units: world units per metre where the user knows better than the capture, or a TOML file that says how to measure them;
             see `ggvs_eval.datasets.units.choose_units`.
@@ -150,7 +152,7 @@ def open_capture(
         ...     capture.layout, capture.camera_names, capture.frame("cam1", 0).shape
         ('nerfstudio', ('cam0', 'cam1'), (6, 8, 3))
     """
-    path = Path(path)
+    path = locate(Path(path))
     if not path.exists():
         raise CaptureError(f"{path}: wanted a folder with a capture, there is none; check the path")
     if path.is_dir() and not list_entries(path):

@@ -14,7 +14,8 @@ from pathlib import Path
 
 from ggvs_eval.errors import GgvsError, WeightsError
 from ggvs_eval.files.atomic import atomic_file
-from ggvs_eval.metrics.image.fetch_lpips import cache_folder, download_package, fetch_weights
+from ggvs_eval.files.download import cache_folder
+from ggvs_eval.metrics.image.fetch_lpips import download_package, fetch_weights
 
 PACKAGE = "DISTS-pytorch"
 VERSION = "0.1"

@@ -6,7 +6,6 @@ by an unpickler that knows numpy arrays and nothing else, and kept as safetensor
 """
 
 import hashlib
-import os
 import subprocess
 import sys
 import tarfile
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 
 from ggvs_eval.errors import GgvsError, WeightsError
 from ggvs_eval.files.atomic import atomic_file
+from ggvs_eval.files.download import cache_folder
 from ggvs_eval.files.unpickler import unpickle_plain
 from ggvs_eval.metrics.metric import LpipsNet
 
@@ -31,13 +31,6 @@ CHECKPOINTS = {"vgg": "vgg16.ckpt", "alex": "alexnet.ckpt"}
 TRUNKS = {"vgg": "VGG16_0", "alex": "AlexNet_0"}
 DOWNLOAD_TIMEOUT_S = 600
 FETCH_COMMAND = "python -m ggvs_eval.metrics.image.fetch_lpips"
-
-
-def cache_folder() -> Path:
-    """Return the cache folder of the weights: $GGVS_EVAL_CACHE, else ggvs-eval under $XDG_CACHE_HOME or ~/.cache."""
-    if own := os.environ.get("GGVS_EVAL_CACHE"):
-        return Path(own)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ggvs-eval"
 
 
 def weights_path(net: LpipsNet) -> Path:

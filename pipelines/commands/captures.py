@@ -12,6 +12,7 @@ from ggvs_eval.capture import Capture, CaptureEdit
 from ggvs_eval.datasets import DATASETS, open_capture
 from ggvs_eval.datasets.capture_edit import perturb_capture
 from ggvs_eval.datasets.crop import Crop, write_crop
+from ggvs_eval.datasets.public_captures import find_scene, get_capture, locate
 from ggvs_eval.datasets.units import GivenUnits
 from ggvs_eval.errors import CaptureError, CommandError, ProtocolError
 from ggvs_eval.files.atomic import atomic_file
@@ -128,6 +129,20 @@ def demo(
     print(write_demo(out, room, jobs))
 
 
+def get(scene: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="DATASET:SCENE")]) -> None:
+    """Fetch a public capture from where its authors publish it; its name then serves as --capture.
+
+    n3v:flame_steak, immersive:02_Flames, panoptic:basketball, ... A download that was stopped goes on; size and SHA-256 of the
+    first one are kept, and a later one must be the same.
+
+    Args:
+        scene: data set and scene; `n3v:` lists those of a data set.
+    """
+    dataset, _ = find_scene(scene)
+    print(f"{dataset.title}; licence: {dataset.licence}; {dataset.page}", file=sys.stderr)
+    print(get_capture(scene))
+
+
 def check(
     capture: CaptureFolder,
     reading: Taken = AS_TAKEN,
@@ -154,6 +169,7 @@ def check(
     from ggvs_eval.pipelines.inspection.capture.check import run_check
     from ggvs_eval.pipelines.inspection.capture.corrections import repair_capture
 
+    capture = locate(capture)
     out = out or Path(f"{capture.resolve().name}.check.json")
     if crop is not None:
         print(write_crop(capture if capture.is_dir() else capture.parent, Crop(*crop)))

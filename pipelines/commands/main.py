@@ -22,6 +22,7 @@ from ggvs_eval.pipelines.commands.captures import (
     calibrate,
     check,
     demo,
+    get,
     protocol,
     undistort,
 )
@@ -93,6 +94,7 @@ Commands = Mapping[str, "Command | Commands"]
 # `train` has a subcommand for each network.
 COMMANDS: Commands = {
     "demo": demo,
+    "get": get,
     "check": check,
     "calibrate": calibrate,
     "undistort": undistort,

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from ggvs_eval.errors import GgvsError, RenderError
+from ggvs_eval.files.archive import Limits, is_archive, unpack
 from ggvs_eval.files.atomic import atomic_folder, remove_leftovers, scratch_folder
 from ggvs_eval.files.digest import digest_files, digest_values
 from ggvs_eval.jobs.processes import worker_pool
 from ggvs_eval.pipelines.methods.registry import METHODS
 from ggvs_eval.pipelines.run.coverage import IMPORT_FILE, read_import
 from ggvs_eval.pipelines.run.derived_files import MadeFiles
-from ggvs_eval.renders.archive import Limits, is_archive, unpack
 from ggvs_eval.renders.kinds import KINDS, detect
 from ggvs_eval.renders.request import Fit, FrameRequest, RenderedView, RenderSet, fit, partial_text, request_of, require_whole
 from ggvs_eval.run_folder import RunFolder, as_ranges, frame_path, write_json
@@ -85,7 +85,7 @@ def _import(
     record = read_import(run, request.label)
     if record and record["identity"] == identity and MadeFiles(run.root / "renders" / request.label, identity).are_whole():
         return record
-    root = unpack(path, unpacked, _limits(request)) if packed else path
+    root = unpack(path, unpacked, _limits(request), RenderError) if packed else path
     kind = kind or detect(root, request)
     renders = KINDS[kind].find(root, request, packed)
     fitted = fit(renders, request)

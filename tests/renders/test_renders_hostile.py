@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from ggvs_eval.errors import RenderError
+from ggvs_eval.files.archive import Limits, unpack
 from ggvs_eval.pipelines.run.import_renders import import_renders
-from ggvs_eval.renders.archive import Limits, unpack
 from helpers.render_folders import VIEWS, make_run, stack
 
 pytestmark = pytest.mark.fuzz
@@ -135,7 +135,7 @@ def test_a_hostile_archive_is_refused(case, tmp_path):
     write(archive)
 
     with pytest.raises(RenderError) as caught:
-        unpack(archive, folder, LIMITS)
+        unpack(archive, folder, LIMITS, RenderError)
 
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
@@ -159,7 +159,7 @@ def test_what_fits_the_limits_is_unpacked(tmp_path):
     """An archive just within the limits comes out whole, its single folder being what is given back."""
     zipped(*((f"top/{i}.bin", bytes([i]) * 5000) for i in range(20)))(tmp_path / "theirs.zip")
 
-    root = unpack(tmp_path / "theirs.zip", tmp_path / "folder", LIMITS)
+    root = unpack(tmp_path / "theirs.zip", tmp_path / "folder", LIMITS, RenderError)
 
     assert root == tmp_path / "folder" / "top"
     assert [(root / f"{i}.bin").read_bytes() for i in range(20)] == [bytes([i]) * 5000 for i in range(20)]

@@ -1,0 +1,143 @@
+"""Captures that their authors publish: fetched by name, kept where they are found again, known by ``DATASET:SCENE``."""
+
+import re
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from pathlib import Path
+
+from ggvs_eval.errors import CaptureError, did_you_mean
+from ggvs_eval.files.archive import Limits, unpack
+from ggvs_eval.files.atomic import scratch_folder
+from ggvs_eval.files.download import DownloadError, cache_folder, download
+from ggvs_eval.files.toml_tables import build_table, parse_toml
+
+FILE = "public_captures.toml"
+NAME = re.compile(r"[a-z0-9-]+:[\w.-]*")
+LIMITS = Limits(n_files=500_000, n_bytes=200 << 30)  # of an archive; the disk's room is looked at too
+
+
+@dataclass(frozen=True)
+class ByHand:
+    """A scene that no single address gives, and what to do for it."""
+
+    scene: str
+    mend: str
+
+
+@dataclass(frozen=True)
+class PublicDataset:
+    """A data set and where its scenes are.
+
+    Attributes:
+        name: what stands before the colon.
+        title: what people call it, with authors and venue.
+        licence: under which it is published.
+        page: of its authors.
+        url: of an archive, ``{archive}`` being its name.
+        archives: names of the archives, each a scene or all of them.
+        folders: scenes of the only archive; none where each archive is a scene.
+        by_hand: scenes that are not at one address.
+    """
+
+    name: str
+    title: str
+    licence: str
+    page: str
+    url: str
+    archives: tuple[str, ...]
+    folders: tuple[str, ...] = ()
+    by_hand: tuple[ByHand, ...] = ()
+
+    @property
+    def scenes(self) -> tuple[str, ...]:
+        """Names of all scenes."""
+        return (*(self.folders or self.archives), *(each.scene for each in self.by_hand))
+
+    def folder(self) -> Path:
+        """Where its captures are kept."""
+        return cache_folder() / "captures" / self.name
+
+    def place(self, scene: str) -> Path:
+        """Folder of a scene, present or not."""
+        return self.folder() / self.archives[0] / scene if scene in self.folders else self.folder() / scene
+
+
+@dataclass(frozen=True)
+class DatasetTable:
+    """The whole file."""
+
+    dataset: tuple[PublicDataset, ...]
+
+
+@cache
+def public_datasets() -> dict[str, PublicDataset]:
+    """All of them by name."""
+    text = resources.files(__package__).joinpath(FILE).read_text(encoding="utf-8")
+    table = build_table(DatasetTable, parse_toml(text, FILE, CaptureError), FILE, "", CaptureError)
+    return {dataset.name: dataset for dataset in table.dataset}
+
+
+def find_scene(name: str) -> tuple[PublicDataset, str]:
+    """The data set and the scene that ``DATASET:SCENE`` names.
+
+    Raises:
+        CaptureError: there is none of that name; the message lists those that are.
+    """
+    dataset_name, _, scene = name.partition(":")
+    datasets = public_datasets()
+    if dataset_name not in datasets:
+        raise CaptureError(
+            f"{name}: wanted DATASET:SCENE, the data sets are {', '.join(datasets)}{did_you_mean(dataset_name, datasets)}"
+        )
+    dataset = datasets[dataset_name]
+    if scene not in dataset.scenes:
+        raise CaptureError(f"{name}: {dataset.title} has {', '.join(dataset.scenes)}{did_you_mean(scene, dataset.scenes)}")
+    return dataset, scene
+
+
+def locate(path: Path) -> Path:
+    """The folder of a capture: the path itself, or where ``DATASET:SCENE`` was put by `get_capture`.
+
+    Raises:
+        CaptureError: such a name, but nothing was fetched yet.
+    """
+    name = str(path)
+    if path.exists() or not NAME.fullmatch(name) or name.partition(":")[0] not in public_datasets():
+        return path
+    dataset, scene = find_scene(name)
+    place = dataset.place(scene)
+    if not place.is_dir():
+        raise CaptureError(f"{name}: not on this machine yet; 'ggvs-eval get {name}' fetches it, {place} is where it belongs")
+    return place
+
+
+def get_capture(name: str) -> Path:
+    """Fetch a capture, unpack it and return its folder; nothing is done where it is there already.
+
+    The archive is removed once it is unpacked; size and SHA-256 of the first download stay beside it, and an archive that is
+    fetched again must be the same.
+
+    Args:
+        name: ``DATASET:SCENE``.
+
+    Raises:
+        CaptureError: no such scene, or an archive that is damaged or does not hold it.
+        DownloadError: it cannot be fetched, or it is another than at the first time.
+    """
+    dataset, scene = find_scene(name)
+    place = dataset.place(scene)
+    if place.is_dir():
+        return place
+    for each in dataset.by_hand:
+        if each.scene == scene:
+            raise DownloadError(f"{name}: {each.mend} to {place} ({dataset.page})")
+    archive = dataset.archives[0] if dataset.folders else scene
+    file = dataset.folder() / f"{archive}.zip"
+    download(dataset.url.format(archive=archive), file, file.with_suffix(".json"))
+    with scratch_folder(dataset.folder() / f"{archive}.unpacked") as scratch:
+        unpack(file, scratch, LIMITS, CaptureError).replace(dataset.folder() / archive)
+    file.unlink()
+    if not place.is_dir():
+        raise CaptureError(f"{name}: wanted {scene} in the archive, it holds no such folder; see {dataset.page}")
+    return place
