@@ -1,7 +1,7 @@
-"""Write measured figures into README.md and the pages of docs/: ``python docs/fill_tables.py``.
+"""Write measured figures into README.md, the pages of docs/ and benchmarks/RESULTS.md: ``python docs/fill_tables.py``.
 
-It follows `make reports bench validate`, and the commands of docs/metric_study.md. Tables stand between ``<!-- name -->`` and
-``<!-- /name -->``; nothing between them is typed by hand.
+It follows `make reports bench validate` and the commands that benchmarks/RESULTS.md names. Tables are between
+``<!-- name -->`` and ``<!-- /name -->``; nothing between them is typed by hand.
 """
 
 import json
@@ -26,7 +26,7 @@ from result_tables import (
 
 from ggvs_eval.errors import ResultsError
 from ggvs_eval.reports.figures.study_figure import draw_study
-from ggvs_eval.reports.model.metric_study import STUDY_FILE, Study, answered_metrics, read_study
+from ggvs_eval.reports.model.metric_study import STUDY_FILE, Study, read_study
 from ggvs_eval.reports.tables.study_tables import (
     absence_list,
     by_ladder_table,
@@ -73,11 +73,6 @@ REFINEMENT_FIGURES = {"reprojection": ".2f", "contradiction": ".2f", "PSNR": ".2
 BESIDE_ADDITIONS = {"compensated": ("PSNR_cc",), "recurrent_limit": ("PSNR", "flicker")}
 DOMAIN_METRICS = {"PSNR": ".2f", "LPIPS": ".3f"}
 STUDIES = {"demo room": OUT / "metric_study", "hololens_rgbd": OUT / "metric_study_real"}
-STUDIED_GROUPS = {  # page: titles of the tables that its metrics stand in
-    "full_reference.md": ("Image quality", "Further measures"),
-    "temporal_metrics.md": ("Temporal and view consistency", "Steadiness without truth, sharpness beside it"),
-    "view_consistency.md": ("View consistency along the camera path, without truth",),
-}
 OFFLINE_METRICS = ("PSNR", "PSNR_cc", "SSIM", "LPIPS", "TCC", "STED", "Flicker", "SDV", "EPI_coherence", "EPI_slope_error")
 PRICE_METRICS = ("PSNR", "PSNR_static", "PSNR_moving", "PSNR_disoccluded", "LPIPS", "STED", "EPI_coherence")
 BASELINE_METRICS = ("PSNR", "SSIM", "LPIPS", "L1", "TCC", "STED", "SDT", "SDV")
@@ -100,7 +95,6 @@ def main() -> None:
             "real_frame_folds_views": lambda: views_table(OUT / "real_frame_folds"),
             "real_frame_coverage": lambda: results_table(OUT / "real_frame_coverage"),
             "real_frame_coverage_views": lambda: views_table(OUT / "real_frame_coverage"),
-            "baselines": lambda: sweep_table(OUT / "rooms_baselines", BASELINE_METRICS, OUT / "rooms_speed"),
             "depth": depth_table,
             "speed": speed_table,
         },
@@ -108,60 +102,54 @@ def main() -> None:
     _fill(
         ROOT / "docs" / "measurements.md",
         {
-            "real_frame_budget": lambda: budget_rows(OUT / "real_frame"),
             "ablations": lambda: sweep_table(OUT / "rooms_ablations", ABLATION_METRICS),
             "clean": lambda: sweep_table(OUT / "rooms_clean", BASELINE_METRICS),
             "noise": lambda: sweep_table(OUT / "rooms_noise", ABLATION_METRICS),
             "switches": lambda: sweep_table(OUT / "rooms_switches", BASELINE_METRICS),
+            "over_k": lambda: k_table(OUT / "rooms_k", BASELINE_METRICS),
             "offline": lambda: report_table(OFFLINE_RUN, ("quality", "consistency", "path"), OFFLINE_METRICS),
             "offline_price": lambda: report_table(OFFLINE_RUN, ("price",), PRICE_METRICS),
-            "offline_costs": lambda: report_table(OFFLINE_RUN, ("costs",)),
-            "offline_seeds": lambda: report_table(OFFLINE_RUN, ("seeds",), OFFLINE_METRICS),
-            "offline_unseen": lambda: report_table(UNSEEN_RUN, ("quality", "consistency", "path"), OFFLINE_METRICS),
-            "offline_unseen_seeds": lambda: report_table(UNSEEN_RUN, ("seeds",), OFFLINE_METRICS),
-            "over_k": lambda: k_table(OUT / "rooms_k", BASELINE_METRICS),
-            "held": lambda: results_table(OUT / "real_frame_held"),
-            "calibration": lambda: figures_table(OUT / "validate.json", r"calibration\."),
             "refinement": refinement_table,
-            "real_frame_refined": lambda: results_table(OUT / "real_frame_refined"),
-            "real_frame_refined_coverage": lambda: results_table(OUT / "real_frame_refined_coverage"),
-            "depth": lambda: figures_table(OUT / "depth_validation" / "figures.json", DEPTH_FIGURES),
-            "validate": lambda: figures_table(OUT / "validate.json", r"(?!calibration|depth)"),
             "domains": domains_table,
-            "bench": lambda: figures_table(OUT / "bench.json", r"(?!roofline|step_memory)"),
             "speed_before": lambda: compared_speed_table(OUT / "bench.json"),
-            "roofline": lambda: roofline_table(OUT / "bench.json"),
             "device": device_table,
         },
     )
     _fill(ROOT / "docs" / "readings.md", {"additions": additions_table})
+    _fill(ROOT / "docs" / "metrics.md", {"verdicts": lambda: verdict_table(_studies())})
     _fill(
-        ROOT / "docs" / "temporal_metrics.md",
+        ROOT / "benchmarks" / "RESULTS.md",
         {
+            "real_frame_budget": lambda: budget_rows(OUT / "real_frame"),
+            "baselines": lambda: sweep_table(OUT / "rooms_baselines", BASELINE_METRICS, OUT / "rooms_speed"),
+            "offline_costs": lambda: report_table(OFFLINE_RUN, ("costs",)),
+            "offline_seeds": lambda: report_table(OFFLINE_RUN, ("seeds",), OFFLINE_METRICS),
+            "offline_unseen": lambda: report_table(UNSEEN_RUN, ("quality", "consistency", "path"), OFFLINE_METRICS),
+            "offline_unseen_seeds": lambda: report_table(UNSEEN_RUN, ("seeds",), OFFLINE_METRICS),
+            "held": lambda: results_table(OUT / "real_frame_held"),
+            "calibration": lambda: figures_table(OUT / "validate.json", r"calibration\."),
+            "real_frame_refined": lambda: results_table(OUT / "real_frame_refined"),
+            "real_frame_refined_coverage": lambda: results_table(OUT / "real_frame_refined_coverage"),
+            "depth": lambda: figures_table(OUT / "depth_validation" / "figures.json", DEPTH_FIGURES),
+            "validate": lambda: figures_table(OUT / "validate.json", r"(?!calibration|depth)"),
+            "bench": lambda: figures_table(OUT / "bench.json", r"(?!roofline|step_memory)"),
+            "roofline": lambda: roofline_table(OUT / "bench.json"),
             "colmap_controls": lambda: colmap_controls_table(OUT / "colmap_controls.json"),
             "author_clips": lambda: author_clips_table(OUT / "author_clips.json"),
             "author_clips_colmap": lambda: author_clips_colmap_table(OUT / "author_clips.json"),
-        },
-    )
-    _fill_metric_study()
-
-
-def _fill_metric_study() -> None:
-    """What metrics answered to planted degradations, in the pages that say what each is blind to, and the figure."""
-    _fill(
-        ROOT / "docs" / "metric_study.md",
-        {
             "ladders": lambda: ladder_table(read_study(STUDIES["demo room"])),
             "by_ladder": lambda: by_ladder_table(_studies()),
-            "verdicts": lambda: verdict_table(_studies()),
             "correlations": lambda: correlation_table(read_study(STUDIES["demo room"])),
             "correlations_real": lambda: correlation_table(read_study(STUDIES["hololens_rgbd"])),
             "sensitivity": lambda: sensitivity_table(read_study(STUDIES["demo room"])),
             "absent": lambda: absence_list(read_study(STUDIES["demo room"])) or "Nothing.",
         },
     )
-    for page, groups in STUDIED_GROUPS.items():
-        _fill(ROOT / "docs" / page, {"verdicts": lambda groups=groups: verdict_table(_studies(), _names_in(groups))})
+    _draw_metric_study()
+
+
+def _draw_metric_study() -> None:
+    """Draw what metrics answered to planted degradations."""
     try:
         print(draw_study(_present_studies(), ROOT / "docs" / "images" / "metric_study.png"))
     except ResultsError as error:
@@ -176,12 +164,6 @@ def _present_studies() -> dict[str, Path]:
 
 def _studies() -> list[Study]:
     return [read_study(folder) for folder in _present_studies().values()]
-
-
-def _names_in(groups: tuple[str, ...]) -> list[str]:
-    """Metrics with an answer that stand in the tables of these titles."""
-    titles = {name: metric["group"] for study in _studies() for name, metric in study["metrics"].items()}
-    return [name for name in answered_metrics(_studies()) if titles[name] in groups]
 
 
 def _fill(file: Path, tables: Tables) -> None:

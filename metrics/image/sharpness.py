@@ -54,6 +54,6 @@ SHARPNESS = ViewMetric(
     group=NO_REFERENCE,
     decimals=3,
     describe="mean absolute difference of neighbouring pixels; a steadiness beside a lower one is blur, noise raises it",
-    reference="docs/temporal_metrics.md",
+    reference="docs/metrics.md",
     series=Series(1, lambda frames, _static: sharpness(*frames)),
 )

@@ -192,7 +192,7 @@ def _measure(path: RenderedPath) -> list[Value]:
 
 
 _SCORER = PathScorer(NAMES, _measure, wants_images=True)
-_REFERENCE = "after SysCON3D, arXiv 2605.18754; docs/temporal_metrics.md"
+_REFERENCE = "after SysCON3D, arXiv 2605.18754; docs/metrics.md"
 COLMAP_REGISTERED = PathMetric(
     name="COLMAP_registered",
     function=colmap_consistency,

@@ -178,7 +178,7 @@ class PathMetric(Metric):
 
     kind: Kind = "path"
     group: Group = ALONG_PATH
-    reference: str = "docs/view_consistency.md"
+    reference: str = "docs/metrics.md"
     scorer: PathScorer
 
     @property

@@ -59,7 +59,7 @@ PATH_SHARPNESS = PathMetric(
     higher_is_better=True,
     decimals=3,
     describe="mean absolute difference of neighbouring pixels along the path; a consistency beside a lower one is blur",
-    reference="docs/temporal_metrics.md",
+    reference="docs/metrics.md",
     scorer=PathScorer(("path_sharpness",), lambda path: whole_path(("path_sharpness",), float(np.mean(path.sharpness)))),
 )
 

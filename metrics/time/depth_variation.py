@@ -144,7 +144,7 @@ def _checked(depths: Sequence[Map], static: Mask | None) -> Sequence[Map]:
     return depths
 
 
-_REFERENCE = "docs/temporal_metrics.md"
+_REFERENCE = "docs/metrics.md"
 DEPTH_SHARPNESS = DepthMetric(
     name="depth_Sharpness",
     function=depth_sharpness,

@@ -193,7 +193,7 @@ FLICKER = ViewMetric(
     higher_is_better=False,
     group=CONSISTENCY,
     describe="change over time that the scene does not have, and lack of it",
-    reference="docs/temporal_metrics.md",
+    reference="docs/metrics.md",
     scorer=FlickerScorer,
 )
 FLICKER_EXCESS = ViewMetric(
@@ -204,6 +204,6 @@ FLICKER_EXCESS = ViewMetric(
     higher_is_better=False,
     group=CONSISTENCY,
     describe="the same, signed: below 0 is frozen or blurred",
-    reference="docs/temporal_metrics.md",
+    reference="docs/metrics.md",
     scorer=FlickerScorer,
 )

@@ -1,6 +1,6 @@
 """Videos of one fixed camera whose clean frames are known: a still photograph before which a face moves, and noisy recordings.
 
-Run as a program it prints the tables of docs/temporal_metrics.md.
+Run as a program it prints the tables of benchmarks/RESULTS.md.
 """
 
 from collections.abc import Callable
