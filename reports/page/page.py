@@ -153,7 +153,7 @@ def _groups(groups: Sequence[RunGroup]) -> list[dict[str, Any]]:
     rooms = enumerate(share_room([section.run for group in groups for section in group.sections]))
     names = _tab_names(groups)
     tabs = zip(names, _addresses(names), strict=True)
-    verdicts = [evaluate_verdict([section.run for section in group.sections], group.results, group.tables) for group in groups]
+    verdicts = [_verdict(group) for group in groups]
     return [
         {
             "id": f"group{at}",
@@ -178,6 +178,11 @@ def _groups(groups: Sequence[RunGroup]) -> list[dict[str, Any]]:
         }
         for at, group in enumerate(groups)
     ]
+
+
+def _verdict(group: RunGroup) -> Verdict | None:
+    budgets = [table for section in group.sections for table in section.view_tables]
+    return evaluate_verdict([section.run for section in group.sections], group.results, group.tables, budgets)
 
 
 def _sources(runs: Sequence[MeasuredRun]) -> str:

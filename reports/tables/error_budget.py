@@ -31,6 +31,7 @@ VARIANCE_COLUMNS: tuple[tuple[Column, str, Callable[[TwoWay], float]], ...] = (
     (Column("rest", "%"), "{:.1f}", lambda parts: 100 * parts.shares()["rest"]),
 )
 WIDE_SHARE = 0.03  # of the width: standard deviation of the Gaussian that tells colour and light from detail
+BUDGET_KEY = "error_budget"  # of the table
 FRAMES_AT_MOST = 4  # of each view, evenly spaced
 CAPTION = (
     "Mean squared error of single frames, taken apart. Unseen: pixels that no source view covers, where methods must invent. "
@@ -126,7 +127,7 @@ def budget_table(run: MeasuredRun) -> Table | None:
     ]
     for view in run.protocol.views.test:
         rows.append(Row(f"{run.name(shown)} in {view}", _share_cells([budgets[view, frame][shown] for frame in frames])))
-    return Table("error_budget", "Where the error lies", CAPTION, COLUMNS, tuple(rows), run.title)
+    return Table(BUDGET_KEY, "Where the error lies", CAPTION, COLUMNS, tuple(rows), run.title)
 
 
 def _budgets(run: MeasuredRun, instant: tuple[str, int]) -> dict[str, ErrorBudget]:

@@ -2,18 +2,21 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import pandas as pd
 
 from ggvs_eval.reports.model.measured import MeasuredRun, without_labels
 from ggvs_eval.reports.model.table import Cell, Column, Table, format_value
+from ggvs_eval.reports.tables.absolute import describe_absolute
+from ggvs_eval.reports.tables.captions import counted
+from ggvs_eval.reports.tables.certainty import Certainty, assess
 from ggvs_eval.reports.tables.leaders import HEADLINES, Leader, leaders
 from ggvs_eval.reports.tables.report_tables import row_labels
 from ggvs_eval.results import Results
 from ggvs_eval.statistics.intervals import LEVEL
-from ggvs_eval.statistics.paired import Comparison, rank_methods
+from ggvs_eval.statistics.paired import Comparison, compare
 
 PLAIN = {
     "PSNR": "how close each picture comes to the recorded one",
@@ -34,6 +37,7 @@ class Contender:
         cell: value and interval.
         place: of the value in the drawing, per cent from the left; None where it is not finite.
         span: ends of the interval likewise; None where there is none.
+        worth: of a variant of ours, its difference to ours in words; empty otherwise.
     """
 
     label: str
@@ -42,6 +46,7 @@ class Contender:
     cell: Cell
     place: float | None
     span: tuple[float, float] | None
+    worth: str = ""
 
 
 @dataclass(frozen=True)
@@ -49,69 +54,107 @@ class Verdict:
     """The answer of a group of runs.
 
     Attributes:
-        headline: who is best, or that there is a tie.
+        headline: who is best, or that nobody can be named.
         margin: by how much, with its interval.
+        absolute: the first's number beside the capture's ceiling and published ones, and where its error lies; empty where
+            there is nothing to hold it against.
         column: the metric that this is in.
         meaning: what it measures, in plain words.
-        contenders: every method that competes, the best first.
+        contenders: every method that competes, the best first; of ours the method itself, unless ours alone were measured.
+        parts: variants of ours, with what each lacks or adds.
         others: name of a method -> the other metrics that it alone is best in.
         tied: the other metrics in which no winner can be named.
     """
 
     headline: str
     margin: str
+    absolute: str
     column: Column
     meaning: str
     contenders: tuple[Contender, ...]
+    parts: tuple[Contender, ...]
     others: dict[str, list[str]]
     tied: tuple[str, ...]
 
     def shown(self, run: MeasuredRun) -> tuple[str, ...]:
         """Whose pictures say most of a run: the best, and ours beside it, or the runner-up where ours is the best."""
-        labels = [one.label for one in self.contenders if one.label in run.pictured]
+        labels = [one.label for one in (*self.contenders, *self.parts) if one.label in run.pictured]
         beside = [label for label in labels[1:] if label in run.ours] if labels and labels[0] not in run.ours else []
         return tuple(dict.fromkeys([*labels[:1], *beside, *labels[1:]]))[:2]
 
 
-def evaluate_verdict(runs: Sequence[MeasuredRun], results: Results, tables: Sequence[Table]) -> Verdict | None:
+@dataclass(frozen=True)
+class _Field:
+    """Who competes in a metric.
+
+    Attributes:
+        column: of the metric.
+        dataset: that the table is of.
+        ranked: label, name and cell of each contender, the best first.
+        parts: the same of ours' variants.
+        certainty: standing of the contenders alone.
+    """
+
+    column: Column
+    dataset: str
+    ranked: list[tuple[str, str, Cell]]
+    parts: list[tuple[str, str, Cell]]
+    certainty: Certainty
+
+    @property
+    def ties(self) -> list[str]:
+        """Names of those that cannot be told from the first."""
+        told = self.certainty.told
+        return [name for label, name, _ in self.ranked[1:] if told is None or label in told]
+
+
+def evaluate_verdict(
+    runs: Sequence[MeasuredRun], results: Results, tables: Sequence[Table], budgets: Sequence[Table] = ()
+) -> Verdict | None:
     """Say who is best in the first headline metric; None where nothing is ranked.
 
     Args:
         runs: of one protocol.
         results: theirs in one.
         tables: main tables of these results.
+        budgets: tables of where the error of each run lies.
 
     Reading:
         The paper names no single measure of quality. The first one of its own tables that was measured is the headline (PSNR,
-        if it was), and who leads the others is said beside it.
+        if it was), and who leads the others is said beside it. A method does not compete with its own ablations: of ours the one
+        without a variant stands for all, and the others say what each part is worth.
     """
     all_leaders = leaders(tables)
     if not all_leaders:
         return None
     first = min(all_leaders, key=lambda one: HEADLINES.index(one.column.name) if one.column.name in HEADLINES else len(HEADLINES))
-    table = next(one for one in tables if one.dataset == first.dataset and first.column in one.columns)
+    fields = [_field(leader, runs, results, tables) for leader in all_leaders]
+    field = fields[all_leaders.index(first)]
+    table = _table_of(first, tables)
     at, labels = table.columns.index(first.column), _labels(runs, results, first.dataset)
-    competing = [
-        (label, row.name, row.cells[at])
-        for label, row in zip(labels, table.rows, strict=False)
-        if row.competes and row.cells[at].value is not None and not row.cells[at].unranked
-    ]
-    sign = 1.0 if first.column.higher_is_better else -1.0
-    competing.sort(key=lambda one: -sign * cast(float, one[2].value))  # stable
-    places = _Scale([cell for *_, cell in competing])
-    contenders = tuple(
-        Contender(label, name, labels.index(label), cell, places.at(cell.value), places.span(cell))
-        for label, name, cell in competing
+    places = _Scale([cell for *_, cell in (*field.ranked, *field.parts)])
+    contenders, parts = (
+        tuple(
+            Contender(label, name, labels.index(label), cell, places.at(cell.value), places.span(cell))
+            for label, name, cell in side
+        )
+        for side in (field.ranked, field.parts)
     )
+    parts = tuple(replace(part, worth=_worth(part, contenders, first, runs, results)) for part in parts)
     alone = sum(not row.is_grey and row.cells[at].value is not None for row in table.rows) == 1
-    headline, margin = _words(first, contenders, runs, results, alone)
+    headline, margin = _words(field, contenders, runs, alone)
     others: dict[str, list[str]] = {}
-    for leader in all_leaders:
-        if leader is not first:
-            others.setdefault("" if leader.undecided or leader.ties else leader.name, []).append(leader.column.name)
+    for each in fields:
+        if each is not field and each.ranked:
+            others.setdefault("" if each.certainty.undecided or each.ties else each.ranked[0][1], []).append(each.column.name)
     tied = tuple(others.pop("", ()))
     meaning = PLAIN.get(first.column.name, first.column.describe)
-    return Verdict(headline, margin, first.column, meaning, contenders, others, tied)
+    absolute = describe_absolute(contenders[0].name, contenders[0].cell, first.column, table, budgets)
+    return Verdict(headline, margin, absolute, first.column, meaning, contenders, parts, others, tied)
+
+
+def _table_of(leader: Leader, tables: Sequence[Table]) -> Table:
+    return next(one for one in tables if one.dataset == leader.dataset and leader.column in one.columns)
 
 
 def _labels(runs: Sequence[MeasuredRun], results: Results, dataset: str) -> list[str]:
@@ -119,31 +162,70 @@ def _labels(runs: Sequence[MeasuredRun], results: Results, dataset: str) -> list
     return row_labels(runs, cast(pd.DataFrame, results.summary().xs(dataset, level="dataset")))
 
 
-def _words(
-    first: Leader, contenders: Sequence[Contender], runs: Sequence[MeasuredRun], results: Results, alone: bool
-) -> tuple[str, str]:
+def _field(leader: Leader, runs: Sequence[MeasuredRun], results: Results, tables: Sequence[Table]) -> _Field:
+    """Who competes in a column, ours represented by one."""
+    table, column = _table_of(leader, tables), leader.column
+    at, labels = table.columns.index(column), _labels(runs, results, leader.dataset)
+    competing = [
+        (label, row.name, row.cells[at])
+        for label, row in zip(labels, table.rows, strict=False)
+        if row.competes and row.cells[at].value is not None and not row.cells[at].unranked
+    ]
+    sign = 1.0 if column.higher_is_better else -1.0
+    competing.sort(key=lambda one: -sign * cast(float, one[2].value))  # stable
+    variants = _variants([label for label, *_ in competing], frozenset().union(*(run.ours for run in runs)))
+    ranked = [one for one in competing if one[0] not in variants]
+    own = without_labels(results, set(results.row_labels) - {label for label, *_ in ranked})
+    certainty = assess(runs[0].metrics[column.name], own, leader.dataset)
+    return _Field(column, leader.dataset, ranked, [one for one in competing if one[0] in variants], certainty)
+
+
+def _variants(competing: Sequence[str], ours: frozenset[str]) -> frozenset[str]:
+    """Labels of ours that another one stands for: the plainest, where there is anybody else to compete with."""
+    own = [label for label in competing if label in ours]
+    if len(own) == len(competing):
+        return frozenset()
+    plainest = min(own, key=lambda label: ("+" in label, len(label)), default="")
+    return frozenset(own) - {plainest}
+
+
+def _worth(part: Contender, contenders: Sequence[Contender], first: Leader, runs: Sequence[MeasuredRun], results: Results) -> str:
+    """Difference of a variant to ours, with its interval where there is one."""
+    main = next(one for one in contenders if any(one.label in run.ours for run in runs))
+    difference = compare(results, first.column.name, part.label, main.label, first.dataset)
+    decimals = runs[0].metrics[first.column.name].decimals
+    shown = [
+        f"{sign}{format_value(abs(bound), decimals)}"
+        for bound in (difference.difference, difference.low, difference.high)
+        if bound is not None
+        for sign in ("\N{MINUS SIGN}" if bound < 0 else "+",)
+    ]
+    return shown[0] if len(shown) < 3 else f"{shown[0]} ({shown[1]} to {shown[2]})"
+
+
+def _words(field: _Field, contenders: Sequence[Contender], runs: Sequence[MeasuredRun], alone: bool) -> tuple[str, str]:
     """Headline and margin."""
-    best, column, decimals = contenders[0], first.column, runs[0].metrics[first.column.name].decimals
+    best, column, decimals = contenders[0], field.column, runs[0].metrics[field.column.name].decimals
     unit = f" {column.unit}" if column.unit else ""
     if len(contenders) == 1:
         number = f"{best.cell.shown} {best.cell.spread}".strip() + unit
         if alone:
             return f"{best.name} was measured alone", number
         return "No winner can be named", f"{best.name} has {number}; the others were measured on other scenes, views or frames"
-    others = set(results.row_labels) - {one.label for one in contenders}
-    ranked = without_labels(results, others)
-    standing = rank_methods(ranked, column.name, bool(column.higher_is_better), first.dataset)
-    rival = next((one for one in contenders[1:] if one.name in first.ties), contenders[1])
-    comparison = standing.comparisons.get(rival.label)
+    rival = next((one for one in contenders[1:] if one.name in field.ties), contenders[1])
+    standing = field.certainty.standing
+    comparison = standing.comparisons.get(rival.label) if standing else None
     if comparison is None:
         return f"{best.name} and {rival.name} are equal", f"{best.cell.shown}{unit} each"
     second = f"“{rival.name}”" if "," in rival.name else rival.name
     by = f"{format_value(abs(comparison.difference), decimals)}{unit}"
     interval = _interval(comparison, bool(column.higher_is_better), decimals, unit)
-    if first.undecided:
-        return "No winner can be named", f"{best.name} is {by} ahead of {second}; {first.undecided}"
-    if first.ties:
-        rivals = rival.name if len(first.ties) == 1 else f"{len(first.ties)} others"
+    if field.certainty.undecided:
+        frames, views = runs[0].protocol.frames.count, len(runs[0].protocol.views.test)
+        looked_at = f"{counted(frames, 'frame')} of {counted(views, 'view')}"
+        return f"No winner can be named from {looked_at}", f"{best.name} is {by} ahead of {second}; {field.certainty.undecided}"
+    if field.ties:
+        rivals = rival.name if len(field.ties) == 1 else f"{len(field.ties)} others"
         return (
             f"{best.name} and {rivals} tie",
             f"{by} between {best.name} and {second} is too little to tell them apart{interval}",
