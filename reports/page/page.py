@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ggvs_eval.arrays import Image8
+from ggvs_eval.files.images import read_image
 from ggvs_eval.reports.figures.curves import COLOURS, DASHES, MARGIN, SIZE
-from ggvs_eval.reports.figures.regions import ERROR_FULL_SCALE
+from ggvs_eval.reports.figures.regions import ERROR_FULL_SCALE, find_regions
 from ggvs_eval.reports.figures.slices import NO_TRUTH, Slices
 from ggvs_eval.reports.model.measured import MeasuredRun
 from ggvs_eval.reports.model.table import Table
@@ -28,7 +29,7 @@ from ggvs_eval.reports.tables.published import CAVEATS, PAPER
 from ggvs_eval.reports.tables.reproduction import MEANING, Reproduction
 from ggvs_eval.reports.tables.reproduction_formats import HEADS, blocks, count_words, paper_tables
 from ggvs_eval.reports.tables.verdict import Verdict, evaluate_verdict
-from ggvs_eval.run_folder import JOB_FILE
+from ggvs_eval.run_folder import JOB_FILE, frame_path
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -248,6 +249,7 @@ def _section(
     path = path_pictures(run, room.path)
     capture = run.folder.capture_record()
     fps = float(capture.get("fps") or 0)
+    opening = ("truth", *(verdict.shown(run) if verdict else run.ours_first[:2]))
     row = next((slices.row for slices in section.slices if slices.kind == "time"), comparison.full_size[1] // 2)
     return {
         "id": f"run{index}",
@@ -255,7 +257,8 @@ def _section(
         "capture": _facts(capture),
         "title": title,
         "address": address,
-        "opening": ("truth", *(verdict.shown(run) if verdict else run.ours_first[:2])),
+        "opening": opening,
+        "insets": _insets(run, opening),
         "view_tables": section.view_tables,
         "timing": section.timing,
         "fitted": section.fitted,
@@ -272,6 +275,18 @@ def _section(
         "panels": section.panels,
         "plot": PLOT,
     }
+
+
+def _insets(run: MeasuredRun, keys: Sequence[str]) -> dict[str, Any]:
+    """The square in which the two methods of the first screen differ most, of each picture at full size; none of one method."""
+    labels = tuple(key for key in keys if key != "truth")
+    if len(labels) < 2:
+        return {}
+    (region,) = find_regions(replace(run, labels=labels), "different", labels[0], 1)
+    rows, columns = slice(region.top, region.top + region.side), slice(region.left, region.left + region.side)
+    folders = run.frame_folders(region.view)
+    crops = {key: png_uri(read_image(frame_path(folders[key], region.frame))[rows, columns]) for key in keys}
+    return {"crops": crops, "place": f"{region.view}, frame {region.frame}"}
 
 
 def _facts(capture: dict[str, Any]) -> dict[str, str | int | float]:

@@ -194,13 +194,11 @@ def _worth(part: Contender, contenders: Sequence[Contender], first: Leader, runs
     main = next(one for one in contenders if any(one.label in run.ours for run in runs))
     difference = compare(results, first.column.name, part.label, main.label, first.dataset)
     decimals = runs[0].metrics[first.column.name].decimals
-    shown = [
-        f"{sign}{format_value(abs(bound), decimals)}"
-        for bound in (difference.difference, difference.low, difference.high)
-        if bound is not None
-        for sign in ("\N{MINUS SIGN}" if bound < 0 else "+",)
-    ]
-    return shown[0] if len(shown) < 3 else f"{shown[0]} ({shown[1]} to {shown[2]})"
+    sign = "\N{MINUS SIGN}" if difference.difference < 0 else "+"
+    worth = f"{sign}{format_value(abs(difference.difference), decimals)}"
+    if difference.low is None or difference.high is None:
+        return worth
+    return f"{worth} ± {format_value((difference.high - difference.low) / 2, decimals)}"
 
 
 def _words(field: _Field, contenders: Sequence[Contender], runs: Sequence[MeasuredRun], alone: bool) -> tuple[str, str]:
