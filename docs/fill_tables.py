@@ -13,10 +13,10 @@ from typing import Any
 from result_tables import (
     author_clips_colmap_table,
     author_clips_table,
-    beside_paper_table,
     budget_rows,
     ceilings_table,
     colmap_controls_table,
+    fidelity_table,
     k_table,
     report_table,
     results_table,
@@ -83,7 +83,7 @@ Tables = Mapping[str, Callable[[], str]]
 
 def main() -> None:
     """Fill every table whose figures have been computed."""
-    _fill(ROOT / "README.md", {"beside_paper": lambda: beside_paper_table(OUT / "real_frame")})
+    _fill(ROOT / "README.md", {"real_frame": lambda: fidelity_table(OUT / "real_frame")})
     _fill(
         ROOT / "docs" / "results.md",
         {

@@ -11,7 +11,6 @@ from ggvs_eval.merged_results import merge_results
 from ggvs_eval.reports.figures.k_figure import SECONDS, read_k_table
 from ggvs_eval.reports.model.measured import read_run
 from ggvs_eval.reports.tables.error_budget import budget_table
-from ggvs_eval.reports.tables.published import read_published
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
 from ggvs_eval.statistics.intervals import Interval, intervals
@@ -19,7 +18,7 @@ from ggvs_eval.statistics.intervals import Interval, intervals
 DECIMALS = {"PSNR": 2, "PSNR_cc": 2, "SSIM": 3, "LPIPS": 3, "L1": 2, "TCC": 3, "STED": 2, "Flicker": 2, "SDT": 3, "SDV": 3}
 DECIMALS |= {"EPI_coherence": 3, "switch_ratio": 2}
 
-BESIDE_PAPER = ("PSNR", "SSIM", "LPIPS", "L1")
+FIDELITY = ("PSNR", "SSIM", "LPIPS", "L1")
 PAPER_METHODS = {  # label -> name in the paper's tables
     "no-blending": "No Blending",
     "distance-based": "Distance-based Blending",
@@ -83,17 +82,14 @@ def views_table(run: Path) -> str:
     return _markdown(_named(Results.read(run).per_view("PSNR"), run))
 
 
-def beside_paper_table(run: Path) -> str:
-    """Fidelity of one run beside what the paper prints of DyNeRF, as Markdown; nothing where the paper has no value."""
+def fidelity_table(run: Path) -> str:
+    """Fidelity of the paper's methods in one run, as Markdown."""
     measured = Results.read(run).summary().droplevel("dataset")
     names = read_json(run / "methods.json")["names"]
-    heads = [*BESIDE_PAPER, *(f"paper: {metric}" for metric in BESIDE_PAPER)]
-    rows = ["| method | " + " | ".join(heads) + " |", "| --- |" + " ---: |" * len(heads)]
-    for label, title in PAPER_METHODS.items():
+    rows = ["| method | " + " | ".join(FIDELITY) + " |", "| --- |" + " ---: |" * len(FIDELITY)]
+    for label in PAPER_METHODS:
         values = measured.loc[tuple(label.partition("+")[::2])]
-        printed = {**read_published("ablation")["DyNeRF"].get(title, {}), **read_published("quality")["DyNeRF"].get(title, {})}
-        cells = [f"{values[metric]:.{DECIMALS[metric]}f}" for metric in BESIDE_PAPER]
-        rows.append(f"| {names[label]} | " + " | ".join([*cells, *(printed.get(metric, "") for metric in BESIDE_PAPER)]) + " |")
+        rows.append(f"| {names[label]} | " + " | ".join(f"{values[metric]:.{DECIMALS[metric]}f}" for metric in FIDELITY) + " |")
     return "\n".join(rows)
 
 

@@ -91,7 +91,7 @@ def test_the_readme_is_a_front_door():
     text = (ROOT / "README.md").read_text(encoding="utf-8")
 
     assert len(text.encode()) <= README_BYTES
-    assert re.findall(r"<!-- (\w+) -->", text) == ["beside_paper"]
+    assert re.findall(r"<!-- (\w+) -->", text) == ["real_frame"]
     assert (ROOT / "docs" / "images" / "demo.webp").stat().st_size <= 1.5e6
 
 

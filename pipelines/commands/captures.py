@@ -112,6 +112,7 @@ def demo(
     out: Output,
     room: tyro.conf.OmitArgPrefixes[DemoOptions] = DemoOptions(),  # noqa: B008 - frozen
     seconds: float | None = None,
+    quick: bool = False,
     jobs: Jobs = ONE_PER_CORE,
 ) -> None:
     """Write the demo capture: a procedural dynamic room in the layout of a data set, with exact depth beside it.
@@ -120,10 +121,16 @@ def demo(
         out: folder to write; absent, or holding this very demo.
         room: the room, the rig and the sensors.
         seconds: length of the videos, instead of --n-frames.
+        quick: unpack the capture that ships, with renders of it to try things on and a short protocol, in some seconds; all
+            other options are left out of it.
         jobs: processes.
     """
     from ggvs_eval.synthetic.demo import write_demo
+    from ggvs_eval.synthetic.quick import write_quick
 
+    if quick:
+        print(write_quick(out))
+        return
     if seconds is not None:
         room = replace(room, n_frames=round(seconds * room.fps))
     print(write_demo(out, room, jobs))

@@ -1,12 +1,8 @@
 """docs/your_rig.md, followed literally: every command of the page, on the six videos that it films."""
 
-import contextlib
-import io
 import re
 import shlex
 import shutil
-import subprocess
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,67 +12,21 @@ from ggvs_eval.capture import Capture
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.geometry.alignment import pose_differences, rig_extent
 from ggvs_eval.pipelines.commands import captures
-from ggvs_eval.pipelines.commands.main import run_command
-from ggvs_eval.pipelines.inspection.finding import Finding
 from ggvs_eval.protocol import load_protocol
 from ggvs_eval.results import Results
-from ggvs_eval.run_folder import RunFolder, read_json
+from ggvs_eval.run_folder import RunFolder
 from ggvs_eval.synthetic.film import film
 from ggvs_eval.synthetic.room import lighting
 from helpers.lit_rooms import stored_rooms
 from helpers.places import ROOT
+from helpers.walks import Step, commands_of, follow
 
 PAGE = ROOT / "docs" / "your_rig.md"
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(not PAGE.is_file(), reason="no docs/ beside an installed wheel")]
 
-IN_ONE_PROCESS = ("check", "run", "view")  # they take --jobs; processes would only take longer to start here
 ENDS_WITH_1 = "# ends with 1"
 # After the best similarity; centres in percent of the rig's extent. Reached: 1.2 % and 2.8 degrees, with 90 points at 320 x 240.
 CENTRE_PERCENT, ROTATION_DEG = 3.0, 5.0
-
-
-@dataclass(frozen=True)
-class Step:
-    """One command of the page.
-
-    Attributes:
-        command: as it stands there.
-        exit_code: with which it ended, or its message.
-        output: what it printed.
-        findings: what ``rig.check.json`` held then.
-    """
-
-    command: str
-    exit_code: int | str | None
-    output: str
-    findings: tuple[Finding, ...]
-
-    def of(self, question: str, camera: str) -> Finding:
-        return next(each for each in self.findings if (each.question, each.subject) == (question, camera))
-
-
-def commands_of(page: Path) -> list[str]:
-    """The lines of all blocks of shell commands."""
-    blocks = re.findall(r"^```sh\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
-    return [line for block in blocks for line in block.splitlines() if line.strip()]
-
-
-def follow(line: str) -> Step:
-    """Do what a line says, in the current folder."""
-    words, output = shlex.split(line, comments=True), io.StringIO()
-    code: int | str | None = 0
-    if words[0] != "ggvs-eval":
-        subprocess.run(words, check=True)
-        return Step(line, 0, "", ())
-    more = ["--jobs", "1"] if words[1] in IN_ONE_PROCESS else []
-    with contextlib.redirect_stdout(output):
-        try:
-            run_command([*words[1:], *more])
-        except SystemExit as ended:
-            code = ended.code
-    checked = Path("rig.check.json")
-    findings = tuple(Finding(**each) for each in read_json(checked)["findings"]) if checked.is_file() else ()
-    return Step(line, code, output.getvalue(), findings)
 
 
 @pytest.fixture(scope="module")

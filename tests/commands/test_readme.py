@@ -1,0 +1,46 @@
+"""README's block, followed literally: what it prints is what the page shows."""
+
+import re
+import shlex
+
+import pytest
+
+from helpers.places import ROOT
+from helpers.walks import commands_of, follow
+
+PAGE = ROOT / "README.md"
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(not PAGE.is_file(), reason="no README beside an installed wheel")]
+
+
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory):
+    """The folder in which the block was followed, and its steps."""
+    folder = tmp_path_factory.mktemp("readme")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        return folder, [follow(line) for line in commands_of(PAGE)]
+
+
+def test_every_command_ends_as_the_page_says(walk):
+    """One after the other from the demo to the page."""
+    _, steps = walk
+    assert [shlex.split(each.command)[1] for each in steps] == ["demo", "doctor", "score", "report"]
+    for each in steps:
+        assert each.exit_code == int("# ends with 1" in each.command), each.command
+
+
+def test_what_is_printed_is_what_the_page_shows(walk):
+    """The planted fault in all three views, the digits of the table, and the page at its path."""
+    folder, steps = walk
+    _, examined, scored, reported = (" ".join(each.output.split()) for each in steps)
+    shown = re.findall(r"^```\n(frame .*?)^```", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)[0]
+    assert "shows instant t-1" in shown
+    for camera in ("cam00", "cam03", "cam07"):
+        assert re.search(rf"certain {camera} frame t shows instant t-1", examined)
+    numbers = next(line.split()[1:] for line in shown.splitlines() if line.startswith("mine"))
+    printed = scored.rpartition("mine ")[2].split()
+    assert len(numbers) == 5
+    for number, own in zip(numbers, printed, strict=False):
+        assert abs(float(number) - float(own)) <= 0.002 * abs(float(own)) + 0.002
+    assert (folder / reported).is_file()
+    assert reported == "scores/room/report/index.html"
