@@ -24,7 +24,7 @@ from ggvs_eval.pipelines.commands.captures import (
 )
 from ggvs_eval.pipelines.commands.print_plan import print_plan
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions, checked_device
-from ggvs_eval.pipelines.methods.registry import METHODS, find_method, usual_methods
+from ggvs_eval.pipelines.methods.registry import METHODS, find_method, usual_methods, weights_takers
 from ggvs_eval.pipelines.methods.splats import named_splats, splats_notes
 from ggvs_eval.pipelines.run.run_plan import RunPlan
 from ggvs_eval.protocol import Protocol
@@ -96,14 +96,14 @@ def render(
         device: where networks of methods compute; on a GPU pixels may differ by a level from those of the CPU.
         engine: where jobs run.
     """
+    from ggvs_eval.pipelines.run.evaluate import render as synthesise
     from ggvs_eval.pipelines.run.evaluate import reopen
-    from ggvs_eval.pipelines.run.render import render as synthesise
 
     methods, splats = named_splats(methods)
     networks = _networks(weights, device, splats)
     _require_methods(methods, networks)
     prepared = reopen(engine.place(run), engine, methods, networks)
-    print(f"{synthesise(prepared, methods, engine, networks)} jobs rendered in {run}")
+    print(f"{synthesise(prepared, engine)} jobs rendered in {run}")
 
 
 def run(
@@ -206,7 +206,7 @@ def sweep(
     """
     from ggvs_eval.jobs.shard import Shard
     from ggvs_eval.pipelines.sweep.plan import flags, plan_sweep
-    from ggvs_eval.pipelines.sweep.run_sweep import plan_runs, run_sweep, run_sweeps
+    from ggvs_eval.pipelines.sweep.run_sweep import plan_runs, run_sweep
     from ggvs_eval.sweep import load_sweep
 
     definition, part = load_sweep(name), Shard.parse(shard)
@@ -217,7 +217,7 @@ def sweep(
     opened = {each.path.resolve().name: each for each in captures}
     if len(opened) < len(capture):
         raise ProtocolError(f"wanted captures whose folders differ in name, got {', '.join(map(str, capture))}; rename one")
-    starts = {folder: (each, _protocol(protocol, each)) for folder, each in opened.items()}
+    starts = {folder if len(opened) > 1 else "": (each, _protocol(protocol, each)) for folder, each in opened.items()}
     if plan:
         options = [*flags(reading, BY_DEFAULT), *flags(depth, FOUND_BY_DEFAULT), *flags(engine, HERE)]
         chosen = [*(["--protocol", protocol] if protocol else []), *(["--weights", *weights] if weights else [])]
@@ -232,11 +232,7 @@ def sweep(
     if dry_run:
         show_plans(plan_runs(engine.place(out), starts, definition, depth, networks, part))
         return
-    if len(starts) > 1:
-        result = run_sweeps(engine.place(out), starts, definition, engine, depth, networks, part, show_plans)
-    else:
-        ((only, start),) = starts.values()
-        result = run_sweep(engine.place(out), only, definition, start, engine, depth, networks, part, show_plans)
+    result = run_sweep(engine.place(out), starts, definition, engine, depth, networks, part, show_plans)
     if not result.table.empty:
         print(result.table.round(4).to_string())
     for title, reason in result.not_computed.items():
@@ -282,7 +278,7 @@ def _checkpoints(weights: tuple[str, ...]) -> dict[str, Path]:
     for each in weights:
         method, equals, file = each.partition("=")
         if not equals or method not in METHODS or not Path(file).is_file():
-            able = ", ".join(label for label, spec in METHODS.shipped.items() if spec.make_from and "+" not in label)
+            able = ", ".join(label for label in weights_takers() if "+" not in label)
             raise WeightsError(f"--weights {each}: wanted METHOD=FILE with one of {able} and a file that exists")
         checkpoints[method] = Path(file).resolve()
     return checkpoints

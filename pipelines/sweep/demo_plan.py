@@ -11,10 +11,9 @@ from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.errors import CaptureError
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
-from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
-from ggvs_eval.pipelines.sweep.demo_runs import K_PROTOCOL, capture_beside, demo_root, k_root, k_sweep
+from ggvs_eval.pipelines.run.run_plan import RunPlan
+from ggvs_eval.pipelines.sweep.demo_runs import capture_beside, demo_root, k_root, k_starts, k_sweep, plan_room
 from ggvs_eval.pipelines.sweep.run_sweep import plan_runs
-from ggvs_eval.protocol import load_protocol
 from ggvs_eval.synthetic.demo import DEMO_ROOMS, MAIN
 from ggvs_eval.synthetic.film.options import DemoOptions
 from ggvs_eval.synthetic.film.rig import in_metres
@@ -109,10 +108,8 @@ def plan_demos(
         networks: with which weights and where networks compute.
     """
     for name, options in DEMO_ROOMS.items():
-        place = demo_root(root, name)
-        capture = demo_to_plan(capture_beside(place), options, open_demo)
-        yield [plan_run(RunRequest(place, capture, load_protocol(name), labels[name], depth, networks))]
+        capture = demo_to_plan(capture_beside(demo_root(root, name)), options, open_demo)
+        yield [plan_room(root, name, capture, labels[name], depth, networks)]
     if (sweep := k_sweep(labels[MAIN])).row:
         main = demo_to_plan(capture_beside(root), DEMO_ROOMS[MAIN], open_demo)
-        over_k = plan_runs(k_root(root), {"": (main, load_protocol(K_PROTOCOL))}, sweep, depth, networks)
-        yield [replace(plan, request=replace(plan.request, shared=root)) for plan in over_k]
+        yield plan_runs(k_root(root), k_starts(main), sweep, depth, networks, shared=root)

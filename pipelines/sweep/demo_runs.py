@@ -13,9 +13,9 @@ from ggvs_eval.jobs.processes import kept_workers
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.run.evaluate import measure, report
-from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
+from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
 from ggvs_eval.pipelines.run.work_left import count_work
-from ggvs_eval.pipelines.sweep.cells import SHARED_FOLDERS
+from ggvs_eval.pipelines.sweep.cells import Captures
 from ggvs_eval.pipelines.sweep.run_sweep import ShowPlans, run_sweep
 from ggvs_eval.progress import duration
 from ggvs_eval.protocol import load_protocol
@@ -72,7 +72,7 @@ def evaluate_demos(
     jobs = as_engine(workers).jobs
     for number, (name, options) in enumerate(rooms.items(), 1):
         capture = open_demo(write_demo(capture_beside(roots[name]), options, jobs))
-        plan = plan_run(RunRequest(roots[name], capture, load_protocol(name), labels[name], depth, networks))
+        plan = plan_room(root, name, capture, labels[name], depth, networks)
         show_plans([plan])
         is_new = not count_work([plan], root, jobs).is_nothing()
         measure(plan, workers)
@@ -80,9 +80,8 @@ def evaluate_demos(
             show(report([*roots.values()][:number], with_figures=False))
     if not (sweep := k_sweep(labels[MAIN])).row:
         return report([*roots.values()])
-    swept, protocol, capture = k_root(root), load_protocol(K_PROTOCOL), open_demo(capture_beside(root))
-    _share_prepared(root, swept)
-    result = run_sweep(swept, capture, sweep, protocol, workers, depth, networks, show_plans=show_plans)
+    swept, starts = k_root(root), k_starts(open_demo(capture_beside(root)))
+    result = run_sweep(swept, starts, sweep, workers, depth, networks, show_plans=show_plans, shared=root)
     page = report([*roots.values()], tables_of=[] if result.table.empty else [swept])
     if result.failures:
         raise RenderError(f"{swept}: {len(result.failures)} failed, first {result.failures[0]}; the same call tries again")
@@ -135,14 +134,18 @@ def k_sweep(labels: Sequence[str]) -> Sweep:
     return replace(sweep, row=tuple(row for row in sweep.row if row.method in labels))
 
 
+def k_starts(capture: Capture) -> Captures:
+    """What the variants over K start from; they share frames and depth with the main room's run."""
+    return {"": (capture, load_protocol(K_PROTOCOL))}
+
+
+def plan_room(
+    root: Path, name: str, capture: Capture, labels: Sequence[str], depth: DepthRunOptions | None, networks: NetworkOptions
+) -> RunPlan:
+    """The run of a demo room; arguments as of `evaluate_demos`."""
+    return plan_run(RunRequest(demo_root(root, name), capture, load_protocol(name), labels, depth, networks))
+
+
 def capture_beside(root: Path) -> Path:
     """Return the folder of the capture of a demo's run."""
     return root.with_name(f"{root.name}-capture")
-
-
-def _share_prepared(root: Path, sweep: Path) -> None:
-    """Let a sweep find frames and depth of a run beside it."""
-    sweep.mkdir(parents=True, exist_ok=True)
-    for name in SHARED_FOLDERS:
-        if not (sweep / name).exists():
-            (sweep / name).symlink_to(Path("..") / root.name / name, target_is_directory=True)

@@ -64,7 +64,7 @@ def words(written_dynerf, tmp_path_factory) -> list[str]:
 def run_in_python(out: Path, words: list[str], engine: Engine | int = 1, shard: str = "1/1"):
     name, _, capture, _, protocol = words
     return run_sweep(
-        out, open_capture(Path(capture)), load_sweep(name), load_protocol(protocol), engine, shard=Shard.parse(shard)
+        out, {"": (open_capture(Path(capture)), load_protocol(protocol))}, load_sweep(name), engine, shard=Shard.parse(shard)
     )
 
 
