@@ -38,13 +38,7 @@ class Stages:
 
     def attempt(self, name: str, work: Callable[[], Value]) -> Value | None:
         """Do something; None where it failed."""
-        try:
-            return work()
-        except Exception as error:
-            if not self.goes_on:
-                raise
-            self.failures.append(Failure.of(name, error))
-            return None
+        return attempt(name, work, self.failures) if self.goes_on else work()
 
     def note(self, stage: str, jobs: Sequence[Job]) -> None:
         """Write the jobs of a stage into its ledger; those of other shards and sweeps stay."""
@@ -55,9 +49,18 @@ class Stages:
         ledger = Ledger(self.root, stage)
         if not self.goes_on:
             return run_jobs(jobs, self.engine, doing, ledger)
-        attempt = attempt_jobs(jobs, self.engine, doing, ledger)
-        self.failures += attempt.failures
-        return attempt.done
+        tried = attempt_jobs(jobs, self.engine, doing, ledger)
+        self.failures += tried.failures
+        return tried.done
+
+
+def attempt(name: str, work: Callable[[], Value], failures: list[Failure]) -> Value | None:
+    """Do something; where it fails, note why and give None."""
+    try:
+        return work()
+    except Exception as error:
+        failures.append(Failure.of(name, error))
+        return None
 
 
 def measure_runs(plans: Sequence[RunPlan], stages: Stages) -> list[tuple[RunPlan, Scores]]:

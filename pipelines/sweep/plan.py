@@ -14,7 +14,7 @@ from ggvs_eval.sweep import Sweep
 PREPARE, TABLE = "prepare", "table"
 
 
-def plan_sweep(
+def write_commands(
     file: Path, root: Path, captures: Captures, sweep: Sweep, networks: NetworkOptions, command: Sequence[str]
 ) -> Path:
     """Write a JSON plan: a job that prepares, one per run and view, and one that makes the table.
@@ -25,7 +25,7 @@ def plan_sweep(
     Args:
         file: to write.
         root: folder of the sweep.
-        captures: as of `run_sweep`.
+        captures: as of `plan_cells`.
         sweep: rows and variants.
         networks: with which weights and where networks compute.
         command: the words that run the whole sweep.

@@ -1,6 +1,5 @@
 """Run a sweep: the whole evaluation once per capture and variant of the protocol, and one table of all of them."""
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -20,14 +19,12 @@ from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.run.coverage import read_import
 from ggvs_eval.pipelines.run.run_plan import RunPlan, plan_run
 from ggvs_eval.pipelines.run.score import Scores
-from ggvs_eval.pipelines.run.stages import Stages, measure_runs
+from ggvs_eval.pipelines.run.stages import Stages, attempt, measure_runs
 from ggvs_eval.pipelines.sweep.cells import Captures, Cell, shard_cells, sweep_cells
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
 from ggvs_eval.sweep import Sweep
 
 LINE_NAMES = ("capture", "variant", "method")  # of a line of the table, as far as it needs them
-
-ShowPlans = Callable[[Sequence[RunPlan]], None]
 
 
 @dataclass(frozen=True)
@@ -47,33 +44,47 @@ class SweepResult:
     failures: tuple[Failure, ...] = ()
 
 
-@kept_workers()
-def run_sweep(
+@dataclass(frozen=True)
+class SweepPlan:
+    """A sweep as it will be made.
+
+    Attributes:
+        root: folder of the sweep; each variant is a run folder in it.
+        cells: all runs.
+        absent: title of a row that cannot be computed -> reason.
+        shard: which units are rendered and scored; only the whole has a table.
+        plans: of the runs that the shard works on.
+        failures: why others of these cannot be made.
+    """
+
+    root: Path
+    cells: tuple[Cell, ...]
+    absent: dict[str, str]
+    shard: Shard
+    plans: tuple[RunPlan, ...]
+    failures: tuple[Failure, ...]
+
+
+def plan_cells(
     root: Path,
     captures: Captures,
     sweep: Sweep,
-    workers: Workers,
     depth: DepthRunOptions | None = None,
     networks: NetworkOptions = AS_SHIPPED,
     shard: Shard = WHOLE,
-    show_plans: ShowPlans = lambda _: None,
     shared: Path | None = None,
-) -> SweepResult:
-    """Evaluate every row under every variant; what exists is not computed again, and what fails does not stop the rest.
-
-    Frames, depth and fits are shared between the variants, so that K = 2 finds what K = 6 has computed. Of several captures the
-    means stand beside the single tables.
+) -> SweepPlan:
+    """Plan every row under every variant; nothing is written.
 
     Args:
-        root: folder of the sweep; each variant is a run folder in it.
+        root: folder of the sweep.
         captures: name of the capture's folder in it -> the capture, and what its variants start from; a single one needs no name.
         sweep: rows and variants.
-        workers: where jobs run.
         depth: how depth is found, see `DepthRunOptions`.
         networks: with which weights and where networks compute.
-        shard: which units are rendered and scored; only the whole has a table.
-        show_plans: is called with the plans of the runs before anything is written.
-        shared: folder whose frames and depth all runs use, instead of their own.
+        shard: which units are rendered and scored.
+        shared: folder whose frames and depth all runs use; by default those of one capture have them in common, and fits, so that
+            K = 2 finds what K = 6 has computed.
 
     Raises:
         ProtocolError: no row can be computed, or captures that are not measured alike.
@@ -81,39 +92,31 @@ def run_sweep(
     kinds = {protocol.measurement for _, protocol in captures.values()}
     if len(kinds) != 1:
         raise ProtocolError(f"{root}: wanted captures that are measured alike, got {len(kinds)} kinds; name one with --protocol")
-    stages = Stages(root, as_engine(workers), goes_on=True)
     cells, absent = sweep_cells(root, captures, sweep, depth, networks, shared)
-    tried = [stages.attempt(f"prepare {cell.name}", partial(plan_run, cell.request)) for cell in shard_cells(cells, shard)]
-    plans = [plan for plan in tried if plan is not None]
-    show_plans(plans)
-    measured = {plan.name: scores for plan, scores in measure_runs(plans, stages)}
+    failures: list[Failure] = []
+    tried = [attempt(f"prepare {cell.name}", partial(plan_run, cell.request), failures) for cell in shard_cells(cells, shard)]
+    return SweepPlan(root, tuple(cells), absent, shard, tuple(plan for plan in tried if plan is not None), tuple(failures))
+
+
+@kept_workers()
+def run_sweep(planned: SweepPlan, workers: Workers) -> SweepResult:
+    """Evaluate what is planned; what exists is not computed again, and what fails does not stop the rest.
+
+    Of several captures the means stand beside the single tables.
+    """
+    stages = Stages(planned.root, as_engine(workers), goes_on=True, failures=[*planned.failures])
+    measured = {plan.name: scores for plan, scores in measure_runs(planned.plans, stages)}
     parts = []
-    for cell in cells if shard.is_whole else ():
+    for cell in planned.cells if planned.shard.is_whole else ():
         if cell.name in measured:
             parts.append(stages.attempt(f"table of {cell.name}", partial(_lines, cell, measured[cell.name])))
     parts = [part for part in parts if part is not None]
-    table = _with_means(pd.concat(parts), len(captures)) if parts else pd.DataFrame()
+    n_captures = len({cell.folder for cell in planned.cells})
+    table = _with_means(pd.concat(parts), n_captures) if parts else pd.DataFrame()
     if parts:
-        _write_table(table, root)
-    return SweepResult(table, absent, {cell.name: cell.request.root for cell in cells}, tuple(stages.failures))
-
-
-def plan_runs(
-    root: Path,
-    captures: Captures,
-    sweep: Sweep,
-    depth: DepthRunOptions | None,
-    networks: NetworkOptions,
-    shard: Shard = WHOLE,
-    shared: Path | None = None,
-) -> list[RunPlan]:
-    """The runs of a sweep that a shard works on, as `run_sweep` makes them; arguments as of that.
-
-    Raises:
-        GgvsError: a run that cannot be made.
-    """
-    cells, _ = sweep_cells(root, captures, sweep, depth, networks, shared)
-    return [plan_run(cell.request) for cell in shard_cells(cells, shard)]
+        _write_table(table, planned.root)
+    runs = {cell.name: cell.request.root for cell in planned.cells}
+    return SweepResult(table, planned.absent, runs, tuple(stages.failures))
 
 
 def _with_means(table: pd.DataFrame, n_captures: int) -> pd.DataFrame:

@@ -23,7 +23,7 @@ from ggvs_eval.pipelines.run.footage import fold_footage
 from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
 from ggvs_eval.pipelines.run.work_left import count_work
-from ggvs_eval.pipelines.sweep.run_sweep import run_sweep
+from ggvs_eval.pipelines.sweep.run_sweep import plan_cells, run_sweep
 from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthesis, Views
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder, read_json
@@ -284,9 +284,9 @@ def test_variants_of_a_sweep_share_their_fits(finished, capture, tmp_path):
     rows = (SweepRow("Nearest", LABEL), SweepRow("No Blending", "no-blending"))
     sweep, protocol = Sweep("k", "two", rows, k=(1, 2)), replace(PROTOCOL, path=CameraPath(0))
     root = lend(finished, tmp_path)
-    run_sweep(root, {"": (capture, protocol)}, sweep, 1, shard=Shard.parse("1/8"))  # k1 in the first view
+    run_sweep(plan_cells(root, {"": (capture, protocol)}, sweep, shard=Shard.parse("1/8")), 1)  # k1 in the first view
     assert [folder.name for folder in (root / "fits" / LABEL).iterdir()] == ["fold1"]
-    result = run_sweep(root, {"": (capture, protocol)}, sweep, 1)
+    result = run_sweep(plan_cells(root, {"": (capture, protocol)}, sweep), 1)
     assert not result.failures
     assert sorted(folder.name for folder in (root / "fits" / LABEL).iterdir()) == ["fold1", "fold2"]
     psnr_db = result.table["PSNR"]

@@ -15,7 +15,6 @@ from ggvs_eval.jobs.ledger import Ledger
 from ggvs_eval.jobs.shard import WHOLE, Shard
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.methods import registry, spec
-from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED
 from ggvs_eval.pipelines.offline.depth import fill_store
 from ggvs_eval.pipelines.run import work_left as counting
 from ggvs_eval.pipelines.run.derived_files import digest_folder
@@ -24,7 +23,7 @@ from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
 from ggvs_eval.pipelines.run.work_left import DEPTH_BYTES, Piece, Workload, count_work, work_left
 from ggvs_eval.pipelines.sweep.demo_plan import demo_to_plan, renders_first
-from ggvs_eval.pipelines.sweep.run_sweep import plan_runs
+from ggvs_eval.pipelines.sweep.run_sweep import plan_cells
 from ggvs_eval.progress import duration
 from ggvs_eval.protocol import CameraPath, Frames, Protocol, Synthesis
 from ggvs_eval.run_folder import RunFolder, frame_path
@@ -110,8 +109,8 @@ def test_nothing_is_said_where_everything_is_done(capture, protocol, finished):
 
     more = count_work([planned(finished, capture, protocol, (*LABELS, "ours-geometric"))], finished)
 
-    assert more.left[0].n_rendered == 2 * 3 + 3
-    assert more.left[0].n_depth == 0
+    assert more.count("render", "path render") == 2 * 3 + 3
+    assert more.count("depth", "checked depth") == 0
     assert "9 frames to render, 0 depth maps" in more.describe()
     assert "time:" not in more.describe()
 
@@ -241,7 +240,7 @@ def test_a_sweep_is_planned_as_one(capture, protocol, tmp_path):
     """Variants that share frames count them once; a shard has its own views alone, and one that prepares renders nothing."""
     sweep = Sweep("s", "", (SweepRow("A", "no-blending"),), k=(2, 3))
     captures = {"": (capture, protocol)}
-    plans = [plan_runs(tmp_path, captures, sweep, None, AS_SHIPPED, shard) for shard in (WHOLE, Shard(1, 2), Shard(0, 2))]
+    plans = [plan_cells(tmp_path, captures, sweep, shard=shard).plans for shard in (WHOLE, Shard(1, 2), Shard(0, 2))]
     whole, half, first = (count_work(each, tmp_path) for each in plans)
 
     assert whole.title.startswith("2 runs of ")
