@@ -21,7 +21,7 @@ from websockets.sync.client import ClientConnection, connect
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.pipelines.methods.registry import METHODS
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
-from ggvs_eval.pipelines.play.playback import Playback, PlayOptions, camera_loop, viewing_of_capture
+from ggvs_eval.pipelines.play.playback import Playback, PlayOptions, camera_loop, playback_of_capture
 from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
 from ggvs_eval.pipelines.view.listener import Listener
 from ggvs_eval.pipelines.view.scene import vertical_fov
@@ -42,7 +42,9 @@ def main() -> None:
     parser.add_argument("--k", type=int, default=2)
     chosen = parser.parse_args()
     capture = open_capture(chosen.capture)
-    playback = viewing_of_capture(capture, PlayOptions(k=chosen.k, frames=1), DepthRunOptions().options(), chosen.cache, 2)
+    playback = playback_of_capture(
+        capture, PlayOptions(k=chosen.k, frames=1), DepthRunOptions().options(), chosen.cache, 2, anywhere=True
+    )
     defaults = ViewDefaults(chosen.method, tuple(METHODS), chosen.k, suggest_protocol(capture), chosen.cache)
     listener = Listener(port=0)
     with Viewer(playback, defaults, listener):

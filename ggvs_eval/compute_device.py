@@ -94,6 +94,7 @@ def clock_s(device: torch.device) -> float:
     return perf_counter()
 
 
-def describe_device(device: torch.device) -> str:
-    """Name a device for the record of what it computed: ``cpu``, or ``cuda: NVIDIA H100 80GB HBM3``."""
+def describe_device(device: torch.device | str) -> str:
+    """Name a device for the record of what it computed: ``cpu``, or ``cuda: NVIDIA H100 80GB HBM3``; another rounds otherwise."""
+    device = compute_device(device) if isinstance(device, str) else device
     return f"cuda: {torch.cuda.get_device_name(device)}" if device.type == "cuda" else device.type

@@ -11,8 +11,8 @@ import pandas as pd
 from benchmarks.depth_validation.figures import Figures, Measure, figures_of
 from ggvs_eval.capture import Capture
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
+from ggvs_eval.pipelines.run.evaluate import render
 from ggvs_eval.pipelines.run.prepare import prepare
-from ggvs_eval.pipelines.run.render import render
 from ggvs_eval.pipelines.run.score import score
 from ggvs_eval.protocol import CameraPath, Protocol
 from ggvs_eval.run_folder import RunFolder, read_json, write_json
@@ -45,9 +45,9 @@ def evaluate_rendering(
     for name in matchers:
         root = out / name.replace(":", "-").replace("/", "-")
         fresh, started = not root.exists(), perf_counter()
-        prepared = prepare(root, capture, short, workers, DepthRunOptions(name))
+        prepared = prepare(root, capture, short, workers, DepthRunOptions(name), [METHOD])
         seconds = _preparation_seconds(root, perf_counter() - started if fresh else math.nan)
-        render(prepared, [METHOD], workers)
+        render(prepared, workers)
         views = score(RunFolder(root), workers).per_view("PSNR").iloc[0]
         lines[name] = {**views.to_dict(), "mean": float(views.mean()), "preparation_s": seconds}
         measured[name] = {"PSNR": float(views.mean()), "preparation_s": seconds}

@@ -7,6 +7,7 @@
 """
 
 import hashlib
+import os
 import time
 import traceback
 from collections.abc import Sequence
@@ -88,7 +89,7 @@ class Ledger:
     """The jobs of one stage of a run or sweep.
 
     Attributes:
-        root: folder of the run or sweep; the folders of all jobs lie in it.
+        root: folder of the run or sweep; the folders of jobs lie in it, or beside it where runs share them.
         stage: one of `STAGES`.
     """
 
@@ -145,4 +146,4 @@ class Ledger:
         return self.root / JOBS_FOLDER / "failed" / self.stage / f"{name}.json"
 
     def _relative(self, entry: Entry) -> str:
-        return entry.folder.relative_to(self.root).as_posix()
+        return Path(os.path.relpath(entry.folder, self.root)).as_posix()

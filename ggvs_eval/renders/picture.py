@@ -13,6 +13,7 @@ from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.files.picture_header import PictureHeader, read_picture_header
 from ggvs_eval.files.plain import LARGEST_PICTURE, check_plain, why_unread
+from ggvs_eval.progress import counted
 from ggvs_eval.run_folder import as_ranges, frame_path
 
 
@@ -31,16 +32,6 @@ def read_header(path: Path) -> PictureHeader:
     except Exception as error:  # the parser raises whatever a damaged header makes it stumble over
         contents = "other bytes or a damaged header"
         raise RenderError(f"{path}: wanted a PNG or JPEG picture, got {contents}; render this frame again") from error
-
-
-def counted(count: int, noun: str) -> str:
-    """A number of things.
-
-    Examples:
-        >>> counted(1, "frame"), counted(2, "frame")
-        ('1 frame', '2 frames')
-    """
-    return f"{count} {noun}{'s' * (count != 1)}"
 
 
 def size_fault(size: tuple[int, int], wanted: tuple[int, int]) -> str:

@@ -12,10 +12,11 @@ from ggvs_eval.errors import RenderError
 from ggvs_eval.files.images import to_8_bit, write_image
 from ggvs_eval.files.listing import VIDEO_SUFFIXES, list_files, same_name
 from ggvs_eval.files.video import VideoFrames
+from ggvs_eval.progress import counted
 from ggvs_eval.renders.array_stack import ArrayStack, npz_members
 from ggvs_eval.renders.lookalikes import instead_of, respelled
 from ggvs_eval.renders.numbering import number_streams
-from ggvs_eval.renders.picture import PixelRemarks, counted, size_fault
+from ggvs_eval.renders.picture import PixelRemarks, size_fault
 from ggvs_eval.renders.request import FrameRequest, RenderedView, RenderSet
 from ggvs_eval.run_folder import as_ranges, frame_path
 

@@ -6,12 +6,14 @@ from typing import Annotated
 
 import tyro
 
+from ggvs_eval.capture import Capture
 from ggvs_eval.geometry.source_views import SourceChoice
-from ggvs_eval.pipelines.commands.captures import BY_DEFAULT, FOUND_LIVE, ONE_PER_CORE, Finding, Jobs, Reading
+from ggvs_eval.pipelines.commands.captures import BY_DEFAULT, FOUND_LIVE, ONE_PER_CORE, Finding, Jobs, Reading, ReadingOptions
 from ggvs_eval.pipelines.commands.runs import Device
 from ggvs_eval.pipelines.methods.network_options import checked_device
 from ggvs_eval.pipelines.methods.registry import METHODS
 from ggvs_eval.pipelines.play.synthesizer import DEFAULT_METHOD, online_method
+from ggvs_eval.pipelines.run.run_plan import RunPlan
 
 Source = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE|RUN")]
 Label = Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(METHODS)}}}")]
@@ -47,18 +49,13 @@ def play(
         jobs: processes that prepare a capture; synthesis takes one instant after the other.
     """
     from ggvs_eval.pipelines.play.play import record, require_writable
-    from ggvs_eval.pipelines.play.playback import PlayOptions, playback_of_capture, playback_of_run
-    from ggvs_eval.pipelines.run.evaluate import reopen
+    from ggvs_eval.pipelines.play.playback import PlayOptions, make_playback
 
     device = checked_device(device)
     online_method(method, device)
     require_writable(out)
-    options = PlayOptions(k, frames, width, sources)
-    if (source / "protocol.toml").is_file():
-        playback = playback_of_run(reopen(source, jobs), options)
-    else:
-        cache = out.with_name(f"{out.stem}-cache")
-        playback = playback_of_capture(reading.open(source), options, depth.options(device), cache, jobs)
+    cache, options = out.with_name(f"{out.stem}-cache"), PlayOptions(k, frames, width, sources)
+    playback = make_playback(_open(source, reading, jobs), options, depth.options(device), cache, jobs)
     timing = record(playback, out, method, device)
     size = "{} x {}".format(*playback.poses[0].size)
     print(f"{out}: {len(playback.poses)} frames of {size} by {method}, K = {playback.k}", timing.table(), sep="\n")
@@ -104,24 +101,16 @@ def view(
     require_viser()
     listener = Listener(host, port)
     print(f"reading {source} ...", file=sys.stderr, flush=True)
-    from ggvs_eval.pipelines.play.playback import PlayOptions, playback_of_run, viewing_of_capture
-    from ggvs_eval.pipelines.run.evaluate import reopen
+    from ggvs_eval.pipelines.play.playback import PlayOptions, make_playback
     from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
     from ggvs_eval.pipelines.view.session import ViewDefaults
     from ggvs_eval.pipelines.view.viewer import Viewer, export_page
 
     device = checked_device(device)
     online_method(method, device)
-    options = PlayOptions(k, frames, None, sources)
-    if (source / "protocol.toml").is_file():
-        run = reopen(source, jobs)
-        playback, protocol = playback_of_run(run, options), run.protocol
-    else:
-        capture = reading.open(source)
-        playback, protocol = (
-            viewing_of_capture(capture, options, depth.options(device), out / "cache", jobs),
-            suggest_protocol(capture),
-        )
+    shown, options = _open(source, reading, jobs), PlayOptions(k, frames, None, sources)
+    playback = make_playback(shown, options, depth.options(device), out / "cache", jobs, True)
+    protocol = suggest_protocol(shown) if isinstance(shown, Capture) else shown.protocol
     if export is not None:
         export_page(playback, sorted(set(playback.instants)), export, listener)
         print(export)
@@ -130,3 +119,10 @@ def view(
     with Viewer(playback, ViewDefaults(method, online, k, protocol, out), listener, device) as viewer:
         print(f"{listener.address} - open it in a browser; Ctrl-C ends it", flush=True)
         viewer.wait()
+
+
+def _open(source: Path, reading: ReadingOptions, jobs: int) -> RunPlan | Capture:
+    """The prepared run of a run folder, or a capture."""
+    from ggvs_eval.pipelines.run.evaluate import reopen
+
+    return reopen(source, jobs) if (source / "protocol.toml").is_file() else reading.open(source)

@@ -3,8 +3,9 @@
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -24,10 +25,14 @@ from ggvs_eval.pipelines.commands.captures import (
 )
 from ggvs_eval.pipelines.commands.print_plan import print_plan
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions, checked_device
-from ggvs_eval.pipelines.methods.registry import METHODS, find_method, usual_methods
+from ggvs_eval.pipelines.methods.registry import METHODS, find_method, usual_methods, weights_takers
 from ggvs_eval.pipelines.methods.splats import named_splats, splats_notes
 from ggvs_eval.pipelines.run.run_plan import RunPlan
 from ggvs_eval.protocol import Protocol
+
+if TYPE_CHECKING:  # they import pandas
+    from ggvs_eval.pipelines.sweep.demo_runs import Film
+    from ggvs_eval.pipelines.sweep.run_sweep import SweepPlan
 
 Labels = Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"{{{','.join(METHODS)},splats:PATH}}")]
 Weights = Annotated[tuple[str, ...], tyro.conf.arg(metavar="METHOD=FILE ...", help_behavior_hint=NONE)]
@@ -96,14 +101,14 @@ def render(
         device: where networks of methods compute; on a GPU pixels may differ by a level from those of the CPU.
         engine: where jobs run.
     """
+    from ggvs_eval.pipelines.run.evaluate import render as synthesise
     from ggvs_eval.pipelines.run.evaluate import reopen
-    from ggvs_eval.pipelines.run.render import render as synthesise
 
     methods, splats = named_splats(methods)
     networks = _networks(weights, device, splats)
     _require_methods(methods, networks)
     prepared = reopen(engine.place(run), engine, methods, networks)
-    print(f"{synthesise(prepared, methods, engine, networks)} jobs rendered in {run}")
+    print(f"{synthesise(prepared, engine)} jobs rendered in {run}")
 
 
 def run(
@@ -138,30 +143,29 @@ def run(
     """
     from ggvs_eval.pipelines.run.evaluate import measure, report
     from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
-    from ggvs_eval.pipelines.sweep.demo_plan import plan_demos
-    from ggvs_eval.pipelines.sweep.demo_runs import describe_outlook, evaluate_demos, room_labels
+    from ggvs_eval.pipelines.sweep.demo_runs import demo_plans, describe_outlook, evaluate_demos, room_labels
 
     methods, splats = named_splats(methods)
     root, networks = engine.place(run), _networks(weights, device, splats)
     _require_methods(methods, networks)
     if capture is None and protocol is None:
         labels = room_labels(methods, USUAL_METHODS)
+        demos = demo_plans(root, labels, _film(reading, engine.jobs, dry_run), depth, networks)
+        announced = map(partial(_announce, jobs=engine.jobs, dry_run=dry_run), demos)
         if dry_run:
-            for plans in plan_demos(root, labels, reading.open, depth, networks):
-                print_plan(plans, engine.jobs, _home(plans), dry_run)
+            for _ in announced:
+                pass
             return
-
-        def show_plans(plans: Sequence[RunPlan]) -> None:
-            print_plan(plans, engine.jobs, _home(plans))
 
         def show(page: Path) -> None:
             print(f"{page} can be opened; it grows with each further run", file=sys.stderr, flush=True)
 
         if outlook := describe_outlook(root, labels, engine.jobs):
             print(outlook, file=sys.stderr, flush=True)
-        print(evaluate_demos(root, labels, engine, reading.open, depth, networks, show_plans=show_plans, show=show))
+        print(evaluate_demos(announced, engine, show))
         return
-    opened = _open(reading, engine.place(capture), protocol) if capture else _demo_beside(root, engine.jobs, reading, dry_run)
+    film = _film(reading, engine.jobs, dry_run)
+    opened = _open(reading, engine.place(capture), protocol) if capture else _demo_beside(root, film)
     chosen = _protocol(protocol, opened)
     plan = plan_run(RunRequest(root, opened, chosen, methods, depth, networks))
     print_plan([plan], engine.jobs, root, dry_run)
@@ -205,38 +209,32 @@ def sweep(
         dry_run: only print the plan: the work that is left, the disk space that it needs, and the time where it is known.
     """
     from ggvs_eval.jobs.shard import Shard
-    from ggvs_eval.pipelines.sweep.plan import flags, plan_sweep
-    from ggvs_eval.pipelines.sweep.run_sweep import plan_runs, run_sweep, run_sweeps
+    from ggvs_eval.pipelines.sweep.plan import flags, write_commands
+    from ggvs_eval.pipelines.sweep.run_sweep import plan_cells, run_sweep
     from ggvs_eval.sweep import load_sweep
 
     definition, part = load_sweep(name), Shard.parse(shard)
     networks = _networks(weights, "cpu" if plan else device)  # planned commands may run where there is a GPU
     given = [_open(reading, engine.place(path), protocol) for path in capture]
-    captures = given or [_demo_beside(engine.place(out), engine.jobs, reading, dry_run and not plan)]
+    captures = given or [_demo_beside(engine.place(out), _film(reading, engine.jobs, dry_run and not plan))]
     paths = [each.path for each in captures]
     opened = {each.path.resolve().name: each for each in captures}
     if len(opened) < len(capture):
         raise ProtocolError(f"wanted captures whose folders differ in name, got {', '.join(map(str, capture))}; rename one")
-    starts = {folder: (each, _protocol(protocol, each)) for folder, each in opened.items()}
+    starts = {folder if len(opened) > 1 else "": (each, _protocol(protocol, each)) for folder, each in opened.items()}
     if plan:
         options = [*flags(reading, BY_DEFAULT), *flags(depth, FOUND_BY_DEFAULT), *flags(engine, HERE)]
         chosen = [*(["--protocol", protocol] if protocol else []), *(["--weights", *weights] if weights else [])]
         chosen += ["--device", device] if device != "cpu" else []
         command = ["ggvs-eval", "sweep", name, str(out), "--capture", *map(str, paths), *chosen, *options]
-        print(plan_sweep(plan, engine.place(out), starts, definition, networks, command))
+        print(write_commands(plan, engine.place(out), starts, definition, networks, command))
         return
-
-    def show_plans(plans: Sequence[RunPlan]) -> None:
-        print_plan(plans, engine.jobs, engine.place(out), dry_run)
-
+    planned = plan_cells(engine.place(out), starts, definition, depth, networks, part)
+    print_plan(planned.plans, engine.jobs, engine.place(out), dry_run)
     if dry_run:
-        show_plans(plan_runs(engine.place(out), starts, definition, depth, networks, part))
+        _end_with(planned.failures, "the rest can be made")
         return
-    if len(starts) > 1:
-        result = run_sweeps(engine.place(out), starts, definition, engine, depth, networks, part, show_plans)
-    else:
-        ((only, start),) = starts.values()
-        result = run_sweep(engine.place(out), only, definition, start, engine, depth, networks, part, show_plans)
+    result = run_sweep(planned, engine)
     if not result.table.empty:
         print(result.table.round(4).to_string())
     for title, reason in result.not_computed.items():
@@ -255,12 +253,12 @@ def status(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="
     print(describe_status(folder))
 
 
-def _end_with(failures: tuple[Failure, ...]) -> None:
+def _end_with(failures: tuple[Failure, ...], rest: str = "the rest is done, the same call tries only these again") -> None:
     """List what failed, our own bugs with their tracebacks, and end with 1."""
     for failure in failures:
         print(failure.traceback or "", f"failed: {failure}", sep="", file=sys.stderr)
     if failures:
-        sys.exit(f"ggvs-eval: {len(failures)} failed, listed above; the rest is done, the same call tries only these again")
+        sys.exit(f"ggvs-eval: {len(failures)} failed, listed above; {rest}")
 
 
 def _networks(weights: tuple[str, ...], device: str, splats: Mapping[str, Path] = NO_SPLATS) -> NetworkOptions:
@@ -282,27 +280,39 @@ def _checkpoints(weights: tuple[str, ...]) -> dict[str, Path]:
     for each in weights:
         method, equals, file = each.partition("=")
         if not equals or method not in METHODS or not Path(file).is_file():
-            able = ", ".join(label for label, spec in METHODS.shipped.items() if spec.make_from and "+" not in label)
+            able = ", ".join(label for label in weights_takers() if "+" not in label)
             raise WeightsError(f"--weights {each}: wanted METHOD=FILE with one of {able} and a file that exists")
         checkpoints[method] = Path(file).resolve()
     return checkpoints
 
 
-def _demo_beside(run: Path, jobs: int, reading: ReadingOptions, dry_run: bool) -> Capture:
-    """The demo beside a run folder, which is rendered where it is not there; a dry run renders nothing."""
+def _film(reading: ReadingOptions, jobs: int, dry_run: bool) -> "Film":
+    """Film a demo and open it; a dry run plans it where it is not there."""
     from ggvs_eval.pipelines.sweep.demo_plan import demo_to_plan
-    from ggvs_eval.pipelines.sweep.demo_runs import capture_beside
-    from ggvs_eval.synthetic.demo import SHIPPED, write_demo
+    from ggvs_eval.synthetic.demo import write_demo
 
-    folder = capture_beside(run)
     if dry_run:
-        return demo_to_plan(folder, SHIPPED, reading.open)
-    return reading.open(write_demo(folder, SHIPPED, jobs))
+        return partial(demo_to_plan, open_demo=reading.open)
+    return lambda folder, options: reading.open(write_demo(folder, options, jobs))
 
 
-def _home(plans: Sequence[RunPlan]) -> Path:
-    """The folder of one run, or of the sweep that several belong to."""
-    return plans[0].run.root if len(plans) == 1 else plans[0].run.root.parent
+def _demo_beside(run: Path, film: "Film") -> Capture:
+    """The demo beside a run folder."""
+    from ggvs_eval.pipelines.sweep.demo_runs import capture_beside
+    from ggvs_eval.synthetic.demo import SHIPPED
+
+    return film(capture_beside(run), SHIPPED)
+
+
+def _announce(planned: "RunPlan | SweepPlan", jobs: int, dry_run: bool) -> "RunPlan | SweepPlan":
+    """Print the plan of a demo's run or sweep before it is made."""
+    if isinstance(planned, RunPlan):
+        print_plan([planned], jobs, planned.run.root, dry_run)
+        return planned
+    print_plan(planned.plans, jobs, planned.root, dry_run)
+    for failure in planned.failures if dry_run else ():
+        print(f"failed: {failure}", file=sys.stderr)
+    return planned
 
 
 def _open(reading: ReadingOptions, path: Path, protocol: str | None) -> Capture:

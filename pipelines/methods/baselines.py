@@ -7,7 +7,7 @@ from ggvs_eval.baselines.learned import LearnedBaseline, Rendition
 from ggvs_eval.baselines.registry import LEARNED_BASELINES
 from ggvs_eval.errors import WeightsError
 from ggvs_eval.method import Method
-from ggvs_eval.pipelines.methods.spec import MethodSpec, shipped
+from ggvs_eval.pipelines.methods.spec import OnlineMethod, shipped
 
 FIXED = ("ggvs_eval.baselines.fixed_blending",)
 
@@ -24,15 +24,15 @@ def _distance_based() -> Method:
     return DistanceBased()
 
 
-FIXED_BASELINES: dict[str, MethodSpec] = {
-    "no-blending": MethodSpec("No Blending", "all Gaussians of the K views in one pass, the nearest wins", _no_blending, FIXED),
-    "distance-based": MethodSpec(
-        "Distance-based Blending", "splatted views weighted by camera distance (LLFF)", _distance_based, FIXED
+FIXED_BASELINES: dict[str, OnlineMethod] = {
+    "no-blending": OnlineMethod("No Blending", "all Gaussians of the K views in one pass, the nearest wins", FIXED, _no_blending),
+    "distance-based": OnlineMethod(
+        "Distance-based Blending", "splatted views weighted by camera distance (LLFF)", FIXED, _distance_based
     ),
 }
 
 
-def baseline_methods() -> dict[str, MethodSpec]:
+def baseline_methods() -> dict[str, OnlineMethod]:
     """Every method that is not ours by its label, those of `LEARNED_BASELINES` last."""
     learned = LEARNED_BASELINES.values()
     return FIXED_BASELINES | {
@@ -40,15 +40,15 @@ def baseline_methods() -> dict[str, MethodSpec]:
     }
 
 
-def learned_method(baseline: LearnedBaseline, rendition: Rendition) -> MethodSpec:
+def learned_method(baseline: LearnedBaseline, rendition: Rendition) -> OnlineMethod:
     """A network that renders with the weights that ship, if any do, or with a checkpoint of its authors."""
     retrained = rendition.retrained
     make_from = partial(baseline.make_method, **rendition.options)
-    return MethodSpec(
+    return OnlineMethod(
         f"{rendition.title} (retrained, {retrained})" if retrained else rendition.title,
         rendition.describe,
-        partial(_with_shipped_weights, baseline, rendition, make_from),
         (baseline.method.partition(":")[0],),
+        partial(_with_shipped_weights, baseline, rendition, make_from),
         usual=False,
         weights=(shipped(baseline.weights),) if retrained else (),
         checkpoint=baseline.checkpoint,

@@ -1,33 +1,107 @@
-"""Methods that are fitted to one capture: offline references, and what optimises frame by frame."""
+"""Methods that are fitted to one capture: by us, as offline references and frame by frame, or by others."""
 
-from dataclasses import replace
-from functools import partial
+from collections.abc import Mapping
+from dataclasses import KW_ONLY, dataclass, field, fields, replace
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 from ggvs_eval.errors import RenderError
-from ggvs_eval.method import Method
-from ggvs_eval.pipelines.methods.spec import MethodSpec, option_values, option_words
+from ggvs_eval.files.digest import digest_files
+from ggvs_eval.files.toml_tables import build_table
+from ggvs_eval.jobs.ledger import Entry
+from ggvs_eval.pipelines.methods.render_unit import RenderUnit
+from ggvs_eval.pipelines.methods.spec import SceneMethod, option_values, option_words
+from ggvs_eval.pipelines.methods.splats import SplatsScene, open_splats, splats_files
+from ggvs_eval.scene_fitter import FittedScene, SceneFitter
 
 
-def _no_step(title: str, **_: Any) -> Method:
-    raise RenderError(f"{title} is fitted to a whole capture and cannot be shown frame by frame; render it with `ggvs-eval run`")
+@dataclass(frozen=True)
+class FittedMethod(SceneMethod):
+    """A method that is fitted to the capture, by its `SceneFitter`.
 
-
-def fitted_method(title: str, describe: str, fitter: str, online: bool = False) -> MethodSpec:
-    """A method by its `SceneFitter`.
-
-    Args:
-        title: how tables call it.
-        describe: one line for the help and the report.
-        fitter: ``module:class``, a frozen dataclass of its options.
-        online: whether it sees nothing of the future.
+    Attributes:
+        fitter: the class as ``module:class``: a frozen dataclass of its options.
+        options: those that a label such as ``4dgs+motion=linear`` sets.
+        seed: of the fit, ``4dgs+seed=1``.
     """
-    module = fitter.partition(":")[0]
-    return MethodSpec(title, describe, partial(_no_step, title), (module,), online=online, usual=False, fitter=fitter)
+
+    fitter: str
+    _: KW_ONLY
+    options: Mapping[str, Any] = field(default_factory=dict)
+    seed: int = 0
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Options of the fitter that the label sets."""
+        return dict(self.options)
+
+    @property
+    def has_options(self) -> bool:
+        """Always: a seed at least."""
+        return True
+
+    def make_fitter(self) -> SceneFitter:
+        """Make the fitter with the options of the label.
+
+        Raises:
+            RenderError: an option that it has not.
+        """
+        kind: type[SceneFitter] = resolve_name(self.fitter)
+        device = {} if self.device == "cpu" else {"device": self.device}
+        return build_table(kind, {**self.options, **device}, f"method {self.title}", "", RenderError)
+
+    def require(self) -> None:
+        """Make its fitter."""
+        self.make_fitter()
+
+    def identity(self, unit: RenderUnit) -> dict[str, Any]:
+        """The fit, which has seen none of what is rendered, and where the targets lie."""
+        return {"fit": self._fit(unit).sha256, "shots": unit.identity_of_shots()}
+
+    def scene(self, unit: RenderUnit) -> FittedScene:
+        """Load the fit.
+
+        Raises:
+            RenderError: it is not there.
+        """
+        fit = self._fit(unit)
+        if not fit.is_done():
+            raise RenderError(f"{fit.name}: its scene is not in {fit.folder}; render again, which fits it first")
+        return self.make_fitter().load(fit.folder)
+
+    def configured(self, label: str, variant: str) -> "FittedMethod":
+        """The method with other options of its fitter, and another seed.
+
+        Raises:
+            RenderError: an option that it has not, or a seed that is none.
+        """
+        values = option_values(variant)
+        words = option_words(values)
+        seed = values.pop("seed", 0)
+        if type(seed) is not int or seed < 0:
+            raise RenderError(f"method {label}: seed must be a whole number of 0 or more, got {seed!r}")
+        configured = replace(self, title=f"{self.title}, {words}", options=values, seed=seed)
+        configured.make_fitter()
+        return configured
+
+    def on(self, device: str) -> "FittedMethod":
+        """The method on a device, where its fitter takes one."""
+        takes_device = "device" in [each.name for each in fields(resolve_name(self.fitter))]
+        return replace(self, device=device) if takes_device else self
+
+    def _fit(self, unit: RenderUnit) -> Entry:
+        if unit.fit is None:
+            raise RenderError(f"{self.title} is fitted, and this run was planned without it; prepare the run with this method")
+        return unit.fit
 
 
-FITTED: dict[str, MethodSpec] = {
+def fitted_method(title: str, describe: str, fitter: str, online: bool = False) -> FittedMethod:
+    """A method by its `SceneFitter`, ``module:class``; `online` where it sees nothing of the future."""
+    return FittedMethod(title, describe, (fitter.partition(":")[0],), fitter, online=online, usual=False)
+
+
+FITTED: dict[str, FittedMethod] = {
     "4dgs": fitted_method(
         "4DGS (compact)",
         "a cloud of Gaussians, moved by a HexPlane field or (motion=linear, polynomial) each by itself, fit to the whole clip",
@@ -48,31 +122,31 @@ FITTED: dict[str, MethodSpec] = {
 }
 
 
-def configured_fit(label: str, spec: MethodSpec, variant: str) -> MethodSpec:
-    """A fitted method with the options and the seed that its label names.
-
-    Raises:
-        RenderError: an option that it has not, or a seed that is none.
-    """
-    values = option_values(variant)
-    words = option_words(values)
-    seed = values.pop("seed", 0)
-    if type(seed) is not int or seed < 0:
-        raise RenderError(f"method {label}: seed must be a whole number of 0 or more, got {seed!r}")
-    configured = replace(spec, title=f"{spec.title}, {words}", fitter_options=values, seed=seed)
-    configured.make_fitter()
-    return configured
-
-
-def splats_method(label: str, path: Path) -> MethodSpec:
+@dataclass(frozen=True)
+class StoredSplats(SceneMethod):
     """A method that renders Gaussians which others have fitted.
 
-    Args:
-        label: how tables call it, too.
-        path: of their files, see `ggvs_eval.pipelines.methods.splats.splats_files`.
+    Attributes:
+        path: of their files, see `splats_files`.
     """
-    describe = f"3D Gaussians that others have fitted, {path.name}, rendered by the splat of this package"
-    modules = ("ggvs_eval.pipelines.methods.splats",)
-    return MethodSpec(
-        label, describe, partial(_no_step, label), modules, online=False, usual=False, splats=path, uses_depth=False
-    )
+
+    path: Path
+
+    @classmethod
+    def of(cls, label: str, path: Path) -> "StoredSplats":
+        """The method of a label, which is its title too."""
+        describe = f"3D Gaussians that others have fitted, {path.name}, rendered by the splat of this package"
+        return cls(label, describe, (SplatsScene.__module__,), path.resolve(), online=False, usual=False, uses_depth=False)
+
+    def require(self) -> None:
+        """Open the files."""
+        open_splats(self.path)
+
+    def identity(self, unit: RenderUnit) -> dict[str, Any]:
+        """The files, the clip that they belong to, and where the targets lie."""
+        instants = [0, unit.capture.n_frames]
+        return {"splats": digest_files(splats_files(self.path)), "instants": instants, "shots": unit.identity_of_shots()}
+
+    def scene(self, unit: RenderUnit) -> FittedScene:
+        """Open the files."""
+        return open_splats(self.path, range(unit.capture.n_frames))

@@ -5,7 +5,7 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 from ggvs_eval.method import Method
-from ggvs_eval.pipelines.methods.spec import MethodSpec, shipped
+from ggvs_eval.pipelines.methods.spec import OnlineMethod, shipped
 
 if TYPE_CHECKING:
     from ggvs_eval.pipelines.online.blend_maps import Guidance
@@ -59,82 +59,82 @@ def _learned_with(guidance: "Guidance", device: str = "cpu", **changed: Any) -> 
     return _learned(OnlineOptions(**changed), guidance, device)
 
 
-OURS: dict[str, MethodSpec] = {
-    "naive": MethodSpec(
+OURS: dict[str, OnlineMethod] = {
+    "naive": OnlineMethod(
         "Naive Network",
         "splatted views alone: the network was trained without any depth, be it fused or of the views",
-        partial(_learned_with, guidance="naive", fused=False),
         LEARNED,
+        partial(_learned_with, guidance="naive", fused=False),
         device_modules=ON_DEVICE,
         ours=True,
         usual=False,
         weights=(shipped("blend-naive.safetensors"),),
     ),
-    "ours+no-tsdf": MethodSpec(
+    "ours+no-tsdf": OnlineMethod(
         "Ours, No TSDF Guidance",
         "no fused depth; the network was trained without it",
-        partial(_learned_with, guidance="none", fused=False),
         LEARNED,
+        partial(_learned_with, guidance="none", fused=False),
         device_modules=ON_DEVICE,
         ours=True,
         weights=(shipped("blend-no-tsdf.safetensors"),),
     ),
-    "ours+no-temporal": MethodSpec(
+    "ours+no-temporal": OnlineMethod(
         "Ours, No Temporal Filtering",
         "without temporal depth filter, temporal term of the ray march and recurrent output",
-        partial(_learned_with, guidance="registered", temporal=False),
         LEARNED,
+        partial(_learned_with, guidance="registered", temporal=False),
         device_modules=ON_DEVICE,
         ours=True,
         weights=(shipped("blend.safetensors"),),
     ),
-    "ours": MethodSpec(
+    "ours": OnlineMethod(
         "Ours",
         "the whole online method: splats, filtered and fused depth, blending network",
-        _learned,
         LEARNED,
+        _learned,
         device_modules=ON_DEVICE,
         ours=True,
         weights=(shipped("blend.safetensors"),),
         make_with=_learned,
     ),
-    "ours-geometric": MethodSpec(
+    "ours-geometric": OnlineMethod(
         "Ours (geometric weights)",
         "the whole online method with geometric weights in place of the blending network",
-        _geometric,
         GEOMETRIC,
+        _geometric,
         ours=True,
         make_with=_geometric,
     ),
-    "ours-geometric+no-temporal": MethodSpec(
+    "ours-geometric+no-temporal": OnlineMethod(
         "Ours (geometric weights), No Temporal Filtering",
         "without temporal depth filter, temporal term of the ray march and recurrent output",
-        partial(_geometric_with, temporal=False),
         GEOMETRIC,
+        partial(_geometric_with, temporal=False),
         ours=True,
         usual=False,
     ),
-    "ours-geometric+point-splat": MethodSpec(
+    "ours-geometric+point-splat": OnlineMethod(
         "Ours (geometric weights), Point Splats",
         "views rendered forward as points of one pixel, not as pixel-sized Gaussians",
-        partial(_geometric_with, splatted_as="points"),
         GEOMETRIC,
+        partial(_geometric_with, splatted_as="points"),
         ours=True,
         usual=False,
     ),
-    "ours-geometric+no-background": MethodSpec(
+    "ours-geometric+no-background": OnlineMethod(
         "Ours (geometric weights), No Background Blending",
         "what no view shows stays black",
-        partial(_geometric, background=False),
         GEOMETRIC,
+        partial(_geometric, background=False),
         ours=True,
         usual=False,
     ),
-    "ours-geometric+offline": MethodSpec(
+    "ours-geometric+offline": OnlineMethod(
         "Ours (geometric weights), Not Online",
         "a reference that sees the whole sequence: depth filtered backwards in time, then forwards",
-        _offline,
         OFFLINE,
+        _offline,
         ours=True,
         online=False,
         usual=False,

@@ -6,12 +6,11 @@ from functools import partial
 from pathlib import Path
 
 from ggvs_eval.errors import RenderError, did_you_mean
-from ggvs_eval.files.toml_tables import build_table
 from ggvs_eval.pipelines.methods.baselines import baseline_methods
-from ggvs_eval.pipelines.methods.fitted import FITTED, configured_fit, splats_method
+from ggvs_eval.pipelines.methods.fitted import FITTED, StoredSplats
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
 from ggvs_eval.pipelines.methods.ours import OURS
-from ggvs_eval.pipelines.methods.spec import MethodSpec, option_values
+from ggvs_eval.pipelines.methods.spec import MethodSpec, OnlineMethod
 from ggvs_eval.plugins import Registry, imported
 
 
@@ -22,12 +21,12 @@ def _checked(name: str, offered: object) -> MethodSpec:
     if not callable(offered):
         raise TypeError(f"wanted a MethodSpec or a class with a step, got {type(offered).__name__}")
     about = (getattr(offered, "__doc__", None) or "").strip().partition("\n")[0]
-    return MethodSpec(name, about or f"{name}, of a plug-in", offered, (offered.__module__,), usual=False)
+    return OnlineMethod(name, about or f"{name}, of a plug-in", (offered.__module__,), offered, usual=False)
 
 
 def all_methods() -> Registry[MethodSpec]:
     """Every method by its label, `method` or `method+variant`; its renders lie in a folder of that name."""
-    return Registry("methods", baseline_methods() | FITTED | OURS, _checked)
+    return Registry("methods", {**baseline_methods(), **FITTED, **OURS}, _checked)
 
 
 METHODS = all_methods()
@@ -36,6 +35,11 @@ METHODS = all_methods()
 def usual_methods() -> tuple[str, ...]:
     """Labels of the methods that are rendered where nobody names any."""
     return tuple(label for label, spec in METHODS.shipped.items() if spec.usual)
+
+
+def weights_takers() -> list[str]:
+    """Labels of the methods whose weights the user can give."""
+    return [name for name, spec in METHODS.shipped.items() if isinstance(spec, OnlineMethod) and spec.make_from]
 
 
 def find_method(label: str, networks: NetworkOptions = AS_SHIPPED) -> MethodSpec:
@@ -50,7 +54,7 @@ def find_method(label: str, networks: NetworkOptions = AS_SHIPPED) -> MethodSpec
         RenderError: unknown; the message names the nearest known one.
     """
     if label in networks.splats:
-        return splats_method(label, networks.splats[label])
+        return StoredSplats.of(label, networks.splats[label])
     return _found(label, networks.checkpoints).on(networks.device)
 
 
@@ -67,31 +71,26 @@ def _found(label: str, checkpoints: Mapping[str, Path]) -> MethodSpec:
         suggestion = did_you_mean(label, METHODS, cutoff=0.0)
         raise RenderError(f"unknown method {label!r}{suggestion} Known are {', '.join(METHODS)}")
     spec = METHODS[label]
-    return replace(spec, weights=tuple(file for file in spec.weights if file.is_file()))  # without them it cannot be made
+    if isinstance(spec, OnlineMethod):  # without its weights it cannot be made
+        return replace(spec, weights=tuple(file for file in spec.weights if file.is_file()))
+    return spec
 
 
 def _with_checkpoint(label: str, checkpoint: Path) -> MethodSpec:
     """A method with the weights that the user gave."""
     spec = find_method(label)
-    if spec.make_from is None:
-        able = ", ".join(name for name, each in METHODS.shipped.items() if each.make_from)
-        raise RenderError(f"method {label}: {spec.title} takes no weights from outside; these do: {able}")
+    if not isinstance(spec, OnlineMethod) or spec.make_from is None:
+        raise RenderError(f"method {label}: {spec.title} takes no weights from outside; these do: {', '.join(weights_takers())}")
     title = spec.title_from or spec.title
-    return replace(spec, title=title, make=partial(spec.make_from, checkpoint), make_from=None, weights=(checkpoint,))
+    return replace(spec, title=title, factory=partial(spec.make_from, checkpoint), make_from=None, weights=(checkpoint,))
 
 
 def _configured(label: str, spec: MethodSpec, variant: str) -> MethodSpec:
     """A method with the options that its label names."""
-    from ggvs_eval.pipelines.online.geometry_guided import OnlineOptions
-
-    if spec.is_fitted:
-        return configured_fit(label, spec, variant)
-    if spec.make_with is None:
-        able = ", ".join(name for name, each in METHODS.shipped.items() if each.make_with or each.is_fitted)
+    if not spec.has_options:
+        able = ", ".join(name for name, each in METHODS.shipped.items() if each.has_options)
         raise RenderError(f"method {label}: {spec.title} has no options to set; these have: {able}")
-    options = build_table(OnlineOptions, option_values(variant), f"method {label}", "", RenderError)
-    title = f"{spec.title}, {variant.replace('+', ', ')}"
-    return replace(spec, title=title, make=partial(spec.make_with, options), usual=False)
+    return spec.configured(label, variant)
 
 
 def split_label(label: str) -> tuple[str, str]:

@@ -1,18 +1,20 @@
-"""Specification of a method: what the command line, the folders and the tables know of it."""
+"""Specification of a method: what the command line, the folders and the tables know of it, and how it renders."""
 
+import hashlib
 import tomllib
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields, replace
-from functools import partial
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import KW_ONLY, dataclass, replace
+from functools import cache, partial
 from importlib import resources
 from pathlib import Path
-from pkgutil import resolve_name
 from typing import Any
 
 from ggvs_eval.errors import RenderError
 from ggvs_eval.files.toml_tables import build_table
-from ggvs_eval.method import Method
-from ggvs_eval.scene_fitter import SceneFitter
+from ggvs_eval.method import Method, Rendering
+from ggvs_eval.pipelines.methods.render_unit import RenderUnit
+from ggvs_eval.scene_fitter import FittedScene
 
 
 def shipped(name: str) -> Path:
@@ -21,100 +23,178 @@ def shipped(name: str) -> Path:
 
 
 @dataclass(frozen=True)
-class MethodSpec:
+class MethodSpec(ABC):
     """One method or variant of it.
 
     Attributes:
         title: how tables call it.
         describe: one line for the help and the report.
-        make: builds a fresh object that renders one sequence; that of a method with networks takes their ``device``.
-        modules: where its classes stand; a change there, or in what they import, makes its renders stale.
+        modules: where its classes lie; a change there, or in what they import, makes its renders stale.
         ours: whether it is this project's method or an ablation of it.
         online: whether it sees nothing of the future.
-        usual: whether it is rendered where nobody names methods; ablations that only a sweep asks for are not.
-        weights: files of the trained weights it renders with.
-        checkpoint: what the user can give instead of weights that ship, or has to give where none do.
-        make_from: builds one with such a checkpoint.
-        title_from: how tables call it then, if not by `title`: weights that we trained are labelled so.
-        make_with: builds one with other `OnlineOptions`, for labels such as ``ours+beta_temporal=0.6``.
-        device: where its networks compute, if it has any.
-        device_modules: what it renders with besides on a device that is not the CPU.
-        fitter: of a method that is fitted to the capture, the class of its `SceneFitter` as ``module:class``: a frozen dataclass
-            of its options. Such a method makes no step; `make` says so.
-        fitter_options: the options that a label such as ``4dgs+motion=linear`` sets.
-        seed: of the fit, ``4dgs+seed=1``.
-        splats: of Gaussians that others have fitted, their files; such a method makes no step either.
+        usual: whether it is rendered where no method is named; ablations that only a sweep asks for are not.
         uses_depth: whether it looks at the depth of its sources, or learns a scene from it.
+        device: where its networks compute, if it has any.
     """
 
     title: str
     describe: str
-    make: Callable[..., Method]
     modules: tuple[str, ...]
+    _: KW_ONLY
     ours: bool = False
     online: bool = True
     usual: bool = True
-    weights: tuple[Path, ...] = ()
-    checkpoint: str = ""
-    make_from: Callable[..., Method] | None = None
-    title_from: str = ""
-    make_with: Callable[..., Method] | None = None
-    device: str = "cpu"
-    device_modules: tuple[str, ...] = ()
-    fitter: str = ""
-    fitter_options: Mapping[str, Any] = field(default_factory=dict)
-    seed: int = 0
-    splats: Path | None = None
     uses_depth: bool = True
+    device: str = "cpu"
 
     @property
     def settings(self) -> dict[str, Any]:
         """Options of its classes that the label fixes, by name; neither files nor the device, which are recorded apart."""
-        return {**_settings(self.make), **self.fitter_options}
+        return {}
 
     @property
-    def is_fitted(self) -> bool:
-        """Tell whether it is fitted to a capture before it renders."""
-        return bool(self.fitter)
+    def has_options(self) -> bool:
+        """Tell whether a label can set options of it, see `configured`."""
+        return False
 
+    @abstractmethod
+    def make(self) -> Method:
+        """Make a fresh object that renders one sequence.
+
+        Raises:
+            GgvsError: it cannot be made here, or makes no step.
+        """
+
+    @abstractmethod
     def require(self) -> None:
         """Find out whether it can be made here: its weights, its options.
 
         Raises:
             GgvsError: why not.
         """
-        from ggvs_eval.pipelines.methods.splats import open_splats
 
-        if self.splats:
-            open_splats(self.splats)
-        elif self.is_fitted:
-            self.make_fitter()
-        else:
-            self.make()
+    @abstractmethod
+    def identity(self, unit: RenderUnit) -> dict[str, Any]:
+        """Everything that the pixels of a unit depend on beside the label, the code and the device."""
 
-    def make_fitter(self) -> SceneFitter:
-        """Make the fitter with the options of the label.
+    @abstractmethod
+    def renderings(self, unit: RenderUnit) -> Iterator[Rendering]:
+        """Render the shots of a unit, one by one."""
+
+    def configured(self, label: str, variant: str) -> "MethodSpec":
+        """The method with the options that its label names; of those alone that have options.
 
         Raises:
             RenderError: an option that it has not.
         """
-        kind: type[SceneFitter] = resolve_name(self.fitter)
-        values = dict(self.fitter_options)
-        if self.device != "cpu":
-            values["device"] = self.device
-        return build_table(kind, values, f"method {self.title}", "", RenderError)
+        raise NotImplementedError(f"{label}: {self.title} has no {variant}")
 
-    def on(self, device: str) -> "MethodSpec":
+    def on(self, _device: str) -> "MethodSpec":
         """The method with its networks on a device; one without networks stays as it is."""
-        if device == self.device or not (self.weights or self.checkpoint or "device" in self._fitter_fields()):
-            return self
-        if self.is_fitted:
-            return replace(self, device=device)
-        return replace(self, make=partial(self.make, device=device), device=device, modules=(*self.modules, *self.device_modules))
+        return self
 
-    def _fitter_fields(self) -> list[str]:
-        """Names of the options of its fitter; none where it is not fitted."""
-        return [each.name for each in fields(resolve_name(self.fitter))] if self.is_fitted else []
+
+@dataclass(frozen=True)
+class OnlineMethod(MethodSpec):
+    """A method that is shown one instant after the other.
+
+    Attributes:
+        factory: builds a fresh object that renders one sequence; that of a method with networks takes their ``device``.
+        weights: files of the trained weights it renders with.
+        checkpoint: what the user can give instead of weights that ship, or has to give where none do.
+        make_from: builds one with such a checkpoint.
+        title_from: how tables call it then, if not by `title`: weights that we trained are labelled so.
+        make_with: builds one with other `OnlineOptions`, for labels such as ``ours+beta_temporal=0.6``.
+        device_modules: what it renders with besides on a device that is not the CPU.
+    """
+
+    factory: Callable[..., Method]
+    _: KW_ONLY
+    weights: tuple[Path, ...] = ()
+    checkpoint: str = ""
+    make_from: Callable[..., Method] | None = None
+    title_from: str = ""
+    make_with: Callable[..., Method] | None = None
+    device_modules: tuple[str, ...] = ()
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Keywords of its factory."""
+        return _settings(self.factory)
+
+    @property
+    def has_options(self) -> bool:
+        """True of the paper's method."""
+        return self.make_with is not None
+
+    def make(self) -> Method:
+        """Make a fresh object that renders one sequence."""
+        return self.factory()
+
+    def require(self) -> None:
+        """Make one."""
+        self.make()
+
+    def identity(self, unit: RenderUnit) -> dict[str, Any]:
+        """Settings, weights, and what it is shown."""
+        return {"settings": self.settings, "weights": [digest_weights(file) for file in self.weights], **unit.identity()}
+
+    def renderings(self, unit: RenderUnit) -> Iterator[Rendering]:
+        """Step through the instants; only the frames of one are in memory."""
+        method = self.make()
+        return map(method.step, unit.instants(method))
+
+    def configured(self, label: str, variant: str) -> "OnlineMethod":
+        """The method with other `OnlineOptions`."""
+        from ggvs_eval.pipelines.online.geometry_guided import OnlineOptions
+
+        if self.make_with is None:
+            return self
+        options = build_table(OnlineOptions, option_values(variant), f"method {label}", "", RenderError)
+        title = f"{self.title}, {variant.replace('+', ', ')}"
+        return replace(self, title=title, factory=partial(self.make_with, options), usual=False)
+
+    def on(self, device: str) -> "OnlineMethod":
+        """The method with its networks on a device."""
+        if device == self.device or not (self.weights or self.checkpoint):
+            return self
+        modules = (*self.modules, *self.device_modules)
+        return replace(self, factory=partial(self.factory, device=device), device=device, modules=modules)
+
+
+@dataclass(frozen=True)
+class SceneMethod(MethodSpec):
+    """A method that renders from a scene, which was made of a whole capture before; it makes no step."""
+
+    @abstractmethod
+    def scene(self, unit: RenderUnit) -> FittedScene:
+        """Open the scene of a unit."""
+
+    def make(self) -> Method:
+        """Refuse.
+
+        Raises:
+            RenderError: always.
+        """
+        raise RenderError(
+            f"{self.title} is fitted to a whole capture and cannot be shown frame by frame; render it with `ggvs-eval run`"
+        )
+
+    def renderings(self, unit: RenderUnit) -> Iterator[Rendering]:
+        """Open the scene once and render every shot of it."""
+        scene = self.scene(unit)
+        return (scene.render(frame, target) for _, frame, target in unit.shots)
+
+
+def digest_weights(file: Path) -> str:
+    """SHA-256 of a file's bytes, which are read once for as long as the file stays as it is."""
+    stat = file.stat()
+    return _digest_of(file, stat.st_size, stat.st_mtime_ns)
+
+
+@cache
+def _digest_of(file: Path, _size: int, _mtime_ns: int) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
 def _settings(make: Any) -> dict[str, Any]:

@@ -105,6 +105,10 @@ class OnlineOptions:
     settled: bool = True
     remembered: bool = False
 
+    def depth_filter(self) -> TemporalDepthFilter:
+        """Make the filter of the source views' depth."""
+        return TemporalDepthFilter(self.lambda_t, self.beta_mask, self.history_tolerance, self.temporal, self.mask_channels)
+
 
 @dataclass(frozen=True)
 class _Fused:
@@ -129,9 +133,7 @@ class GeometryGuided:
         self.options = options or OnlineOptions()
         self.blender: Blender = blender or GeometricBlender()
         chosen = self.options
-        self._filter = TemporalDepthFilter(
-            chosen.lambda_t, chosen.beta_mask, chosen.history_tolerance, chosen.temporal, chosen.mask_channels
-        )
+        self._filter = chosen.depth_filter()
         self._previous: _Fused | None = None
         self._output = RecurrentOutput(chosen.recurrent_limit if chosen.temporal else 0.0)
         self._background = RememberedBackground() if chosen.temporal and chosen.remembered else None

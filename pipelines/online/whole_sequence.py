@@ -11,7 +11,6 @@ import numpy as np
 from ggvs_eval.arrays import Map
 from ggvs_eval.method import Instant, Rendering, SourceView
 from ggvs_eval.pipelines.online.blending import Blender
-from ggvs_eval.pipelines.online.depth_filter import TemporalDepthFilter
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided, OnlineOptions
 
 
@@ -38,10 +37,7 @@ class WholeSequence:
         Args:
             instants: the whole sequence, the last one first.
         """
-        chosen = self._forward.options
-        backward = TemporalDepthFilter(
-            chosen.lambda_t, chosen.beta_mask, chosen.history_tolerance, chosen.temporal, chosen.mask_channels
-        )
+        backward = self._forward.options.depth_filter()
         for instant in instants:
             started = perf_counter()
             for source in instant.sources:

@@ -123,6 +123,15 @@ class Playback:
     sources: SourceChoice = "nearest"
 
 
+def make_playback(
+    shown: RunPlan | Capture, options: PlayOptions, depth: DepthOptions, cache: Path, workers: int = 1, anywhere: bool = False
+) -> Playback:
+    """Play a prepared run or a capture; arguments and errors as of `playback_of_capture`, of which a run needs the first two."""
+    if isinstance(shown, RunPlan):
+        return playback_of_run(shown, options)
+    return playback_of_capture(shown, options, depth, cache, workers, anywhere)
+
+
 def playback_of_run(prepared: RunPlan, options: PlayOptions) -> Playback:
     """Play a run folder: its frames and the depth that its test views have made it compute, nothing new.
 
@@ -141,8 +150,10 @@ def playback_of_run(prepared: RunPlan, options: PlayOptions) -> Playback:
     return Playback(capture, poses, instants, k, DepthStore(prepared.run.depth), keys, sources)
 
 
-def playback_of_capture(capture: Capture, options: PlayOptions, depth: DepthOptions, cache: Path, workers: int = 1) -> Playback:
-    """Play a capture: decode the frames and compute the depth that the way of the camera needs, into a cache.
+def playback_of_capture(
+    capture: Capture, options: PlayOptions, depth: DepthOptions, cache: Path, workers: int = 1, anywhere: bool = False
+) -> Playback:
+    """Play a capture: decode the frames and compute the depth that its targets need, into a cache.
 
     Args:
         capture: what is played; of one instant, the camera moves while time stands still.
@@ -150,6 +161,7 @@ def playback_of_capture(capture: Capture, options: PlayOptions, depth: DepthOpti
         depth: how depth is computed.
         cache: folder for frames and depth; what is there, and belongs to these frames, is kept.
         workers: processes.
+        anywhere: make ready what any camera sees, for a target that may be anywhere, instead of one that goes round.
 
     Raises:
         CaptureError: frames that cannot be read.
@@ -162,64 +174,25 @@ def playback_of_capture(capture: Capture, options: PlayOptions, depth: DepthOpti
     """
     capture = without_unmatched(capture, depth)
     instants = _instants(capture, range(capture.n_frames), options.frames)
-    poses = camera_loop(capture.cameras, len(instants), options.width)
-    k = _checked_k(capture, min(4, len(capture.cameras)) if options.k is None else options.k)
-    alone = replace(depth, consistency=None)
-    sources = options.sources or "nearest"
-    needed = _needed(capture, poses, instants, k, sources)
-    jobs = _jobs(capture, poses, k, alone, sources)
-    return _prepared(_planned(capture, poses, instants, k, sources, jobs, cache), needed, jobs, alone, workers)
-
-
-def viewing_of_capture(capture: Capture, options: PlayOptions, depth: DepthOptions, cache: Path, workers: int = 1) -> Playback:
-    """Make ready what any camera of a capture sees, for a target that may stand anywhere; as `playback_of_capture`.
-
-    Args:
-        capture: what is looked at.
-        options: ``frames``, ``k`` and ``sources`` of it.
-        depth: how depth is computed.
-        cache: folder for frames and depth; what is there, and belongs to these frames, is kept.
-        workers: processes.
-
-    Raises:
-        CaptureError: frames that cannot be read.
-        DepthError: depth that cannot be computed.
-        RenderError: more frames or sources than there are.
-    """
-    capture = without_unmatched(capture, depth)
-    instants = sorted(set(_instants(capture, range(capture.n_frames), options.frames)))
-    k = _checked_k(capture, min(4, len(capture.cameras) - 1) if options.k is None else options.k)
-    alone = replace(depth, consistency=None)
-    stands = [replace(camera, name=f"at {camera.name}") for camera in capture.cameras]  # whose first source is the camera itself
-    jobs = _jobs(capture, stands, k, alone, "nearest")
-    needed = {instant: set(capture.camera_names) for instant in instants}
-    planned = _planned(capture, stands, instants, k, options.sources or "nearest", jobs, cache)
-    return _prepared(planned, needed, jobs, alone, workers)
-
-
-def _planned(
-    capture: Capture,
-    poses: Sequence[Camera],
-    instants: Sequence[int],
-    k: int,
-    sources: SourceChoice,
-    jobs: Mapping[str, DepthJob],
-    cache: Path,
-) -> Playback:
-    """The playback of a capture whose depth will lie in a cache."""
+    k = _checked_k(capture, min(4, len(capture.cameras) - anywhere) if options.k is None else options.k)
+    alone, sources = replace(depth, consistency=None), options.sources or "nearest"
+    if anywhere:
+        instants = sorted(set(instants))
+        poses = [
+            replace(camera, name=f"at {camera.name}") for camera in capture.cameras
+        ]  # whose first source is the camera itself
+        jobs = _jobs(capture, poses, k, alone, "nearest")
+        needed = {instant: set(capture.camera_names) for instant in instants}
+    else:
+        poses = camera_loop(capture.cameras, len(instants), options.width)
+        jobs = _jobs(capture, poses, k, alone, sources)
+        needed = _needed(capture, poses, instants, k, sources)
     store = DepthStore(cache / _digest(capture) / "depth")
-    return Playback(capture, poses, instants, k, store, {name: job.key for name, job in jobs.items()}, sources)
-
-
-def _prepared(
-    planned: Playback, needed: Mapping[int, set[str]], jobs: Mapping[str, DepthJob], depth: DepthOptions, workers: int
-) -> Playback:
-    """The playback with its frames in the cache, and the depth of the cameras that each instant needs in the store."""
-    store, blocks = planned.store, list(blocks_of(needed, 2 * max(map(len, needed.values()))))
-    capture = cache_frames(planned.capture, _frames_by_camera(blocks, jobs, depth), store.root.with_name("frames"), workers)
+    blocks = list(blocks_of(needed, 2 * max(map(len, needed.values()))))
+    capture = cache_frames(capture, _frames_by_camera(blocks, jobs, alone), store.root.with_name("frames"), workers)
     for block, names in blocks:
-        prepare_depth(capture, [jobs[name] for name in sorted(names)], block, store, depth, workers)
-    return replace(planned, capture=capture)
+        prepare_depth(capture, [jobs[name] for name in sorted(names)], block, store, alone, workers)
+    return Playback(capture, poses, instants, k, store, {name: job.key for name, job in jobs.items()}, sources)
 
 
 def blocks_of(needed: Mapping[int, set[str]], most: int) -> Iterator[tuple[range, set[str]]]:

@@ -9,15 +9,14 @@ from ggvs_eval.capture import Capture, CaptureEdit
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.datasets.capture_edit import perturb_capture
 from ggvs_eval.jobs.code_identity import code_identity
-from ggvs_eval.jobs.engine import Workers
+from ggvs_eval.jobs.engine import Workers, as_engine
 from ggvs_eval.jobs.processes import kept_workers
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.run.derived_files import DIGESTS, MadeFiles, digest_folder
 from ggvs_eval.pipelines.run.prepare import prepare_run
-from ggvs_eval.pipelines.run.render import render
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
-from ggvs_eval.pipelines.run.score import score
+from ggvs_eval.pipelines.run.stages import Stages, measure_runs, render_runs
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import RunFolder
 
@@ -52,9 +51,13 @@ def evaluate(
 @kept_workers()
 def measure(plan: RunPlan, workers: Workers) -> None:
     """Prepare, render and score what a run lacks: everything of `evaluate` but the report."""
-    prepared = prepare_run(plan, workers)
-    render(prepared, plan.request.labels, workers, plan.request.networks)
-    score(plan.run, workers, device=plan.request.networks.device)
+    for _, scores in measure_runs([plan], Stages(plan.run.root, as_engine(workers))):
+        scores.collect()
+
+
+def render(prepared: RunPlan, workers: Workers = 1) -> int:
+    """Synthesise the views and the camera path of a prepared run by its methods; arguments and errors as of `render_runs`."""
+    return render_runs([prepared], Stages(prepared.run.root, as_engine(workers)))
 
 
 def reopen(root: Path, workers: Workers, labels: Sequence[str] = (), networks: NetworkOptions = AS_SHIPPED) -> RunPlan:

@@ -15,6 +15,7 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.depth_store import DepthJob
 from ggvs_eval.errors import CameraError
+from ggvs_eval.pipelines.methods.render_unit import PATH
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import plan_rig_depth
 from ggvs_eval.protocol import Protocol
@@ -45,6 +46,11 @@ class FoldPlan:
     def cameras(self) -> tuple[str, ...]:
         """Names of the training cameras."""
         return tuple(job.camera_name for job in self.jobs)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Test views that are rendered from it, or the camera path."""
+        return self.held_out or (PATH,)
 
 
 @dataclass(frozen=True)

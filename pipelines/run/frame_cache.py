@@ -1,6 +1,6 @@
 """Captured frames, decoded, undistorted and resized once: every later step of a run reads these."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -41,6 +41,15 @@ class CachedFrames:
             yield read_image(frame_path(self.folder, index))
 
 
+def cached_capture(capture: Capture, names: Collection[str], root: Path) -> Capture:
+    """The capture with some cameras read from where `cache_frames` writes them, whether they are there yet or not."""
+    sources: list[FrameSource] = [
+        CachedFrames(root / name, capture.n_frames, source.digest) if name in names else source
+        for name, source in zip(capture.camera_names, capture.sources, strict=True)
+    ]
+    return replace(capture, sources=tuple(sources))
+
+
 def cache_frames(capture: Capture, numbers: Mapping[str, Sequence[int]], root: Path, workers: Workers) -> Capture:
     """Write frames of some cameras, at the size of these cameras, that are not there as they were written.
 
@@ -63,11 +72,7 @@ def cache_frames(capture: Capture, numbers: Mapping[str, Sequence[int]], root: P
     for name in numbers:
         if not absent[name]:
             _camera_files(capture, name, root).note_frames(numbers[name])
-    sources: list[FrameSource] = [
-        CachedFrames(root / name, capture.n_frames, source.digest) if name in numbers else source
-        for name, source in zip(capture.camera_names, capture.sources, strict=True)
-    ]
-    return replace(capture, sources=tuple(sources))
+    return cached_capture(capture, numbers, root)
 
 
 def frames_left(capture: Capture, numbers: Mapping[str, Sequence[int]], root: Path) -> dict[str, list[int]]:

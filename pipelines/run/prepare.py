@@ -1,6 +1,7 @@
 """Prepare: what every method needs of a capture under a protocol - truth frames, source views, depth, a camera path."""
 
-from dataclasses import replace
+import os
+from collections.abc import Sequence
 from pathlib import Path
 
 from ggvs_eval.capture import Capture
@@ -20,7 +21,12 @@ from ggvs_eval.run_folder import RunFolder, write_json
 
 
 def prepare(
-    root: Path, capture: Capture, protocol: Protocol, workers: Workers = 1, depth: DepthRunOptions | None = None
+    root: Path,
+    capture: Capture,
+    protocol: Protocol,
+    workers: Workers = 1,
+    depth: DepthRunOptions | None = None,
+    labels: Sequence[str] = (),
 ) -> RunPlan:
     """Plan a run and prepare it, see `prepare_run`.
 
@@ -30,8 +36,9 @@ def prepare(
         protocol: what to evaluate.
         workers: where the work is done.
         depth: how depth is found; as the folder says, or the default.
+        labels: methods that will be rendered.
     """
-    return prepare_run(plan_run(RunRequest(root, capture, protocol, depth=depth)), workers)
+    return prepare_run(plan_run(RunRequest(root, capture, protocol, labels, depth)), workers)
 
 
 def prepare_run(plan: RunPlan, workers: Workers = 1) -> RunPlan:
@@ -42,7 +49,7 @@ def prepare_run(plan: RunPlan, workers: Workers = 1) -> RunPlan:
         workers: where the work is done.
 
     Returns:
-        The plan, its capture reading from the run folder.
+        The plan.
 
     Raises:
         CaptureError: frames that cannot be read.
@@ -51,20 +58,31 @@ def prepare_run(plan: RunPlan, workers: Workers = 1) -> RunPlan:
         ProtocolError: the folder belongs to another protocol or capture.
     """
     run = plan.run
-    claim_folder(run, plan.protocol, plan.capture)
+    if plan.shared_root != run.root:
+        _share_folders(run.root, plan.shared_root)
+    claim_folder(run, plan.protocol, plan.original)
     if not run.depth_record.is_file():
         write_json(run.depth_record, plan.depth.record(plan.depth_device))
-    capture = cache_frames(plan.capture, plan.frames_of_cameras(), run.root / "truth", workers)
-    prepared, store = replace(plan, capture=capture), DepthStore(run.depth)
-    _write_path_truth(prepared)
-    _fill_store(prepared, store, workers)
+    cache_frames(plan.original, plan.frames_of_cameras(), run.root / "truth", workers)
+    store = DepthStore(run.depth)
+    _write_path_truth(plan)
+    _fill_store(plan, store, workers)
     if any(name.endswith("_disoccluded") for name in plan.protocol.measurement.metrics):
         views = {view: (each.target, each.depth_keys) for view, each in plan.plans.items()}
-        write_disocclusions(capture, views, plan.frames, run.depth, run.root / "disoccluded", workers)
+        write_disocclusions(plan.capture, views, plan.frames, run.depth, run.root / "disoccluded", workers)
     if plan.path:
         poses = [(pose.target, pose.depth_keys) for pose in plan.path]
-        write_path_depth(capture, poses, plan.path_frame, store, run.path_depth)
-    return prepared
+        write_path_depth(plan.capture, poses, plan.path_frame, store, run.path_depth)
+    return plan
+
+
+def _share_folders(root: Path, shared: Path) -> None:
+    """Let a run have its frames and depth in common with others, so that K = 2 finds what K = 6 has computed."""
+    root.mkdir(parents=True, exist_ok=True)
+    for name in ("truth", "depth"):
+        (shared / name).mkdir(parents=True, exist_ok=True)
+        if not (root / name).exists():
+            (root / name).symlink_to(os.path.relpath(shared / name, root), target_is_directory=True)
 
 
 def _fill_store(prepared: RunPlan, store: DepthStore, workers: Workers) -> None:

@@ -28,8 +28,8 @@ UNRECORDED = "this run folder does not say; prepare it again"
 PATH_NOTE = "what a camera on the path would have seen, measured like the methods."
 
 
-def ceiling_jobs(run: RunFolder, protocol: Protocol) -> list[Job]:
-    """The jobs that estimate what perfect renderings of each test view would score, from its captured frames alone.
+def ceiling_jobs(run: RunFolder, protocol: Protocol, views: Sequence[str]) -> list[Job]:
+    """The jobs that estimate what perfect renderings of some test views would score, from their captured frames alone.
 
     Returns:
         One per test view; empty where the protocol wants none.
@@ -38,7 +38,7 @@ def ceiling_jobs(run: RunFolder, protocol: Protocol) -> list[Job]:
     if not protocol.measurement.ceilings or not metrics:
         return []
     frames = protocol.frames.numbers
-    return [_job(run, view, frames, metrics, protocol.measurement) for view in protocol.views.test]
+    return [_job(run, view, frames, metrics, protocol.measurement) for view in views]
 
 
 def read_ceilings(jobs: Sequence[Job]) -> dict[str, dict[str, Any]]:

@@ -3,28 +3,34 @@
 A plan is made once. What is left to do is counted on it, and prepare, render and score work through it.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
-from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.assemble import listed
 from ggvs_eval.datasets.frames import ImageFrames
 from ggvs_eval.depth_store import DepthJob
 from ggvs_eval.errors import CaptureError, DepthError, ProtocolError
 from ggvs_eval.geometry.sight import require_sight
+from ggvs_eval.pipelines.methods.fitted import FittedMethod
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions, checked_device
 from ggvs_eval.pipelines.methods.registry import find_method
+from ggvs_eval.pipelines.methods.render_unit import PATH, RenderUnit, SourcePlan
+from ggvs_eval.pipelines.methods.spec import MethodSpec
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DEVICE, DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import DepthPartners, plan_depth
 from ggvs_eval.pipelines.run.camera_path import choose_path
 from ggvs_eval.pipelines.run.claim import require_owner
+from ggvs_eval.pipelines.run.fit import fit_job
 from ggvs_eval.pipelines.run.folds import FitPlan, fill_folds, plan_fits, plan_folds, visible_cameras
+from ggvs_eval.pipelines.run.frame_cache import cached_capture
+from ggvs_eval.pipelines.run.render import render_job
+from ggvs_eval.pipelines.run.unit_job import RunJobs
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.run_folder import RunFolder, read_json
-from ggvs_eval.scene_fitter import SceneFitter
 
 
 @dataclass(frozen=True)
@@ -39,7 +45,9 @@ class RunRequest:
         depth: how depth is found; as the folder says, or the default.
         networks: with which weights and where networks compute.
         shared: folder whose truth/ and depth/ it uses together with others; its own where None.
-        views: units of a shard, test views or ``path``; None for all.
+        views: units of a shard, test views or ``path``; None for all, none where the run is only prepared.
+        imports: label -> renders of others, which become a method of the run.
+        name: of the run in a sweep, for people.
     """
 
     root: Path
@@ -50,26 +58,13 @@ class RunRequest:
     networks: NetworkOptions = field(default_factory=lambda: AS_SHIPPED)
     shared: Path | None = None
     views: Collection[str] | None = None
-
-
-@dataclass(frozen=True)
-class SourcePlan:
-    """Plan of the synthesis of one target view.
-
-    Attributes:
-        target: the camera to synthesise, at synthesis size.
-        jobs: depth of each source camera, nearest first; the target takes no part in any of it.
-        shares: source camera -> how far the choice counts on it, see `ChosenSource`.
-    """
-
-    target: Camera
-    jobs: tuple[DepthJob, ...]
-    shares: dict[str, float]
+    imports: Mapping[str, Path] = field(default_factory=dict)
+    name: str = ""
 
     @property
-    def depth_keys(self) -> dict[str, str]:
-        """Source camera -> key of its depth in the depth store."""
-        return {job.camera_name: job.key for job in self.jobs}
+    def only_prepares(self) -> bool:
+        """True if nothing of it is rendered."""
+        return self.views is not None and not self.views
 
 
 @dataclass(frozen=True)
@@ -79,9 +74,10 @@ class RunPlan:
     Attributes:
         request: what it was made of.
         run: the folder.
+        methods: by their labels.
         depth: how depth is found.
         depth_device: where a network computes that finds it; ``cpu`` where none does.
-        capture: the capture at synthesis size; its frames are read from the run folder once that is prepared.
+        original: the capture at synthesis size, its frames as they lie on disk.
         plans: test view -> how it is synthesised.
         path: poses of the camera path, each with its plan.
         path_frame: the instant at which the camera moves along the path.
@@ -91,9 +87,10 @@ class RunPlan:
 
     request: RunRequest
     run: RunFolder
+    methods: Mapping[str, MethodSpec]
     depth: DepthRunOptions
     depth_device: str
-    capture: Capture
+    original: Capture
     plans: dict[str, SourcePlan]
     path: tuple[SourcePlan, ...]
     path_frame: int
@@ -101,9 +98,60 @@ class RunPlan:
     fits: tuple[FitPlan, ...] = ()
 
     @property
+    def name(self) -> str:
+        """Of the run in a sweep; empty where it stands alone."""
+        return self.request.name
+
+    @property
     def protocol(self) -> Protocol:
         """Protocol of the evaluation."""
         return self.request.protocol
+
+    @cached_property
+    def capture(self) -> Capture:
+        """The capture at synthesis size, its frames read from the run folder: there they are once it is prepared."""
+        return cached_capture(self.original, self.frames_of_cameras(), self.run.root / "truth")
+
+    @cached_property
+    def jobs(self) -> RunJobs:
+        """Everything that the methods do in the units of the request; the work is as prepared, whether it is yet or not.
+
+        Raises:
+            DeviceError: no such device here.
+            RenderError: a method that cannot be made, or one that is fitted and that the run was planned without.
+            WeightsError: a method lacks its weights, or they are not its own.
+        """
+        for spec in self.methods.values():
+            spec.require()  # what is missing shows before anything is rendered
+        fits, renders = [], []
+        for label, spec in self.methods.items():
+            scenes = (
+                []
+                if not isinstance(spec, FittedMethod)
+                else [fit_job(self.capture, fit, spec, self.shared_root) for fit in self.fits if fit.label == label]
+            )
+            entries = {unit: job.entry for job in scenes for unit in job.units}
+            fits += scenes
+            renders += [render_job(self.run, label, spec, replace(unit, fit=entries.get(unit.name))) for unit in self.units]
+        # What waits for no fit first, and the longest first, so that all workers end at about the same time.
+        of_path_first = len(self.path) > len(self.frames)
+        fitted = {job.label for job in fits}
+        renders.sort(key=lambda job: (job.label in fitted, (job.units == (PATH,)) != of_path_first))
+        return RunJobs(tuple(fits), tuple(renders)).of_units(self.request.views)
+
+    def rendered_labels(self) -> list[str]:
+        """Methods whose test views are all rendered, as far as the request names them."""
+        open_labels = {job.label for job in self.jobs.render if job.units != (PATH,) and not job.is_done()}
+        return [label for label in self.methods if label not in open_labels]
+
+    @property
+    def units(self) -> list[RenderUnit]:
+        """The test views, and the camera path where there is one."""
+        plans = {view: (plan,) for view, plan in self.plans.items()} | ({PATH: self.path} if self.path else {})
+        return [
+            RenderUnit(name, of_unit, self.frames, self.path_frame, self.capture, self.run.depth)
+            for name, of_unit in plans.items()
+        ]
 
     @property
     def depth_options(self) -> DepthOptions:
@@ -168,7 +216,9 @@ def plan_run(request: RunRequest) -> RunPlan:
         Shares are for targets that move. A test view stands still and its sources never change, so that all count whole: with the
         path's shares, nearest sources score up to 0.17 dB less and chosen ones 0.08 to 0.18 dB (validation rooms).
     """
-    run, fitted = RunFolder(request.root), _fitters(request)
+    run, methods = RunFolder(request.root), {label: find_method(label, request.networks) for label in request.labels}
+    fitted = {label: spec.make_fitter() for label, spec in methods.items() if isinstance(spec, FittedMethod)}
+    use_depth = any(spec.uses_depth for spec in methods.values())
     request = replace(request, protocol=_state_folds(request.protocol, run, request.capture, bool(fitted)))
     protocol = request.protocol
     capture, (depth, device) = fit_capture(request.capture, protocol), _depth_of(run, request)
@@ -180,12 +230,12 @@ def plan_run(request: RunRequest) -> RunPlan:
     partners = DepthPartners(visible, options)
     chosen = {target.name: partners.sources(target, k, choice) for target in targets}
     sensed = visible.sensed_cameras if options.sensor is not None else frozenset[str]()
-    for target in targets[: len(protocol.views.test)] if _use_depth(request) or not request.labels else []:
+    for target in targets[: len(protocol.views.test)] if use_depth or not methods else []:
         require_sight(target, [each.camera for each in chosen[target.name]], visible.cameras, sensed)
     blind = [
         target.name for target in targets if not any(partners.has_depth(each.camera, target) for each in chosen[target.name])
     ]
-    if blind and _use_depth(request):
+    if blind and use_depth:
         raise DepthError(f"{capture.path}: no source of {listed(blind)} has depth; {partners.describe_unmatched()}")
     if partners.unmatched:
         capture = capture.noted(partners.describe_unmatched())
@@ -202,22 +252,11 @@ def plan_run(request: RunRequest) -> RunPlan:
     chosen_frame = protocol.path.frame if protocol.path.cameras else round(path.time_s * capture.fps)
     frame = min(max(chosen_frame, protocol.frames.start), capture.n_frames - 1)
     poses = tuple(plans[pose.name] for pose in path.cameras)
-    plan = RunPlan(request, run, depth, device, capture, views, poses, frame, path.images)
+    plan = RunPlan(request, run, methods, depth, device, capture, views, poses, frame, path.images)
     if not fitted:
         return plan
     folds = plan_folds(visible, protocol.views.folds, bool(poses), options)
     return replace(plan, fits=plan_fits(fitted, folds, plan.frames, frame))
-
-
-def _use_depth(request: RunRequest) -> bool:
-    """Tell whether a method that is wanted looks at depth."""
-    return any(find_method(label, request.networks).uses_depth for label in request.labels)
-
-
-def _fitters(request: RunRequest) -> dict[str, SceneFitter]:
-    """Label -> fitter, of the methods of a request that are fitted."""
-    specs = {label: find_method(label, request.networks) for label in request.labels}
-    return {label: spec.make_fitter() for label, spec in specs.items() if spec.is_fitted}
 
 
 def _state_folds(protocol: Protocol, run: RunFolder, capture: Capture, is_needed: bool) -> Protocol:

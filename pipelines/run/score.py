@@ -5,6 +5,7 @@ Each view is one job for all methods, because what the truth alone decides is th
 """
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from ggvs_eval.errors import RenderError
@@ -14,7 +15,7 @@ from ggvs_eval.jobs.ledger import Ledger
 from ggvs_eval.merged_results import join_versions
 from ggvs_eval.metrics.registry import METRICS, derived_rows, metric_notes, pooling_records, select_metrics
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method, split_label
-from ggvs_eval.pipelines.methods.spec import MethodSpec
+from ggvs_eval.pipelines.methods.spec import MethodSpec, OnlineMethod
 from ggvs_eval.pipelines.run.coverage import Coverage, read_coverage
 from ggvs_eval.pipelines.run.references import ceiling_jobs, read_ceilings, write_references
 from ggvs_eval.pipelines.run.score_path import PATH_VIEW, path_jobs, read_paths
@@ -24,6 +25,47 @@ from ggvs_eval.results import Absence, Results, describe_machine, installed_vers
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json, write_json
 
 METRICS_ON_DEVICE = "metrics"  # stands among the renders that are not the CPU's
+
+
+@dataclass(frozen=True)
+class Scores:
+    """What is measured of a run: jobs, made once, and their values when they are done.
+
+    Attributes:
+        run: the run folder.
+        labels: methods.
+        coverage: their frames.
+        views: a job per test view, for all methods.
+        ceilings: a job per test view, where the protocol wants them.
+        paths: a job per method along the camera path.
+        device: where metrics compute that can.
+    """
+
+    run: RunFolder
+    labels: tuple[str, ...]
+    coverage: Coverage
+    views: tuple[Job, ...]
+    ceilings: tuple[Job, ...]
+    paths: tuple[Job, ...]
+    device: str
+
+    @property
+    def jobs(self) -> tuple[Job, ...]:
+        """All, the longest first, so that all workers end at about the same time."""
+        return (*self.views, *self.ceilings, *self.paths)
+
+    def collect(self) -> Results:
+        """Collect all values, when every job is done, into the results of the run folder."""
+        paths = read_paths(self.paths)
+        results = _collect(self.run, self.run.protocol(), self.coverage, self.labels, paths)
+        if self.device != "cpu":
+            from ggvs_eval.compute_device import describe_device
+
+            results.provenance.setdefault("devices", {})[METRICS_ON_DEVICE] = describe_device(self.device)
+        results.write(self.run.root)
+        write_references(self.run, paths, read_ceilings(self.ceilings))
+        _write_shown_names(self.run, self.run.protocol(), self.labels)
+        return results
 
 
 def score(run: RunFolder, workers: Workers = 1, without: Collection[str] = (), device: str = "cpu") -> Results:
@@ -41,45 +83,37 @@ def score(run: RunFolder, workers: Workers = 1, without: Collection[str] = (), d
     Raises:
         RenderError: no renders, missing frames (all gaps are listed) or frames of the wrong size.
     """
-    protocol, labels = run.protocol(), [label for label in run.labels() if label not in without]
+    scores = plan_scores(run, [label for label in run.labels() if label not in without], None, device)
+    ledger = Ledger(run.root, "score")
+    ledger.write([job.entry for job in scores.jobs])
+    run_jobs(scores.jobs, workers, "scoring", ledger)
+    return scores.collect()
+
+
+def plan_scores(run: RunFolder, labels: Sequence[str], units: Collection[str] | None = None, device: str = "cpu") -> Scores:
+    """List the jobs that measure some methods.
+
+    Args:
+        run: a folder with truth and renders.
+        labels: methods.
+        units: test views, or ``path``, of which nothing may be missing; None for all.
+        device: where metrics compute that can.
+
+    Raises:
+        RenderError: no methods, or missing frames of these.
+    """
     if not labels:
         raise RenderError(
             f"{run.root}: nothing to score, renders/ is empty; run `ggvs-eval render` or give --renders NAME=FOLDER"
         )
-    coverage = _coverage(run, protocol, labels, protocol.views.test)
-    of_views = [view_job(run, protocol, coverage, labels, view, device) for view in protocol.views.test]
-    of_paths, of_ceilings = path_jobs(run, protocol, labels), ceiling_jobs(run, protocol)
-    jobs = [*of_views, *of_ceilings, *of_paths]  # the longest first, so that all workers end at about the same time
-    ledger = Ledger(run.root, "score")
-    ledger.write([job.entry for job in jobs])
-    run_jobs(jobs, workers, "scoring", ledger)
-    paths = read_paths(of_paths)
-    results = _collect(run, protocol, coverage, labels, paths)
-    if device != "cpu":
-        results.provenance.setdefault("devices", {})[METRICS_ON_DEVICE] = _described(device)
-    results.write(run.root)
-    write_references(run, paths, read_ceilings(of_ceilings))
-    _write_shown_names(run, protocol, labels)
-    return results
-
-
-def score_jobs(run: RunFolder, labels: Sequence[str], views: Sequence[str], device: str = "cpu") -> list[Job]:
-    """List the jobs of `score` for some methods and views, one per view, so that a sweep can run those of many runs at once.
-
-    Raises:
-        RenderError: missing frames of these.
-    """
     protocol = run.protocol()
-    coverage = _coverage(run, protocol, labels, views)
-    return [view_job(run, protocol, coverage, labels, view, device) for view in views]
-
-
-def _coverage(run: RunFolder, protocol: Protocol, labels: Sequence[str], views: Sequence[str]) -> Coverage:
-    """The frames of some methods in some views, none of which is missing."""
-    frames = protocol.frames.numbers
-    coverage = read_coverage(run, frames, labels)
+    views = [view for view in protocol.views.test if units is None or view in units]
+    coverage = read_coverage(run, protocol.frames.numbers, labels)
     coverage.require(run, views, labels)
-    return coverage
+    of_views = (view_job(run, protocol, coverage, labels, view, device) for view in views)
+    of_paths = path_jobs(run, protocol, labels) if units is None or PATH_VIEW in units else []
+    ceilings = ceiling_jobs(run, protocol, views)
+    return Scores(run, tuple(labels), coverage, tuple(of_views), tuple(ceilings), tuple(of_paths), device)
 
 
 def _collect(
@@ -181,12 +215,6 @@ def _render_records(run: RunFolder, renders: Sequence[str]) -> dict[str, dict[st
     return {render: read_json(file) for render, file in files.items() if file.is_file()}
 
 
-def _described(device: str) -> str:
-    from ggvs_eval.compute_device import compute_device, describe_device
-
-    return describe_device(compute_device(device))
-
-
 def _method_of(label: str) -> MethodSpec | None:
     """What the registry has under a label; None for frames that were rendered elsewhere."""
     try:
@@ -202,7 +230,7 @@ def _write_shown_names(run: RunFolder, protocol: Protocol, labels: Sequence[str]
     ours = [label for label in specs if specs[label].ours]
     looks = [label for label in specs if not specs[label].online]
     ahead = {"look_ahead": looks} if looks else {}
-    nearest = [label for label in specs if not specs[label].fitter and specs[label].splats is None]
+    nearest = [label for label in specs if isinstance(specs[label], OnlineMethod)]
     names = {"labels": list(labels), "names": titles, "ours": ours, "from_sources": nearest}
     write_json(run.root / "methods.json", names | ahead)
     notes = metric_notes(protocol.measurement.metrics, metric_options(protocol.measurement))

@@ -5,98 +5,70 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 from ggvs_eval.depth_store import DepthStore
 from ggvs_eval.errors import ProtocolError, ResultsError
+from ggvs_eval.pipelines.methods.render_unit import PATH
 from ggvs_eval.pipelines.run.disocclusion import mask_files
 from ggvs_eval.pipelines.run.frame_cache import frames_left, path_left
 from ggvs_eval.pipelines.run.path_depth import path_files, poses_left
-from ggvs_eval.pipelines.run.render import needed_fits, render_jobs
 from ggvs_eval.pipelines.run.run_plan import RunPlan
-from ggvs_eval.progress import duration
+from ggvs_eval.progress import counted, duration
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
 
 # Bytes per pixel: depth as it is stored, PNG of frames with and without sensor noise as on the demo.
 DEPTH_BYTES, TRUTH_BYTES, RENDER_BYTES, PATH_DEPTH_BYTES = 5.0, 2.1, 1.5, 4.0
 PAGE_SHARE = 0.3  # of the renders; a page keeps small copies of them
 GB = 1e9
+Kind = Literal["truth", "depth", "checked depth", "mask", "path depth", "fit", "render", "path render", "score"]
 
 
 @dataclass(frozen=True)
-class WorkLeft:
-    """Remaining work of one run: missing frames, by the folders they will lie in.
+class Piece:
+    """A part of the remaining work: files that are missing in one folder, or a scene to fit.
 
     Attributes:
-        n_pixels: of a frame.
-        truth: captured frames of every camera that takes part, and along the path.
-        found_depth: depth maps as they are found.
-        checked_depth: depth maps that are held against others.
-        disoccluded: masks of every test view.
-        path_depth: poses.
-        renders: (label, folder) -> frames of a test view.
-        path_renders: (label, folder) -> poses.
-        scores: frames of every test view.
-        ceilings: likewise.
-        fits: scenes to fit, by their folders.
+        kind: of what.
+        folder: where they will lie; runs that share it have the piece in common.
+        count: how many.
+        n_bytes: of all of them.
+        label: of the method that renders them.
     """
 
-    n_pixels: int
-    truth: Mapping[Path, int]
-    found_depth: Mapping[Path, int]
-    checked_depth: Mapping[Path, int]
-    disoccluded: Mapping[Path, int]
-    path_depth: int
-    renders: Mapping[tuple[str, Path], int] = field(default_factory=dict)
-    path_renders: Mapping[tuple[str, Path], int] = field(default_factory=dict)
-    scores: Mapping[Path, int] = field(default_factory=dict)
-    ceilings: Mapping[Path, int] = field(default_factory=dict)
-    fits: frozenset[Path] = frozenset()
-
-    @property
-    def n_depth(self) -> int:
-        """Depth maps, both kinds."""
-        return sum(self.found_depth.values()) + sum(self.checked_depth.values())
-
-    @property
-    def n_rendered(self) -> int:
-        """Frames to synthesise."""
-        return sum(self.renders.values()) + sum(self.path_renders.values())
-
-    def is_nothing(self) -> bool:
-        """Tell whether everything is done."""
-        counts = (self.truth, self.disoccluded, self.scores)
-        return not (self.n_depth or self.n_rendered or self.path_depth or self.fits or any(sum(each.values()) for each in counts))
+    kind: Kind
+    folder: Path
+    count: int
+    n_bytes: float = 0.0
+    label: str = ""
 
 
 @dataclass(frozen=True)
 class Workload:
-    """Remaining work of a run, or of several that share their frames.
+    """Remaining work of a run, or of several.
 
     Attributes:
         title: frames, views, methods, size.
-        left: of each run.
+        pieces: of all runs, each once.
         folder: where the runs go.
         frame_seconds: method -> seconds of a frame, as its jobs that are done took; methods without one are missing.
         jobs: processes.
     """
 
     title: str
-    left: tuple[WorkLeft, ...]
+    pieces: tuple[Piece, ...]
     folder: Path
     frame_seconds: Mapping[str, float] = field(default_factory=dict)
     jobs: int = 1
 
+    def count(self, *kinds: Kind) -> int:
+        """How much is left of some kinds."""
+        return sum(piece.count for piece in self.pieces if piece.kind in kinds)
+
     @property
     def disk_bytes(self) -> float:
-        """Bytes that the runs will still write; what they share counts once."""
-        shared: dict[Path, float] = {}
-        other = 0.0
-        for each in self.left:
-            depth = {**each.found_depth, **each.checked_depth}
-            shared |= {folder: n * each.n_pixels * TRUTH_BYTES for folder, n in each.truth.items()}
-            shared |= {folder: n * each.n_pixels * DEPTH_BYTES for folder, n in depth.items()}
-            other += each.n_pixels * (each.n_rendered * RENDER_BYTES * (1 + PAGE_SHARE) + each.path_depth * PATH_DEPTH_BYTES)
-        return sum(shared.values()) + other
+        """Bytes that the runs will still write."""
+        return sum(piece.n_bytes for piece in self.pieces)
 
     @property
     def free_bytes(self) -> int:
@@ -105,24 +77,25 @@ class Workload:
 
     def is_nothing(self) -> bool:
         """Tell whether everything is done."""
-        return all(each.is_nothing() for each in self.left)
+        return not self.pieces
 
     def describe(self) -> str:
         """A few lines; none where everything is done."""
         if self.is_nothing():
             return ""
-        depth_maps: dict[Path, int] = {}
-        truth: dict[Path, int] = {}
-        for each in self.left:
-            depth_maps |= {**each.found_depth, **each.checked_depth}
-            truth |= each.truth
-        rendered = sum(each.n_rendered for each in self.left)
-        n_fits = len({folder for each in self.left for folder in each.fits})
-        fits = f", {n_fits} scene{'' if n_fits == 1 else 's'} to fit" if n_fits else ""
-        n_truth = sum(truth.values())
-        decoded = f", {n_truth} captured frame{'' if n_truth == 1 else 's'} to decode" if n_truth else ""
+        parts = [
+            f"{self.count('render', 'path render')} frames to render",
+            f"{self.count('depth', 'checked depth')} depth maps",
+        ]
+        views = sum(piece.kind == "score" for piece in self.pieces)
+        others = [
+            (self.count("truth"), "captured frame", "decode"),
+            (self.count("fit"), "scene", "fit"),
+            (views, "view", "score"),
+        ]
+        parts += [f"{counted(count, noun)} to {doing}" for count, noun, doing in others if count]
         lines = [
-            f"plan: {self.title}; left are {rendered} frames to render, {sum(depth_maps.values())} depth maps{decoded}{fits}",
+            f"plan: {self.title}; left are {', '.join(parts)}",
             f"disk: about {_size(self.disk_bytes)} more in {self.folder}, {_size(self.free_bytes)} free",
         ]
         return "\n".join([*lines, *self._time_line()])
@@ -130,9 +103,9 @@ class Workload:
     def _time_line(self) -> list[str]:
         """Estimate how long rendering takes, by jobs that are done; nothing where none is."""
         frames: dict[str, int] = defaultdict(int)
-        for each in self.left:
-            for (label, _), count in (*each.renders.items(), *each.path_renders.items()):
-                frames[label] += count
+        for piece in self.pieces:
+            if piece.label:
+                frames[piece.label] += piece.count
         timed = {label: count for label, count in frames.items() if count and label in self.frame_seconds}
         if not timed:
             return []
@@ -168,47 +141,47 @@ def count_work(plans: Sequence[RunPlan], folder: Path, jobs: int = 1) -> Workloa
         for label in plan.request.labels:
             seconds[label] += _frame_seconds(plan, label)
     means = {label: sum(values) / len(values) for label, values in seconds.items() if values}
-    return Workload(_title(plans), tuple(work_left(plan) for plan in plans), folder, means, jobs)
+    pieces = {(piece.kind, piece.folder): piece for plan in plans for piece in work_left(plan)}
+    return Workload(_title(plans), tuple(pieces.values()), folder, means, jobs)
 
 
-def work_left(plan: RunPlan) -> WorkLeft:
-    """Count what one run lacks."""
-    run, request, store = plan.run, plan.request, DepthStore(plan.shared_root / "depth")
-    masks = plan.plans if any(name.endswith("_disoccluded") for name in plan.protocol.measurement.metrics) else ()
-    renders: dict[tuple[str, Path], int] = {}
-    path_renders: dict[tuple[str, Path], int] = {}
-    for label in request.labels:
-        for job in render_jobs(plan, [label], 1, request.networks):
-            along_path = job.folder.parent == run.path("")
-            unit = "path" if along_path else job.folder.name
-            if (request.views is None or unit in request.views) and not job.is_done():
-                target = path_renders if along_path else renders
-                target[label, job.folder] = len(plan.path) if along_path else len(plan.frames)
-    stale = {folder.name for _, folder in renders}
-    scored = [view for view in plan.plans if request.labels and (request.views is None or view in request.views)]
-    unscored = [view for view in scored if view in stale or not _is_scored(run, view, request.labels)]
-    without = [view for view in scored if plan.protocol.measurement.ceilings and not (run.ceilings(view) / JOB_FILE).is_file()]
-    width, height = plan.capture.cameras[0].size
-    return WorkLeft(
-        width * height,
-        _truth_left(plan),
-        *_depth_left(plan, store),
-        {run.disoccluded(view): _masks_left(plan, view) for view in masks},
-        _poses_left(plan),
-        renders,
-        path_renders,
-        {run.scores(view): len(plan.frames) for view in unscored},
-        {run.ceilings(view): len(plan.frames) for view in without},
-        frozenset(
-            job.folder for job in needed_fits(plan, request.labels, 1, request.networks, request.views) if not job.is_done()
-        ),
-    )
+def work_left(plan: RunPlan) -> list[Piece]:
+    """List what one run lacks."""
+    width, height = plan.original.cameras[0].size
+    n_pixels, run, of_path = width * height, plan.run, len(plan.path)
+    pieces: list[Piece] = []
+
+    def add(kind: Kind, folder: Path, count: int, bytes_per_pixel: float = 0.0, label: str = "") -> None:
+        if count:
+            pieces.append(Piece(kind, folder, count, count * n_pixels * bytes_per_pixel, label))
+
+    for folder, count in _truth_left(plan).items():
+        add("truth", folder, count, TRUTH_BYTES)
+    for kind, counts in _depth_left(plan, DepthStore(plan.shared_root / "depth")).items():
+        for folder, count in counts.items():
+            add(kind, folder, count, DEPTH_BYTES)
+    if any(name.endswith("_disoccluded") for name in plan.protocol.measurement.metrics):
+        for view in plan.plans:
+            add("mask", run.disoccluded(view), _masks_left(plan, view))
+    add("path depth", run.path_depth, _poses_left(plan), PATH_DEPTH_BYTES)
+    for fit in plan.jobs.needed_fits:
+        add("fit", fit.folder, int(not fit.is_done()))
+    missing = [job for job in plan.jobs.render if not job.is_done()]
+    for job in missing:
+        along_path = job.units == (PATH,)
+        count = of_path if along_path else len(plan.frames)
+        add("path render" if along_path else "render", job.folder, count, RENDER_BYTES * (1 + PAGE_SHARE), job.label)
+    stale, views = {unit for job in missing for unit in job.units}, plan.request.views
+    for view in plan.plans if plan.methods else ():
+        if (views is None or view in views) and (view in stale or not _is_scored(run, view, [*plan.methods])):
+            add("score", run.scores(view), len(plan.frames))
+    return pieces
 
 
 def _truth_left(plan: RunPlan) -> dict[Path, int]:
     """Captured frames that are missing or were changed, of each camera and along the path."""
     root, images, folder = plan.shared_root / "truth", plan.path_images, plan.run.path("truth")
-    left = {root / name: len(frames) for name, frames in frames_left(plan.capture, plan.frames_of_cameras(), root).items()}
+    left = {root / name: len(frames) for name, frames in frames_left(plan.original, plan.frames_of_cameras(), root).items()}
     if images is not None:
         left[folder] = len(path_left(images, plan.path[0].target.size, plan.protocol.synthesis.resize_filter, folder))
     return left
@@ -227,7 +200,7 @@ def _poses_left(plan: RunPlan) -> int:
     return len(poses_left(path_files(plan.run.path_depth, plan.capture, poses, plan.path_frame), len(poses)))
 
 
-def _depth_left(plan: RunPlan, store: DepthStore) -> tuple[dict[Path, int], dict[Path, int]]:
+def _depth_left(plan: RunPlan, store: DepthStore) -> dict[Kind, dict[Path, int]]:
     """Missing depth maps by folder of the store: as found, and held against others."""
     unchecked: dict[Path, int] = {}
     checked: dict[Path, int] = {}
@@ -236,7 +209,7 @@ def _depth_left(plan: RunPlan, store: DepthStore) -> tuple[dict[Path, int], dict
             missing = _count(store, job.key, frames, checked if job.checked_with else unchecked)
             for other in (job.unchecked, *job.checked_with) if job.checked_with and missing else ():
                 _count(store, other.key, frames, unchecked)
-    return unchecked, checked
+    return {"depth": unchecked, "checked depth": checked}
 
 
 def _count(store: DepthStore, key: str, frames: Sequence[int], counts: dict[Path, int]) -> int:
@@ -269,7 +242,7 @@ def _frame_seconds(plan: RunPlan, label: str) -> list[float]:
 def _title(plans: Sequence[RunPlan]) -> str:
     """Describe the runs in one line."""
     first = plans[0]
-    width, height = first.capture.cameras[0].size
+    width, height = first.original.cameras[0].size
     labels = first.request.labels
     methods = f" x {len(labels)} methods" if labels else ""
     many = f"{len(plans)} runs of " if len(plans) > 1 else ""

@@ -18,6 +18,7 @@ from ggvs_eval.metrics.path_scores import score_path
 from ggvs_eval.metrics.registry import METRICS, derived_rows, scored_by_view, select_metrics
 from ggvs_eval.metrics.stream import fit_colour_maps, score_view
 from ggvs_eval.pipelines.run.score_code import PATH_SCORES, metric_code
+from ggvs_eval.pipelines.run.score_view import fresh_metrics
 from ggvs_eval.pipelines.study.clips import Clip, Take
 from ggvs_eval.pipelines.study.ladders import LADDERS, OF_FRAMES, Ladder
 from ggvs_eval.pipelines.study.rendered_ladders import EXCHANGES, sources_at
@@ -85,9 +86,9 @@ def _still_valid(record_file: Path, identity: Mapping[str, Any]) -> dict[str, st
     if not record_file.is_file():
         return {}
     known = read_json(record_file)["identity"]
-    if {**known, "metrics": {}} != {**identity, "metrics": {}}:
-        return {}
-    return {name: code for name, code in known["metrics"].items() if name in METRICS and code == _code(METRICS[name])}
+    codes = {name: _code(METRICS[name]) for name in known["metrics"] if name in METRICS}
+    fresh = fresh_metrics(known, {**identity, "metrics": codes})
+    return {name: code for name, code in codes.items() if name in fresh}
 
 
 def strengths_of(ladder: Ladder | None) -> tuple[float, ...]:
@@ -107,7 +108,7 @@ def _code(metric: Metric) -> str:
 def _measure(record_file: Path, take: Take, name: str, identity: dict[str, Any], _folder: Path) -> dict[str, Any]:
     """Measure what is stale; all other values stay."""
     kept = read_json(record_file) if record_file.is_file() else {"identity": {}, "levels": []}
-    fresh = _fresh(kept["identity"], identity)
+    fresh = fresh_metrics(kept["identity"], identity)
     stale = tuple(metric for metric in identity["metrics"] if metric not in fresh)
     ladder, seed = LADDERS.get(name), identity["seed"]
     levels = []
@@ -121,13 +122,6 @@ def _measure(record_file: Path, take: Take, name: str, identity: dict[str, Any],
             }
         )
     return {"levels": levels}
-
-
-def _fresh(known: Mapping[str, Any], wanted: Mapping[str, Any]) -> set[str]:
-    """Metrics whose values stand."""
-    if {**known, "metrics": {}} != {**wanted, "metrics": {}}:
-        return set()
-    return {name for name, code in wanted["metrics"].items() if known["metrics"].get(name) == code}
 
 
 def _at(take: Take, ladder: Ladder | None, strength: float, seed: int, metrics: Sequence[str]) -> tuple[Numbers, Reasons]:

@@ -17,9 +17,10 @@ from ggvs_eval.files.images import resize
 from ggvs_eval.jobs.code_identity import code_identity
 from ggvs_eval.jobs.engine import Workers
 from ggvs_eval.jobs.job import Job, run_jobs
+from ggvs_eval.pipelines.methods.render_unit import SourcePlan
 from ggvs_eval.pipelines.run.path_depth import read_path_depth, write_path_depth
 from ggvs_eval.pipelines.run.prepare import prepare_run
-from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, SourcePlan, plan_run
+from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
 from ggvs_eval.pipelines.study.captures import open_footage, prepare_views, study_protocol
 from ggvs_eval.pipelines.study.clips import Clip, SourceClip, Take, write_take
 from ggvs_eval.pipelines.study.rendered_ladders import render, require_sources

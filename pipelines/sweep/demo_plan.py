@@ -1,6 +1,6 @@
 """Plans of the demo rooms: as they are rendered, or before that, of cameras without frames."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,13 +9,6 @@ from ggvs_eval.camera import Camera
 from ggvs_eval.capture import Capture
 from ggvs_eval.datasets.units import DEMO_NOTES
 from ggvs_eval.errors import CaptureError
-from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
-from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
-from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
-from ggvs_eval.pipelines.sweep.demo_runs import K_PROTOCOL, capture_beside, demo_root, k_root, k_sweep
-from ggvs_eval.pipelines.sweep.run_sweep import plan_runs
-from ggvs_eval.protocol import load_protocol
-from ggvs_eval.synthetic.demo import DEMO_ROOMS, MAIN
 from ggvs_eval.synthetic.film.options import DemoOptions
 from ggvs_eval.synthetic.film.rig import in_metres
 from ggvs_eval.synthetic.film.shots import rig_shots
@@ -90,29 +83,3 @@ def renders_first(captures: Iterable[Capture]) -> list[str]:
         what = f"{len(capture.cameras)} cameras x {capture.n_frames} frames at {width} x {height}"
         lines.append(f"demo: is rendered first, {what}, into {capture.path}")
     return lines
-
-
-def plan_demos(
-    root: Path,
-    labels: Mapping[str, Sequence[str]],
-    open_demo: Callable[[Path], Capture],
-    depth: DepthRunOptions | None = None,
-    networks: NetworkOptions = AS_SHIPPED,
-) -> Iterator[list[RunPlan]]:
-    """The runs of each demo room, and those over K, as `evaluate_demos` makes them; nothing is written.
-
-    Args:
-        root: run folder of the main room.
-        labels: name of a room -> its methods.
-        open_demo: opens the folder of a capture that was rendered already.
-        depth: how depth is found.
-        networks: with which weights and where networks compute.
-    """
-    for name, options in DEMO_ROOMS.items():
-        place = demo_root(root, name)
-        capture = demo_to_plan(capture_beside(place), options, open_demo)
-        yield [plan_run(RunRequest(place, capture, load_protocol(name), labels[name], depth, networks))]
-    if (sweep := k_sweep(labels[MAIN])).row:
-        main = demo_to_plan(capture_beside(root), DEMO_ROOMS[MAIN], open_demo)
-        over_k = plan_runs(k_root(root), {"": (main, load_protocol(K_PROTOCOL))}, sweep, depth, networks)
-        yield [replace(plan, request=replace(plan.request, shared=root)) for plan in over_k]

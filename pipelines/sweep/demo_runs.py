@@ -1,29 +1,30 @@
 """The demo rooms evaluated one after another, the figure over K, and one page of all: `ggvs-eval run` without a capture."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
 from ggvs_eval.capture import Capture
 from ggvs_eval.errors import RenderError
-from ggvs_eval.jobs.engine import Workers, as_engine
+from ggvs_eval.jobs.engine import Workers
+from ggvs_eval.jobs.ledger import Failure
 from ggvs_eval.jobs.pace import pace
 from ggvs_eval.jobs.processes import kept_workers
 from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED, NetworkOptions
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.run.evaluate import measure, report
-from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
+from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
 from ggvs_eval.pipelines.run.work_left import count_work
-from ggvs_eval.pipelines.sweep.cells import SHARED_FOLDERS
-from ggvs_eval.pipelines.sweep.run_sweep import ShowPlans, run_sweep
+from ggvs_eval.pipelines.sweep.run_sweep import SweepPlan, plan_cells, run_sweep
 from ggvs_eval.progress import duration
 from ggvs_eval.protocol import load_protocol
 from ggvs_eval.run_folder import RunFolder
 from ggvs_eval.sweep import Sweep, load_sweep
-from ggvs_eval.synthetic.demo import DEMO_ROOMS, MAIN, write_demo
+from ggvs_eval.synthetic.demo import DEMO_ROOMS, MAIN
 from ggvs_eval.synthetic.film.options import DemoOptions
 
+Film = Callable[[Path, DemoOptions], Capture]
 K_PROTOCOL = "demo-k"
 FEW = ("no-blending", "distance-based", "ours")
 # Seconds of filming and evaluating each room by the usual methods, and over K, times the cores: at `pace` 1.
@@ -35,31 +36,44 @@ SMALL_ROOMS_METHODS = {
 }
 
 
-@kept_workers()
-def evaluate_demos(
+def demo_plans(
     root: Path,
     labels: Mapping[str, Sequence[str]],
-    workers: Workers,
-    open_demo: Callable[[Path], Capture],
+    film: Film,
     depth: DepthRunOptions | None = None,
     networks: NetworkOptions = AS_SHIPPED,
     rooms: Mapping[str, DemoOptions] = MappingProxyType(DEMO_ROOMS),
-    show_plans: ShowPlans = lambda _: None,
-    show: Callable[[Path], None] = lambda _: None,
-) -> Path:
-    """Film and evaluate every demo room, the main one also over K; a second call does only what is missing.
-
-    The page is there as soon as the first room is evaluated, and grows with every further one.
+) -> Iterator[RunPlan | SweepPlan]:
+    """Plan the run of every demo room as soon as it is filmed, and the main one's sweep over K.
 
     Args:
         root: run folder of the main room; the others' lie beside it, and each capture beside its run.
         labels: name of a room -> its methods, see `room_labels`.
-        workers: where jobs run.
-        open_demo: opens the folder of a capture.
+        film: gives the capture of a folder: films it, or plans it.
         depth: how depth is found.
         networks: with which weights and where networks compute.
         rooms: name of the protocol -> what is rendered.
-        show_plans: is called before each evaluation, with the plans of its runs.
+    """
+    for name, options in rooms.items():
+        place = demo_root(root, name)
+        capture = film(capture_beside(place), options)
+        yield plan_run(RunRequest(place, capture, load_protocol(name), labels[name], depth, networks))
+    if (sweep := k_sweep(labels[MAIN])).row:
+        main = film(capture_beside(root), rooms[MAIN])
+        yield plan_cells(k_root(root), {"": (main, load_protocol(K_PROTOCOL))}, sweep, depth, networks, shared=root)
+
+
+@kept_workers()
+def evaluate_demos(
+    planned: Iterable[RunPlan | SweepPlan], workers: Workers, show: Callable[[Path], None] = lambda _: None
+) -> Path:
+    """Evaluate every demo room, the main one also over K; a second call does only what is missing.
+
+    The page is there as soon as the first room is evaluated, and grows with every further one.
+
+    Args:
+        planned: see `demo_plans`; each is made when the one before is done.
+        workers: where jobs run.
         show: is called with the page whenever it has grown, but for the last time.
 
     Returns:
@@ -68,24 +82,22 @@ def evaluate_demos(
     Raises:
         RenderError: a run over K failed; the page is there without it.
     """
-    roots = {name: demo_root(root, name) for name in rooms}
-    jobs = as_engine(workers).jobs
-    for number, (name, options) in enumerate(rooms.items(), 1):
-        capture = open_demo(write_demo(capture_beside(roots[name]), options, jobs))
-        plan = plan_run(RunRequest(roots[name], capture, load_protocol(name), labels[name], depth, networks))
-        show_plans([plan])
-        is_new = not count_work([plan], root, jobs).is_nothing()
-        measure(plan, workers)
+    roots: list[Path] = []
+    tables: list[Path] = []
+    failures: tuple[Failure, ...] = ()
+    for each in planned:
+        if isinstance(each, SweepPlan):
+            result = run_sweep(each, workers)
+            failures, tables = result.failures, [] if result.table.empty else [each.root]
+            continue
+        is_new = not count_work([each], each.run.root).is_nothing()
+        measure(each, workers)
+        roots.append(each.run.root)
         if is_new:
-            show(report([*roots.values()][:number], with_figures=False))
-    if not (sweep := k_sweep(labels[MAIN])).row:
-        return report([*roots.values()])
-    swept, protocol, capture = k_root(root), load_protocol(K_PROTOCOL), open_demo(capture_beside(root))
-    _share_prepared(root, swept)
-    result = run_sweep(swept, capture, sweep, protocol, workers, depth, networks, show_plans=show_plans)
-    page = report([*roots.values()], tables_of=[] if result.table.empty else [swept])
-    if result.failures:
-        raise RenderError(f"{swept}: {len(result.failures)} failed, first {result.failures[0]}; the same call tries again")
+            show(report(roots, with_figures=False))
+    page = report(roots, tables_of=tables)
+    if failures:
+        raise RenderError(f"{k_root(roots[0])}: {len(failures)} failed, first {failures[0]}; the same call tries again")
     return page
 
 
@@ -138,11 +150,3 @@ def k_sweep(labels: Sequence[str]) -> Sweep:
 def capture_beside(root: Path) -> Path:
     """Return the folder of the capture of a demo's run."""
     return root.with_name(f"{root.name}-capture")
-
-
-def _share_prepared(root: Path, sweep: Path) -> None:
-    """Let a sweep find frames and depth of a run beside it."""
-    sweep.mkdir(parents=True, exist_ok=True)
-    for name in SHARED_FOLDERS:
-        if not (sweep / name).exists():
-            (sweep / name).symlink_to(Path("..") / root.name / name, target_is_directory=True)

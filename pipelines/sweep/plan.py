@@ -6,14 +6,15 @@ from pathlib import Path
 from typing import Any
 
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions
-from ggvs_eval.pipelines.sweep.cells import PATH, Captures, Cell, sweep_cells, units_of
+from ggvs_eval.pipelines.methods.render_unit import PATH
+from ggvs_eval.pipelines.sweep.cells import Captures, Cell, sweep_cells, units_of
 from ggvs_eval.run_folder import write_json
 from ggvs_eval.sweep import Sweep
 
 PREPARE, TABLE = "prepare", "table"
 
 
-def plan_sweep(
+def write_commands(
     file: Path, root: Path, captures: Captures, sweep: Sweep, networks: NetworkOptions, command: Sequence[str]
 ) -> Path:
     """Write a JSON plan: a job that prepares, one per run and view, and one that makes the table.
@@ -24,7 +25,7 @@ def plan_sweep(
     Args:
         file: to write.
         root: folder of the sweep.
-        captures: as of `run_sweeps`; a single one needs no folder of its own.
+        captures: as of `plan_cells`.
         sweep: rows and variants.
         networks: with which weights and where networks compute.
         command: the words that run the whole sweep.
@@ -35,7 +36,7 @@ def plan_sweep(
     Raises:
         ProtocolError: no row can be computed.
     """
-    cells, _ = sweep_cells(root, captures if len(captures) > 1 else {"": next(iter(captures.values()))}, sweep, networks)
+    cells, _ = sweep_cells(root, captures, sweep, None, networks)
     units = units_of(cells)
     ids = [f"{cell.name}/{view}" for cell, view in units]
     views = [
@@ -43,7 +44,7 @@ def plan_sweep(
         for number, (name, (cell, view)) in enumerate(zip(ids, units, strict=True), start=1)
     ]
     first = _job(PREPARE, [*command, "--shard", f"0/{len(units)}"], [], [str(cell.run.root) for cell in cells])
-    last = _job(TABLE, [*command], ids, [str(cells[0].root / "sweep.csv")])
+    last = _job(TABLE, [*command], ids, [str(root / "sweep.csv")])
     write_json(file, {"jobs": [first, *views, last]})
     return file
 
@@ -71,5 +72,5 @@ def _job(name: str, command: Sequence[str], after: Sequence[str], makes: Sequenc
 
 def _folders(cell: Cell, view: str) -> list[str]:
     """List the folders that a unit's results go into."""
-    renders = [cell.run.path(label) if view == PATH else cell.run.renders(label, view) for label in cell.synthesised]
+    renders = [cell.run.path(label) if view == PATH else cell.run.renders(label, view) for label in cell.request.labels]
     return [str(folder) for folder in (renders if view == PATH else [*renders, cell.run.scores(view)])]

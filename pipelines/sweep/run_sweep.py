@@ -1,17 +1,15 @@
 """Run a sweep: the whole evaluation once per capture and variant of the protocol, and one table of all of them."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from ggvs_eval.capture import Capture
 from ggvs_eval.errors import ProtocolError
 from ggvs_eval.files.atomic import atomic_file, locked
-from ggvs_eval.jobs.engine import Engine, Workers, as_engine
+from ggvs_eval.jobs.engine import Workers, as_engine
 from ggvs_eval.jobs.ledger import Failure
 from ggvs_eval.jobs.processes import kept_workers
 from ggvs_eval.jobs.shard import WHOLE, Shard
@@ -20,17 +18,13 @@ from ggvs_eval.pipelines.methods.registry import split_label
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.run.coverage import read_import
 from ggvs_eval.pipelines.run.run_plan import RunPlan, plan_run
-from ggvs_eval.pipelines.run.score import score
-from ggvs_eval.pipelines.sweep.cells import Captures, Cell, share_of, sweep_cells
-from ggvs_eval.pipelines.sweep.stages import attempt, import_cells, plan_cells, prepare_cells, render_cells, score_cells
-from ggvs_eval.protocol import Protocol
-from ggvs_eval.results import Results
+from ggvs_eval.pipelines.run.score import Scores
+from ggvs_eval.pipelines.run.stages import Stages, attempt, measure_runs
+from ggvs_eval.pipelines.sweep.cells import Captures, Cell, shard_cells, sweep_cells
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
-from ggvs_eval.sweep import Sweep, SweepRow
+from ggvs_eval.sweep import Sweep
 
 LINE_NAMES = ("capture", "variant", "method")  # of a line of the table, as far as it needs them
-
-ShowPlans = Callable[[Sequence[RunPlan]], None]
 
 
 @dataclass(frozen=True)
@@ -50,146 +44,88 @@ class SweepResult:
     failures: tuple[Failure, ...] = ()
 
 
-@kept_workers()
-def run_sweeps(
+@dataclass(frozen=True)
+class SweepPlan:
+    """A sweep as it will be made.
+
+    Attributes:
+        root: folder of the sweep; each variant is a run folder in it.
+        cells: all runs.
+        absent: title of a row that cannot be computed -> reason.
+        shard: which units are rendered and scored; only the whole has a table.
+        plans: of the runs that the shard works on.
+        failures: why others of these cannot be made.
+    """
+
+    root: Path
+    cells: tuple[Cell, ...]
+    absent: dict[str, str]
+    shard: Shard
+    plans: tuple[RunPlan, ...]
+    failures: tuple[Failure, ...]
+
+
+def plan_cells(
     root: Path,
     captures: Captures,
     sweep: Sweep,
-    workers: Workers,
     depth: DepthRunOptions | None = None,
     networks: NetworkOptions = AS_SHIPPED,
     shard: Shard = WHOLE,
-    show_plans: ShowPlans = lambda _: None,
-) -> SweepResult:
-    """Run a sweep on several captures, each in a folder of its own, and give their means beside the single tables.
+    shared: Path | None = None,
+) -> SweepPlan:
+    """Plan every row under every variant; nothing is written.
 
     Args:
-        root: folder of the sweeps.
-        captures: name of the capture's folder in it -> the capture, and what its variants start from.
+        root: folder of the sweep.
+        captures: name of the capture's folder in it -> the capture, and what its variants start from; a single one needs no name.
         sweep: rows and variants.
-        workers: where jobs run.
         depth: how depth is found, see `DepthRunOptions`.
         networks: with which weights and where networks compute.
-        shard: which views are rendered and scored; only the whole has a table.
-        show_plans: is called with the plans of the runs before anything is written.
-
-    Returns:
-        The table's first level is the capture; ``mean`` is the mean over the captures, of lines that all of them have.
+        shard: which units are rendered and scored.
+        shared: folder whose frames and depth all runs use; by default those of one capture have them in common, and fits, so that
+            K = 2 finds what K = 6 has computed.
 
     Raises:
-        ProtocolError: captures whose protocols measure differently, so that a mean says nothing; or no row can be computed.
+        ProtocolError: no row can be computed, or captures that are not measured alike.
     """
     kinds = {protocol.measurement for _, protocol in captures.values()}
     if len(kinds) != 1:
         raise ProtocolError(f"{root}: wanted captures that are measured alike, got {len(kinds)} kinds; name one with --protocol")
-    result = _run(root, captures, sweep, as_engine(workers), depth, networks, shard, show_plans)
-    if result.table.empty:
-        return result
-    lines = result.table.groupby(level=["variant", "method"], sort=False)
-    means = lines.mean()[lines.size() == len(captures)]
-    table = pd.concat([result.table, pd.concat({"mean": means}, names=["capture"])])
-    _write_table(table, root)
-    return replace(result, table=table)
+    cells, absent = sweep_cells(root, captures, sweep, depth, networks, shared)
+    failures: list[Failure] = []
+    tried = [attempt(f"prepare {cell.name}", partial(plan_run, cell.request), failures) for cell in shard_cells(cells, shard)]
+    return SweepPlan(root, tuple(cells), absent, shard, tuple(plan for plan in tried if plan is not None), tuple(failures))
 
 
 @kept_workers()
-def run_sweep(
-    root: Path,
-    capture: Capture,
-    sweep: Sweep,
-    protocol: Protocol,
-    workers: Workers,
-    depth: DepthRunOptions | None = None,
-    networks: NetworkOptions = AS_SHIPPED,
-    shard: Shard = WHOLE,
-    show_plans: ShowPlans = lambda _: None,
-) -> SweepResult:
-    """Evaluate every row under every variant; what exists is not computed again, and what fails does not stop the rest.
+def run_sweep(planned: SweepPlan, workers: Workers) -> SweepResult:
+    """Evaluate what is planned; what exists is not computed again, and what fails does not stop the rest.
 
-    Frames and depth are shared between the variants, so that K = 2 finds what K = 6 has computed.
-
-    Args:
-        root: folder of the sweep; each variant is a run folder in it.
-        capture: what to evaluate on.
-        sweep: rows and variants.
-        protocol: what the variants start from.
-        workers: where jobs run.
-        depth: how depth is found, see `DepthRunOptions`.
-        networks: with which weights and where networks compute.
-        shard: which views are rendered and scored; only the whole has a table.
-        show_plans: is called with the plans of the runs before anything is written.
-
-    Raises:
-        ProtocolError: no row can be computed.
+    Of several captures the means stand beside the single tables.
     """
-    result = _run(root, {"": (capture, protocol)}, sweep, as_engine(workers), depth, networks, shard, show_plans)
-    if result.table.empty:
-        return result
-    table = result.table.droplevel("capture")
-    _write_table(table, root)
-    return replace(result, table=table)
-
-
-def _run(
-    root: Path,
-    captures: Captures,
-    sweep: Sweep,
-    engine: Engine,
-    depth: DepthRunOptions | None,
-    networks: NetworkOptions,
-    shard: Shard,
-    show_plans: ShowPlans,
-) -> SweepResult:
-    """Every stage for all runs, then a line per run and row of which nothing is missing."""
-    cells, absent = sweep_cells(root, captures, sweep, networks)
-    runs = {cell.name: cell.run.root for cell in cells}
-    taken, share = _shard_cells(cells, shard)
-    plans, failures = plan_cells(taken, depth, networks, share)
-    show_plans(list(plans.values()))
-    ready, unprepared = prepare_cells(taken, plans, engine)
-    failures += unprepared
-    imported, refused = import_cells(taken, ready, engine)
-    failures += refused
-    if shard.prepares_only or not taken:
-        return SweepResult(pd.DataFrame(), absent, runs, tuple(failures))
-    whole, unrendered = render_cells(taken, ready, engine, networks, share, imported)
-    good, unscored = score_cells(taken, whole, engine, share, networks.device)
-    failures += [*unrendered, *unscored]
+    stages = Stages(planned.root, as_engine(workers), goes_on=True, failures=[*planned.failures])
+    measured = {plan.name: scores for plan, scores in measure_runs(planned.plans, stages)}
     parts = []
-    for cell in cells if shard.is_whole else ():
-        if cell.name in good:
-            lines, why_not = attempt(
-                f"table of {cell.name}", partial(_score_lines, cell, whole[cell.name], engine, networks.device)
-            )
-            failures += why_not
-            parts += [] if lines is None else [lines]
-    return SweepResult(pd.concat(parts) if parts else pd.DataFrame(), absent, runs, tuple(failures))
+    for cell in planned.cells if planned.shard.is_whole else ():
+        if cell.name in measured:
+            parts.append(stages.attempt(f"table of {cell.name}", partial(_lines, cell, measured[cell.name])))
+    parts = [part for part in parts if part is not None]
+    n_captures = len({cell.folder for cell in planned.cells})
+    table = _with_means(pd.concat(parts), n_captures) if parts else pd.DataFrame()
+    if parts:
+        _write_table(table, planned.root)
+    runs = {cell.name: cell.request.root for cell in planned.cells}
+    return SweepResult(table, planned.absent, runs, tuple(stages.failures))
 
 
-def plan_runs(
-    root: Path,
-    captures: Captures,
-    sweep: Sweep,
-    depth: DepthRunOptions | None,
-    networks: NetworkOptions,
-    shard: Shard = WHOLE,
-) -> list[RunPlan]:
-    """The runs of a sweep that a shard works on, as they will be made; arguments as of `run_sweeps`.
-
-    Raises:
-        GgvsError: a run that cannot be made.
-    """
-    cells, _ = sweep_cells(root, captures if len(captures) > 1 else {"": next(iter(captures.values()))}, sweep, networks)
-    taken, share = _shard_cells(cells, shard)
-    return [plan_run(cell.request(depth, networks, share.get(cell.name))) for cell in taken]
-
-
-def _shard_cells(cells: list[Cell], shard: Shard) -> tuple[list[Cell], dict[str, set[str]]]:
-    """The runs that a shard takes part in, and its views of each; one that only prepares has none."""
-    if shard.prepares_only:
-        return cells, {}
-    share = share_of(cells, shard)
-    return [cell for cell in cells if cell.name in share], share
+def _with_means(table: pd.DataFrame, n_captures: int) -> pd.DataFrame:
+    """The table with the means over all captures, of lines that each of them has; of one capture, without its name."""
+    if n_captures == 1:
+        return table.droplevel("capture")
+    lines = table.groupby(level=["variant", "method"], sort=False)
+    means = lines.mean()[lines.size() == n_captures]
+    return pd.concat([table, pd.concat({"mean": means}, names=["capture"])])
 
 
 def _write_table(table: pd.DataFrame, root: Path) -> None:
@@ -217,15 +153,9 @@ def _with_lines(before: pd.DataFrame, lines: pd.DataFrame) -> pd.DataFrame:
     return pd.concat([old[~old.index.isin(new.index)], new]).loc[order].reset_index()
 
 
-def _score_lines(cell: Cell, labels: Sequence[str], engine: Engine, device: str) -> pd.DataFrame:
-    """Collect what is measured of one run into its results, and its rows of the sweep's table."""
-    results = score(cell.run, engine, without=[label for label in cell.labels if label not in labels], device=device)
-    return _lines(cell, results, [row for row in cell.rows if row.label in labels])
-
-
-def _lines(cell: Cell, results: Results, rows: list[SweepRow]) -> pd.DataFrame:
-    """The rows of one run by their titles, with the time of a frame."""
-    summary = results.summary().droplevel("dataset")
+def _lines(cell: Cell, scores: Scores) -> pd.DataFrame:
+    """The rows of one run by their titles, with the time of a frame; what was measured becomes its results."""
+    summary, rows = scores.collect().summary().droplevel("dataset"), [row for row in cell.rows if row.label in scores.labels]
     lines = pd.DataFrame([summary.loc[split_label(row.label)] for row in rows], index=[row.title for row in rows])
     lines["s/frame"] = [_seconds_per_frame(cell.run, row.label) for row in rows]
     lines.index = pd.MultiIndex.from_product([[cell.folder], [cell.variant], lines.index], names=LINE_NAMES)

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from ggvs_eval.merged_results import BETWEEN
+from ggvs_eval.progress import counted
 from ggvs_eval.protocol import Protocol
 from ggvs_eval.reports.model.measured import PARTIAL, MeasuredRun, without_labels
 from ggvs_eval.results import Results
@@ -93,8 +94,3 @@ def _versions(results: Results) -> list[str]:
     versions = results.provenance.get("versions", {})
     mixed = [f"{name} {version}" for name, version in versions.items() if BETWEEN in version and name != OWN_PACKAGE]
     return [f"Values here were made under several versions: {', '.join(mixed)}."] if mixed else []
-
-
-def counted(number: int, noun: str) -> str:
-    """A number and its noun."""
-    return f"{number} {noun}{'' if number == 1 else 's'}"

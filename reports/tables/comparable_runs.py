@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ggvs_eval.merged_results import merge_results
+from ggvs_eval.progress import counted
 from ggvs_eval.reports.model.measured import MeasuredRun
-from ggvs_eval.reports.tables.captions import counted
 from ggvs_eval.reports.tables.published import read_published
 from ggvs_eval.results import Results
 

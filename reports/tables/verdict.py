@@ -7,10 +7,10 @@ from typing import cast
 
 import pandas as pd
 
+from ggvs_eval.progress import counted
 from ggvs_eval.reports.model.measured import MeasuredRun, without_labels
 from ggvs_eval.reports.model.table import Cell, Column, Table, format_value
 from ggvs_eval.reports.tables.absolute import describe_absolute
-from ggvs_eval.reports.tables.captions import counted
 from ggvs_eval.reports.tables.certainty import Certainty, assess
 from ggvs_eval.reports.tables.leaders import HEADLINES, Leader, leaders
 from ggvs_eval.reports.tables.report_tables import row_labels

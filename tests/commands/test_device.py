@@ -9,16 +9,19 @@ import pandas as pd
 import pytest
 import torch
 
+import ggvs_eval.compute_device
 from ggvs_eval.baselines.gps_gaussian.gaussians import Gaussians, footprints, rotation_matrices
 from ggvs_eval.baselines.gps_gaussian.rendering import TILE, _tiles, blend_batches, blend_gaussians
 from ggvs_eval.compute_device import clock_s, compute_device, computing_on, describe_device, rendering_on
 from ggvs_eval.errors import DeviceError
 from ggvs_eval.merged_results import merge_results
 from ggvs_eval.pipelines.commands.main import run_command
+from ggvs_eval.pipelines.methods.fitted import FittedMethod
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
+from ggvs_eval.pipelines.methods.spec import OnlineMethod
 from ggvs_eval.pipelines.play.synthesizer import OnlineSynthesizer
-from ggvs_eval.pipelines.run import render
+from ggvs_eval.pipelines.run.render import render_job
 from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
 from ggvs_eval.pipelines.run.score import _devices
 from ggvs_eval.reports.page import page
@@ -119,7 +122,7 @@ def test_methods_without_networks_know_no_device():
     on_gpu = NetworkOptions(device="cuda")
     for label, spec in METHODS.items():
         assert find_method(label).device == "cpu"
-        learned, fitted = bool(spec.weights or spec.checkpoint), bool(spec.fitter)
+        learned, fitted = isinstance(spec, OnlineMethod) and bool(spec.weights or spec.checkpoint), isinstance(spec, FittedMethod)
         assert find_method(label, on_gpu).device == ("cuda" if learned or fitted else "cpu")
         assert learned == (label in LEARNED or label == "gps-gaussian")
     assert find_method("ours+beta_temporal=0.6", on_gpu).device == "cuda"
@@ -128,18 +131,19 @@ def test_methods_without_networks_know_no_device():
 
 def test_a_job_knows_its_device(planned, monkeypatch):
     """On the CPU the identity says nothing of it; on a GPU it says which, and the code that renders there counts."""
-    monkeypatch.setattr(render, "_described", lambda device: H100)
+    monkeypatch.setattr(ggvs_eval.compute_device, "describe_device", lambda device: H100)
+    unit = planned.units[0]
     for label in ("ours", "fwd"):
         spec = find_method(label)
-        here, there = (render._view_job(planned, label, each, "cam00", 1) for each in (spec, spec.on("cuda")))
+        here, there = (render_job(planned.run, label, each, unit) for each in (spec, spec.on("cuda")))
         assert "device" not in here.identity
         assert there.identity == here.identity | {"device": H100, "code": there.identity["code"]}
         assert (there.identity["code"] == here.identity["code"]) == (label == "fwd")
         assert there.sha256 != here.sha256
-        assert here.sha256 == render._view_job(planned, label, spec.on("cpu"), "cam00", 4).sha256
+        assert here.sha256 == render_job(planned.run, label, spec.on("cpu"), unit).sha256
         assert pickle.loads(pickle.dumps(there)).work.args[1].device == "cuda"  # it travels to other processes by name
     plain = find_method("no-blending")
-    assert render._view_job(planned, "no-blending", plain.on("cuda"), "cam00", 1).identity.keys() == here.identity.keys()
+    assert render_job(planned.run, "no-blending", plain.on("cuda"), unit).identity.keys() == here.identity.keys()
 
 
 @pytest.mark.usefixtures("no_gpu")

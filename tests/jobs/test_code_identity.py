@@ -19,6 +19,7 @@ from ggvs_eval.jobs import code_identity as identity
 from ggvs_eval.jobs.code_identity import BUILT_FROM, CodeTree, installed_code
 from ggvs_eval.metrics.metric import ViewMetric
 from ggvs_eval.metrics.registry import METRICS, ceiling_metrics
+from ggvs_eval.pipelines.methods.fitted import FittedMethod
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
 from ggvs_eval.pipelines.offline.depth.camera_depth import DepthOptions
 from ggvs_eval.pipelines.offline.depth.consistency import ConsistencyOptions
@@ -86,7 +87,7 @@ STALE: dict[str, set[str]] = {
     "pipelines/online/unet.py": LEARNED,
     "pipelines/online/depth_filter.py": OURS,
     "pipelines/online/whole_sequence.py": {"ours-geometric+offline"},
-    "pipelines/run/instants.py": ALL_METHODS,
+    "pipelines/methods/render_unit.py": ALL_METHODS,
     "pipelines/offline/stereo/sgbm.py": {"depth by sgbm", "depth by live", "depth by raft"},
     "pipelines/offline/stereo/live.py": {"depth by live"},
     "pipelines/offline/stereo/raft_update.py": {"depth by raft"},
@@ -390,7 +391,7 @@ def test_a_method_names_its_modules(label):
     """Whatever a method is made of stands in the closure of the modules that its spec names."""
     spec = find_method(label)
     try:
-        method = spec.make_fitter() if spec.is_fitted else spec.make()
+        method = spec.make_fitter() if isinstance(spec, FittedMethod) else spec.make()
     except WeightsError:
         pytest.skip("its weights do not ship")
     closure = installed_code().closure(*spec.modules)

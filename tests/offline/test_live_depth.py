@@ -21,7 +21,7 @@ from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.offline.depth.fill_store import plan_rig_depth, prepare_depth
 from ggvs_eval.pipelines.offline.stereo.live import SAME_SURFACE, LiveEstimator, LiveMatcher, RigEstimator, enlarge
 from ggvs_eval.pipelines.offline.stereo.sgbm import SgbmMatcher
-from ggvs_eval.pipelines.play.playback import PlayOptions, viewing_of_capture
+from ggvs_eval.pipelines.play.playback import PlayOptions, playback_of_capture
 from helpers.geometry_scenes import seeds
 from helpers.stereo_scenes import PLANE, look_from, paint, plane_depth, random_texture, write_capture
 from helpers.twins.enlarging import alike_twin
@@ -224,7 +224,9 @@ def test_play_and_view_take_it_by_default(capture, tmp_path):
     """Both verbs of live synthesis, and no other; what a viewer reads is the plane at every camera."""
     defaults = {verb: inspect.signature(verb).parameters["depth"].default for verb in (play, view, run)}
     assert [default.matcher for default in defaults.values()] == ["live", "live", "sgbm"]
-    playback = viewing_of_capture(capture, PlayOptions(k=2, frames=1), defaults[view].options(), tmp_path / "cache")
+    playback = playback_of_capture(
+        capture, PlayOptions(k=2, frames=1), defaults[view].options(), tmp_path / "cache", anywhere=True
+    )
     for camera in capture.cameras:
         depth_map = playback.store.read(playback.depth_keys[camera.name], 0)
         assert np.median(errors(camera, depth_map)) < 0.005

@@ -202,7 +202,6 @@ def test_the_command_line_takes_depth_to_the_device(capture, tmp_path, monkeypat
 
     monkeypatch.setattr(runs, "print_plan", lambda planned, *_: plans.extend(planned))
     monkeypatch.setattr(playback, "playback_of_capture", end)
-    monkeypatch.setattr(playback, "viewing_of_capture", end)
     monkeypatch.setattr(listener, "require_viser", lambda: None)
     words = ("--matcher", "raft", "--device", "cpu:0")
     protocol = tmp_path / "small.toml"

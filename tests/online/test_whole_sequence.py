@@ -9,10 +9,11 @@ import pytest
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.method import Instant, LookaheadMethod, SourceView
 from ggvs_eval.pipelines.methods.registry import METHODS, find_method
+from ggvs_eval.pipelines.methods.spec import OnlineMethod
 from ggvs_eval.pipelines.online.geometry_guided import GeometryGuided
 from ggvs_eval.pipelines.online.whole_sequence import WholeSequence
+from ggvs_eval.pipelines.run.evaluate import render
 from ggvs_eval.pipelines.run.prepare import prepare
-from ggvs_eval.pipelines.run.render import render
 from ggvs_eval.protocol import CameraPath, Frames, Synthesis, Views, load_protocol
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, read_json
 from ggvs_eval.synthetic.demo import write_demo
@@ -35,7 +36,7 @@ def play(positions: list[float], looks_ahead: bool = True) -> list[np.ndarray]:
 
 def test_every_method_that_looks_ahead_is_marked():
     """Whatever is shown the future says so in its spec and its title; nothing else that renders frame by frame does."""
-    for spec in (each for each in METHODS.values() if not (each.make_from or each.is_fitted)):
+    for spec in (each for each in METHODS.values() if isinstance(each, OnlineMethod) and not each.make_from):
         assert isinstance(spec.make(), LookaheadMethod) == (not spec.online)
         assert spec.online or "not online" in spec.title.lower()
     assert not find_method(OFFLINE).online
@@ -96,9 +97,9 @@ def test_a_run_shows_it_the_whole_sequence(tmp_path):
     protocol = replace(
         load_protocol("demo"), views=Views(("cam00",), "test"), frames=Frames(0, 3), synthesis=Synthesis(2), path=CameraPath(0)
     )
-    prepared = prepare(tmp_path / "run", capture, protocol)
+    prepared = prepare(tmp_path / "run", capture, protocol, labels=[OFFLINE, "ours-geometric"])
 
-    render(prepared, [OFFLINE, "ours-geometric"])
+    render(prepared)
 
     record = read_json(RunFolder(tmp_path / "run").renders(OFFLINE, "cam00") / JOB_FILE)
     frames = [RunFolder(tmp_path / "run").renders(label, "cam00") / "0000.png" for label in (OFFLINE, "ours-geometric")]

@@ -13,11 +13,10 @@ from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError, ProtocolError, RenderError
 from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.pipelines.methods.registry import METHODS
-from ggvs_eval.pipelines.run.evaluate import evaluate, reopen
+from ggvs_eval.pipelines.run.evaluate import evaluate, render, reopen
 from ggvs_eval.pipelines.run.import_renders import import_renders
 from ggvs_eval.pipelines.run.prepare import prepare
-from ggvs_eval.pipelines.run.render import render
-from ggvs_eval.pipelines.run.score import score, score_jobs
+from ggvs_eval.pipelines.run.score import plan_scores, score
 from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
 from ggvs_eval.protocol import Frames, Protocol, Synthesis, Views, load_protocol
 from ggvs_eval.results import Results
@@ -141,7 +140,7 @@ def test_a_lost_view_is_rendered_again_with_the_same_bits(run, capture, protocol
     wanted = [read_image(frame_path(folder, t)) for t in range(4)]
     shutil.rmtree(folder)
 
-    done = render(prepare(run.root, capture, protocol), LABELS, workers=1)
+    done = render(prepare(run.root, capture, protocol, labels=LABELS))
 
     assert done == 1
     for t in range(4):
@@ -173,7 +172,7 @@ def test_scores_of_methods_that_nobody_asks_for_stay(run):
     """A sweep of one row in a folder of several methods does not cost the others their scores."""
     file = run.scores("cam00") / "job.json"
     before = read_json(file)["methods"]
-    (job,) = score_jobs(run, [next(iter(before))], ["cam00"])
+    (job,) = plan_scores(run, [next(iter(before))], ["cam00"]).views
 
     job.run()
 
@@ -224,9 +223,9 @@ def test_the_path_may_show_another_instant_than_the_protocol(capture, protocol, 
     note = json.loads((tmp_path / "late" / "demo.json").read_text())
     (tmp_path / "late" / "demo.json").write_text(json.dumps(note | {"path_time_s": 0.1}))  # frame 3 at 30 fps
     late = open_capture(tmp_path / "late")
-    prepared = prepare(tmp_path / "run", late, dataclasses.replace(protocol, frames=Frames(0, 2)))
+    prepared = prepare(tmp_path / "run", late, dataclasses.replace(protocol, frames=Frames(0, 2)), labels=["no-blending"])
 
-    render(prepared, ["no-blending"])
+    render(prepared)
 
     assert prepared.path_frame == 3
     assert frame_path(prepared.run.path("no-blending"), 4).is_file()

@@ -17,14 +17,13 @@ from ggvs_eval.jobs.job import run_jobs
 from ggvs_eval.jobs.shard import Shard
 from ggvs_eval.jobs.status import describe_status
 from ggvs_eval.pipelines.methods.registry import find_method
-from ggvs_eval.pipelines.run.evaluate import measure
-from ggvs_eval.pipelines.run.fit import FitClock, fit_job, fit_jobs, fit_of_view
+from ggvs_eval.pipelines.run.evaluate import measure, render
+from ggvs_eval.pipelines.run.fit import FitClock
 from ggvs_eval.pipelines.run.footage import fold_footage
 from ggvs_eval.pipelines.run.prepare import prepare_run
-from ggvs_eval.pipelines.run.render import render
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
 from ggvs_eval.pipelines.run.work_left import count_work
-from ggvs_eval.pipelines.sweep.run_sweep import run_sweep
+from ggvs_eval.pipelines.sweep.run_sweep import plan_cells, run_sweep
 from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthesis, Views
 from ggvs_eval.results import Results
 from ggvs_eval.run_folder import RunFolder, read_json
@@ -80,7 +79,8 @@ def lend(finished: RunPlan, root: Path) -> Path:
 
 def footage_of(plan: RunPlan, view: str):
     """What the fit is shown that renders a test view."""
-    return fold_footage(plan.capture, fit_of_view(plan, LABEL, view), DepthStore(plan.run.depth), seed=0)
+    fit = next(fit for fit in plan.fits if fit.label == LABEL and view in fit.fold.units)
+    return fold_footage(plan.capture, fit, DepthStore(plan.run.depth), seed=0)
 
 
 def psnr(root: Path) -> dict[str, float]:
@@ -125,9 +125,9 @@ def test_the_detector_tells_a_leak(finished, tmp_path):
     )
     shutil.copytree(finished.run.root, tmp_path / "run")
     plan = replace(finished, run=RunFolder(tmp_path / "run"), request=replace(finished.request, root=tmp_path / "run"))
-    prepared = replace(prepare_run(plan), fits=leaking)
+    prepared = replace(prepare_run(plan), fits=leaking, methods={LABEL: plan.methods[LABEL]})
     assert {fit.fold.name for fit in leaking if TWIN in fit.fold.cameras and TWIN in fit.fold.held_out} == {"fold1"}
-    measure_again = render(prepared, [LABEL])
+    measure_again = render(prepared)
     assert measure_again > 0
     truth, leaked = (read_image(folder / "0000.png") for folder in (plan.run.truth(HELD_OUT), plan.run.renders(LABEL, HELD_OUT)))
     assert np.abs(truth.astype(float) - leaked).mean() < 2
@@ -162,9 +162,7 @@ def test_a_fit_does_not_depend_on_the_frames_that_it_shall_render(finished, capt
         black if name == HELD_OUT else source for name, source in zip(capture.camera_names, capture.sources, strict=True)
     )
     other = plan_run(RunRequest(tmp_path / "run", replace(capture, sources=sources), PROTOCOL, (LABEL,)))
-    before, after = (
-        {fit.fold.name: fit_job(plan, fit).sha256 for fit in plan.fits if fit.label == LABEL} for plan in (finished, other)
-    )
+    before, after = ({job.folder.name: job.sha256 for job in plan.jobs.fit if job.label == LABEL} for plan in (finished, other))
     assert before["fold1"] == after["fold1"]
     assert before["fold2"] != after["fold2"]
     assert before["all"] != after["all"]
@@ -175,7 +173,7 @@ def test_a_fit_that_was_killed_goes_on(finished, capture, tmp_path):
     protocol = replace(PROTOCOL, path=CameraPath(0))
     label = f"{LABEL}+dies_after=1"
     plan = prepare_run(plan_run(RunRequest(lend(finished, tmp_path), capture, protocol, (label,))))
-    job = fit_jobs(plan, [label], units=["cam03"])[0]
+    (job,) = (job for job in plan.jobs.fit if "cam03" in job.units)
     for attempt in range(4):
         with pytest.raises(KeyboardInterrupt):
             run_jobs([job], 1, "fitting")
@@ -187,7 +185,7 @@ def test_a_fit_that_was_killed_goes_on(finished, capture, tmp_path):
     assert not list((tmp_path / "fits" / label).glob(".*"))
     whole = tmp_path / "whole"
     whole.mkdir()
-    fit = fit_of_view(plan, label, "cam03")
+    (fit,) = (fit for fit in plan.fits if "cam03" in fit.fold.units)
     find_method(LABEL).make_fitter().fit(fold_footage(plan.capture, fit, DepthStore(plan.run.depth), 0), whole, lambda *_: None)
     for file in sorted(whole.rglob("*.png")):
         assert file.read_bytes() == (job.folder / file.relative_to(whole)).read_bytes()
@@ -214,7 +212,7 @@ def test_time_and_progress_count_from_the_beginning(tmp_path, monkeypatch, capsy
 def test_a_second_call_fits_nothing(finished):
     """What is done is done; nothing is left to do."""
     assert count_work([plan_run(finished.request)], finished.run.root).is_nothing()
-    assert render(prepare_run(plan_run(finished.request)), finished.request.labels) == 0
+    assert render(prepare_run(plan_run(finished.request))) == 0
 
 
 def test_a_scene_may_go_when_its_frames_are_there(finished, tmp_path):
@@ -223,9 +221,9 @@ def test_a_scene_may_go_when_its_frames_are_there(finished, tmp_path):
     shutil.rmtree(tmp_path / "run" / "fits")
     request = replace(finished.request, root=tmp_path / "run")
     assert count_work([plan_run(request)], tmp_path).is_nothing()
-    assert render(prepare_run(plan_run(request)), request.labels) == 0
+    assert render(prepare_run(plan_run(request))) == 0
     shutil.rmtree(tmp_path / "run" / "renders" / LABEL / "cam03")
-    assert render(prepare_run(plan_run(request)), request.labels) == 1
+    assert render(prepare_run(plan_run(request))) == 1
     assert [folder.relative_to(tmp_path / "run" / "fits").as_posix() for folder in (tmp_path / "run" / "fits").glob("*/*")] == [
         f"{LABEL}/fold2"
     ]
@@ -286,9 +284,9 @@ def test_variants_of_a_sweep_share_their_fits(finished, capture, tmp_path):
     rows = (SweepRow("Nearest", LABEL), SweepRow("No Blending", "no-blending"))
     sweep, protocol = Sweep("k", "two", rows, k=(1, 2)), replace(PROTOCOL, path=CameraPath(0))
     root = lend(finished, tmp_path)
-    run_sweep(root, capture, sweep, protocol, 1, shard=Shard.parse("1/8"))  # k1 in the first view
+    run_sweep(plan_cells(root, {"": (capture, protocol)}, sweep, shard=Shard.parse("1/8")), 1)  # k1 in the first view
     assert [folder.name for folder in (root / "fits" / LABEL).iterdir()] == ["fold1"]
-    result = run_sweep(root, capture, sweep, protocol, 1)
+    result = run_sweep(plan_cells(root, {"": (capture, protocol)}, sweep), 1)
     assert not result.failures
     assert sorted(folder.name for folder in (root / "fits" / LABEL).iterdir()) == ["fold1", "fold2"]
     psnr_db = result.table["PSNR"]

@@ -2,7 +2,7 @@
 
 import dataclasses
 import shutil
-from collections import namedtuple
+from collections import Counter, namedtuple
 from pathlib import Path
 
 import numpy as np
@@ -11,18 +11,19 @@ import pytest
 from ggvs_eval.datasets import open_capture
 from ggvs_eval.errors import CaptureError, ProtocolError
 from ggvs_eval.files.images import read_image, write_image
+from ggvs_eval.jobs.ledger import Ledger
 from ggvs_eval.jobs.shard import WHOLE, Shard
 from ggvs_eval.pipelines.commands.main import run_command
-from ggvs_eval.pipelines.methods.network_options import AS_SHIPPED
+from ggvs_eval.pipelines.methods import registry, spec
 from ggvs_eval.pipelines.offline.depth import fill_store
 from ggvs_eval.pipelines.run import work_left as counting
 from ggvs_eval.pipelines.run.derived_files import digest_folder
-from ggvs_eval.pipelines.run.evaluate import measure
+from ggvs_eval.pipelines.run.evaluate import measure, render
 from ggvs_eval.pipelines.run.prepare import prepare_run
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
-from ggvs_eval.pipelines.run.work_left import DEPTH_BYTES, WorkLeft, Workload, count_work, work_left
+from ggvs_eval.pipelines.run.work_left import DEPTH_BYTES, Piece, Workload, count_work, work_left
 from ggvs_eval.pipelines.sweep.demo_plan import demo_to_plan, renders_first
-from ggvs_eval.pipelines.sweep.run_sweep import plan_runs
+from ggvs_eval.pipelines.sweep.run_sweep import plan_cells
 from ggvs_eval.progress import duration
 from ggvs_eval.protocol import CameraPath, Frames, Protocol, Synthesis
 from ggvs_eval.run_folder import RunFolder, frame_path
@@ -61,23 +62,26 @@ def n_files(folder: Path, pattern: str) -> int:
     return sum(1 for _ in folder.rglob(pattern))
 
 
-def counts(left: WorkLeft) -> list[int]:
+def counts(plan: RunPlan) -> Counter[str]:
     """How much of each kind is left."""
-    parts = (left.truth, left.found_depth, left.checked_depth, left.disoccluded, left.renders, left.scores)
-    return [sum(part.values()) for part in parts] + [left.path_depth, left.n_rendered, left.n_pixels]
+    left: Counter[str] = Counter()
+    for piece in work_left(plan):
+        left[piece.kind] += piece.count
+    return left
 
 
 def test_what_is_counted_is_what_is_made(capture, protocol, finished, tmp_path):
     """Before a run the plan counts exactly the frames, depth maps, masks and renders that the run then leaves."""
-    left, run = work_left(planned(tmp_path / "run", capture, protocol)), RunFolder(finished)
+    plan, run = planned(tmp_path / "run", capture, protocol), RunFolder(finished)
+    left = counts(plan)
 
-    assert sum(left.truth.values()) == n_files(run.root / "truth", "*.png")
-    assert left.n_depth == n_files(run.depth, "*.npz")
-    assert sum(left.disoccluded.values()) == n_files(run.root / "disoccluded", "*.png")
-    assert left.path_depth == n_files(run.path_depth, "*.npy")
-    assert sum(left.renders.values()) == n_files(run.root / "renders", "*.png")
-    assert sum(left.path_renders.values()) == n_files(run.root / "path", "*.png")
-    assert {folder.name for folder in left.scores} == {"cam00", "cam01"}
+    assert left["truth"] == n_files(run.root / "truth", "*.png")
+    assert left["depth"] + left["checked depth"] == n_files(run.depth, "*.npz")
+    assert left["mask"] == n_files(run.root / "disoccluded", "*.png")
+    assert left["path depth"] == n_files(run.path_depth, "*.npy")
+    assert left["render"] == n_files(run.root / "renders", "*.png")
+    assert left["path render"] == n_files(run.root / "path", "*.png")
+    assert {piece.folder.name for piece in work_left(plan) if piece.kind == "score"} == {"cam00", "cam01"}
 
 
 def test_a_key_is_made_once(capture, protocol, tmp_path, monkeypatch):
@@ -96,7 +100,7 @@ def test_a_key_is_made_once(capture, protocol, tmp_path, monkeypatch):
     assert len(by_planning) == len(set(by_planning)) > 0
     assert described == by_planning
     assert {job.key for job in plan.view_jobs} <= {job.key for each in plan.plans.values() for job in each.jobs}
-    assert work_left(plan).n_depth == 0
+    assert not {"depth", "checked depth"} & counts(plan).keys()
 
 
 def test_nothing_is_said_where_everything_is_done(capture, protocol, finished):
@@ -105,8 +109,8 @@ def test_nothing_is_said_where_everything_is_done(capture, protocol, finished):
 
     more = count_work([planned(finished, capture, protocol, (*LABELS, "ours-geometric"))], finished)
 
-    assert more.left[0].n_rendered == 2 * 3 + 3
-    assert more.left[0].n_depth == 0
+    assert more.count("render", "path render") == 2 * 3 + 3
+    assert more.count("depth", "checked depth") == 0
     assert "9 frames to render, 0 depth maps" in more.describe()
     assert "time:" not in more.describe()
 
@@ -130,6 +134,52 @@ def test_a_source_frame_that_was_changed_is_work(capture, protocol, finished, tm
     assert count_work([planned(tmp_path / "run", capture, protocol)], tmp_path / "run").describe() == ""
 
 
+def test_jobs_are_made_once(capture, protocol, tmp_path, monkeypatch):
+    """From the plan to the last frame each method is found once, and a file of weights read once, whoever renders with it."""
+    labels, found = ("no-blending", "ours", "ours+no-temporal"), []
+    find = registry._found
+    monkeypatch.setattr(registry, "_found", lambda label, given: found.append(label) or find(label, given))
+    spec._digest_of.cache_clear()
+
+    plan = planned(tmp_path / "run", capture, dataclasses.replace(protocol, frames=Frames(0, 1)), labels)
+    jobs = plan.jobs
+    count_work([plan], tmp_path)
+    assert render(prepare_run(plan)) == len(jobs.render) == len(labels) * 3
+    count_work([plan], tmp_path)
+
+    assert found == list(labels)
+    assert plan.jobs is jobs
+    assert spec._digest_of.cache_info().misses == 1  # of the weights that both networks of ours share
+
+
+def test_a_plan_names_the_jobs_that_are_then_done(capture, protocol, finished):
+    """What is listed before anything is prepared is what the ledger of the finished run has, by name, folder and hash."""
+    before = planned(finished.with_name("absent"), capture, protocol).jobs.render
+    _, done = Ledger(finished, "render").read()
+
+    assert [(job.name, job.sha256) for job in before] == [(entry.name, entry.sha256) for entry in done]
+    assert all(entry.is_done() for entry in done)
+    assert {(job.label, *job.units) for job in before} == {
+        (label, unit) for label in LABELS for unit in ("cam00", "cam01", "path")
+    }
+
+
+def test_a_dry_run_says_what_the_run_then_does(capture, protocol, tmp_path, capsys):
+    """The counts of the plan are the frames that the run renders and the views that it scores."""
+    (tmp_path / "p.toml").write_text(protocol.to_toml())
+    words = ["run", str(tmp_path / "run"), "--capture", str(capture.path), "--protocol", str(tmp_path / "p.toml"), "--jobs", "1"]
+    words += ["--methods", *LABELS]
+    run_command([*words, "--dry-run"])
+    told = capsys.readouterr().out
+    run_command(words)
+
+    frames = n_files(tmp_path / "run" / "renders", "????.png") + len(list((tmp_path / "run" / "path").glob("*-*/*.png")))
+    assert f"left are {frames} frames to render, {n_files(tmp_path / 'run' / 'depth', '*.npz')} depth maps" in told
+    assert f"{len(list((tmp_path / 'run' / 'scores').iterdir()))} views to score" in told
+    run_command([*words, "--dry-run"])
+    assert "nothing is left to do" in capsys.readouterr().out.splitlines()[-1]
+
+
 def test_a_run_is_told_in_two_lines(capture, protocol, tmp_path):
     """What there is to do and how large it is, and nothing is written for it."""
     text = count_work([planned(tmp_path / "run", capture, protocol)], tmp_path / "run").describe()
@@ -141,8 +191,8 @@ def test_a_run_is_told_in_two_lines(capture, protocol, tmp_path):
 
 def test_time_is_that_of_frames_that_are_rendered(capture, protocol, finished, tmp_path):
     """A view more of methods that have rendered others takes as long as those; methods without a frame are counted."""
-    left = WorkLeft(100, {}, {}, {}, {}, 0, {("a", tmp_path / "a"): 300, ("b", tmp_path / "b"): 3})
-    text = Workload("", (left,), tmp_path, {"a": 2.0}, jobs=2).describe()
+    left = Piece("render", tmp_path / "a", 300, label="a"), Piece("render", tmp_path / "b", 3, label="b")
+    text = Workload("", left, tmp_path, {"a": 2.0}, jobs=2).describe()
 
     assert text.splitlines()[-1] == (
         "time: about 5 min to render, as the frames took that are rendered; of 1 more methods no frame is rendered yet"
@@ -182,7 +232,7 @@ def test_disk_is_what_the_run_leaves(finished, capture, protocol, tmp_path):
     depth = sum(file.stat().st_size for file in (finished / "depth").rglob("*.npz"))
     everything = sum(file.stat().st_size for file in finished.rglob("*") if file.is_file())
 
-    assert work.left[0].n_depth * 64 * 48 * DEPTH_BYTES == pytest.approx(depth, rel=0.15)
+    assert work.count("depth", "checked depth") * 64 * 48 * DEPTH_BYTES == pytest.approx(depth, rel=0.15)
     assert everything / 2 < work.disk_bytes < everything * 2
 
 
@@ -190,13 +240,13 @@ def test_a_sweep_is_planned_as_one(capture, protocol, tmp_path):
     """Variants that share frames count them once; a shard has its own views alone, and one that prepares renders nothing."""
     sweep = Sweep("s", "", (SweepRow("A", "no-blending"),), k=(2, 3))
     captures = {"": (capture, protocol)}
-    plans = [plan_runs(tmp_path, captures, sweep, None, AS_SHIPPED, shard) for shard in (WHOLE, Shard(1, 2), Shard(0, 2))]
+    plans = [plan_cells(tmp_path, captures, sweep, shard=shard).plans for shard in (WHOLE, Shard(1, 2), Shard(0, 2))]
     whole, half, first = (count_work(each, tmp_path) for each in plans)
 
     assert whole.title.startswith("2 runs of ")
-    assert sum(each.n_rendered for each in whole.left) == 2 * (2 * 3 + 3)
-    assert sum(each.n_rendered for each in half.left) == pytest.approx(9, abs=3)
-    assert sum(each.n_rendered for each in first.left) == 0
+    assert whole.count("render", "path render") == 2 * (2 * 3 + 3)
+    assert half.count("render", "path render") == pytest.approx(9, abs=3)
+    assert first.count("render", "path render") == 0
     assert count_work(plans[0][:1], tmp_path).disk_bytes < whole.disk_bytes < 2 * count_work(plans[0][:1], tmp_path).disk_bytes
     assert list(tmp_path.iterdir()) == []
 
@@ -238,7 +288,7 @@ def test_a_demo_is_planned_before_it_is_rendered(capture, protocol, tmp_path):
     rendered = demo_to_plan(capture.path, small_options(3), open_capture)
     plans = [planned(tmp_path / "run", each, protocol) for each in (absent, rendered)]
 
-    assert counts(work_left(plans[0])) == counts(work_left(plans[1]))
+    assert counts(plans[0]) == counts(plans[1])
     assert renders_first([rendered]) == []
     assert renders_first([absent, absent]) == [
         f"demo: is rendered first, 6 cameras x 3 frames at 64 x 48, into {tmp_path / 'demo'}"

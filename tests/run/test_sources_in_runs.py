@@ -9,7 +9,6 @@ from ggvs_eval.geometry.source_views import choose_sources
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
 from ggvs_eval.pipelines.play.synthesizer import OnlineSynthesizer
 from ggvs_eval.pipelines.run.evaluate import measure
-from ggvs_eval.pipelines.run.render import render_jobs
 from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
 from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
 from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthesis, Views
@@ -54,10 +53,10 @@ def test_a_run_takes_the_chosen_sources(capture, tmp_path):
 
 def test_shares_are_part_of_what_a_rendering_depends_on(capture, tmp_path):
     """Other shares along the path, another job; equal ones, the same."""
-    planned = plan_run(RunRequest(tmp_path, capture, chosen_protocol("nearest")))
+    planned = plan_run(RunRequest(tmp_path, capture, chosen_protocol("nearest"), LABELS[:1]))
     halved = tuple(replace(pose, shares=dict.fromkeys(pose.shares, 0.5)) for pose in planned.path)
-    path, view = render_jobs(planned, LABELS[:1])  # the longer one first
-    other_path, same_view = render_jobs(replace(planned, path=halved), LABELS[:1])
+    path, view = planned.jobs.render  # the longer one first
+    other_path, same_view = replace(planned, path=halved).jobs.render
     assert same_view.sha256 == view.sha256
     assert other_path.sha256 != path.sha256
 

@@ -16,7 +16,6 @@ from ggvs_eval.gaussians import GaussianCloud, render_gaussians, write_ply
 from ggvs_eval.pipelines.methods.network_options import NetworkOptions
 from ggvs_eval.pipelines.methods.splats import named_splats, open_splats
 from ggvs_eval.pipelines.run.evaluate import measure
-from ggvs_eval.pipelines.run.render import render_jobs
 from ggvs_eval.pipelines.run.run_plan import RunPlan, RunRequest, plan_run
 from ggvs_eval.protocol import CameraPath, Frames, Measurement, Protocol, Synthesis, Views
 from ggvs_eval.run_folder import frame_path, read_json
@@ -90,7 +89,7 @@ def test_they_are_scored_and_timed(finished):
     assert {"moving", "still"} <= set(finished.run.labels())
     assert "moving" in str(scores)
     assert set(record["seconds"]) == {"read", "splat"}
-    assert all(job.is_done() for job in render_jobs(finished, ["moving", "still"], 1, finished.request.networks))
+    assert all(job.is_done() for job in finished.jobs.render)
 
 
 def test_another_file_makes_renders_stale(finished, sequence, capture):
@@ -98,7 +97,7 @@ def test_another_file_makes_renders_stale(finished, sequence, capture):
     file = sequence / "scene2_00001.ply"
     before = file.read_bytes()
     write_ply(file, cloud_before(capture, 0.9))
-    jobs = render_jobs(finished, ["moving", "still"], 1, finished.request.networks)
+    jobs = plan_run(finished.request).jobs.render
     file.write_bytes(before)
 
     assert [job.is_done() for job in jobs] == [job.name.startswith("still") for job in jobs]

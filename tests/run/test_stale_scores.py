@@ -11,7 +11,7 @@ from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.metrics import on_device, stream
 from ggvs_eval.pipelines.run import score_view
 from ggvs_eval.pipelines.run.import_renders import import_renders
-from ggvs_eval.pipelines.run.score import score, score_jobs
+from ggvs_eval.pipelines.run.score import plan_scores, score
 from ggvs_eval.results import installed_versions
 from ggvs_eval.run_folder import JOB_FILE, RunFolder, frame_path, read_json
 from helpers.render_folders import make_run, write_folders
@@ -75,7 +75,7 @@ def test_the_metrics_whose_code_has_changed(changed, run, measured, monkeypatch)
 
     assert [set(metrics) for metrics in measured] == [set(changed)] * 2  # once per view
     assert records(run) == before
-    assert all(job.is_done() for job in score_jobs(run, run.labels(), [VIEW]))
+    assert all(job.is_done() for job in plan_scores(run, run.labels(), [VIEW]).views)
 
 
 @pytest.mark.parametrize("changed", ["mTV", "mTV2", "Sharpness"])

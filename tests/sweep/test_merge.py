@@ -11,8 +11,8 @@ import pytest
 from ggvs_eval.errors import ProtocolError, ResultsError
 from ggvs_eval.files.images import read_image, write_image
 from ggvs_eval.pipelines.commands.main import run_command
+from ggvs_eval.pipelines.run.evaluate import render
 from ggvs_eval.pipelines.run.prepare import prepare
-from ggvs_eval.pipelines.run.render import render
 from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
 from ggvs_eval.pipelines.run.score import score
 from ggvs_eval.pipelines.run.work_left import work_left
@@ -43,13 +43,13 @@ def protocol() -> Protocol:
 def machines(capture, protocol, tmp_path_factory):
     """One run with both methods, and the same work done on two machines, one method each."""
     root = tmp_path_factory.mktemp("machines")
-    whole = prepare(root / "whole", capture, protocol)
+    whole = prepare(root / "whole", capture, protocol, labels=LABELS)
     for name in ("a", "b"):
         shutil.copytree(root / "whole", root / name)
-    render(whole, LABELS)
+    render(whole)
     score(whole.run)
     for name, label in zip(("a", "b"), LABELS, strict=True):
-        render(prepare(root / name, capture, protocol), [label])
+        render(prepare(root / name, capture, protocol, labels=[label]))
         score(RunFolder(root / name))
     return root
 
@@ -76,11 +76,11 @@ def test_a_merged_run_goes_on(capture, protocol, runs):
     """Nothing is left to do in a merged run: no frame is decoded, rendered or measured again."""
     merged = merge_runs(runs / "out", [runs / "a", runs / "b"])
     before = read_json(merged.scores("cam00") / JOB_FILE)
-    assert work_left(plan_run(RunRequest(runs / "out", capture, protocol, LABELS))).is_nothing()
+    assert work_left(plan_run(RunRequest(runs / "out", capture, protocol, LABELS))) == []
 
-    prepared = prepare(runs / "out", capture, protocol)
+    prepared = prepare(runs / "out", capture, protocol, labels=LABELS)
 
-    assert render(prepared, LABELS) == 0
+    assert render(prepared) == 0
     assert set(before["methods"]) == set(LABELS)
     score(merged)
     assert read_json(merged.scores("cam00") / JOB_FILE)["methods"] == before["methods"]

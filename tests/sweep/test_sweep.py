@@ -14,7 +14,7 @@ from ggvs_eval.errors import ProtocolError
 from ggvs_eval.gaussians import write_ply
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.methods.registry import find_method
-from ggvs_eval.pipelines.sweep.run_sweep import run_sweep, run_sweeps
+from ggvs_eval.pipelines.sweep.run_sweep import plan_cells, run_sweep
 from ggvs_eval.protocol import Frames, Views, load_protocol
 from ggvs_eval.reports.tables.published import read_published
 from ggvs_eval.sweep import Sweep, SweepRow, load_sweep, packaged_sweeps
@@ -93,7 +93,7 @@ def test_every_variant_is_a_line_and_absent_methods_are_named(capture, protocol,
     )
     sweep = Sweep("k", "test", rows, k=(2, 3, 8))
 
-    result = run_sweep(tmp_path / "sweep", capture, sweep, protocol, workers=1)
+    result = run_sweep(plan_cells(tmp_path / "sweep", {"": (capture, protocol)}, sweep), workers=1)
 
     assert list(result.table.index) == [("k2", "Distance"), ("k3", "Distance")]
     assert result.table["PSNR"].nunique() == 2
@@ -111,7 +111,7 @@ def test_frames_rendered_elsewhere_are_a_row(capture, protocol, tmp_path, capsys
     ``splats:PATH`` is rendered here, and timed.
     """
     sweep = Sweep("one", "test", (SweepRow("Distance", "distance-based"),))
-    run_sweep(tmp_path / "theirs", capture, sweep, protocol, workers=1)
+    run_sweep(plan_cells(tmp_path / "theirs", {"": (capture, protocol)}, sweep), workers=1)
     frames = tmp_path / "theirs" / protocol.name / "renders" / "distance-based"
     shutil.copytree(frames, tmp_path / "Others" / capture.path.name, ignore=shutil.ignore_patterns("*.json"))
     file = tmp_path / "sweep.toml"
@@ -125,7 +125,7 @@ def test_frames_rendered_elsewhere_are_a_row(capture, protocol, tmp_path, capsys
     )
     write_ply(tmp_path / f"{capture.path.name}.ply", random_cloud(20, dtype=torch.float32))
 
-    result = run_sweep(tmp_path / "sweep", capture, load_sweep(str(file)), protocol, workers=1)
+    result = run_sweep(plan_cells(tmp_path / "sweep", {"": (capture, protocol)}, load_sweep(str(file))), workers=1)
 
     lines = result.table.loc[protocol.name]
     assert list(lines.index) == ["Distance", "4DGS (theirs)", "3DGS (theirs)"]
@@ -146,9 +146,8 @@ def test_frames_of_several_captures_are_told_apart(capture, protocol, tmp_path):
     noisy = perturb_capture(capture, CaptureEdit(hold_frames=2, sensor_noise_255=20.0))
     rows = (SweepRow("None", "no-blending"), SweepRow("Theirs", "rendered:frames"))
 
-    result = run_sweeps(
-        tmp_path / "s", {"still": (noisy, protocol), "moving": (capture, protocol)}, Sweep("x", "x", rows), workers=1
-    )
+    starts = {"still": (noisy, protocol), "moving": (capture, protocol)}
+    result = run_sweep(plan_cells(tmp_path / "s", starts, Sweep("x", "x", rows)), workers=1)
 
     assert "wanted {capture} in the path, as there are 2 captures" in result.not_computed["Theirs"]
     file = tmp_path / "twice.toml"
@@ -163,7 +162,7 @@ def test_several_captures_are_averaged(capture, protocol, tmp_path):
     sweep = Sweep("pair", "test", (SweepRow("Distance", "distance-based"), SweepRow("None", "no-blending")))
     noisy = perturb_capture(capture, CaptureEdit(hold_frames=2, sensor_noise_255=20.0))
 
-    result = run_sweeps(tmp_path / "s", {"still": (noisy, protocol), "moving": (capture, protocol)}, sweep, workers=1)
+    result = run_sweep(plan_cells(tmp_path / "s", {"still": (noisy, protocol), "moving": (capture, protocol)}, sweep), workers=1)
 
     psnr = result.table["PSNR"]
     assert list(psnr.index.unique("capture")) == ["still", "moving", "mean"]
@@ -172,13 +171,13 @@ def test_several_captures_are_averaged(capture, protocol, tmp_path):
     assert (tmp_path / "s" / "sweep.csv").is_file()
     other = dataclasses.replace(protocol, measurement=dataclasses.replace(protocol.measurement, ddof=0))
     with pytest.raises(ProtocolError, match="measured alike"):
-        run_sweeps(tmp_path / "t", {"a": (noisy, protocol), "b": (capture, other)}, sweep, workers=1)
+        plan_cells(tmp_path / "t", {"a": (noisy, protocol), "b": (capture, other)}, sweep)
 
 
 def test_a_sweep_without_a_method_is_refused(capture, protocol, tmp_path):
     """Where no row can be computed nothing is prepared."""
     with pytest.raises(ProtocolError, match="no row has a method"):
-        run_sweep(tmp_path / "s", capture, Sweep("x", "x", (SweepRow("Naive", "naive-to-come"),)), protocol, workers=1)
+        plan_cells(tmp_path / "s", {"": (capture, protocol)}, Sweep("x", "x", (SweepRow("Naive", "naive-to-come"),)))
     assert not (tmp_path / "s").exists()
 
 

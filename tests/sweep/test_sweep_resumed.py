@@ -24,7 +24,7 @@ from ggvs_eval.jobs.shard import Shard
 from ggvs_eval.jobs.status import read_status
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.commands.runs import status
-from ggvs_eval.pipelines.sweep.run_sweep import run_sweep
+from ggvs_eval.pipelines.sweep.run_sweep import plan_cells, run_sweep
 from ggvs_eval.protocol import Frames, Views, load_protocol
 from ggvs_eval.sweep import load_sweep
 
@@ -63,9 +63,8 @@ def words(written_dynerf, tmp_path_factory) -> list[str]:
 
 def run_in_python(out: Path, words: list[str], engine: Engine | int = 1, shard: str = "1/1"):
     name, _, capture, _, protocol = words
-    return run_sweep(
-        out, open_capture(Path(capture)), load_sweep(name), load_protocol(protocol), engine, shard=Shard.parse(shard)
-    )
+    start = open_capture(Path(capture)), load_protocol(protocol)
+    return run_sweep(plan_cells(out, {"": start}, load_sweep(name), shard=Shard.parse(shard)), engine)
 
 
 @pytest.fixture(scope="module")

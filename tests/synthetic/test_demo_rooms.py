@@ -18,7 +18,7 @@ from ggvs_eval.jobs.pace import pace
 from ggvs_eval.pipelines.commands.main import run_command
 from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
 from ggvs_eval.pipelines.sweep import demo_runs
-from ggvs_eval.pipelines.sweep.demo_runs import capture_beside, demo_root, evaluate_demos
+from ggvs_eval.pipelines.sweep.demo_runs import capture_beside, demo_plans, demo_root, evaluate_demos
 from ggvs_eval.protocol import CameraPath, Frames, Protocol, Synthesis, Views, load_protocol
 from ggvs_eval.results import Results
 from ggvs_eval.synthetic.demo import DEMO_ROOMS, MAIN, write_demo
@@ -149,7 +149,8 @@ def test_all_rooms_stand_on_one_page(tmp_path, small_protocols, monkeypatch):
 
     def run() -> Path:
         labels = {MAIN: ["no-blending", "distance-based"], "demo-d3dmv": ["no-blending"]}
-        return evaluate_demos(root, labels, 1, open_capture, rooms=rooms, show_plans=told.append, show=keep)
+        planned = demo_plans(root, labels, lambda folder, options: open_capture(write_demo(folder, options, 1)), rooms=rooms)
+        return evaluate_demos((told.append(each) or each for each in planned), 1, keep)
 
     def keep(page: Path) -> None:
         shown.append(page.read_text())
@@ -158,7 +159,7 @@ def test_all_rooms_stand_on_one_page(tmp_path, small_protocols, monkeypatch):
 
     over_k = [tmp_path / "out-k" / f"k{k}" for k in (2, 3, 4, 5)]  # of the main room's six cameras one is synthesised
     assert page == root / "report" / "index.html"
-    assert [plan.run.root for plans in told for plan in plans] == [root, tmp_path / "out-d3dmv", *over_k]
+    assert [plan.run.root for plan in (*told[:2], *told[2].plans)] == [root, tmp_path / "out-d3dmv", *over_k]
     assert len(Results.read(root).summary()) == 2
     assert len(Results.read(demo_root(root, "demo-d3dmv")).summary()) == 1
     assert (capture_beside(demo_root(root, "demo-d3dmv")) / "scene000.h5").is_file()

@@ -10,7 +10,7 @@ from ggvs_eval.files.images import quantise
 from ggvs_eval.files.video import VideoFrames
 from ggvs_eval.geometry.source_views import choose_sources
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
-from ggvs_eval.pipelines.play.playback import PlayOptions, viewing_of_capture
+from ggvs_eval.pipelines.play.playback import PlayOptions, playback_of_capture
 from ggvs_eval.pipelines.play.synthesizer import OnlineSynthesizer
 from ggvs_eval.pipelines.run.run_plan import RunRequest, plan_run
 from ggvs_eval.pipelines.view import listener as listener_module
@@ -33,7 +33,7 @@ def playback(tmp_path_factory):
     """Five cameras before a plane that comes nearer, three instants, with depth of every camera at every instant."""
     folder = tmp_path_factory.mktemp("plane")
     options = PlayOptions(k=2)
-    return viewing_of_capture(write_capture(folder), options, DepthRunOptions("sgbm").options(), folder / "cache")
+    return playback_of_capture(write_capture(folder), options, DepthRunOptions("sgbm").options(), folder / "cache", anywhere=True)
 
 
 @pytest.fixture

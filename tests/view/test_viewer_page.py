@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from ggvs_eval.pipelines.offline.depth.depth_choice import DepthRunOptions
-from ggvs_eval.pipelines.play.playback import PlayOptions, viewing_of_capture
+from ggvs_eval.pipelines.play.playback import PlayOptions, playback_of_capture
 from ggvs_eval.pipelines.run.suggest_protocol import suggest_protocol
 from ggvs_eval.pipelines.view.listener import Listener
 from ggvs_eval.pipelines.view.live_view import LiveView
@@ -24,7 +24,9 @@ CANVAS = "canvas"
 def playback(tmp_path_factory):
     """Five cameras before a plane that comes nearer."""
     folder = tmp_path_factory.mktemp("plane")
-    return viewing_of_capture(write_capture(folder), PlayOptions(k=2), DepthRunOptions("sgbm").options(), folder / "cache")
+    return playback_of_capture(
+        write_capture(folder), PlayOptions(k=2), DepthRunOptions("sgbm").options(), folder / "cache", anywhere=True
+    )
 
 
 @pytest.fixture
