@@ -16,7 +16,7 @@ from ggvs_eval.pipelines.training.request import TrainingRequest
 from ggvs_eval.pipelines.training.stereo.stereo_loss import matching_loss, sequence_loss
 from ggvs_eval.pipelines.training.stereo.stereo_task import StereoTask
 from ggvs_eval.pipelines.training.train_one import planned_task
-from ggvs_eval.pipelines.offline.stereo.raft_config import COMPACT
+from ggvs_eval.raft_config import COMPACT
 from ggvs_eval.training.card import write_card
 from ggvs_eval.training.log import TrainingLog, draw_curves
 from ggvs_eval.training.loop import train
