@@ -33,7 +33,7 @@ def merge_runs(out: Path, roots: Sequence[Path], copy: bool = False) -> RunFolde
         copy: copy files; otherwise they are linked where the file system can, so that nothing is stored twice.
 
     Returns:
-        The new run, which `pipelines.scoring.score.score` makes the table of.
+        The new run, which `pipelines.run.score.score` makes the table of.
 
     Raises:
         ProtocolError: other protocols, captures or ways to find depth; the message says what differs. Or `out` exists.
